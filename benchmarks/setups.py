@@ -2,14 +2,16 @@
 
 The parts of benchmarks/parts.py, each with `cell setups` as it is (24 poses offered). *One after the other* takes the
 set-up that measures most, then the one that adds most, until as much is measured, each covered by itself for what is
-open: of the same candidates, those that views were moved to included, and of the same samples. The *ceiling* is what
-any scanner pose could measure of the part without supports, the arm's reach aside. SCAN_CELL_PART runs parts of one
-name only.
+open: of the same candidates, those that views were moved to included, and of the same samples. *Views first* takes the
+fewest of all poses that some set-up reaches, then the fewest set-ups in which these poses measure as much. The
+*ceiling* is what any scanner pose could measure of the part without supports, the arm's reach aside. SCAN_CELL_PART
+runs parts of one name only.
 """
 
 import os
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +22,8 @@ from cell import api
 from cell.errors import CellError
 from cell.rays.prediction import held_out
 from cell.run.cell import read_cell
-from cell.setups import search
-from cell.setups.fewest import Rows
+from cell.setups import plan_setups, search
+from cell.setups.fewest import Rows, fewest_setups
 from cell.setups.joint import JointCover, joint_cover
 from planner import cover
 from planner.cover import Problem
@@ -42,6 +44,12 @@ def run() -> list[dict[str, Any]]:
 def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     wishes: dict[str, object] = {"place": place()} | ({"units": words[2]} if len(words) > 1 else {})
     asked: list[tuple[Problem, JointCover]] = []
+    searches: list[search.Search] = []
+
+    class Kept(search.Search):
+        def __init__(self, *known: Any) -> None:
+            super().__init__(*known)
+            searches.append(self)
 
     def told(wish: Problem, targets: Floats, *rest: Any, **options: Any) -> JointCover:
         found = joint_cover(wish, targets, *rest, **options)
@@ -49,16 +57,18 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
         return found
 
     start = time.process_time()
-    search.joint_cover = told
+    search.joint_cover, plan_setups.Search = told, Kept  # type: ignore[misc]
     try:
         made = api.plan_setups(words[0], out=folder / name, **wishes)
     except CellError as error:
         return {"part": name, "said": str(error)[:100]}
     finally:
-        search.joint_cover = joint_cover
+        search.joint_cover, plan_setups.Search = joint_cover, search.Search  # type: ignore[misc]
     seconds, file = time.process_time() - start, made.file
     wish, joint = asked[-1]
+    poses = [setup.measured.candidates.T_object_scanner[:, 0] for setup in searches[0].setups.values()]
     setups, views = _after_another(wish, joint)
+    first_setups, first_views = _views_first(wish, joint, np.concatenate(poses))
     ceiling, error = _ceiling(made.folders[0])
     return {
         "part": name,
@@ -69,6 +79,8 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
         "views bound": file.views_bound,
         "one cover": f"{len(joint.views)} / {joint.n_views}",
         "one after the other": f"{setups} / {views}",
+        "views first": f"{first_setups} / {first_views}",
+        "best single %": round(100 * max(each.coverable for each in file.offered), 2),
         "visible %": round(100 * file.coverage.visible, 2),
         "ceiling %": round(100 * ceiling, 2),
         "+-": round(100 * error, 2),
@@ -91,6 +103,18 @@ def _after_another(wish: Problem, joint: JointCover) -> tuple[int, int]:
         left = left & ~(np.asarray(wish.matrix[:, columns[found.views]].sum(axis=1)).ravel() > 0)
         setups, views = setups + 1, views + len(found.views)
     return setups, views
+
+
+def _views_first(wish: Problem, joint: JointCover, poses: Floats) -> tuple[int, int]:
+    """Set-ups and views where the (V, 4, 4) poses are chosen first, of all that some set-up reaches."""
+    _, pose = np.unique(poses.reshape(-1, 16).round(9), axis=0, return_inverse=True)
+    some = np.flatnonzero(np.asarray(wish.allowed))
+    alone = Problem(wish.matrix[:, some], wish.areas, coverage=float(joint.targets[0]))
+    views = some[cover.solve(alone, rng=np.random.default_rng(0)).views]
+    again = np.asarray(wish.allowed) & np.isin(pose, pose[views])
+    rows = Rows(replace(wish, allowed=again), joint.targets)
+    rows.wanted = joint.rows.wanted
+    return fewest_setups(rows, (), None)[0], len(views)
 
 
 def _ceiling(folder: Path) -> tuple[float, float]:

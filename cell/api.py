@@ -137,7 +137,6 @@ def plan_setups(
 
     own = {name: wishes.pop(name) for name in offers(SetupOptions) if name in wishes}
     checked, workpiece = scene_and_part(part, scene, wishes)
-    checked.require_fixed_part("a plan of several set-ups")
     wanted = read(SetupOptions, own) if options is None else options
     folder = planned(
         checked, options=wanted, part=workpiece, scene_path=None if scene is None else Path(scene),

@@ -49,8 +49,8 @@ def edit(
         rows = [*table(made.report), (f"against {run}", sentence(against)), ("run folder", str(made.folder))]
         terminal.pairs(f"Edited view plan of {made.report.part.name}", rows)
         lost = against.surface is not None and against.surface.lost_mm2 > against.surface.gained_mm2
-        apart = planned.record.of_several or planned.report.open_of is not None  # asked with other set-ups
-        repaired = [("cell", "edit", made.folder, "--repair")] if lost and not wanted.repair and not apart else []
+        alone = planned.asked_alone
+        repaired = [("cell", "edit", made.folder, "--repair")] if lost and not wanted.repair and alone else []
         terminal.then(("cell", "scan", made.folder), *repaired, ("cell", "diff", run, made.folder))
     raise typer.Exit(made.exit_code)
 

@@ -104,7 +104,7 @@ def _steps(before: Before, wanted: Edit, run: Run, job: Job) -> int:
     edited = _views(before, wanted, job, cell, surface)
     if before.moved:
         measured = measured_anew(before, run, job, surface, cell)
-        edited = still_reached(edited, measured.reached, run.narrator, leave_out=wanted.repair)
+        edited = still_reached(before, edited, measured.reached, run.narrator, leave_out=wanted.repair)
     else:
         measured = _measured(before, edited, run, job, surface, cell)
     job = replace(job, scene=_without_dropped(job, edited))
@@ -118,7 +118,7 @@ def _steps(before: Before, wanted: Edit, run: Run, job: Job) -> int:
         except PinnedOutError as error:
             edited = _without(error, edited, run, leave_out=before.moved and wanted.repair)
     holds, chosen = _bounded(before, edited, problem, chosen)
-    told: dict[str, object] = {"part": before.run.report.part}
+    told: dict[str, object] = {"part": before.run.report.part, "of_several": before.run.of_several or None}
     if not holds:
         told["status"] = "edited by hand; how few views would do is not known"
     for view in edited.views:
@@ -128,7 +128,7 @@ def _steps(before: Before, wanted: Edit, run: Run, job: Job) -> int:
     if wanted.repair:
         run.narrator.note(f"repaired by adding candidate {', '.join(added)}" if added else "there is nothing to repair")
     report = pipeline.finish(run, job, surface.planning, problem, chosen, told)
-    if before.run.record.of_several:
+    if before.run.of_several:
         run.narrator.note("coverage was asked of several set-ups: what they measure together now is not known")
         return 0
     return 3 if _below(run.narrator, report, job.scene.plan) else 0

@@ -56,10 +56,13 @@ def measured_anew(before: Before, run: Run, job: Job, surface: PartSurface, cell
     return Measured(scanners.swept(job.scanner, views), reached, M, scanner, casters)
 
 
-def still_reached(edited: EditedViews, reached: Reach, narrator: Narrator, *, leave_out: bool) -> EditedViews:
+def still_reached(
+    before: Before, edited: EditedViews, reached: Reach, narrator: Narrator, *, leave_out: bool
+) -> EditedViews:
     """The views that the arm takes up where the part stands now.
 
     Args:
+        before: the run.
         edited: all of them.
         reached: of all candidates, there.
         narrator: is told which are left out.
@@ -70,10 +73,9 @@ def still_reached(edited: EditedViews, reached: Reach, narrator: Narrator, *, le
     """
     lost = {view: f"{edited.called[view]} ({_why(reached, view)})" for view in _lost(edited, reached)}
     if lost and (not leave_out or len(lost) == len(edited.views)):
-        raise UnreachableError(
-            f"where the part stands now the arm cannot take {', '.join(lost.values())}; give repair to leave them out "
-            "and add the fewest others, or move the part"
-        )
+        alone = before.run.asked_alone
+        way = "give repair to leave them out and add the fewest others, or move the part" if alone else "move the part"
+        raise UnreachableError(f"where the part stands now the arm cannot take {', '.join(lost.values())}; {way}")
     for sentence in lost.values():
         narrator.note(f"{sentence} is left out")
     return edited.without(list(lost))

@@ -88,7 +88,7 @@ def require_repairable(run: PlannedRun) -> None:
             f"{run.folder} was asked only for what other set-ups leave open, and a repair would ask for the rest as "
             "well; leave repair out, or plan it again with open_of"
         )
-    if run.record.of_several:
+    if run.of_several:
         raise UsageError(
             f"{run.folder} is one of several set-ups, of which coverage was asked together, and a repair would ask "
             "it of this one alone; leave repair out, or plan the set-ups again with the candidates banned"

@@ -47,6 +47,16 @@ class PlannedRun:
         return self.record.manifest.exit_code or 0
 
     @property
+    def of_several(self) -> bool:
+        """Whether it is one of several set-ups that one cover was planned for, or edited from one."""
+        return bool(self.report.of_several) or self.record.of_several  # older folders say it by where they lie
+
+    @property
+    def asked_alone(self) -> bool:
+        """Whether its coverage was asked of it alone, so that a repair can restore it."""
+        return self.report.alone and not self.of_several
+
+    @property
     def coverage(self) -> Coverage:
         """What the views measure; `visible` and `coverable` are fractions of the surface."""
         return self.plan.coverage
@@ -63,8 +73,8 @@ class PlannedRun:
 
     @cached_property
     def q(self) -> Floats:
-        """(n, 6) joint set-points of the views [rad], KUKA signs."""
-        return readonly("q", [view.q for view in self.plan.views], (None, 6))
+        """(n, axes) joint set-points of the views [rad], KUKA signs; a rotary table's angle behind the arm's."""
+        return readonly("q", [view.q for view in self.plan.views], (None, None))
 
     @cached_property
     def T_base_scanner(self) -> Floats:

@@ -183,5 +183,13 @@ class Report(JsonTable):
     multiplicity: Multiplicity | None = optional()
     cost: Cost | None = optional()
     open_of: OpenOf | None = optional()
+    of_several: bool | None = optional(
+        "true of one of several set-ups that one cover was planned for, and of what is edited from it"
+    )
     curve: Curve | None = optional()
     clearance: Clearance | None = optional("how near the motion comes to anything")
+
+    @property
+    def alone(self) -> bool:
+        """Whether its coverage was asked of it alone."""
+        return self.open_of is None and not self.of_several

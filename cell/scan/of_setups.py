@@ -12,6 +12,7 @@ from cell.acquisition import SIMULATED
 from cell.errors import FileError, UsageError
 from cell.narrator import Narrator
 from cell.run.executions import execution_ids, read_execution
+from cell.run.reader import scene
 from cell.run.record import open_finished
 from cell.run.setups_json import ScannedSetups
 from cell.scan import driver as scan_driver
@@ -166,14 +167,16 @@ def _lies(planned: PlannedSetups, number: int) -> str:
         FileError: if that is of another plan than the one in the folder.
     """
     chosen, folder = planned.file.chosen[number - 1], planned.folders[number - 1]
-    if open_finished(folder).digest != chosen.digest:
+    run = open_finished(folder)
+    if run.digest != chosen.digest:
         raise FileError(
             f"{folder} is not the plan that setups.json names, so how the part lies in it is not known; nothing was "
             "moved: plan the set-ups anew"
         )
     offer = planned.file.offered[chosen.offered]
     xyz, abc = (listed(values) for values in (offer.placement_mm, offer.placement_abc_deg))
+    turned = "" if scene(run).table is None else ", the rotary table at 0"
     return (
         f"set-up {number} of {len(planned.folders)}: the part lies {offer.name}, its centre at {xyz} mm, "
-        f"A, B, C {abc} deg"
+        f"A, B, C {abc} deg{turned}"
     )

@@ -7,6 +7,7 @@ import numpy as np
 
 from cell import scanners
 from cell.checks.possible import impossible
+from cell.errors import SceneError
 from cell.plan import denser_samples, steps
 from cell.plan.appended_candidates import appended
 from cell.plan.candidates import arm_of
@@ -14,7 +15,6 @@ from cell.plan.steps import Cell, Job, Measured, Run
 from cell.rays.matrix import PartSurface
 from cell.rays.occluders import Occluder, occluder_triangles
 from cell.rays.prediction import Prediction
-from cell.robot.arm import kinematics_of
 from cell.scene.scene import Scene
 from cell.setups.contact import touching
 from cell.setups.growing import with_grown
@@ -139,8 +139,11 @@ def measured_setup(
         scouts: points that more candidates are grown for.
     """
     scene = offer.scene(job.scene)
-    if offer.given is not None and (offer.given.fixtures or offer.given.post):
-        world = compiled_world(job, scene, surface.reference)
+    if scene.table.enabled or (offer.given is not None and (offer.given.fixtures or offer.given.post)):
+        try:
+            world = compiled_world(job, scene, surface.reference)
+        except SceneError as error:
+            return str(error)
     else:
         T_base_object = scene.placement.T @ np.linalg.inv(world.T_object_centre)
         world = replace(
@@ -149,7 +152,7 @@ def measured_setup(
     if problems := impossible(world):
         return problems[0]
     job = replace(job, scene=scene)
-    cell = Cell(world, MujocoCollisionChecker(world), kinematics_of(world.model))
+    cell = Cell(world, MujocoCollisionChecker(world), world.kinematics)
     with run.step(offer.name) as progress:
         candidates, reached = with_grown(job, surface, cell, shared, scouts, progress)
         usable = np.flatnonzero(reached.reachable)

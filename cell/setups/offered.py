@@ -10,7 +10,7 @@ from cell.scene.fixtures import Setup
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.posed import Placement
 from cell.scene.scene import Scene
-from cell.world.model import World
+from cell.world.model import ON_AXIS, World
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
@@ -56,10 +56,19 @@ def given(scene: Scene) -> list[Offer]:
     ]
 
 
+def with_table_kept(scene: Scene, world: World) -> Scene:
+    """The scene with its rotary table where that of a compiled cell stands, in whatever pose the part is put on it."""
+    if world.table is None:
+        return scene
+    position_mm = (1000 * world.table.T_base_table[:3, 3]).round(6).tolist()
+    return scene.model_copy(update={"table": scene.table.model_copy(update={"position_mm": tuple(position_mm)})})
+
+
 def proposed(world: World, part: TriangleMesh, most: int) -> list[Offer]:
     """The set-ups that are proposed: the part's lowest point stays at its height, its centre over the same place.
 
-    The pose that the scene gives comes first, then stable poses, the most probable first, each at all turns.
+    The pose that the scene gives comes first, then stable poses, the most probable first, each at all turns; at one
+    where a rotary table turns the part all round its centre.
 
     Args:
         world: the cell with the part as the scene places it.
@@ -74,7 +83,7 @@ def proposed(world: World, part: TriangleMesh, most: int) -> list[Offer]:
     found = [
         Offer(f"{name}, turned by {turn:g} deg" if turn else name, _placement(world, _about_z(turn) @ R))
         for name, R in lies
-        for turn in TURNS_DEG
+        for turn in (TURNS_DEG[:1] if _turns_all_round(world) else TURNS_DEG)
     ]
     return found[:most]
 
@@ -94,6 +103,14 @@ def _stable(part: TriangleMesh) -> Iterator[tuple[Floats, float]]:
     for k in np.argsort(-probabilities.round(9), kind="stable"):
         if probabilities[k] >= _LEAST:
             yield transforms[k][:3, :3], float(probabilities[k])
+
+
+def _turns_all_round(world: World) -> bool:
+    """Whether a rotary table turns the part once round about its own centre."""
+    if (table := world.table) is None:
+        return False
+    off_axis = (world.T_base_object @ world.T_object_centre)[:2, 3] - table.T_base_table[:2, 3]
+    return bool(np.linalg.norm(off_axis) <= ON_AXIS and table.upper - table.lower >= 2 * np.pi - 1e-9)
 
 
 def _apart_deg(one: Floats, other: Floats) -> float:

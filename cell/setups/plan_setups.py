@@ -6,6 +6,7 @@ own below `setups/`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from cell.scene.scene import Scene
 from cell.setups.joint import JointCover
 from cell.setups.left_open import left_open
 from cell.setups.measured import Setup, compiled_world, measured_setup
-from cell.setups.offered import Offer, given, proposed
+from cell.setups.offered import Offer, given, proposed, with_table_kept
 from cell.setups.options import SetupOptions
 from cell.setups.report import page, status
 from cell.setups.search import Search
@@ -139,8 +140,12 @@ def _offered(run: Run, job: Job, most: int) -> tuple[PartSurface, list[Offer], l
         features = surface_features(job.scene, reference, planning, run.rng(steps.FEATURES))
         surface = PartSurface(reference, planning, features, EmbreeRayCaster(reference.vertices, reference.faces))
         scouts = sample(reference, planning, growth.SCOUTS, run.rng(steps.SCOUTS))
+        poses = given(job.scene)
+        if not most:  # the scene's own placement is none of those that are offered
+            job = replace(job, scene=job.scene.model_copy(update={"placement": poses[0].placement}))
         world = compiled_world(job, job.scene, reference)
-        offers = _distinct([*given(job.scene), *proposed(world, reference, most)])
+        job = replace(job, scene=with_table_kept(job.scene, world))
+        offers = _distinct([*poses, *proposed(world, reference, most)])
         if job.scene.setup == () and len({offer.name.split(",")[0] for offer in offers}) == 1 < most:
             run.narrator.note("the part has no other stable pose: it is offered as it is placed, turned, alone")
     tried = [measured_setup(run, job, surface, world, each, shared, scouts) for each in offers]
@@ -180,7 +185,8 @@ def _write(surface: PartSurface, problem: Problem, chosen: ConnectedPlan, run: R
     plan_files.write_reach(run.folder, problem.reached)
     plan_files.write_measurability(run.folder, problem.M)
     run.drawing.cell_ready(run.folder.path)
-    told = {"status": "one of several set-ups that one cover was planned for; how few views are needed stands there"}
+    status = "one of several set-ups that one cover was planned for; how few views are needed stands there"
+    told = {"status": status, "of_several": True}
     pipeline.finish(run, job, surface.planning, problem, chosen, told)
     return 0
 

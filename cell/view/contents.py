@@ -198,7 +198,7 @@ def plan_play(
             *(("E1", f"{angle:g} deg") for angle in view.e_deg or ()),
             ("roll", f"{view.roll_deg:g} deg"),
             ("clearance", _mm(own.clearance_on_the_way_mm) + " on the way"),
-        ], _commands(number, view.T_base_scanner))
+        ], _commands(number, view.T_base_scanner, alone=report.alone))
         for number, (view, own) in enumerate(zip(views, report.views, strict=True), start=1)
     ]  # fmt: skip
     coverage, moves = report.coverage, report.motion
@@ -222,11 +222,12 @@ def _beside_part(view: PlanView, T_base_object: Floats) -> Floats:
     return view.T_base_scanner if view.T_base_object is None else T_base_object @ view.T_object_scanner
 
 
-def _commands(number: int, T_base_scanner: Floats) -> list[str]:
+def _commands(number: int, T_base_scanner: Floats, *, alone: bool) -> list[str]:
     """What can be done with a view of a plan, to be pasted; the pose is the one that it has."""
     position, abc = kuka_abc_from_pose(T_base_scanner)
     pose = ",".join(f"{value:.3f}".rstrip("0").rstrip(".") for value in (*1000 * position, *np.degrees(abc)))
-    edits = f"--drop {number} --repair", f"--turn {number}:90", f"--move {number}:{pose}"
+    drop = f"--drop {number}" + (" --repair" if alone else "")
+    edits = drop, f"--turn {number}:90", f"--move {number}:{pose}"
     return [f"cell replay RUN --view {number}", *(f"cell edit RUN {edit}" for edit in edits)]
 
 

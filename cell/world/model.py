@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 
 # "housing with link_2", never the other way round: the more mobile of the two comes first.
 _RANK = ("housing", "bracket", *reversed(robot.LINKS))
-_ON_AXIS = 1e-6  # m; a post nearer to the axis of a rotary table turns in place
+ON_AXIS = 1e-6
+"""A post nearer to the axis of a rotary table turns in place [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -306,7 +307,7 @@ def _add_what_stands(
     fixture_meshes = cell_shapes.add_fixtures(spec, scene, placed_body)
     if table is not None:
         off_axis = np.linalg.norm(scene.placement.T[:2, 3] - table.T_base_table[:2, 3])
-        cell_shapes.guard_what_turns(spec, post_swings=bool(off_axis > _ON_AXIS))
+        cell_shapes.guard_what_turns(spec, post_swings=bool(off_axis > ON_AXIS))
     return fixture_meshes
 
 

@@ -223,6 +223,11 @@ def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: Cell, t
     assert "what they measure together now is not known" in " ".join(done.stderr.split())
     assert "--repair" not in done.stdout + done.stderr
     assert "more than the fewest" not in open_run(tmp_path / "edited").report.status
+    done = run_cell("edit", "edited", "--repair", "--out", "repaired", cwd=tmp_path)  # wherever it lies
+    assert done.returncode == 2
+    assert "is one of several set-ups" in done.stderr
+    for run in (one, tmp_path / "edited"):
+        assert "--repair" not in (run / "view.html").read_text()
 
 
 def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell, tmp_path: Path) -> None:

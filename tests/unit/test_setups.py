@@ -20,7 +20,7 @@ from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, require_one_part
 from cell.setups.fewest import Rows
 from cell.setups.joint import JointCover
-from cell.setups.offered import proposed
+from cell.setups.offered import proposed, with_table_kept
 from cell.setups.search import Search
 from cell.why import advise
 from cell.world.model import compile_world
@@ -139,6 +139,30 @@ def test_a_box_is_offered_on_its_six_sides() -> None:
     assert [offer.placement for offer in proposed(world, TriangleMesh(box.vertices, box.faces), 5)] == [
         offer.placement for offer in offers[:5]
     ]
+
+
+@pytest.mark.parametrize(
+    ("table", "turned"),
+    [
+        ({"enabled": True}, 0),  # under the part's centre, endless
+        ({"enabled": True, "limits_deg": [-90, 90]}, 3),
+        ({"position_mm": [1200, 480, -350]}, 3),  # beside the axis a turn is another circle
+    ],
+)
+def test_a_turn_that_the_table_makes_is_not_proposed(table: dict[str, object], turned: int) -> None:
+    """One pose a side where the table turns it all round its centre; else turns by hand, as without a table."""
+    box = trimesh.creation.box(extents=[0.06, 0.1, 0.16])
+    scene = Scene.model_validate({"placement": {"position_mm": [1200, 500, 30]}, "table": table})
+    world = compile_world(scene, box.vertices, part_faces=box.faces, baseline_mm=75.0)
+    offers = proposed(world, TriangleMesh(box.vertices, box.faces.astype(np.int32)), 4)
+    assert sum("turned" in offer.name for offer in offers) == turned
+    kept = with_table_kept(scene, world)
+    for offer in offers:  # the table stands where it stood
+        again = compile_world(offer.scene(kept), box.vertices, part_faces=box.faces, baseline_mm=75.0)
+        assert again.table is not None
+        assert world.table is not None
+        np.testing.assert_allclose(again.table.T_base_table, world.table.T_base_table, atol=1e-9)
+        assert again.post_top(again.T_base_object)[2] == pytest.approx(-0.05, abs=2e-6)
 
 
 def test_advice_is_a_command_that_can_be_pasted(tmp_path: Path) -> None:

@@ -1,0 +1,131 @@
+"""`cell setups --table`: the part turned over on a rotary table, each set-up a run with seven axes."""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.proof.proof import prove
+from cell.rays.prediction import held_out
+from cell.run.cell import read_cell
+from cell.run.planned import open_run
+from cell.run.setups_json import SetupsFile
+from cell.setups.contact import touching
+from cell.setups.planned_setups import PlannedSetups
+from planner.measurability.matrix import measured
+from planner.values import Bools
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+SCENE = """
+[part]
+path = "{part}"
+units = "mm"
+[placement]
+position_mm = [1100, 400, 100]
+[table]
+angles = 12
+[plan]
+standoffs_mm = [250]
+faces = 30
+samples_per_face = 2
+seed = 3
+candidates = "optimal-scanning-zone"
+coverage = 1.0
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Path:
+    """Set-ups of the small part on a table, of three that are offered; beside it what the command said."""
+
+    def make(at: Path) -> None:
+        (at / "cell.toml").write_text(SCENE.format(part=part_file))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("planner.cover.DEFAULT_WORK", 30_000_000)  # the small part is soon proven
+            done = run_cell("setups", "--scene", "cell.toml", "--offer", "3", "--out", "made", cwd=at)
+        assert done.returncode == 0, done.stderr
+        (at / "said").write_text(done.stdout + done.stderr)
+
+    return made_once("setups-on-table", make) / "made"
+
+
+def _seen(run: Path) -> Bools:
+    """(S,) held-out samples that a view of a run measures, each with the table where it is turned back."""
+    planned = open_run(run)
+    cell = read_cell(planned.record)
+    samples = held_out(cell.reference, cell.planning, planned.record.seed)
+    poses = np.stack([view.T_object_poses for view in planned.plan.views])
+    seen = measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True).any(axis=1)
+    return seen & ~touching(samples, cell.occluders)
+
+
+def test_each_set_up_is_a_plan_of_seven_axes_on_the_same_table(folder: Path) -> None:
+    """Layout 2, the motion's certificate made again from the folder; the table stands where it stood."""
+    made = PlannedSetups.opened(folder)
+    tables = []
+    for run in made.folders:
+        assert json.loads((run / "manifest.json").read_text())["schema"] == "scan-cell/run/2"
+        stored = np.load(run / "motion.npz")
+        assert (stored["via_q"].shape[1], stored["via_e"].shape[1]) == (6, 1)
+        proven = prove(run)
+        assert proven.world.table is not None
+        tables.append(proven.world.table.T_base_table)
+    for table in tables[1:]:
+        np.testing.assert_array_equal(table, tables[0])
+    seen = [_seen(run) for run in made.folders]
+    assert made.file.coverage.visible == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
+    assert made.file.coverage.visible_of_coverable >= 0.9
+
+
+def test_a_pose_is_offered_once_where_the_table_turns_it(folder: Path) -> None:
+    """Turned by hand the part would be measured as it is turned by the table."""
+    file: SetupsFile = PlannedSetups.opened(folder).file
+    assert len(file.offered) == 3
+    assert not any("turned" in offer.name for offer in file.offered)
+    assert len(file.chosen) == file.setups_bound == 2
+
+
+def test_they_are_scanned_and_exported_with_the_table(folder: Path, run_cell: Run, tmp_path: Path) -> None:
+    """From 5 mm and 2 deg off the part is found in each, turned back; programs have E1."""
+    shutil.copytree(folder, tmp_path / "made")
+    done = run_cell(
+        "scan", "made", "--setup-error", "5mm,2deg", "--range-noise", "0.03", "--resolution", "1", "--json",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    scanned = json.loads(done.stdout)
+    assert scanned["missing"] == []
+    assert scanned["visible"] == pytest.approx(scanned["planned"], abs=0.02)
+    for setup in scanned["setups"]:
+        assert setup["place"]["off_mm"] <= 0.05
+        assert setup["place"]["off_deg"] <= 0.02
+    done = run_cell("export", "made", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert len(scanned["setups"]) == 2
+    programs = sorted((tmp_path / "made" / "export").glob("*_[12].*"))
+    assert programs
+    assert sum("E1 " in program.read_text() for program in programs) >= 2
+
+
+def test_what_the_table_cannot_carry_is_left_out(part_file: Path, run_cell: Run, tmp_path: Path) -> None:
+    """A pose that swings too wide is no set-up, and the sentence is the table's; the table stays with the others."""
+    wide = '[[setup]]\nname = "far off"\nposition_mm = [1700, 400, 100]\n'
+    near = '[[setup]]\nname = "upright"\nposition_mm = [1100, 400, 100]\n'
+    aside = '[[setup]]\nname = "aside and higher"\nposition_mm = [1150, 400, 120]\n'
+    text = (
+        SCENE.format(part=part_file)
+        .replace("[1100, 400, 100]", "[9000, 0, 0]")
+        .replace("coverage = 1.0", "coverage = 0.5")
+    )
+    (tmp_path / "cell.toml").write_text(text + near + aside + wide)
+    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    file = PlannedSetups.opened(tmp_path / "made").file
+    assert [bool(offer.left_out) for offer in file.offered] == [False, False, True]
+    assert "swings through a circle of" in file.offered[2].left_out
+    assert "the set-up 'far off' is left out: the part swings" in done.stderr
