@@ -1,21 +1,30 @@
-"""Explorations of parts: true coverage and views beside the plan that knows the model, contacts, seconds.
+"""Explorations of parts: true coverage and views beside the plan that knows the model, contacts, reasons, seconds.
 
-SCAN_CELL_PARTS names built-in parts and meshes of the folder SCAN_CELL_MESHES (default "mug,petanque"), SCAN_CELL_SEEDS
-(default 1) is the number of seeds. Contact is judged by `benchmarks.triangle_cell`, true triangles in
-python-fcl at every sample of the motions.
+SCAN_CELL_PARTS names built-in parts and meshes of the folder SCAN_CELL_MESHES (default "mug,petanque"; "all": all of
+them), SCAN_CELL_SEEDS (default 1) is the number of seeds, SCAN_CELL_POLICIES names policies (default both). Contact is
+judged by `benchmarks.triangle_cell`, true triangles in python-fcl at every sample of the motions. SCAN_CELL_REASONS=1
+has the stated reasons judged as well (`benchmarks.exploring.reasons`). Each row is told as soon as it is there.
 """
 
 import os
+import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 from time import process_time
 from typing import Any
 
+import numpy as np
+
+from benchmarks.exploring import reasons
 from benchmarks.parts import parts
 from benchmarks.triangle_cell import TriangleCell
-from cell.explore.explore import explore
+from cell.explore.explore import LAST_STAGE, explore
 from cell.explore.options import ExploreOptions
 from cell.explore.policies import POLICIES
+from cell.explore.prepare import prepared
 from cell.narrator import Quiet
 from cell.run import reader
 from cell.run.cell import world_of
@@ -24,49 +33,87 @@ from cell.run.record import open_finished
 from cell.scan.options import ScanOptions
 from cell.scene.option import read
 from cell.scene.options import scene_of
+from planner.ports import Progress
 
 _AFTER = (5, 10, 15)  # views
+_LIMIT = {"stepwise": 1.35, "two-stage": 1.8}
+"""Views for each of the fewest that may be taken, and two more."""
 
 
 def run() -> list[dict[str, Any]]:
     """One row for each part, policy and seed."""
     wanted = os.environ.get("SCAN_CELL_PARTS", "mug,petanque").split(",")
-    seeds = range(int(os.environ.get("SCAN_CELL_SEEDS", "1")))
+    policies = os.environ.get("SCAN_CELL_POLICIES", ",".join(POLICIES)).split(",")
+    seeds, rows = range(int(os.environ.get("SCAN_CELL_SEEDS", "1"))), list[dict[str, Any]]()
     with tempfile.TemporaryDirectory() as folder:
-        return [
-            _row(name, words, policy, seed)
-            for name, words in parts(Path(folder)) if name.removesuffix(" (file)") in wanted
-            for policy in POLICIES for seed in seeds
-        ]  # fmt: skip
+        for name, words in parts(Path(folder)):
+            if wanted == ["all"] or name.removesuffix(" (file)") in wanted:
+                for policy, seed in product(policies, seeds):
+                    rows.append(_row(name, words, policy, seed))
+                    print(rows[-1], file=sys.stderr, flush=True)  # noqa: T201 -- hours of work are not to be lost
+    return rows
 
 
 def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
-        out, began = Path(folder) / "explored", process_time()
+        out, clock = Path(folder) / "explored", _Clock()
         units = {"units": words[2]} if len(words) > 1 else {}
         scene = scene_of(None, {"place": (1200, 500, 0), "seed": seed} | units, words[0])
         options = read(ExploreOptions, {"policy": policy})
-        file = explore(scene, options, ScanOptions(), out=out, argv=(), narrator=Quiet())
-        seconds, known = process_time() - began, file.truth
+        file = explore(scene, options, ScanOptions(), out=out, argv=(), narrator=clock)
+        known = file.truth
         assert known is not None
         checked, contacts = _judged(out, file)
+        said = {}
+        if os.environ.get("SCAN_CELL_REASONS"):
+            said = reasons.judged(prepared(scene, options, ScanOptions(), out, (), Quiet(), None), file)
+    limit = _LIMIT[policy] * known.fewest + 2
     return {
         "part": part,
         "policy": policy,
         "seed": seed,
         "batches": len(file.stages),
         "views": file.views,
-        "visible %": round(100 * known.visible, 2),
-        **{f"after {n} %": _share(known.by_views, n) for n in _AFTER},
-        "coverable %": round(100 * known.coverable, 2),
-        "known views": known.known_model_views,
-        "known %": round(100 * known.known_model_visible, 2),
+        "limit": round(limit, 1),
         "fewest": known.fewest,
+        "visible %": round(100 * known.visible, 2),
+        "known %": round(100 * known.known_model_visible, 2),
+        "behind": round(100 * (known.known_model_visible - known.visible), 2),
+        "known views": known.known_model_views,
+        "coverable %": round(100 * known.coverable, 2),
+        **{f"after {n} %": _share(known.by_views, n) for n in _AFTER},
         "motion s": round(sum(stage.seconds for stage in file.stages), 1),
         "checked": checked,
         "contacts": contacts,
         "nearest mm": round(known.nearest_mm, 1),
-        "cpu s": round(seconds, 1),
+        "step s": round(clock.exploring / len(file.stages), 2),
+        **_told(said),
+    }
+
+
+class _Clock(Quiet):
+    """Tells processor seconds until the model that is made at the end of an exploration."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._began, self.exploring = process_time(), 0.0
+
+    @contextmanager
+    def stage(self, name: str, *, time_left: bool = False) -> Iterator[Progress]:
+        if name == LAST_STAGE:
+            self.exploring = process_time() - self._began
+        with super().stage(name, time_left=time_left) as progress:
+            yield progress
+
+
+def _told(said: dict[str, tuple[float, float]]) -> dict[str, Any]:
+    """Share of the open area whose reason is true, and each reason's area with what of it is true [mm2]."""
+    if not said:
+        return {}
+    areas = np.array(list(said.values()))
+    return {
+        "reasons true %": round(100 * float(areas[:, 1].sum() / areas[:, 0].sum()), 1),
+        "reasons": [f"{name}: {true:.0f} of {area:.0f}" for name, (area, true) in said.items()],
     }
 
 

@@ -31,6 +31,9 @@ from planner.surface.sample import SurfaceSamples, pick_samples
 from planner.values import Bools, Floats
 
 _FILES = "files:"
+LAST_STAGE = "merge and reconstruct"
+"""What is told first when no further batch is planned."""
+
 _OUTSIDE = 0.01
 """Share of a stage's points beyond the cylinder, or in space that was seen free, above which something is wrong."""
 
@@ -72,7 +75,7 @@ def explore(
             try:
                 folder = _planned(work, number, known, batch, ended)
             except EnoughError as error:
-                file = _finished(work, file, str(error), error.open)
+                file = _finished(work, file, str(error), () if error.open is None else error.open.by_area())
                 break
             scans = _executed(work, folder)
             before, known = known, _learned(known, folder, scans, work)
@@ -202,7 +205,7 @@ def _finished(work: Exploring, file: ExploreFile, ended: str, still_open: tuple[
     if not file.stages:
         raise SceneError(f"nothing can be explored here: {ended}; move the part (--place), or change the scanner")
     scans = scans_of(work.paths, file.stages)
-    with work.narrator.stage("merge and reconstruct"):
+    with work.narrator.stage(LAST_STAGE):
         model = report.write_model(work.paths.root, scans)
     middle = None if model is None else report.middle_of(model, np.asarray(work.scene.placement.position_mm))
     missed = found = None

@@ -1,6 +1,8 @@
 """Why believed surface stays open: the condition at which the candidate that came closest fails (`planner.why`)."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -8,25 +10,59 @@ from cell.run.explore_json import OpenReason
 from planner.ports import RayCaster, Scanner
 from planner.reach.reach import Reach
 from planner.surface.sample import SurfaceSamples
-from planner.values import Ints
+from planner.values import Ints, Value
 from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import why
 from planner.why.reasons import OF_VERDICT, Reason
 
-_TRIED = "views were expected to measure it and did not: it is too small, too steep, or not there"
-_NOT_TAKEN = "a reachable view is expected to measure it, and was not taken"
+TRIED, NOT_TAKEN = -2, -1
+"""Beside `Reason`: views that are to measure it were executed and did not; such a view was not taken."""
+
+_SAID = {
+    TRIED: "views were expected to measure it and did not: it is too small, too steep, or not there",
+    NOT_TAKEN: "a reachable view is expected to measure it, and was not taken",
+}
 
 
-def reasons(
+@dataclass(frozen=True, slots=True, eq=False)
+class StillOpen(Value):
+    """Samples of the believed surface that are open, and why.
+
+    Attributes:
+        samples: N of them.
+        reason: (N,) `Reason` values, `TRIED` or `NOT_TAKEN`.
+        candidates: viewpoints that were looked at.
+    """
+
+    samples: SurfaceSamples
+    reason: Annotated[Ints, "N"]
+    candidates: Viewpoints
+
+    def by_area(self) -> tuple[OpenReason, ...]:
+        """Area by sentence, the largest first."""
+        said = np.array([sentence(code) for code in self.reason.tolist()], dtype=object)
+        areas = {each: 1e6 * float(self.samples.areas[said == each].sum()) for each in dict.fromkeys(said.tolist())}
+        return tuple(
+            OpenReason(reason=each, area_mm2=round(area, 3))
+            for each, area in sorted(areas.items(), key=lambda item: -item[1])
+        )
+
+
+def sentence(code: int) -> str:
+    """A reason in words."""
+    return _SAID.get(code) or Reason(code).sentence
+
+
+def still_open(
     samples: SurfaceSamples,
     tries: Ints,
     candidates: Viewpoints,
     reached: Reach,
     scanner: Scanner,
     casters: Sequence[RayCaster],
-) -> tuple[OpenReason, ...]:
-    """Area by reason, the largest first.
+) -> StillOpen:
+    """Open samples with their reasons.
 
     Args:
         samples: of the believed surface, those that are open.
@@ -36,14 +72,16 @@ def reasons(
         scanner: the sensor's law.
         casters: the believed part's, and that of occluders.
     """
+    found = closest(samples, candidates, reached, scanner, casters)
+    reason = np.where(found == Reason.NOT_SELECTED, np.where(tries > 0, TRIED, NOT_TAKEN), found)
+    return StillOpen(samples, reason, candidates)
+
+
+def closest(
+    samples: SurfaceSamples, candidates: Viewpoints, reached: Reach, scanner: Scanner, casters: Sequence[RayCaster]
+) -> Ints:
+    """(S,) the `Reason` at which the candidate fails that comes closest to measuring each; as in `still_open`."""
     fails = np.array([OF_VERDICT[verdict] for verdict in OF_VERDICT], dtype=np.uint8)[reached.verdict]
-    targets = Targets.of(samples.points, samples.normals)
-    rows = np.arange(len(samples))
-    found = why.diagnose(targets, rows, candidates, scanner, casters[0], casters[1], fails).reason
-    named = np.where(found == Reason.NOT_SELECTED, np.where(tries > 0, -2, -1), found.astype(np.int64))
-    said = {-2: _TRIED, -1: _NOT_TAKEN}
-    areas = {int(code): 1e6 * float(samples.areas[named == code].sum()) for code in np.unique(named)}
-    return tuple(
-        OpenReason(reason=said.get(code) or Reason(code).sentence, area_mm2=round(area, 3))
-        for code, area in sorted(areas.items(), key=lambda item: -item[1])
-    )
+    targets, rows = Targets.of(samples.points, samples.normals), np.arange(len(samples))
+    found = why.diagnose(targets, rows, candidates, scanner, casters[0], casters[1], fails)
+    return found.reason.astype(np.int64)

@@ -15,7 +15,7 @@ from cell import scanners
 from cell.errors import UnreachableError
 from cell.explore import belief
 from cell.explore.policies import Batch
-from cell.explore.reasons import reasons
+from cell.explore.reasons import StillOpen, still_open
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
@@ -30,7 +30,6 @@ from cell.plan.view_plan import choose_and_connect, first_choice
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
-from cell.run.explore_json import OpenReason
 from cell.scene.scene import Scene
 from planner.explore.gain import Record, most_per_second
 from planner.explore.space import VoxelSpace
@@ -60,10 +59,10 @@ class EnoughError(UnreachableError):
     """No further batch is worth its views.
 
     Attributes:
-        open: what stays open, and why.
+        open: what stays open, and why; None where nobody looked.
     """
 
-    def __init__(self, message: str, still_open: tuple[OpenReason, ...] = ()) -> None:
+    def __init__(self, message: str, still_open: StillOpen | None = None) -> None:
         super().__init__(message)
         self.open = still_open
 
@@ -169,8 +168,6 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
         if not len(rows) or not len(scouts):
             raise EnoughError("nothing is open")
         candidates = first(job.scene, job.settings, job.part, planning)
-        if (candidates.face >= 0).all():
-            candidates = pick_viewpoints(candidates, np.isin(candidates.face, rows.planning_face))
         return (
             PartSurface(reference, planning, rows, EmbreeRayCaster(reference.vertices, reference.faces)),
             scouts,
@@ -181,8 +178,8 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
 def probable(samples: SurfaceSamples, asked: Asked, most: int) -> SurfaceSamples:
     """What is asked for of the samples, areas times probabilities; of more than `most`, so many of the same product."""
     space = asked.space
-    still_open = ~space.seen(samples.points)
-    weights = np.where(still_open, asked.record.weights(space.open_at(samples.points)), float(asked.batch.whole))
+    unseen = ~space.seen(samples.points)
+    weights = np.where(unseen, asked.record.weights(space.open_at(samples.points)), float(asked.batch.whole))
     areas = weights * samples.areas
     kept = np.flatnonzero(areas)
     if len(kept) > most:
@@ -236,14 +233,14 @@ def _too_little(chosen: ConnectedPlan, surface: PartSurface, asked: Asked) -> st
 def _explained(
     asked: Asked, scouts: SurfaceSamples, candidates: Viewpoints, reached: Reach, scanner: Scanner,
     casters: Sequence[RayCaster],
-) -> Callable[[], tuple[OpenReason, ...]]:  # fmt: skip
-    """Gives the reasons why what is open stays open."""
+) -> Callable[[], StillOpen]:  # fmt: skip
+    """Gives what is open with the reasons why it stays open."""
 
-    def reasons_now() -> tuple[OpenReason, ...]:
+    def reasons_now() -> StillOpen:
         left = pick_samples(scouts, ~asked.space.seen(scouts.points))
         of = asked.space.open_at(left.points)
         left = replace(left, areas=left.areas / asked.record.weights(of))
-        return reasons(left, of.tries, candidates, reached, scanner, casters)
+        return still_open(left, of.tries, candidates, reached, scanner, casters)
 
     return reasons_now
 

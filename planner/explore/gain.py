@@ -21,8 +21,8 @@ MOST_TRIES = 2
 REACHES = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Distances from the nearest measured voxel between the classes [edges of a voxel]."""
 
-_PRIOR = 0.5 * 0.5 ** np.arange(MOST_TRIES + 1)[:, None] * 0.7 ** np.arange(len(REACHES) + 1)
-"""Probability before anything is known of it: halved with each try, less by a third with each class of distance ..."""
+_PRIOR = 0.9 ** np.arange(MOST_TRIES + 1)[:, None] * np.array([0.75, 0.75, 0.7, 0.55, 0.35, 0.2])
+"""Probability before anything is known of it: pooled over explorations (docs/internals/explore.md) ..."""
 
 _WORTH = 0.01
 """... and the weight of this, as a share of the believed surface."""
