@@ -21,7 +21,7 @@ MOST_TRIES = 2
 REACHES = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Distances from the nearest measured voxel between the classes [edges of a voxel]."""
 
-_PRIOR = 0.9 ** np.arange(MOST_TRIES + 1)[:, None] * np.array([0.75, 0.75, 0.7, 0.55, 0.35, 0.2])
+_PRIOR = 0.9 ** np.arange(MOST_TRIES + 1)[:, None] * np.array([0.75, 0.75, 0.75, 0.65, 0.4, 0.2])
 """Probability before anything is known of it: pooled over explorations (docs/internals/explore.md) ..."""
 
 _WORTH = 0.01
@@ -29,6 +29,10 @@ _WORTH = 0.01
 
 _KEPT = 0.7
 """Weight of earlier stages at each new one: what is believed late is more often true than what was believed early."""
+
+
+_SWAP = 1e-6
+"""Share by which another view has to add more, so that swaps come to an end."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,4 +109,33 @@ def most_per_second(
             break
         taken.append(best)
         left[columns[[best]].indices] = 0.0
+    return np.array(taken, dtype=np.int64)
+
+
+def most_together(measured: "csr_array", areas: Floats, usable: Bools, count: int) -> Ints:
+    """Up to `count` views that together have much open area: greedily chosen, then each swapped while that adds.
+
+    A view that is chosen with those after it in mind leaves less that only views of its own can close: with the true
+    model known, three ahead reach the greedy choice's coverage one to two views earlier.
+
+    Args:
+        measured: (S, V) what each view measures.
+        areas: (S,) expected of each row [m^2].
+        usable: (V,) those that may be taken.
+        count: how many; fewer are returned where no other adds anything.
+    """
+    taken = most_per_second(measured, areas, np.ones(len(usable)), usable, count).tolist()
+    columns, by_view = measured.T.tocsr(), measured.tocsc()
+    times = np.bincount(by_view[:, taken].indices, minlength=len(areas))
+    swapped = True
+    while swapped:
+        swapped = False
+        for place, view in enumerate(taken):
+            rows = by_view[:, [view]].indices
+            times[rows] -= 1
+            gains = np.where(usable, columns @ (areas * (times == 0)), 0.0)
+            best = int(gains.argmax())
+            if gains[best] > (1 + _SWAP) * gains[view]:
+                taken[place], swapped = best, True
+            times[by_view[:, [taken[place]]].indices] += 1
     return np.array(taken, dtype=np.int64)
