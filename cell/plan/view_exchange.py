@@ -53,9 +53,9 @@ def groups(
     found, members = _exchanged(problem, arm, selected, usable, rng)
     before = found.duration_before + problem.request.standing * len(selected.cover.views)
     if problem.request.costs is not None:
-        members = _other_covers(problem, arm, found, members, usable, rng)
+        found, members = _other_covers(problem, arm, found, members, usable, rng)
     _tell(found)
-    return replace(_groups(arm, members), straight_before=before)
+    return replace(_groups(arm, members), straight_before=before, visited=tuple(found.visited.tolist()))
 
 
 def _exchanged(
@@ -90,14 +90,14 @@ def _other_covers(
     members: tuple[Ints, ...],
     usable: NDArray[np.bool_],
     rng: np.random.Generator,
-) -> tuple[Ints, ...]:
-    """Groups of the least time found by choosing and ordering in turns.
+) -> tuple[Exchange, tuple[Ints, ...]]:
+    """The exchange, and its groups, of the least time found by choosing and ordering in turns.
 
     Each candidate is priced at its standing and at what it makes the tour at hand longer, the cheapest cover at these
     prices is ordered and its views are exchanged, and so on, until a cover comes back or two in a row are no better.
     """
     request, reached = problem.request, problem.reached
-    least, since = found.duration + request.standing * len(members), 0
+    best, least, since = found, found.duration + request.standing * len(members), 0
     seen = {frozenset(found.views.tolist())}
     for _ in range(_COVERS):
         more = moves_in(found.stops, found.visited, reached.q, reached.offsets, problem.limits)
@@ -117,10 +117,10 @@ def _other_covers(
         )
         since += 1
         if seconds < least * (1.0 - 1e-9):
-            least, members, since = seconds, others, 0
+            best, least, members, since = found, seconds, others, 0
         if since == 2:
             break
-    return members
+    return best, members
 
 
 def shorter(exchanged: tuple[Groups, Tour], own: tuple[Groups, Tour], standing: float = 0.0) -> tuple[Groups, Tour]:

@@ -194,7 +194,7 @@ def _motion(
         T_base_scanner=world.T_base_object @ problem.candidates.T_object_scanner[groups.views, 0],
         T_base_home=problem.kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
         passages=views.passages(groups.views),
-        known=tuple(dict.fromkeys(group[candidate] for candidate in before if candidate in group)),
+        known=tuple(dict.fromkeys(group[c] for c in before or groups.visited if c in group)),
     )
     if problem.request.known is not None and (known := problem.request.known(groups.views, groups.configurations)):
         return known

@@ -35,12 +35,14 @@ class Groups:
         configurations: for each view (m, 6) joint solutions of its members, one after the other [rad].
         straight_before: time of straight moves over the views that were exchanged, and of standing at them where time
             counts [s]: a plan that takes no longer needs no comparison with theirs. inf where nothing was exchanged.
+        visited: candidates in the order of the tour that the exchange found.
     """
 
     members: tuple[Ints, ...]
     owner: tuple[Ints, ...]
     configurations: tuple[Floats, ...]
     straight_before: float = float("inf")
+    visited: tuple[int, ...] = ()
 
     @property
     def exchanged(self) -> bool:

@@ -22,6 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from planner.order import generalised_tsp as gtsp
+from planner.order.moves import best_on_tour, node_offsets, too_many
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
 from planner.values import Bools, Floats, Ints, Value, freeze, readonly
@@ -119,7 +120,7 @@ def exchange(
     current = np.array(views, dtype=np.int64)
     required = np.minimum(matrix.counts(current.tolist()), 1)
     tours = _Tours(configurations, home, limits, rng)
-    best = tours.shortest([current[k : k + 1] for k in range(len(current))], np.arange(len(current)), warm=False)
+    best = tours.first(current)
     before = best.cost
     while len(best.picks) > 1 and tours.count < _ORDERINGS:
         found = _exchanged(matrix, best, required, kept, tours, spare)
@@ -159,37 +160,48 @@ class _Tours:
         self.configurations, self.home, self.limits, self.rng = configurations, home, limits, rng
         self.count = 0
 
-    def shortest(self, groups: Many[Ints], order: Ints, *, warm: bool = True) -> _Tour:
-        """The best tour with one member of each group, searched for from a visiting order; `warm`: a good one."""
-        owner, q, first = [np.array([-1])], [self.home[None]], [0, 1]
-        for group in groups:
-            solutions = [self.configurations(int(view)) for view in group]
-            owner.append(np.repeat(group, [len(s) for s in solutions]))
-            q += solutions
-            first.append(first[-1] + sum(len(s) for s in solutions))
-        nodes, owners = np.concatenate(q), np.concatenate(owner)
-        problem = gtsp.instance(move_time(nodes[:, None], nodes, self.limits), np.array(first))
-        found = gtsp.solve(problem, order + 1, self.rng, _STEPS, None, warm=warm)
+    def first(self, views: Ints) -> _Tour:
+        """The best tour through views that is found without knowing one."""
+        return self._shortest([views[k : k + 1] for k in range(len(views))], np.arange(len(views)), None)
+
+    def along(self, tour: _Tour, groups: Many[Ints]) -> _Tour:
+        """The best tour with one member of each group, searched for from a good one."""
+        return self._shortest(self.nearest(tour, groups), tour.order, tour)
+
+    def _shortest(self, groups: Many[Ints], order: Ints, near: _Tour | None) -> _Tour:
+        solutions = [[self.configurations(int(view)) for view in group] for group in groups]
+        owners = [np.repeat(group, [len(s) for s in own]) for group, own in zip(groups, solutions, strict=True)]
+        joints = [np.concatenate(own) for own in solutions]
+        if near is not None and too_many(joints):
+            kept = [best_on_tour(self._longer(near, k, q), len(groups)) for k, q in enumerate(joints)]
+            owners = [own[best] for own, best in zip(owners, kept, strict=True)]
+            joints = [q[best] for q, best in zip(joints, kept, strict=True)]
+        nodes, first = np.concatenate([self.home[None], *joints]), np.concatenate(([0], node_offsets(joints)))
+        problem = gtsp.instance(move_time(nodes[:, None], nodes, self.limits), first)
+        found = gtsp.solve(problem, order + 1, self.rng, _STEPS, None, warm=near is not None)
         self.count += 1
         visited = problem.clusters_of(found.tour)[1:] - 1
         picks = np.empty(len(groups), dtype=np.int64)
-        picks[visited] = owners[found.tour[1:]]
+        picks[visited] = np.concatenate(owners)[found.tour[1:] - 1]
         return _Tour(found.cost, picks, visited, nodes[found.tour[1:]])
+
+    def _longer(self, tour: _Tour, k: int, q: Floats) -> Floats:
+        """(n,) time of the moves to joint angles from where a tour is before its k-th group, and on to the next [s]."""
+        place = int(np.flatnonzero(tour.order == k)[0])
+        before = tour.q[place - 1] if place else self.home
+        after = tour.q[place + 1] if place + 1 < len(tour.q) else self.home
+        return move_time(before, q, self.limits) + move_time(q, after, self.limits)
 
     def nearest(self, tour: _Tour, groups: Many[Ints]) -> list[Ints]:
         """Each group cut to the `STAND_INS` members that make the tour least longer; the view it picked comes first."""
-        stops = np.concatenate([self.home[None], tour.q, self.home[None]])
-        place = np.empty(len(tour.order), dtype=np.int64)
-        place[tour.order] = np.arange(1, len(tour.order) + 1)
         cut = []
         for k, group in enumerate(groups):
             others = group[group != tour.picks[k]]
-            before, after = stops[place[k] - 1], stops[place[k] + 1]
             more = np.full(len(others), np.inf)
             if len(others):  # of all at once: a call for each would take ten times as long
                 solutions = [self.configurations(int(view)) for view in others]
-                q, owner = np.concatenate(solutions), np.repeat(np.arange(len(others)), [len(s) for s in solutions])
-                np.minimum.at(more, owner, move_time(before, q, self.limits) + move_time(q, after, self.limits))
+                owner = np.repeat(np.arange(len(others)), [len(s) for s in solutions])
+                np.minimum.at(more, owner, self._longer(tour, k, np.concatenate(solutions)))
             nearest = np.argsort(more, kind="stable")[: STAND_INS - 1]
             usable = [int(others[i]) for i in nearest if more[i] < np.inf]
             cut.append(np.array([tour.picks[k], *usable], dtype=np.int64))
@@ -208,7 +220,7 @@ def _exchanged(
             _members(matrix, int(view), rows, own, pinned, spare)
             for view, rows, own in zip(views, only_here, owned, strict=True)
         ]
-        found = tours.shortest(tours.nearest(best, members), best.order)
+        found = tours.along(best, members)
         counts = matrix.counts(found.picks.tolist())
         lost = np.flatnonzero(counts < required)
         if _area(matrix, lost) <= spare + (_area(matrix, (counts > 0) & (required == 0)) if spare > 0.0 else 0.0):

@@ -277,6 +277,6 @@ def _found(problem: Instance, tour: Ints, cost: float, lower_bound: float) -> Fo
     clusters = problem.clusters_of(tour)
     if problem.symmetric and len(tour) > 2 and clusters[1] > clusters[-1]:
         tour = np.concatenate((tour[:1], tour[:0:-1]))
-    if (problem.cost == np.floor(problem.cost)).all():  # so is every tour's
+    if lower_bound > 0 and (problem.cost == np.floor(problem.cost)).all():  # so is every tour's
         lower_bound = float(np.ceil(lower_bound * (1.0 - 1e-9)))
     return Found(tour, cost, min(lower_bound, cost))

@@ -17,6 +17,9 @@ from planner.timing.limits import check_inside
 from planner.timing.move_time import move_time
 from planner.values import Floats, Ints, Value, freeze, readonly
 
+_NODES = 1500  # joint solutions of all views that are ordered; a few times the time of a search among so many
+_LEAST = 4  # of each view, however many views there are
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moves(Value):
@@ -81,3 +84,21 @@ def node_offsets(configurations: Sequence[Sized]) -> Ints:
         (n + 1,) first node of each view, and the number of nodes.
     """
     return np.cumsum([1, *map(len, configurations)])
+
+
+def too_many(nodes: Sequence[Sized]) -> bool:
+    """Whether so many joint solutions of the views are ordered that only the best of each ought to be.
+
+    What an ordering costs beside its search grows with the square of their number.
+    """
+    return sum(map(len, nodes)) > _NODES
+
+
+def best_on_tour(longer: Floats, n_views: int) -> Ints:
+    """Those joint solutions of one of n views that are ordered where there are too many, by number.
+
+    Args:
+        longer: how much longer each makes a tour that is known, from the view before to the one after [s].
+        n_views: number of views.
+    """
+    return np.sort(np.argsort(longer, kind="stable")[: max(_LEAST, _NODES // n_views)])

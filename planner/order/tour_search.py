@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from planner.order import generalised_tsp as gtsp
-from planner.order.moves import Moves, node_offsets
+from planner.order.moves import Moves, best_on_tour, node_offsets, too_many
 from planner.order.orderings import Ordering
 from planner.order.roadmap import Edge, Roadmap
 from planner.order.visits import Visits
@@ -209,6 +209,8 @@ class TourSearch:
         """Order the views under the current prices, beginning with the order of an earlier tour."""
         self.drop_unconnected()
         roadmap, nodes = self.roadmap, [self.roadmap.nodes_of(k) for k in self.views]
+        if self.rounds and too_many(nodes):  # not in the first round, whose bound holds for all of them
+            nodes = self.near(nodes, before)
         flat = np.concatenate([np.zeros(1, dtype=np.int64), *nodes])
         numbers = np.full(len(roadmap.q), -1)
         numbers[flat] = np.arange(len(flat))
@@ -230,6 +232,18 @@ class TourSearch:
         self.rounds += 1
         self.promised = found.duration
         return [0, *(int(nodes[k][i]) for k, i in zip(found.order, found.choice, strict=True)), 0]
+
+    def near(self, nodes: list[Ints], tour: list[int]) -> list[Ints]:
+        """Those nodes of each view that make a tour through it least longer; all of a view that it does not visit."""
+        times, leave = self.roadmap.times, self.roadmap.leave
+        place = {self.view_of(node): k for k, node in enumerate(tour)}
+        kept = []
+        for view, own in zip(self.views, nodes, strict=True):
+            if (k := place.get(view)) is not None:
+                longer = times[leave[tour[k - 1]], own] + self.stays[own] + times[leave[own], tour[k + 1]]
+                own = own[best_on_tour(longer, len(nodes))]
+            kept.append(own)
+        return kept
 
     def drop_unconnected(self) -> None:
         """Move views that lost their last joint solution to `unconnected`."""
