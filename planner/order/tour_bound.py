@@ -167,13 +167,12 @@ class _Ascent:
         through = np.full(len(self.cost), np.inf)
         visits = self.near + self.far - 1
         for start in range(self.first[1]):
-            value = walks.layers(*self._arguments(self.prize, start), visits)
+            value = self._layers(self.prize, start, visits)
             self.work += self.price * visits // self.far
             from_start = np.inf
             for near in range(1, visits + 1):
-                met = walks.join(value, self.first, self.prize, self.count, self.base, near, visits + 1 - near)
+                met = walks.join(value, self.first, self.prize, self.count, self.base, near, visits + 1 - near, through)
                 from_start = min(from_start, met[0])
-                np.minimum(through, met[5], out=through)
             through[start] = from_start
         kept = through + self.prize[1:].sum() <= self.upper * (1.0 + _ROUNDING)
         if kept.all():
@@ -203,8 +202,13 @@ class _Ascent:
         )
         self.price = steps * self.far
 
-    def _arguments(self, prize: Floats, start: int) -> tuple[Floats, Ints, Floats, int, Ints, Ints, Ints, Ints]:
-        return self.cost, self.first, prize, start, self.table, self.rows, self.count, self.base
+    def _layers(self, prize: Floats, start: int, depth: int) -> Floats:
+        """Cost of the cheapest walk from a start to each state, by its number of visits, up to `depth`."""
+        from planner.order import walk_relaxation as walks  # importing numba costs 0.3 s
+
+        value = np.full((depth + 1, self.base[-1]), np.inf)
+        walks.layers(self.cost, self.first, prize, start, self.table, self.rows, self.count, self.base, value)
+        return value
 
     def _shortest(self, prize: Floats) -> tuple[float, Ints]:
         """The bound under these prizes, and the nodes of the walk that gives it."""
@@ -212,10 +216,10 @@ class _Ascent:
 
         best, walk = np.inf, self.walk
         for start in range(self.first[1]):
-            value = walks.layers(*self._arguments(prize, start), self.far)
+            value = self._layers(prize, start, self.far)
             self.work += self.price
-            length, cluster, node, memory, other, _ = walks.join(
-                value, self.first, prize, self.count, self.base, self.near, self.far
+            length, cluster, node, memory, other = walks.join(
+                value, self.first, prize, self.count, self.base, self.near, self.far, np.full(len(self.cost), np.inf)
             )
             if length < best:
                 best = length

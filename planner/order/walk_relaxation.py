@@ -9,7 +9,8 @@ shortest walk is never longer than the best tour; with all clusters remembered e
 Costs are symmetric, so walks from the start and walks back to it are the same: layers are computed to the middle only,
 and the halves are put together at the node where they meet.
 
-Compiled kernels: import this module only where it is used. A state is (cluster, memory, node); the states of cluster k
+Compiled kernels, to which their results' arrays are handed (to make them in a kernel takes a third of the time to
+compile it): import this module only where it is used. A state is (cluster, memory, node); the states of cluster k
 stand at base[k] + memory * size + node, where `memory` is a number whose bits are the members of NG(k).
 """
 
@@ -19,9 +20,8 @@ from planner.compiled import compiled
 from planner.values import Floats, Ints
 
 
-@compiled
 def memory_table(neighbours: Ints, count: Ints) -> tuple[Ints, Ints]:
-    """What is remembered after each step between clusters.
+    """What is remembered after each step between clusters; in NumPy, for compiling it would take longer than it does.
 
     Args:
         neighbours: (m, g) members of each NG set, the first `count[k]` of row k.
@@ -32,35 +32,26 @@ def memory_table(neighbours: Ints, count: Ints) -> tuple[Ints, Ints]:
         cluster: row rows[k] + memory is for a walk that leaves k with that memory.
     """
     m = len(count)
-    rows = np.zeros(m, dtype=np.int64)
-    total = 0
-    for k in range(m):
-        rows[k] = total
-        total += 1 << count[k]
-    bit = np.full((m, m), -1, dtype=np.int64)
-    for k in range(m):
-        for i in range(count[k]):
-            bit[k, neighbours[k, i]] = i
-    table = np.full((total, m), -1, dtype=np.int64)
-    for a in range(m):
-        for memory in range(1 << count[a]):
-            for b in range(m):
-                if b == a or (bit[a, b] >= 0 and (memory >> bit[a, b]) & 1):
-                    continue
-                arrived = 0
-                if bit[b, a] >= 0:
-                    arrived |= 1 << bit[b, a]
-                for i in range(count[a]):
-                    if (memory >> i) & 1 and bit[b, neighbours[a, i]] >= 0:
-                        arrived |= 1 << bit[b, neighbours[a, i]]
-                table[rows[a] + memory, b] = arrived
-    return table, rows
+    bit = np.full((m, m), -1)
+    for k, size in enumerate(count):
+        bit[k, neighbours[k, :size]] = np.arange(size)
+    number = np.where(bit >= 0, 1 << np.maximum(bit, 0), 0)  # [k, i]: i as a member of NG(k)
+    kept = []
+    for a, size in enumerate(count):
+        members = neighbours[a, :size]
+        holds = np.arange(1 << size)[:, None] >> np.arange(size) & 1
+        arrived = number[:, a] | holds @ number[:, members].T
+        arrived[:, a] = -1
+        arrived[:, members] = np.where(holds, -1, arrived[:, members])
+        kept.append(arrived)
+    return np.concatenate(kept), np.concatenate(([0], np.cumsum(1 << count)[:-1]))
 
 
 @compiled
 def layers(
-    cost: Floats, first: Ints, prize: Floats, start: int, table: Ints, rows: Ints, count: Ints, base: Ints, depth: int
-) -> Floats:
+    cost: Floats, first: Ints, prize: Floats, start: int, table: Ints, rows: Ints, count: Ints, base: Ints,
+    value: Floats,
+) -> None:  # fmt: skip
     """Cost of the cheapest walk from the start to each state, by its number of visits.
 
     Args:
@@ -72,13 +63,10 @@ def layers(
         rows: from `memory_table`.
         count: (m,) sizes of the NG sets.
         base: (m + 1,) first state of each cluster, and the number of states.
-        depth: visits of the longest walk.
-
-    Returns:
-        (depth + 1, states) costs less prizes; row 0 is not used.
+        value: (visits of the longest walk + 1, states) infinities, overwritten with costs less prizes; row 0 is not
+            used.
     """
-    m = len(first) - 1
-    value = np.full((depth + 1, base[m]), np.inf)
+    m, depth = len(first) - 1, len(value) - 1
     for b in range(1, m):
         for v in range(first[b], first[b + 1]):
             value[1, base[b] + v - first[b]] = cost[start, v] - prize[b]
@@ -109,23 +97,22 @@ def layers(
                             reached = so_far + edges[j]
                             if reached < target[j]:
                                 target[j] = reached
-    return value
 
 
 @compiled
 def join(
-    value: Floats, first: Ints, prize: Floats, count: Ints, base: Ints, near: int, far: int
-) -> tuple[float, int, int, int, int, Floats]:
+    value: Floats, first: Ints, prize: Floats, count: Ints, base: Ints, near: int, far: int, through: Floats
+) -> tuple[float, int, int, int, int]:
     """The cheapest closed walk whose halves meet after `near` visits on one side and `far` on the other.
 
     The visit at which they meet counts in both.
 
+    `through` (N,) is lowered, where it is more, to the cost of the cheapest such walk that meets in each node.
+
     Returns:
-        Its cost less prizes; cluster, node (from 0 in the cluster) and the memories of the halves where they meet; and
-        (N,) the cost of the cheapest such walk through each node there.
+        Its cost less prizes; cluster, node (from 0 in the cluster) and the memories of the halves where they meet.
     """
     m = len(first) - 1
-    through = np.full(first[m], np.inf)
     best, cluster, node, memory_near, memory_far = np.inf, 0, 0, 0, 0
     for k in range(1, m):
         size, memories = first[k + 1] - first[k], 1 << count[k]
@@ -155,4 +142,4 @@ def join(
             there = value[far, base[cluster] + memory * size + node]
             if there < least_far:
                 least_far, memory_far = there, memory
-    return best, cluster, node, memory_near, memory_far, through
+    return best, cluster, node, memory_near, memory_far
