@@ -38,6 +38,11 @@ _VARIED = {
     4: "angle between rays [deg]",
     5: "position of the part before the robot [mm]",
 }
+_KEYS = {"table2": "standoff_mm", "table3": "fov_deg", "table4": "resolution_deg", "table5": "place_mm"}
+"""What a table varies, as `table_row.row` takes it; Table 1 varies the faces."""
+USUAL = {"fov_deg": 60.0, "resolution_deg": 1.0, "place_mm": None}
+STANDOFF_MM = {"mseke": 300.0, "humerus": 30.0, "mug": 100.0, "robinet": 100.0, "petanque": 300.0, "st-jean": 300.0}
+"""What a row has where its table does not vary it."""
 _MUG_OF_TABLE_4_MM = 300.0
 """Table 4's Mug stands where Table 2's row at 300 mm does: the same 58 views and 53.07 % at 1 degree."""
 
@@ -195,14 +200,9 @@ def _settings(table: str, row: PaperRow, faces_share: float) -> dict[str, object
         # A reduced study has fewer candidates, not a coarser idea of the surface: as many samples as the full one.
         "samples_per_face": round(PlanSettings().samples_per_face / faces_share),
     }
-    if table == "table2":
-        settings["standoff_mm"] = row.parameter
-    elif table == "table3":
-        settings["fov_deg"] = row.parameter
-    elif table == "table4":
-        settings["resolution_deg"] = row.parameter
-        if row.part == "mug":
-            settings["standoff_mm"] = _MUG_OF_TABLE_4_MM
-    elif table == "table5":
-        settings["place_mm"] = row.parameter
+    key = _KEYS.get(table)
+    if key and row.parameter != USUAL.get(key, STANDOFF_MM.get(row.part)):  # rows that are equal are one trial
+        settings[key] = row.parameter
+    if (table, row.part) == ("table4", "mug"):
+        settings["standoff_mm"] = _MUG_OF_TABLE_4_MM
     return settings

@@ -7,8 +7,11 @@ from typing import Any
 import pytest
 
 from cell.errors import FileError
+from cell.scene import devices, sensors
+from cell.scene.scene import Scene
 from cell.study import store, table_row, trial
 from cell.study.run import run
+from cell.study.tables import STANDOFF_MM, USUAL, table_study
 from cell.study.trial import Outcome, Trial, compute
 from cell.study.workers import Processes
 
@@ -99,3 +102,15 @@ def test_a_worker_of_another_version_refuses() -> None:
     """Its result would be kept under a key that says otherwise."""
     outcome = compute(Trial.of(table_row.row, _SMALL), "another program")
     assert "version" in outcome.failure
+
+
+def test_rows_of_the_paper_that_say_the_same_are_one_trial() -> None:
+    """86 rows are 68 trials; what a row has where its table varies something else is the part's own, by its device."""
+    trials = table_study("all").trials
+    assert (len(trials), len(set(trials))) == (86, 68)
+    for part, standoff in STANDOFF_MM.items():
+        scene = devices.settled(Scene.model_validate({"part": {"name": part}}), part, 0.0)
+        near, far = sensors.load(str(scene.scanner.sensor)).figures.range_mm or (0.0, 0.0)
+        assert (near + far) / 2 == standoff
+    assert Scene().scanner.planning_resolution_deg == USUAL["resolution_deg"]
+    assert Scene().scanner.fov_deg == (USUAL["fov_deg"],) * 2
