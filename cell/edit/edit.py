@@ -2,8 +2,7 @@
 
 The cell is read back from the run's files, and so are candidates, reach and matrix, bit for bit; poses that were no
 candidates become further rows of all three, made by the functions that made the others. From there on everything is
-asked again: own arm, motion, clearance, timing, coverage. Where views, order and poses stay what they were, the motion
-is the run's.
+asked again: own arm, motion, clearance, timing, coverage.
 """
 
 import shutil
@@ -15,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from cell import scanners
-from cell.edit.known_motion import known_motion
 from cell.edit.moved import Before, measured_anew, still_reached
 from cell.edit.options import Edit, Pose
 from cell.edit.views import EditedViews, check, edited_views, require_repairable
@@ -222,14 +220,13 @@ def _problem(
     before: Before, wanted: Edit, edited: EditedViews, run: Run, job: Job, cell: Cell, measured: Measured,
     prediction: Prediction,
 ) -> Problem:  # fmt: skip
-    """What is asked of selection and motion; where views and placement are what they were, their motion is known."""
+    """What is asked of selection and motion; where views and placement are what they were, so is the order."""
     asked = replace(job, scene=job.scene.model_copy(update={"plan": _asked(wanted, edited, job, measured)}))
     problem = steps.ask(run, asked, cell, measured, prediction)
     same = edited.views == tuple(before.run.candidate.tolist()) and edited.order in (None, edited.views)
     same &= not before.moved
     order = edited.views if same else edited.order
-    known = known_motion(before.run) if same else None
-    return replace(problem, request=replace(problem.request, order=order, known=known))
+    return replace(problem, request=replace(problem.request, order=order))
 
 
 def _without(error: PinnedOutError, edited: EditedViews, run: Run, *, leave_out: bool) -> EditedViews:

@@ -8,7 +8,7 @@
 `planner.cover` answers each; which wishes go together is checked where the scene is read (`cell.scene.plan_settings`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,11 +23,10 @@ from planner.cover.robust import RobustCover, robust_cover
 from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import ProbabilityLayer
 from planner.order.seconds_of_views import least_moves
-from planner.order.tour import Tour
 from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget
 from planner.ports import JointLimits
 from planner.reach.reach import Reach
-from planner.values import Floats, Ints
+from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
 
 _RAISES = 6  # of the target; one or two close the gap that the held-out samples show; the last asks for everything
@@ -55,7 +54,6 @@ class Request:
         layer: probabilities of the matrix' entries; None where poses count as exact.
         goals: what regions of the part ask for; None where it has none.
         order: candidates in the order in which they are visited, others where they cost least; None: in any order.
-        known: gives the motion through (n,) candidates at their (m, 6) joint solutions [rad] where one is known.
         motion: work that planning the motion may use.
     """
 
@@ -64,7 +62,6 @@ class Request:
     layer: ProbabilityLayer | None = None
     goals: RegionGoals | None = None
     order: tuple[int, ...] | None = None
-    known: Callable[[Ints, Sequence[Floats]], Tour | None] | None = None
     motion: MotionBudget = DEFAULT_BUDGET
 
     @property

@@ -196,8 +196,6 @@ def _motion(
         passages=views.passages(groups.views),
         known=tuple(dict.fromkeys(group[c] for c in before or groups.visited if c in group)),
     )
-    if problem.request.known is not None and (known := problem.request.known(groups.views, groups.configurations)):
-        return known
     ordering = _ordering(problem.request, selected)
     return tour.plan_motion(
         visits, problem.checker, problem.limits, rng, problem.request.motion, progress, ordering=ordering
