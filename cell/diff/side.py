@@ -47,9 +47,8 @@ def read_side(folder: Path) -> Side:
     recorded = read_execution(run.record, folder.name)
     if not recorded.scans:
         raise FileError(f"{folder} holds no scan that can be read; give another execution")
+    number = np.array([scan.stop for scan in recorded.scans])
     with understood(folder / "scans"):
-        number = np.array([int(scan.stored["stop"]) for scan in recorded.scans])
-        each = [scan.stored.get("sweep_T_object_scanner", scan.stored["T_object_scanner"]) for scan in recorded.scans]
-        poses = np.stack([np.reshape(T, (-1, 4, 4)) for T in each])
-        order = np.argsort(number)
+        poses = np.stack([scan.T_reported_poses for scan in recorded.scans])
+    order = np.argsort(number)
     return Side(folder, run, open_execution(folder), number[order], poses[order])

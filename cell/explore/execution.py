@@ -7,10 +7,10 @@ from cell.errors import FileError
 from cell.narrator import Narrator
 from cell.run import reader
 from cell.run.cell import RunCell
-from cell.run.executions import execution_ids, read_execution
+from cell.run.executions import ExecutedScan, execution_ids, read_execution
 from cell.run.record import open_finished
 from cell.scan import scan
-from cell.scan.executed_scans import ExecutedScan, usable
+from cell.scan.executed_scans import usable
 from cell.scan.options import ScanOptions
 from cell.scan.safety import Ask
 from cell.scan.work import Work

@@ -19,10 +19,10 @@ from cell.explore.stage import Asked, EnoughError, plan_stage
 from cell.explore.state import Known, scans_of
 from cell.narrator import Narrator
 from cell.run import reader
+from cell.run.executions import ExecutedScan
 from cell.run.explore_json import ExploredStage, ExploreFile, OpenReason
 from cell.run.record import open_finished
 from cell.scan import lock
-from cell.scan.executed_scans import ExecutedScan
 from cell.scan.options import ScanOptions
 from cell.scan.safety import Ask
 from cell.scene.scene import Scene

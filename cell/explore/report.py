@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from cell.reconstruction.cloud import merge
+from cell.reconstruction.cloud import ScanCloud, merge
 from cell.reconstruction.reconstruct import reconstruct
 from cell.run import ply
+from cell.run.executions import ExecutedScan
 from cell.run.explore_json import ExploreFile, Truth
-from cell.scan.executed_scans import ExecutedScan
 from cell.view import coverage_curve, explore_page
 from cell.view.contents import NAME as PAGE
 from planner.surface.mesh import TriangleMesh
@@ -18,7 +18,7 @@ MODEL, REPORT, PICTURE = "model.ply", "report.md", "curve.png"
 
 def write_model(folder: Path, scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
     """The surface of all scans, explored frame [m]; None where the points describe none."""
-    mesh = reconstruct(merge([scan.cloud for scan in scans])).mesh
+    mesh = reconstruct(merge([ScanCloud(scan.points, scan.T_reported[:3, 3]) for scan in scans])).mesh
     if mesh is not None:
         (folder / MODEL).write_bytes(ply.written(mesh))
     return mesh

@@ -22,11 +22,11 @@ import numpy as np
 from cell.errors import FileError, UsageError
 from cell.explore import belief
 from cell.run import explore_json, reader
-from cell.run.executions import read_execution
+from cell.run.executions import ExecutedScan, read_execution
 from cell.run.explore_json import ExploredStage, ExploreFile
 from cell.run.folder import json_text
 from cell.run.record import npz, open_finished, understood
-from cell.scan.executed_scans import ExecutedScan, usable
+from cell.scan.executed_scans import usable
 from planner.explore.gain import Record
 from planner.explore.space import VoxelSpace
 from planner.surface.mesh import TriangleMesh

@@ -19,10 +19,10 @@ from cell.plan import pipeline
 from cell.rays.prediction import held_out
 from cell.run import reader
 from cell.run.cell import read_cell, world_of
+from cell.run.executions import ExecutedScan
 from cell.run.explore_json import BoundAt, Truth
 from cell.run.json_table import JsonTable, parsed
 from cell.run.record import artefact, open_finished
-from cell.scan.executed_scans import ExecutedScan
 from cell.scene.scene import Scene
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker

@@ -15,7 +15,6 @@ from cell.part.workpiece import UNITS
 from cell.reconstruction.cloud import ScanCloud
 from cell.run.executions import read_execution
 from cell.run.planned import PlannedRun
-from cell.run.record import understood
 from planner.values import Floats
 
 
@@ -65,20 +64,14 @@ def of_execution(run: PlannedRun, wanted: Locating) -> Clouds:
         FileError: if there is no execution, or it has no scan of a view.
     """
     recorded = read_execution(run.record, wanted.execution or "latest")
-    known = {}
-    for scan in recorded.scans:
-        with understood(recorded.folder / "scans" / scan.name):
-            known[int(scan.stored["stop"])] = scan
+    known = {scan.stop: scan for scan in recorded.scans}
     views = wanted.view or tuple(sorted(known))[:1]
     missing = [view for view in views if view not in known]
     if missing or not views:
         there = ", ".join(map(str, sorted(known))) or "none"
         raise FileError(f"{recorded.folder} has no scan of view {(*missing, 1)[0]}; it has {there}")
-    clouds, sources = [], []
-    for scan in (known[view] for view in views):
-        with understood(recorded.folder / "scans" / scan.name):
-            clouds.append(ScanCloud(scan.points, np.asarray(scan.stored["T_object_scanner"], dtype=np.float64)[:3, 3]))
-            sources.append(str(scan.stored.get("source", SIMULATED)))
+    clouds = [ScanCloud(known[view].points, known[view].T_reported[:3, 3]) for view in views]
+    sources = [known[view].source for view in views]
     simulated = SIMULATED in sources
     return Clouds(f"execution {recorded.folder.name} ({'; '.join(dict.fromkeys(sources))})", views, clouds, simulated)
 

@@ -5,7 +5,7 @@ read is told beside what can. Lengths in metres, angles in radians.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,37 +18,66 @@ from cell.run.manifest_json import Manifest
 from cell.run.reader import motion_of
 from cell.run.record import RunRecord, file_bytes, npz, read_manifest, understood
 from planner.errors import PlannerError
+from planner.ports import Rejection
 from planner.timing.motion import Motion
 from planner.values import Floats, Value, freeze
 
 FOLDER = "executions"
 
+_OF_EARLIER = "simulated"  # where earlier scans, which do not say it, have their points from
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RecordedScan(Value):
-    """One file of `scans/`; its other arrays are in `stored`.
+class ExecutedScan(Value):
+    """One readable scan of an execution.
 
     Attributes:
-        name: file name.
-        view: candidate that was scanned.
+        stop: number of the view, from 1 in visiting order.
+        view: its candidate, row of viewpoints.npz.
         q_commanded: (axes,) set-points sent [rad], KUKA signs.
         q_reported: (axes,) joint angles that the controller reported at the stop [rad].
-        points: (P, 3) [m], object frame.
+        T_reported: (4, 4) T_object_scanner by the controller's report [m].
+        T_reported_poses: (K, 4, 4) all poses of a sweep [m], of which `T_reported` is the middle one; at rest it alone.
+        T_true: (4, 4) from where the rays were traced [m]; None where the points are not simulated.
+        T_true_poses: (K, 4, 4) likewise [m].
+        points: (P, 3) as the data tell them [m], object frame.
+        counts: rays by `Rejection`; None where the points are not simulated.
+        source: where the points come from.
+        frame: that they came in.
+        name: of the file below `scans/`.
         stored: every array of the file by name.
     """
 
-    name: str
+    stop: int
     view: int
     q_commanded: Annotated[Floats, "axes"]
     q_reported: Annotated[Floats, "axes"]
+    T_reported: Annotated[Floats, "4 4"]
+    T_reported_poses: Annotated[Floats, "K 4 4"]
+    T_true: Annotated[Floats, "4 4"] | None
+    T_true_poses: Annotated[Floats, "K 4 4"] | None
     points: Annotated[Floats, "P 3"]
-    stored: Mapping[str, NDArray[Any]]
+    counts: tuple[int, ...] | None
+    source: str
+    frame: str
+    name: str = ""
+    stored: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self)
         for name in ("q_commanded", "q_reported", "points"):
             if not np.isfinite(getattr(self, name)).all():
                 raise PlannerError(f"{name} contains infinity; every value must be finite")
+        if self.counts is None:
+            return
+        if not 0 < len(self.counts) <= len(Rejection):  # reasons are appended: an older scan has fewer
+            raise ValueError(f"it has {len(self.counts)} counts of rays; there must be 1 to {len(Rejection)}")
+        object.__setattr__(self, "counts", (*self.counts, *[0] * (len(Rejection) - len(self.counts))))
+
+    @property
+    def poses(self) -> Floats:
+        """(K, 4, 4) true poses [m], those reported where the points are not simulated."""
+        return self.T_reported_poses if self.T_true_poses is None else self.T_true_poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +94,7 @@ class RecordedExecution:
 
     folder: Path
     manifest: Manifest
-    scans: tuple[RecordedScan, ...]
+    scans: tuple[ExecutedScan, ...]
     motion: Motion | None
     unreadable: tuple[str, ...]
 
@@ -97,7 +126,7 @@ def read_execution(run: RunRecord, execution: str) -> RecordedExecution:
         raise FileError(f"{run.folder} has no execution {execution}; it has {', '.join(known)}")
     folder = run.folder / FOLDER / execution
     manifest = Manifest()
-    scans: list[RecordedScan] = []
+    scans: list[ExecutedScan] = []
     unreadable: list[str] = []
     if (folder / "manifest.json").is_file():
         try:
@@ -120,7 +149,7 @@ def read_execution(run: RunRecord, execution: str) -> RecordedExecution:
     return RecordedExecution(folder, manifest, tuple(scans), recorded, tuple(unreadable))
 
 
-def read_scan(path: Path) -> RecordedScan:
+def read_scan(path: Path) -> ExecutedScan:
     """Read one scan.
 
     Raises:
@@ -128,11 +157,14 @@ def read_scan(path: Path) -> RecordedScan:
     """
     stored = npz(path, file_bytes(path))
     with understood(path):
-        return RecordedScan(
-            path.name,
-            int(stored["view"]),
-            joined(stored, "q_commanded"),
-            joined(stored, "q_reported"),
-            stored["points"],
-            stored,
-        )
+        T, T_true = stored["T_object_scanner"], stored.get("T_object_scanner_true")
+        source = str(stored.get("source", _OF_EARLIER))
+        if source == _OF_EARLIER:
+            T_true = stored["T_object_scanner_true"]
+        return ExecutedScan(
+            int(stored["stop"]), int(stored["view"]), joined(stored, "q_commanded"), joined(stored, "q_reported"), T,
+            stored.get("sweep_T_object_scanner", T[None]), T_true,
+            None if T_true is None else stored.get("sweep_T_object_scanner_true", T_true[None]), stored["points"],
+            None if T_true is None else tuple(int(count) for count in stored["counts"]), source,
+            str(stored.get("frame", "object")), path.name, stored,
+        )  # fmt: skip

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
-from cell.run.executions import RecordedExecution, RecordedScan
+from cell.run.executions import ExecutedScan, RecordedExecution
 from planner.timing.motion import Motion
 from planner.values import Floats, Value
 
@@ -113,7 +113,7 @@ def of_execution(execution: RecordedExecution, planned: Motion | None, home: Flo
     source = execution.motion if execution.motion is not None else planned
     film = _Film(source.q[0] if source is not None else home, rest)
     straight: list[str] = []
-    before: RecordedScan | None = None
+    before: ExecutedScan | None = None
     for scan in execution.scans:
         off_before = np.zeros_like(scan.q_reported) if before is None else before.q_reported - before.q_commanded
         off_here = scan.q_reported - scan.q_commanded
@@ -126,7 +126,7 @@ def of_execution(execution: RecordedExecution, planned: Motion | None, home: Flo
             share = (t / t[-1])[:, None]
             film.move(t, q + (1 - share) * off_before + share * off_here)
             film.go_straight(scan.q_reported)  # what the commanded set-point differs from the end of the leg
-        film.stop(scan.view, int(scan.stored["stop"]) if "stop" in scan.stored else None)
+        film.stop(scan.view, scan.stop)
         before = scan
     if before is not None and source is not None:
         leg = _leg(source, before.view, -1)

@@ -16,7 +16,7 @@ from cell.acquisition import SIMULATED
 from cell.acquisition.sources import FRAMES
 from cell.part.workpiece import UNITS
 from cell.run.cell import RunCell
-from cell.scan.executed_scans import ExecutedScan
+from cell.run.executions import ExecutedScan
 from planner.surface.closest import NearestSurface
 from planner.values import Floats
 

@@ -25,9 +25,10 @@ from cell.run.execution_json import (
     ExecutionReport,
     SurfaceDeviation,
 )
+from cell.run.executions import ExecutedScan
 from cell.run.plan_json import PlanFile
 from cell.scan.achieved import Achieved
-from cell.scan.executed_scans import ExecutedScan, counts_by_reason, source_of
+from cell.scan.executed_scans import counts_by_reason, source_of
 from cell.scan.merging import Merged
 from cell.scan.pose_error import difference
 from planner.surface.mesh import TriangleMesh

@@ -12,7 +12,7 @@ from cell.reconstruction.registration import Registration, register
 from cell.reconstruction.rigid import RigidFit
 from cell.reconstruction.surface_fit import Search
 from cell.reconstruction.surface_fit import fit as fitted
-from cell.scan.executed_scans import ExecutedScan
+from cell.run.executions import ExecutedScan
 from planner.ports import Scanner
 from planner.surface.closest import NearestSurface
 from planner.values import Bools, Floats
@@ -65,7 +65,7 @@ def merged(
     Raises:
         FileError: if too few points lie near the part to find it.
     """
-    clouds = [scan.cloud for scan in scans]
+    clouds = [ScanCloud(scan.points, scan.T_reported[:3, 3]) for scan in scans]
     before = _rms_to(nearest, clouds)
     after, registration, fit = before, None, None
     poses = [scan.T_reported for scan in scans]

@@ -21,13 +21,13 @@ from cell.run import reader as run_reader
 from cell.run.cell import RunCell, read_cell
 from cell.run.executed import ExecutedRun
 from cell.run.execution_json import ExecutedMotion, ExecutionReport
-from cell.run.executions import RecordedExecution, read_execution
+from cell.run.executions import ExecutedScan, RecordedExecution, read_execution
 from cell.run.manifest_json import Manifest
 from cell.run.plan_json import PlanFile
 from cell.run.record import RunRecord, open_finished, understood
 from cell.scan import causes, execution_page
 from cell.scan.achieved import achieved
-from cell.scan.executed_scans import ExecutedScan, scan_name, source_of, usable
+from cell.scan.executed_scans import scan_name, source_of, usable
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.execution_page import short
 from cell.scan.execution_summary import Results, execution_report, settings_of

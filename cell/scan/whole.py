@@ -24,13 +24,13 @@ from cell.reconstruction.registration import Registration, register
 from cell.reconstruction.surface_fit import Search
 from cell.run import reader as run_reader
 from cell.run.cell import RunCell, read_cell
-from cell.run.executions import execution_ids, read_execution
+from cell.run.executions import ExecutedScan, execution_ids, read_execution
 from cell.run.folder import RunFolder
 from cell.run.plan_json import PlanFile
 from cell.run.record import RunRecord, open_finished
 from cell.run.setups_json import OpenShares, ScannedSetup, ScannedSetups
 from cell.scan import causes
-from cell.scan.executed_scans import ExecutedScan, source_of, usable
+from cell.scan.executed_scans import source_of, usable
 from cell.scan.execution_summary import deviation_of, place_of, registration_of, surface_of
 from cell.scan.merging import Merged, executed_poses, merged, sigma_of
 from cell.scan.post_processing import DEVIATION, PLACES, options_of

@@ -5,12 +5,10 @@ A plan's page is made of the same pieces while the plan is made (`cell.plan.draw
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.rays.prediction import held_out
 from cell.robot.frames import kuka_abc_from_pose
@@ -112,8 +110,7 @@ def execution_page(
     scene = run_reader.scene(run)
     cell = cell_of_run(run, scene)
     if known is None:
-        stored = [scan.stored for scan in recorded.scans]
-        poses = [_poses(each) for each in stored]
+        poses = [scan.poses for scan in recorded.scans]
         grid = done.report.settings.resolution_deg
         known = measured(run, read_cell(run, grid[0] if grid else None), poses)
     shown = [part_of(*known, regions=scene.regions)]
@@ -123,12 +120,6 @@ def execution_page(
     play = replace(execution_play(run, recorded, done, cell), cloud=points)
     cell = beside(cell, known[0].mesh, known[0].aside)
     return html_of(Stage(f"Scan of {scene.part.name}, points: {done.report.source}", cell, shown), play)
-
-
-def _poses(stored: Mapping[str, NDArray[Any]]) -> Floats:
-    """(K, 4, 4) poses of a scan [m]: the true ones where it is simulated, else the reported ones."""
-    true = "_true" if "T_object_scanner_true" in stored else ""
-    return np.asarray(stored.get(f"sweep_T_object_scanner{true}", stored[f"T_object_scanner{true}"][None]))
 
 
 def measured(run: RunRecord, cell: RunCell, poses: Sequence[Floats]) -> tuple[Canvas, Surface]:

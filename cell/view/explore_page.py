@@ -13,7 +13,7 @@ from cell.errors import FileError
 from cell.run import ply
 from cell.run import reader as run_reader
 from cell.run import timeline as timelines
-from cell.run.executions import RecordedScan, read_execution
+from cell.run.executions import ExecutedScan, read_execution
 from cell.run.explore_json import NAME, UNSEEN, ExploreFile, read
 from cell.run.record import RunRecord, file_bytes, open_finished
 from cell.view import coverage_curve, rays
@@ -57,7 +57,7 @@ def explore_page(folder: Path, file: ExploreFile | None = None) -> str:
 
 
 def _views(
-    file: ExploreFile, runs: list[RunRecord], scans: list[RecordedScan]
+    file: ExploreFile, runs: list[RunRecord], scans: list[ExecutedScan]
 ) -> tuple[list[View], tuple[Floats, Floats]]:
     """The views of all batches in order, and the motions of the batches one after the other."""
     said: list[View] = []
@@ -87,7 +87,7 @@ def _brought(file: ExploreFile) -> list[tuple[str, str]]:
     ]
 
 
-def _views_of(mesh: TriangleMesh, scans: list[RecordedScan], beside: float) -> Layer:
+def _views_of(mesh: TriangleMesh, scans: list[ExecutedScan], beside: float) -> Layer:
     """By which views each vertex of the explored surface has a point beside it."""
     seen = np.zeros((len(mesh.vertices), len(scans)), dtype=np.bool_)
     for view, scan in enumerate(scans):

@@ -20,7 +20,6 @@ from planner.order.moves import Moves
 from planner.values import Floats, Ints, Value, readonly
 from planner.worded import Worded
 
-
 _MATCHED = 10  # nearest places with which one of odd degree may be matched; more where these leave one alone
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from cell.replay.still import frame_times
 from cell.replay.viewer import SPEEDS, Player
 from cell.run import timeline as replay_timeline
-from cell.run.executions import RecordedExecution, RecordedScan
+from cell.run.executions import ExecutedScan, RecordedExecution
 from planner.ports import JointLimits
 from planner.timing.motion import Motion, retime
 
@@ -27,13 +28,18 @@ def _motion() -> Motion:
     return retime(via, np.array([0, 0, 1, 1, 2, 3]), np.array([-1, 7, -1, 3, 9, -1]), _LIMITS)
 
 
+def _scan(stop: int, view: int, commanded: Any, reported: Any) -> ExecutedScan:
+    T, nothing = np.eye(4), np.zeros((0, 3))
+    return ExecutedScan(stop, view, commanded, reported, T, T[None], None, None, nothing, None, "files", "object")
+
+
 def _execution(views: tuple[int, ...], off: float, motion: Motion | None = None) -> RecordedExecution:
     planned = _motion()
     rng = np.random.default_rng(1)
     scans = []
     for view in views:
         q = planned.via_q[planned.view == view][0]
-        scans.append(RecordedScan("", view, q, q + off * rng.normal(size=6), np.zeros((0, 3)), {}))
+        scans.append(_scan(len(scans) + 1, view, q, q + off * rng.normal(size=6)))
     return RecordedExecution(Path("e"), {}, tuple(scans), motion, ())
 
 
@@ -101,10 +107,7 @@ def test_stops_have_the_numbers_of_the_plan() -> None:
     """Where view 1 is missing, the others keep the numbers that they have in the plan, out of the plan's views."""
     motion = _motion()
     found = _execution((3, 9), 0.0)
-    scans = tuple(
-        dataclasses.replace(scan, stored={"stop": np.array(number)})
-        for number, scan in zip((2, 3), found.scans, strict=True)
-    )
+    scans = tuple(dataclasses.replace(scan, stop=number) for number, scan in zip((2, 3), found.scans, strict=True))
     film = replay_timeline.of_execution(dataclasses.replace(found, scans=scans), motion, motion.q[0], _REST)
     assert [(stop.number, stop.candidate) for stop in film.stops] == [(2, 3), (3, 9)]
     assert film.n_views == 3
