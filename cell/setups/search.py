@@ -32,6 +32,8 @@ _TRIES = 20  # covers in all
 _STEP = 0.0005  # beyond the gap that the held-out samples show, as `cell.plan.request` raises a target
 
 Connected = Mapping[int, tuple[Problem, ConnectedPlan]]
+Poses = Mapping[int, Floats]
+"""Of each set-up that is used, (n, K, 4, 4) views in the object frame [m]."""
 
 
 class Search:
@@ -51,7 +53,7 @@ class Search:
         self._usable = {row: np.array(setup.measured.reached.reachable) for row, setup in setups.items()}
         for row, column in asked.own.bans:
             self._usable[row][column] = False
-        self._targets = asked.request.asked
+        self._targets, self._rounds = asked.request.asked, 0
         self._spread = next(iter(setups.values())).prediction.samples
         self._fresh = run.rng(steps.FRESH)
         self._chooses = run.rng(steps.SELECTION)
@@ -64,28 +66,25 @@ class Search:
         Raises:
             UnreachableError: if none could be connected.
         """
-        last, rounds = None, 0
-        for _ in range(_TRIES):
+        last = None
+        for left in reversed(range(_TRIES)):
             found = self._cover(brief=True)
+            if left and self._asks_more(found, self._chosen(found)):  # before a motion is planned for nothing
+                continue
             if (connected := self._connected(found)) is None:
                 continue
             last = found, connected
-            lacks = self._lacks(found, connected)
-            if (lacks <= 0).all():
+            if not self._asks_more(found, _driven(connected)):
                 break
-            rounds += 1
-            if rounds > denser_samples.ROUNDS or not self._add_rows(connected):
-                if (self._targets[lacks > 0] >= 1).all():
-                    break
-                self._targets = np.where(lacks > 0, np.minimum(self._targets + lacks + _STEP, 1.0), self._targets)
         if last is None:
             raise UnreachableError("no cover could be connected; move the part, or allow other set-ups with --offer")
         found, connected = last
         moved = self._moved(found)
         thorough = self._cover(brief=False, start=None if moved is None else moved.views)
         for better in sorted((thorough, moved or thorough), key=lambda one: one.size):
-            plans = self._connected(better) if better.size < found.size else None
-            if plans is not None and (self._lacks(better, plans) <= 0).all():
+            keeps = better.size < found.size and (self._lacks(better, self._chosen(better)) <= 0).all()
+            plans = self._connected(better) if keeps else None
+            if plans is not None and (self._lacks(better, _driven(plans)) <= 0).all():
                 found, connected = better, plans
                 break
         found = found.bounded(thorough)  # which knows all set-ups, and moved views too
@@ -148,7 +147,28 @@ class Search:
         )
         return plans if found.kept_by(np.asarray(brought).ravel()) else None
 
-    def _lacks(self, found: JointCover, connected: Connected) -> Floats:
+    def _chosen(self, found: JointCover) -> Poses:
+        """The poses of a cover's views as its candidates have them."""
+        rows = list(self._setups)
+        return {
+            rows[index]: self._setups[rows[index]].measured.candidates.T_object_scanner[views]
+            for index, views in found.views.items()
+        }
+
+    def _asks_more(self, found: JointCover, poses: Poses) -> bool:
+        """Whether views miss the coverage and more could be asked: samples were added, or a target raised."""
+        lacks = self._lacks(found, poses)
+        if (lacks <= 0).all():
+            return False
+        self._rounds += 1
+        if self._rounds <= denser_samples.ROUNDS and self._add_rows(poses):
+            return True
+        if (self._targets[lacks > 0] >= 1).all():
+            return False
+        self._targets = np.where(lacks > 0, np.minimum(self._targets + lacks + _STEP, 1.0), self._targets)
+        return True
+
+    def _lacks(self, found: JointCover, poses: Poses) -> Floats:
         """(P,) share of what can be measured of the held-out samples by which a coverage below 1 is missed.
 
         What can be measured by all set-ups; by those that are used where so many as are allowed are too few.
@@ -156,20 +176,16 @@ class Search:
         asked = self._asked.request.asked
         if not self._asked.promises:
             return np.zeros(len(asked))
-        seen = np.logical_or.reduce(
-            [self._setups[row].visible(plan.T_object_poses) for row, (_, plan) in connected.items()]
-        )
-        can = (
-            np.logical_or.reduce([self._setups[row].coverable for row in (self._setups if found.enough else connected)])
-            | seen
-        )
+        seen = np.logical_or.reduce([self._setups[row].visible(T) for row, T in poses.items()])
+        used = self._setups if found.enough else poses
+        can = np.logical_or.reduce([self._setups[row].coverable for row in used]) | seen
         shares = self._asked.shares(next(iter(self._setups.values())).prediction.samples, seen, can)
         return np.where(asked < 1, asked - shares, 0.0)
 
-    def _add_rows(self, connected: Connected) -> bool:
+    def _add_rows(self, poses: Poses) -> bool:
         """Whether fresh samples showed what a candidate measures and no view: rows of every set-up then."""
         fresh = sample(self._surface.reference, self._surface.planning, denser_samples.FRESH, self._fresh)
-        seen = [self._setups[row].measures(plan.T_object_poses, fresh) for row, (_, plan) in connected.items()]
+        seen = [self._setups[row].measures(T, fresh) for row, T in poses.items()]
         left = pick_samples(fresh, ~np.logical_or.reduce(seen))
         if not len(left):
             return False
@@ -216,3 +232,8 @@ class Search:
             raise
         cover = replace(chosen.cover, lower_bound=1, status=CoverStatus.BOUNDED, solver="joint")
         return problem, replace(chosen, cover=cover, selected=replace(chosen.selected, targets=self._targets))
+
+
+def _driven(connected: Connected) -> Poses:
+    """The poses as they are driven."""
+    return {row: plan.T_object_poses for row, (_, plan) in connected.items()}

@@ -207,10 +207,12 @@ def test_fewer_set_ups_count_before_fewer_views_and_the_bound_knows_moved_views(
         ("_cover", lambda _, *, brief, start=None: first if brief else thorough),
         ("_connected", lambda _, found: {"of": found}),
         ("_lacks", lambda *_: np.zeros(1)),
+        ("_chosen", lambda *_: {}),
         ("_moved", lambda *_: moved),
         ("_held_together", lambda _, found, connected: (found, connected)),
     ):
         monkeypatch.setattr(Search, name, answer)
+    monkeypatch.setattr("cell.setups.search._driven", lambda connected: {})
     found, connected = Search().result()  # type: ignore[call-arg]
     assert (list(found.views), found.n_views, found.setups_bound) == ([0], 5, 1)
     assert connected == {"of": thorough}
