@@ -5,7 +5,6 @@ candidates become further rows of all three, made by the functions that made the
 asked again: own arm, motion, clearance, timing, coverage.
 """
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -19,15 +18,14 @@ from cell.edit.options import Edit, Pose
 from cell.edit.views import EditedViews, check, edited_views, require_repairable
 from cell.errors import UnreachableError, UsageError
 from cell.narrator import Narrator
-from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
 from cell.plan import pipeline, region_report, steps
 from cell.plan.appended_candidates import appended
 from cell.plan.candidates import limited
 from cell.plan.connected_plan import ConnectedPlan
+from cell.plan.of_run import part_of, surface_of
 from cell.plan.problem import PinnedOutError, Problem
 from cell.plan.steps import Cell, Job, Measured, Run
-from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
 from cell.run import reader
@@ -41,8 +39,6 @@ from planner.cover import CoverStatus
 from planner.ports import ARM_AXES
 from planner.reach.reach import Reach, Verdict, join_reach
 from planner.values import Floats
-
-_KEPT = ("reference.ply", "planning.ply")
 
 _ROUNDING = 1e-9  # of shares that were summed in another order
 
@@ -86,16 +82,15 @@ def edit(
     scene = scene_of_run(run.record)
     if T_base_object is not None:
         scene = placed(scene, T_base_object, resolved)
-    part = Workpiece(resolved.part.name, reader.mesh(run.record, "reference.ply"), resolved.part.sha256)
     return pipeline.plan(
-        scene, part=part, scene_path=run.folder / "scene.toml", out=out, argv=argv,
+        scene, part=part_of(run), scene_path=run.folder / "scene.toml", out=out, argv=argv,
         use_cache=use_cache, narrator=narrator, steps_of=partial(_steps, before, wanted),
     )  # fmt: skip
 
 
 def _steps(before: Before, wanted: Edit, run: Run, job: Job) -> int:
     """The steps of an edit; returns 0, or 3 where the plan stays below a coverage that was asked for."""
-    surface = _surface(before, run, job)
+    surface = surface_of(before.run, run, job)
     run.drawing.part_ready(run.folder.path)
     cell = steps.compile_cell(run, job, surface)
     run.drawing.cell_ready(run.folder.path)
@@ -130,19 +125,6 @@ def _steps(before: Before, wanted: Edit, run: Run, job: Job) -> int:
         run.narrator.note("coverage was asked of several set-ups: what they measure together now is not known")
         return 0
     return 3 if _below(run.narrator, report, job.scene.plan) else 0
-
-
-def _surface(before: Before, run: Run, job: Job) -> PartSurface:
-    """The part and the rows of the matrix; the files of the meshes stay what they were, to the byte."""
-    with run.step("read the plan"):
-        for name in _KEPT:
-            shutil.copyfile(before.run.folder / name, run.folder.path / name)
-            run.folder.adopt(name)
-        reference = job.part.reference
-        return PartSurface(
-            reference, reader.mesh(before.run.record, "planning.ply"), reader.measurability(before.run.record).features,
-            EmbreeRayCaster(reference.vertices, reference.faces),
-        )  # fmt: skip
 
 
 def _views(before: Before, wanted: Edit, job: Job, cell: Cell, surface: PartSurface) -> EditedViews:

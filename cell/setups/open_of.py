@@ -5,7 +5,6 @@ more are grown for what is open; the matrix has the open samples alone as rows, 
 open ones of the held-out samples. What a support touches in this set-up is asked of none of its views.
 """
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,15 +15,14 @@ import numpy as np
 from cell import scanners
 from cell.errors import UnreachableError, UsageError
 from cell.narrator import Narrator
-from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
 from cell.plan import pipeline, steps
 from cell.plan.appended_candidates import behind
 from cell.plan.connected_plan import ConnectedPlan
+from cell.plan.of_run import part_of, surface_of
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
 from cell.plan.steps import Cell, Job, Run
-from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.occluders import Occluder, occluder_triangles
 from cell.run import reader
@@ -41,7 +39,6 @@ from planner.values import Bools
 from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints
 
-_KEPT = ("reference.ply", "planning.ply")
 _SAME = 1e-6  # m, and entries of a rotation
 
 
@@ -95,19 +92,17 @@ def plan_open(
         setups = [EarlierSetup.of(run) for run in runs]
         require_one_part(setups)
     first = runs[0]
-    resolved = reader.scene(first.record)
     plan = scene.plan.model_copy(update={"seed": first.record.seed})
     scene = scene.model_copy(update={"part": scene_of_run(first.record).part, "plan": plan})
-    part = Workpiece(resolved.part.name, reader.mesh(first.record, "reference.ply"), resolved.part.sha256)
     return pipeline.plan(
-        scene, part=part, scene_path=scene_path or first.folder / "scene.toml", out=out, argv=argv,
+        scene, part=part_of(first), scene_path=scene_path or first.folder / "scene.toml", out=out, argv=argv,
         use_cache=use_cache, narrator=narrator, steps_of=partial(_steps, setups),
     )  # fmt: skip
 
 
 def _steps(setups: Sequence[EarlierSetup], run: Run, job: Job) -> int:
     """Steps 2 to 9 on what is open; returns 0, or 3 where the plan stays below a coverage that was asked for."""
-    surface = _surface(setups[0].run, run, job)
+    surface = surface_of(setups[0].run, run, job)
     run.drawing.part_ready(run.folder.path)
     cell = steps.compile_cell(run, job, surface)
     _require_another(setups, cell)
@@ -132,19 +127,6 @@ def _steps(setups: Sequence[EarlierSetup], run: Run, job: Job) -> int:
     found = _together(setups, before, touched, problem, chosen)
     pipeline.finish(run, job, surface.planning, problem, chosen, {"open_of": found})
     return 3 if _below(run.narrator, job, found) else 0
-
-
-def _surface(first: PlannedRun, run: Run, job: Job) -> PartSurface:
-    """The part and the samples of the first run; the files of the meshes stay what they were, to the byte."""
-    with run.step("read the samples"):
-        for name in _KEPT:
-            shutil.copyfile(first.folder / name, run.folder.path / name)
-            run.folder.adopt(name)
-        reference = job.part.reference
-        return PartSurface(
-            reference, reader.mesh(first.record, "planning.ply"), reader.measurability(first.record).features,
-            EmbreeRayCaster(reference.vertices, reference.faces),
-        )  # fmt: skip
 
 
 def _require_another(setups: Sequence[EarlierSetup], cell: Cell) -> None:
