@@ -15,7 +15,6 @@ _PANEL = "Set-ups"
 
 FOREIGN = {
     "curve": "is drawn of one plan",
-    "fill": "has faces as rows, and set-ups share samples",
     "overlap_in_order": "is an order of one tour, and each set-up has its own",
 }
 """Wishes of `[plan]` that several set-ups do not answer, and why."""

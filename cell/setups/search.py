@@ -183,7 +183,12 @@ class Search:
         return np.where(asked < 1, asked - shares, 0.0)
 
     def _add_rows(self, poses: Poses) -> bool:
-        """Whether fresh samples showed what a candidate measures and no view: rows of every set-up then."""
+        """Whether fresh samples showed what a candidate measures and no view: rows of every set-up then.
+
+        Where faces are rows, samples cannot be added to them.
+        """
+        if self._asked.request.plan.fill != "aimed":
+            return False
         fresh = sample(self._surface.reference, self._surface.planning, denser_samples.FRESH, self._fresh)
         seen = [self._setups[row].measures(T, fresh) for row, T in poses.items()]
         left = pick_samples(fresh, ~np.logical_or.reduce(seen))

@@ -230,6 +230,18 @@ def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: Cell, t
         assert "--repair" not in (run / "view.html").read_text()
 
 
+def test_faces_may_be_the_rows(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """`--fill rays`: every set-up has the planning mesh's faces as rows, and no samples are added to them."""
+    small = ("--units", "mm", "--place", "1100,400,100", "--faces", "60", "--standoff", "250", "--coverage", "0.5")
+    wishes = ("--candidates", "optimal-scanning-zone", "--fill", "rays", "--offer", "2")
+    done = run_cell("setups", part_file, *small, *wishes, "--out", "made", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    run = open_run(tmp_path / "made" / "setups" / "1")
+    assert run.report.settings.fill == "rays"
+    planning = reader.mesh(run.record, "planning.ply")
+    assert len(reader.measurability(run.record).features) == len(planning.faces)
+
+
 def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell, tmp_path: Path) -> None:
     """A ball lies on no side; that is said, and it is planned in four turns."""
     trimesh.creation.icosphere(subdivisions=3, radius=60).export(tmp_path / "ball.stl")
