@@ -8,9 +8,9 @@ from scipy.sparse import csr_array, hstack
 
 from cell.errors import UsageError
 from cell.plan import steps
-from cell.plan.pose_uncertainty import layer, pose_error
+from cell.plan.pose_uncertainty import pose_error
 from cell.plan.region_goals import RegionGoals
-from cell.plan.request import Request, seconds_of_views
+from cell.plan.request import Request
 from cell.plan.steps import Run
 from cell.scene.regions import complete
 from cell.scene.scene import Scene
@@ -21,7 +21,6 @@ from planner.cover.robust import DEMAND, loads
 from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import ProbabilityLayer
 from planner.surface.sample import SurfaceSamples
-from planner.timing.limits import scaled
 from planner.values import Bools, Floats
 
 
@@ -80,19 +79,12 @@ class Asked:
 
     def about(self, run: Run, setups: Mapping[int, Setup]) -> "Asked":
         """With what the wishes need to know of the set-ups: seconds of views, probabilities under pose errors."""
-        plan, seconds, layers = self.request.plan, dict[int, Floats](), dict[int, ProbabilityLayer]()
+        seconds, layers = dict[int, Floats](), dict[int, ProbabilityLayer]()
         for row, setup in setups.items():
-            world, robot, known = setup.cell.world, setup.job.scene.robot, setup.measured
-            if plan.cost == "time":
-                limits = scaled(world.limits, robot.speed_scaling, robot.acceleration_scaling)
-                home = world.home if known.candidates.T_object_scanner.shape[1] == 1 else None
-                seconds[row] = seconds_of_views(plan, known.reached, home, limits)
-            if not pose_error(plan).none:
-                with run.step("pose errors") as progress:
-                    layers[row] = layer(
-                        plan, known.M, known.candidates, known.reached, known.scanner, known.casters,
-                        run.rng(steps.ENSEMBLE), progress,
-                    )  # fmt: skip
+            job = replace(setup.job, scene=setup.job.scene.model_copy(update={"plan": self.request.plan}))
+            told = steps.ask(run, job, setup.cell, setup.measured, setup.prediction).request
+            seconds |= {} if told.costs is None else {row: told.costs}
+            layers |= {} if told.layer is None else {row: told.layer}
         return replace(self, seconds=seconds, layers=layers)
 
     @property
