@@ -6,7 +6,7 @@ Shares are fractions of the surface, on the held-out samples that all set-ups ha
 from pydantic import Field
 
 from cell.run.execution_json import ExecutedDeviation, ExecutedPlace, ExecutedRegistration, ExecutedSurface
-from cell.run.json_table import JsonTable, Triple
+from cell.run.json_table import JsonTable, Triple, optional
 
 
 class OfferedSetup(JsonTable):
@@ -71,6 +71,13 @@ class SharedSurface(JsonTable):
     free: tuple[str, ...] = Field(description="motions that it leaves open although the part would show them, in words")
 
 
+class ViewsFirst(JsonTable):
+    """A cover of fewer views in more set-ups, of the same candidates and samples; no motion was planned for it."""
+
+    setups: int = Field(description="that it takes")
+    views: int = Field(description="of all of them")
+
+
 class SetupsFile(JsonTable):
     """The file."""
 
@@ -84,6 +91,7 @@ class SetupsFile(JsonTable):
         description="no cover by so many of the set-ups offered, of the share of the samples that status names, has "
         "fewer views"
     )
+    views_first: ViewsFirst | None = optional("where fewer views would do if they came before set-ups")
     seconds: float | None = Field(
         default=None, description="that views cost, and set-ups where they do; null where views were counted"
     )

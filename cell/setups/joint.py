@@ -24,6 +24,9 @@ from planner.values import Bools, Floats, Ints
 _ABOVE_ALL_VIEWS = 1000.0
 """Cost of a set-up in that of its dearest view."""
 
+_BELOW_ALL_VIEWS = 0.01
+"""The same where fewest views come first, and set-ups decide between equals."""
+
 _EACH = 24
 """Choices of set-ups that are covered one by one; a brief answer looks at a third of them, and at no more."""
 
@@ -154,6 +157,23 @@ def joint_cover(
     )
 
 
+def views_first(wish: Problem, targets: Floats, rng: np.random.Generator) -> tuple[int, int] | None:
+    """Set-ups and views by a short search for fewest views, in as few set-ups as these take: what few set-ups cost.
+
+    None where views have costs or are so many at most, must hang together, or rows weigh or have parts.
+
+    Args:
+        wish: as of `joint_cover`.
+        targets: as there.
+        rng: randomness of the search.
+    """
+    asked = _Asked(wish, Rows(wish, targets), rng, "auto", cover.DEFAULT_WORK // 5, np.empty(0, np.int64))
+    if wish.costs is not None or not asked.groups_go:
+        return None
+    found = asked.of(np.asarray(wish.allowed), _BELOW_ALL_VIEWS)
+    return len(np.unique(np.asarray(wish.group)[found.views])), len(found.views)
+
+
 @dataclass(frozen=True, slots=True)
 class _Bound:
     """What no cover undercuts, and none exceeds."""
@@ -196,16 +216,16 @@ class _Asked:
             brief: whether the first few are enough.
         """
         count = _EACH // 3 if brief else _EACH
-        each = [self._of(self._allowed & np.isin(self._group, some)) for some in choices[:count]]
+        each = [self.of(self._allowed & np.isin(self._group, some)) for some in choices[:count]]
         bound = _Bound.of(each)
         if not every and not brief:
-            bound = _Bound.of([*each, self._of(self._allowed)])
+            bound = _Bound.of([*each, self.of(self._allowed)])
         elif len(choices) > count and not brief:
             columns = self._allowed & np.isin(self._group, sorted({setup for some in choices for setup in some}))
-            free = _Bound.of([self._of(columns)])  # as if set-ups cost nothing
-            if self._groups_go:
+            free = _Bound.of([self.of(columns)])  # as if set-ups cost nothing
+            if self.groups_go:
                 above = _ABOVE_ALL_VIEWS * float(self._costs.max())
-                each.append(self._of(columns, above))
+                each.append(self.of(columns, above))
                 left = each[-1].cost_bound - above * fewest
                 views = math.ceil(left - 1e-6) if self._wish.costs is None else 0
                 free = replace(free, views=max(views, free.views), cost=max(left, free.cost))
@@ -215,7 +235,7 @@ class _Asked:
     def weighted(self, known: Cover, setup_cost: float, fewest: int) -> tuple[Cover, _Bound]:
         """The cover by any set-ups, each at a cost; no dearer than one that is known."""
         self._known = known.views
-        free, found = self._of(self._allowed), self._of(self._allowed, setup_cost)
+        free, found = self.of(self._allowed), self.of(self._allowed, setup_cost)
         bound = _Bound.of([found])
         bound = replace(bound, cost=max(bound.cost, free.cost_bound + fewest * setup_cost))
         return min(found, known, key=lambda one: self.paid(one, setup_cost) or 0.0), bound
@@ -227,7 +247,7 @@ class _Asked:
         return float(self._costs[one.views].sum()) + (setup_cost or 0.0) * len(np.unique(self._group[one.views]))
 
     @property
-    def _groups_go(self) -> bool:
+    def groups_go(self) -> bool:
         """Whether set-ups may have a cost in one problem (`planner.cover.targets`, `planner.cover.canonical`)."""
         wish = self._wish
         return wish.part is None and wish.weights is None and wish.max_views is None and wish.overlap is None
@@ -238,7 +258,7 @@ class _Asked:
         most_first = -one.covered_area if self._wish.max_views is not None else 0.0
         return most_first, setups, len(one.views) if paid is None else paid
 
-    def _of(self, columns: Bools, setup_cost: float | None = None) -> Cover:
+    def of(self, columns: Bools, setup_cost: float | None = None) -> Cover:
         """Of columns (V,), as far as they bring what all would; with a cost for each set-up or none."""
         wish, rows, some = self._wish, self._rows, np.flatnonzero(columns)
         matrix = wish.matrix[:, some]

@@ -23,7 +23,14 @@ from cell.plan.steps import Job, Run
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, surface_features
 from cell.run.planned import open_run
-from cell.run.setups_json import ChosenSetup, OfferedSetup, SetupsCoverage, SetupsFile, SetupsRegion
+from cell.run.setups_json import (
+    ChosenSetup,
+    OfferedSetup,
+    SetupsCoverage,
+    SetupsFile,
+    SetupsRegion,
+    ViewsFirst,
+)
 from cell.scene.regions import complete
 from cell.scene.scene import Scene
 from cell.setups.joint import JointCover
@@ -100,6 +107,7 @@ def _steps(options: SetupOptions, scene_path: Path | None, narrator: Narrator, r
         asked = Asked.of(job.scene, options)
         search = Search(run, surface, setups, asked)
         found, connected = search.result()
+        first = search.views_first(found)
         setups = dict(search.setups)
     visible = {row: setups[row].visible(plan.T_object_poses) for row, (_, plan) in connected.items()}
     seen = np.logical_or.reduce(list(visible.values()))
@@ -114,7 +122,10 @@ def _steps(options: SetupOptions, scene_path: Path | None, narrator: Narrator, r
             argv=run.folder.manifest.argv, use_cache=run.use_cache, narrator=narrator,
             steps_of=partial(_write, surface, problem, plan),
         )  # fmt: skip
-    file = _file(run, job, asked, setups, found, offers, tried, [(row, visible[row]) for row in order])
+    used = [(row, visible[row]) for row in order]
+    file = _file(run, job, asked, setups, found, offers, tried, used).model_copy(
+        update={"views_first": None if first is None else ViewsFirst(setups=first[0], views=first[1])}
+    )
     run.folder.write_json("setups.json", file.as_json())
     run.folder.write_text("report.md", page(file))
     for number in apart(file.shared, range(1, len(order) + 1)):

@@ -63,6 +63,9 @@ def rows(file: SetupsFile) -> list[tuple[str, str]]:
             "set-ups offered can measure",
         ),
     ]
+    if (first := file.views_first) is not None:
+        told = f"{first.views} would do in {first.setups} set-ups (--cost time --setup-seconds S weighs the two)"
+        found.append(("fewer views", told))
     if file.kept is not None:
         found.append(("as asked", f"{percent(file.kept)} of what can be, from so many views or with that probability"))
     if file.seconds is not None:

@@ -17,7 +17,7 @@ from cell.plan.problem import PinnedOutError, Problem
 from cell.plan.steps import Run
 from cell.plan.view_plan import choose_and_connect, first_choice
 from cell.rays.matrix import PartSurface
-from cell.setups.joint import JointCover, joint_cover
+from cell.setups.joint import JointCover, joint_cover, views_first
 from cell.setups.measured import Setup
 from cell.setups.moved import movable, with_fewer
 from cell.setups.options import named
@@ -89,6 +89,11 @@ class Search:
                 break
         found = found.bounded(thorough)  # which knows all set-ups, and moved views too
         return self._held_together(found, connected)
+
+    def views_first(self, found: JointCover) -> tuple[int, int] | None:
+        """Set-ups and views where fewest views come first and no motion is planned, if these are fewer; else None."""
+        told = views_first(self._asked.problem(self._M, self._usable), found.targets, self._chooses)
+        return told if told is not None and told[1] < found.n_views else None
 
     @property
     def setups(self) -> Mapping[int, Setup]:

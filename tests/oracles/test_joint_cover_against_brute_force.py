@@ -10,7 +10,7 @@ from scipy.sparse import csc_array
 
 from cell.setups import fewest, joint
 from cell.setups.fewest import Rows, fewest_setups
-from cell.setups.joint import JointCover, joint_cover
+from cell.setups.joint import JointCover, joint_cover, views_first
 from planner.cover import Overlap, Problem
 from planner.values import Bools
 
@@ -78,6 +78,10 @@ def test_fewest_setups_and_then_fewest_views(seed: int, wished: str) -> None:
     assert (found.n_views, found.views_bound) == (views, views)
     assert found.enough
     _checked(wish, found)
+    first = views_first(wish, np.array([target]), np.random.default_rng(0))
+    assert first is not None
+    least = _best(wish, lambda some, has: (told := size(some, has)) and told[::-1])
+    assert first == least[::-1]
 
 
 @pytest.mark.parametrize("seed", range(8))
