@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,9 @@ _STEP = np.deg2rad(6.0)
 _APART = 0.01  # m
 _LOOKS = 20_000  # for a proof, which is made anew for each cell: half a second
 _LEAST = 1e-5  # m; a smaller distance is none
+
+_proven: dict[tuple[bytes, tuple[int, int], float], bool] = {}
+"""What was proven in this process, by arm, pair and distance: the cells of a study, and of a plan's proof, have one."""
 
 
 def settle_pairs(
@@ -43,20 +47,37 @@ def settle_pairs(
     pieces = [name for name in ("housing", "bracket") if name in bodies]
     if by_hand and "bracket" in pieces:
         _exclude(spec, "bolted", "bracket", "link_5")
+    arm = _digest(model)
+
+    def apart(pair: tuple[int, int], least: float) -> bool:
+        key = arm, pair, least
+        if key not in _proven:
+            _proven[key] = keeps_apart(model, shapes, *pair, least, _LOOKS)
+        return _proven[key]
+
     for piece, link in itertools.product(pieces, ("link_5", "link_4")):
         pair, bolted = (model.body(piece).id, model.body(link).id), (piece, link) == ("bracket", "link_5")
         if not model.body(link).geomnum[0] or (by_hand and bolted):
             continue
-        if keeps_apart(model, shapes, *pair, min(clearance, _APART), _LOOKS):
+        if apart(pair, min(clearance, _APART)):
             _exclude(spec, "apart", piece, link)
         elif not by_hand:
             lowest, widest = _seen(model, shapes, pair, 2 * clearance)
             if bolted and widest <= 0:
                 _exclude(spec, "bolted", piece, link)
-            elif lowest > 2 * _LEAST and keeps_apart(model, shapes, *pair, lowest / 2, _LOOKS):
+            elif lowest > 2 * _LEAST and apart(pair, lowest / 2):
                 _exclude(spec, "apart", piece, link)
             elif widest < 2 * clearance:
                 spec.add_numeric(name=told.keeps(model, piece, link), data=[max(widest, 0.0) / 2], size=1)
+
+
+def _digest(model: mujoco.MjModel) -> bytes:
+    """SHA-256 of all that a model holds."""
+    import mujoco
+
+    content = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return hashlib.sha256(content.tobytes()).digest()
 
 
 def _exclude(spec: mujoco.MjSpec, why: str, piece: str, link: str) -> None:
