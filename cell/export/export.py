@@ -1,5 +1,6 @@
 """`cell export`: the motion of a finished run as a program for a controller, or as a table for another program."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pydantic import Field
@@ -47,19 +48,7 @@ def export(run_folder: Path, wanted: ExportOptions, narrator: Narrator | None = 
         FileError: if the run has no finished motion, a file of it is damaged, or the files cannot be written.
     """
     loaded = program.load(run_folder, wanted.name, wanted, narrator)
-    options = _krl_options(loaded, wanted)
-    contents = _contents(loaded, options, wanted.kind)
-    folder = wanted.out if wanted.out is not None else run_folder / FOLDER
-    files = _write(folder, contents, replace=wanted.out is None)
-    return ExportOutcome(
-        format=wanted.kind,
-        name=loaded.told.name,
-        files=tuple(str(path) for path in files),
-        via_points=len(loaded.q),
-        views=loaded.views,
-        speed_percent=options.speed_percent,
-        acceleration_percent=options.acceleration_percent,
-    )
+    return _exported(run_folder, [loaded], loaded.told.name, wanted, {})
 
 
 def export_setups(folder: Path, wanted: ExportOptions, narrator: Narrator | None = None) -> ExportOutcome:
@@ -78,24 +67,31 @@ def export_setups(folder: Path, wanted: ExportOptions, narrator: Narrator | None
     if len(name) > LONGEST_NAME - 3:  # what the names of the set-ups' programs have behind it
         name = f"scan_{planned.file.chosen[0].digest[:8]}"
     check_name(name)
+    programs = [
+        program.load(run, f"{name}_{number}", wanted, narrator) for number, run in enumerate(planned.folders, start=1)
+    ]
+    main = {f"{name}.src": krl.main_source(name, programs)} if wanted.kind == "krl" else {}
+    return _exported(folder, programs, name, wanted, main)
+
+
+def _exported(
+    of: Path, programs: Sequence[Program], name: str, wanted: ExportOptions, beside: Mapping[str, bytes]
+) -> ExportOutcome:
+    """Write programs, and what stands beside them, to the folder that is wanted, or below the one that they are of."""
+    options = [_krl_options(loaded, wanted) for loaded in programs]
     contents: dict[str, bytes] = {}
-    all_: list[Program] = []
-    for number, run in enumerate(planned.folders, start=1):
-        loaded = program.load(run, f"{name}_{number}", wanted, narrator)
-        contents |= _contents(loaded, _krl_options(loaded, wanted), wanted.kind)
-        all_.append(loaded)
-    if wanted.kind == "krl":
-        contents[f"{name}.src"] = krl.main_source(name, all_)
-    files = _write(wanted.out if wanted.out is not None else folder / FOLDER, contents, replace=wanted.out is None)
-    slowest = [_krl_options(loaded, wanted) for loaded in all_]
+    for loaded, own in zip(programs, options, strict=True):
+        contents |= _contents(loaded, own, wanted.kind)
+    contents |= beside
+    files = _write(of / FOLDER if wanted.out is None else wanted.out, contents, replace=wanted.out is None)
     return ExportOutcome(
         format=wanted.kind,
         name=name,
         files=tuple(str(path) for path in files),
-        via_points=sum(len(loaded.q) for loaded in all_),
-        views=sum(loaded.views for loaded in all_),
-        speed_percent=min(each.speed_percent for each in slowest),
-        acceleration_percent=min(each.acceleration_percent for each in slowest),
+        via_points=sum(len(loaded.q) for loaded in programs),
+        views=sum(loaded.views for loaded in programs),
+        speed_percent=min(each.speed_percent for each in options),
+        acceleration_percent=min(each.acceleration_percent for each in options),
     )
 
 
