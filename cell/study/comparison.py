@@ -19,8 +19,9 @@ _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim
 def fewest_for(bench: Bench, candidates: Viewpoints, allowed: Mask | None, visible: float, full: Judged) -> Judged:
     """Few views (`aimed`) that measure at least a share of the surface, on the held-out samples.
 
-    The target on the matrix's samples is raised by what the held-out ones show to be missing, until it is enough. Where
-    covering all of them is not, the matrix gets `DENSER` times as many samples.
+    The target on the matrix's samples is raised by what the held-out ones show to be missing, beyond what a plan covers
+    that comes back unchanged, until it is enough. Where covering all of them is not, the matrix gets `DENSER` times as
+    many samples.
 
     Args:
         bench: the part and the scanner.
@@ -38,13 +39,17 @@ def fewest_for(bench: Bench, candidates: Viewpoints, allowed: Mask | None, visib
     by_row = M.matrix().tocsr() if allowed is None else M.matrix().tocsr()[:, allowed]
     coverable = float(M.features.areas[np.diff(by_row.indptr) > 0].sum() / M.features.areas.sum())
     share = min(1.0, visible / coverable) if coverable > 0 else 1.0
+    before: list[int] = []
     for _ in range(_RAISES):
         found = bench.select("aimed", candidates, allowed, solver="auto", share=share, density=density)
         if found.visible >= visible:
             return found
         if share >= 1.0:
             break
-        share = min(1.0, share + (visible - found.visible) / coverable + _STEP)
+        share += (visible - found.visible) / coverable + _STEP
+        if found.cover.views.tolist() == before:  # few views may cover far more of the matrix than was asked
+            share = max(share, found.cover.covered_area / found.cover.coverable_area + _STEP)
+        share, before = min(1.0, share), found.cover.views.tolist()
     if density > 1 and share < 1.0:
         found = bench.select("aimed", candidates, allowed, solver="auto", density=density)
     return full if density == 1 or full.visible >= found.visible else found
