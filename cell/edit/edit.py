@@ -42,10 +42,6 @@ from planner.values import Floats
 
 _ROUNDING = 1e-9  # of shares that were summed in another order
 
-_PLAIN = ("max_views", "multiplicity", "cost", "overlap_mm2", "overlap_share", "overlap_in_order", "pose_sd_mm",
-          "pose_sd_deg", "curve", "solver")  # fmt: skip
-"""Wishes that the choice of views answers: without meaning where the views are given."""
-
 
 def edit(
     run: PlannedRun, wanted: Edit, *, out: Path | None, argv: Sequence[str], use_cache: bool, narrator: Narrator,
@@ -192,10 +188,7 @@ def _asked(wanted: Edit, edited: EditedViews, job: Job, measured: Measured) -> P
     if wanted.repair:
         pinned = dict.fromkeys((*edited.views, *plan.pinned))
         return plan.model_copy(update={"pinned": tuple(pinned), "banned": (*plan.banned, *edited.dropped)})
-    others = np.setdiff1d(np.arange(len(measured.reached)), edited.views)
-    defaults = {key: PlanSettings.model_fields[key].default for key in _PLAIN}
-    given = {"coverage": 1.0, "pinned": edited.views, "banned": tuple(others.tolist())}
-    return plan.model_copy(update={**defaults, **given})
+    return plan.of_views(edited.views, len(measured.reached))
 
 
 def _problem(

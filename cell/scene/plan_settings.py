@@ -1,5 +1,6 @@
 """The scene's `[plan]` table: how to plan, what is wished beyond the fewest views, and which wishes go together."""
 
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -119,8 +120,22 @@ class PlanKeys(Table):
     curve: Annotated[bool, Option("Also coverage over the number of views, bounded.", _WISHES)] = False
 
 
+_OF_THE_CHOICE = ("max_views", "multiplicity", "cost", "overlap_mm2", "overlap_share", "overlap_in_order", "pose_sd_mm",
+                  "pose_sd_deg", "curve", "solver")  # fmt: skip
+"""Wishes that the choice of views answers."""
+
+
 class PlanSettings(PlanKeys):
     """How to plan: the keys, and that they go together."""
+
+    def plain(self) -> Self:
+        """Without the wishes that the choice of views answers: it is made elsewhere."""
+        return self.model_copy(update={key: PlanKeys.model_fields[key].default for key in _OF_THE_CHOICE})
+
+    def of_views(self, views: Sequence[int], candidates: int) -> Self:
+        """What a plan of these views is asked, and of no others of so many candidates."""
+        others = tuple(sorted(set(range(candidates)).difference(views)))
+        return self.plain().model_copy(update={"coverage": 1.0, "pinned": tuple(views), "banned": others})
 
     @field_validator("percent_kept")
     @classmethod

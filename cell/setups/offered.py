@@ -7,7 +7,6 @@ import numpy as np
 
 from cell.robot.frames import kuka_abc_from_pose
 from cell.scene.fixtures import Setup
-from cell.scene.plan_settings import PlanSettings
 from cell.scene.posed import Placement
 from cell.scene.scene import Scene
 from cell.world.model import ON_AXIS, World
@@ -19,10 +18,6 @@ TURNS_DEG = (0.0, 90.0, 180.0, 270.0)
 
 _ALIKE_DEG = 10.0  # poses that lie on nearly the same side are one: of a rounded part there are hundreds
 _LEAST = 0.01  # probability of a pose that is worth to be offered
-
-
-_OF_ALL = ("max_views", "multiplicity", "cost", "overlap_mm2", "overlap_share", "pose_sd_mm", "pose_sd_deg", "solver")
-"""Wishes of `[plan]` that are asked of all set-ups together, and of none by itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +36,7 @@ class Offer:
 
     def scene(self, shared: Scene) -> Scene:
         """The scene of this set-up alone, of that of all."""
-        plain = shared.plan.model_copy(update={key: PlanSettings.model_fields[key].default for key in _OF_ALL})
-        own: dict[str, object] = {"placement": self.placement, "setup": (), "plan": plain}
+        own: dict[str, object] = {"placement": self.placement, "setup": (), "plan": shared.plan.plain()}
         if self.given is None:
             return shared.model_copy(update=own)
         own["fixtures"] = (*shared.fixtures, *self.given.fixtures)

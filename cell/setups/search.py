@@ -221,10 +221,9 @@ class Search:
             PinnedOutError: if one of them cannot be connected, which is usable no more then.
         """
         setup = self._setups[row]
-        others = np.setdiff1d(np.arange(len(setup.measured.reached)), views)
-        given = {"coverage": 1.0, "pinned": tuple(views), "banned": tuple(others.tolist())}
         scene = setup.job.scene
-        asked = replace(setup.job, scene=scene.model_copy(update={"plan": scene.plan.model_copy(update=given)}))
+        given = scene.plan.of_views(views, len(setup.measured.reached))
+        asked = replace(setup.job, scene=scene.model_copy(update={"plan": given}))
         measured = replace(setup.measured, M=self._M[row])
         problem = steps.ask(self._run, asked, setup.cell, measured, setup.prediction)
         chooses = self._run.rng(steps.SELECTION)
