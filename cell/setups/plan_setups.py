@@ -158,7 +158,8 @@ def _offered(run: Run, job: Job, most: int) -> tuple[PartSurface, list[Offer], l
         job = replace(job, scene=with_table_kept(job.scene, world))
         offers = _distinct([*poses, *proposed(world, reference, most)])
         if job.scene.setup == () and len({offer.name.split(",")[0] for offer in offers}) == 1 < most:
-            run.narrator.note("the part has no other stable pose: it is offered as it is placed, turned, alone")
+            turned = ", turned," if len(offers) > 1 else ""
+            run.narrator.note(f"the part has no other stable pose: it is offered as it is placed{turned} alone")
     tried = [measured_setup(run, job, surface, world, each, shared, scouts) for each in offers]
     return surface, offers, tried
 
