@@ -26,7 +26,7 @@ Cell = Callable[..., Any]
 
 @pytest.fixture
 def made(made_setups: Path) -> Path:
-    """Folder of the small part's set-ups, of six that are offered; beside it what the command said."""
+    """Folder of the small part's set-ups, of four that are offered; beside it what the command said."""
     return made_setups
 
 
@@ -50,9 +50,9 @@ def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
     assert said["coverage"]["visible_of_coverable"] >= 0.97
     assert len(said["chosen"]) == said["setups_bound"]
     assert said["views"] == sum(setup["views"] for setup in said["chosen"]) >= said["views_bound"] >= len(seen)
-    assert len(said["offered"]) == 6
+    assert len(said["offered"]) == 4
     assert max(each["coverable"] for each in said["offered"]) <= said["coverage"]["coverable"]
-    assert "proven fewest of the 6 set-ups offered" in " ".join(
+    assert "proven fewest of the 4 set-ups offered" in " ".join(
         (made.parent / "stdout").read_text().replace("│", " ").split()
     )
     assert "## Set-ups offered" in (made / "report.md").read_text()

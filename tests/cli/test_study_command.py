@@ -53,7 +53,7 @@ def table(run_cell: Run, made_once: Callable[..., Path], drawn: Callable[[], Abs
 
     def make(folder: Path) -> None:
         with drawn(), pytest.MonkeyPatch.context() as patch:
-            patch.setattr(solve, "__kwdefaults__", {**solve.__kwdefaults__, "budget": DEFAULT_WORK // 20})
+            patch.setattr(solve, "__kwdefaults__", {**solve.__kwdefaults__, "budget": DEFAULT_WORK // 60})
             done = run_cell(*_TABLE, "--out", "table", cwd=folder)
         assert done.returncode == 0, done.stderr
         assert "4 trials computed now" in done.stdout
