@@ -36,7 +36,8 @@ def tables() -> dict[str, list[PaperRow]]:
     found: dict[str, list[PaperRow]] = {}
     content = (resources.files("cell.study") / "paper_tables.csv").read_text(encoding="utf-8")
     for row in csv.DictReader(content.splitlines()):
-        numbers = tuple(map(float, row["parameter"].split()))
+        # Whole numbers stay what they are: rows, and the names of trials, are told by them.
+        numbers = tuple(float(word) if "." in word else int(word) for word in row["parameter"].split())
         parameter = numbers if len(numbers) > 1 else numbers[0] if numbers else None
         counts = int(row["viewpoints"]), int(row["views"])
         found.setdefault(row["table"], []).append(PaperRow(row["part"], parameter, *counts, float(row["coverage"])))
