@@ -13,7 +13,9 @@ _GRAZING_SOURCE, _GRAZING_SENSOR = int(Rejection.GRAZING_SOURCE), int(Rejection.
 
 
 @compiled
-def rejections(points: Floats, normals: Floats, limits: tuple[float, ...], tolerance: float) -> NDArray[np.uint8]:
+def rejections(
+    points: Floats, normals: Floats, limits: tuple[float, ...], tolerance: float, codes: NDArray[np.uint8]
+) -> None:
     """The first condition that fails; each is written as what holds, so that a NaN fails it.
 
     Args:
@@ -22,10 +24,10 @@ def rejections(points: Floats, normals: Floats, limits: tuple[float, ...], toler
         limits: baseline [m]; tangents of half the field of view, and of the sensor's (0: not limited); range and depth
             [m]; cosines of the grazing limits at source and sensor; cosine and sine of the sensor's tilt.
         tolerance: of planar angles, relative to the distance.
+        codes: (N,) is overwritten with `planner.ports.Rejection` values: to make it here takes long to compile.
     """
     baseline, tan_h, tan_v, tan_u, tan_w, nearest, farthest, front, back = limits[:9]
     cos_source, cos_sensor, cos_t, sin_t = limits[9:]
-    codes = np.empty(points.shape[1], dtype=np.uint8)
     for i in range(len(codes)):
         x, y, z = points[0, i], points[1, i], points[2, i]
         n_x, n_y, n_z = normals[0, i], normals[1, i], normals[2, i]
@@ -53,4 +55,3 @@ def rejections(points: Floats, normals: Floats, limits: tuple[float, ...], toler
             codes[i] = _GRAZING_SENSOR
         else:
             codes[i] = _MEASURED
-    return codes

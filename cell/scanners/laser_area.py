@@ -179,7 +179,8 @@ class LaserArea:
 
         # Of copies: one form of the kernel is compiled, in whatever order the arrays are, writable or not.
         x_y_z, n_x_y_z = (np.array(vectors.T, dtype=np.float64, order="C") for vectors in (points, normals))
-        codes = rejections(x_y_z, n_x_y_z, self._limits, TOLERANCE)
+        codes = np.empty(len(points), dtype=np.uint8)
+        rejections(x_y_z, n_x_y_z, self._limits, TOLERANCE, codes)
         if self.max_spacing_mm is not None:
             passed = np.flatnonzero(codes == Rejection.MEASURED)
             dense = self.spacing(points[passed], normals[passed]) <= self.max_spacing_mm / 1000 * (1 + TOLERANCE)
