@@ -33,7 +33,7 @@ def judge(run: EditableRun) -> EditJudge:
     return EditJudge(run)
 
 
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 60))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 60))])
 def test_random_edits(seed: int, run: EditableRun, judge: EditJudge, tmp_path: Path) -> None:
     """No finding; and the difference from the plan before has the areas that its artefacts have."""
     asked = random_edit(np.random.default_rng(seed), run)

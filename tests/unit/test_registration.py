@@ -148,7 +148,7 @@ def test_corrections_are_rigid_and_repeat(scans: list[ScanCloud], head: Triangle
         assert a.T_correction.tobytes() == b.T_correction.tobytes()
 
 
-@pytest.mark.parametrize(("mm", "deg", "seed"), [(5.0, 1.0, 2), (20.0, 2.0, 2)])
+@pytest.mark.parametrize(("mm", "deg", "seed"), [pytest.param(5.0, 1.0, 2, marks=pytest.mark.slow), (20.0, 2.0, 2)])
 def test_a_huge_pose_error_is_never_made_larger(
     scans: list[ScanCloud], head: TriangleMesh, mm: float, deg: float, seed: int
 ) -> None:
