@@ -11,6 +11,7 @@ SCENES = [(7, False), (0, True)]
 SLOW = [pytest.param(number, table, marks=pytest.mark.slow) for table in (False, True) for number in (2, 3, 4, 5, 6)]
 
 
+@pytest.mark.usefixtures("as_defined")
 @pytest.mark.parametrize(("number", "table"), [*SCENES, *SLOW])
 def test_no_triangles_meet_and_no_limit_is_exceeded(number: int, table: bool) -> None:
     """Every millisecond of the motion; the clearance that the plan says is what the triangles show, within 1 mm.
