@@ -166,7 +166,8 @@ def _christofides_tour(positions: bytes, m: int) -> tuple[int, ...]:
     tree = nx.minimum_spanning_tree(graph)
     odd = np.array([place for place, degree in tree.degree if degree % 2])
     between = lengths[np.ix_(odd, odd)]
-    rank, matched, nearest = between.argsort(axis=1, kind="stable").argsort(axis=1), [], _MATCHED
+    rank, nearest = between.argsort(axis=1, kind="stable").argsort(axis=1), _MATCHED
+    matched: set[tuple[int, int]] = set()
     while 2 * len(matched) < len(odd):
         near = nx.Graph()
         pairs = np.argwhere(np.tril(np.minimum(rank, rank.T) <= nearest, -1))
