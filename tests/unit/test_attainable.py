@@ -83,6 +83,7 @@ def test_of_each_point_the_arm_is_asked_until_it_takes_up_a_pose():
     assert sorted(asked) == np.flatnonzero(np.any(until, axis=0)).tolist()
 
 
+@pytest.mark.usefixtures("as_defined")
 def test_the_share_of_a_plan_is_that_of_asking_every_sample(monkeypatch):
     """Of few samples the estimate is the count itself and has no error; of half of them it is within a few errors."""
     targets, arm = _ball(lambda T: (T[:, :, 2, 3] > -0.02).all(axis=1))
