@@ -38,9 +38,12 @@ _FIRST = 10  # share of the steps, as its inverse, after which the strong bound 
 
 _PER_SUBSET = 20_000  # additions that handling one subset costs beside its own
 
-_FULL = 22  # clusters from which on the steps grow with the square of their number: 0.6 s at 80, 4 s at 200
+FULL = 22
+"""Clusters from which on the steps grow with the square of their number: 0.6 s at 80, 4 s at 200."""
 
-_HOT, _COLD = 2.5, 0.1  # temperatures of the search, in mean costs of the two cheapest edges of a cluster
+_HOT, _COLD, _WARM = 2.5, 0.1, 0.03
+"""Temperatures of the search, in mean costs of the two cheapest edges of a cluster: at its begin and end, and all the
+way from a tour that is good already."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +130,7 @@ def grown(problem: Instance, steps: int, *, warm: bool = False) -> int:
 
     From a tour that is good already (`warm`), each part of it is only looked at as often as in a small one: linear.
     """
-    return int(steps * max(1.0, (problem.n_clusters / _FULL) ** (1 if warm else 2)))
+    return int(steps * max(1.0, (problem.n_clusters / FULL) ** (1 if warm else 2)))
 
 
 def solve(
@@ -148,7 +151,8 @@ def solve(
         steps: budget of the search with up to 22 clusters; larger instances get more (`grown`).
         bound_work: budget of the bound; with 0 it is the quick one, with None there is none (0).
         warm: whether `start` is the order of a good tour of nearly the same instance. Beyond 22 clusters it is then
-            searched on at the temperature at which a search ends, which a hot one would destroy, with fewer steps.
+            searched on at a temperature below that at which a search ends, as a hot one would destroy it, with fewer
+            steps.
 
     Returns:
         A tour that is never worse than the best one for the order `start`.
@@ -157,7 +161,7 @@ def solve(
         return exact(problem)
     cost, tour = best_nodes(problem, start)
     steps = grown(problem, steps, warm=warm)
-    hot = _COLD if warm and problem.n_clusters > _FULL else _HOT
+    hot = _WARM if warm and problem.n_clusters > FULL else _HOT
     if bound_work is None:
         cost, tour = search(problem, tour, int(rng.integers(2**63)), steps, hot)
         return _found(problem, tour, cost, 0.0)
@@ -241,7 +245,7 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int, hot: float = _H
     two = np.sort(usable, axis=1)[:, 1:3]  # NaN comes last
     scale = max(float(np.nanmean(two)), 1e-12) if np.isfinite(two).any() else 1.0
     best, _ = anneal(
-        problem.cost, problem.back, problem.first, near, tour.copy(), steps, hot * scale, _COLD * scale, seed
+        problem.cost, problem.back, problem.first, near, tour.copy(), steps, hot * scale, min(hot, _COLD) * scale, seed
     )
     best = np.roll(best, -int(np.flatnonzero(best < problem.first[1])[0]))
     return problem.length(best), best

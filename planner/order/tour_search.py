@@ -57,6 +57,12 @@ class MotionBudget:
     guesses: tuple[tuple[float, float], ...] = ((1.1, 1.2), (1.1, 0.35))
 
 
+_DOUBT = 0.02
+"""What an edge that nobody looked at costs more in quick orderings of many views [s]: they keep to what is known."""
+
+_WORTH = 0.002
+"""Share of the motion below which what many views may still save is not searched for."""
+
 DEFAULT_BUDGET = MotionBudget()
 
 
@@ -90,6 +96,7 @@ class TourSearch:
         self.best: list[int] = []
         self.best_time, self.promised = float("inf"), 0.0
         self.stays = visits.stays
+        self.many = len(self.views) > gtsp.FULL
 
     def run(self) -> list[int]:
         """Nodes of the best tour in visiting order, home at both ends; every edge of it is real."""
@@ -110,7 +117,8 @@ class TourSearch:
         last_check = self.roadmap.checks + self.budget.before_settling
         nodes, full = self.order(self.budget.orders, self.best), True
         while self.rounds < last_round and self.roadmap.checks < last_check:
-            if full and self.promised >= self.best_time * (1 - 1e-9) and len(nodes) <= len(self.best):
+            worth = _WORTH if self.many else 1e-9
+            if full and self.promised >= self.best_time * (1 - worth) and len(nodes) <= len(self.best):
                 return
             nodes, known = self.look_around(nodes)
             if known and self.make_real(nodes):
@@ -153,7 +161,7 @@ class TourSearch:
         Two dynamic programmes over the layers, one from each end, give for each edge the best tour that uses it.
         """
         times, unseen, leave = self.roadmap.times, self.roadmap.unseen, self.roadmap.leave
-        steps = [times[np.ix_(leave[a], b)] + self.stays[b] for a, b in pairwise(layers)]
+        steps = [times[leave[a][:, None], b] + self.stays[b] for a, b in pairwise(layers)]
         onward = [np.zeros(1)]
         for step in reversed(steps):
             onward.append((step + onward[-1]).min(axis=1))
@@ -163,7 +171,7 @@ class TourSearch:
         found: list[Ints] = []
         for step, a, b, rest in zip(steps, layers, layers[1:], onward[1:], strict=False):
             total = reached[:, None] + step + rest
-            i, j = np.nonzero(unseen[np.ix_(leave[a], b)])
+            i, j = np.nonzero(unseen[leave[a][:, None], b])
             slack.append(total[i, j])
             found.append(np.stack((leave[a][i], b[j]), axis=1))
             at = int((step[at] + rest).argmin())
@@ -215,6 +223,8 @@ class TourSearch:
         numbers = np.full(len(roadmap.q), -1)
         numbers[flat] = np.arange(len(flat))
         times, leave = roadmap.times[np.ix_(flat, flat)], numbers[roadmap.leave[flat]]
+        if self.many and steps < self.budget.orders:
+            times += _DOUBT * roadmap.unseen[np.ix_(flat, flat)]
         place = {view: k for k, view in enumerate(self.views)}
         known = [self.view_of(node) for node in before[1:-1]] or self.visits.known
         start = [place[view] for view in known if view in place]
