@@ -157,5 +157,4 @@ def task_space(moves: Moves, T_base_scanner: Any, rng: np.random.Generator, **ar
         baseline_duration=duration,
         lower_bound=0.0,
         status=order.OrderStatus.HEURISTIC if duration < generalised_tsp.BLOCKED else order.OrderStatus.NO_TOUR,
-        steps=1,
     )

@@ -22,6 +22,7 @@ from planner.cover import Cover, CoverStatus
 from planner.cover.overlap import Connection
 from planner.measurability.coverage import visible_of
 from planner.order import tour
+from planner.order.generalised_tsp import FULL
 from planner.order.given_order import in_order
 from planner.order.order_overlap import overlapping
 from planner.order.orderings import Ordering, sequence
@@ -156,7 +157,8 @@ def _connect(
     # Detours may have cost what the exchange saved; and a motion that leaves views out is short for that alone.
     standing = problem.request.standing
     seconds = motion.duration + standing * len(groups.members)
-    if groups.exchanged and (motion.dropped or seconds > groups.straight_before):
+    spare = _DETOURS if len(groups.members) > FULL else 0.0
+    if groups.exchanged and (motion.dropped or seconds > groups.straight_before * (1.0 + spare)):
         own = views.alone(chosen)
         other = _motion(problem, views, selected, own, before, rng, progress)
         groups, motion = view_exchange.shorter((groups, motion), (own, other), standing)
@@ -268,6 +270,7 @@ def _not_pinned(lost: Mapping[int, str], request: Request) -> Mapping[int, str]:
     return lost
 
 
+_DETOURS = 0.02  # share that collisions lengthen a motion through many views by: whether the exchange saved them or not
 _TOLD = 3  # candidates whose reasons are given when none is left
 
 

@@ -60,7 +60,7 @@ class MotionBudget:
 _DOUBT = 0.02
 """What an edge that nobody looked at costs more in quick orderings of many views [s]: they keep to what is known."""
 
-_WORTH = 0.002
+_WORTH = 0.005
 """Share of the motion below which what many views may still save is not searched for."""
 
 DEFAULT_BUDGET = MotionBudget()
@@ -101,7 +101,8 @@ class TourSearch:
     def run(self) -> list[int]:
         """Nodes of the best tour in visiting order, home at both ends; every edge of it is real."""
         wanted = list(self.views)
-        for guess in self.budget.guesses:
+        # Low guesses have many detours searched: of many views more than the checks last for.
+        for guess in self.budget.guesses[:1] if self.many else self.budget.guesses:
             guessed = self.roadmap.guess_by(*guess)
             if self.best and (not guessed or self.rounds >= self.budget.rounds):
                 break
@@ -114,7 +115,7 @@ class TourSearch:
     def settle(self) -> None:
         """Order and look in turns under one guess, until no ordering promises a faster tour than the best real one."""
         last_round = self.rounds + max(1, self.budget.rounds // len(self.budget.guesses))
-        last_check = self.roadmap.checks + self.budget.before_settling
+        last_check = self.roadmap.checks + self.budget.before_settling * max(1, len(self.views) // gtsp.FULL)
         nodes, full = self.order(self.budget.orders, self.best), True
         while self.rounds < last_round and self.roadmap.checks < last_check:
             worth = _WORTH if self.many else 1e-9
