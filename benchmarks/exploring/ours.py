@@ -12,9 +12,9 @@ from scipy.sparse import csr_array
 from benchmarks.exploring.lab import Known, Lab, NextView
 from cell.explore import belief
 from cell.explore.policies import Batch
-from cell.explore.stage import AHEAD, DRAWN, ROWS_KEPT, SCHEDULE, SCOUTS_KEPT, Asked, probable
+from cell.explore.stage import DRAWN, ROWS_KEPT, SCHEDULE, SCOUTS_KEPT, Asked, probable
 from cell.rays.embree import EmbreeRayCaster
-from planner.explore.gain import Record, most_together
+from planner.explore.gain import Record, ahead
 from planner.explore.space import VoxelSpace
 from planner.measurability.matrix import measured
 from planner.surface.decimate import decimate
@@ -45,8 +45,8 @@ class _Ours:
         M = measured(poses[:, None], rows, lab.scanner, casters, each=True)
         if not M.any():
             return None
-        few = most_together(csr_array(M), rows.areas, np.ones(len(poses), dtype=np.bool_), AHEAD)
-        best = int(few[np.argmax(rows.areas @ M[:, few])])
+        few = ahead(csr_array(M), rows.areas, np.ones(len(poses), dtype=np.bool_), 1)
+        best = int(np.argmax(np.where(few, rows.areas @ M, 0.0)))
         self._expected, self._before = (pick_samples(rows, M[:, best]), float(mesh.areas.sum())), space
         return poses[best]
 

@@ -2,8 +2,10 @@
 
 The last planning step is made again from what is on disk; it gives the open samples, their reasons and the candidates.
 A reason that a candidate fails at is true where planning among the same candidates on the true mesh, in the cell with
-the true part and without unseen space, comes to the same sentence for the same sample. "Views ... did not" is true
-where less than half of the true surface within a voxel's edge of the sample is measured by the executed views.
+the true part and without unseen space, comes to the same sentence for the same sample: for the true surface where that
+is within a voxel's edge of it, else for the place where it was believed. "Views that might measure it ..." is true
+where no candidate that the arm reaches there measures it. "Views ... did not" is true where less than half of the true
+surface within a voxel's edge of the sample is measured by the executed views, "a rest" where any within two edges is.
 """
 
 import tempfile
@@ -16,7 +18,7 @@ from scipy.spatial import cKDTree
 from cell.explore import belief, state
 from cell.explore.policies import Batch
 from cell.explore.prepare import Exploring
-from cell.explore.reasons import NOT_TAKEN, TRIED, StillOpen, closest, sentence
+from cell.explore.reasons import BESIDE, NOT_TAKEN, SMALL, TRIED, StillOpen, closest, sentence
 from cell.explore.stage import Asked, EnoughError, plan_stage
 from cell.narrator import Quiet
 from cell.rays.prediction import held_out
@@ -27,6 +29,8 @@ from cell.run.record import open_finished
 from cell.world.collision import MujocoCollisionChecker
 from planner.measurability.matrix import measured
 from planner.reach import reach
+from planner.surface.closest import NearestSurface
+from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats
 from planner.why.reasons import Reason
@@ -73,11 +77,8 @@ def _true(work: Exploring, file: ExploreFile, said: StillOpen) -> Bools:
     run = open_finished(work.paths.root / "truth")
     cell, part = read_cell(run), reader.mesh(run, "reference.ply")
     assert work.hidden is not None
-    to_object = np.linalg.inv(work.hidden.T_explored_object)
-    samples = SurfaceSamples(
-        said.samples.points @ to_object[:3, :3].T + to_object[:3, 3], said.samples.normals @ to_object[:3, :3].T,
-        said.samples.areas, said.samples.face, said.samples.planning_face,
-    )  # fmt: skip
+    to_object = np.asarray(np.linalg.inv(work.hidden.T_explored_object), dtype=np.float64)
+    samples = _on_part(said.samples, to_object, part, work.unknown.edge)
     candidates = replace(said.candidates, T_object_scanner=to_object @ said.candidates.T_object_scanner)
     world = world_of(run, part)
     reached = reach.solve(
@@ -85,19 +86,36 @@ def _true(work: Exploring, file: ExploreFile, said: StillOpen) -> Bools:
     )
     casters = (cell.part_caster, cell.occluder_caster)
     there = closest(samples, candidates, reached, cell.scanner, casters)
-    words = [Reason(code).sentence for code in there.tolist()]
-    same = np.array([code > 0 and sentence(code) == word for code, word in zip(said.reason, words, strict=True)])
+    pairs = zip(said.reason.tolist(), there.tolist(), strict=True)
+    same = np.array([code > 0 and sentence(code) == sentence(true) for code, true in pairs])
     same |= (said.reason == NOT_TAKEN) & (there == Reason.NOT_SELECTED)
-    tried = said.reason == TRIED
-    same[tried] = ~_measured_beside(samples.points[tried], work, file, cell, to_object)
+    same |= (said.reason >= Reason.OUT_OF_REACH) & (there != Reason.NOT_SELECTED)
+    edge, poses = work.unknown.edge, _poses(work, file, to_object)
+    same |= (said.reason == TRIED) & (_measured_beside(samples.points, poses, cell, edge) < 0.5)
+    same |= (said.reason == SMALL) & (_measured_beside(samples.points, poses, cell, BESIDE * edge) > 0)
     return same
 
 
-def _measured_beside(points: Floats, work: Exploring, file: ExploreFile, cell: RunCell, to_object: Floats) -> Bools:
-    """(n,) whether half of the true surface beside points (n, 3) is measured by the executed views; object frame."""
+def _on_part(believed: SurfaceSamples, to_object: Floats, part: TriangleMesh, edge: float) -> SurfaceSamples:
+    """Samples in the object frame, those that lie within a voxel's edge of the true part on its surface."""
+    points = believed.points @ to_object[:3, :3].T + to_object[:3, 3]
+    normals = believed.normals @ to_object[:3, :3].T
+    found = NearestSurface(part).closest(points)
+    there = found.distance <= edge
+    points = np.where(there[:, None], found.point, points)
+    normals = np.where(there[:, None], part.normals[found.face], normals)
+    return SurfaceSamples(points, normals, believed.areas, believed.face, believed.planning_face)
+
+
+def _poses(work: Exploring, file: ExploreFile, to_object: Floats) -> Floats:
+    """(V, 4, 4) from where the rays of all views went out, object frame [m]."""
     scans = state.scans_of(work.paths, file.stages)
-    poses = np.stack([to_object @ (scan.T_reported if scan.T_true is None else scan.T_true) for scan in scans])
-    truth = held_out(cell.reference, cell.planning, file.seed)
+    return np.stack([to_object @ (scan.T_reported if scan.T_true is None else scan.T_true) for scan in scans])
+
+
+def _measured_beside(points: Floats, poses: Floats, cell: RunCell, radius: float) -> Floats:
+    """(n,) share of the true surface within a radius of points (n, 3) [m] that views (V, 4, 4) measure."""
+    truth = held_out(cell.reference, cell.planning, 0)
     seen = measured(poses[:, None], truth, cell.scanner, (cell.part_caster, cell.occluder_caster))
-    beside = cKDTree(truth.points).query_ball_point(points, work.unknown.edge)
-    return np.array([bool(rows) and seen[rows].mean() >= 0.5 for rows in beside], dtype=np.bool_)
+    beside = cKDTree(truth.points).query_ball_point(points, radius)
+    return np.array([seen[rows].mean() if rows else 0.0 for rows in beside])

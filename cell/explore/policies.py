@@ -39,8 +39,8 @@ class Batch:
     per_second: bool = False
 
 
-_FEW, _ROUGH = 1, 6
-"""Views of the first ring: each that follows view by view knows more; a rough model that all rests on wants more."""
+_FEW, _ROUGH = 3, 6
+"""Views of the first ring: what follows view by view corrects it; a rough model that all else rests on wants more."""
 
 Policy = Callable[[ExploreOptions, So], Batch | None]
 

@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from cell.run.explore_json import OpenReason
+from planner.explore.gain import Open
 from planner.ports import RayCaster, Scanner
 from planner.reach.reach import Reach
 from planner.surface.sample import SurfaceSamples
@@ -16,13 +17,26 @@ from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import why
 from planner.why.reasons import OF_VERDICT, Reason
 
-TRIED, NOT_TAKEN = -2, -1
-"""Beside `Reason`: views that are to measure it were executed and did not; such a view was not taken."""
+SMALL, TRIED, NOT_TAKEN = -3, -2, -1
+"""Beside `Reason`: what views that were to measure it left, near what was measured and far from it; and what a view
+is to measure that was not taken."""
 
-_SAID = {
-    TRIED: "views were expected to measure it and did not: it is too small, too steep, or not there",
+BESIDE = 2.0
+"""Edges from the middle of a measured voxel within which what views left is a rest, whose believed place and normal
+are too uncertain for any other reason."""
+
+_SHADED = (Reason.SOURCE_SHADED_BY_PART, Reason.SENSOR_SHADED_BY_PART, Reason.SOURCE_SHADED, Reason.SENSOR_SHADED)
+
+_SAID: dict[int, str] = {
+    SMALL: "a rest within two voxels of what was measured, which the views that were taken for it left",
+    TRIED: "views were expected to measure it and did not: it is too steep, or not there",
     NOT_TAKEN: "a reachable view is expected to measure it, and was not taken",
+    **dict.fromkeys(_SHADED, "laser or sensor shaded"),
+    Reason.OUT_OF_REACH: "views that might measure it are out of the arm's reach",
+    Reason.JOINT_LIMIT: "views that might measure it are beyond a joint limit",
+    Reason.COLLISION: "views that might measure it are in collision, or too near to what was not seen",
 }
+"""Where surface is believed, not known: which leg something shades, and what, is within a voxel no news of the part."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +45,7 @@ class StillOpen(Value):
 
     Attributes:
         samples: N of them.
-        reason: (N,) `Reason` values, `TRIED` or `NOT_TAKEN`.
+        reason: (N,) `Reason` values, `SMALL`, `TRIED` or `NOT_TAKEN`.
         candidates: viewpoints that were looked at.
     """
 
@@ -56,7 +70,7 @@ def sentence(code: int) -> str:
 
 def still_open(
     samples: SurfaceSamples,
-    tries: Ints,
+    of: Open,
     candidates: Viewpoints,
     reached: Reach,
     scanner: Scanner,
@@ -66,14 +80,15 @@ def still_open(
 
     Args:
         samples: of the believed surface, those that are open.
-        tries: (S,) how many views were expected to measure each and did not.
+        of: their classes.
         candidates: viewpoints that were looked at.
         reached: their verdicts.
         scanner: the sensor's law.
         casters: the believed part's, and that of occluders.
     """
     found = closest(samples, candidates, reached, scanner, casters)
-    reason = np.where(found == Reason.NOT_SELECTED, np.where(tries > 0, TRIED, NOT_TAKEN), found)
+    reason = np.where(found == Reason.NOT_SELECTED, np.where(of.tries > 0, TRIED, NOT_TAKEN), found)
+    reason[(of.tries > 0) & (of.beside <= BESIDE) & (found >= Reason.OUT_OF_REACH)] = SMALL
     return StillOpen(samples, reason, candidates)
 
 

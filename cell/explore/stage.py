@@ -31,7 +31,7 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
 from cell.scene.scene import Scene
-from planner.explore.gain import Record, most_per_second, most_together
+from planner.explore.gain import Record, ahead, most_per_second
 from planner.explore.space import VoxelSpace
 from planner.measurability.candidate_columns import spread_measurability
 from planner.order.tour_search import DEFAULT_BUDGET
@@ -48,9 +48,6 @@ DRAWN, ROWS_KEPT, SCOUTS_KEPT = 20_000, 3_000, 1_000
 
 SCHEDULE = growth.SCHEDULE[:2]
 """Of growth: what is open now is another tomorrow, so the long search for the last of it is not worth its time."""
-
-AHEAD = 3
-"""Views that are thought of together where one of them is taken."""
 
 _BRIEF = replace(DEFAULT_BUDGET, path_checks=CHECKS // 4, polish=0, guesses=DEFAULT_BUDGET.guesses[:1])
 """Of the motion through the few views of a batch: searching on for a shorter one takes longer than it saves."""
@@ -202,8 +199,7 @@ def _connected(run: Run, problem: Problem, surface: PartSurface, asked: Asked) -
     with run.step("select, order and connect") as progress:
         M, reached, plan, rng = problem.M, problem.reached, problem.request.plan, run.rng(steps.SELECTION)
         seconds = seconds_of_views(plan, reached, problem.world.home, problem.limits)
-        usable = np.zeros(len(reached), dtype=np.bool_)
-        usable[most_together(M.matrix(), M.features.areas, problem.usable(()), max(batch.views, AHEAD))] = True
+        usable = ahead(M.matrix(), M.features.areas, problem.usable(()), batch.views)
         best = most_per_second(M.matrix(), M.features.areas, seconds, usable, batch.views)
         others = tuple(np.setdiff1d(np.arange(len(reached)), best).tolist())
         request = replace(problem.request, plan=plan.model_copy(update={"banned": others}))
@@ -245,7 +241,7 @@ def _explained(
         left = pick_samples(scouts, ~asked.space.seen(scouts.points))
         of = asked.space.open_at(left.points)
         left = replace(left, areas=left.areas / asked.record.weights(of))
-        return still_open(left, of.tries, candidates, reached, scanner, casters)
+        return still_open(left, of, candidates, reached, scanner, casters)
 
     return reasons_now
 

@@ -21,7 +21,7 @@ MOST_TRIES = 2
 REACHES = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Distances from the nearest measured voxel between the classes [edges of a voxel]."""
 
-_PRIOR = 0.9 ** np.arange(MOST_TRIES + 1)[:, None] * np.array([0.75, 0.75, 0.75, 0.65, 0.4, 0.2])
+_PRIOR = 0.6 ** np.arange(MOST_TRIES + 1)[:, None] * np.array([0.75, 0.75, 0.75, 0.65, 0.4, 0.2])
 """Probability before anything is known of it: pooled over explorations (docs/internals/explore.md) ..."""
 
 _WORTH = 0.01
@@ -30,6 +30,12 @@ _WORTH = 0.01
 _KEPT = 0.7
 """Weight of earlier stages at each new one: what is believed late is more often true than what was believed early."""
 
+
+_AHEAD = 3
+"""Views that are thought of together where one of them is taken, ..."""
+
+_NEARLY = 0.9
+"""... and of the most that one can gain, what one of them must: what is believed early is too uncertain to wait for."""
 
 _SWAP = 1e-6
 """Share by which another view has to add more, so that swaps come to an end."""
@@ -112,11 +118,27 @@ def most_per_second(
     return np.array(taken, dtype=np.int64)
 
 
-def most_together(measured: "csr_array", areas: Floats, usable: Bools, count: int) -> Ints:
-    """Up to `count` views that together have much open area: greedily chosen, then each swapped while that adds.
+def ahead(measured: "csr_array", areas: Floats, usable: Bools, count: int) -> Bools:
+    """(V,) the views among which the next `count` are to be chosen: those of a plan for a few more, where that pays.
 
     A view that is chosen with those after it in mind leaves less that only views of its own can close: with the true
-    model known, three ahead reach the greedy choice's coverage one to two views earlier.
+    model known, three together reach the greedy choice's coverage one to two views earlier.
+
+    Args:
+        measured: (S, V) what each view measures.
+        areas: (S,) expected of each row [m^2].
+        usable: (V,) those that may be taken.
+        count: how many are to be chosen.
+    """
+    gains = np.where(usable, measured.T @ areas, 0.0)
+    few = most_together(measured, areas, usable, max(count, _AHEAD))
+    if not len(few) or gains[few].max() < _NEARLY * gains.max():
+        return usable
+    return np.isin(np.arange(len(usable)), few)
+
+
+def most_together(measured: "csr_array", areas: Floats, usable: Bools, count: int) -> Ints:
+    """Up to `count` views that together have much open area: greedily chosen, then each swapped while that adds.
 
     Args:
         measured: (S, V) what each view measures.

@@ -9,7 +9,7 @@ import pytest
 from scipy.sparse import csr_array
 
 from planner.errors import PlannerError
-from planner.explore.gain import MOST_TRIES, Open, Record, most_per_second, most_together
+from planner.explore.gain import MOST_TRIES, Open, Record, ahead, most_per_second, most_together
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.explore.traverse import cross
 from planner.values import Bools, Floats, Ints
@@ -191,3 +191,16 @@ def test_views_that_have_the_most_together() -> None:
     assert min(shares) > 0.95
     assert np.median(shares) == 1
     assert len(most_together(csr_array(measured), np.zeros(60), usable, 3)) == 0
+
+
+def test_what_views_ahead_are_taken_from() -> None:
+    """The three of a plan together, where one of them gains nearly what the best view does; else all that may be taken.
+
+    The best view covers the halves of two others, which with a third cover all: it is no part of the plan.
+    """
+    rows = np.zeros((40, 4), dtype=bool)
+    rows[:20, 0], rows[20:36, 1], rows[36:, 2], rows[9:31, 3] = True, True, True, True
+    areas, all_of_them = np.ones(40), np.ones(4, dtype=np.bool_)
+    assert ahead(csr_array(rows), areas, all_of_them, 1).tolist() == [True, True, True, False]
+    rows[:3, 0] = False  # 17 of 22 is less than nine tenths
+    assert ahead(csr_array(rows), areas, all_of_them, 1).all()

@@ -1,0 +1,44 @@
+"""What is told of surface that stays open: sentences by area, and which samples are a rest of what was measured."""
+
+import numpy as np
+import pytest
+
+from cell.explore.reasons import NOT_TAKEN, SMALL, TRIED, StillOpen, sentence, still_open
+from cell.rays.embree import EmbreeRayCaster
+from cell.scanners.laser_area import LaserArea
+from planner.explore.gain import Open
+from planner.reach.reach import Reach, Verdict
+from planner.surface.sample import SurfaceSamples
+from planner.viewpoints.viewpoints import looking_at
+from planner.why.reasons import Reason
+
+_FAR = EmbreeRayCaster(np.array([[9.0, 0, 0], [9, 1, 0], [9, 0, 1]]), np.array([[0, 1, 2]], dtype=np.int32))
+
+
+def _samples(count: int) -> SurfaceSamples:
+    none = np.zeros(count, dtype=np.int32)
+    points = np.column_stack([np.linspace(-0.002, 0.002, count), np.zeros(count), np.zeros(count)])
+    return SurfaceSamples(points, np.tile([0.0, 0, 1], (count, 1)), 1e-6 * np.arange(1.0, count + 1), none, none)
+
+
+@pytest.mark.parametrize("verdict", [Verdict.REACHABLE, Verdict.OUT_OF_REACH])
+def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) -> None:
+    """Tried and near is a rest whatever became of the view; else it is the view's verdict, and whether it was tried."""
+    views = looking_at(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
+    q = np.zeros((1 if verdict == Verdict.REACHABLE else 0, 6))
+    reached = Reach(np.array([verdict], dtype=np.uint8), q, np.array([0, len(q)]), ("",))
+    of = Open(np.array([0, 0, 1, 1]), np.array([1.0, 9.0, 1.0, 9.0]))
+    found = still_open(_samples(4), of, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), (_FAR, _FAR))
+    reached_codes = [NOT_TAKEN, NOT_TAKEN, SMALL, TRIED]
+    others = [Reason.OUT_OF_REACH, Reason.OUT_OF_REACH, SMALL, Reason.OUT_OF_REACH]
+    assert found.reason.tolist() == (reached_codes if verdict == Verdict.REACHABLE else others)
+
+
+def test_sentences_that_are_the_same_are_told_once() -> None:
+    """Areas [mm2] of codes with one sentence are summed; the largest comes first."""
+    codes = np.array([Reason.SOURCE_SHADED_BY_PART, NOT_TAKEN, Reason.SENSOR_SHADED, TRIED])
+    views = looking_at(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
+    told = StillOpen(_samples(4), codes, views).by_area()
+    assert [(each.reason, each.area_mm2) for each in told] == [
+        (sentence(Reason.SENSOR_SHADED), 4.0), (sentence(TRIED), 4.0), (sentence(NOT_TAKEN), 2.0)
+    ]  # fmt: skip
