@@ -64,7 +64,7 @@ def _said(work: Exploring, stages: int) -> StillOpen | None:
         unseen = Path(folder) / "unseen.ply"
         belief.write_unseen(known.space, unseen)
         scene = belief.scene_of(work.scene, work.cylinder, believed, unseen)
-        asked = Asked(known.space, known.record, Batch(0), 0.0, "asked again")
+        asked = Asked(known.space, known.record, Batch(0), 0.0, ended="asked again")
         try:
             plan_stage(scene, believed, asked, Path(folder) / "again", Quiet())
         except EnoughError as error:

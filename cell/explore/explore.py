@@ -26,6 +26,7 @@ from cell.scan import lock
 from cell.scan.options import ScanOptions
 from cell.scan.safety import Ask
 from cell.scene.scene import Scene
+from planner.explore.gain import came
 from planner.explore.space import OCCUPIED, VoxelSpace
 from planner.surface.sample import SurfaceSamples, pick_samples
 from planner.values import Bools, Floats
@@ -73,7 +74,7 @@ def explore(
             number = len(file.stages) + 1
             batch, ended = _next(work, file)
             try:
-                folder = _planned(work, number, known, batch, ended)
+                folder = _planned(work, file, known, batch, ended)
             except EnoughError as error:
                 file = _finished(work, file, str(error), () if error.open is None else error.open.by_area())
                 break
@@ -99,13 +100,13 @@ def _next(work: Exploring, file: ExploreFile) -> tuple[Batch, str]:
     return (Batch(0), "all batches of the policy were executed") if batch is None else (batch, "")
 
 
-def _planned(work: Exploring, number: int, known: Known, batch: Batch, ended: str) -> Path:
+def _planned(work: Exploring, file: ExploreFile, known: Known, batch: Batch, ended: str) -> Path:
     """The run folder of a stage's plan; one that finished before the exploration was stopped is taken.
 
     Raises:
         EnoughError: if there is no batch, or none is worth its views.
     """
-    paths = work.paths
+    paths, number = work.paths, len(file.stages) + 1
     if paths.stage(number).is_dir():
         return paths.stage(number)
     paths.clear(number)
@@ -113,13 +114,21 @@ def _planned(work: Exploring, number: int, known: Known, batch: Batch, ended: st
     belief.write_unseen(known.space, paths.unseen(number))
     scene = specification.without(work.scene) if batch.rough else work.scene
     scene = belief.scene_of(scene, work.cylinder, believed, paths.unseen(number))
-    asked = Asked(known.space, known.record, batch, work.options.least_gain if number > 1 else 0.0, ended)
+    least = work.options.least_gain if number > 1 else 0.0
+    asked = Asked(known.space, known.record, batch, least, _came(file), ended)
     try:
         return plan_stage(scene, believed, asked, paths.stage(number), work.narrator)
     except EnoughError:
         paths.clear(number)
         paths.unseen(number).unlink()
         raise
+
+
+def _came(file: ExploreFile) -> float:
+    """How many times as much as expected came; the ring was planned for the cylinder, which is no guess at the part."""
+    seen = [stage.surface_mm2 - stage.open_mm2 for stage in file.stages]
+    expected = [stage.expected_mm2 for stage in file.stages[1:]]
+    return came(expected, np.diff(seen).tolist()) if expected else 1.0
 
 
 def _executed(work: Exploring, folder: Path) -> tuple[ExecutedScan, ...]:

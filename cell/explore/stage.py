@@ -76,6 +76,7 @@ class Asked:
         record: what became of what was open before.
         batch: what is asked for; no views: only why what is open stays open.
         least_gain: share of the believed surface that it must be expected to add for each view.
+        came: how many times as much as expected came so far.
         ended: why there is no further batch, where none is asked for.
     """
 
@@ -83,6 +84,7 @@ class Asked:
     record: Record
     batch: Batch
     least_gain: float
+    came: float = 1.0
     ended: str = ""
 
 
@@ -168,6 +170,8 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
         if not len(rows) or not len(scouts):
             raise EnoughError("nothing is open")
         candidates = first(job.scene, job.settings, job.part, planning)
+        if (candidates.face >= 0).all():
+            candidates = pick_viewpoints(candidates, np.isin(candidates.face, rows.planning_face))
         return (
             PartSurface(reference, planning, rows, EmbreeRayCaster(reference.vertices, reference.faces)),
             scouts,
@@ -213,7 +217,7 @@ def _connected(run: Run, problem: Problem, surface: PartSurface, asked: Asked) -
 def _worth(problem: Problem, surface: PartSurface, asked: Asked) -> Problem:
     """The problem for no more views than greedily each add the least gain."""
     M, usable = problem.M, problem.usable(())
-    least = asked.least_gain * float(surface.reference.areas.sum())
+    least = asked.least_gain / asked.came * float(surface.reference.areas.sum())
     most = len(usable) if asked.batch.views is None else asked.batch.views
     views = len(most_per_second(M.matrix(), M.features.areas, np.ones(len(usable)), usable, most, least))
     plan = problem.request.plan.model_copy(update={"max_views": max(views, 1)})
@@ -222,7 +226,7 @@ def _worth(problem: Problem, surface: PartSurface, asked: Asked) -> Problem:
 
 def _too_little(chosen: ConnectedPlan, surface: PartSurface, asked: Asked) -> str:
     """Why a batch is not worth its views; "" where it is."""
-    expected = chosen.cover.covered_area / len(chosen.cover.views) / float(surface.reference.areas.sum())
+    expected = asked.came * chosen.cover.covered_area / len(chosen.cover.views) / float(surface.reference.areas.sum())
     if asked.batch.whole or expected >= asked.least_gain:
         return ""
     return (

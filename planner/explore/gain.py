@@ -5,6 +5,7 @@ lies deeper, or nothing at all. It is the better, the nearer to a measured point
 worse, the more often others should have measured it and did not. How much so is learned from the exploration.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,8 +22,8 @@ MOST_TRIES = 2
 REACHES = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Distances from the nearest measured voxel between the classes [edges of a voxel]."""
 
-_PRIOR = 0.6 ** np.arange(MOST_TRIES + 1)[:, None] * np.array([0.75, 0.75, 0.75, 0.65, 0.4, 0.2])
-"""Probability before anything is known of it: pooled over explorations (docs/internals/explore.md) ..."""
+_PRIOR = 0.5 * 0.5 ** np.arange(MOST_TRIES + 1)[:, None] * 0.7 ** np.arange(len(REACHES) + 1)
+"""Probability before anything is known of it: halved with each try, less by a third with each class of distance ..."""
 
 _WORTH = 0.01
 """... and the weight of this, as a share of the believed surface."""
@@ -92,6 +93,19 @@ class Record(Value):
     def weights(self, still_open: Open) -> Floats:
         """(N,) probability that a view which should measure each finds something: the share that did, and the prior."""
         return np.asarray(((self.found + _WORTH * _PRIOR) / (self.expected + _WORTH))[still_open.classes])
+
+
+def came(expected: Sequence[float], measured: Sequence[float]) -> float:
+    """How many times as much as expected comes: the median of the batches so far, and 1 as one of them.
+
+    What lies behind an open patch is larger than the patch, and what is tried again less likely than what is chosen.
+
+    Args:
+        expected: area of each batch [m^2]; one of which nothing was expected does not count.
+        measured: of it and of what lies about it [m^2].
+    """
+    pairs = zip(expected, measured, strict=True)
+    return float(np.median([1.0, *(new / before for before, new in pairs if before > 0)]))
 
 
 def most_per_second(

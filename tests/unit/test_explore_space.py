@@ -9,7 +9,7 @@ import pytest
 from scipy.sparse import csr_array
 
 from planner.errors import PlannerError
-from planner.explore.gain import MOST_TRIES, Open, Record, ahead, most_per_second, most_together
+from planner.explore.gain import MOST_TRIES, Open, Record, ahead, came, most_per_second, most_together
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.explore.traverse import cross
 from planner.values import Bools, Floats, Ints
@@ -204,3 +204,10 @@ def test_what_views_ahead_are_taken_from() -> None:
     assert ahead(csr_array(rows), areas, all_of_them, 1).tolist() == [True, True, True, False]
     rows[:3, 0] = False  # 17 of 22 is less than nine tenths
     assert ahead(csr_array(rows), areas, all_of_them, 1).all()
+
+
+def test_how_much_more_comes_than_was_expected() -> None:
+    """As much at first; then the median, which one batch that met a whole side of the part does not move far."""
+    assert came([], []) == 1
+    assert came([1.0, 1.0, 1.0, 0.5, 0.0], [2.0, 2.0, 30.0, 1.0, 7.0]) == 2
+    assert came([1.0], [3.0]) == 2
