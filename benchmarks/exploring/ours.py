@@ -7,14 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.random import Generator
-from scipy.sparse import csr_array
 
 from benchmarks.exploring.lab import Known, Lab, NextView
 from cell.explore import belief
 from cell.explore.policies import Batch
 from cell.explore.stage import DRAWN, ROWS_KEPT, SCHEDULE, SCOUTS_KEPT, Asked, probable
 from cell.rays.embree import EmbreeRayCaster
-from planner.explore.gain import Record, ahead
+from planner.explore.gain import Record
 from planner.explore.space import VoxelSpace
 from planner.measurability.matrix import measured
 from planner.surface.decimate import decimate
@@ -45,8 +44,7 @@ class _Ours:
         M = measured(poses[:, None], rows, lab.scanner, casters, each=True)
         if not M.any():
             return None
-        few = ahead(csr_array(M), rows.areas, np.ones(len(poses), dtype=np.bool_), 1)
-        best = int(np.argmax(np.where(few, rows.areas @ M, 0.0)))
+        best = int(np.argmax(rows.areas @ M))
         self._expected, self._before = (pick_samples(rows, M[:, best]), float(mesh.areas.sum())), space
         return poses[best]
 

@@ -31,7 +31,7 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
 from cell.scene.scene import Scene
-from planner.explore.gain import Record, ahead, most_per_second
+from planner.explore.gain import Record, most_per_second
 from planner.explore.space import VoxelSpace
 from planner.measurability.candidate_columns import spread_measurability
 from planner.order.tour_search import DEFAULT_BUDGET
@@ -203,8 +203,7 @@ def _connected(run: Run, problem: Problem, surface: PartSurface, asked: Asked) -
     with run.step("select, order and connect") as progress:
         M, reached, plan, rng = problem.M, problem.reached, problem.request.plan, run.rng(steps.SELECTION)
         seconds = seconds_of_views(plan, reached, problem.world.home, problem.limits)
-        usable = ahead(M.matrix(), M.features.areas, problem.usable(()), batch.views)
-        best = most_per_second(M.matrix(), M.features.areas, seconds, usable, batch.views)
+        best = most_per_second(M.matrix(), M.features.areas, seconds, problem.usable(()), batch.views)
         others = tuple(np.setdiff1d(np.arange(len(reached)), best).tolist())
         request = replace(problem.request, plan=plan.model_copy(update={"banned": others}))
         selected = first_choice(replace(problem, request=request), rng)

@@ -32,16 +32,6 @@ _KEPT = 0.7
 """Weight of earlier stages at each new one: what is believed late is more often true than what was believed early."""
 
 
-_AHEAD = 3
-"""Views that are thought of together where one of them is taken, ..."""
-
-_NEARLY = 0.9
-"""... and of the most that one can gain, what one of them must: what is believed early is too uncertain to wait for."""
-
-_SWAP = 1e-6
-"""Share by which another view has to add more, so that swaps come to an end."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Open(Value):
     """Which class open samples of a believed surface are of.
@@ -129,49 +119,4 @@ def most_per_second(
             break
         taken.append(best)
         left[columns[[best]].indices] = 0.0
-    return np.array(taken, dtype=np.int64)
-
-
-def ahead(measured: "csr_array", areas: Floats, usable: Bools, count: int) -> Bools:
-    """(V,) the views among which the next `count` are to be chosen: those of a plan for a few more, where that pays.
-
-    A view that is chosen with those after it in mind leaves less that only views of its own can close: with the true
-    model known, three together reach the greedy choice's coverage one to two views earlier.
-
-    Args:
-        measured: (S, V) what each view measures.
-        areas: (S,) expected of each row [m^2].
-        usable: (V,) those that may be taken.
-        count: how many are to be chosen.
-    """
-    gains = np.where(usable, measured.T @ areas, 0.0)
-    few = most_together(measured, areas, usable, max(count, _AHEAD))
-    if not len(few) or gains[few].max() < _NEARLY * gains.max():
-        return usable
-    return np.isin(np.arange(len(usable)), few)
-
-
-def most_together(measured: "csr_array", areas: Floats, usable: Bools, count: int) -> Ints:
-    """Up to `count` views that together have much open area: greedily chosen, then each swapped while that adds.
-
-    Args:
-        measured: (S, V) what each view measures.
-        areas: (S,) expected of each row [m^2].
-        usable: (V,) those that may be taken.
-        count: how many; fewer are returned where no other adds anything.
-    """
-    taken = most_per_second(measured, areas, np.ones(len(usable)), usable, count).tolist()
-    columns, by_view = measured.T.tocsr(), measured.tocsc()
-    times = np.bincount(by_view[:, taken].indices, minlength=len(areas))
-    swapped = True
-    while swapped:
-        swapped = False
-        for place, view in enumerate(taken):
-            rows = by_view[:, [view]].indices
-            times[rows] -= 1
-            gains = np.where(usable, columns @ (areas * (times == 0)), 0.0)
-            best = int(gains.argmax())
-            if gains[best] > (1 + _SWAP) * gains[view]:
-                taken[place], swapped = best, True
-            times[by_view[:, [taken[place]]].indices] += 1
     return np.array(taken, dtype=np.int64)

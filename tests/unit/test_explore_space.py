@@ -1,18 +1,16 @@
 """Voxels about a part that nobody knows: the walk through the grid, what points and their legs say, what is open."""
 
-from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations, product
 
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
 from planner.errors import PlannerError
-from planner.explore.gain import MOST_TRIES, Open, Record, ahead, came, most_per_second, most_together
+from planner.explore.gain import MOST_TRIES, Open, Record, came, most_per_second
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.explore.traverse import cross
-from planner.values import Bools, Floats, Ints
+from planner.values import Floats, Ints
 
 
 def _crossed(starts: Floats, ends: Floats, low: Floats, edge: float, shape: tuple[int, int, int]) -> Ints:
@@ -168,42 +166,6 @@ def test_the_views_of_most_gain_per_second() -> None:
     assert len(most_per_second(csr_array(measured), np.zeros(200), seconds, usable, 4)) == 0
     last = float((measured[:, chosen[3]] & ~measured[:, chosen[:3]].any(axis=1)) @ areas) / seconds[chosen[3]]
     assert len(most_per_second(csr_array(measured), areas, seconds, usable, 12, last)) == 3
-
-
-def test_views_that_have_the_most_together() -> None:
-    """Never less than greedy, no swap of one adds anything, and near the best of all sets of three."""
-    rng = np.random.default_rng(3)
-    shares = []
-    for _ in range(20):
-        measured, areas = rng.random((60, 14)) < 0.25, rng.random(60)
-        usable = rng.random(14) < 0.9
-
-        def covered(views: Sequence[int], measured: Bools = measured, areas: Floats = areas) -> float:
-            return float(areas @ measured[:, list(views)].any(axis=1))
-
-        chosen = most_together(csr_array(measured), areas, usable, 3).tolist()
-        assert usable[chosen].all()
-        greedy = most_per_second(csr_array(measured), areas, np.ones(14), usable, 3)
-        assert covered(chosen) >= covered(greedy) - 1e-12
-        for place, other in product(range(3), np.flatnonzero(usable)):
-            assert covered([*chosen[:place], other, *chosen[place + 1 :]]) <= covered(chosen) * (1 + 1e-5)
-        shares.append(covered(chosen) / max(map(covered, combinations(np.flatnonzero(usable).tolist(), 3))))
-    assert min(shares) > 0.95
-    assert np.median(shares) == 1
-    assert len(most_together(csr_array(measured), np.zeros(60), usable, 3)) == 0
-
-
-def test_what_views_ahead_are_taken_from() -> None:
-    """The three of a plan together, where one of them gains nearly what the best view does; else all that may be taken.
-
-    The best view covers the halves of two others, which with a third cover all: it is no part of the plan.
-    """
-    rows = np.zeros((40, 4), dtype=bool)
-    rows[:20, 0], rows[20:36, 1], rows[36:, 2], rows[9:31, 3] = True, True, True, True
-    areas, all_of_them = np.ones(40), np.ones(4, dtype=np.bool_)
-    assert ahead(csr_array(rows), areas, all_of_them, 1).tolist() == [True, True, True, False]
-    rows[:3, 0] = False  # 17 of 22 is less than nine tenths
-    assert ahead(csr_array(rows), areas, all_of_them, 1).all()
 
 
 def test_how_much_more_comes_than_was_expected() -> None:
