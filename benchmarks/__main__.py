@@ -61,6 +61,7 @@ REGISTRY = {
     "density": "dense beside visible coverage, the spacing that plans tell beside that of their scans",
     "reconstruction": "cloud to mesh: seconds beside deviation; registration error before and after",
     "setups": "several set-ups of every part: one cover beside one set-up after the other, bounds, ceiling, seconds",
+    "table": "a rotary table beside the fixed plan of every part: views, coverage, ceiling, views for as much",
     "sigma": "the model of a point's standard deviation beside observed scatter; what its layer costs",
     "soak": "2,000 moves over each wire with 1 % of every fault: what the controller's journal says of them",
     "fuzz": "mangled frames and telegrams against the codecs: crashes and false accepts",

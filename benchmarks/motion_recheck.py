@@ -5,8 +5,9 @@ reach, ten reachable ones are drawn, ordered, connected and timed. `benchmarks.t
 millisecond of the motion. Limits are compared with the samples and with their differences.
 
 SCAN_CELL_SCENES (default 8) is the number of scenes; with SCAN_CELL_RECHECK=FILE finished scenes are kept as lines of
-JSON, and a call that was stopped goes on where it ended. The full form has 100 scenes. With SCAN_CELL_TABLE=1 a rotary
-table turns the part of each.
+JSON, and a call that was stopped goes on where it ended. The full form has 100 scenes. SCAN_CELL_TABLE=synchronised
+(or indexed) puts the part of each on a rotary table. An indexed one is looked at for more: whether arm and table ever
+move at once, and for contact at every degree to which it can turn, wherever the arm waits for it.
 """
 
 import json
@@ -22,7 +23,9 @@ from benchmarks.triangle_cell import TriangleCell
 from cell.world.clearance import of_motion
 from planner.order.tour import plan_motion
 from planner.order.visits import Visits
+from planner.ports import ARM_AXES
 from planner.timing.motion import Motion, jerk_free_duration, retime
+from planner.values import Floats
 
 _STEP = 1e-3  # s
 _VIEWS = 10
@@ -37,12 +40,12 @@ def run() -> list[dict[str, Any]]:
     for number in range(count):
         if any(row["scene"] == number for row in done):
             continue
-        done.append(judged(number, table=bool(os.environ.get("SCAN_CELL_TABLE"))))
+        done.append(judged(number, table=os.environ.get("SCAN_CELL_TABLE", "")))
         if kept:
             with kept.open("a") as file:
                 file.write(json.dumps(done[-1]) + "\n")
     rows = [row for row in done if row["scene"] < count]
-    found = [row for row in rows if row["contacts"] or row["over limits"] > 1e-9]
+    found = [row for row in rows if row["contacts"] or row["over limits"] > 1e-9 or row["at once"]]
     planned = [row for row in rows if row["moves"]]
     summary = {
         "scene": f"{len(rows)} scenes, {len(planned)} with a motion",
@@ -55,6 +58,7 @@ def run() -> list[dict[str, Any]]:
         "over jerk-free": float(np.mean([row["over jerk-free"] for row in planned])),
         "checked": sum(row["checked"] for row in rows),
         "contacts": sum(row["contacts"] for row in rows),
+        "at once": sum(row["at once"] for row in rows),
         "nearest mm": min((row["nearest mm"] for row in planned), default=float("nan")),
         "over limits": max(row["over limits"] for row in rows),
         "plan s": float(np.median([row["plan s"] for row in rows])),
@@ -63,8 +67,8 @@ def run() -> list[dict[str, Any]]:
     return [summary, *found]
 
 
-def judged(number: int, *, table: bool = False) -> dict[str, Any]:
-    """One scene planned and judged, with or without a rotary table."""
+def judged(number: int, *, table: str = "") -> dict[str, Any]:
+    """One scene planned and judged, with a rotary table that moves as said, or without one."""
     begin = perf_counter()
     cell = usable(number, least=_VIEWS, table=table)
     rng = np.random.default_rng(number)
@@ -88,7 +92,10 @@ def judged(number: int, *, table: bool = False) -> dict[str, Any]:
 def _judge(cell: SeededCell, motion: Motion) -> dict[str, Any]:
     triangles = TriangleCell(cell.world, cell.part)
     dense = retime(motion.via_q, motion.segment, motion.view, motion.limits, _STEP)
-    contacts = triangles.contacts(dense.q)
+    indexed = motion.limits.turns_at is not None
+    waiting = _while_it_turns(dense) if indexed else dense.q[:0]
+    contacts = triangles.contacts(np.concatenate([dense.q, waiting]))
+    moving = dense.qd != 0
     return {
         "scene": cell.number,
         "part": cell.world.scene.part.name,
@@ -96,12 +103,21 @@ def _judge(cell: SeededCell, motion: Motion) -> dict[str, Any]:
         "moves": len(motion.via_q) - 1,
         "motion s": motion.duration,
         "over jerk-free": motion.duration / jerk_free_duration(motion) if motion.duration else 1.0,
-        "checked": len(dense.q),
+        "checked": len(dense.q) + len(waiting),
+        "at once": int((moving[:, :ARM_AXES].any(axis=1) & moving[:, ARM_AXES:].any(axis=1)).sum()) if indexed else 0,
         "contacts": sum(contacts.values()),
         "between": ", ".join(contacts),
         "nearest mm": 1000 * triangles.nearest(dense.q[:: max(1, len(dense.q) // _DISTANCES)]),
         "over limits": max(excess(motion), excess(dense)),
     }
+
+
+def _while_it_turns(dense: Motion) -> Floats:
+    """(n, 7) every posture at which the table moves, at every degree of the table's range [rad]."""
+    postures = np.unique(dense.q[dense.qd[:, ARM_AXES] != 0][:, :ARM_AXES], axis=0)
+    low, high = dense.limits.lower[ARM_AXES], dense.limits.upper[ARM_AXES]
+    angles = np.linspace(low, high, 1 + int(np.ceil(np.degrees(high - low))))
+    return np.concatenate([np.repeat(postures, len(angles), axis=0), np.tile(angles, len(postures))[:, None]], axis=1)
 
 
 def excess(motion: Motion) -> float:

@@ -59,16 +59,18 @@ class SeededCell:
         return np.flatnonzero(self.reach.reachable)
 
 
-def usable(number: int, least: int = 2, *, table: bool = False) -> SeededCell:
+def usable(number: int, least: int = 2, *, table: str = "") -> SeededCell:
     """The first draw of a scene that can be and of which enough candidates are reachable.
 
     Args:
         number: of the scene.
         least: reachable candidates that are needed.
-        table: whether a rotary table turns the part.
+        table: how a rotary table that turns the part moves; "": there is none.
     """
     for draw in range(_DRAWS):
-        scene = Scene.model_validate(content(number, draw) | ({"table": _table(number, draw)} if table else {}))
+        scene = Scene.model_validate(
+            content(number, draw) | ({"table": {**_table(number, draw), "moves": table}} if table else {})
+        )
         part, planning = _part(scene.part.name)
         try:  # a table may be too low for its part
             world = compile_world(scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=75.0)

@@ -9,7 +9,8 @@ go on from where the arm stands. Afterwards what was commanded is compared with 
 - the arm stood on the commanded path whenever it was stopped;
 - every fault that the controller latched was reported to the client under its own code.
 
-`SOAK_MOVES` and `SOAK_BACKENDS` in the environment change the 2,000 moves and the three back ends.
+`SOAK_MOVES` and `SOAK_BACKENDS` in the environment change the 2,000 moves and the three back ends; `SOAK_RUN` names a
+run folder whose axes are moved, seven where it has a rotary table.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.robot import model as robot
+from cell.run import reader
+from cell.run.record import open_run
 from drivers.contract import Driver, Fault
 from drivers.errors import (
     DriverError,
@@ -265,7 +268,9 @@ def _distance(point: NDArray[Any], path: NDArray[Any]) -> float:
     return float(np.abs(point - (a + s[:, None] * along)).max(axis=1).min())
 
 
-def soak_backend(backend: str, moves: int, faults: str, seed: int) -> tuple[Soak, list[dict[str, Any]]]:
+def soak_backend(
+    backend: str, moves: int, faults: str, seed: int, folder: Path | None = None
+) -> tuple[Soak, list[dict[str, Any]]]:
     """Start the emulator, drive, and end it.
 
     Args:
@@ -273,20 +278,23 @@ def soak_backend(backend: str, moves: int, faults: str, seed: int) -> tuple[Soak
         moves: how many.
         faults: list of faults.
         seed: of faults and moves.
+        folder: a run whose axes are moved; None: the arm's.
 
     Returns:
         What the client knows, and the controller's journal.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder) / "moves.jsonl"
+    limits = KR16 if folder is None else Limits.from_rad(reader.motion(open_run(folder)).limits)
+    with tempfile.TemporaryDirectory() as kept:
+        log = Path(kept) / "moves.jsonl"
         command = [sys.executable, "-m", "cell", "emulate", backend, "--time-scale", str(TIME_SCALE), "--log", str(log)]
-        command += ["--seed", str(seed)] + (["--faults", faults] if faults else [])
+        command += ["--seed", str(seed), *(["--faults", faults] if faults else [])]
+        command += [] if folder is None else ["--run", str(folder)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
             try:
                 assert process.stdout is not None
                 url = process.stdout.readline().strip()
                 url += ("&" if "?" in url else "?") + PATIENCE
-                soak = drive(open_driver(url, Context(KR16)), moves, np.random.default_rng(seed))
+                soak = drive(open_driver(url, Context(limits)), moves, np.random.default_rng(seed))
             finally:
                 process.terminate()
                 process.wait(30)
@@ -298,13 +306,15 @@ def run() -> list[dict[str, Any]]:
     rows = []
     for backend in os.environ.get("SOAK_BACKENDS", " ".join(BACKENDS)).split():
         moves = int(os.environ.get("SOAK_MOVES", "2000"))
-        soak, journal = soak_backend(backend, moves, EVERY_FAULT, seed=1)
+        folder = Path(os.environ["SOAK_RUN"]) if "SOAK_RUN" in os.environ else None
+        soak, journal = soak_backend(backend, moves, EVERY_FAULT, seed=1, folder=folder)
         verdict = judge(soak, journal)
         told = Counter(Fault(code).name.lower() for code in soak.reported)
         rows.append(
             {
                 "back end": backend,
                 "moves": moves,
+                "axes": len(soak.commanded[0][0][0]),
                 "seconds": soak.seconds,
                 **{name: soak.outcomes[name] for name in ("done", "fault", "stopped", "unknown", "refused", "link")},
                 "twice": verdict.twice,

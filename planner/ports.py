@@ -163,6 +163,8 @@ class JointLimits(Value):
         velocity: (axes,) largest joint speeds [rad/s].
         acceleration: (axes,) largest joint accelerations [rad/s^2].
         jerk: (axes,) largest joint jerks [rad/s^3]; inf: no limit.
+        turns_at: (axes,) where the arm stands clear while a table turns that never moves together with it, at any
+            other place that is as clear too [rad]; None: all axes move together.
     """
 
     lower: Annotated[Floats, "axes"]
@@ -170,6 +172,7 @@ class JointLimits(Value):
     velocity: Annotated[Floats, "axes"]
     acceleration: Annotated[Floats, "axes"]
     jerk: Annotated[Floats, "axes"] = field(default_factory=lambda: np.full(ARM_AXES, np.inf))
+    turns_at: Annotated[Floats, "axes"] | None = None
 
 
 def axis_name(axis: int) -> str:

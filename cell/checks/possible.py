@@ -16,7 +16,10 @@ from cell.checks.standing import arm, robot, standing
 from cell.errors import SceneError
 from cell.robot.model import AXES
 from cell.world import shapes as cell_shapes
+from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
+from planner.path import indexed
+from planner.ports import ARM_AXES
 
 if TYPE_CHECKING:
     import mujoco
@@ -46,6 +49,7 @@ def impossible(world: World) -> list[str]:
         *_in_what_stands(world, solids),
         *_in_the_robot(world, solids),
         *_robot_too_near(world),
+        *_home_in_the_swing(world),
     ]
 
 
@@ -153,6 +157,24 @@ def _robot_too_near(world: World) -> list[str]:
                 f"{1000 * world.clearance:g} mm; change robot.home_deg, mount or housing"
             )
     return problems
+
+
+def _home_in_the_swing(world: World) -> list[str]:
+    """The arm at home in the way of what an indexed table turns, which waits for it there."""
+    if world.limits.turns_at is None:
+        return []
+    checker, angles = MujocoCollisionChecker(world), np.repeat(world.home[None], 361, axis=0)
+    angles[:, ARM_AXES] = np.linspace(world.limits.lower[ARM_AXES], world.limits.upper[ARM_AXES], 361)
+    free = checker.free(angles)
+    if not free[np.argmin(np.abs(angles[:, ARM_AXES]))] or indexed.clear(world.home, checker, world.limits)[0]:
+        return []
+    at = angles[int(np.argmin(free))]
+    near = next(iter(checker.contacts(at)), "")
+    return [
+        f"an indexed table turns while the arm is at home, where {near or 'the arm'} comes nearer than the clearance"
+        + ("" if free.all() else f" at {np.degrees(at[ARM_AXES]):.0f} deg")
+        + '; change robot.home_deg, or set table.moves = "synchronised"'
+    ]
 
 
 def _geoms(world: World) -> dict[str, list[int]]:

@@ -1,7 +1,7 @@
 """What selection and motion are asked: the candidates with all that is known of them, in a cell, and what is wished."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,8 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner.measurability.matrix import Measurability
 from planner.ports import JointLimits, Kinematics
-from planner.reach.reach import Reach
+from planner.reach.reach import Reach, with_solutions
+from planner.values import Floats, Ints
 from planner.viewpoints.viewpoints import Viewpoints
 
 
@@ -69,3 +70,10 @@ class Problem:
         usable = np.asarray(self.reached.reachable).copy()
         usable[[*refused, *self.request.plan.banned]] = False
         return usable
+
+    def taking(self, views: Ints, q: Floats) -> "Problem":
+        """With the joint solutions (n, axes) [rad] at which a motion takes (n,) candidates among those of their reach.
+
+        Only angles of a rotary table may lie between those that were looked at.
+        """
+        return self if self.world.table is None else replace(self, reached=with_solutions(self.reached, views, q))

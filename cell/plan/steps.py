@@ -1,7 +1,4 @@
-"""The steps of `cell plan` (docs/internals/architecture.md): each takes values, writes what it made, returns values.
-
-`cell.plan.pipeline` puts them on one screen.
-"""
+"""The steps of `cell plan`, put on one screen by `cell.plan.pipeline`: values in, files written, values out."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -56,8 +53,7 @@ from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
 
 FEATURES, SELECTION, MOTION, ENSEMBLE, EXECUTIONS, CURVE, SCOUTS, _ASKED, FRESH = 0, *range(2, 10)
-"""Streams of randomness (1 is `cell.rays.prediction.HELD_OUT_STREAM`): each step draws from its own, so that one step's
-appetite does not change another's draws."""
+"""Streams of randomness, one a step, so that none changes another's draws (1 is `prediction.HELD_OUT_STREAM`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,6 +266,8 @@ def connect(
             plan_files.write_measurability(run.folder, problem.M)
         if problem.candidates is not before.candidates:
             plan_files.write_viewpoints(run.folder, problem.candidates)
+        problem = problem.taking(chosen.candidate, chosen.tour.q)
+        if problem.reached is not before.reached:
             plan_files.write_reach(run.folder, problem.reached)
         return problem, chosen
 

@@ -6,7 +6,7 @@ plan. Base frame, metres, radians.
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,10 @@ class SweepingViews:
     def judge(self, views: NDArray[np.int64], motion: Tour) -> Next:
         """Nothing more to look at."""
         return Next.DONE
+
+    def finer(self, groups: Groups, motion: Tour, shares: Sequence[float]) -> Groups | None:
+        """None: no table turns a part that is swept."""
+        return None
 
     def refusals(self, views: NDArray[np.int64]) -> Mapping[int, str]:
         """The reason for each of these candidates whose sweep cannot be driven at all: the most frequent one first."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cell.errors import SceneError, UnreachableError
-from cell.plan import view_exchange
+from cell.plan import finer_angles, view_exchange
 from cell.plan.connected_plan import ConnectedPlan, DroppedView
 from cell.plan.problem import PinnedOutError, Problem
 from cell.plan.request import Request, Selected, select
@@ -95,6 +95,7 @@ def choose_and_connect(
         before = found.visited or before
         if found.next is Next.CHOOSE:
             selected = _choose(problem, views, refused, selection_rng)
+    found = _at_finer_angles(problem, views, selected, found, motion_rng)
     return _plan(problem, views, selected, refused, found)
 
 
@@ -171,6 +172,22 @@ def _connect(
         return _Again(Next.CHOOSE, _unconnected(groups, motion), _visited(groups, motion))
     found = views.judge(groups.picked(motion), motion)
     return _Connected(groups, motion) if found is Next.DONE else _Again(found, visited=_visited(groups, motion))
+
+
+def _at_finer_angles(
+    problem: Problem, views: Views, selected: Selected, found: _Connected, rng: np.random.Generator
+) -> _Connected:
+    """The motion, or a shorter one at angles of a rotary table between those of the scene, where no leg is a detour."""
+    brief = replace(problem.request.motion, guesses=problem.request.motion.guesses[:1], polish=0)
+    problem = replace(problem, request=replace(problem.request, motion=brief))
+    for shares in finer_angles.STEPS:
+        groups = None if found.motion.detour.any() else views.finer(found.groups, found.motion, shares)
+        if groups is None:
+            return found
+        motion = _motion(problem, views, selected, groups, _visited(found.groups, found.motion), rng, None)
+        if not motion.dropped and motion.duration < found.motion.duration * (1 - 1e-9):
+            found = _Connected(groups, motion)
+    return found
 
 
 def _visited(groups: Groups, motion: Tour) -> tuple[int, ...]:

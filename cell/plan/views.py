@@ -1,6 +1,6 @@
 """Chosen views on their way to a motion: the same for views at rest and for views that sweep."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -123,6 +123,13 @@ class Views(Protocol):
 
     def judge(self, views: Ints, motion: Tour) -> Next:
         """What a motion through (n,) candidates leads to, all of them connected."""
+        ...
+
+    def finer(self, groups: Groups, motion: Tour, shares: Sequence[float]) -> Groups | None:
+        """The views of a motion, each with solutions beside the one taken: shares of a rotary table's step of angle.
+
+        None where no table turns the part.
+        """
         ...
 
     def driven(self, views: Ints, motion: Tour) -> Driven:

@@ -6,12 +6,12 @@ other joint solutions; where all of them do it, views are chosen again with what
 (`cell.plan.view_exchange`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.plan import view_exchange
+from cell.plan import finer_angles, view_exchange
 from cell.plan.problem import Problem
 from cell.plan.request import Selected
 from cell.plan.views import Driven, Groups, Next
@@ -66,6 +66,10 @@ class ViewsAtRest:
     def judge(self, views: NDArray[np.int64], motion: Tour) -> Next:
         """Look at the arms where the motion stops."""
         return _AFTER[self._arm.look(views[motion.order], motion.q)]
+
+    def finer(self, groups: Groups, motion: Tour, shares: Sequence[float]) -> Groups | None:
+        """The views of the motion with solutions at further angles of a rotary table; None where there is none."""
+        return finer_angles.beside(self._problem, self._arm, groups, motion, shares)
 
     def driven(self, views: NDArray[np.int64], motion: Tour) -> Driven:
         """The stops, and what they measure with the arm in the way."""

@@ -17,7 +17,9 @@ import numpy as np
 
 from cell.errors import FileError
 from cell.plant.tool import Tool
+from cell.plant.turned import Turned
 from cell.robot import model as robot
+from planner.ports import axis_name
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -32,6 +34,7 @@ def arm(
     tool: Tool,
     spec: mujoco.MjSpec | None = None,
     *,
+    turned: Turned | None = None,
     mass_scale: float = 1.0,
     friction_scale: float = 1.0,
     stiffness: Floats | None = None,
@@ -41,16 +44,17 @@ def arm(
 ) -> mujoco.MjModel:
     """Compile the dynamic arm.
 
-    Its six actuators give the torque `ctrl - stiffness q - damping qd`, held within the torque limits; a proportional
-    and derivative servo is then a matter of `ctrl`, and the implicit integrator knows its damping.
+    Its actuators, one an axis, give the torque `ctrl - stiffness q - damping qd`, held within the torque limits; a
+    proportional and derivative servo is then a matter of `ctrl`, and the implicit integrator knows its damping.
 
     Args:
         tool: what the flange carries.
         spec: of the robot alone; None: the built-in one.
-        mass_scale: factor on the masses and inertias of links and tool, not on the rotors'.
+        turned: by a rotary table, its hinge the last axis; None: there is none.
+        mass_scale: factor on the masses and inertias of links, tool and what is turned, not on the rotors'.
         friction_scale: factor on the friction that does not depend on speed.
-        stiffness: (6,) position gain of the actuators [Nm/rad]; None: torque alone.
-        damping: (6,) speed gain of the actuators [Nm s/rad]; None: torque alone.
+        stiffness: (axes,) position gain of the actuators [Nm/rad]; None: torque alone.
+        damping: (axes,) speed gain of the actuators [Nm s/rad]; None: torque alone.
         time_step: of the simulation [s].
         integrator: MuJoCo's name of it.
 
@@ -70,7 +74,13 @@ def arm(
         carried = last.add_body(name=piece.name, pos=flange.pos, quat=flange.quat)
         carried.explicitinertial, carried.mass, carried.inertia = True, piece.mass, piece.inertia
         carried.ipos, carried.iquat = piece.position, piece.quaternion
-    for i, axis in enumerate(robot.AXES):
+    names = list(robot.AXES)
+    if turned is not None:
+        names.append(_add_table(spec, turned))
+        rotor_inertia = np.append(rotor_inertia, turned.rotor_inertia)
+        torque_limit = np.append(torque_limit, turned.torque)
+        coulomb, viscous = np.append(coulomb, turned.coulomb), np.append(viscous, turned.viscous)
+    for i, axis in enumerate(names):
         joint = spec.joint(axis)
         joint.limited = False
         joint.armature, joint.damping[0] = rotor_inertia[i], viscous[i]
@@ -93,20 +103,34 @@ def arm(
     return model
 
 
+def _add_table(spec: mujoco.MjSpec, turned: Turned) -> str:
+    """An upright hinge beside the arm, and its name; home has it at 0."""
+    import mujoco
+
+    name = axis_name(len(robot.AXES))
+    body = spec.worldbody.add_body(name=name)
+    body.explicitinertial, body.mass, body.ipos = True, 1.0, np.zeros(3)
+    body.inertia = np.full(3, turned.inertia)  # it turns about one axis only
+    body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+    home = spec.key("home")
+    home.qpos = np.append(home.qpos, 0.0)
+    return name
+
+
 def mass_matrix(model: mujoco.MjModel, q: Floats) -> Floats:
-    """(6, 6) joint-space inertia [kg m^2] at (6,) joint angles [rad], rotors included."""
+    """(axes, axes) joint-space inertia [kg m^2] at (axes,) joint angles [rad], rotors included."""
     import mujoco
 
     data = mujoco.MjData(model)
     data.qpos[:] = q
     mujoco.mj_forward(model, data)
-    M = np.zeros((6, 6))
+    M = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, M)
     return M
 
 
-def levers(model: mujoco.MjModel, tool: Tool) -> Floats:
-    """(6,) how far any point of the tool moves at most when an axis turns by one radian, in any pose [m/rad].
+def levers(model: mujoco.MjModel, tool: Tool, turned: Turned | None = None) -> Floats:
+    """(axes,) how far any point of tool or part moves at most when an axis turns by one radian, in any pose [m/rad].
 
     The links' lengths from the axis to the tool's farthest point, added up: no pose stretches the arm more than that.
     """
@@ -114,10 +138,10 @@ def levers(model: mujoco.MjModel, tool: Tool) -> Floats:
 
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    anchors = np.vstack([data.xanchor, data.site(robot.FLANGE).xpos])
+    anchors = np.vstack([data.xanchor[: len(robot.AXES)], data.site(robot.FLANGE).xpos])
     lengths = np.linalg.norm(np.diff(anchors, axis=0), axis=1)
     reached: Floats = np.cumsum(lengths[::-1])[::-1] + tool.reach
-    return reached
+    return reached if turned is None else np.append(reached, turned.reach)
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:

@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from cell.run import reader as run_reader
+from cell.run.cell import table_of
 from cell.run.record import RunRecord
 from drivers.errors import DriverError
 from drivers.plant import Plant, PlantFactory
-from planner.ports import ARM_AXES
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -29,18 +29,20 @@ def of_run(run: RunRecord, observer: Observer | None = None) -> Mapping[str, Pla
     """
 
     def mujoco(start: Floats) -> Plant:
-        from cell.plant import tool
+        from cell.plant import tool, turned
         from cell.plant.mujoco_plant import MujocoPlant
         from cell.robot import model as robot
 
-        if len(start) > ARM_AXES:
-            raise DriverError("the plant 'mujoco' moves the arm alone, and this plan turns a table; use plant=ideal")
-        mounted = run_reader.scene(run).robot
+        scene, model = run_reader.scene(run), run_reader.cell_model(run)
+        mounted, table = scene.robot, table_of(scene)
         if mounted is not None and mounted.model != robot.KR16:
             raise DriverError(
                 f"the plant 'mujoco' is the built-in arm's, and this plan is of {mounted.name}; use plant=ideal"
             )
-        return MujocoPlant(start, tool.of_model(run_reader.cell_model(run)), observer=observer, spec=robot.spec())
+        on_table = None
+        if table is not None and scene.table is not None:
+            on_table = turned.of_model(model, table, scene.table.diameter_mm / 1000.0)
+        return MujocoPlant(start, tool.of_model(model), observer=observer, spec=robot.spec(), turned=on_table)
 
     return {"mujoco": mujoco}
 

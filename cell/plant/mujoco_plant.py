@@ -24,9 +24,11 @@ import numpy as np
 from cell.plant import dynamics, servo
 from cell.plant.servo import Settings
 from cell.plant.tool import Tool
+from cell.plant.turned import Turned
 from cell.robot.model import AXES
 from drivers.errors import DriverError
 from drivers.profile import Reference, resting
+from planner.ports import axis_name
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -36,10 +38,10 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 FOLLOWING_ERROR = 0.01
-"""Largest distance of the axes from their reference, length of the vector of six [rad]: 16 mm at 1.6 m."""
+"""Largest distance of the axes from their reference, length of their vector [rad]: 16 mm at 1.6 m."""
 
 OVERSPEED = 20.0
-"""Largest speed of the axes, length of the vector of six [rad/s]: at full speed of all of them it is 14.4."""
+"""Largest speed of the axes, length of their vector [rad/s]: at full speed of all of them it is 14.4."""
 
 AT_REST = 5e-5
 """Largest error [m] of any point of the tool at which the arm counts as settled: the robot's repeatability."""
@@ -48,7 +50,7 @@ BRAKE_DELAY = 2.0
 """Time at rest [s] after which the holding brakes close."""
 
 Observer = Callable[[Reference, Floats, Floats], None]
-"""Takes the reference, its times after some steps (K,) [s], and the axes there (K, 6) [rad]."""
+"""Takes the reference, its times after some steps (K,) [s], and the axes there (K, axes) [rad]."""
 
 _BLOCK = 1000  # steps that are prepared at once
 _ROUNDING = 1e-6  # of a step: sums of times have rounding, and what is a whole step but for that is one
@@ -60,11 +62,12 @@ class MujocoPlant:
     """An arm with masses, motors, friction and a servo; implements `drivers.plant.Plant`.
 
     Args:
-        start: (6,) axes at which the arm stands at rest [rad].
+        start: (axes,) axes at which the arm stands at rest [rad].
         tool: what its flange carries.
         settings: of simulation and servo.
         observer: is told of every step.
         spec: of the robot alone; None: the built-in one.
+        turned: by a rotary table, the last axis; None: there is none.
 
     Attributes:
         model: the arm that is simulated.
@@ -78,22 +81,25 @@ class MujocoPlant:
         settings: Settings | None = None,
         observer: Observer | None = None,
         spec: mujoco.MjSpec | None = None,
+        turned: Turned | None = None,
     ) -> None:
         import mujoco
 
         at = np.array(start, dtype=np.float64)
-        if at.shape != (len(AXES),) or not np.isfinite(at).all():
-            raise DriverError(f"a plant was started at {at}; it must be {len(AXES)} finite joint angles in radians")
+        axes = len(AXES) + (turned is not None)
+        if at.shape != (axes,) or not np.isfinite(at).all():
+            raise DriverError(f"a plant was started at {at}; it must be {axes} finite joint angles in radians")
         tool, settings = tool or Tool(), settings or Settings()
         if settings.doubt:
             log.warning("%s", settings.doubt)
-        self._feed_forward = servo.FeedForward(tool, settings, spec)
+        self._feed_forward = servo.FeedForward(tool, settings, spec, turned)
         home = np.array(self._feed_forward.model.key("home").qpos)
         inertia = np.diag(dynamics.mass_matrix(self._feed_forward.model, home))
         self._gains = gains = servo.gains(inertia, settings.bandwidth)
         self.model = dynamics.arm(
             tool,
             spec,
+            turned=turned,
             stiffness=gains.stiffness,
             damping=gains.damping,
             time_step=settings.time_step,
@@ -104,7 +110,7 @@ class MujocoPlant:
         self._h, self._observer = settings.time_step, observer
         # The implicit integrator damps with the speed at the end of the step; the set-point has to be of that time.
         self._speed_ahead = 0 if settings.integrator == "Euler" else 1
-        self._levers = dynamics.levers(self.model, tool)
+        self._levers = dynamics.levers(self.model, tool, turned)
         self._bandwidth = 2.0 * np.pi * settings.bandwidth
         self._failure = ""
         self._braked = False
@@ -116,7 +122,7 @@ class MujocoPlant:
 
     @property
     def reported_axes(self) -> Floats:
-        """(6,) axes as the encoders see them [rad]."""
+        """(axes,) axes as the encoders see them [rad]."""
         return np.array(self.data.qpos)
 
     @property
@@ -165,7 +171,7 @@ class MujocoPlant:
             torque = self._feed_forward.torque(q[:-1], qd[:-1], qdd[:-1])
         gains, data, model, step, integral = self._gains, self.data, self.model, self._step, self._integral
         steady = gains.stiffness * q[:-1] + gains.damping * qd[ahead : steps + ahead] + torque[:steps]
-        per_step, axes, speeds, path = gains.integral * h, data.qpos, data.qvel, np.empty((steps, len(AXES)))
+        per_step, axes, speeds, path = gains.integral * h, data.qpos, data.qvel, np.empty((steps, q.shape[1]))
         done = steps
         for k in range(steps):
             error = q[k] - axes
@@ -195,7 +201,8 @@ class MujocoPlant:
         self._reference, self._steps = reference, 0
         # Whole nanoseconds, so that the rounding of a sum of times does not reach the trajectory.
         self._offset = round(self._pending / _NANOSECOND) * _NANOSECOND
-        self._holding = self._feed_forward.torque(reference.end[None], np.zeros((1, 6)), np.zeros((1, 6)))[0]
+        still = np.zeros((1, len(reference.end)))
+        self._holding = self._feed_forward.torque(reference.end[None], still, still)[0]
         self._brake_in = math.ceil(reference.duration / self._h) + 1 + self._brake_steps
         self._error = reference.sample(np.zeros(1))[0][0] - self.data.qpos
 
@@ -233,9 +240,9 @@ class MujocoPlant:
             self._failure = "the simulation diverged: its state is no number"
         elif speeds @ speeds > _TOO_FAST:
             speed = np.degrees(abs(speeds[fast]))
-            self._failure = f"{AXES[fast]} turns at {speed:.0f} deg/s, faster than it can; the simulation diverged"
+            self._failure = f"{axis_name(fast)} turns at {speed:.0f} deg/s, faster than it can; the simulation diverged"
         else:
             self._failure = (
-                f"{AXES[far]} is {np.degrees(abs(error[far])):.2f} deg off its reference: its drive cannot follow, or "
-                "the simulation diverges"
+                f"{axis_name(far)} is {np.degrees(abs(error[far])):.2f} deg off its reference: its drive cannot "
+                "follow, or the simulation diverges"
             )

@@ -7,7 +7,7 @@ With the error `e = q_ref - q` an axis gets the torque
 Were the model right and the axis one inertia J without friction, the error would obey `J e''' + kd e'' + kp e' + ki e
 = 0`. `kd = 3 w J`, `kp = 3 w^2 J` and `ki = w^3 J` would put its three roots at one place, -w. The integral is weaker,
 0.3 of that: at the end of a motion it holds the friction that the model lacks, and unwinding that swings the arm past
-its goal, from 0.4 on by more than the robot repeats to. So one number, the bandwidth w / 2 pi, is the gain of all six
+its goal, from 0.4 on by more than the robot repeats to. So one number, the bandwidth w / 2 pi, is the gain of all
 axes. J is the inertia that the axis moves at home.
 
 `tau_model` is the inverse dynamics (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 5, as MuJoCo's
@@ -26,6 +26,7 @@ from cell.errors import UsageError
 from cell.plant import dynamics
 from cell.plant.dynamics import Integrator
 from cell.plant.tool import Tool
+from cell.plant.turned import Turned
 from planner.values import Floats, Value
 
 if TYPE_CHECKING:
@@ -78,24 +79,24 @@ class Settings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gains(Value):
-    """Of the six axes.
+    """Of the axes.
 
     Attributes:
-        stiffness: (6,) kp [Nm/rad].
-        damping: (6,) kd [Nm s/rad].
-        integral: (6,) ki [Nm/(rad s)].
+        stiffness: (axes,) kp [Nm/rad].
+        damping: (axes,) kd [Nm s/rad].
+        integral: (axes,) ki [Nm/(rad s)].
     """
 
-    stiffness: Annotated[Floats, "6"]
-    damping: Annotated[Floats, "6"]
-    integral: Annotated[Floats, "6"]
+    stiffness: Annotated[Floats, "axes"]
+    damping: Annotated[Floats, "axes"]
+    integral: Annotated[Floats, "axes"]
 
 
 def gains(inertia: Floats, bandwidth: float) -> Gains:
     """The same roots, in units of w, for each axis.
 
     Args:
-        inertia: (6,) that each axis moves [kg m^2].
+        inertia: (axes,) that each axis moves [kg m^2].
         bandwidth: [Hz].
     """
     w = 2.0 * np.pi * bandwidth
@@ -109,17 +110,19 @@ class FeedForward:
         tool: what the flange carries.
         settings: errors of its masses and its friction.
         spec: of the robot alone; None: the built-in one.
+        turned: by a rotary table; None: there is none.
 
     Attributes:
         model: the arm that it believes in.
     """
 
-    def __init__(self, tool: Tool, settings: Settings, spec: mujoco.MjSpec | None = None) -> None:
+    def __init__(
+        self, tool: Tool, settings: Settings, spec: mujoco.MjSpec | None = None, turned: Turned | None = None
+    ) -> None:
         import mujoco
 
-        self.model = dynamics.arm(
-            tool, spec, mass_scale=1.0 + settings.mass_error, friction_scale=1.0 + settings.friction_error
-        )
+        mass, friction = 1.0 + settings.mass_error, 1.0 + settings.friction_error
+        self.model = dynamics.arm(tool, spec, turned=turned, mass_scale=mass, friction_scale=friction)
         self._data: mujoco.MjData = mujoco.MjData(self.model)
         self._inverse = mujoco.mj_inverse
 
@@ -127,12 +130,12 @@ class FeedForward:
         """Inverse dynamics of a motion.
 
         Args:
-            q: (N, 6) joint angles [rad].
-            qd: (N, 6) speeds [rad/s].
-            qdd: (N, 6) accelerations [rad/s^2].
+            q: (N, axes) joint angles [rad].
+            qd: (N, axes) speeds [rad/s].
+            qdd: (N, axes) accelerations [rad/s^2].
 
         Returns:
-            (N, 6) torques [Nm].
+            (N, axes) torques [Nm].
         """
         data, torques = self._data, np.empty_like(q)
         for k in range(len(q)):

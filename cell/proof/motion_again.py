@@ -1,6 +1,7 @@
 """The motion of a plan timed again within the limits of the robot model, and its certificate of freedom made again."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -8,6 +9,7 @@ from cell.proof.artefacts import refuse
 from cell.run.record import RunRecord
 from cell.run.scene_json import ResolvedScene
 from cell.world.model import World
+from planner.path import indexed
 from planner.path.certified_edge import certify_many
 from planner.path.sweeps.path import SweepPath
 from planner.path.sweeps.timing import DrivenSweep
@@ -37,7 +39,7 @@ def limits_of(resolved: ResolvedScene, world: World) -> JointLimits:
         np.radians(resolved.joint_acceleration_limits_deg_s2),
         np.radians([np.inf if jerk is None else jerk for jerk in jerks]),
     )
-    return arm if world.table is None else world.table.limits(arm)
+    return arm if world.table is None else replace(world.table.limits(arm), turns_at=world.limits.turns_at)
 
 
 def require_timed(
@@ -80,7 +82,7 @@ def require_timed(
 
 
 def require_free(via: Floats, checker: CollisionChecker, limits: JointLimits) -> str:
-    """Whether a way keeps inside the joint range and is certified free of collision, every segment of it.
+    """Whether a way keeps inside the joint range and is certified free, and turns an indexed table as it may be.
 
     Args:
         via: (N, axes) via points [rad], joined by straight joint moves.
@@ -102,4 +104,4 @@ def require_free(via: Floats, checker: CollisionChecker, limits: JointLimits) ->
     certified, _ = certify_many(via[:-1], via[1:], checker)
     if not certified.all():
         return f"is not free of collision on the way to via point {int(np.argmin(certified)) + 1}"
-    return ""
+    return indexed.broken(via, checker, limits)

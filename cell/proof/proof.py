@@ -13,7 +13,7 @@ that does not hold being told in one sentence:
 A way that is planned on the spot passes 5, and the limits, before its first move: `Proven.require_way`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cell.errors import FileError
@@ -102,6 +102,7 @@ def prove(folder: Path) -> Proven:
             refuse(run.folder / "motion.npz", "does not begin and end at home_deg of scene.resolved.json")
         if wrong := motion_again.require_free(motion.via_q, checker, limits):
             refuse(run.folder / "motion.npz", wrong)
+    motion = replace(motion, limits=replace(motion.limits, turns_at=limits.turns_at))  # which the file does not say
     return Proven(run, digest, resolved, plan, motion, world, checker)
 
 

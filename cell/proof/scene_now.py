@@ -197,7 +197,7 @@ def _pedestal(scene: Scene) -> list[float]:
 
 
 def _table(proven: Proven, scene: Scene) -> list[object]:
-    """Where a scene's rotary table stands, its size, range and rates; empty where it has none."""
+    """Where a scene's rotary table stands, its size, range, rates and manner; empty where it has none."""
     placement = scene.placement.by_centre(proven.scene.T_object_centre)
     placed = scene.model_copy(update={"placement": placement})
     try:
@@ -207,7 +207,8 @@ def _table(proven: Proven, scene: Scene) -> list[object]:
     if table is None:
         return []
     rates = table.velocity, table.acceleration, table.jerk
-    return [table.T_base_table, [scene.table.diameter_mm, scene.table.height_mm], [table.lower, table.upper, *rates]]
+    size, indexed = (scene.table.diameter_mm, scene.table.height_mm), scene.table.moves == "indexed"
+    return [table.T_base_table, [*size, indexed], [table.lower, table.upper, *rates]]
 
 
 def _named(proven: Proven, scene: Scene) -> bool:

@@ -57,6 +57,9 @@ class ResolvedTable(JsonTable):
     velocity_deg_s: float = Field(description="at full speed")
     acceleration_deg_s2: float = Field(description="at full acceleration")
     jerk_deg_s3: float = Field(description="at full acceleration")
+    moves: Literal["synchronised", "indexed"] = Field(
+        default="synchronised", description="together with the arm, or while the arm stands clear of all that is turned"
+    )
     angles: int = Field(description="over a turn, at which views were looked for")
     post_mm: float | None = optional("of a table under the part: how far its face is below the part's lowest point")
 

@@ -1,6 +1,6 @@
 """The `[table]` of a scene: a rotary table that turns the part (docs/table.md)."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -15,7 +15,8 @@ class Turntable(Table):
     Its axis is upright. `position_mm` is the middle of its face; None stands it under the part's centre, its face
     `post_mm` below the part's lowest point; else the post is as long as the part stands above the face. A table of the
     scene file is there unless it says `enabled = false`. Without limits it is endless, and used half a turn to either
-    side of 0, where motions begin and end.
+    side of 0, where motions begin and end. It moves together with the arm, or is indexed: it turns only while the arm
+    stands still, clear of all that it turns at any angle.
     """
 
     enabled: Annotated[
@@ -30,6 +31,7 @@ class Turntable(Table):
     velocity_deg_s: Positive = 120.0
     acceleration_deg_s2: Positive = 240.0
     jerk_deg_s3: Positive = 2400.0
+    moves: Literal["synchronised", "indexed"] = "synchronised"
     angles: Annotated[int, Field(ge=1, le=360)] = 36
 
     @model_validator(mode="before")

@@ -240,6 +240,7 @@ class Search:
             self._usable[row][error.candidate] = False
             raise
         cover = replace(chosen.cover, lower_bound=1, status=CoverStatus.BOUNDED, solver="joint")
+        problem = problem.taking(chosen.candidate, chosen.tour.q)
         return problem, replace(chosen, cover=cover, selected=replace(chosen.selected, targets=self._targets))
 
 

@@ -227,6 +227,9 @@ def compile_world(
     limits = joint_limits.given(
         robot.limits(model), scene.robot.velocity_deg_s, scene.robot.acceleration_deg_s2, scene.robot.jerk_deg_s3
     )
+    home = np.append(np.deg2rad(scene.robot.settled_home_deg), [] if table is None else [0.0])
+    if table is not None:
+        limits = replace(table.limits(limits), turns_at=home if scene.table.moves == "indexed" else None)
     exact = {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}
     near = {pair: keep for pair, keep in told.kept_near(model).items() if keep < clearance}
     return _stopped_by_what_stands(
@@ -240,8 +243,8 @@ def compile_world(
             T_flange_scanner=T_flange_scanner,
             T_flange_housing=T_flange_housing,
             baseline=baseline_mm / 1000.0,
-            home=np.append(np.deg2rad(scene.robot.settled_home_deg), [] if table is None else [0.0]),
-            limits=limits if table is None else table.limits(limits),
+            home=home,
+            limits=limits,
             table=table,
             clearance=clearance,
             part_hull=hull,

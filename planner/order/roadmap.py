@@ -19,6 +19,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from planner.order.visits import Visits
+from planner.path import indexed
 from planner.path.certified_edge import certify_many, quantise_inside
 from planner.path.path import connect, path_time, shorten
 from planner.ports import CollisionChecker, JointLimits
@@ -68,6 +69,7 @@ class Roadmap:
         self._seed, self._path_checks, self._total_checks = seed, path_checks, total_checks
         self._paths: dict[Edge, Floats] = {}
         self._failed: set[Edge] = set()
+        self._clear: dict[int, bool] = {}  # nodes at which an indexed table may turn
         self._straight = move_time(self.q[:, None], self.q, limits)
         self.times = self._straight.copy()
         self.blocked = np.zeros(self.times.shape, dtype=bool)
@@ -103,15 +105,34 @@ class Roadmap:
         new = sorted(e for e in {(min(e), max(e)) for e in edges} if self.unseen[e])
         if not new:
             return True
-        ends = np.array(new)
-        free, used = certify_many(self.q[ends[:, 0]], self.q[ends[:, 1]], self.checker)
+        ways = [self._way(a, b) for a, b in new]
+        moves = [way for way in ways if way is not None]
+        starts, stops = (np.concatenate([way[part] for way in moves]) if moves else self.q[:0]
+                         for part in (slice(None, -1), slice(1, None)))  # fmt: skip
+        certified, used = certify_many(starts, stops, self.checker)
         self.checks += used
-        for (a, b), ok in zip(new, free, strict=True):
-            if ok:
-                self._know(a, b, self.q[[a, b]])
+        whole, at = True, 0
+        for (a, b), way in zip(new, ways, strict=True):
+            count = 0 if way is None else len(way) - 1
+            if way is not None and certified[at : at + count].all():
+                self._know(a, b, way)
             else:
                 self._guess(a, b)
-        return bool(free.all())
+                whole = False
+            at += count
+        return whole
+
+    def _way(self, a: int, b: int) -> Floats | None:
+        """Via points (m, axes) of straight moves between two nodes [rad]; None where a table cannot turn at either."""
+        if self.limits.turns_at is None:
+            return self.q[[a, b]]
+        ends = []
+        for node in (a, b):
+            if node not in self._clear:
+                self._clear[node], used = indexed.clear(self.q[node], self.checker, self.limits)
+                self.checks += used
+            ends.append(self._clear[node])
+        return indexed.straight(self.q[a], self.q[b], *ends)
 
     def search(self, a: int, b: int) -> bool:
         """Find a real path for an edge, through home if need be, and isolate a node that has none.

@@ -16,7 +16,7 @@ from planner.order.orderings import Ordering, sequence
 from planner.order.roadmap import Roadmap
 from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget, TourSearch
 from planner.order.visits import Visits
-from planner.path.path import path_time
+from planner.path.path import is_detour, path_time
 from planner.path.sweeps.passage import Passage
 from planner.ports import CollisionChecker, JointLimits, Progress
 from planner.timing.limits import check_inside, check_limits
@@ -71,7 +71,7 @@ class Tour(Value):
         view: (N,) view taken at the via point, -1 at home, on detours and between the poses of a sweep.
         pose: (N,) pose of the view taken at the via point, 0 of a view at rest, -1 where none is.
         entered: (n,) via point at which each visited view is entered: where its passage begins.
-        detour: (n + 1,) True where the leg is no straight move.
+        detour: (n + 1,) True where the leg takes the arm more than one straight move.
         duration: time of all moves, stopping at each via point, and of the passages [s].
         baseline_duration: time of the Christofides tour with straight moves [s], collisions not looked at.
         lower_bound: no motion over the visited views and more, through these joint solutions, is faster [s].
@@ -188,7 +188,7 @@ def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple
             pose[-1:] = here.pose.tolist()
             duration += here.duration
         segment += [leg] * (len(view) - len(segment))
-        detour.append(len(path) > 2)
+        detour.append(is_detour(path))
     visited = np.array(nodes[1:-1], dtype=np.int64)
     return Tour(
         order=np.array(views, dtype=np.int64),

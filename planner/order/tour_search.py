@@ -17,7 +17,7 @@ from planner.order.moves import Moves, best_on_tour, node_offsets, too_many
 from planner.order.orderings import Ordering
 from planner.order.roadmap import Edge, Roadmap
 from planner.order.visits import Visits
-from planner.path.path import CHECKS, path_time
+from planner.path.path import CHECKS, is_detour, path_time
 from planner.ports import JointLimits, Progress
 from planner.values import Floats, Ints
 
@@ -184,7 +184,7 @@ class TourSearch:
     def polish(self) -> None:
         """Search the detours of the best tour again with more work."""
         for a, b in self.edges(self.best):
-            if self.budget.polish and len(self.path(a, b)) > 2:
+            if self.budget.polish and is_detour(self.path(a, b)):
                 self.roadmap.improve(a, b, self.budget.polish)
 
     def keep(self, nodes: list[int]) -> bool:

@@ -1,18 +1,21 @@
 """A certified path between two configurations: the straight joint segment, else a detour made short.
 
+Where a table is indexed (`planner.path.indexed`), arm and table move one after the other, each by such a path.
+
 A detour is found by RRT-Connect and then shortened in time. Each via point is an exact stop, so what counts is few via
 points first and short moves second: stretches of the path are replaced by a straight segment, or by a single via
 point near them, wherever that is certified and faster.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 
+from planner.path import indexed
 from planner.path.certified_edge import certify, quantise_inside
 from planner.path.rrt_connect import rrt_connect
-from planner.ports import CollisionChecker, JointLimits
+from planner.ports import ARM_AXES, CollisionChecker, JointLimits
 from planner.timing.limits import check_inside, check_limits
 from planner.timing.move_time import move_time
 from planner.values import Floats, Value, readonly
@@ -80,6 +83,15 @@ def connect(
     if not free.all():
         status = PathStatus.GOAL_IN_COLLISION if free[0] else PathStatus.START_IN_COLLISION
         return PathResult(None, status, 2, float("inf"))
+    if limits.turns_at is not None:
+        return _indexed(ends, checker, limits, rng, budget)
+    return _searched(ends, checker, limits, rng, budget)
+
+
+def _searched(
+    ends: Floats, checker: CollisionChecker, limits: JointLimits, rng: np.random.Generator, budget: int
+) -> PathResult:
+    """All axes together between free ends (2, axes) [rad]."""
     straight, checks = certify(ends[0], ends[1], checker)
     checks += 2
     via, status = ends, PathStatus.STRAIGHT
@@ -94,6 +106,41 @@ def connect(
     return PathResult(via, status, checks, path_time(via, limits))
 
 
+def _indexed(
+    ends: Floats, checker: CollisionChecker, limits: JointLimits, rng: np.random.Generator, budget: int
+) -> PathResult:
+    """Arm, table and arm between free ends (2, axes) [rad]: the table turns at a clear end, or at `turns_at`."""
+    if np.array_equal(ends[0, ARM_AXES:], ends[1, ARM_AXES:]):
+        return _searched(ends, checker, indexed.at_angle(limits, ends[0]), rng, budget)
+    assert limits.turns_at is not None, "asked for"
+    checks, found = 0, PathResult(None, PathStatus.NO_PATH_FOUND, 0, float("inf"))
+    for place, posture in enumerate((*ends, quantise_inside(limits.turns_at, limits))):
+        if place == len(ends) and found.via is not None:
+            break
+        turns, used = indexed.clear(posture, checker, limits)
+        checks += used
+        if not turns:
+            continue
+        stops = indexed.turn_at(posture, *ends)
+        pieces = [
+            PathResult(each[:1], PathStatus.STRAIGHT, 0, 0.0)
+            if np.array_equal(*each)
+            else _searched(each, checker, indexed.at_angle(limits, each[0]), rng, budget // 2)
+            for each in (np.stack([ends[0], stops[0]]), np.stack([stops[1], ends[1]]))
+        ]
+        checks += sum(piece.checks for piece in pieces)
+        if all(piece.via is not None for piece in pieces):
+            via = np.concatenate([piece.via for piece in pieces if piece.via is not None])
+            status = PathStatus.STRAIGHT if len(via) <= 3 else PathStatus.DETOUR
+            found = min(found, PathResult(via, status, 0, path_time(via, limits)), key=lambda each: each.duration)
+    return replace(found, checks=checks)
+
+
+def is_detour(via: Floats) -> bool:
+    """Whether via points (m, axes) [rad] take more than one move of the arm; turns of an indexed table do not count."""
+    return bool((np.diff(via[:, :ARM_AXES], axis=0) != 0).any(axis=1).sum() > 1)
+
+
 def path_time(via: Floats, limits: JointLimits) -> float:
     """Time [s] through the via points (m, axes) [rad], stopping at each."""
     return float(move_time(via[:-1], via[1:], limits).sum())
@@ -106,7 +153,7 @@ _CANDIDATES, _TRIED = 96, 3  # single via points drawn per replacement, and cert
 def shorten(
     via: Floats, checker: CollisionChecker, limits: JointLimits, rng: np.random.Generator, budget: int
 ) -> tuple[Floats, int]:
-    """Make a certified path faster without leaving certified segments.
+    """Make a certified path faster without leaving certified segments; one on which an indexed table turns stays.
 
     Args:
         via: (m, axes) via points of certified segments [rad].
@@ -118,6 +165,10 @@ def shorten(
     Returns:
         (k, axes) via points with the same ends, never slower, and the configurations checked.
     """
+    if limits.turns_at is not None:
+        if (via[:, ARM_AXES:] != via[0, ARM_AXES:]).any():
+            return via, 0
+        limits = indexed.at_angle(limits, via[0])
     via, checks = _skip(via, checker, budget)
     failures = 0
     while len(via) > 2 and checks < budget and failures < _PATIENCE:

@@ -10,7 +10,7 @@ Rounding moves the scanner by at most 6 axes x 5e-5 deg x reach, about 8 microme
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -249,6 +249,16 @@ def _rigid(name: str, T: ArrayLike) -> Floats:
             f"{name} is not a rigid transform; its rotation must be right-handed and orthonormal to {_RIGID:g}"
         )
     return pose
+
+
+def with_solutions(reached: Reach, views: Ints, q: Floats) -> Reach:
+    """The same with a joint solution (n, axes) [rad] of each of (n,) reachable viewpoints, where it is not there."""
+    more = [k for k, view in enumerate(views) if not (reached.q_of(int(view)) == q[k]).all(axis=1).any()]
+    ends = reached.offsets[1:].copy()
+    for view in views[more]:
+        ends[view:] += 1
+    solutions = np.insert(reached.q, reached.offsets[views[more] + 1], q[more], axis=0)
+    return replace(reached, q=solutions, offsets=np.concatenate([[0], ends]))
 
 
 def join_reach(parts: Sequence[Reach]) -> Reach:

@@ -93,6 +93,11 @@ class ArmOnTable:
         seen: Floats = self._table.turn(-q[:, ARM_AXES]) @ self._arm.forward(q[:, :ARM_AXES])
         return seen
 
+    def inverse_at(self, T_base_flange: Floats, angles: Floats) -> Floats:
+        """(n, branches, 7) branches of one pose (4, 4) [m], as the part sees it, at (n,) angles of the table [rad]."""
+        arm = self._arm.inverse(self._table.turn(angles) @ T_base_flange)
+        return np.concatenate([arm, np.where(np.isnan(arm[..., :1]), np.nan, angles[:, None, None])], axis=-1)
+
     def inverse(self, T_base_flange: Floats) -> Floats:
         """Every branch of the arm at every angle of the table, those first that are reached from home in least time.
 

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.ports import JointLimits
+from planner.ports import ARM_AXES, JointLimits
 from planner.timing.limits import check_limits
 from planner.timing.s_curve import Profile, fastest
 from planner.values import Floats
@@ -41,13 +41,30 @@ def move_time(q_from: ArrayLike, q_to: ArrayLike, limits: JointLimits) -> Floats
         limits: limits of velocity, acceleration and jerk.
 
     Returns:
-        (...) time [s]; 0 where both ends are equal.
+        (...) time [s]; 0 where both ends are equal. Of arm and table one after the other where `limits.turns_at` says
+        so: no way that keeps to it is faster.
     """
     a, b = np.asarray(q_from, dtype=float), np.asarray(q_to, dtype=float)
+    if limits.turns_at is not None:
+        arm, table = _apart(limits)
+        return move_time(a[..., :ARM_AXES], b[..., :ARM_AXES], arm) + move_time(
+            a[..., ARM_AXES:], b[..., ARM_AXES:], table
+        )
     times = np.empty(np.broadcast_shapes(a.shape, b.shape)[:-1])
     for rows, profile in profiles(a, b, limits):
         times[rows] = profile.duration
     return np.asarray(times[()])
+
+
+@lru_cache(maxsize=64)
+def _apart(limits: JointLimits) -> tuple[JointLimits, JointLimits]:
+    """Limits of the arm's axes, and of those behind them."""
+    arm, behind = (
+        JointLimits(limits.lower[axes], limits.upper[axes], limits.velocity[axes], limits.acceleration[axes],
+                    limits.jerk[axes])
+        for axes in (slice(ARM_AXES), slice(ARM_AXES, None))
+    )  # fmt: skip
+    return arm, behind
 
 
 @lru_cache(maxsize=64)

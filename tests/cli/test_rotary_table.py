@@ -15,14 +15,14 @@ import pytest
 from cell.api import locate
 from cell.edit.editable import EditableRun
 from cell.emulate.memory import SCHEMA
-from cell.errors import SceneError
+from cell.errors import FileError, SceneError
 from cell.narrator import Quiet
 from cell.proof.files_now import FilesNow
 from cell.proof.proof import prove
 from cell.proof.scene_now import require_same
 from cell.replay.replay import load_show
 from cell.robot.frames import kuka_abc_from_pose
-from cell.run.cell import world_of
+from cell.run.cell import read_cell, world_of
 from cell.run.executions import read_execution
 from cell.run.reader import mesh, motion, reached, scene
 from cell.run.record import open_run
@@ -31,6 +31,7 @@ from cell.study.placement_trial import placement
 from cell.study.scenes import scene_settings
 from cell.world.model import World
 from drivers.setpoints import from_rad
+from planner.path.certified_edge import quantise
 from planner.timing.move_time import move_time
 
 RunCell = Callable[..., subprocess.CompletedProcess[str]]
@@ -60,6 +61,17 @@ def test_files_hold_the_angle_beside_the_arm(turned: Path) -> None:
         np.testing.assert_allclose(view["T_base_scanner"], seen, atol=1e-12)
     assert len({tuple(view["e_deg"]) for view in plan["views"]}) > 1
     assert reached(open_run(turned)).q.shape[1] == 7
+
+
+def test_views_are_taken_between_the_angles_that_were_looked_at(turned: Path) -> None:
+    """Some at no multiple of 10 deg, each at its candidate's pose in the part's frame, and a solution of its reach."""
+    plan, found = _json(turned / "plan.json"), reached(open_run(turned))
+    candidates = np.load(turned / "viewpoints.npz")["T_object_scanner"].reshape(-1, 4, 4)
+    for view in plan["views"]:
+        np.testing.assert_allclose(view["T_object_scanner"], candidates[view["id"]], atol=2e-5)
+        taken = np.radians([*view["q_deg"], *view["e_deg"]])
+        assert (np.abs(found.q_of(view["id"]) - taken).max(axis=1) < 1e-9).sum() == 1
+    assert any(view["e_deg"][0] % 10 for view in plan["views"])
 
 
 def test_a_plan_without_a_table_has_nothing_of_it(planned: Path) -> None:
@@ -102,6 +114,26 @@ def test_an_execution_measures_what_was_predicted(turned: Path) -> None:
     scan = np.load(turned / "executions" / "0001" / "scans" / "0001.npz")
     assert scan["q_reported"].shape == (6,)
     assert scan["e_reported"].shape == (1,)
+
+
+def test_a_dynamic_arm_and_table_measure_from_where_they_stand(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
+    """All seven reported axes are near the commanded ones and not they; poses in the part's frame are theirs."""
+    copy = tmp_path / "run"
+    shutil.copytree(turned, copy)
+    done = run_cell("scan", copy, "--resolution", "1", "--driver", "sim://?plant=mujoco", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    cell = read_cell(open_run(copy))
+    scans = [np.load(path) for path in sorted((copy / "executions" / "0002" / "scans").iterdir())]
+    for scan in scans:
+        commanded, told = (np.concatenate([scan[f"q_{each}"], scan[f"e_{each}"]]) for each in ("commanded", "reported"))
+        assert 0 < np.degrees(np.abs(told - commanded)).max() < 0.01
+        T = (
+            np.linalg.inv(cell.scene.T_base_object)
+            @ cell.kinematics.forward(told[None])[0]
+            @ cell.scene.T_flange_scanner
+        )
+        np.testing.assert_allclose(scan["T_object_scanner"], T, atol=1e-9)
+    assert any((scan["e_reported"] != scan["e_commanded"]).any() for scan in scans)
 
 
 def test_what_is_driven_of_one_view_is_kept_as_a_plan_is(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
@@ -157,9 +189,14 @@ def test_an_endless_table_is_driven_from_the_turn_on_which_it_stands(
 
 
 def test_a_table_that_is_another_now_is_told(turned: Path, tmp_path: Path) -> None:
-    """Faster, elsewhere, none at all: a difference that has a name, as every other of the cell has."""
+    """Faster, elsewhere, indexed, none at all: a difference that has a name, as every other of the cell has."""
     proven = prove(turned)
-    for text in ("[table]\nvelocity_deg_s = 77", "[table]\nposition_mm = [1200, 500, -900]", ""):
+    for text in (
+        "[table]\nvelocity_deg_s = 77",
+        "[table]\nposition_mm = [1200, 500, -900]",
+        '[table]\nmoves = "indexed"',
+        "",
+    ):
         (tmp_path / "now.toml").write_text(text)
         with pytest.raises(SceneError, match="the table is another than the plan's"):
             require_same(proven, FilesNow(scene=tmp_path / "now.toml"), None, wire=False)
@@ -332,10 +369,37 @@ def test_seven_axes_travel_on_a_wire(
 
 
 def test_plans_that_cannot_have_a_table_refuse_it(run_cell: RunCell, part_file: Path, tmp_path: Path) -> None:
-    """Several set-ups, an exploration, and a scanner that sweeps."""
+    """An exploration, and a scanner that sweeps."""
     (tmp_path / "line.toml").write_text('[scanner]\ntype = "laser-line"\n')
     part = (part_file, "--units", "mm", "--table")
-    for command in (("setups", *part), ("explore", *part), ("plan", *part, "--scene", "line.toml")):
+    for command in (("explore", *part), ("plan", *part, "--scene", "line.toml")):
         done = run_cell(*command, cwd=tmp_path)
         assert done.returncode == 2, (command, done.stderr)
         assert "cannot have a rotary table yet" in done.stderr
+
+
+def test_an_indexed_table_is_planned_proven_and_gone_on_with(
+    small_plan: tuple[str, ...], part_file: Path, run_cell: RunCell, tmp_path: Path
+) -> None:
+    """Arm and table never move at once, in the plan and on the way back into it; a motion that does is not driven."""
+    (tmp_path / "indexed.toml").write_text('[table]\nmoves = "indexed"\n')
+    scene = ("--scene", "indexed.toml")
+    done = run_cell("plan", part_file, "--units", "mm", *small_plan, *scene, "--out", "run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    run = tmp_path / "run"
+    via = motion(open_run(run)).via_q
+    moved = np.diff(via, axis=0) != 0
+    assert not (moved[:, :6].any(axis=1) & moved[:, 6]).any()
+    assert moved[:, 6].any()
+    assert prove(run).motion.limits.turns_at is not None
+    start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(via[0, :6]), 60.0])
+    done = run_cell("scan", run, "--resolution", "1", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (run / "executions" / "0001" / "scans" / "0001.npz").unlink()
+    done = run_cell("scan", run, "--resume", "0001", "--driver", f"sim://?start={start}", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (resumed,) = _json(run / "executions" / "0001" / "manifest.json")["resumed"]
+    moved = np.abs(np.diff(np.array(resumed["way_deg"]), axis=0)) > 1e-3
+    assert not (moved[:, :6].any(axis=1) & moved[:, 6]).any()
+    with pytest.raises(FileError, match="the way moves arm and table at once"):
+        prove(run).require_way(np.stack([via[0], quantise(via[0] + np.radians([1, 0, 0, 0, 0, 0, 1]))]))

@@ -12,6 +12,7 @@ from cell.plant import dynamics, factory, tool
 from cell.plant.mujoco_plant import AT_REST, MujocoPlant
 from cell.plant.servo import Settings, gains
 from cell.plant.tool import Piece, Tool
+from cell.plant.turned import DENSITY, PLATE, of_model
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
 from drivers.clock import SimulatedClock
@@ -22,12 +23,14 @@ from drivers.profile import Reference, interpolate, resting
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad
 from drivers.sim import SimDriver
+from planner.reach.rotary_table import RotaryTable
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 HOME = np.radians([0.0, -90, 90, 0, 90, 0])
 CONTEXT = Context(KR16, plants=factory.built_in())
 URL = "sim://?plant=mujoco"
+_RATES = KR16.velocity, KR16.acceleration
 
 
 def test_a_move_ends_in_position_within_the_repeatability() -> None:
@@ -195,6 +198,40 @@ def test_levers_bound_what_an_axis_moves() -> None:
         ends = [kinematics.forward(q + s * np.eye(6)[axis])[:, :3] @ np.array([0, 0, 0.2, 1]) for s in (-1e-4, 1e-4)]
         moved = np.linalg.norm(ends[1] - ends[0], axis=1) / 2e-4
         assert moved.max() <= levers[axis] * (1 + 1e-6)
+
+
+def test_a_table_is_a_hinge_of_its_own_with_what_it_turns() -> None:
+    """Inertia of a box beside the axis, a post and the faceplate by hand; the arm's part of the mass matrix stays."""
+    spec = mujoco.MjSpec()
+    part = spec.worldbody.add_body(
+        name="object", mocap=True, pos=[1.5, 0.5, 0.4], quat=[np.cos(0.2), 0, 0, np.sin(0.2)]
+    )
+    part.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.05, 0.2], pos=[0.1, 0, 0])
+    post = spec.worldbody.add_body(name="post", mocap=True, pos=[1.2, 0.5, 0.0])
+    post.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.02, 0.15, 0])
+    T = np.eye(4)
+    T[:3, 3] = 1.2, 0.5, -0.3
+    load = of_model(spec.compile(), RotaryTable(T, -3.0, 3.0, 2.0, 4.0, 40.0), 0.4)
+    off = np.array([0.3 + 0.1 * np.cos(0.4), 0.1 * np.sin(0.4)])
+    box = DENSITY * 0.2 * 0.1 * 0.4 * ((0.2**2 + 0.1**2) / 12 + off @ off)
+    rods = DENSITY * np.pi / 2 * (0.3 * 0.02**4 + PLATE * 0.2**4)
+    assert load.inertia == pytest.approx(box + rods, rel=1e-3)  # the post has 64 sides
+    turned, alone = (dynamics.arm(Tool(), turned=each) for each in (load, None))
+    M, q = dynamics.mass_matrix(turned, np.append(HOME, 0.7)), np.append(HOME, 0.7)
+    np.testing.assert_allclose(M[:6, :6], dynamics.mass_matrix(alone, HOME), atol=1e-9)
+    np.testing.assert_allclose(M[6], [0, 0, 0, 0, 0, 0, load.inertia + load.rotor_inertia], atol=1e-9)
+    data = mujoco.MjData(turned)
+    data.qpos[:] = q
+    mujoco.mj_forward(turned, data)
+    assert data.qfrc_bias[6] == pytest.approx(0.0, abs=1e-9)
+    assert dynamics.levers(turned, Tool(), load)[6] == load.reach >= np.linalg.norm(off)
+    plant = MujocoPlant(q, turned=load)
+    plant.follow(move := interpolate(q, q[None] + 0.5, *(np.append(each, 2.0) for each in _RATES)))
+    plant.advance(move.duration + 0.5)
+    assert plant.settled
+    assert plant.failure == ""
+    with pytest.raises(DriverError, match="it must be 7 finite joint angles"):
+        MujocoPlant(HOME, turned=load)
 
 
 def test_gains_are_one_bandwidth() -> None:

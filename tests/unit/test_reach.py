@@ -6,7 +6,7 @@ import pytest
 from cell.robot.frames import pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
-from planner.reach.reach import Reach, Verdict, join_reach, pick_reach, solve, takes_up
+from planner.reach.reach import Reach, Verdict, join_reach, pick_reach, solve, takes_up, with_solutions
 from planner.viewpoints.viewpoints import Viewpoints
 
 KINEMATICS = Kr16Kinematics.load()
@@ -207,3 +207,14 @@ def test_picked_and_joined_solutions_are_their_viewpoints_own():
     parts = [pick_reach(reach, np.arange(25)), pick_reach(reach, np.arange(25, 60))]
     np.testing.assert_array_equal(join_reach(parts).q, reach.q)
     assert len(pick_reach(reach, np.arange(0))) == 0
+
+
+def test_one_more_solution_goes_behind_those_of_its_viewpoint():
+    """Beside a list of lists; one that is there already is not added again, and other viewpoints stay as they are."""
+    q = np.arange(30.0).reshape(5, 6)
+    reach = Reach(np.array([0, 1, 0, 0], dtype=np.uint8), q, [0, 2, 2, 4, 5], ("", "", "", ""))
+    more = np.array([q[3], np.full(6, 7.0), np.full(6, 9.0)])
+    found = with_solutions(reach, np.array([2, 3, 0]), more)
+    due = [[*q[:2], more[2]], [], [*q[2:4]], [q[4], more[1]]]
+    for view, solutions in enumerate(due):
+        np.testing.assert_array_equal(found.q_of(view), np.array(solutions).reshape(-1, 6))

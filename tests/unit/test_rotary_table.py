@@ -87,6 +87,18 @@ def test_every_solution_takes_the_pose_and_the_first_is_nearest_home() -> None:
     assert len(chain.limits.lower) == 7
 
 
+def test_one_pose_at_angles_of_its_own() -> None:
+    """All branches at each angle given take the pose, as many as the arm has for it there."""
+    chain = ArmOnTable(kinematics_of(robot.load()), _table(1.2, 0.5), np.zeros(7), 36)
+    T = chain.forward(np.radians([[-20, -60, 110, 40, 50, 70, 15]]))[0]
+    angles = np.radians([12.5, 15.0, 21.25])
+    for angle, found in zip(angles, chain.inverse_at(T, angles), strict=True):
+        real = found[~np.isnan(found).any(axis=1)]
+        assert len(real) == 8
+        assert (real[:, 6] == angle).all()
+        np.testing.assert_allclose(chain.forward(real), np.broadcast_to(T, (8, 4, 4)), atol=1e-9)
+
+
 def test_limits_without_room_for_a_step_leave_their_middle() -> None:
     """24 angles have steps of 15 deg; a range of 4 deg beside them has one angle."""
     np.testing.assert_allclose(np.degrees(_table(0, 0, 2.0, 6.0).angles(24)), [4.0], atol=1e-9)

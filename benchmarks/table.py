@@ -1,0 +1,67 @@
+"""A rotary table beside the fixed plan of every part: views, coverage, and the ceiling of what can be measured there.
+
+The parts of benchmarks/parts.py, each by `cell plan` with and without `--table`. A table measures more, and is asked
+for 99 % of that; *at fixed* are the views, chosen from the table's candidates and samples, that measure as much of the
+surface as the fixed plan, with the bound on them. *Attainable* is what any pose that the arm takes up beside the table
+would measure, *ceiling* what any scanner pose would past part, post and table (report.json). With
+SCAN_CELL_RUNS=FOLDER plans are kept there, and those that are there taken.
+"""
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.cell_process import run_cell
+from benchmarks.parts import parts, place
+from cell.errors import CellError
+from cell.run import reader
+from cell.run.record import RunRecord, open_run
+from planner import cover
+from planner.cover import Cover
+
+
+def run() -> list[dict[str, Any]]:
+    """One row per part."""
+    with tempfile.TemporaryDirectory() as scratch:
+        kept = Path(os.environ.get("SCAN_CELL_RUNS", scratch))
+        return [_row(name, arguments, kept) for name, arguments in parts(Path(scratch))]
+
+
+def _row(name: str, arguments: tuple[str, ...], kept: Path) -> dict[str, Any]:
+    runs = []
+    for kind, options in (("fixed", ()), ("table", ("--table",))):
+        out = kept / f"{name.split()[0]}_{kind}"
+        try:
+            if not out.is_dir():
+                run_cell(kept, "plan", *arguments, *options, "--place", place(), "--out", str(out))
+            runs.append(open_run(out))
+        except CellError as error:
+            return {"part": name, "said": str(error)[:100]}
+    fixed, turned = (reader.report(each) for each in runs)
+    as_fixed, can = _at(runs[1], fixed.coverage.visible), turned.attainable
+    return {
+        "part": name,
+        "views": fixed.n_views,
+        "with table": turned.n_views,
+        "at fixed": f"{len(as_fixed.views)} ({as_fixed.lower_bound})",
+        "coverable %": round(100 * fixed.coverage.coverable, 2),
+        "with table %": round(100 * turned.coverage.coverable, 2),
+        "attainable %": None if can is None else round(100 * can.share, 2),
+        "ceiling %": None if can is None else round(100 * (1 - can.out_of_sight), 2),
+        "visible %": round(100 * fixed.coverage.visible, 2),
+        "visible with table %": round(100 * turned.coverage.visible, 2),
+        "motion s": round(fixed.motion.duration_s, 1),
+        "motion with table s": round(turned.motion.duration_s, 1),
+    }
+
+
+def _at(record: RunRecord, share: float) -> Cover:
+    """The fewest views found of a run's candidates that measure a share of the surface."""
+    M, areas = reader.measurability(record), reader.measurability(record).features.areas
+    coverable = float(areas[np.diff(M.indptr) > 0].sum())
+    asked = min(1.0, share * float(areas.sum()) / coverable)
+    wish = cover.Problem(M.matrix(), areas, reader.reached(record).reachable, coverage=asked)
+    return cover.solve(wish, rng=np.random.default_rng(0))

@@ -1,0 +1,133 @@
+"""An indexed table: arm and table never move at once, and the table only while the arm stands clear of all angles."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.checks.possible import impossible
+from cell.scene.scene import Scene
+from cell.world.model import compile_world
+from planner.order.tour import TourStatus, plan_motion
+from planner.order.visits import Visits
+from planner.path import indexed
+from planner.path.certified_edge import quantise
+from planner.path.path import PathStatus, connect, path_time, shorten
+from planner.ports import JointLimits
+from planner.timing.move_time import move_time
+
+HOME = quantise([2.0, 0, 0, 0, 0, 0, 0])
+LIMITS = JointLimits(
+    lower=np.full(7, -3.0), upper=np.full(7, 3.0), velocity=np.full(7, 2.0), acceleration=np.full(7, 4.0),
+    jerk=np.full(7, np.inf), turns_at=HOME,
+)  # fmt: skip
+
+
+class Lobe:
+    """A part that reaches where the first axis is below 0.5, but for table angles below 1; every axis moves 1 m/rad."""
+
+    clearance = 0.01
+
+    def free(self, q: np.ndarray) -> np.ndarray:
+        return (q[:, 0] >= 0.5) | (q[:, 6] <= 1.0) | (q[:, 6] >= 2.0)
+
+    def contacts(self, q: np.ndarray) -> tuple[str, ...]:
+        return () if self.free(q[None])[0] else ("tool with lobe",)
+
+    def distance(self, q: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+        raise NotImplementedError
+
+    def travel(self, q_from: np.ndarray, q_to: np.ndarray) -> np.ndarray:
+        return np.abs(np.asarray(q_to) - q_from).sum(axis=-1)
+
+
+def at(first: float, table: float, second: float = 0.0) -> np.ndarray:
+    """Angles of two axes and of the table, the others at 0 [rad]."""
+    return quantise([first, second, 0, 0, 0, 0, table])
+
+
+def rng() -> np.random.Generator:
+    """A fresh generator, the same each time."""
+    return np.random.default_rng(0)
+
+
+def one_after_the_other(via: np.ndarray) -> bool:
+    """No move of both, and every turn where the first axis is beyond the lobe."""
+    moved = np.diff(via, axis=0) != 0
+    turns = moved[:, 6]
+    return not (moved[:, :6].any(axis=1) & turns).any() and bool((via[:-1][turns, 0] >= 0.5).all())
+
+
+def test_times_of_arm_and_table_add_up() -> None:
+    """A trapezoid of 2 rad at 2 rad/s and 4 rad/s^2 takes 1.5 s; of 1 rad, 1 s."""
+    assert move_time(at(0, 0), at(2, 1), LIMITS) == pytest.approx(2.5)
+    both = move_time(np.stack([at(0, 0), at(0, 1)])[:, None], np.stack([at(2, 1), at(0, 1)]), LIMITS)
+    np.testing.assert_allclose(both, [[2.5, 1.0], [1.5, 0.0]], rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("q_from", "q_to", "status", "points"),
+    [
+        (at(-1, 0), at(-2, 0), PathStatus.STRAIGHT, 2),  # one angle: the arm alone
+        (at(1, 0), at(-1, 2.5), PathStatus.STRAIGHT, 3),  # clear where it begins
+        (at(-1, 2.5), at(1, 0), PathStatus.STRAIGHT, 3),  # clear where it ends
+        (at(1, 0), at(1, 2.5), PathStatus.STRAIGHT, 2),  # the table alone
+        (at(-1, 0), at(-1, 2.5), PathStatus.DETOUR, 4),  # clear at neither: at home
+    ],
+)
+def test_the_table_turns_where_the_arm_is_clear(
+    q_from: np.ndarray, q_to: np.ndarray, status: PathStatus, points: int
+) -> None:
+    """At an end where it may, else at the place given; nothing else moves meanwhile, and the time is the way's."""
+    found = connect(q_from, q_to, Lobe(), LIMITS, rng())
+    assert found.via is not None
+    assert (found.status, len(found.via)) == (status, points)
+    np.testing.assert_array_equal(found.via[[0, -1]], [q_from, q_to])
+    assert one_after_the_other(found.via)
+    assert found.duration == path_time(found.via, LIMITS) >= move_time(q_from, q_to, LIMITS) * (1 - 1e-12)
+    assert indexed.broken(found.via, Lobe(), LIMITS) == ""
+    assert np.array_equal(shorten(found.via, Lobe(), LIMITS, rng(), 1000)[0], found.via)
+
+
+def test_a_place_to_turn_at_that_is_not_clear_leaves_no_way() -> None:
+    """Neither end and not the place itself: nothing is found, and nothing is pretended."""
+    limits = JointLimits(LIMITS.lower, LIMITS.upper, LIMITS.velocity, LIMITS.acceleration, LIMITS.jerk, at(-2, 0))
+    found = connect(at(-1, 0), at(-1, 2.5), Lobe(), limits, rng())
+    assert found.via is None
+    assert found.status is PathStatus.NO_PATH_FOUND
+
+
+def test_a_way_that_breaks_the_rule_is_told() -> None:
+    """Both at once, and a turn where the arm is in reach of the lobe, free as the way itself may be."""
+    assert "at once" in indexed.broken(np.stack([at(1, 0), at(2, 0.5)]), Lobe(), LIMITS)
+    assert "does not stand clear" in indexed.broken(np.stack([at(-1, 0), at(-1, 0.5)]), Lobe(), LIMITS)
+    assert indexed.broken(np.stack([at(1, 0), at(1 + 1e-4, 0.5)]), Lobe(), LIMITS) == ""  # off by less than it may be
+
+
+def test_a_tour_groups_views_by_angle() -> None:
+    """Four views, each taken at 0 or 2.5 rad, two of them at one only: it turns once and back, as stated."""
+    views = [np.stack([at(first, 0.0, second), at(first, 2.5, second)]) for first, second in
+             ((-1, 0), (1, 0), (1, 1), (-1, 1))]  # fmt: skip
+    views[0], views[3] = views[0][:1], views[3][1:]
+    T = np.repeat(np.eye(4)[None], 4, axis=0)
+    tour = plan_motion(Visits(views, HOME, T), Lobe(), LIMITS, rng())
+    assert tour.status is TourStatus.COMPLETE
+    assert one_after_the_other(tour.via)
+    assert int((np.diff(tour.via[:, 6]) != 0).sum()) == 2
+    assert not tour.detour.any()
+    assert tour.duration >= tour.lower_bound - 1e-9
+    assert tour.duration == pytest.approx(float(move_time(tour.via[:-1], tour.via[1:], LIMITS).sum()))
+
+
+def test_a_home_in_reach_of_what_turns_is_refused() -> None:
+    """A block beside the axis comes under the arm at home at some angle, not at 0: a sentence says which."""
+    block = trimesh.creation.box((0.2, 0.1, 0.9))
+    scene = {
+        "table": {"position_mm": [900.0, 500.0, -400.0], "moves": "indexed", "swing_mm": 1500.0},
+        "placement": {"position_mm": [900.0, 1100.0, 500.0]},
+    }
+    for moves, told in (("indexed", True), ("synchronised", False)):
+        scene["table"]["moves"] = moves
+        world = compile_world(Scene.model_validate(scene), block.vertices, part_faces=block.faces, baseline_mm=75.0)
+        found = [sentence for sentence in impossible(world) if "an indexed table turns" in sentence]
+        assert bool(found) == told
+        assert all("robot.home_deg" in sentence and " deg; change" in sentence for sentence in found)
