@@ -130,11 +130,19 @@ def test_executions_are_read_up_to_what_is_whole(copy: Path) -> None:
         read_execution(run, "latest")
     scans = copy / "executions" / "0001" / "scans"
     scans.mkdir(parents=True)
-    whole = {"view": 4, "q_commanded": np.zeros(6), "q_reported": np.full(6, 1e-3), "points": np.ones((3, 3))}
+    whole = {
+        "stop": 1,
+        "q_commanded": np.zeros(6),
+        "q_reported": np.full(6, 1e-3),
+        "T_object_scanner": np.eye(4),
+        "T_object_scanner_true": np.eye(4),
+        "points": np.ones((3, 3)),
+        "counts": np.array([3]),
+    }
     for number in (1, 2, 3, 4):
         np.savez_compressed(scans / f"{number:04d}.npz", **whole | {"view": number})
     (scans / "0002.npz").write_bytes((scans / "0002.npz").read_bytes()[:200])
-    np.savez_compressed(scans / "0003.npz", **whole | {"points": np.full((3, 3), np.nan)})
+    np.savez_compressed(scans / "0003.npz", **whole | {"view": 3, "points": np.full((3, 3), np.nan)})
     np.savez_compressed(scans / "0005.npz", points=np.ones((1, 3)))
     assert execution_ids(run) == ["0001"]
     read = read_execution(run, "latest")
