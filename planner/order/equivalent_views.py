@@ -182,7 +182,7 @@ class _Tours:
         self.count += 1
         visited = problem.clusters_of(found.tour)[1:] - 1
         picks = np.empty(len(groups), dtype=np.int64)
-        picks[visited] = np.concatenate(owners)[found.tour[1:] - 1]
+        picks[visited] = np.concatenate([np.array([-1]), *owners])[found.tour[1:]]
         return _Tour(found.cost, picks, visited, nodes[found.tour[1:]])
 
     def _longer(self, tour: _Tour, k: int, q: Floats) -> Floats:
