@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from planner.cover.budget import Budget
 from planner.cover.sets import Sets, of_slices
@@ -57,6 +58,8 @@ class Relaxation:
             among the largest.
         value_of: (V,) sum of the last multipliers over each column's rows (most area).
         size: number of columns that dual and penalty are about; -1 where cost counts.
+        state: (V,) 1 for columns that are in, -1 for those that are out, 0 for the others; dual and penalty are about
+            choices like that, everything else about all.
         open_units: (k + 1,) lower bounds on the units that 0, 1, ... k columns leave open; empty where cost counts.
     """
 
@@ -68,7 +71,8 @@ class Relaxation:
         self.units = sets.units.astype(np.float64)
         self.open_units = np.zeros(sets.most + 1)
         self._must = sets.units > sets.slack
-        self.dual, self.penalty = -1.0, np.zeros(sets.n_columns)
+        self.dual, self.penalty = -np.inf, np.zeros(sets.n_columns)
+        self.state = np.zeros(sets.n_columns, dtype=np.int8)
         self.multipliers = self.value_of = np.zeros(len(self.owner))
         first = np.zeros(len(self.owner))
         if sets.most >= 0:
@@ -79,7 +83,7 @@ class Relaxation:
             own = self.At if len(self.owner) == sets.n_rows else self.At[:, : sets.n_rows]
             worth = (own @ weights) / sets.costs
             largest = of_slices(np.maximum, sets.row_start, sets.row_columns, worth.__getitem__)
-            first[: sets.n_rows] = weights / np.maximum(largest, 1e-300)
+            np.divide(weights, largest, out=first[: sets.n_rows], where=largest > 0)
         self.evaluate(first)
 
     @property
@@ -91,8 +95,24 @@ class Relaxation:
 
     def aim_at(self, size: int) -> None:
         """Bound the units that so many columns leave open: up to the number allowed."""
-        self.size, self.dual = size, -1.0
+        self.size, self.dual = size, -np.inf
         self.evaluate(self.multipliers)
+
+    def reachable(self, state: NDArray[np.int8]) -> bool:
+        """Whether a choice with these columns in and out may meet what is asked for."""
+        if self.size >= 0:
+            return int((state > 0).sum()) <= self.size
+        enough = (self.A @ (state >= 0))[: self.sets.n_rows] >= 1.0 - ROUNDING  # shares are rounded
+        return bool(enough.all()) if self.sets.full else int(self.sets.units[enough].sum()) >= self.sets.required
+
+    def fix(self, state: NDArray[np.int8]) -> None:
+        """Bound choices with these columns in and out (`state`)."""
+        self.state, self.dual = state, -np.inf
+        self.evaluate(self.multipliers)
+
+    def excludes(self, objective: int) -> bool:
+        """Whether no choice like `state` has an objective of at most this."""
+        return self.dual > objective + self._margin(objective)
 
     def certified_units(self, size: int) -> int:
         """Units that so many columns certainly leave open."""
@@ -102,9 +122,11 @@ class Relaxation:
 
     def useful(self, objective: int) -> Bools:
         """(V,) columns that some choice may contain whose objective is at most this (reduced-cost fixing)."""
-        margin = AREA_ROUNDING * self.sets.total if self.sets.most >= 0 else _rounding(objective)
-        fit: Bools = self.dual + self.penalty <= objective + margin
+        fit: Bools = self.dual + self.penalty <= objective + self._margin(objective)
         return fit
+
+    def _margin(self, objective: int) -> float:
+        return AREA_ROUNDING * self.sets.total if self.sets.most >= 0 else _rounding(objective)
 
     def evaluate(self, u: Floats) -> float:
         """L(u); kept where it is the best."""
@@ -114,12 +136,14 @@ class Relaxation:
             u, of_row = u * over[self.owner], of_row * over
             return self._evaluate_area(u, of_row)
         reduced = self.sets.costs - self.At @ u
-        below = np.minimum(reduced, 0.0)
+        chosen = self.state > 0
+        below = np.where(chosen, reduced, np.minimum(reduced, 0.0) * (self.state == 0))
         rest = self.sets.group_costs + np.bincount(self.sets.group, below, len(self.sets.group_costs))
-        dual = self._cheapest_rows(of_row) + float(np.minimum(rest, 0.0).sum())
+        opened = np.isin(np.arange(len(rest)), self.sets.group[chosen])
+        dual = self._cheapest_rows(of_row) + float(np.where(opened, rest, np.minimum(rest, 0.0)).sum())
         if dual > self.dual:
             self.dual, self.multipliers = dual, u
-            self.penalty = np.maximum(reduced, 0.0) + np.maximum(rest, 0.0)[self.sets.group]
+            self.penalty = np.maximum(reduced, 0.0) + (np.maximum(rest, 0.0) * ~opened)[self.sets.group]
         return dual
 
     def _cheapest_rows(self, of_row: Floats) -> float:
@@ -136,15 +160,19 @@ class Relaxation:
 
     def _evaluate_area(self, u: Floats, of_row: Floats) -> float:
         value = self.value_of = np.asarray(self.At @ u)
-        largest = np.sort(value)[::-1][: len(self.open_units) - 1]
-        open_units = np.full(len(self.open_units), float(of_row.sum()))
+        chosen, free = self.state > 0, self.state == 0
+        n_chosen = int(chosen.sum())
+        largest = np.sort(value[free])[::-1][: len(self.open_units) - 1 - n_chosen]
+        open_units = np.full(len(self.open_units) - n_chosen, float(of_row.sum() - value[chosen].sum()))
         open_units[1:] -= np.pad(np.cumsum(largest), (0, len(open_units) - 1 - len(largest)), mode="edge")
-        self.open_units = np.maximum(self.open_units, open_units)
-        size = min(self.size, len(largest))
-        dual = float(open_units[self.size])
+        if free.all():
+            self.open_units = np.maximum(self.open_units, open_units)
+        size = min(self.size - n_chosen, len(largest))
+        dual = float(open_units[self.size - n_chosen])
         if dual > self.dual:
             self.dual, self.multipliers = dual, u
-            self.penalty = np.maximum(largest[size - 1] - value, 0.0) if size else value * 0.0
+            # where no more may enter, none that is free will
+            self.penalty = np.maximum(largest[size - 1] - value, 0.0) if size else value * 0.0 + self.sets.total
         return dual
 
 
@@ -195,7 +223,7 @@ def _shares(sets: Sets) -> tuple[Any, Ints]:
     need = np.ones(sets.n_rows, dtype=np.int64)
     for row in rows:
         brings = np.sort(sets.row_load[sets.row_start[row] : sets.row_start[row + 1]])[::-1]
-        if brings[0] < sets.demand[row]:
+        if brings[:1].sum() < sets.demand[row]:
             need[row] = int(np.searchsorted(np.cumsum(brings), sets.demand[row])) + 1
     twice = np.flatnonzero(need > 1)
     counted = sp.csr_array(A[twice])

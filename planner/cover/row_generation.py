@@ -5,10 +5,10 @@ from highspy import HighsModelStatus
 
 from planner.cover.bound import Relaxation, climb
 from planner.cover.budget import Budget
-from planner.cover.linear import Model
+from planner.cover.linear import LEAST_ROWS, Model
 
-FIRST_ROWS, MORE_ROWS, LEAST_ROWS = 0.25, 0.2, 20
-"""Rows at the beginning as a share of the columns, rows added at a time as a share of those there, and at least."""
+FIRST_ROWS = 0.25
+"""Rows at the beginning as a share of the columns."""
 
 CLIMB_SHARE = 0.6
 """Most area: of the work for the bound, what subgradient steps get before the linear programme."""
@@ -32,9 +32,8 @@ def raise_bound(relaxation: Relaxation, upper: int, budget: Budget, model: Model
             climb(relaxation, upper - sets.tolerance, budget)
         budget.prove(relaxation.value)
     if model is None:
-        model = Model(relaxation, np.arange(sets.n_columns))
         few = np.argsort(np.diff(relaxation.A.indptr), kind="stable")
-        model.add(few[: max(LEAST_ROWS, int(FIRST_ROWS * sets.n_columns))])
+        model = Model(relaxation, few[: max(LEAST_ROWS, int(FIRST_ROWS * sets.n_columns))])
     if sets.most >= 0:
         model.limit_columns(relaxation.size)
     while relaxation.value < upper - sets.tolerance and budget.spend(0):
@@ -42,10 +41,8 @@ def raise_bound(relaxation: Relaxation, upper: int, budget: Budget, model: Model
         relaxation.evaluate(model.multipliers())
         budget.prove(relaxation.value)
         if model.status == HighsModelStatus.kOptimal:
-            rows = model.violated(*model.solution())
-            if not len(rows):
+            if not model.add_violated(*model.solution()):
                 break
-            model.add(rows[: max(LEAST_ROWS, int(MORE_ROWS * model.inside.sum()))])
         elif model.status != HighsModelStatus.kIterationLimit:
             break
     return model

@@ -85,12 +85,12 @@ class Job:
         self.budget.offer(core[start], inside.objective(start))  # it may be the better one already
         return Search(inside, start, self.rng, core)
 
-    def prove(self, *, at_least_root: bool = False) -> None:
-        """The integer programme, as far as the budget goes; it knows no graph."""
+    def prove(self) -> None:
+        """Branch and bound, as far as the budget goes; it knows no graph."""
         from planner.cover.exact import close_gap  # importing highspy costs start-up
 
         if not len(self.sets.adjacent):
-            close_gap(self.relaxation, self.best, self.budget, at_least_root=at_least_root)
+            close_gap(self.relaxation, self.budget)
 
 
 Solver = Callable[[Job], None]
@@ -115,12 +115,6 @@ def auto(job: Job) -> None:
         search.run(job.budget)
 
 
-def exact(job: Job) -> None:
-    """The integer programme on what reduced costs leave; its root whatever the budget."""
-    if not job.budget.proven:
-        job.prove(at_least_root=True)
-
-
 def local_search(job: Job) -> None:
     """Local search with the whole budget."""
     if job.budget.spend(0):
@@ -132,7 +126,7 @@ SOLVERS: dict[str, Solver] = {
     "greedy": lambda job: None,
     "meta-raps": lambda job: meta_raps(job.sets, job.rng, job.budget),
     "local-search": local_search,
-    "exact": exact,
+    "exact": Job.prove,
 }
 """`greedy` has nothing to add: its choice and the bound come first for every solver."""
 

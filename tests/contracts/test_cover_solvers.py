@@ -8,7 +8,7 @@ from planner.cover import SOLVERS, CoverStatus, Problem, solve
 from planner.cover.answer_of_columns import PRICE_ROUNDING
 from planner.cover.budget import Budget
 
-WORK = 20_000_000
+WORK = 100_000_000
 COVERAGES = (0.0, 0.3, 0.8, 0.95, 1.0)
 
 
