@@ -11,7 +11,7 @@ problem, answer            what goes in and comes out
 canonical, told            whole numbers and sorted columns, and the way back
 sets                       the problem that is searched
 reductions, greedy         exact simplifications (`reduction_kernels`: its compiled test); the first choice
-bound, linear, exact       the certified bound; HiGHS, which proposes its multipliers; the proof of the best
+bound, linear, exact       the certified bound; HiGHS, which proposes its multipliers; branch and bound
 search, search_kernels     local search and its compiled loops
 meta_raps                  the paper's own solver
 solvers, selection         `SOLVERS` by name; `solve`

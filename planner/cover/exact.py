@@ -25,7 +25,8 @@ WHOLE = 1e-6
 """A column nearer than this to 0 or 1 is not branched on while there are others."""
 
 FINE = 0.1
-"""With best and bound no further apart than this share the last step is asked for (numbers of views: always half-way)."""
+"""With best and bound no further apart than this share the last step is asked for; for numbers of views always the
+middle."""
 
 
 def close_gap(relaxation: Relaxation, budget: Budget) -> None:

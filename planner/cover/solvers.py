@@ -18,10 +18,10 @@ BOUND_SHARE = 0.35
 """Most of the budget that the linear programme may take."""
 
 SEARCH_SHARES = (0.2, 0.4)
-"""`auto`: share of what is left for the search before the integer programme is tried, and before it is tried again."""
+"""`auto`: share of what is left for the search before branch and bound is tried, and before it is tried again."""
 
 PROOF_SHARE = 0.75
-"""`auto`: share of what is left for the integer programme."""
+"""`auto`: share of what is left for branch and bound."""
 
 EARLY_SHARE, EARLY_CHUNKS = 0.15, 4
 """`auto` begins with a search on the problem as it is: with at most this share, and until it finds nothing better in so
@@ -32,11 +32,11 @@ SCARCE, SCARCE_PER_ENTRY, SCARCE_SHARE = WORK_PER_SECOND // 2, 100, 0.6
 the share of the first search then, which goes to its end."""
 
 HOPEFUL_EXCESS = 0.1
-"""`auto` tries the integer programme on a choice that exceeds the bound by at most 2 columns or, where no row may stay
+"""`auto` tries branch and bound on a choice that exceeds the bound by at most 2 columns or, where no row may stay
 open, this share."""
 
 SMALL = 30
-"""With no more columns than this the integer programme is tried before the search, and whatever the gap."""
+"""With no more columns than this branch and bound comes before the search, and whatever the gap."""
 
 CORE = 0.7
 """The search is confined to the columns that reduced costs leave where these are no more than this share."""
@@ -66,7 +66,7 @@ class Job:
 
     @property
     def hopeful(self) -> bool:
-        """Whether the integer programme may close the gap."""
+        """Whether branch and bound may close the gap."""
         if self.sets.n_columns <= SMALL or self.sets.most >= 0:
             return True
         excess = (self.budget.objective - self.budget.lower_bound) / float(self.sets.costs.mean())
@@ -98,7 +98,7 @@ Solver = Callable[[Job], None]
 
 
 def auto(job: Job) -> None:
-    """The integer programme first where little is left; else search and integer programme, until neither helps."""
+    """Branch and bound first where little is left; else search and branch and bound, until neither helps."""
     if job.sets.n_columns <= SMALL:
         job.prove()
     search, asked = None, -1
