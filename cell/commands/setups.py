@@ -17,7 +17,7 @@ EPILOG = (
     "cell setups mug --most 2 --offer 8 --coverage 0.95 --json\n\n"
     "cell setups mug --cost time --setup-seconds 300\n\n"
     "cell setups mug --table --offer 6\n\n"
-    "cell setups mug --pin 2:17 --ban 0:4,0:9\n\n"
+    "cell setups mug --offer 4 --pin 0:168 --ban 0:1506\n\n"
     "Each set-up is a run folder of its own in FOLDER/setups; cell scan FOLDER scans one after the other.\n\n"
     "Exit codes: 0 done, 2 usage or scene, 3 below the required coverage, 4 nothing reachable, 6 files, 70 bug, "
     "130 Ctrl-C."
