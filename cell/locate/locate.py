@@ -1,6 +1,7 @@
 """`cell locate`: where the part of a plan really stands, and whether the plan's motion may be driven there."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -129,14 +130,16 @@ def _precision(fit: RigidFit, T_base_object: Floats, points: Floats) -> Precisio
 def _checked(run: PlannedRun, T_base_object: Floats) -> CheckedMotion:
     """The plan's motion in the cell with the part (and its post) there."""
     motion, problem = run.motion, ""
+    limits = motion.limits
     try:
         # Compiled with the part there: a post beside a rotary table's axis swings, and is guarded for it.
-        checker = MujocoCollisionChecker(world_of(run.record, run.reference, T_base_object=T_base_object))
+        world = world_of(run.record, run.reference, T_base_object=T_base_object)
+        checker, limits = MujocoCollisionChecker(world), replace(limits, turns_at=world.limits.turns_at)
     except SceneError as error:  # a table does not carry the part there
         problem = str(error)
         checker = MujocoCollisionChecker(world_of(run.record, run.reference), T_base_object)
     try:
-        problem = problem or require_free(motion.via_q, checker, motion.limits)
+        problem = problem or require_free(motion.via_q, checker, limits)
     except PlannerError as error:
         problem = str(error)
     found = clearance.of_motion(checker, motion.via_q, motion.segment, int(motion.segment[-1]) + 1)

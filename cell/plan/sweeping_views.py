@@ -49,6 +49,10 @@ class SweepingViews:
         """None: no table turns a part that is swept."""
         return None
 
+    def shows_as_much(self, views: NDArray[np.int64], before: Tour, after: Tour) -> bool:
+        """Always: the arm's shadow along a sweep is not judged."""
+        return True
+
     def refusals(self, views: NDArray[np.int64]) -> Mapping[int, str]:
         """The reason for each of these candidates whose sweep cannot be driven at all: the most frequent one first."""
         told = {}

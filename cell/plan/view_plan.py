@@ -181,11 +181,11 @@ def _at_finer_angles(
     brief = replace(problem.request.motion, guesses=problem.request.motion.guesses[:1], polish=0)
     problem = replace(problem, request=replace(problem.request, motion=brief))
     for shares in finer_angles.STEPS:
-        groups = None if found.motion.detour.any() else views.finer(found.groups, found.motion, shares)
-        if groups is None:
+        if found.motion.detour.any() or (groups := views.finer(found.groups, found.motion, shares)) is None:
             return found
         motion = _motion(problem, views, selected, groups, _visited(found.groups, found.motion), rng, None)
-        if not motion.dropped and motion.duration < found.motion.duration * (1 - 1e-9):
+        shorter = not motion.dropped and motion.duration < found.motion.duration * (1 - 1e-9)
+        if shorter and views.shows_as_much(groups.picked(motion), found.motion, motion):
             found = _Connected(groups, motion)
     return found
 

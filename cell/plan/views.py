@@ -132,6 +132,10 @@ class Views(Protocol):
         """
         ...
 
+    def shows_as_much(self, views: Ints, before: Tour, after: Tour) -> bool:
+        """Whether no arm hides, where a motion takes (n,) candidates, what it shows where another takes them."""
+        ...
+
     def driven(self, views: Ints, motion: Tour) -> Driven:
         """The views of the plan as they are driven; the motion's views are indices into (n,) `views`."""
         ...

@@ -71,6 +71,12 @@ class ViewsAtRest:
         """The views of the motion with solutions at further angles of a rotary table; None where there is none."""
         return finer_angles.beside(self._problem, self._arm, groups, motion, shares)
 
+    def shows_as_much(self, views: NDArray[np.int64], before: Tour, after: Tour) -> bool:
+        """Whether no arm hides at the stops of the second motion what it shows at those of the first."""
+        q = dict(zip(before.order.tolist(), before.q, strict=True))
+        taken = zip(after.order.tolist(), after.q, strict=True)
+        return all(self._arm.hides_no_more(int(views[view]), q[view], other) for view, other in taken)
+
     def driven(self, views: NDArray[np.int64], motion: Tour) -> Driven:
         """The stops, and what they measure with the arm in the way."""
         world, prediction = self._problem.world, self._problem.prediction

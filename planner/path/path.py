@@ -122,6 +122,14 @@ def _indexed(
         if not turns:
             continue
         stops = indexed.turn_at(posture, *ends)
+        # Clear at all angles, it may still come a little nearer than the clearance where nobody looked: what is driven
+        # is certified itself, as whoever drives it will again.
+        if not checker.free(stops).all():
+            continue
+        turns, used = certify(stops[0], stops[1], checker)
+        checks += used + len(stops)
+        if not turns:
+            continue
         pieces = [
             PathResult(each[:1], PathStatus.STRAIGHT, 0, 0.0)
             if np.array_equal(*each)

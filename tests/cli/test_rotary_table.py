@@ -1,5 +1,6 @@
 """`cell plan --table` to `cell scan`: files, the certificate made again, points in the part's frame, refusals."""
 
+import dataclasses
 import json
 import re
 import shutil
@@ -16,6 +17,7 @@ from cell.api import locate
 from cell.edit.editable import EditableRun
 from cell.emulate.memory import SCHEMA
 from cell.errors import FileError, SceneError
+from cell.locate.locate import _checked
 from cell.narrator import Quiet
 from cell.proof.files_now import FilesNow
 from cell.proof.proof import prove
@@ -304,6 +306,21 @@ def test_a_part_that_is_located_beside_the_axis_swings_its_post(turned: Path) ->
     assert planned.table is not None
     assert there.table is not None
     np.testing.assert_allclose(there.table.T_base_table, planned.table.T_base_table, atol=1e-9)
+
+
+def test_a_located_part_is_kept_clear_of_while_an_indexed_table_turns(
+    turned: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The motion is held to the manner of the table, which its file does not say."""
+    run = EditableRun.opened(turned)
+    world = world_of(run.record, run.reference)
+    indexed = dataclasses.replace(world, limits=dataclasses.replace(world.limits, turns_at=world.home))
+    found = []
+    for each in (world, indexed):
+        monkeypatch.setattr("cell.locate.locate.world_of", lambda *_, each=each, **__: each)
+        found.append(_checked(run, run.T_base_object))
+    assert [each.keeps_clearance for each in found] == [True, False]
+    assert "moves arm and table at once" in found[1].problem
 
 
 def _guarded(world: World) -> set[tuple[str, str]]:

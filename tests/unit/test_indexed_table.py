@@ -5,12 +5,13 @@ import pytest
 import trimesh
 
 from cell.checks.possible import impossible
+from cell.proof.motion_again import require_free
 from cell.scene.scene import Scene
 from cell.world.model import compile_world
 from planner.order.tour import TourStatus, plan_motion
 from planner.order.visits import Visits
 from planner.path import indexed
-from planner.path.certified_edge import quantise
+from planner.path.certified_edge import quantise, quantise_inside, subdivide
 from planner.path.path import PathStatus, connect, path_time, shorten
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
@@ -94,6 +95,26 @@ def test_a_place_to_turn_at_that_is_not_clear_leaves_no_way() -> None:
     found = connect(at(-1, 0), at(-1, 2.5), Lobe(), limits, rng())
     assert found.via is None
     assert found.status is PathStatus.NO_PATH_FOUND
+
+
+def test_a_turn_that_is_found_is_certified_itself() -> None:
+    """Between two looks at all angles the part may come a little nearer than the clearance; a proof may look there."""
+    ends = np.stack([HOME, HOME])
+    ends[:, 6] = LIMITS.lower[6], LIMITS.upper[6]
+    looks = subdivide(*quantise_inside(ends, LIMITS), Lobe())[:, 6]
+    dip = looks[np.argmin(np.abs(looks - 0.5))] + 0.5 * (looks[1] - looks[0])
+
+    class Dip(Lobe):
+        def free(self, q: np.ndarray) -> np.ndarray:
+            return super().free(q) & (np.abs(q[:, 6] - dip) > 0.002)
+
+    assert indexed.clear(HOME, Dip(), LIMITS)[0]
+    refused = 0
+    for table in np.linspace(2.2, 2.8, 7):
+        found = connect(at(-1, 0), at(-1, table), Dip(), LIMITS, rng())
+        refused += found.via is None
+        assert found.via is None or require_free(found.via, Dip(), LIMITS) == ""
+    assert refused
 
 
 def test_a_way_that_breaks_the_rule_is_told() -> None:
