@@ -157,10 +157,8 @@ def read_scan(path: Path) -> ExecutedScan:
     """
     stored = npz(path, file_bytes(path))
     with understood(path):
-        T, T_true = stored["T_object_scanner"], stored.get("T_object_scanner_true")
-        source = str(stored.get("source", _OF_EARLIER))
-        if source == _OF_EARLIER:
-            T_true = stored["T_object_scanner_true"]
+        T, source = stored["T_object_scanner"], str(stored.get("source", _OF_EARLIER))
+        T_true = stored["T_object_scanner_true"] if source == _OF_EARLIER else None
         return ExecutedScan(
             int(stored["stop"]), int(stored["view"]), joined(stored, "q_commanded"), joined(stored, "q_reported"), T,
             stored.get("sweep_T_object_scanner", T[None]), T_true,

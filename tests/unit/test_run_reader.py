@@ -11,7 +11,7 @@ import trimesh
 
 from cell.errors import FileError
 from cell.run import reader as run_reader
-from cell.run.executions import execution_ids, read_execution
+from cell.run.executions import execution_ids, read_execution, read_scan
 from cell.run.record import open_run
 
 Blob = Callable[[int], trimesh.Trimesh]
@@ -152,3 +152,15 @@ def test_executions_are_read_up_to_what_is_whole(copy: Path) -> None:
     assert "NaN" in read.unreadable[1]
     with pytest.raises(FileError, match="has no execution 7; it has 0001"):
         read_execution(run, "7")
+
+
+def test_only_simulated_points_have_a_true_pose_and_counts_of_rays(tmp_path: Path) -> None:
+    """Whatever else a source of points keeps in the file; a scan that does not name its source was simulated."""
+    stored = {"stop": 1, "view": 7, "q_commanded": np.zeros(6), "q_reported": np.zeros(6), "points": np.zeros((2, 3)),
+              "T_object_scanner": np.eye(4), "T_object_scanner_true": np.eye(4)}  # fmt: skip
+    np.savez(tmp_path / "0001.npz", **stored, source="bench")
+    assert (scan := read_scan(tmp_path / "0001.npz")).T_true is scan.counts is None
+    np.savez(tmp_path / "0001.npz", **stored, counts=np.array([2, 1]))
+    assert (scan := read_scan(tmp_path / "0001.npz")).counts is not None
+    assert scan.counts[:3] == (2, 1, 0)
+    np.testing.assert_array_equal(scan.poses, np.eye(4)[None])
