@@ -265,8 +265,9 @@ def test_an_execution_shows_its_points(
     points = run_reader.mesh(run, "reference.ply").vertices
     for number, view in enumerate(run_reader.plan(run).views[:3], start=1):
         np.savez_compressed(
-            scans / f"{number:04d}.npz", view=view.id, q_commanded=view.q, q_reported=view.q + 1e-3, points=points
-        )
+            scans / f"{number:04d}.npz", stop=number, view=view.id, q_commanded=view.q, q_reported=view.q + 1e-3,
+            T_object_scanner=view.T_object_scanner, source="files", points=points,
+        )  # fmt: skip
     (scans / "0003.npz").write_bytes((scans / "0003.npz").read_bytes()[:500])
     executed = load_show(run, "latest", Terminal())
     assert "0003.npz is damaged or cut short" in capsys.readouterr().err
