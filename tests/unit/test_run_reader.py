@@ -159,8 +159,10 @@ def test_only_simulated_points_have_a_true_pose_and_counts_of_rays(tmp_path: Pat
     stored = {"stop": 1, "view": 7, "q_commanded": np.zeros(6), "q_reported": np.zeros(6), "points": np.zeros((2, 3)),
               "T_object_scanner": np.eye(4), "T_object_scanner_true": np.eye(4)}  # fmt: skip
     np.savez(tmp_path / "0001.npz", **stored, source="bench")
-    assert (scan := read_scan(tmp_path / "0001.npz")).T_true is scan.counts is None
+    scan = read_scan(tmp_path / "0001.npz")
+    assert scan.T_true is scan.counts is None
     np.savez(tmp_path / "0001.npz", **stored, counts=np.array([2, 1]))
-    assert (scan := read_scan(tmp_path / "0001.npz")).counts is not None
+    scan = read_scan(tmp_path / "0001.npz")
+    assert scan.counts is not None
     assert scan.counts[:3] == (2, 1, 0)
     np.testing.assert_array_equal(scan.poses, np.eye(4)[None])
