@@ -216,9 +216,10 @@ def _connected(run: Run, problem: Problem, surface: PartSurface, asked: Asked) -
 def _worth(problem: Problem, surface: PartSurface, asked: Asked) -> Problem:
     """The problem for no more views than greedily each add the least gain."""
     M, usable = problem.M, problem.usable(())
-    least = asked.least_gain / asked.came * float(surface.reference.areas.sum())
+    least = asked.least_gain * float(surface.reference.areas.sum())
     most = len(usable) if asked.batch.views is None else asked.batch.views
-    views = len(most_per_second(M.matrix(), M.features.areas, np.ones(len(usable)), usable, most, least))
+    gains = asked.came * M.features.areas
+    views = len(most_per_second(M.matrix(), gains, np.ones(len(usable)), usable, most, least))
     plan = problem.request.plan.model_copy(update={"max_views": max(views, 1)})
     return replace(problem, request=replace(problem.request, plan=plan))
 

@@ -62,4 +62,4 @@ def _solutions(problem: Problem, arm: OwnArm, chain: ArmOnTable, view: int, q: F
             found.append(own[np.argmin(np.abs(own - q).max(axis=1))])
     near = np.array(found).reshape(-1, len(q))
     near = near[problem.checker.free(near)]
-    return near[[arm.hides_no_more(view, q, other) for other in near]] if len(near) else near
+    return near[arm.hides_no_more(view, q, near)] if len(near) else near

@@ -49,8 +49,8 @@ class SweepingViews:
         """None: no table turns a part that is swept."""
         return None
 
-    def shows_as_much(self, views: NDArray[np.int64], before: Tour, after: Tour) -> bool:
-        """Always: the arm's shadow along a sweep is not judged."""
+    def hides_no_more(self, views: NDArray[np.int64], before: Tour, motion: Tour) -> bool:
+        """True: the arms of sweeps are not looked at."""
         return True
 
     def refusals(self, views: NDArray[np.int64]) -> Mapping[int, str]:

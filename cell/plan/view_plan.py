@@ -158,8 +158,8 @@ def _connect(
     # Detours may have cost what the exchange saved; and a motion that leaves views out is short for that alone.
     standing = problem.request.standing
     seconds = motion.duration + standing * len(groups.members)
-    spare = _DETOURS if len(groups.members) > FULL else 0.0
-    if groups.exchanged and (motion.dropped or seconds > groups.straight_before * (1.0 + spare)):
+    spare = _DETOURS * motion.duration if len(groups.members) > FULL else 0.0
+    if groups.exchanged and (motion.dropped or seconds - spare > groups.straight_before):
         own = views.alone(chosen)
         other = _motion(problem, views, selected, own, before, rng, progress)
         groups, motion = view_exchange.shorter((groups, motion), (own, other), standing)
@@ -185,7 +185,8 @@ def _at_finer_angles(
             return found
         motion = _motion(problem, views, selected, groups, _visited(found.groups, found.motion), rng, None)
         shorter = not motion.dropped and motion.duration < found.motion.duration * (1 - 1e-9)
-        if shorter and views.shows_as_much(groups.picked(motion), found.motion, motion):
+        # Other solutions at the scene's angles are nodes as well, at which nobody looked at the arm.
+        if shorter and views.hides_no_more(groups.views, found.motion, motion):
             found = _Connected(groups, motion)
     return found
 

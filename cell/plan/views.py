@@ -132,8 +132,8 @@ class Views(Protocol):
         """
         ...
 
-    def shows_as_much(self, views: Ints, before: Tour, after: Tour) -> bool:
-        """Whether no arm hides, where a motion takes (n,) candidates, what it shows where another takes them."""
+    def hides_no_more(self, views: Ints, before: Tour, motion: Tour) -> bool:
+        """Whether at each of (n,) candidates the arm hides nothing that it showed in another motion through them."""
         ...
 
     def driven(self, views: Ints, motion: Tour) -> Driven:

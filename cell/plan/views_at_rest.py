@@ -71,11 +71,11 @@ class ViewsAtRest:
         """The views of the motion with solutions at further angles of a rotary table; None where there is none."""
         return finer_angles.beside(self._problem, self._arm, groups, motion, shares)
 
-    def shows_as_much(self, views: NDArray[np.int64], before: Tour, after: Tour) -> bool:
-        """Whether no arm hides at the stops of the second motion what it shows at those of the first."""
-        q = dict(zip(before.order.tolist(), before.q, strict=True))
-        taken = zip(after.order.tolist(), after.q, strict=True)
-        return all(self._arm.hides_no_more(int(views[view]), q[view], other) for view, other in taken)
+    def hides_no_more(self, views: NDArray[np.int64], before: Tour, motion: Tour) -> bool:
+        """Whether at each of (n,) candidates the arm hides nothing that it showed in the motion before."""
+        taken = dict(zip(before.order.tolist(), before.q, strict=True))
+        stops = zip(motion.order.tolist(), motion.q, strict=True)
+        return all(self._arm.hides_no_more(int(views[k]), taken[k], q[None])[0] for k, q in stops)
 
     def driven(self, views: NDArray[np.int64], motion: Tour) -> Driven:
         """The stops, and what they measure with the arm in the way."""

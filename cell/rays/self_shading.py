@@ -106,10 +106,11 @@ class OwnArm:
                 found = Look.LESS_MEASURED
         return found
 
-    def hides_no_more(self, view: int, q: Floats, other: Floats) -> bool:
-        """Whether the arm at other joint angles (axes,) hides nothing of a view that it shows at q (axes,) [rad]."""
+    def hides_no_more(self, view: int, q: Floats, others: Floats) -> Bools:
+        """(n,) whether the arm at others (n, axes) hides nothing of a view that it shows at q (axes,) [rad]."""
         rows = np.asarray(self.M.matrix().tocsc()[:, [view]].indices, dtype=np.int64)
-        return bool((self._free(view, other, rows) | ~self._free(view, q, rows)).all())
+        hidden = ~self._free(view, q, rows)
+        return np.array([(self._free(view, other, rows) | hidden).all() for other in others], dtype=np.bool_)
 
     def _other_solutions(self, view: int, needed: Ints) -> bool:
         """Keep the joint solutions that hide at most `SHADED_SHARE` of what is needed, if there are any."""

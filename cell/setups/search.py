@@ -91,9 +91,12 @@ class Search:
         return self._held_together(found, connected)
 
     def views_first(self, found: JointCover) -> tuple[int, int] | None:
-        """Set-ups and views where fewest views come first and no motion is planned, if these are fewer; else None."""
+        """Set-ups and views where fewest views come first and no motion is planned; None but for fewer in more set-ups.
+
+        In as many, the views that hold scans together may alone make the difference.
+        """
         told = views_first(self._asked.problem(self._M, self._usable), found.targets, self._chooses)
-        return told if told is not None and told[1] < found.n_views else None
+        return told if told is not None and told[0] > len(found.views) and told[1] < found.n_views else None
 
     @property
     def setups(self) -> Mapping[int, Setup]:

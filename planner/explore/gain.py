@@ -92,10 +92,10 @@ def came(expected: Sequence[float], measured: Sequence[float]) -> float:
 
     Args:
         expected: area of each batch [m^2]; one of which nothing was expected does not count.
-        measured: of it and of what lies about it [m^2].
+        measured: of it and of what lies about it [m^2]; what was believed and is no more may make it negative: nothing.
     """
     pairs = zip(expected, measured, strict=True)
-    return float(np.median([1.0, *(new / before for before, new in pairs if before > 0)]))
+    return float(np.median([1.0, *(max(new, 0.0) / before for before, new in pairs if before > 0)]))
 
 
 def most_per_second(

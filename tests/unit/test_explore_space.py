@@ -173,3 +173,4 @@ def test_how_much_more_comes_than_was_expected() -> None:
     assert came([], []) == 1
     assert came([1.0, 1.0, 1.0, 0.5, 0.0], [2.0, 2.0, 30.0, 1.0, 7.0]) == 2
     assert came([1.0], [3.0]) == 2
+    assert came([1.0, 1.0], [-1.0, -2.0]) == 0  # what was believed is no more: nothing came

@@ -1,24 +1,29 @@
 """An exploration's folder that was killed early, and the limits of sigma and spacing that its model is judged by."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+from scipy.sparse import csr_array
 
 from cell.errors import FileError
-from cell.explore import belief, specification
+from cell.explore import belief, specification, stage
 from cell.explore.explore import require_plausible
 from cell.explore.options import ExploreOptions
-from cell.explore.policies import POLICIES, So
+from cell.explore.policies import POLICIES, Batch, So
 from cell.explore.prepare import begun, prepared
 from cell.explore.state import Paths
 from cell.narrator import Quiet
 from cell.part import mesh_files
+from cell.plan.request import Request
 from cell.run.explore_json import ExploreFile
 from cell.scan.options import ScanOptions
 from cell.scene.options import scene_of
+from cell.scene.plan_settings import PlanSettings
 from cell.scene.scene import Scene
 from planner.explore.space import FREE, UNKNOWN, VoxelSpace
 from planner.surface.closest import NearestSurface
@@ -121,3 +126,22 @@ def test_what_the_arm_keeps_away_from_holds_every_voxel_that_is_not_free(share: 
     mesh = TriangleMesh(vertices / 1000, faces.astype(np.int32))
     assert NearestSurface(mesh).signed(corners).max() < 0
     assert np.abs(mesh.vertices).max(axis=0) == pytest.approx(np.abs(corners).max(axis=0), abs=3 * space.edge)
+
+
+@dataclass
+class Stub:
+    """What the number of views that are worth it asks of a problem."""
+
+    M: Any
+    request: Request
+    usable: Any
+
+
+def test_batches_that_brought_nothing_ask_for_one_view_at_most() -> None:
+    """Nothing is expected of the next one then, and it is one view that is told to be too little."""
+    M = SimpleNamespace(matrix=lambda: csr_array(np.eye(3, dtype=bool)), features=SimpleNamespace(areas=np.ones(3)))
+    problem = Stub(M, Request(PlanSettings()), lambda _: np.ones(3, dtype=bool))
+    surface = SimpleNamespace(reference=SimpleNamespace(areas=np.ones(3)))
+    for came, views in ((1.0, 3), (0.0, 1)):
+        asked = stage.Asked(None, None, Batch(None), 0.01, came)
+        assert stage._worth(problem, surface, asked).request.plan.max_views == views

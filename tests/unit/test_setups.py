@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from cell.run.manifest_json import Manifest
 from cell.run.record import RunRecord
 from cell.scene.option import flag
 from cell.scene.scene import Scene
+from cell.setups import search
 from cell.setups.beside import scene_beside
 from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, require_one_part
@@ -218,3 +220,14 @@ def test_fewer_set_ups_count_before_fewer_views_and_the_bound_knows_moved_views(
     assert connected == {"of": thorough}
     monkeypatch.setattr(Search, "_cover", lambda _, *, brief, start=None: first if brief else _cover({0: 2, 1: 2}, 1))
     assert Search().result()[0].setups_bound == 1  # type: ignore[call-arg]
+
+
+def test_fewer_views_are_told_where_they_take_more_set_ups_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In as many set-ups the plan has more of them only for what holds its scans together."""
+    searched = SimpleNamespace(
+        _asked=SimpleNamespace(problem=lambda *_: None), _M=None, _usable=None, _chooses=None
+    )  # fmt: skip
+    found = SimpleNamespace(views={0: np.arange(3), 4: np.arange(3)}, n_views=6, targets=None)
+    for first, told in (((2, 5), None), ((3, 5), (3, 5)), ((3, 6), None), (None, None)):
+        monkeypatch.setattr(search, "views_first", lambda *_, first=first: first)
+        assert Search.views_first(searched, found) == told

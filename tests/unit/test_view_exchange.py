@@ -1,16 +1,21 @@
 """Views picked by a motion become the plan: sorted by what they add, the motion's numbers following them."""
 
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from cell.plan import view_plan
+from cell.plan.request import Request
 from cell.plan.view_exchange import settled, shorter
-from cell.plan.views import Groups
+from cell.plan.views import Groups, Next
+from cell.scene.plan_settings import PlanSettings
 from planner import cover
 from planner.cover import CoverStatus
-from planner.order.tour import Tour, plan_motion
+from planner.order.tour import Tour, TourStatus, plan_motion
 from planner.order.visits import Visits
 from planner.ports import JointLimits
 
@@ -102,3 +107,87 @@ def test_the_shorter_motion_that_visits_more_is_kept(dropped: tuple[int, int], e
         for count, duration in zip(dropped, (2.0, 1.0), strict=True)
     ]
     assert shorter(*planned) is planned[expected]  # type: ignore[arg-type]
+
+
+class Shown:
+    """Views whose arm hides more, or not, where a motion takes them otherwise."""
+
+    def __init__(self, found: Groups, hides_no_more: bool = True) -> None:
+        self.found, self.hides = found, not hides_no_more
+
+    def still_measure(self, _: np.ndarray) -> bool:
+        return True
+
+    def refusals(self, _: np.ndarray) -> dict[int, str]:
+        return {}
+
+    def groups(self, *_: object) -> Groups:
+        return self.found
+
+    def alone(self, views: np.ndarray) -> Groups:
+        members = tuple(views[k : k + 1] for k in range(len(views)))
+        return Groups(members, members, tuple(np.zeros((1, 6)) for _ in views))
+
+    def judge(self, *_: object) -> Next:
+        return Next.DONE
+
+    def finer(self, found: Groups, *_: object) -> Groups:
+        return replace(found)
+
+    def hides_no_more(self, *_: object) -> bool:
+        return not self.hides
+
+
+@dataclass
+class Stub:
+    """What connecting asks of a problem."""
+
+    request: SimpleNamespace
+    usable: Any = lambda _: None
+
+
+@dataclass
+class Lasts:
+    """A motion of so many seconds."""
+
+    duration: float
+    detour: np.ndarray = field(default_factory=lambda: np.zeros(2, dtype=bool))
+    dropped: tuple[int, ...] = ()
+    order: np.ndarray = field(default_factory=lambda: np.arange(0))
+    choice: np.ndarray = field(default_factory=lambda: np.arange(0))
+    status: TourStatus = TourStatus.COMPLETE
+
+
+@pytest.mark.parametrize("hides_no_more", [True, False])
+def test_a_shorter_motion_at_other_solutions_is_taken_where_their_arms_hide_no_more(
+    hides_no_more: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At a solution of the scene's angles that the motion did not take nobody has looked at the arm."""
+    monkeypatch.setattr(view_plan, "_motion", lambda *_: Lasts(9.0))
+    monkeypatch.setattr(view_plan, "_visited", lambda *_: ())
+    problem = Stub(Request(PlanSettings()))
+    coarse = view_plan._Connected(groups(), Lasts(10.0))
+    found = view_plan._at_finer_angles(problem, Shown(coarse.groups, hides_no_more), None, coarse, None)
+    assert found.motion.duration == (9.0 if hides_no_more else 10.0)
+
+
+@pytest.mark.parametrize(("seconds", "compared"), [(101.0, False), (103.0, True)])
+def test_what_detours_may_lengthen_is_the_motion_and_not_the_standing(
+    seconds: float, compared: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of many views: 2 % of 100 s of motion, however long the scanner stands at 30 views."""
+    planned = []
+
+    def motion_of(_: object, __: object, ___: object, found: Groups, *____: object) -> Lasts:
+        planned.append(found)
+        return Lasts(seconds)
+
+    monkeypatch.setattr(view_plan, "_motion", motion_of)
+    views, standing = np.arange(30), 10.0
+    exchanged = replace(Shown(groups()).alone(views), straight_before=100.0 + 30 * standing)
+    selected = SimpleNamespace(cover=SimpleNamespace(views=views))
+    problem = Stub(replace(Request(PlanSettings()), costs=np.ones(30)))
+    monkeypatch.setattr(Request, "standing", standing)
+    monkeypatch.setattr(Groups, "exchanged", True)
+    view_plan._connect(problem, Shown(exchanged), selected, (), (), None, None)
+    assert len(planned) == (2 if compared else 1)
