@@ -114,16 +114,9 @@ def _choose(
 ) -> Selected:
     """Views that answer the request as far as is known by now."""
     selected = select(
-        problem.request,
-        views.M,
-        problem.reached,
-        problem.candidates,
-        problem.prediction,
-        banned=tuple(refused),
-        rng=rng,
-        looked=looked,
-        look=look,
-    )
+        problem.request, views.M, problem.reached, problem.candidates, problem.prediction,
+        banned=tuple(refused), rng=rng, looked=looked, look=look,
+    )  # fmt: skip
     if not len(selected.cover.views):
         told = [f"candidate {view}: {reason}" for view, reason in {**refused, **views.shaded}.items()]
         why = "; ".join(told[:_TOLD] + ([f"and {len(told) - _TOLD} more"] if len(told) > _TOLD else []))
