@@ -136,7 +136,7 @@ class ReportMotion(JsonTable):
     baseline_duration_s: float = Field(description="of the same views in task-space order (Christofides)")
     lower_bound_s: float = Field(description="no order and joint solutions of these views take less")
     via_points: int = Field(description="of the motion, home at both ends among them")
-    detours: int = Field(description="segments that are not straight in joint space")
+    detours: int = Field(description="segments on which the arm makes more than one straight move")
     speed_fraction: float = Field(description="of the axis speeds")
     minimum_clearance_mm: float | None = Field(description="the smallest on the way")
     between: str = Field(description="what is that near")

@@ -69,7 +69,8 @@ class Search:
         last = None
         for left in reversed(range(_TRIES)):
             found = self._cover(brief=True)
-            if left and self._asks_more(found, self._chosen(found)):  # before a motion is planned for nothing
+            # Before a motion is planned for nothing; half of the tries are left for views that cannot be connected.
+            if 2 * left >= _TRIES and self._asks_more(found, self._chosen(found)):
                 continue
             if (connected := self._connected(found)) is None:
                 continue

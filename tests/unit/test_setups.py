@@ -222,6 +222,23 @@ def test_fewer_set_ups_count_before_fewer_views_and_the_bound_knows_moved_views(
     assert Search().result()[0].setups_bound == 1  # type: ignore[call-arg]
 
 
+def test_tries_are_left_for_views_that_cannot_be_connected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However often more was asked before: the first three covers that are connected have a view without a path."""
+    connected = iter([None, None, None])
+    for name, answer in (
+        ("__init__", lambda _: None),
+        ("_cover", lambda _, *, brief, start=None: _cover({0: 3}, 1)),
+        ("_asks_more", lambda *_: True),
+        ("_chosen", lambda *_: {}),
+        ("_connected", lambda *_: next(connected, {"of": None})),
+        ("_moved", lambda *_: None),
+        ("_held_together", lambda _, found, connected: (found, connected)),
+    ):
+        monkeypatch.setattr(Search, name, answer)
+    monkeypatch.setattr("cell.setups.search._driven", lambda connected: {})
+    assert Search().result()[1] == {"of": None}  # type: ignore[call-arg]
+
+
 def test_fewer_views_are_told_where_they_take_more_set_ups_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """In as many set-ups the plan has more of them only for what holds its scans together."""
     searched = SimpleNamespace(
