@@ -6,13 +6,14 @@ own below `setups/`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from cell.errors import UnreachableError, UsageError
+from cell.errors import SceneError, UnreachableError, UsageError
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import candidates, pipeline, steps
@@ -43,7 +44,9 @@ from cell.setups.search import Search
 from cell.setups.shared import apart, shared
 from cell.setups.wishes import Asked, require_named
 from cell.words import percent
+from cell.world.model import World
 from planner.surface.decimate import decimate
+from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
 from planner.values import Bools
 from planner.viewpoints import growth
@@ -152,16 +155,28 @@ def _offered(run: Run, job: Job, most: int) -> tuple[PartSurface, list[Offer], l
         surface = PartSurface(reference, planning, features, EmbreeRayCaster(reference.vertices, reference.faces))
         scouts = sample(reference, planning, growth.SCOUTS, run.rng(steps.SCOUTS))
         poses = given(job.scene)
-        if not most:  # the scene's own placement is none of those that are offered
-            job = replace(job, scene=job.scene.model_copy(update={"placement": poses[0].placement}))
-        world = compiled_world(job, job.scene, reference)
-        job = replace(job, scene=with_table_kept(job.scene, world))
+        # Where none is proposed, the scene's own placement is none of those that are offered.
+        placed = [job.scene] if most else [job.scene.model_copy(update={"placement": each.placement}) for each in poses]
+        scene, world = _first_cell(job, placed, reference)
+        job = replace(job, scene=with_table_kept(scene, world))
         offers = _distinct([*poses, *proposed(world, reference, most)])
         if job.scene.setup == () and len({offer.name.split(",")[0] for offer in offers}) == 1 < most:
             turned = ", turned," if len(offers) > 1 else ""
             run.narrator.note(f"the part has no other stable pose: it is offered as it is placed{turned} alone")
     tried = [measured_setup(run, job, surface, world, each, shared, scouts) for each in offers]
     return surface, offers, tried
+
+
+def _first_cell(job: Job, scenes: Sequence[Scene], reference: TriangleMesh) -> tuple[Scene, World]:
+    """The first of some scenes that can be compiled, and its cell.
+
+    Raises:
+        SceneError: if none can; of the last.
+    """
+    for scene in scenes[:-1]:
+        with suppress(SceneError):  # its set-up will be left out, and said why
+            return scene, compiled_world(job, scene, reference)
+    return scenes[-1], compiled_world(job, scenes[-1], reference)
 
 
 def left_out(found: Setup | str, seen: Bools) -> str:

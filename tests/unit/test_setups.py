@@ -10,13 +10,13 @@ import pytest
 import trimesh
 
 from cell.api import open_run
-from cell.errors import UsageError
+from cell.errors import SceneError, UsageError
 from cell.rays.occluders import Occluder
 from cell.run.manifest_json import Manifest
 from cell.run.record import RunRecord
 from cell.scene.option import flag
 from cell.scene.scene import Scene
-from cell.setups import search
+from cell.setups import plan_setups, search
 from cell.setups.beside import scene_beside
 from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, require_one_part
@@ -220,6 +220,20 @@ def test_fewer_set_ups_count_before_fewer_views_and_the_bound_knows_moved_views(
     assert connected == {"of": thorough}
     monkeypatch.setattr(Search, "_cover", lambda _, *, brief, start=None: first if brief else _cover({0: 2, 1: 2}, 1))
     assert Search().result()[0].setups_bound == 1  # type: ignore[call-arg]
+
+
+def test_a_first_set_up_that_a_table_cannot_carry_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cell is that of the first in which the part can stand; where there is none, the last one's sentence."""
+
+    def compiled(_: object, scene: str, __: object) -> str:
+        if scene.startswith("far"):
+            raise SceneError(f"{scene} off")
+        return f"cell of {scene}"
+
+    monkeypatch.setattr(plan_setups, "compiled_world", compiled)
+    assert plan_setups._first_cell(None, ["far", "near", "nearer"], None) == ("near", "cell of near")
+    with pytest.raises(SceneError, match="farther off"):
+        plan_setups._first_cell(None, ["far", "farther"], None)
 
 
 def test_tries_are_left_for_views_that_cannot_be_connected(monkeypatch: pytest.MonkeyPatch) -> None:
