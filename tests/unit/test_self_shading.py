@@ -206,13 +206,17 @@ def test_a_shorter_motion_that_hides_more_is_not_taken(monkeypatch: pytest.Monke
     at_rest = ViewsAtRest(SimpleNamespace(M=M, reached=reached, candidates=views, world=world, prediction=prediction))
     hides = OwnArm(M, reached, views, world, SCANNER).hides_no_more
     view, good, bad = next(
-        (v, a, b) for v in range(len(views)) for a in reached.q_of(v) for b in reached.q_of(v) if not hides(v, a, b)
+        (v, a, b)
+        for v in range(len(views))
+        for a in reached.q_of(v)
+        for b in reached.q_of(v)
+        if not hides(v, a, b[None])[0]
     )
 
     def motion(q: np.ndarray, duration: float) -> SimpleNamespace:
         return SimpleNamespace(order=np.array([0]), q=q[None], duration=duration, detour=np.zeros(2, bool), dropped=())
 
-    groups = SimpleNamespace(picked=lambda _: np.array([view]))
+    groups = SimpleNamespace(views=np.array([view]))
     monkeypatch.setattr(at_rest, "finer", lambda *_: groups, raising=False)
     monkeypatch.setattr(view_plan, "replace", lambda value, **_: value)
     problem = SimpleNamespace(request=SimpleNamespace(motion=SimpleNamespace(guesses=(0,))))
