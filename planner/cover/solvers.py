@@ -20,7 +20,7 @@ BOUND_SHARE = 0.35
 SEARCH_SHARES = (0.2, 0.4)
 """`auto`: share of what is left for the search before branch and bound is tried, and before it is tried again."""
 
-PROOF_SHARE = 0.75
+PROOF_SHARE = 0.9
 """`auto`: share of what is left for branch and bound."""
 
 EARLY_SHARE, EARLY_CHUNKS = 0.15, 4
@@ -106,7 +106,7 @@ def auto(job: Job) -> None:
         if job.budget.spend(0):
             search = search or job.core_search()
             with job.budget.portion(share):
-                search.run(job.budget)
+                search.run(job.budget, EARLY_CHUNKS if job.hopeful else None)
         if job.hopeful and job.budget.objective != asked and job.budget.spend(0):
             asked = job.budget.objective
             with job.budget.portion(PROOF_SHARE):
