@@ -20,8 +20,8 @@ BOUND_SHARE = 0.35
 SEARCH_SHARES = (0.2, 0.4)
 """`auto`: share of what is left for the search before branch and bound is tried, and before it is tried again."""
 
-PROOF_SHARE = 0.9
-"""`auto`: share of what is left for branch and bound."""
+PROOF_SHARE, LAST_PROOF_SHARE = 0.75, 0.9
+"""`auto`: share of what is left for branch and bound, and where best and bound are one view apart."""
 
 EARLY_SHARE, EARLY_CHUNKS = 0.15, 4
 """`auto` begins with a search on the problem as it is: with at most this share, and until it finds nothing better in so
@@ -72,6 +72,11 @@ class Job:
         excess = (self.budget.objective - self.budget.lower_bound) / float(self.sets.costs.mean())
         return excess <= max(2.0, HOPEFUL_EXCESS * len(self.best) if self.sets.full else 0.0)
 
+    @property
+    def last(self) -> bool:
+        """Whether best and bound are at most one view apart: a search has one view to find, and mostly does not."""
+        return self.sets.unit_cost and self.sets.most < 0 and self.budget.objective - self.budget.lower_bound <= 1
+
     def core_search(self) -> Search:
         """A search on the columns that a better choice may contain (reduced-cost fixing), where these are fewer."""
         sets = self.sets
@@ -98,7 +103,10 @@ Solver = Callable[[Job], None]
 
 
 def auto(job: Job) -> None:
-    """Branch and bound first where little is left; else search and branch and bound, until neither helps."""
+    """Branch and bound first where little is left; else search and branch and bound, until neither helps.
+
+    The search is short where one view is left between best and bound: the tree of that step is the smallest.
+    """
     if job.sets.n_columns <= SMALL:
         job.prove()
     search, asked = None, -1
@@ -106,10 +114,10 @@ def auto(job: Job) -> None:
         if job.budget.spend(0):
             search = search or job.core_search()
             with job.budget.portion(share):
-                search.run(job.budget, EARLY_CHUNKS if job.hopeful else None)
+                search.run(job.budget, EARLY_CHUNKS if job.last else None)
         if job.hopeful and job.budget.objective != asked and job.budget.spend(0):
             asked = job.budget.objective
-            with job.budget.portion(PROOF_SHARE):
+            with job.budget.portion(LAST_PROOF_SHARE if job.last else PROOF_SHARE):
                 job.prove()
     if search and job.budget.spend(0):
         search.run(job.budget)
