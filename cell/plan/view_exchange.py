@@ -67,6 +67,7 @@ def _exchanged(
     spare = chosen.covered_area - target * chosen.coverable_area if target < 1 else 0.0
     asked = problem.request.plan.coverage
     least = max(asked, float(selected.shares[0]) - _LOST)
+    enough = target * chosen.coverable_area * (1 - _ROUNDING)
     for allowed in (spare, 0.0) if spare > 0 else (0.0,):
         found = exchange(
             matrix, chosen.views, arm.configurations, problem.world.home, problem.limits, rng,
@@ -74,13 +75,52 @@ def _exchanged(
         )  # fmt: skip
         if asked >= 1:
             return found, found.groups
-        poses = problem.candidates.T_object_scanner[found.views]
-        covered = float(matrix.areas[matrix.counts(found.views.tolist()) > 0].sum())
-        if covered < target * chosen.coverable_area * (1 - _ROUNDING):
+        if _covered(matrix, found.views) < enough:
             continue
-        if problem.prediction.share_of_coverable(poses) >= least:
+        if problem.prediction.share_of_coverable(problem.candidates.T_object_scanner[found.views]) >= least:
             return found, _single(found.views)
-    return found, _single(chosen.views)
+    views = _taken_back(problem, chosen.views, found, least)
+    if _covered(matrix, views) < enough:
+        return found, _single(chosen.views)
+    visited = views[np.array([np.flatnonzero(found.views == view)[0] for view in found.visited])]
+    return replace(found, views=views, visited=visited), _single(np.unique(views))
+
+
+def _taken_back(problem: Problem, own: Ints, found: Exchange, least: float) -> Ints:
+    """The views of an exchange, some taken back for the cover's own: as many as keep a share of the held-out samples.
+
+    First go those whose own view measures most of what the cover measures and the exchange does not; a view that comes
+    back may lose a little of what its stand-in alone measured, so it is looked at again.
+
+    Args:
+        problem: the held-out samples, and the candidates.
+        own: (n,) the cover's views.
+        found: their exchange.
+        least: share of what is coverable that is kept.
+
+    Returns:
+        As many candidates as the exchange has views, or the cover's.
+    """
+    known, T = problem.prediction, problem.candidates.T_object_scanner
+    views, before = found.views.copy(), own[found.instead_of]
+    aim = known.visible(T[own]).covered
+    while (share := known.share_of_coverable(T[views])) < least:
+        changed, lost = np.flatnonzero(views != before), aim & ~known.visible(T[views]).covered
+        waiting, seen = known.samples.areas[lost], known.seen(T[before[changed]], among=lost)
+        gap = (least - share) * known.coverable.area
+        while gap > 0.0 and (gains := waiting @ seen).any():
+            best = int(gains.argmax())
+            gap -= float(gains[best])
+            waiting[seen[:, best]] = 0.0
+            views[changed[best]] = before[changed[best]]
+        if gap > 0.0:
+            return own
+    return views
+
+
+def _covered(matrix: Matrix, views: Ints) -> float:
+    """Area of the matrix' samples that views measure [m^2]."""
+    return float(matrix.areas[matrix.counts(views.tolist()) > 0].sum())
 
 
 def _other_covers(
@@ -146,21 +186,21 @@ def of_views(chosen: Cover, M: Measurability, picks: Ints) -> tuple[Cover, Ints]
     """
     matrix = Matrix(M.matrix(), M.features.areas, np.ones(M.shape[1], dtype=np.bool_))
     waiting = matrix.areas.copy()
-    measured = [matrix.measured_by(int(view)) for view in picks]
+    rows = [matrix.measured_by(int(view)) for view in picks]
     sequence: list[int] = []
     added: list[float] = []
     while len(sequence) < len(picks):
-        gains = [-1.0 if k in sequence else float(waiting[rows].sum()) for k, rows in enumerate(measured)]
+        gains = [-1.0 if k in sequence else float(waiting[at].sum()) for k, at in enumerate(rows)]
         best = int(np.argmax(gains))
         sequence.append(best)
         added.append(gains[best])
-        waiting[measured[best]] = 0.0
+        waiting[rows[best]] = 0.0
     lower_bound = min(chosen.lower_bound, len(picks))
     cover = replace(
         chosen,
         views=picks[sequence],
         marginal_area=np.array(added),
-        covered_area=float(matrix.areas[matrix.counts(picks.tolist()) > 0].sum()),
+        covered_area=_covered(matrix, picks),
         lower_bound=lower_bound,
         status=CoverStatus.PROVEN if lower_bound == len(picks) else chosen.status,
     )

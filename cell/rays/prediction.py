@@ -12,7 +12,7 @@ from planner.measurability.matrix import measured
 from planner.measurability.remembered import Remembered
 from planner.ports import Progress, RayCaster, Scanner
 from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, sample
+from planner.surface.sample import SurfaceSamples, pick_samples, sample
 from planner.values import Bools, Floats
 
 HELD_OUT_STREAM = 1
@@ -103,9 +103,10 @@ class Prediction:
         whole = float(areas[can].sum())
         return visible.area / whole if whole > 0 else 1.0
 
-    def seen(self, T_object_scanner: Floats) -> NDArray[np.bool_]:
-        """(S, n) which samples each of the views (n, K, 4, 4) [m] measures."""
-        return measured(T_object_scanner, self.samples, self.scanner, self.casters, each=True)
+    def seen(self, T_object_scanner: Floats, among: Bools | None = None) -> NDArray[np.bool_]:
+        """(S, n) which samples, of all or among some, each of the views (n, K, 4, 4) [m] measures."""
+        samples = self.samples if among is None else pick_samples(self.samples, among)
+        return measured(T_object_scanner, samples, self.scanner, self.casters, each=True)
 
     def coverable_with(self, visible: Coverage) -> float:
         """Coverable share of the surface, what a plan's own poses measure included (they differ by micrometres)."""

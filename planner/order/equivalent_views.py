@@ -40,6 +40,7 @@ class Exchange(Value):
 
     Attributes:
         views: (n,) candidates; not more than were given.
+        instead_of: (n,) which of the views given each stands in for, by number.
         groups: for each view the candidates that may be picked for it, itself first: every combination measures all
             samples that `views` measure, and no candidate stands in two groups.
         duration_before: time of straight moves over the views given [s].
@@ -50,6 +51,7 @@ class Exchange(Value):
     """
 
     views: Annotated[Ints, "n"]
+    instead_of: Annotated[Ints, "n"]
     groups: Annotated[tuple[Ints, ...], "n"]
     duration_before: float
     duration: float
@@ -121,19 +123,21 @@ def exchange(
     required = np.minimum(matrix.counts(current.tolist()), 1)
     tours = _Tours(configurations, home, limits, rng)
     best = tours.first(current)
-    before = best.cost
+    before, instead_of = best.cost, np.arange(len(current))
     while len(best.picks) > 1 and tours.count < _ORDERINGS:
         found = _exchanged(matrix, best, required, kept, tours, spare)
         if found is None or found.cost >= best.cost * (1.0 - 1e-9):
             break
-        best = _without_repeats(found)
+        best, stays = _without_repeats(found)
+        instead_of = instead_of[stays]
         measured = np.minimum(matrix.counts(best.picks.tolist()), 1)
         spare = max(spare + _area(matrix, measured > required) - _area(matrix, measured < required), 0.0)
         required = measured
     groups = _any_combination(matrix, best.picks, required, kept)
     stops = np.concatenate([home[None], best.q, home[None]])
     members = tuple(tours.nearest(best, groups))
-    return Exchange(best.picks, members, before, best.cost, best.picks[best.order], stops, tours.count)
+    visited = best.picks[best.order]
+    return Exchange(best.picks, instead_of, members, before, best.cost, visited, stops, tours.count)
 
 
 def needed(matrix: Matrix, views: Ints, required: Ints) -> list[Ints]:
@@ -258,14 +262,14 @@ def _share(matrix: Matrix, group: Ints, samples: Ints) -> Floats:
     return found / len(group)
 
 
-def _without_repeats(tour: _Tour) -> _Tour:
-    """The tour without views that were picked twice: one visit serves both."""
+def _without_repeats(tour: _Tour) -> tuple[_Tour, Ints]:
+    """The tour without views that were picked twice, one visit serves both; and the numbers of those that stay."""
     first = np.unique(tour.picks, return_index=True)[1]
     stays = np.sort(first)
     number = np.full(len(tour.picks), -1)
     number[stays] = np.arange(len(stays))
     order = number[tour.order]
-    return _Tour(tour.cost, tour.picks[stays], order[order >= 0], tour.q[order >= 0])
+    return _Tour(tour.cost, tour.picks[stays], order[order >= 0], tour.q[order >= 0]), stays
 
 
 def _any_combination(matrix: Matrix, views: Ints, required: Ints, pinned: frozenset[int]) -> list[Ints]:

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from cell.plan import view_plan
 from cell.plan.request import Request
-from cell.plan.view_exchange import settled, shorter
+from cell.plan.view_exchange import _taken_back, settled, shorter
 from cell.plan.views import Groups, Next
 from cell.scene.plan_settings import PlanSettings
 from planner import cover
@@ -191,3 +191,41 @@ def test_what_detours_may_lengthen_is_the_motion_and_not_the_standing(
     monkeypatch.setattr(Groups, "exchanged", True)
     view_plan._connect(problem, Shown(exchanged), selected, (), (), None, None)
     assert len(planned) == (2 if compared else 1)
+
+
+class Seen:
+    """Held-out samples of equal areas, and what each candidate measures of them, asked as `Prediction` is."""
+
+    def __init__(self, measured: np.ndarray) -> None:
+        self.measured = measured
+        self.samples = SimpleNamespace(areas=np.ones(len(measured)))
+        self.coverable = SimpleNamespace(area=float(len(measured)))
+
+    def visible(self, views: np.ndarray) -> SimpleNamespace:
+        return SimpleNamespace(covered=self.measured[:, views].any(axis=1))
+
+    def share_of_coverable(self, views: np.ndarray) -> float:
+        return float(self.visible(views).covered.mean())
+
+    def seen(self, views: np.ndarray, among: np.ndarray) -> np.ndarray:
+        return np.asarray(self.measured[np.ix_(among, views)])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_views_are_taken_back_until_the_share_is_kept(seed: int) -> None:
+    """Every view is the exchange's or the one that it stands in for; few come back for a little, none for nothing."""
+    rng = np.random.default_rng(seed)
+    known = Seen(rng.random((400, 40)) < 0.1)
+    problem = SimpleNamespace(prediction=known, candidates=SimpleNamespace(T_object_scanner=np.arange(40)))
+    own, found = np.arange(20), SimpleNamespace(views=np.arange(20, 39), instead_of=np.arange(1, 20))
+    least, low = known.share_of_coverable(own), known.share_of_coverable(found.views)
+    back = []
+    for asked in (low, low + 0.25 * (least - low) if least > low else low, least):
+        views = _taken_back(problem, own, found, asked)  # type: ignore[arg-type]
+        assert known.share_of_coverable(views) >= asked
+        if len(views) == len(found.views):
+            assert ((views == found.views) | (views == own[found.instead_of])).all()
+            back.append(int((views != found.views).sum()))
+        else:
+            np.testing.assert_array_equal(views, own)
+    assert back[0] == 0
