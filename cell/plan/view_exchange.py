@@ -5,8 +5,8 @@ solution of one member of each group, and what it picked becomes the plan. The n
 stay what the cover says.
 
 Less than full coverage is promised on held-out samples too, which the exchange does not see: there its views are looked
-at on them, and fewer liberties taken where they fall short or lose more than a little beyond it. What the selection had
-to cover of the matrix stays covered.
+at on them, and fewer liberties taken where they fall short or lose more than a little beyond it; then those that lose most
+are taken back for the cover's own. What the selection had to cover of the matrix stays covered.
 """
 
 import logging
@@ -22,6 +22,7 @@ from cell.rays.self_shading import OwnArm
 from planner.cover import Cover, CoverStatus
 from planner.measurability.matrix import Measurability
 from planner.order.equivalent_views import Exchange, Matrix, exchange
+from planner.order.generalised_tsp import FULL
 from planner.order.seconds_of_views import moves_in
 from planner.order.tour import Tour
 from planner.values import Ints
@@ -68,22 +69,23 @@ def _exchanged(
     asked = problem.request.plan.coverage
     least = max(asked, float(selected.shares[0]) - _LOST)
     enough = target * chosen.coverable_area * (1 - _ROUNDING)
-    for allowed in (spare, 0.0) if spare > 0 else (0.0,):
+    again = spare > 0 and len(chosen.views) <= FULL  # of many views another exchange takes longer than it saves
+    for allowed in (spare, 0.0) if again else (spare,):
         found = exchange(
             matrix, chosen.views, arm.configurations, problem.world.home, problem.limits, rng,
             pinned=chosen.pinned.tolist(), spare=allowed,
         )  # fmt: skip
         if asked >= 1:
             return found, found.groups
-        if _covered(matrix, found.views) < enough:
-            continue
-        if problem.prediction.share_of_coverable(problem.candidates.T_object_scanner[found.views]) >= least:
+        kept = problem.prediction.share_of_coverable(problem.candidates.T_object_scanner[found.views]) >= least
+        if kept and _covered(matrix, found.views) >= enough:
             return found, _single(found.views)
     views = _taken_back(problem, chosen.views, found, least)
-    if _covered(matrix, views) < enough:
+    if len(views) > len(found.views) or _covered(matrix, views) < enough:
         return found, _single(chosen.views)
     visited = views[np.array([np.flatnonzero(found.views == view)[0] for view in found.visited])]
-    return replace(found, views=views, visited=visited), _single(np.unique(views))
+    once = np.sort(np.unique(views, return_index=True)[1])  # a view that came back may have stood in for another
+    return replace(found, views=views, visited=visited), _single(views[once])
 
 
 def _taken_back(problem: Problem, own: Ints, found: Exchange, least: float) -> Ints:
@@ -99,7 +101,7 @@ def _taken_back(problem: Problem, own: Ints, found: Exchange, least: float) -> I
         least: share of what is coverable that is kept.
 
     Returns:
-        As many candidates as the exchange has views, or the cover's.
+        As many candidates as the exchange has views, or all of the cover's where that does not suffice.
     """
     known, T = problem.prediction, problem.candidates.T_object_scanner
     views, before = found.views.copy(), own[found.instead_of]
