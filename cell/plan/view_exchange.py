@@ -5,8 +5,8 @@ solution of one member of each group, and what it picked becomes the plan. The n
 stay what the cover says.
 
 Less than full coverage is promised on held-out samples too, which the exchange does not see: there its views are looked
-at on them, and fewer liberties taken where they fall short or lose more than a little beyond it; then those that lose most
-are taken back for the cover's own. What the selection had to cover of the matrix stays covered.
+at on them, and fewer liberties taken where they fall short or lose more than a little beyond it; then those that
+lose most are taken back for the cover's own. What the selection had to cover of the matrix stays covered.
 """
 
 import logging
