@@ -10,7 +10,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.surface.mesh import cross_products
+from planner.surface.mesh import cross_products, crossed, lengths
 from planner.values import Floats, Ints
 
 
@@ -148,7 +148,9 @@ def _orient(vertices: Floats, faces: Ints) -> tuple[Ints, list[Finding]]:
 def _edge_keys(faces: Ints) -> Ints:
     """(3 F,) the undirected edge of each side as a number: all first-second, then second-third, then third-first."""
     start, end = faces.T.ravel(), np.roll(faces, -1, axis=1).T.ravel()
-    keys: Ints = np.minimum(start, end) * (int(faces.max()) + 1) + np.maximum(start, end)
+    keys: Ints = np.minimum(start, end)
+    keys *= int(faces.max()) + 1
+    keys += np.maximum(start, end, out=start)
     return keys
 
 
@@ -164,8 +166,9 @@ def neighbours(faces: Ints) -> tuple[Ints, Ints, NDArray[np.bool_], Ints]:
     ordered = keys[order]
     first = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1]))
     count = np.diff(np.append(first, len(keys)))
-    uses = np.empty(len(keys), np.int64)
-    uses[order] = np.repeat(count, count)
+    uses = np.full(len(keys), 2)
+    if (count != 2).any():
+        uses[order] = np.repeat(count, count)
     pair = first[count == 2]
     one, two = order[pair], order[pair + 1]
     start = faces.T.ravel()
@@ -204,13 +207,13 @@ def bodies(n_faces: int, one: Ints, two: Ints) -> tuple[Ints, int]:
 
 def _body_volumes(vertices: Floats, faces: Ints, body: Ints, n_bodies: int) -> Floats:
     """(n_bodies,) signed volume; an open body is closed towards the middle of its own vertices."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    a, b, c = (np.take(vertices, corner, axis=0) for corner in faces.T)
     counts = 3 * np.bincount(body, minlength=n_bodies)
     sums = [np.bincount(body, weights=axis, minlength=n_bodies) for axis in (a + b + c).T]
     middle = (np.stack(sums, axis=1) / counts[:, None])[body]
     for corners in (a, b, c):
         corners -= middle
-    six = np.einsum("fj,fj->f", a, np.cross(b, c))
+    six = np.einsum("fj,fj->f", a, crossed(b, c))
     return np.bincount(body, weights=six, minlength=n_bodies) / 6
 
 
@@ -252,6 +255,10 @@ def _first_of_equals(faces: Ints) -> Ints:
     """The faces without those whose three corners an earlier one has, by their indices."""
     if not len(faces):
         return np.arange(0)
+    code = np.random.default_rng(0).integers(1 << 62, size=int(faces.max()) + 1)
+    sums = np.sort(code[faces].sum(axis=1))  # equal faces have equal sums; without such, none is there twice
+    if (sums[1:] != sums[:-1]).all():
+        return np.arange(len(faces))
     corners = np.sort(faces, axis=1)
     order = np.lexsort(corners.T[::-1])
     same = (corners[order][1:] == corners[order][:-1]).all(axis=1)
@@ -262,7 +269,7 @@ def _first_of_equals(faces: Ints) -> Ints:
 
 def double_areas(vertices: Floats, faces: Ints) -> Floats:
     """(F,) twice the area of each face."""
-    doubled: Floats = np.linalg.norm(cross_products(vertices, faces), axis=1)
+    doubled: Floats = lengths(cross_products(vertices, faces))
     return doubled
 
 

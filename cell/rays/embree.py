@@ -79,7 +79,7 @@ class EmbreeRayCaster:
         self._middle: Floats = (low + high) / 2
         self._half_diagonal = float(np.linalg.norm(high - low)) / 2
         centred = np.where(np.isfinite(vertices), vertices - self._middle, 0.0)  # a vertex that no face uses may be NaN
-        corner = centred[indices[:, 0]]
+        corner = np.take(centred, indices[:, 0], axis=0)
         self._normals: Floats = cross_products(centred, indices)
         self._offsets: Floats = np.einsum("ij,ij->i", self._normals, corner)
         self._scene = _build(centred.astype(np.float32), indices.astype(np.int32))

@@ -24,6 +24,7 @@ from planner.values import Floats
 Frames = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 """Origin (3,) and axes (9,), row by row, of two frames in base [m]."""
 
+_BLOCK = 8192  # triangles worked on at once: what they need fits into a core's cache
 _LEAF = 4  # triangles in a leaf, about: fewer cost more nodes, more cost more narrow checks
 
 # Directions along which nothing is built.
@@ -44,7 +45,7 @@ class TriangleTree:
             mesh: at least one face [m].
         """
         order = np.argsort(_morton(mesh.centres), kind="stable")
-        triangles = mesh.vertices[mesh.faces[order]]
+        triangles = np.take(mesh.vertices, np.take(mesh.faces, order, axis=0), axis=0)
         leaves = 1 << max(0, int(np.ceil(np.log2(max(1.0, len(order) / _LEAF)))))
         first = (np.arange(leaves + 1, dtype=np.int64) * len(order)) // leaves
         bounds = np.empty((2 * leaves, 3, 3))
@@ -162,27 +163,29 @@ def is_closed(mesh: TriangleMesh) -> bool:
     doi:10.1145/2714064.2660195): 0 is left of a closed mesh, and of one in 2^64 others.
     """
     left = np.uint64(0)
-    for k in range(3):
-        start, end = mesh.faces[:, k], mesh.faces[:, (k + 1) % 3]
-        edge = np.minimum(start, end).astype(np.uint64) << np.uint64(32) | np.maximum(start, end).astype(np.uint64)
-        edge = edge[start != end] + np.uint64(0x9E3779B97F4A7C15)  # without those of faces that are collapsed to a line
-        for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
-            edge = (edge ^ (edge >> np.uint64(shift))) * np.uint64(factor)
-        left ^= np.bitwise_xor.reduce(edge ^ (edge >> np.uint64(31)))
+    for begin in range(0, len(mesh.faces), _BLOCK):
+        corners = mesh.faces[begin : begin + _BLOCK].T.astype(np.uint64)
+        for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            edge = np.minimum(start, end) << np.uint64(32) | np.maximum(start, end)
+            edge = edge[start != end] + np.uint64(0x9E3779B97F4A7C15)  # without those of faces collapsed to a line
+            for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+                edge = (edge ^ (edge >> np.uint64(shift))) * np.uint64(factor)
+            left ^= np.bitwise_xor.reduce(edge ^ (edge >> np.uint64(31)))
     return bool(left == 0)
 
 
 def _morton(points: "Floats") -> NDArray[np.uint64]:
     """(N,) place of each point on Morton's curve, 21 bits an axis."""
     low = points.min(axis=0)
-    span = max(float(np.ptp(points, axis=0).max()), 1e-300)
-    cell = np.minimum((points - low) / span * 2097151.0, 2097151.0).astype(np.uint64)
+    span = max(float((points.max(axis=0) - low).max()), 1e-300)
     code = np.zeros(len(points), dtype=np.uint64)
-    for axis in range(3):
-        x = cell[:, axis]
-        for shift, mask in _SPREAD:
-            x = (x | (x << np.uint64(shift))) & np.uint64(mask)
-        code |= x << np.uint64(axis)
+    for begin in range(0, len(points), _BLOCK):
+        block = slice(begin, begin + _BLOCK)
+        cells = np.minimum((points[block] - low) / span * 2097151.0, 2097151.0).astype(np.uint64)
+        for axis, x in enumerate(cells.T):
+            for shift, mask in _SPREAD:
+                x = (x | (x << np.uint64(shift))) & np.uint64(mask)
+            code[block] |= x << np.uint64(axis)
     return code
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.errors import PlannerError
 from planner.surface.cluster import clustered
-from planner.surface.mesh import TriangleMesh, cross_products
+from planner.surface.mesh import TriangleMesh, cross_products, lengths
 from planner.surface.remesh import edges_of, split_long_edges, stout
 from planner.values import Floats, Ints32
 
@@ -143,7 +143,7 @@ def _allowed_miss(face_count: int) -> float:
 def _clean(vertices: Floats, faces: NDArray[np.integer]) -> TriangleMesh:
     """Drop faces without area, faces that appear twice and vertices that no face uses; the order stays."""
     extent = float(np.ptp(vertices[faces.ravel()], axis=0).max())
-    twice = np.linalg.norm(cross_products(vertices, faces), axis=1)
+    twice = lengths(cross_products(vertices, faces))
     kept = faces[twice > 1e-14 * extent**2]  # below, the cross product is rounding
     low, between, high = np.sort(kept, axis=1).T
     order = np.lexsort((high, between, low))  # stable: of equal faces the first stays

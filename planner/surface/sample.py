@@ -110,12 +110,13 @@ def _laid_end_to_end(mesh: TriangleMesh) -> tuple[Ints, Floats, Floats]:
 
 def _morton_order(points: Floats) -> Ints:
     """(N,) the order of points along a Z-shaped space-filling curve of 2^10 cells per axis."""
-    low = points.min(axis=0)
-    extent = float(np.ptp(points, axis=0).max()) or 1.0
-    cells = np.minimum((points - low) / extent * 1024, 1023).astype(np.uint32)
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        cells = (cells | (cells << np.uint32(shift))) & np.uint32(mask)  # spread the bits of each coordinate apart
-    code = cells[:, 0] | (cells[:, 1] << np.uint32(1)) | (cells[:, 2] << np.uint32(2))
+    extent = max(float(np.ptp(axis)) for axis in points.T) or 1.0
+    code = np.zeros(len(points), np.uint32)
+    for number, axis in enumerate(points.T):
+        cells = np.minimum((axis - axis.min()) / extent * 1024, 1023).astype(np.uint32)
+        for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+            cells = (cells | (cells << np.uint32(shift))) & np.uint32(mask)  # spread the bits of each coordinate apart
+        code |= cells << np.uint32(number)
     return np.argsort(code, kind="stable")
 
 
