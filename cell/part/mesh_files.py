@@ -1,9 +1,9 @@
 """From the bytes of a file of geometry to arrays: STL (binary and ASCII), OBJ, PLY, OFF, GLB, STEP.
 
 trimesh parses OBJ, PLY, OFF and binary STL; GLB and ASCII STL are read here, because what they announce has to be held
-against what they hold, and binary PLY of nothing but places and triangles, in a sixth of the time; STEP is read by `cell.part.step`. One sentence says what is wrong, in our words. Coordinates
-stay in the file's numbers. Vertices at exactly the same place become one, because STL repeats a corner in each face and
-the others at seams.
+against what they hold, and binary PLY of nothing but places and triangles, in a sixth of the time; STEP is read by
+`cell.part.step`. One sentence says what is wrong, in our words. Coordinates stay in the file's numbers. Vertices at
+exactly the same place become one, because STL repeats a corner in each face and the others at seams.
 """
 
 import io
