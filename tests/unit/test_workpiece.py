@@ -49,7 +49,7 @@ def checked(mesh: trimesh.Trimesh) -> Workpiece:
 
 
 def test_plain_ply_is_read_as_trimesh_reads_it(tmp_path: Path) -> None:
-    """Places and triangles of a PLY of nothing else are bit for bit those of trimesh; one with colours is left to it."""
+    """Places and triangles of a PLY of nothing else are bit for bit those of trimesh; colours are left to it."""
     path = write(tmp_path, body(), "part.ply")
     plain = mesh_files._plain_ply(path.read_bytes())
     read = trimesh.load(path, process=False)
