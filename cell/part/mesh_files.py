@@ -1,9 +1,9 @@
 """From the bytes of a file of geometry to arrays: STL (binary and ASCII), OBJ, PLY, OFF, GLB, STEP.
 
 trimesh parses OBJ, PLY, OFF and binary STL; GLB and ASCII STL are read here, because what they announce has to be held
-against what they hold, and binary PLY of nothing but places and triangles, in a sixth of the time; STEP is read by
-`cell.part.step`. One sentence says what is wrong, in our words. Coordinates stay in the file's numbers. Vertices at
-exactly the same place become one, because STL repeats a corner in each face and the others at seams.
+against what they hold; STEP is read by `cell.part.step`. One sentence says what is wrong, in our words. Coordinates
+stay in the file's numbers. Vertices at exactly the same place become one, because STL repeats a corner in each face and
+the others at seams.
 """
 
 import io
@@ -25,11 +25,6 @@ SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", *STEP)
 
 _STL_HEADER = 84  # 80 bytes of comment and the number of faces
 _STL_FACE = 50
-_PLAIN_PLY = re.compile(
-    rb"ply\nformat binary_little_endian 1\.0\n(?:comment[^\n]*\n)*"
-    rb"element vertex (\d+)\nproperty (float|double) x\nproperty \2 y\nproperty \2 z\n"
-    rb"element face (\d+)\nproperty list uchar int vertex_ind(?:ices|ex)\nend_header\n"
-)
 
 
 def read_bytes(path: Path) -> bytes:
@@ -84,8 +79,6 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
         content, text = _checked_stl(path, content)
         if text:
             return checked(str(path), *_text_stl(path, content))
-    elif suffix == ".ply" and (plain := _plain_ply(content)) is not None:
-        return checked(str(path), *plain)
     elif suffix in (".obj", ".off"):
         content = content.decode("utf-8", errors="replace").encode()  # comments may be in any encoding
     return checked(str(path), *_parse_with_trimesh(path, suffix, content))
@@ -138,24 +131,6 @@ def _parse_with_trimesh(path: Path, suffix: str, content: bytes) -> tuple[Floats
         raise FileError(
             f"{path} cannot be read as {suffix[1:].upper()}; it is broken or cut short, export it again"
         ) from error
-
-
-def _plain_ply(content: bytes) -> tuple[Floats, Ints] | None:
-    """Vertices and triangles of a whole binary PLY that holds nothing else; None where it does, or is not whole."""
-    header = _PLAIN_PLY.match(content)
-    if header is None:
-        return None
-    place = np.dtype("<f4" if header[2] == b"float" else "<f8")
-    face = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
-    n_vertices, n_faces, begin = int(header[1]), int(header[3]), header.end()
-    middle = begin + 3 * n_vertices * place.itemsize
-    if len(content) != middle + n_faces * face.itemsize:
-        return None
-    faces = np.frombuffer(content, face, n_faces, middle)
-    if (faces["count"] != 3).any():
-        return None
-    vertices = np.frombuffer(content, place, 3 * n_vertices, begin).reshape(-1, 3)
-    return vertices.astype(np.float64), faces["corners"].astype(np.int64)
 
 
 def _checked_stl(path: Path, content: bytes) -> tuple[bytes, bool]:

@@ -12,7 +12,6 @@ import pytest
 import trimesh
 
 from cell.errors import CellError, FileError, UsageError
-from cell.part import mesh_files
 from cell.part.workpiece import UNITS, Kind, Severity, Workpiece, from_mesh, load
 from cell.scene.scene import Scene
 
@@ -46,20 +45,6 @@ def kinds(part: Workpiece) -> list[Kind]:
 def checked(mesh: trimesh.Trimesh) -> Workpiece:
     """The mesh (millimetres) through the checks."""
     return from_mesh("part", np.array(mesh.vertices), np.array(mesh.faces), "mm", "")
-
-
-def test_plain_ply_is_read_as_trimesh_reads_it(tmp_path: Path) -> None:
-    """Places and triangles of a PLY of nothing else are bit for bit those of trimesh; colours are left to it."""
-    path = write(tmp_path, body(), "part.ply")
-    plain = mesh_files._plain_ply(path.read_bytes())
-    read = trimesh.load(path, process=False)
-    assert plain is not None
-    assert np.array_equal(plain[0], read.vertices)
-    assert np.array_equal(plain[1], read.faces)
-    assert mesh_files._plain_ply(path.read_bytes()[:-1]) is None
-    coloured = body()
-    coloured.visual.face_colors = [255, 0, 0, 255]
-    assert mesh_files._plain_ply(write(tmp_path, coloured, "red.ply").read_bytes()) is None
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".off", ".glb", ".STL"])
