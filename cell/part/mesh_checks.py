@@ -150,7 +150,7 @@ def _edge_keys(faces: Ints) -> Ints:
     start, end = faces.T.ravel(), np.roll(faces, -1, axis=1).T.ravel()
     keys: Ints = np.minimum(start, end)
     keys *= int(faces.max()) + 1
-    keys += np.maximum(start, end, out=start)
+    keys += np.maximum(start, end, out=end)  # a copy, which `start` need not be
     return keys
 
 
