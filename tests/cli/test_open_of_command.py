@@ -11,11 +11,8 @@ import pytest
 
 from cell.api import open_run
 from cell.rays.prediction import held_out
-from cell.run.cell import read_cell
-from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, measured_by
-from planner.measurability.matrix import measured
-from planner.values import Bools
+from tests.seen_samples import seen_and_touching
 
 Cell = Callable[..., Any]
 
@@ -32,16 +29,6 @@ def second(made_once: Callable[..., Path], planned: Path, run_cell: Cell) -> Pat
         (folder / "stdout").write_text(done.stdout)
 
     return made_once("second_setup", make) / "run"
-
-
-def _seen(run: Path) -> Bools:
-    """(S, 2) held-out samples that a view measures, each view asked for all of them; and those that touch."""
-    planned = open_run(run)
-    cell = read_cell(planned.record)
-    samples = held_out(cell.reference, cell.planning, planned.record.seed)
-    poses = np.stack([view.T_object_poses for view in planned.plan.views])
-    seen = measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True).any(axis=1)
-    return np.column_stack([seen, touching(samples, cell.occluders)])
 
 
 def test_the_rows_are_what_no_view_measures_and_candidates_keep_their_numbers(planned: Path, second: Path) -> None:
@@ -66,7 +53,7 @@ def test_the_plan_says_what_both_measure_together(planned: Path, second: Path) -
     """The union over held-out samples, each view asked for all of them; what a support touches counts in neither."""
     said = json.loads((second / "plan.json").read_text())["open_of"]
     assert said["digests"] == [open_run(planned).digest]
-    (one, touched_before), (other, touches) = _seen(planned).T, _seen(second).T
+    (one, touched_before), (other, touches) = seen_and_touching(planned), seen_and_touching(second)
     before = one & ~touched_before
     assert said["before"] == pytest.approx(before.mean(), abs=1e-12)
     assert said["together"] == pytest.approx((before | (other & ~touches)).mean(), abs=1e-12)

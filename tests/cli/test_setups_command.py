@@ -12,14 +12,11 @@ import pytest
 import trimesh
 
 from cell.api import open_run, plan_setups
-from cell.rays.prediction import held_out
 from cell.run import reader
 from cell.run.cell import read_cell
-from cell.setups.contact import touching
 from cell.setups.measured import Setup
 from cell.setups.plan_setups import left_out
-from planner.measurability.matrix import measured
-from planner.values import Bools
+from tests.seen_samples import seen_samples
 
 Cell = Callable[..., Any]
 
@@ -30,20 +27,10 @@ def made(made_setups: Path) -> Path:
     return made_setups
 
 
-def _seen(run: Path) -> Bools:
-    """(S,) held-out samples that a view of a run measures, each asked for all of them, and no support touches."""
-    planned = open_run(run)
-    cell = read_cell(planned.record)
-    samples = held_out(cell.reference, cell.planning, planned.record.seed)
-    poses = np.stack([view.T_object_poses for view in planned.plan.views])
-    seen = measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True).any(axis=1)
-    return seen & ~touching(samples, cell.occluders)
-
-
 def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
     """The union of all runs on the held-out samples; a second set-up is needed and the bound says so."""
     said = json.loads((made / "setups.json").read_text())
-    seen = [_seen(made / setup["folder"]) for setup in said["chosen"]]
+    seen = [seen_samples(made / setup["folder"]) for setup in said["chosen"]]
     assert said["coverage"]["visible"] == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
     assert [setup["visible"] for setup in said["chosen"]] == pytest.approx([each.mean() for each in seen], abs=1e-12)
     assert sum(setup["adds"] for setup in said["chosen"]) == pytest.approx(said["coverage"]["visible"], abs=1e-12)

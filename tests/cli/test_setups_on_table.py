@@ -10,14 +10,9 @@ import numpy as np
 import pytest
 
 from cell.proof.proof import prove
-from cell.rays.prediction import held_out
-from cell.run.cell import read_cell
-from cell.run.planned import open_run
 from cell.run.setups_json import SetupsFile
-from cell.setups.contact import touching
 from cell.setups.planned_setups import PlannedSetups
-from planner.measurability.matrix import measured
-from planner.values import Bools
+from tests.seen_samples import seen_samples
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -54,16 +49,6 @@ def folder(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Pa
     return made_once("setups-on-table", make) / "made"
 
 
-def _seen(run: Path) -> Bools:
-    """(S,) held-out samples that a view of a run measures, each with the table where it is turned back."""
-    planned = open_run(run)
-    cell = read_cell(planned.record)
-    samples = held_out(cell.reference, cell.planning, planned.record.seed)
-    poses = np.stack([view.T_object_poses for view in planned.plan.views])
-    seen = measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True).any(axis=1)
-    return seen & ~touching(samples, cell.occluders)
-
-
 def test_each_set_up_is_a_plan_of_seven_axes_on_the_same_table(folder: Path) -> None:
     """Layout 2, the motion's certificate made again from the folder; the table stands where it stood."""
     made = PlannedSetups.opened(folder)
@@ -77,7 +62,7 @@ def test_each_set_up_is_a_plan_of_seven_axes_on_the_same_table(folder: Path) -> 
         tables.append(proven.world.table.T_base_table)
     for table in tables[1:]:
         np.testing.assert_array_equal(table, tables[0])
-    seen = [_seen(run) for run in made.folders]
+    seen = [seen_samples(run) for run in made.folders]
     assert made.file.coverage.visible == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
     assert made.file.coverage.visible_of_coverable >= 0.9
 

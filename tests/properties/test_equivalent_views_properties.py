@@ -87,6 +87,14 @@ def test_where_there_are_too_many_joint_solutions_nothing_is_lost_either(monkeyp
         assert found.duration <= found.duration_before * (1 + 1e-12)
 
 
+def test_the_joint_solutions_that_are_kept_are_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that make the tour least longer, by number; never fewer than a few."""
+    monkeypatch.setattr(moves, "_NODES", 10)
+    longer = np.random.default_rng(0).random(9)
+    for n_views, count in ((2, 5), (100, 4), (1, 9)):
+        assert moves.best_on_tour(longer, n_views).tolist() == sorted(np.argsort(longer)[:count].tolist())
+
+
 def test_pinned_views_stay_and_stand_in_for_nobody() -> None:
     """A pinned view's group is itself alone."""
     case = Case(1)

@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 
 from cell.errors import FileError
 from cell.explore import belief, specification, stage
-from cell.explore.explore import require_plausible
+from cell.explore.explore import _came, require_plausible
 from cell.explore.options import ExploreOptions
 from cell.explore.policies import POLICIES, Batch, So
 from cell.explore.prepare import begun, prepared
@@ -145,3 +145,13 @@ def test_batches_that_brought_nothing_ask_for_one_view_at_most() -> None:
     for came, views in ((1.0, 3), (0.0, 1)):
         asked = stage.Asked(None, None, Batch(None), 0.01, came)
         assert stage._worth(problem, surface, asked).request.plan.max_views == views
+
+
+def test_what_came_is_held_against_what_was_expected() -> None:
+    """The first ring counts for nothing; then newly measured over expected area."""
+    stages = [(5.0, 20.0, 10.0), (2.0, 20.0, 6.0), (1.0, 21.0, 4.0)]
+    file = SimpleNamespace(
+        stages=[SimpleNamespace(expected_mm2=e, surface_mm2=surface, open_mm2=left) for e, surface, left in stages]
+    )
+    assert _came(file) == 2.0  # median of 1, 2 and 3
+    assert _came(SimpleNamespace(stages=file.stages[:1])) == 1.0

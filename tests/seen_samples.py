@@ -1,0 +1,28 @@
+"""What the views of a finished run measure of the held-out samples, asked for all of them; for tests of set-ups."""
+
+from pathlib import Path
+
+import numpy as np
+
+from cell.rays.prediction import held_out
+from cell.run.cell import read_cell
+from cell.run.planned import open_run
+from cell.setups.contact import touching
+from planner.measurability.matrix import measured
+from planner.values import Bools
+
+
+def seen_and_touching(run: Path) -> tuple[Bools, Bools]:
+    """(S,) samples that a view measures, with a table each where it is turned back, and (S,) that a support touches."""
+    planned = open_run(run)
+    cell = read_cell(planned.record)
+    samples = held_out(cell.reference, cell.planning, planned.record.seed)
+    poses = np.stack([view.T_object_poses for view in planned.plan.views])
+    seen = measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True).any(axis=1)
+    return seen, touching(samples, cell.occluders)
+
+
+def seen_samples(run: Path) -> Bools:
+    """(S,) samples that a view measures and no support touches."""
+    measured_there, touched = seen_and_touching(run)
+    return measured_there & ~touched
