@@ -223,7 +223,8 @@ def select(
         return _cover(request, wish, request.asked, rng, cover.DEFAULT_WORK, looked)
 
     def solve(targets: Floats, work: int, start: Selected | None) -> Selected:
-        found = _cover(request, wish, targets, rng, work if request.brief else cover.DEFAULT_WORK, start)
+        short = request.brief or (request.costs is not None and start is not None)
+        found = _cover(request, wish, targets, rng, work if short else cover.DEFAULT_WORK, start)
         poses = candidates.T_object_scanner[found.cover.views]
         if request.goals is None:
             return replace(found, shares=np.array([prediction.share_of_coverable(poses)]))

@@ -17,12 +17,13 @@ from cell.plan import files as plan_files
 from cell.plan.candidates import GROWN, arm_of, first, grow, limited
 from cell.plan.clearances import require_no_contact
 from cell.plan.connected_plan import ConnectedPlan
+from cell.plan.least_time import counted, in_seconds, priced
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
 from cell.plan.refined import Append, connected, movable, with_fewer
 from cell.plan.region_goals import RegionGoals, require_measurable
-from cell.plan.request import Request, seconds_of_views
+from cell.plan.request import Request
 from cell.plan.view_plan import choose_and_connect
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, limit_sigma, part_matrix, surface_features
@@ -242,13 +243,12 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
                 run.rng(ENSEMBLE), progress,
             )  # fmt: skip
     limits = scaled(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
-    home = cell.world.home if measured.candidates.T_object_scanner.shape[1] == 1 else None
-    costs = seconds_of_views(plan, measured.reached, home, limits) if plan.cost == "time" else None
     goals = RegionGoals.of(complete(scene.region), plan)
-    return Problem(
-        Request(plan, costs, layer, goals), measured.candidates, measured.reached, measured.M, prediction,
+    problem = Problem(
+        Request(plan, None, layer, goals), measured.candidates, measured.reached, measured.M, prediction,
         cell.world, limits, cell.kinematics, cell.checker,
     )  # fmt: skip
+    return priced(problem) if plan.cost == "time" else problem
 
 
 def connect(
@@ -257,9 +257,11 @@ def connect(
     """Steps 6 to 8: the problem with what its promise took, and its views connected; `append` lets views be moved."""
     with run.step("select, order and connect") as progress:
         chooses, before = run.rng(SELECTION), problem
-        moved = unmoved = denser_samples.chosen_where_kept(problem, surface, chooses, run.rng(FRESH))
+        moved = unmoved = denser_samples.chosen_where_kept(counted(problem), surface, chooses, run.rng(FRESH))
         if append is not None and movable(unmoved[0]):
             moved = with_fewer(*unmoved, append, chooses)
+        if problem.request.costs is not None:
+            moved = unmoved = in_seconds(*moved, chooses)
         joined = partial(choose_and_connect, selection_rng=chooses, progress=progress)
         problem, chosen = connected(moved, unmoved, lambda *asked: joined(*asked, motion_rng=run.rng(MOTION)))
         if problem.M is not before.M:

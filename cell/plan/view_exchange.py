@@ -11,12 +11,13 @@ lose most are taken back for the cover's own. What the selection had to cover of
 
 import logging
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.plan.problem import Problem
-from cell.plan.request import LEAST_COST, Selected, select
+from cell.plan.request import LEAST_COST, WORK, Selected, select
 from cell.plan.views import Groups
 from cell.rays.self_shading import OwnArm
 from planner.cover import Cover, CoverStatus
@@ -25,7 +26,7 @@ from planner.order.equivalent_views import Exchange, Matrix, exchange
 from planner.order.generalised_tsp import FULL
 from planner.order.seconds_of_views import moves_in
 from planner.order.tour import Tour
-from planner.values import Ints
+from planner.values import Floats, Ints
 
 log = logging.getLogger(__name__)
 
@@ -54,7 +55,7 @@ def groups(
     found, members = _exchanged(problem, arm, selected, usable, rng)
     before = found.duration_before + problem.request.standing * len(selected.cover.views)
     if problem.request.costs is not None:
-        found, members = _other_covers(problem, arm, found, members, usable, rng)
+        found, members = _other_covers(problem, arm, selected, (found, members), usable, rng)
     _tell(found)
     return replace(_groups(arm, members), straight_before=before, visited=tuple(found.visited.tolist()))
 
@@ -128,40 +129,46 @@ def _covered(matrix: Matrix, views: Ints) -> float:
 def _other_covers(
     problem: Problem,
     arm: OwnArm,
-    found: Exchange,
-    members: tuple[Ints, ...],
+    selected: Selected,
+    exchanged: tuple[Exchange, tuple[Ints, ...]],
     usable: NDArray[np.bool_],
     rng: np.random.Generator,
 ) -> tuple[Exchange, tuple[Ints, ...]]:
     """The exchange, and its groups, of the least time found by choosing and ordering in turns.
 
     Each candidate is priced at its standing and at what it makes the tour at hand longer, the cheapest cover at these
-    prices is ordered and its views are exchanged, and so on, until a cover comes back or two in a row are no better.
+    prices is ordered and its views are exchanged, and so on, until a cover comes back or two in a row are no better;
+    then once more from the cheapest cover at the prices that know no tour.
     """
     request, reached = problem.request, problem.reached
-    best, least, since = found, found.duration + request.standing * len(members), 0
-    seen = {frozenset(found.views.tolist())}
+    banned = tuple(np.flatnonzero(~usable & reached.reachable).tolist())
+
+    def priced(tour: Exchange) -> Floats:
+        more = moves_in(tour.stops, tour.visited, reached.q, reached.offsets, problem.limits)
+        return np.maximum(np.where(usable, more, 0.0) + request.standing, LEAST_COST)
+
+    (best, members), since = exchanged, 0
+    least, prices, without_tour = best.duration + request.standing * len(members), priced(best), request.costs
+    seen = {frozenset(best.views.tolist())}
     for _ in range(_COVERS):
-        more = moves_in(found.stops, found.visited, reached.q, reached.offsets, problem.limits)
-        prices = np.maximum(np.where(usable, more, 0.0) + request.standing, LEAST_COST)
-        banned = tuple(np.flatnonzero(~usable & reached.reachable).tolist())
-        cheapest = select(
-            replace(request, costs=prices), arm.M, reached, problem.candidates, problem.prediction,
+        choose = partial(
+            select, replace(request, costs=prices), arm.M, reached, problem.candidates, problem.prediction,
             banned=banned, rng=rng,
         )  # fmt: skip
-        if frozenset(cheapest.cover.views.tolist()) in seen:
-            break
-        found, others = _exchanged(problem, arm, cheapest, usable, rng)
-        seen |= {frozenset(cheapest.cover.views.tolist()), frozenset(found.views.tolist())}
-        seconds = found.duration + request.standing * len(others)
-        log.info(
-            "another cover of %d views: %.3f s with the motion, %.3f s the best before", len(others), seconds, least
-        )
-        since += 1
-        if seconds < least * (1.0 - 1e-9):
-            best, least, members, since = found, seconds, others, 0
-        if since == 2:
-            break
+        cheapest = choose(looked=choose(looked=selected, look=WORK))
+        back = frozenset(cheapest.cover.views.tolist()) in seen
+        if not back:
+            found, others = _exchanged(problem, arm, cheapest, usable, rng)
+            seen |= {frozenset(cheapest.cover.views.tolist()), frozenset(found.views.tolist())}
+            seconds = found.duration + request.standing * len(others)
+            log.info("another cover of %d views: %.3f s with the motion, best %.3f s", len(others), seconds, least)
+            since, prices = since + 1, priced(found)
+            if seconds < least * (1.0 - 1e-9):
+                best, least, members, since = found, seconds, others, 0
+        if back or since == 2:
+            if without_tour is None:
+                break
+            since, prices, without_tour = 0, without_tour, None
     return best, members
 
 

@@ -86,3 +86,18 @@ def test_views_that_moved_are_candidates_like_others(
     assert done.returncode in (0, 3), done.stderr
     done = run_cell("scan", "run", "--view", "1", cwd=tmp_path)
     assert done.returncode in (0, 3), done.stderr
+
+
+def test_the_shortest_time_is_never_longer_than_the_fewest_views(
+    grown: tuple[str, ...], tmp_path: Path, run_cell: Run
+) -> None:
+    """Views that were moved so that fewer do are candidates for it as well; its bound stays below both."""
+    said = []
+    for cost in ("views", "time"):
+        done = run_cell(*grown, "--coverage", "0.97", "--cost", cost, "--out", cost, "--json", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        said.append(json.loads(done.stdout))
+    fewest, time = said
+    standing = time["settings"]["scan_s"] + time["settings"]["settle_s"]
+    assert time["cost"]["seconds"] <= fewest["n_views"] * standing + fewest["motion"]["duration_s"] + 1e-9
+    assert 0 < time["cost"]["bound_seconds"] <= time["cost"]["seconds"]
