@@ -53,11 +53,18 @@ def groups(
         rng: source of randomness.
     """
     found, members = _exchanged(problem, arm, selected, usable, rng)
-    before = found.duration_before + problem.request.standing * len(selected.cover.views)
-    if problem.request.costs is not None:
-        found, members = _other_covers(problem, arm, selected, (found, members), usable, rng)
     _tell(found)
-    return replace(_groups(arm, members), straight_before=before, visited=tuple(found.visited.tolist()))
+    standing = problem.request.standing
+    before = found.duration_before + standing * len(selected.cover.views)
+    exchanged = replace(_groups(arm, members), straight_before=before, visited=tuple(found.visited.tolist()))
+    if problem.request.costs is None:
+        return exchanged
+    other, others = _other_covers(problem, arm, selected, (found, members), usable, rng)
+    if other is found:
+        return exchanged
+    before = found.duration + standing * len(members)
+    groups = replace(_groups(arm, others), straight_before=before, visited=tuple(other.visited.tolist()))
+    return replace(groups, instead=exchanged)
 
 
 def _exchanged(

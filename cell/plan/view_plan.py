@@ -149,13 +149,16 @@ def _connect(
     groups = views.groups(selected, problem.usable(refused), rng)
     motion = _motion(problem, views, selected, groups, before, rng, progress)
     # Detours may have cost what the exchange saved; and a motion that leaves views out is short for that alone.
-    standing = problem.request.standing
-    seconds = motion.duration + standing * len(groups.members)
-    spare = _DETOURS * motion.duration if len(groups.members) > FULL else 0.0
-    if groups.exchanged and (motion.dropped or seconds - spare > groups.straight_before):
-        own = views.alone(chosen)
-        other = _motion(problem, views, selected, own, before, rng, progress)
-        groups, motion = view_exchange.shorter((groups, motion), (own, other), standing)
+    standing, least = problem.request.standing, (groups, motion)
+    while groups.exchanged:
+        seconds = motion.duration + standing * len(groups.members)
+        spare = _DETOURS * motion.duration if len(groups.members) > FULL else 0.0
+        if not motion.dropped and seconds - spare <= groups.straight_before:
+            break
+        groups = groups.instead or views.alone(chosen)
+        motion = _motion(problem, views, selected, groups, before, rng, progress)
+        least = view_exchange.shorter(least, (groups, motion), standing)
+    groups, motion = least
     if motion.status is TourStatus.HOME_IN_COLLISION:
         raise SceneError(
             f"home is nearer than the clearance to something ({motion.home_blocker}); change robot.home_deg, "

@@ -36,6 +36,7 @@ class Groups:
         straight_before: time of straight moves over the views that were exchanged, and of standing at them where time
             counts [s]: a plan that takes no longer needs no comparison with theirs. inf where nothing was exchanged.
         visited: candidates in the order of the tour that the exchange found.
+        instead: what is connected for that comparison; None: each view of the cover in a group of its own.
     """
 
     members: tuple[Ints, ...]
@@ -43,6 +44,7 @@ class Groups:
     configurations: tuple[Floats, ...]
     straight_before: float = float("inf")
     visited: tuple[int, ...] = ()
+    instead: "Groups | None" = None
 
     @property
     def exchanged(self) -> bool:

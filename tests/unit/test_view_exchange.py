@@ -193,6 +193,23 @@ def test_what_detours_may_lengthen_is_the_motion_and_not_the_standing(
     assert len(planned) == (2 if compared else 1)
 
 
+@pytest.mark.parametrize(("durations", "least"), [((12.0, 10.5, 11.0), 10.5), ((12.0, 9.5), 9.5), ((8.5,), 8.5)])
+def test_the_motion_of_another_cover_is_compared_with_those_that_straight_moves_put_behind_it(
+    durations: tuple[float, ...], least: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where detours cost what was gained: with the exchange of the cover, and where that has detours, the cover."""
+    motions = iter(durations)
+    monkeypatch.setattr(view_plan, "_motion", lambda *_: Lasts(next(motions)))
+    views = np.arange(3)
+    exchange = replace(Shown(groups()).alone(views), straight_before=10.0)
+    other = replace(exchange, straight_before=9.0, instead=exchange)
+    selected = SimpleNamespace(cover=SimpleNamespace(views=views))
+    found = view_plan._connect(Stub(Request(PlanSettings())), Shown(other), selected, (), (), None, None)
+    assert isinstance(found, view_plan._Connected)
+    assert found.motion.duration == least
+    assert next(motions, None) is None
+
+
 class Seen:
     """Held-out samples of equal areas, and what each candidate measures of them, asked as `Prediction` is."""
 
