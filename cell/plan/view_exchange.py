@@ -59,7 +59,8 @@ def groups(
     exchanged = replace(_groups(arm, members), straight_before=before, visited=tuple(found.visited.tolist()))
     if problem.request.costs is None:
         return exchanged
-    other, others = _other_covers(problem, arm, selected, (found, members), usable, rng)
+    draws = rng.spawn(1)[0]  # so that where no other cover is better the motion is that of the fewest views
+    other, others = _other_covers(problem, arm, selected, (found, members), usable, draws)
     if other is found:
         return exchanged
     before = found.duration + standing * len(members)
