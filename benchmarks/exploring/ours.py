@@ -54,7 +54,7 @@ class _Ours:
         if self._expected is None:
             return space
         (rows, surface), before = self._expected, self._before
-        new = known.points[-1][~before.seen(known.points[-1])]
+        new = known.points[-1][before.fresh(known.points[-1])]
         found = self._lab.eye.answered(rows.points, new, known.poses[-1]).astype(np.float64)
         of = before.open_at(rows.points)
         self._record = self._record.with_stage(of, rows.areas / self._record.weights(of) / surface, found)

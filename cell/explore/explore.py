@@ -154,7 +154,7 @@ def _learned(known: Known, folder: Path, scans: Sequence[ExecutedScan], work: Ex
         source, sensor = (T[:3, :3] @ place + T[:3, 3] for place in (eye.source, eye.sensor))
         after = after.seen_from(scan.points, [source, sensor])
         after = after.judged_from(scan.points, source, sensor, eye.blank(scan.points, T), eye.near, eye.far)
-        found |= sees[:, view] & eye.answered(expected.points, scan.points[~before.seen(scan.points)], T)
+        found |= sees[:, view] & eye.answered(expected.points, scan.points[before.fresh(scan.points)], T)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part
         of = before.open_at(expected.points)
@@ -187,7 +187,7 @@ def _expected(folder: Path, before: VoxelSpace) -> tuple[SurfaceSamples, Bools, 
     run = open_finished(folder)
     M, views = reader.measurability(run), reader.plan(run).views
     sees = M.matrix()[:, [view.id for view in views]].toarray()
-    rows = sees.any(axis=1) & ~before.seen(M.features.points)
+    rows = sees.any(axis=1) & ~before.seen(M.features.points, M.features.normals)
     return pick_samples(M.features, rows), sees[rows], float(reader.mesh(run, "reference.ply").areas.sum())
 
 
@@ -204,7 +204,7 @@ def _stage_of(
         seconds=round(reader.motion(run).duration, 6),
         expected_mm2=round(1e6 * float(_expected(folder, before)[0].areas.sum()), 3),
         surface_mm2=round(1e6 * float(mesh.areas.sum()), 3),
-        open_mm2=round(1e6 * float(mesh.areas[~known.space.seen(mesh.centres)].sum()), 3),
+        open_mm2=round(1e6 * float(mesh.areas[~known.space.seen(mesh.centres, mesh.normals)].sum()), 3),
         never_entered_mm3=round(1e9 * known.space.never_entered, 3),
     )
 

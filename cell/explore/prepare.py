@@ -29,10 +29,6 @@ from planner.explore.space import VoxelSpace
 from planner.ports import Scanner
 from planner.values import Bools, Floats
 
-_DENSE = 2.5
-"""Times as large as points lie apart at the standoff, voxels hold a point wherever a surface in them is measured."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Eye:
     """Where a scanner looks, scanner frame.
@@ -209,7 +205,7 @@ def _unknown(options: ExploreOptions, scanning: ScanOptions, settings: Settings,
     usual = max(2 * cylinder.radius / VOXELS, cylinder.height / VOXELS, SPACINGS * spacing)
     try:
         edge = usual if options.voxel_mm is None else options.voxel_mm / 1000
-        return VoxelSpace.of_cylinder(cylinder.radius, cylinder.height, edge, sparse=edge < _DENSE * spacing)
+        return VoxelSpace.of_cylinder(cylinder.radius, cylinder.height, edge)
     except PlannerError as error:
         raise UsageError(f"--voxel or --cylinder cannot be: {error}") from error
 

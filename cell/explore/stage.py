@@ -182,7 +182,7 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
 def probable(samples: SurfaceSamples, asked: Asked, most: int) -> SurfaceSamples:
     """What is asked for of the samples, areas times probabilities; of more than `most`, so many of the same product."""
     space = asked.space
-    unseen = ~space.seen(samples.points)
+    unseen = ~space.seen(samples.points, samples.normals)
     weights = np.where(unseen, asked.record.weights(space.open_at(samples.points)), float(asked.batch.whole))
     areas = weights * samples.areas
     kept = np.flatnonzero(areas)
@@ -242,7 +242,7 @@ def _explained(
     """Gives what is open with the reasons why it stays open."""
 
     def reasons_now() -> StillOpen:
-        left = pick_samples(scouts, ~asked.space.seen(scouts.points))
+        left = pick_samples(scouts, ~asked.space.seen(scouts.points, scouts.normals))
         of = asked.space.open_at(left.points)
         left = replace(left, areas=left.areas / asked.record.weights(of))
         return still_open(left, of, candidates, reached, scanner, casters)

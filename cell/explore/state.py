@@ -122,7 +122,7 @@ class Paths:
         space, record = known.space, known.record
         np.savez_compressed(
             self.voxels(number), allow_pickle=False, state=space.state, votes=space.votes, tries=space.tries,
-            expected=record.expected, found=record.found,
+            points=space.points, expected=record.expected, found=record.found,
         )  # fmt: skip
 
     def known(self, number: int, unknown: VoxelSpace) -> Known:
@@ -138,7 +138,7 @@ class Paths:
             raise FileError(f"{path} is missing; explore anew")
         stored = npz(path, path.read_bytes())
         with understood(path):
-            space = replace(unknown, state=stored["state"], votes=stored["votes"], tries=stored["tries"])
+            space = replace(unknown, **{name: stored[name] for name in ("state", "votes", "tries", "points")})
             return Known(space, Record(stored["expected"], stored["found"]))
 
     def clear(self, number: int) -> None:

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 MOST_TRIES = 2
 """Tries beyond this many are as this many."""
 
-REACHES = (2.0, 4.0, 8.0, 16.0, 32.0)
-"""Distances from the nearest measured voxel between the classes [edges of a voxel]."""
+REACHES = (1.1, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""Distances from the nearest measured voxel between the classes [edges of a voxel]; the first is of gaps in it."""
 
-_PRIOR = 0.5 * 0.5 ** np.arange(MOST_TRIES + 1)[:, None] * 0.7 ** np.arange(len(REACHES) + 1)
+_PRIOR = 0.5 * 0.5 ** np.arange(MOST_TRIES + 1)[:, None] * 0.7 ** np.maximum(np.arange(len(REACHES) + 1) - 1, 0)
 """Probability before anything is known of it: halved with each try, less by a third with each class of distance ..."""
 
 _WORTH = 0.01

@@ -36,7 +36,13 @@ MOST_VOXELS = 8_000_000
 
 _PADDING = 3  # free voxels about the cylinder, so that surfaces about what is not free are closed
 _LIKELY = 0.6  # of the cylinder: a view for this much of it looks deep into it, where the part's surface may be
-_NEAR = 1.1  # edges from the middle of a voxel that is measured to a believed surface above it, and little beyond
+_APART = 0.5
+"""Of an edge: side of the cubes of which each keeps one point."""
+_GAP = 0.7
+"""Edges across its normal from what is believed to a measured point, above which there is a gap between points ..."""
+_ABOVE, _BELOW = 0.5, 1.6
+"""... of those no more edges above and below it than a believed surface lies beside the points that it is made of."""
+_NEIGHBOURS = 8  # that are looked at: next to the middle of a gap there are fewer
 _BLANK = np.int16(2)
 """Votes of a view whose ray did not come back: most miss the part, while behind a point lies anything."""
 _ALL_ROUND = np.ones((3, 3, 3), dtype=np.bool_)
@@ -53,9 +59,9 @@ class VoxelSpace(Value):
         votes: (X, Y, Z) twice the views with a ray through a voxel that did not come back, less those that saw a point
             before it.
         tries: (X, Y, Z) how many views were executed that were expected to measure what is open in a voxel.
+        points: (P, 3) measured ones, the first in each cube of half an edge [m].
         radius: of the cylinder [m].
         height: of the cylinder [m].
-        sparse: whether points may lie farther apart than voxels.
     """
 
     low: Annotated[Floats, "3"]
@@ -63,19 +69,18 @@ class VoxelSpace(Value):
     state: Annotated[NDArray[np.uint8], "X Y Z"]
     votes: Annotated[NDArray[np.int16], "X Y Z"]
     tries: Annotated[NDArray[np.uint8], "X Y Z"]
+    points: Annotated[Floats, "P 3"]
     radius: float
     height: float
-    sparse: bool
 
     @classmethod
-    def of_cylinder(cls, radius: float, height: float, edge: float, *, sparse: bool = True) -> "VoxelSpace":
+    def of_cylinder(cls, radius: float, height: float, edge: float) -> "VoxelSpace":
         """All unknown.
 
         Args:
             radius: of the cylinder [m].
             height: of the cylinder [m].
             edge: of a voxel [m].
-            sparse: whether points may lie farther apart than voxels.
 
         Raises:
             PlannerError: if one of them is not positive, or the grid would have too many voxels.
@@ -88,7 +93,7 @@ class VoxelSpace(Value):
             raise PlannerError(f"voxels of {1000 * edge:g} mm are too many for the cylinder; choose larger ones")
         low = -half * edge
         nothing = np.zeros(shape, np.uint8)
-        space = cls(low, edge, nothing, nothing.astype(np.int16), nothing, radius, height, sparse)
+        space = cls(low, edge, nothing, nothing.astype(np.int16), nothing, np.empty((0, 3)), radius, height)
         return replace(space, state=np.where(space._within(edge / 2), UNKNOWN, FREE).astype(np.uint8))
 
     def centres(self, chosen: Bools) -> Floats:
@@ -125,8 +130,12 @@ class VoxelSpace(Value):
             crossed |= self._crossed(np.broadcast_to(stand, points.shape), stand + kept * legs)
         state = np.array(self.state)
         state[crossed & (state == UNKNOWN)] = FREE
-        state[tuple(self._place(points[~self.outside(points)]).T)] = OCCUPIED
-        return replace(self, state=state)
+        within = points[~self.outside(points)]
+        state[tuple(self._place(within).T)] = OCCUPIED
+        every = np.concatenate([self.points, within])
+        cubes = np.floor((every - self.low) / (_APART * self.edge)).astype(np.int64)
+        first = np.sort(np.unique(cubes, axis=0, return_index=True)[1])
+        return replace(self, state=state, points=every[first])
 
     def judged_from(
         self, points: Floats, source: Floats, sensor: Floats, blank: Floats, near: float, far: float
@@ -164,19 +173,29 @@ class VoxelSpace(Value):
         hit[labels[self.state == OCCUPIED]] = True
         return np.asarray(hit[labels])
 
-    def seen(self, points: Floats) -> Bools:
-        """(N,) which points (N, 3) of a believed surface [m] are as near to a voxel with a point as that surface is.
+    def seen(self, points: Floats, normals: Floats) -> Bools:
+        """(N,) which points of a believed surface have a measured point beside them, looked at along their normals.
 
-        Where points may lie farther apart than voxels, gaps of two between measured ones count as measured; elsewhere
-        they are the mouths of what is narrow.
+        Args:
+            points: (N, 3) [m].
+            normals: (N, 3) outward unit normals.
         """
-        measured = self.state == OCCUPIED
-        if self.sparse:
-            measured |= ndimage.binary_closing(measured, _ALL_ROUND)
-        if not measured.any():
+        if not len(self.points):
             return np.zeros(len(points), dtype=np.bool_)
-        near = cKDTree(self.centres(measured)).query(points, distance_upper_bound=_NEAR * self.edge)[0]
-        return np.asarray(np.isfinite(near), dtype=np.bool_)
+        most = float(np.hypot(_GAP, _BELOW)) * self.edge
+        distance, at = cKDTree(self.points).query(points, k=_NEIGHBOURS, distance_upper_bound=most)
+        legs = (self.points[np.minimum(at, len(self.points) - 1)] - points[:, None]) / self.edge
+        height = np.einsum("nkj,nj->nk", legs, normals)
+        across = np.linalg.norm(legs - height[..., None] * normals[:, None], axis=2)
+        beside = np.isfinite(distance) & (across <= _GAP) & (height <= _ABOVE) & (height >= -_BELOW)
+        return np.asarray(beside.any(axis=1))
+
+    def fresh(self, points: Floats) -> Bools:
+        """(N,) which points (N, 3) of a view [m] lie in a gap between those that were measured before, or beyond."""
+        if not len(self.points):
+            return np.ones(len(points), dtype=np.bool_)
+        near = cKDTree(self.points).query(points, distance_upper_bound=_GAP * self.edge)[0]
+        return np.asarray(~np.isfinite(near))
 
     def open_still(self, points: Floats, normals: Floats) -> Bools:
         """(N,) which points of an earlier believed surface are neither seen nor free.
@@ -186,7 +205,7 @@ class VoxelSpace(Value):
             normals: (N, 3) outward unit normals.
         """
         inside = points - self.edge * normals
-        return np.asarray(~self.seen(points) & (self.at(inside, self.state) != FREE), dtype=np.bool_)
+        return np.asarray(~self.seen(points, normals) & (self.at(inside, self.state) != FREE), dtype=np.bool_)
 
     def tried(self, points: Floats) -> "VoxelSpace":
         """With one more try for the voxels of points (N, 3) [m], each voxel once."""
