@@ -32,6 +32,10 @@ _KEPT = 0.7
 """Weight of earlier stages at each new one: what is believed late is more often true than what was believed early."""
 
 
+_LATEST = 4
+"""Batches of which the last are asked how much came: what is left then is of another kind than what was first."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Open(Value):
     """Which class open samples of a believed surface are of.
@@ -86,7 +90,7 @@ class Record(Value):
 
 
 def came(expected: Sequence[float], measured: Sequence[float]) -> float:
-    """How many times as much as expected comes: the median of the batches so far, and 1 as one of them.
+    """How many times as much as expected comes: the median of the latest batches, and 1 as one of them.
 
     What lies behind an open patch is larger than the patch, and what is tried again less likely than what is chosen.
 
@@ -95,7 +99,8 @@ def came(expected: Sequence[float], measured: Sequence[float]) -> float:
         measured: of it and of what lies about it [m^2]; what was believed and is no more may make it negative: nothing.
     """
     pairs = zip(expected, measured, strict=True)
-    return float(np.median([1.0, *(max(new, 0.0) / before for before, new in pairs if before > 0)]))
+    ratios = [max(new, 0.0) / before for before, new in pairs if before > 0]
+    return float(np.median([1.0, *ratios[-_LATEST:]]))
 
 
 def most_per_second(

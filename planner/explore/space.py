@@ -36,12 +36,12 @@ MOST_VOXELS = 8_000_000
 
 _PADDING = 3  # free voxels about the cylinder, so that surfaces about what is not free are closed
 _LIKELY = 0.6  # of the cylinder: a view for this much of it looks deep into it, where the part's surface may be
-_APART = 0.5
-"""Of an edge: side of the cubes of which each keeps one point."""
-_GAP = 0.7
-"""Edges across its normal from what is believed to a measured point, above which there is a gap between points ..."""
+_GAP = 0.9
+"""Distances of points at the standoff, across its normal from what is believed to a measured point, above which there
+is a gap between points ..."""
 _ABOVE, _BELOW = 0.5, 1.6
 """... of those no more edges above and below it than a believed surface lies beside the points that it is made of."""
+_APART = 0.7  # of a gap: side of the cubes of which each keeps one point
 _NEIGHBOURS = 8  # that are looked at: next to the middle of a gap there are fewer
 _BLANK = np.int16(2)
 """Votes of a view whose ray did not come back: most miss the part, while behind a point lies anything."""
@@ -59,7 +59,8 @@ class VoxelSpace(Value):
         votes: (X, Y, Z) twice the views with a ray through a voxel that did not come back, less those that saw a point
             before it.
         tries: (X, Y, Z) how many views were executed that were expected to measure what is open in a voxel.
-        points: (P, 3) measured ones, the first in each cube of half an edge [m].
+        gap: distance to the nearest measured point above which nothing is measured [m].
+        points: (P, 3) measured ones, the first in each of small cubes [m].
         radius: of the cylinder [m].
         height: of the cylinder [m].
     """
@@ -69,31 +70,35 @@ class VoxelSpace(Value):
     state: Annotated[NDArray[np.uint8], "X Y Z"]
     votes: Annotated[NDArray[np.int16], "X Y Z"]
     tries: Annotated[NDArray[np.uint8], "X Y Z"]
+    gap: float
     points: Annotated[Floats, "P 3"]
     radius: float
     height: float
 
     @classmethod
-    def of_cylinder(cls, radius: float, height: float, edge: float) -> "VoxelSpace":
+    def of_cylinder(cls, radius: float, height: float, edge: float, spacing: float) -> "VoxelSpace":
         """All unknown.
 
         Args:
             radius: of the cylinder [m].
             height: of the cylinder [m].
             edge: of a voxel [m].
+            spacing: distance of points where the scanner looks squarely [m].
 
         Raises:
             PlannerError: if one of them is not positive, or the grid would have too many voxels.
         """
-        if not min(radius, height, edge) > 0:
-            raise PlannerError(f"radius {radius:g}, height {height:g} and edge {edge:g} must be above 0 (in metres)")
+        if not min(radius, height, edge, spacing) > 0:
+            sizes = f"radius {radius:g}, height {height:g}, edge {edge:g} and spacing {spacing:g}"
+            raise PlannerError(f"{sizes} must be above 0 (in metres)")
         half = np.ceil(np.array([radius, radius, height / 2]) / edge) + _PADDING
         shape = tuple(int(2 * n) for n in half)
         if np.prod([float(n) for n in shape]) > MOST_VOXELS:
             raise PlannerError(f"voxels of {1000 * edge:g} mm are too many for the cylinder; choose larger ones")
         low = -half * edge
         nothing = np.zeros(shape, np.uint8)
-        space = cls(low, edge, nothing, nothing.astype(np.int16), nothing, np.empty((0, 3)), radius, height)
+        votes, points = nothing.astype(np.int16), np.empty((0, 3))
+        space = cls(low, edge, nothing, votes, nothing, _GAP * spacing, points, radius, height)
         return replace(space, state=np.where(space._within(edge / 2), UNKNOWN, FREE).astype(np.uint8))
 
     def centres(self, chosen: Bools) -> Floats:
@@ -133,7 +138,7 @@ class VoxelSpace(Value):
         within = points[~self.outside(points)]
         state[tuple(self._place(within).T)] = OCCUPIED
         every = np.concatenate([self.points, within])
-        cubes = np.floor((every - self.low) / (_APART * self.edge)).astype(np.int64)
+        cubes = np.floor((every - self.low) / (_APART * self.gap)).astype(np.int64)
         first = np.sort(np.unique(cubes, axis=0, return_index=True)[1])
         return replace(self, state=state, points=every[first])
 
@@ -182,19 +187,19 @@ class VoxelSpace(Value):
         """
         if not len(self.points):
             return np.zeros(len(points), dtype=np.bool_)
-        most = float(np.hypot(_GAP, _BELOW)) * self.edge
+        most = float(np.hypot(self.gap, _BELOW * self.edge))
         distance, at = cKDTree(self.points).query(points, k=_NEIGHBOURS, distance_upper_bound=most)
-        legs = (self.points[np.minimum(at, len(self.points) - 1)] - points[:, None]) / self.edge
+        legs = self.points[np.minimum(at, len(self.points) - 1)] - points[:, None]
         height = np.einsum("nkj,nj->nk", legs, normals)
         across = np.linalg.norm(legs - height[..., None] * normals[:, None], axis=2)
-        beside = np.isfinite(distance) & (across <= _GAP) & (height <= _ABOVE) & (height >= -_BELOW)
-        return np.asarray(beside.any(axis=1))
+        on_it = (height <= _ABOVE * self.edge) & (height >= -_BELOW * self.edge)
+        return np.asarray((np.isfinite(distance) & (across <= self.gap) & on_it).any(axis=1))
 
     def fresh(self, points: Floats) -> Bools:
         """(N,) which points (N, 3) of a view [m] lie in a gap between those that were measured before, or beyond."""
         if not len(self.points):
             return np.ones(len(points), dtype=np.bool_)
-        near = cKDTree(self.points).query(points, distance_upper_bound=_GAP * self.edge)[0]
+        near = cKDTree(self.points).query(points, distance_upper_bound=self.gap)[0]
         return np.asarray(~np.isfinite(near))
 
     def open_still(self, points: Floats, normals: Floats) -> Bools:
