@@ -5,7 +5,6 @@ it is what rays are thought to meet. What arm and housing keep away from holds e
 it is at a distance from their corners, as a surface about middles would cut the corners of what sticks out.
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +34,7 @@ def surface_of(space: VoxelSpace) -> TriangleMesh:
 
 def part_of(surface: TriangleMesh, name: str) -> Workpiece:
     """A believed surface as a part, its name saying that it is no model."""
-    believed = workpiece.from_arrays(f"{name} as believed", surface.vertices, surface.faces, "m")
-    return replace(believed, findings=())  # its bodies are no news
+    return workpiece.made(f"{name} as believed", surface)
 
 
 def rough(space: VoxelSpace) -> TriangleMesh:

@@ -5,6 +5,7 @@ the batch is executed on the part that stands there, and its rays change what is
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from cell.explore import belief, report, specification, truth
 from cell.explore.execution import executed
 from cell.explore.options import EVERY_BATCH, ExploreOptions
 from cell.explore.policies import POLICIES, Batch, So
-from cell.explore.prepare import Exploring, begun, prepared
+from cell.explore.prepare import Exploring, Eye, begun, prepared
 from cell.explore.stage import Asked, EnoughError, plan_stage
 from cell.explore.state import Known, scans_of
 from cell.narrator import Narrator
@@ -79,9 +80,11 @@ def explore(
                 file = _finished(work, file, str(error), () if error.open is None else error.open.by_area())
                 break
             scans = _executed(work, folder)
-            before, known = known, _learned(known, folder, scans, work)
+            require_plausible(known.space, folder, np.concatenate([scan.points for scan in scans]))
+            expected = _expected(folder, known.space)
+            before, known = known, _learned(known, expected, scans, work.eye)
             work.paths.keep(number, known)
-            stage = _stage_of(work, folder, scans, before.space, known)
+            stage = _stage_of(folder, scans, expected, before.space, known)
             file = file.model_copy(update={"stages": (*file.stages, stage)})
             work.paths.write(file)
     return file
@@ -126,9 +129,7 @@ def _planned(work: Exploring, file: ExploreFile, known: Known, batch: Batch, end
 
 def _came(file: ExploreFile) -> float:
     """How many times as much as expected came; the ring was planned for the cylinder, which is no guess at the part."""
-    seen = [stage.surface_mm2 - stage.open_mm2 for stage in file.stages]
-    expected = [stage.expected_mm2 for stage in file.stages[1:]]
-    return came(expected, np.diff(seen).tolist()) if expected else 1.0
+    return came([(stage.expected_mm2, stage.new_mm2) for stage in file.stages[1:]])
 
 
 def _executed(work: Exploring, folder: Path) -> tuple[ExecutedScan, ...]:
@@ -143,22 +144,35 @@ def _executed(work: Exploring, folder: Path) -> tuple[ExecutedScan, ...]:
     return executed(folder, options, argv=work.argv, narrator=work.narrator, ask=work.ask, stands=stands)
 
 
-def _learned(known: Known, folder: Path, scans: Sequence[ExecutedScan], work: Exploring) -> Known:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Expected:
+    """What was open and a stage's views should have measured.
+
+    Attributes:
+        samples: N of the surface that was believed before it.
+        sees: (N, views) by which of them.
+        surface: all that was believed [m^2].
+    """
+
+    samples: SurfaceSamples
+    sees: Bools
+    surface: float
+
+
+def _learned(known: Known, asked: _Expected, scans: Sequence[ExecutedScan], eye: Eye) -> Known:
     """What is known after a stage."""
-    require_plausible(known.space, folder, np.concatenate([scan.points for scan in scans]))
-    before, after = known.space, known.space
-    expected, sees, surface = _expected(folder, before)
+    before, after, expected = known.space, known.space, asked.samples
     found = np.zeros(len(expected), dtype=np.bool_)
     for view, scan in enumerate(scans):
-        T, eye = scan.T_reported, work.eye
+        T = scan.T_reported
         source, sensor = (T[:3, :3] @ place + T[:3, 3] for place in (eye.source, eye.sensor))
         after = after.seen_from(scan.points, [source, sensor])
         after = after.judged_from(scan.points, source, sensor, eye.blank(scan.points, T), eye.near, eye.far)
-        found |= sees[:, view] & eye.answered(expected.points, scan.points[before.fresh(scan.points)], T)
+        found |= asked.sees[:, view] & eye.answered(expected.points, scan.points[before.fresh(scan.points)], T)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part
         of = before.open_at(expected.points)
-        record = record.with_stage(of, expected.areas / record.weights(of) / surface, found.astype(np.float64))
+        record = record.with_stage(of, expected.areas / record.weights(of) / asked.surface, found.astype(np.float64))
     return Known(after.tried(expected.points[after.open_still(expected.points, expected.normals)]), record)
 
 
@@ -182,29 +196,32 @@ def require_plausible(space: VoxelSpace, folder: Path, points: Floats) -> None:
         )
 
 
-def _expected(folder: Path, before: VoxelSpace) -> tuple[SurfaceSamples, Bools, float]:
-    """What was open (N) and a stage's views should have measured, by which of them (N, views); believed area [m^2]."""
+def _expected(folder: Path, before: VoxelSpace) -> _Expected:
+    """What of the rows of a stage's matrix its views should have measured."""
     run = open_finished(folder)
     M, views = reader.measurability(run), reader.plan(run).views
     sees = M.matrix()[:, [view.id for view in views]].toarray()
     rows = sees.any(axis=1) & ~before.seen(M.features.points, M.features.normals)
-    return pick_samples(M.features, rows), sees[rows], float(reader.mesh(run, "reference.ply").areas.sum())
+    believed = float(reader.mesh(run, "reference.ply").areas.sum())
+    return _Expected(pick_samples(M.features, rows), sees[rows], believed)
 
 
 def _stage_of(
-    work: Exploring, folder: Path, scans: Sequence[ExecutedScan], before: VoxelSpace, known: Known
+    folder: Path, scans: Sequence[ExecutedScan], expected: _Expected, before: VoxelSpace, known: Known
 ) -> ExploredStage:
     """What explore.json says of a stage."""
     run, mesh = open_finished(folder), known.believed
+    seen, known_before = (space.seen(mesh.centres, mesh.normals) for space in (known.space, before))
     return ExploredStage(
-        folder=folder.relative_to(work.paths.root).as_posix(),
+        folder=f"{folder.parent.name}/{folder.name}",
         digest=run.digest,
         views=len(scans),
         points=sum(len(scan.points) for scan in scans),
         seconds=round(reader.motion(run).duration, 6),
-        expected_mm2=round(1e6 * float(_expected(folder, before)[0].areas.sum()), 3),
+        expected_mm2=round(1e6 * float(expected.samples.areas.sum()), 3),
         surface_mm2=round(1e6 * float(mesh.areas.sum()), 3),
-        open_mm2=round(1e6 * float(mesh.areas[~known.space.seen(mesh.centres, mesh.normals)].sum()), 3),
+        new_mm2=round(1e6 * float(mesh.areas[seen & ~known_before].sum()), 3),
+        open_mm2=round(1e6 * float(mesh.areas[~seen].sum()), 3),
         never_entered_mm3=round(1e9 * known.space.never_entered, 3),
     )
 

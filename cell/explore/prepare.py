@@ -29,6 +29,7 @@ from planner.explore.space import VoxelSpace
 from planner.ports import Scanner
 from planner.values import Bools, Floats
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Eye:
     """Where a scanner looks, scanner frame.

@@ -254,7 +254,6 @@ def _finish(run: Run, job: Job, surface: PartSurface, problem: Problem, chosen: 
     """Prove and time the motion, and write what is known of the plan."""
     clearance, motion = steps.prove_and_time(run, problem, chosen)
     with run.step("report"):
-        further = Further(steps.what_is_lost(run, problem, chosen))
-        report = plan_report(job, surface.planning, problem, chosen, clearance, motion, further)
+        report = plan_report(job, surface.planning, problem, chosen, clearance, motion, Further())
         plan_files.write_plan(run.folder, report, chosen, problem.candidates, problem.world)
         plan_files.write_report(run.folder, report)

@@ -138,7 +138,8 @@ class Paths:
             raise FileError(f"{path} is missing; explore anew")
         stored = npz(path, path.read_bytes())
         with understood(path):
-            space = replace(unknown, **{name: stored[name] for name in ("state", "votes", "tries", "points")})
+            state, votes, tries, points = (stored[name] for name in ("state", "votes", "tries", "points"))
+            space = replace(unknown, state=state, votes=votes, tries=tries, points=points)
             return Known(space, Record(stored["expected"], stored["found"]))
 
     def clear(self, number: int) -> None:

@@ -92,8 +92,7 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
     if isinstance(source, str) and source in stand_ins.NAMES:
         if units is not None:
             raise UsageError(f"the built-in part '{source}' has its own size; leave --units out")
-        mesh = stand_ins.build(source)
-        return Workpiece(source, mesh, _hash_of(mesh))
+        return made(source, stand_ins.build(source))
 
     from cell.part import mesh_files
 
@@ -112,6 +111,18 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
         part = from_mesh(path.stem, *merged, units, sha256, solids.cad)
         return replace(part, findings=(*solids.findings, *part.findings))
     return from_mesh(path.stem, *mesh_files.parse(path, content), units, sha256)
+
+
+def made(name: str, mesh: TriangleMesh) -> Workpiece:
+    """A part whose mesh [m] was made here, closed and its faces outward: nothing is checked.
+
+    Args:
+        name: what to call it.
+        mesh: object frame.
+    """
+    digest = hashlib.sha256(mesh.vertices.tobytes())
+    digest.update(mesh.faces.tobytes())
+    return Workpiece(name, mesh, digest.hexdigest())
 
 
 def from_arrays(name: str, vertices: Floats, faces: NDArray[np.integer], units: str | None) -> Workpiece:
@@ -237,9 +248,3 @@ def _place_findings(vertices: Floats) -> list[Finding]:
 def _length(metres: float) -> str:
     """A length with the unit that keeps its number short: 0.2 mm, 188 mm, 12 m."""
     return f"{metres:.3g} m" if metres >= 1 else f"{metres * 1e3:.3g} mm"
-
-
-def _hash_of(mesh: TriangleMesh) -> str:
-    digest = hashlib.sha256(mesh.vertices.tobytes())
-    digest.update(mesh.faces.tobytes())
-    return digest.hexdigest()

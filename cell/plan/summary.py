@@ -39,12 +39,12 @@ class Further:
     """What is worked out beyond a plain plan.
 
     Attributes:
-        lost: what any pose measures that the robot takes up.
+        lost: what any pose measures that the robot takes up; None: nobody asks.
         promise: under pose errors, where that was asked for.
         curve: over the number of views, where that was asked for.
     """
 
-    lost: Attainable
+    lost: Attainable | None = None
     promise: Promise | None = None
     curve: Curve | None = None
 

@@ -30,6 +30,7 @@ class ExploredStage(JsonTable):
     points: int = Field(description="that came back")
     seconds: float = Field(description="of the planned motion, from home to home")
     expected_mm2: float = Field(description="of the believed surface that was open, to be measured by the batch")
+    new_mm2: float = Field(description="of the surface believed after it, what it measured and no batch before")
     surface_mm2: float = Field(description="of the surface that was believed after it")
     open_mm2: float = Field(description="of that, without a measured point beside it")
     never_entered_mm3: float = Field(description="of the cylinder, by any ray; the part's inside is of it")

@@ -89,17 +89,16 @@ class Record(Value):
         return np.asarray(((self.found + _WORTH * _PRIOR) / (self.expected + _WORTH))[still_open.classes])
 
 
-def came(expected: Sequence[float], measured: Sequence[float]) -> float:
+def came(batches: Sequence[tuple[float, float]]) -> float:
     """How many times as much as expected comes: the median of the latest batches, and 1 as one of them.
 
     What lies behind an open patch is larger than the patch, and what is tried again less likely than what is chosen.
 
     Args:
-        expected: area of each batch [m^2]; one of which nothing was expected does not count.
-        measured: of it and of what lies about it [m^2]; what was believed and is no more may make it negative: nothing.
+        batches: area that each was expected to measure, and that it measured of this and of what lies about it [m^2];
+            one of which nothing was expected does not count.
     """
-    pairs = zip(expected, measured, strict=True)
-    ratios = [max(new, 0.0) / before for before, new in pairs if before > 0]
+    ratios = [measured / expected for expected, measured in batches if expected > 0]
     return float(np.median([1.0, *ratios[-_LATEST:]]))
 
 

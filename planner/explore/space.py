@@ -36,9 +36,9 @@ MOST_VOXELS = 8_000_000
 
 _PADDING = 3  # free voxels about the cylinder, so that surfaces about what is not free are closed
 _LIKELY = 0.6  # of the cylinder: a view for this much of it looks deep into it, where the part's surface may be
-_GAP = 0.9
-"""Distances of points at the standoff, across its normal from what is believed to a measured point, above which there
-is a gap between points ..."""
+_GAP, _KNOWN = 0.9, 0.45
+"""Distances of points at the standoff, and edges (what is believed is known to no less), across its normal from what is
+believed to a measured point, above which there is a gap between points ..."""
 _ABOVE, _BELOW = 0.5, 1.6
 """... of those no more edges above and below it than a believed surface lies beside the points that it is made of."""
 _APART = 0.7  # of a gap: side of the cubes of which each keeps one point
@@ -98,7 +98,8 @@ class VoxelSpace(Value):
         low = -half * edge
         nothing = np.zeros(shape, np.uint8)
         votes, points = nothing.astype(np.int16), np.empty((0, 3))
-        space = cls(low, edge, nothing, votes, nothing, _GAP * spacing, points, radius, height)
+        gap = max(_GAP * spacing, _KNOWN * edge)
+        space = cls(low, edge, nothing, votes, nothing, gap, points, radius, height)
         return replace(space, state=np.where(space._within(edge / 2), UNKNOWN, FREE).astype(np.uint8))
 
     def centres(self, chosen: Bools) -> Floats:
@@ -185,20 +186,14 @@ class VoxelSpace(Value):
             points: (N, 3) [m].
             normals: (N, 3) outward unit normals.
         """
-        if not len(self.points):
-            return np.zeros(len(points), dtype=np.bool_)
-        most = float(np.hypot(self.gap, _BELOW * self.edge))
-        distance, at = cKDTree(self.points).query(points, k=_NEIGHBOURS, distance_upper_bound=most)
-        legs = self.points[np.minimum(at, len(self.points) - 1)] - points[:, None]
-        height = np.einsum("nkj,nj->nk", legs, normals)
-        across = np.linalg.norm(legs - height[..., None] * normals[:, None], axis=2)
-        on_it = (height <= _ABOVE * self.edge) & (height >= -_BELOW * self.edge)
-        return np.asarray((np.isfinite(distance) & (across <= self.gap) & on_it).any(axis=1))
+        found, tree = np.zeros(len(points), dtype=np.bool_), cKDTree(self.points)
+        for many in (1, _NEIGHBOURS):  # the nearest says enough of most
+            rest = np.flatnonzero(~found)
+            found[rest] = self._beside(tree, points[rest], normals[rest], many)
+        return found
 
     def fresh(self, points: Floats) -> Bools:
         """(N,) which points (N, 3) of a view [m] lie in a gap between those that were measured before, or beyond."""
-        if not len(self.points):
-            return np.ones(len(points), dtype=np.bool_)
         near = cKDTree(self.points).query(points, distance_upper_bound=self.gap)[0]
         return np.asarray(~np.isfinite(near))
 
@@ -225,6 +220,17 @@ class VoxelSpace(Value):
         beside = cKDTree(measured).query(points)[0] / self.edge if len(measured) else np.full(len(points), np.inf)
         tries = self.at(points, ndimage.maximum_filter(self.tries, 5))
         return Open(np.asarray(tries, dtype=np.int64), np.asarray(beside))
+
+    def _beside(self, tree: cKDTree, points: Floats, normals: Floats, many: int) -> Bools:
+        """(N,) whether one of the `many` measured points next to each is within a gap of its normal."""
+        most = float(np.hypot(self.gap, _BELOW * self.edge))
+        distance, at = map(np.asarray, tree.query(points, k=np.arange(1, many + 1), distance_upper_bound=most))
+        which, _ = np.nonzero(np.isfinite(distance))
+        legs = self.points[at[np.isfinite(distance)]] - points[which]
+        height = np.einsum("ij,ij->i", legs, normals[which])
+        across = np.linalg.norm(legs - height[:, None] * normals[which], axis=1)
+        on_it = (height <= _ABOVE * self.edge) & (height >= -_BELOW * self.edge)
+        return np.bincount(which[(across <= self.gap) & on_it], minlength=len(points)) > 0
 
     def _crossed(self, starts: Floats, ends: Floats) -> Bools:
         """(X, Y, Z) the voxels that legs from (N, 3) to (N, 3) cross [m]."""
