@@ -50,7 +50,7 @@ def test_a_leg_along_an_axis_crosses_its_row(axis: int) -> None:
 
 
 def _space() -> VoxelSpace:
-    return VoxelSpace.of_cylinder(0.05, 0.06, 0.004)
+    return VoxelSpace.of_cylinder(0.05, 0.06, 0.004, 0.003)
 
 
 def test_the_cylinder_alone_is_unknown_at_first() -> None:
@@ -63,11 +63,17 @@ def test_the_cylinder_alone_is_unknown_at_first() -> None:
     assert (state[beyond > 0.004] == FREE).all()
 
 
-@pytest.mark.parametrize(("radius", "height", "edge"), [(0.0, 0.1, 0.01), (0.1, 0.1, -1.0), (1.0, 1.0, 1e-4)])
-def test_cylinders_that_cannot_be_are_refused(radius: float, height: float, edge: float) -> None:
+@pytest.mark.parametrize(
+    ("sizes", "said"),
+    [
+        ((0.0, 0.1, 0.01, 0.01), "must be above 0"), ((0.1, 0.1, -1.0, 0.01), "must be above 0"),
+        ((0.1, 0.1, 0.01, 0.0), "must be above 0"), ((1.0, 1.0, 1e-4, 0.01), "too many"),
+    ],
+)  # fmt: skip
+def test_cylinders_that_cannot_be_are_refused(sizes: tuple[float, float, float, float], said: str) -> None:
     """In a sentence that says what would be valid."""
-    with pytest.raises(PlannerError, match=r"must be above 0|too many"):
-        VoxelSpace.of_cylinder(radius, height, edge)
+    with pytest.raises(PlannerError, match=said):
+        VoxelSpace.of_cylinder(*sizes)
 
 
 def _ball_seen_from(space: VoxelSpace, stand: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -91,11 +97,73 @@ def test_space_is_free_only_where_the_part_is_not() -> None:
     assert depth.max() < np.sqrt(3) * space.edge
     points = np.concatenate(everything)
     assert (space.at(points, space.state) == OCCUPIED).all()
-    assert space.seen(points).all()
+    assert space.seen(points, points / 0.03).all()
     assert space.contradicted(points) == 0
     assert space.contradicted(points + np.array([0.02, 0.0, 0.0])) > 0.05  # the ball was moved
     assert not space.outside(points).any()
     assert space.outside(points + np.array([0.05, 0.0, 0.0])).any()
+
+
+def _seen(space: VoxelSpace, point: Floats, normal: Floats) -> bool:
+    """Brute force: of the eight points next to it, one within a gap of the normal, half an edge above to 1.6 below."""
+    nearest = np.argsort(np.linalg.norm(space.points - point, axis=1))[:8]
+    for measured in space.points[nearest]:
+        height = float((measured - point) @ normal)
+        across = float(np.linalg.norm(measured - point - height * normal))
+        if across <= space.gap and -1.6 * space.edge <= height <= 0.5 * space.edge:
+            return True
+    return False
+
+
+def test_what_is_seen_has_a_point_beside_it_along_its_normal() -> None:
+    """Random points of a layer, and samples about it with random normals: what brute force says."""
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-1, 1, (300, 3)) * np.array([0.02, 0.02, 0.001])
+    space = replace(_space(), points=points)
+    assert not _space().seen(points, points).any()
+    samples = rng.uniform(-1, 1, (400, 3)) * np.array([0.025, 0.025, 0.008])
+    normals = rng.standard_normal((400, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    expected = np.array([_seen(space, *each) for each in zip(samples, normals, strict=True)])
+    assert 0.2 < expected.mean() < 0.8
+    assert np.array_equal(space.seen(samples, normals), expected)
+    near = np.linalg.norm(samples[:, None] - points, axis=2).min(axis=1) <= space.gap
+    assert np.array_equal(space.fresh(samples), ~near)
+
+
+@pytest.mark.parametrize(("spacing", "gap"), [(0.003, 0.0027), (0.0005, 0.0018)])
+def test_a_strip_without_points_is_open_though_its_voxels_are_occupied(spacing: float, gap: float) -> None:
+    """A plane of points but for a strip: open is what is farther than a gap from the points, never within half an edge.
+
+    The strip is less than two voxels wide, so that each of its voxels, or the next one, has a point.
+    """
+    space = VoxelSpace.of_cylinder(0.05, 0.06, 0.004, spacing)
+    assert space.gap == pytest.approx(gap)
+    x, y = (axis.ravel() for axis in np.meshgrid(*[np.arange(-0.02, 0.02, 0.00025)] * 2))
+    kept = np.abs(x) > 0.0035
+    space = space.seen_from(np.column_stack([x, y, np.zeros_like(x)])[kept], [])
+    across = np.linspace(-0.01, 0.01, 201)
+    above = np.column_stack([across, np.zeros(201), np.full(201, 0.5 * space.edge)])
+    up = np.tile([0.0, 0.0, 1.0], (201, 1))
+    open_now = ~space.seen(above, up)
+    sure = space.gap * 0.7 + 0.0003  # of the points that are kept one lies within a cube's side
+    assert open_now[np.abs(across) < 0.0035 - space.gap].all()
+    assert not open_now[np.abs(across) > 0.0035 - space.gap + sure].any()
+    assert np.array_equal(space.open_still(above, up), open_now)
+
+
+def test_each_small_cube_keeps_its_first_point() -> None:
+    """Points that came before stay, in order; the same points again change nothing; one beyond the cylinder is none."""
+    rng = np.random.default_rng(6)
+    first, second = rng.uniform(-0.01, 0.01, (2, 500, 3))
+    once = _space().seen_from(np.concatenate([first, [[0.2, 0.0, 0.0]]]), [])
+    twice = once.seen_from(second, [])
+    for space, points in ((once, first), (twice, np.concatenate([once.points, second]))):
+        side, taken = 0.7 * space.gap, dict[tuple[int, ...], Floats]()
+        for point in points:
+            taken.setdefault(tuple(np.floor((point - space.low) / side).astype(int).tolist()), point)
+        assert np.array_equal(space.points, np.array(list(taken.values())))
+    assert np.array_equal(twice.seen_from(first, []).points, twice.points)
 
 
 def test_what_was_never_crossed_and_touches_no_point_is_not_believed() -> None:
@@ -170,7 +238,8 @@ def test_the_views_of_most_gain_per_second() -> None:
 
 def test_how_much_more_comes_than_was_expected() -> None:
     """As much at first; then the median, which one batch that met a whole side of the part does not move far."""
-    assert came([], []) == 1
-    assert came([1.0, 1.0, 1.0, 0.5, 0.0], [2.0, 2.0, 30.0, 1.0, 7.0]) == 2
-    assert came([1.0], [3.0]) == 2
-    assert came([1.0, 1.0], [-1.0, -2.0]) == 0  # what was believed is no more: nothing came
+    assert came([]) == 1
+    assert came([(1.0, 2.0), (1.0, 2.0), (1.0, 30.0), (0.5, 1.0), (0.0, 7.0)]) == 2
+    assert came([(1.0, 3.0)]) == 2
+    assert came([(1.0, 0.0), (1.0, 0.0)]) == 0
+    assert came([(1.0, 9.0)] * 9 + [(1.0, 3.0)] * 4) == 3  # what came long ago is of another kind

@@ -16,7 +16,7 @@ from cell.explore.explore import _came, require_plausible
 from cell.explore.options import ExploreOptions
 from cell.explore.policies import POLICIES, Batch, So
 from cell.explore.prepare import begun, prepared
-from cell.explore.state import Paths
+from cell.explore.state import Known, Paths
 from cell.narrator import Quiet
 from cell.part import mesh_files
 from cell.plan.request import Request
@@ -25,6 +25,7 @@ from cell.scan.options import ScanOptions
 from cell.scene.options import scene_of
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.scene import Scene
+from planner.explore.gain import Record
 from planner.explore.space import FREE, UNKNOWN, VoxelSpace
 from planner.surface.closest import NearestSurface
 from planner.surface.mesh import TriangleMesh
@@ -73,7 +74,7 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
 )
 def test_points_that_cannot_be_stop_an_exploration(points: Floats, told: str) -> None:
     """In one sentence that names the stage and what to do."""
-    space = VoxelSpace.of_cylinder(0.1, 0.1, 0.004)
+    space = VoxelSpace.of_cylinder(0.1, 0.1, 0.004, 0.003)
     space = replace(space, state=np.full_like(space.state, FREE))
     with pytest.raises(FileError, match=told):
         require_plausible(space, Path("stages/0001"), points)
@@ -114,7 +115,7 @@ def test_what_the_model_misses_of_the_limits() -> None:
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.3])
 def test_what_the_arm_keeps_away_from_holds_every_voxel_that_is_not_free(share: float, tmp_path: Path) -> None:
     """With all of its corners, also of a voxel that stands alone, and of the whole cylinder."""
-    space = VoxelSpace.of_cylinder(0.02, 0.05, 0.002)
+    space = VoxelSpace.of_cylinder(0.02, 0.05, 0.002, 0.002)
     state = np.where(np.random.default_rng(1).random(space.state.shape) < share, UNKNOWN, FREE).astype(np.uint8)
     if share:
         space = replace(space, state=np.where(space.state == UNKNOWN, state, space.state))
@@ -149,9 +150,23 @@ def test_batches_that_brought_nothing_ask_for_one_view_at_most() -> None:
 
 def test_what_came_is_held_against_what_was_expected() -> None:
     """The first ring counts for nothing; then newly measured over expected area."""
-    stages = [(5.0, 20.0, 10.0), (2.0, 20.0, 6.0), (1.0, 21.0, 4.0)]
-    file = SimpleNamespace(
-        stages=[SimpleNamespace(expected_mm2=e, surface_mm2=surface, open_mm2=left) for e, surface, left in stages]
-    )
+    stages = [(5.0, 20.0), (2.0, 4.0), (1.0, 3.0)]
+    file = SimpleNamespace(stages=[SimpleNamespace(expected_mm2=area, new_mm2=new) for area, new in stages])
     assert _came(file) == 2.0  # median of 1, 2 and 3
     assert _came(SimpleNamespace(stages=file.stages[:1])) == 1.0
+
+
+def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
+    """Every voxel, every point and the record come back as they were."""
+    (tmp_path / "stages").mkdir()
+    rng, unknown = np.random.default_rng(3), VoxelSpace.of_cylinder(0.02, 0.05, 0.002, 0.002)
+    points = rng.uniform(-0.01, 0.01, (100, 3))
+    space = unknown.seen_from(points, [np.array([0.2, 0.0, 0.0])]).tried(points[:5])
+    space = replace(space, votes=rng.integers(-3, 4, space.votes.shape).astype(np.int16))
+    of = space.open_at(points)
+    record = Record.empty().with_stage(of, rng.random(100), rng.random(100))
+    Paths(tmp_path).keep(1, Known(space, record))
+    again = Paths(tmp_path).known(1, unknown)
+    for one, other in ((again.space, space), (again.record, record)):
+        for name in one.__slots__:
+            assert np.array_equal(getattr(one, name), getattr(other, name)), name
