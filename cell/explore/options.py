@@ -73,7 +73,7 @@ class ExploreOptions(Table):
             _EXPLORE,
             metavar="SHARE",
         ),
-    ] = 0.0012
+    ] = 0.001
     max_seconds: Annotated[
         Positive | None, Option("Begin no batch after so many seconds of motion. Default: no limit.", _EXPLORE)
     ] = None
