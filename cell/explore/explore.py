@@ -177,12 +177,14 @@ def _learned(known: Known, asked: _Expected, scans: Sequence[ExecutedScan], eye:
 
 
 def require_plausible(space: VoxelSpace, folder: Path, points: Floats) -> None:
-    """Stop where a stage's points (N, 3) [m] cannot be.
+    """Stop where a stage's points (N, 3) [m] cannot be; later views may look at what was believed and is not there.
 
     Raises:
-        FileError: if nothing was hit, the part reaches out of its cylinder, or it moved.
+        FileError: if nothing was hit yet, the part reaches out of its cylinder, or it moved.
     """
     if not len(points):
+        if (space.state == OCCUPIED).any():
+            return
         raise FileError(f"no ray of {folder} came back; look at --place, --cylinder and the scanner's range")
     if (out := float(space.outside(points).mean())) > _OUTSIDE:
         raise FileError(

@@ -36,7 +36,7 @@ MOST_VOXELS = 8_000_000
 
 _PADDING = 3  # free voxels about the cylinder, so that surfaces about what is not free are closed
 _LIKELY = 0.6  # of the cylinder: a view for this much of it looks deep into it, where the part's surface may be
-_GAP, _KNOWN = 0.9, 0.45
+_GAP, _KNOWN = 0.9, 0.35
 """Distances of points at the standoff, and edges (what is believed is known to no less), across its normal from what is
 believed to a measured point, above which there is a gap between points ..."""
 _ABOVE, _BELOW = 0.5, 1.6

@@ -80,6 +80,17 @@ def test_points_that_cannot_be_stop_an_exploration(points: Floats, told: str) ->
         require_plausible(space, Path("stages/0001"), points)
 
 
+def test_a_view_of_what_is_not_there_is_no_reason_to_stop() -> None:
+    """Once something was hit, a batch without points is one that was believed wrongly, and the voxels take it."""
+    space, stand = VoxelSpace.of_cylinder(0.1, 0.1, 0.004, 0.003), np.array([0.3, 0.0, 0.0])
+    space, nothing = space.seen_from(np.zeros((1, 3)), [stand]), np.empty((0, 3))
+    require_plausible(space, Path("stages/0002"), nothing)
+    after = space.seen_from(nothing, [stand]).judged_from(nothing, stand, stand, np.array([[-1.0, 0, 0]]), 0.1, 0.5)
+    assert np.array_equal(after.state, space.state)
+    assert after.votes.max() == 2
+    assert not space.fresh(nothing).any()
+
+
 def test_limits_hold_in_the_fine_stage_alone() -> None:
     """The rough stage of two-stage is planned without them, the fine one and all of stepwise with them."""
     scene = _scene(max_sigma=0.05, max_spacing=1.0)
