@@ -6,8 +6,8 @@ millisecond of the motion. Limits are compared with the samples and with their d
 
 SCAN_CELL_SCENES (default 8) is the number of scenes; with SCAN_CELL_RECHECK=FILE finished scenes are kept as lines of
 JSON, and a call that was stopped goes on where it ended. The full form has 100 scenes. SCAN_CELL_TABLE=synchronised
-(or indexed) puts the part of each on a rotary table. An indexed one is looked at for more: whether arm and table ever
-move at once, and for contact at every degree to which it can turn, wherever the arm waits for it.
+(or indexed, or tilted) puts the part of each on a rotary table. An indexed one is looked at for more: whether arm and
+table ever move at once, and for contact at every degree to which it can turn, wherever the arm waits for it.
 """
 
 import json

@@ -65,12 +65,10 @@ def usable(number: int, least: int = 2, *, table: str = "") -> SeededCell:
     Args:
         number: of the scene.
         least: reachable candidates that are needed.
-        table: how a rotary table that turns the part moves; "": there is none.
+        table: how a rotary table that turns the part moves, or "tilted": synchronised, its axis tilted; "": none.
     """
     for draw in range(_DRAWS):
-        scene = Scene.model_validate(
-            content(number, draw) | ({"table": {**_table(number, draw), "moves": table}} if table else {})
-        )
+        scene = Scene.model_validate(content(number, draw) | ({"table": _table(number, draw, table)} if table else {}))
         part, planning = _part(scene.part.name)
         try:  # a table may be too low for its part
             world = compile_world(scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=75.0)
@@ -88,7 +86,7 @@ def usable(number: int, least: int = 2, *, table: str = "") -> SeededCell:
     raise RuntimeError(f"none of {_DRAWS} draws of scene {number} can be used")
 
 
-def _table(number: int, draw: int) -> dict[str, Any]:
+def _table(number: int, draw: int, moves: str) -> dict[str, Any]:
     """A rotary table: every second one with limits, and the part beside its axis."""
     rng = np.random.default_rng([number, draw, 1])
     keys: dict[str, Any] = {
@@ -102,7 +100,9 @@ def _table(number: int, draw: int) -> dict[str, Any]:
             "position_mm": (middle + beside).round(1).tolist(),
             "limits_deg": rng.uniform([-180, 20], [-20, 180]).round(1).tolist(),
         }
-    return keys
+    if moves == "tilted":
+        return keys | {"abc_deg": rng.uniform(-40, 40, 3).round(1).tolist()}
+    return keys | {"moves": moves}
 
 
 @lru_cache

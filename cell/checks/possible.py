@@ -81,16 +81,16 @@ def _in_its_own_wrist(world: World, solids: dict[str, Solid]) -> list[str]:
 
 
 def _part_out_of_room(world: World) -> list[str]:
-    top = world.post_top(world.T_base_object)
-    problems = []
-    if (depth := world.floor - top[2]) > 1e-6:
+    T, problems = world.T_base_object, []
+    lowest = float((world.part_hull.vertices @ T[2, :3]).min() + T[2, 3])
+    if (depth := world.floor - lowest) > 1e-6:
         problems.append(
             f"the part reaches {1000 * depth:.1f} mm below the floor, which is at z = {1000 * world.floor:g} mm; "
             f"{move(world, 'part', np.array([0.0, 0.0, depth]))}"
         )
-    if world.table is None and world.scene.post.enabled and top[2] - world.floor > cell_shapes.POST_LENGTH:
+    if world.table is None and world.scene.post.enabled and lowest - world.floor > cell_shapes.POST_LENGTH:
         problems.append(
-            f"the part stands {top[2] - world.floor:.1f} m above the floor; a post is at most "
+            f"the part stands {lowest - world.floor:.1f} m above the floor; a post is at most "
             f"{cell_shapes.POST_LENGTH:g} m long: lower placement.position_mm, or set post.enabled = false"
         )
     return problems

@@ -3,7 +3,7 @@
 import numpy as np
 
 from cell.checks.solid import Solid
-from cell.rays.occluders import prism, shape_triangles
+from cell.rays.occluders import post, shape_triangles
 from cell.robot.model import bodies
 from cell.world.model import World
 from planner.surface.mesh import joined
@@ -30,12 +30,8 @@ def standing(world: World) -> dict[str, Solid]:
             hull = world.part_hull.vertices if name == "part" else None
             found[name] = Solid(name, mesh.vertices, mesh.faces, frame[:3, :3].T, T=frame, hull=hull)
         elif name == "post":
-            top = world.post_top(T)
-            radius, half = (float(size) for size in world.model.geom_size[geoms[0]][:2])
-            foot = max(world.floor, float(top[2]) - 2 * half)  # no longer than to the floor, unlike its collision shape
-            if top[2] > foot:
-                vertices, faces = prism(radius, float(top[2] - foot), _SIDES)
-                found[name] = Solid(name, vertices + np.array([*top[:2], (top[2] + foot) / 2]), faces)
+            if data.body("post").xpos[2] > world.floor:
+                found[name] = Solid(name, *post(data, world.floor, _SIDES))
         else:
             sides = {} if name in of_robot else {"sides": _SIDES}
             pieces = [shape_triangles(world.model, data, geom, **sides) for geom in geoms]

@@ -233,8 +233,8 @@ def _comments(program: Program) -> Iterator[str]:
     yield f"; digest of the plan {program.told.digest}"
     yield "; before it runs: the same robot, tool, base, part and fixtures as in the plan; first in T1 at 10 %"
     if program.q.shape[1] > ARM_AXES:
-        yield "; external axes: E1 is the rotary table, 0 where the part stands as below, positive anticlockwise from"
-        yield "; above; it moves together with A1 to A6; every motion sends E2 to E6 to 0"
+        yield "; external axes: E1 is the rotary table, 0 where the part stands as below, positive anticlockwise seen"
+        yield "; against its axis; it moves together with A1 to A6; every motion sends E2 to E6 to 0"
     else:
         yield "; external axes: every motion sends E1 to E6 to 0; the plan knows of none"
     yield f"; part: its frame in the base of this program is {frame(program.T_base_object)}"

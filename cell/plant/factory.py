@@ -40,6 +40,11 @@ def of_run(run: RunRecord, observer: Observer | None = None) -> Mapping[str, Pla
                 f"the plant 'mujoco' is the built-in arm's, and this plan is of {mounted.name}; use plant=ideal"
             )
         on_table = None
+        if table is not None and not table.upright:
+            raise DriverError(
+                "the plant 'mujoco' knows rotary tables whose axis is upright, on which nothing weighs, and this one "
+                "is tilted; use plant=ideal"
+            )
         if table is not None and scene.table is not None:
             on_table = turned.of_model(model, table, scene.table.diameter_mm / 1000.0)
         return MujocoPlant(start, tool.of_model(model), observer=observer, spec=robot.spec(), turned=on_table)

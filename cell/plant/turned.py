@@ -65,9 +65,9 @@ def of_model(model: mujoco.MjModel, table: RotaryTable, diameter: float) -> Turn
     reach = diameter / 2
     for geom in np.flatnonzero([int(body) in bodies for body in model.geom_bodyid]):
         points, volume, about_middle, middle = _solid(model, data, int(geom))
-        off = middle[:2] - table.T_base_table[:2, 3]
+        off = table.seen(middle)[:2]
         inertia += DENSITY * (about_middle + volume * float(off @ off))
-        reach = max(reach, float(np.linalg.norm(points[:, :2] - table.T_base_table[:2, 3], axis=1).max()))
+        reach = max(reach, float(np.linalg.norm(table.seen(points)[:, :2], axis=1).max()))
     return Turned(float(inertia), reach)
 
 

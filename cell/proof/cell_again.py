@@ -72,19 +72,16 @@ def compiled(run: RunRecord, resolved: ResolvedScene) -> World:
 def _other_shape(checked: mujoco.MjModel, world: World) -> str:
     """What differs between the model that was checked and the one compiled again; "" for nothing."""
     again = world.model
-    at = {"object": world.T_base_object[:3, 3], "post": world.post_top(world.T_base_object)}
+    placed = {"object": world.T_base_object, "post": world.T_base_post(world.T_base_object)}
     if (checked.nbody, checked.ngeom, checked.njnt) != (again.nbody, again.ngeom, again.njnt):
         return "it has other bodies, shapes or axes"
     if not np.array_equal(np.sort(checked.exclude_signature), np.sort(again.exclude_signature)):
         return "it guards other pairs"
     for number in range(again.nbody):
         one, two = checked.body(number), again.body(number)
-        pos = at.get(two.name, two.pos)  # mocap bodies stand at their placement in the file
-        turned = (
-            np.asarray(quaternion(world.T_base_object[:3, :3]))
-            if two.name == "object"
-            else _at_reference(checked, again, number)
-        )
+        pos, turned = two.pos, _at_reference(checked, again, number)
+        if (T := placed.get(two.name)) is not None:  # mocap bodies stand at their placement in the file
+            pos, turned = T[:3, 3], quaternion(T[:3, :3])
         if one.name != two.name or one.parentid != two.parentid or _apart(one.pos, pos) or _turned(one.quat, turned):
             return f"the body '{two.name}' is elsewhere"
     for number in range(again.njnt):

@@ -6,7 +6,7 @@ the convex hull that collides. Arm and scanner move and are left out; `arm_trian
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +18,7 @@ from cell.robot import model as robot
 from cell.world.gap import mesh_of
 from cell.world.model import World
 from planner.ports import ARM_AXES
+from planner.reach.rotary_table import RotaryTable
 from planner.surface.mesh import TriangleMesh, joined
 from planner.values import Floats, Value, readonly
 
@@ -55,8 +56,8 @@ class Occluder(Value):
 def occluder_triangles(world: World, T_base_object: ArrayLike | None = None) -> tuple[Occluder, ...]:
     """Post, pedestal, floor and the fixtures that occlude, object frame.
 
-    Where a rotary table turns the part, only what turns with it, the table and the floor, which look the same at every
-    angle; what else stands hides differently at each (`standing_beside`).
+    Where a rotary table turns the part, only what turns with it, the table and, where its axis is upright, the floor,
+    which look the same at every angle; what else stands hides differently at each (`standing_beside`).
 
     Args:
         world: the compiled scene.
@@ -69,14 +70,22 @@ def occluder_triangles(world: World, T_base_object: ArrayLike | None = None) -> 
     return tuple(piece for piece in pieces if piece.name not in beside)
 
 
+def beside_table(table: RotaryTable | None, fixtures: Iterable[str]) -> set[str]:
+    """Names of what stands beside a rotary table and looks different from each of its angles: `fixtures` of the base.
+
+    The floor looks the same about an axis that is upright.
+    """
+    if table is None:
+        return set()
+    return {"pedestal", *fixtures} | (set() if table.upright else {"floor"})
+
+
 def _beside(world: World) -> set[str]:
-    """Names of what stands beside a rotary table and looks different from each of its angles."""
-    fixtures = {fixture.name for fixture in world.scene.fixtures if fixture.attached_to == "base"}
-    return set() if world.table is None else {"pedestal"} | fixtures
+    return beside_table(world.table, (each.name for each in world.scene.fixtures if each.attached_to == "base"))
 
 
 def standing_beside(world: World) -> tuple[Occluder, ...]:
-    """What stands beside a rotary table, base frame: pedestal and the base's fixtures that occlude; else nothing."""
+    """What stands beside a rotary table and hides, base frame: pedestal, the base's fixtures; else nothing."""
     beside = _beside(world)
     if not beside:
         return ()
@@ -107,13 +116,8 @@ def standing_triangles(
     model = data.model
     pieces: list[tuple[str, Floats, NDArray[np.int32]]] = []
     floor = float(model.geom("floor").pos[2])
-    top = data.body("post").xpos
-    if model.body("post").geomnum[0] and top[2] > floor:
-        # No longer than to the floor, unlike its collision shape; that of a rotary table ends on it.
-        radius, half = (float(size) for size in model.geom("post").size[:2])
-        foot = max(floor, float(top[2]) - 2 * half)
-        vertices, faces = prism(radius, float(top[2] - foot))
-        pieces.append(("post", vertices + np.array([top[0], top[1], (top[2] + foot) / 2]), faces))
+    if model.body("post").geomnum[0] and data.body("post").xpos[2] > floor:
+        pieces.append(("post", *post(data, floor)))
     part = model.body("object").id
     for geom in np.flatnonzero((model.geom_bodyid == 0) | (model.geom_bodyid == part)):
         name = model.geom(geom).name
@@ -131,6 +135,15 @@ def standing_triangles(
     pieces.append(("floor", *floor_square(floor)))
     to_object = np.linalg.inv(T_base_object)
     return tuple(Occluder(name, v @ to_object[:3, :3].T + to_object[:3, 3], faces) for name, v, faces in pieces)
+
+
+def post(data: mujoco.MjData, floor: float, sides: int = _SIDES) -> tuple[Floats, NDArray[np.int32]]:
+    """The post, no longer than to the floor, unlike its collision shape; that of a rotary table ends on it."""
+    radius, half = (float(size) for size in data.model.geom("post").size[:2])
+    top, R = data.body("post").xpos, data.body("post").xmat.reshape(3, 3)
+    length = 2 * half if R[2, 2] <= 0 else min(2 * half, float(top[2] - floor) / float(R[2, 2]))
+    vertices, faces = prism(radius, length, sides)
+    return (vertices - [0.0, 0.0, length / 2]) @ R.T + top, faces
 
 
 def caster_of(pieces: Sequence[Occluder], T: NDArray[np.floating[Any]] | None = None) -> EmbreeRayCaster:

@@ -17,10 +17,10 @@ import numpy as np
 from cell import scanners
 from cell.errors import SceneError, UsageError
 from cell.rays.embree import EmbreeRayCaster
-from cell.rays.occluders import Occluder, caster_of, standing_triangles
+from cell.rays.occluders import Occluder, beside_table, caster_of, standing_triangles
 from cell.run import reader as run_reader
 from cell.run.record import RunRecord, understood
-from cell.run.scene_json import ResolvedScene, ScannerKeys, StandingFixture
+from cell.run.scene_json import ResolvedScene, ScannerKeys
 from cell.run.scene_of_run import placed, scene_of_run
 from cell.scene.regions import limited
 from cell.world import shapes
@@ -170,14 +170,6 @@ def scanner_of(scene: ResolvedScene, keys: ScannerKeys) -> Scanner:
     return limited(scanners.make(keys.type, keys.own), scene.plan.max_sigma_mm, scene.regions or ())
 
 
-def beside_table(fixture: StandingFixture) -> bool:
-    """Whether a thing hides differently at each angle of a table: it stands beside it, and is not round about its axis.
-
-    As in `cell.rays.occluders`.
-    """
-    return fixture.attached_to == "base" and (not fixture.built_in or fixture.name == "pedestal")
-
-
 def _surroundings(
     run: RunRecord, scene: ResolvedScene, model: mujoco.MjModel, table: RotaryTable | None
 ) -> tuple[tuple[Occluder, ...], float]:
@@ -189,10 +181,13 @@ def _surroundings(
 
     data, T = mujoco.MjData(model), scene.T_base_object
     data.mocap_quat[model.body("object").mocapid] = shapes.quaternion(T[:3, :3])
+    if table is not None:
+        data.mocap_quat[model.body("post").mocapid] = shapes.quaternion(table.T_base_table[:3, :3])
     mujoco.mj_kinematics(model, data)
     meshes = {each.name: run_reader.mesh(run, each.file) for each in scene.fixtures if each.file is not None}
     pieces = standing_triangles(data, T, meshes, [each.name for each in scene.fixtures if not each.occludes])
-    beside = set() if table is None else {each.name for each in scene.fixtures if beside_table(each)}
+    own = (each.name for each in scene.fixtures if each.attached_to == "base" and not each.built_in)
+    beside = beside_table(table, own)
     return tuple(piece for piece in pieces if piece.name not in beside), swing(model, data, table)
 
 

@@ -120,20 +120,25 @@ def _built_in(scene: Scene, world: World) -> list[StandingFixture]:
     ) -> StandingFixture:
         T = np.eye(4)
         T[:3, 3] = np.array(middle_mm) / 1000
+        if name in ("post", TABLE) and world.table is not None:
+            T[:3, :3] = world.table.T_base_table[:3, :3]
         return StandingFixture(
             name=name, shape=shape, size_mm=size_mm, pose=T, attached_to="base", occludes=True, built_in=True
         )
 
     listed = []
     if scene.post.enabled:
-        x, y, top = (mm(value) for value in world.post_top(world.T_base_object))
-        foot = floor_mm if world.table is None else mm(world.table.T_base_table[2, 3])
-        height = top - foot
-        listed.append(standing("post", "cylinder", [scene.post.diameter_mm, height], [x, y, foot + height / 2]))
+        T = world.T_base_post(world.T_base_object)
+        x, y, top = (mm(value) for value in T[:3, 3])
+        height, centre = top - floor_mm, [x, y, floor_mm + (top - floor_mm) / 2]
+        if world.table is not None:
+            height = mm(world.table.seen(T[:3, 3])[2])
+            centre = [mm(value) for value in T[:3, 3] - T[:3, 2] * (height / 2000)]
+        listed.append(standing("post", "cylinder", [scene.post.diameter_mm, height], centre))
     if world.table is not None:
-        x, y, top = (mm(value) for value in world.table.T_base_table[:3, 3])
-        size_mm = [scene.table.diameter_mm, scene.table.height_mm]
-        listed.append(standing(TABLE, "cylinder", size_mm, [x, y, top - size_mm[1] / 2]))
+        T, size_mm = world.table.T_base_table, [scene.table.diameter_mm, scene.table.height_mm]
+        centre = [mm(value) for value in T[:3, 3] - T[:3, 2] * (size_mm[1] / 2000)]
+        listed.append(standing(TABLE, "cylinder", size_mm, centre))
     if scene.robot.pedestal_mm is not None:
         size, middle = scene.robot.pedestal_mm
         listed.append(standing("pedestal", "box", list(size), list(middle)))

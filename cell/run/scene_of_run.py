@@ -88,9 +88,7 @@ def placed(scene: Scene, T_base_object: Floats, resolved: ResolvedScene) -> Scen
     """
     update: dict[str, object] = {"placement": Placement.at(T_base_object @ resolved.T_object_centre)}
     if resolved.table is not None:
-        update["table"] = scene.table.model_copy(
-            update={"position_mm": _pose(resolved.table.T_base_table)["position_mm"]}
-        )
+        update["table"] = scene.table.model_copy(update=_pose(resolved.table.T_base_table))
     return scene.model_copy(update=update)
 
 
@@ -118,9 +116,10 @@ def _table(resolved: ResolvedScene) -> Mapping[str, object]:
     if resolved.table is None:
         return {}
     said = resolved.table.model_dump(exclude={"T_base_table", "post_mm", "turn_deg"})
+    stands = _pose(resolved.table.T_base_table)
     if resolved.table.post_mm is not None:
-        return {**said, "post_mm": resolved.table.post_mm}
-    return {**said, "position_mm": _pose(resolved.table.T_base_table)["position_mm"]}
+        return {**said, "post_mm": resolved.table.post_mm, "abc_deg": stands["abc_deg"]}
+    return {**said, **stands}
 
 
 def _limits(resolved: ResolvedScene) -> dict[str, object]:

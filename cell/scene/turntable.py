@@ -12,8 +12,9 @@ from cell.scene.posed import PART
 class Turntable(Table):
     """The rotary table on which the post stands: it turns part, post and the part's fixtures about its z.
 
-    Its axis is upright. `position_mm` is the middle of its face; None stands it under the part's centre, its face
-    `post_mm` below the part's lowest point; else the post is as long as the part stands above the face. A table of the
+    `position_mm` is the middle of its face, `abc_deg` the turn of its frame, 0 where the axis is upright. Without a
+    position the axis goes through the part's centre, the face `post_mm` below what of the part is lowest along it; else
+    the post is as long as the part stands above the face. A table of the
     scene file is there unless it says `enabled = false`. Without limits it is endless, and used half a turn to either
     side of 0, where motions begin and end. It moves together with the arm, or is indexed: it turns only while the arm
     stands still, clear of all that it turns at any angle.
@@ -23,6 +24,7 @@ class Turntable(Table):
         bool, Option("Turn the part on the scene's rotary table, or on the default one.", PART, name="table")
     ] = False
     position_mm: Triple | None = None
+    abc_deg: Triple = (0.0, 0.0, 0.0)
     diameter_mm: Positive = 400.0
     height_mm: Positive = 250.0
     post_mm: Positive = 300.0

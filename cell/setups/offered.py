@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cell.errors import SceneError
 from cell.robot.frames import kuka_abc_from_pose
 from cell.scene.fixtures import Setup
 from cell.scene.posed import Placement
@@ -68,7 +69,15 @@ def proposed(world: World, part: TriangleMesh, most: int) -> list[Offer]:
         world: the cell with the part as the scene places it.
         part: its reference [m], object frame.
         most: how many at most.
+
+    Raises:
+        SceneError: if a rotary table is tilted, on which no pose of the part is stable.
     """
+    if most and world.table is not None and not world.table.upright:
+        raise SceneError(
+            "set-ups are proposed where the axis of a rotary table is upright, and this one is tilted; give [[setup]] "
+            "tables, with --offer 0, or leave table.abc_deg out"
+        )
     placed = (world.T_base_object @ world.T_object_centre)[:3, :3]
     lies = [("as it is placed", placed)]
     for R, probability in _stable(part):

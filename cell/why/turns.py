@@ -23,7 +23,7 @@ def turned(world: World) -> Iterator[tuple[str, float, Floats, World]]:
         T = np.array(world.T_base_object @ world.T_object_centre)
         T[:3, :3] = pose_from_kuka_abc(np.zeros(3), turn)[:3, :3] @ T[:3, :3]
         how = "turned upside down" if axis != 2 else f"turned by {angle:g} deg about the vertical"
-        if axis == 2 and world.table is not None:
+        if axis == 2 and world.table is not None and world.table.upright:
             continue
         if (there := carried(world, T)) is not None:
             yield f"a second set-up with the part {how}", abs(angle) + 360 * (axis != 2), T, there

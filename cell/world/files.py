@@ -40,7 +40,8 @@ def write_mjcf(world: World, folder: Path) -> tuple[str, ...]:
     """
     T, spec = world.T_base_object, world.spec.copy()
     spec.body("object").pos, spec.body("object").quat = T[:3, 3], quaternion(T[:3, :3])
-    spec.body("post").pos = world.post_top(T)
+    post = world.T_base_post(T)
+    spec.body("post").pos, spec.body("post").quat = post[:3, 3], quaternion(post[:3, :3])
     _for_the_eye(spec, world)
     home = spec.key("home")
     home.qpos = world.followers.qpos(world.home[:ARM_AXES])

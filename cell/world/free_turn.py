@@ -106,14 +106,15 @@ def _near_each_other(
     found = []
     for a, b in pairs[~moves[pairs].any(axis=1)]:
         still, turned = (a, b) if model.body_mocapid[model.geom_bodyid[a]] < 0 else (b, a)
-        middle, axis = data.geom_xpos[turned], table.T_base_table[:2, 3]
-        # All angles put it into a ball about the axis.
-        reach = np.linalg.norm(middle[:2] - axis) + model.geom_rbound[turned] + clearance
-        off = data.geom_xpos[still] - [*axis, middle[2]]
+        # Its middle goes round a circle about the axis: all angles put it into a ball.
+        x, y, z = table.seen(data.geom_xpos[turned])
+        middle, axis = table.T_base_table @ [0.0, 0.0, z, 1.0], table.T_base_table[:3, 2]
+        circle, own = float(np.hypot(x, y)), model.geom_rbound[turned] + clearance
+        off = data.geom_xpos[still] - middle[:3]
         if still == model.geom("floor").id:
-            near = -off[2] < model.geom_rbound[turned] + clearance
+            near = -off[2] - circle * np.hypot(*axis[:2]) < own
         else:
-            near = np.linalg.norm(off) < reach + model.geom_rbound[still]
+            near = np.linalg.norm(off) < circle + own + model.geom_rbound[still]
         if near:
             found.append((int(a), int(b)))
     return found

@@ -131,12 +131,24 @@ class World(Value):
         scene, part = self.scene.model_copy(update={"placement": Placement.at(T_base_centre)}), self.part_mesh
         return compile_world(scene, part.vertices, part_faces=part.faces, baseline_mm=1000 * self.baseline)
 
-    def post_top(self, T_base_object: ArrayLike) -> Floats:
-        """(3,) top of the post [m], base frame: under the part's centre, at the height of its lowest point."""
+    def T_base_post(self, T_base_object: ArrayLike) -> Floats:
+        """(4, 4) top of the post [m]: under the part's centre, at the height of its lowest point; it reaches down -z.
+
+        On a rotary table down is along the table's axis.
+        """
         T = readonly("T_base_object", T_base_object, (4, 4))
-        top: Floats = (T @ self.T_object_centre)[:3, 3]
-        top[2] = (self.part_hull.vertices @ T[2, :3]).min() + T[2, 3]
-        return top
+        post, up = np.eye(4), np.array([0.0, 0.0, 1.0])
+        if self.table is not None:
+            post[:3, :3] = self.table.T_base_table[:3, :3]
+            up = post[:3, 2]
+        centre = (T @ self.T_object_centre)[:3, 3]
+        lowest = (self.part_hull.vertices @ (up @ T[:3, :3])).min() + up @ T[:3, 3]
+        post[:3, 3] = centre - (up @ centre) * up + lowest * up
+        return post
+
+    def post_top(self, T_base_object: ArrayLike) -> Floats:
+        """(3,) top of the post [m], base frame."""
+        return self.T_base_post(T_base_object)[:3, 3]
 
     def data(self, T_base_object: ArrayLike | None = None, model: mujoco.MjModel | None = None) -> mujoco.MjData:
         """A fresh state with the robot at home and the part at a placement.
@@ -152,7 +164,9 @@ class World(Value):
         data = mujoco.MjData(model)
         data.mocap_pos[model.body("object").mocapid] = T[:3, 3]
         data.mocap_quat[model.body("object").mocapid] = cell_shapes.quaternion(T[:3, :3])
-        data.mocap_pos[model.body("post").mocapid] = self.post_top(T)
+        post = self.T_base_post(T)
+        data.mocap_pos[model.body("post").mocapid] = post[:3, 3]
+        data.mocap_quat[model.body("post").mocapid] = cell_shapes.quaternion(post[:3, :3])
         data.qpos[:] = self.followers.qpos(self.home[:ARM_AXES])
         mujoco.mj_kinematics(model, data)
         return data
@@ -309,8 +323,8 @@ def _add_what_stands(
             raise SceneError(f"fixtures[{i}].name is '{fixture.name}', a shape of the cell's own; choose another name")
     fixture_meshes = cell_shapes.add_fixtures(spec, scene, placed_body)
     if table is not None:
-        off_axis = np.linalg.norm(scene.placement.T[:2, 3] - table.T_base_table[:2, 3])
-        cell_shapes.guard_what_turns(spec, post_swings=bool(off_axis > ON_AXIS))
+        off_axis = np.linalg.norm(table.seen(scene.placement.T[:3, 3])[:2])
+        cell_shapes.guard_what_turns(spec, post_swings=bool(off_axis > ON_AXIS), upright=table.upright)
     return fixture_meshes
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cell.errors import SceneError
+from cell.scene.posed import pose
 from cell.scene.scene import Scene
 from planner.ports import ARM_AXES, Kinematics
 from planner.reach.rotary_table import ArmOnTable, RotaryTable
@@ -36,12 +37,17 @@ def rotary_table(scene: Scene, T_base_object: Floats, hull: TriangleMesh) -> Rot
     asked = scene.table
     if not asked.enabled:
         return None
-    points, T = hull.vertices @ T_base_object[:3, :3].T + T_base_object[:3, 3], np.eye(4)
+    points = hull.vertices @ T_base_object[:3, :3].T + T_base_object[:3, 3]
+    T = pose(asked.position_mm or (0.0, 0.0, 0.0), asked.abc_deg) + 0.0  # no -0.0 in files
     if asked.position_mm is None:
-        T[:3, 3] = *scene.placement.T[:2, 3], points[:, 2].min() - asked.post_mm / 1000.0
-    else:
-        T[:3, 3] = np.array(asked.position_mm) / 1000.0
-    on_face = points - T[:3, 3]
+        R = T[:3, :3]
+        middle = scene.placement.T[:3, 3] @ R
+        middle[2] = (points @ R)[:, 2].min() - asked.post_mm / 1000.0
+        T[:3, 3] = R @ middle
+    lower, upper = asked.limits_deg or HALF_A_TURN_DEG
+    rates = asked.velocity_deg_s, asked.acceleration_deg_s2, asked.jerk_deg_s3
+    table = RotaryTable(T, *np.deg2rad([lower, upper, *rates]).tolist())
+    on_face = table.seen(points)
     height, needed = 1000 * float(on_face[:, 2].min()), SHORTEST_POST_MM if scene.post.enabled else 0.0
     if height < needed - 1e-6:
         raise SceneError(
@@ -55,9 +61,7 @@ def rotary_table(scene: Scene, T_base_object: Floats, hull: TriangleMesh) -> Rot
             f"the part swings through a circle of {swing:.0f} mm, and the rotary table carries {asked.swing_mm:g} mm; "
             "place it nearer to the axis, or give a larger table.swing_mm"
         )
-    lower, upper = asked.limits_deg or HALF_A_TURN_DEG
-    rates = asked.velocity_deg_s, asked.acceleration_deg_s2, asked.jerk_deg_s3
-    return RotaryTable(T, *np.deg2rad([lower, upper, *rates]).tolist())
+    return table
 
 
 def on_table(arm: Kinematics, table: RotaryTable | None, home: Floats, angles: int) -> Kinematics:
@@ -67,8 +71,7 @@ def on_table(arm: Kinematics, table: RotaryTable | None, home: Floats, angles: i
 
 def height_above(table: RotaryTable, T_base_object: Floats, hull: TriangleMesh) -> float:
     """How high above the table's face the part's lowest point is, T_base_object being its placement (4, 4) [m]."""
-    lowest = (hull.vertices @ T_base_object[2, :3]).min() + T_base_object[2, 3]
-    return float(lowest - table.T_base_table[2, 3])
+    return float(table.seen(hull.vertices @ T_base_object[:3, :3].T + T_base_object[:3, 3])[:, 2].min())
 
 
 class Turner:
@@ -81,20 +84,32 @@ class Turner:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, table: RotaryTable | None) -> None:
-        self._table = table
-        self._axis = (0.0, 0.0) if table is None else tuple(table.T_base_table[:2, 3].tolist())
         bodies = [int(model.body(name).mocapid[0]) for name in ("object", "post")]
-        self._at_0 = [(body, data.mocap_pos[body].tolist(), data.mocap_quat[body].tolist()) for body in bodies]
+        self._at_0 = [] if table is None else [_circle(table, body, data) for body in bodies]
 
     def __call__(self, data: mujoco.MjData, q: Floats) -> None:
         """Set both in a state, at (axes,) joint angles [rad]; nothing is done where they stand.
 
-        In plain numbers, about the upright axis: every configuration that is checked comes through here.
+        In plain numbers: every configuration that is checked comes through here.
         """
-        if self._table is None:
+        if not self._at_0:
             return
-        angle, (x, y) = float(q[ARM_AXES]), self._axis
+        angle = float(q[ARM_AXES])
         c, s, c2, s2 = math.cos(angle), math.sin(angle), math.cos(angle / 2), math.sin(angle / 2)
-        for body, (px, py, pz), (w, a, b, d) in self._at_0:
-            data.mocap_pos[body] = x + c * (px - x) - s * (py - y), y + s * (px - x) + c * (py - y), pz
-            data.mocap_quat[body] = c2 * w - s2 * d, c2 * a - s2 * b, c2 * b + s2 * a, c2 * d + s2 * w
+        for body, (x, y, z), (rx, ry, rz), (tx, ty, tz), (w, a, b, d), (w1, a1, b1, d1) in self._at_0:
+            data.mocap_pos[body] = x + c * rx + s * tx, y + c * ry + s * ty, z + c * rz + s * tz
+            data.mocap_quat[body] = c2 * w + s2 * w1, c2 * a + s2 * a1, c2 * b + s2 * b1, c2 * d + s2 * d1
+
+
+def _circle(table: RotaryTable, body: int, data: mujoco.MjData) -> tuple[Any, ...]:
+    """A mocap body and what its turn is made of: the circle that its origin goes round, and two quaternions.
+
+    The circle has a middle, and from there its origin at angle 0 and at a quarter turn [m]. The quaternion at an angle
+    is cos(angle / 2) of the one at 0 and sin(angle / 2) of that times the axis' own.
+    """
+    axis, at = table.T_base_table[:3, 2], data.mocap_pos[body] - table.T_base_table[:3, 3]
+    out = at - (at @ axis) * axis
+    (x, y, z), (w, a, b, d) = axis.tolist(), data.mocap_quat[body].tolist()
+    quarter = [-x * a - y * b - z * d, x * w + y * d - z * b, y * w + z * a - x * d, z * w + x * b - y * a]
+    middle = data.mocap_pos[body] - out
+    return body, middle.tolist(), out.tolist(), np.cross(axis, out).tolist(), [w, a, b, d], quarter

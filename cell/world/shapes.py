@@ -123,15 +123,15 @@ def add_table(spec: mujoco.MjSpec, scene: Scene, table: RotaryTable) -> None:
     add_cylinder(spec.worldbody, TABLE, scene.table.diameter_mm / 2000.0, scene.table.height_mm / 1000.0, T)
 
 
-def guard_what_turns(spec: mujoco.MjSpec, *, post_swings: bool) -> None:
+def guard_what_turns(spec: mujoco.MjSpec, *, post_swings: bool, upright: bool) -> None:
     """Let the part and the fixtures on it meet what stands: robot's base, pedestal, floor and the base's fixtures.
 
     The post and the table carry them, and touch them.
 
     Args:
         spec: the cell.
-        post_swings: whether the post stands beside the axis: it meets the same then but for the floor, over which it
-            stands as high at every angle.
+        post_swings: whether the post stands beside the axis: it meets the same then.
+        upright: whether it stands as high over the floor at every angle, and does not meet it.
     """
     for body in spec.bodies:
         for geom in body.geoms:
@@ -140,7 +140,8 @@ def guard_what_turns(spec: mujoco.MjSpec, *, post_swings: bool) -> None:
             elif body.name == "post" and post_swings:
                 geom.contype |= _SWINGS
             elif body.name == "base" or (body.name == "world" and geom.name != TABLE):
-                geom.conaffinity |= _TURNS | (_SWINGS if post_swings and geom.name != "floor" else 0)
+                swings = post_swings and not (upright and geom.name == "floor")
+                geom.conaffinity |= _TURNS | (_SWINGS if swings else 0)
 
 
 def add_fixtures(spec: mujoco.MjSpec, scene: Scene, placed_body: mujoco.MjsBody) -> dict[str, TriangleMesh]:

@@ -172,10 +172,10 @@ def swing(model: mujoco.MjModel, data: mujoco.MjData, table: RotaryTable | None)
     """
     if table is None:
         return 0.0
-    turned, farthest, middle = {model.body("object").id, model.body("post").id}, 0.0, table.T_base_table[:2, 3]
+    turned, farthest = {model.body("object").id, model.body("post").id}, 0.0
     for geom in np.flatnonzero([int(body) in turned for body in model.geom_bodyid]):
         points, radius = enclosing_points(model, data, int(geom))
-        farthest = max(farthest, float(np.linalg.norm(points[:, :2] - middle, axis=1).max()) + radius)
+        farthest = max(farthest, float(np.linalg.norm(table.seen(points)[:, :2], axis=1).max()) + radius)
     return farthest
 
 

@@ -49,6 +49,15 @@ class RotaryTable(Value):
         turned: Floats = self.T_base_table @ T @ np.linalg.inv(self.T_base_table)
         return turned
 
+    def seen(self, points: Floats) -> Floats:
+        """(..., 3) points of base in the table's frame, which stands [m]: x, y beside the axis, z above the face."""
+        return np.asarray((points - self.T_base_table[:3, 3]) @ self.T_base_table[:3, :3])
+
+    @property
+    def upright(self) -> bool:
+        """Whether the floor looks the same at every angle."""
+        return bool(self.T_base_table[2, 2] > 1.0 - 1e-12)
+
     def limits(self, arm: JointLimits) -> JointLimits:
         """Limits of the arm's axes and, behind them, its own."""
         names = ("lower", "upper", "velocity", "acceleration", "jerk")

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cell.api import locate
 from cell.edit.editable import EditableRun
@@ -26,13 +27,14 @@ from cell.replay.replay import load_show
 from cell.robot.frames import kuka_abc_from_pose
 from cell.run.cell import read_cell, world_of
 from cell.run.executions import read_execution
-from cell.run.reader import mesh, motion, reached, scene
+from cell.run.reader import measurability, mesh, motion, reached, scene
 from cell.run.record import open_run
 from cell.scene.options import scene_of
 from cell.study.placement_trial import placement
 from cell.study.scenes import scene_settings
 from cell.world.model import World
 from drivers.setpoints import from_rad
+from planner import cover
 from planner.path.certified_edge import quantise
 from planner.timing.move_time import move_time
 
@@ -243,6 +245,29 @@ def test_why_gives_reasons_for_all_that_the_turned_views_leave_open(
     assert turns == ["a second set-up with the part turned upside down"]
 
 
+def test_as_much_as_without_a_table_takes_never_more_views(planned: Path, turned: Path) -> None:
+    """The fewest views, proven by HiGHS, for each share of the surface that the fixed plan's candidates can measure.
+
+    The samples are the same; `--max-views` gives what a table adds with as many views.
+    """
+    runs = [open_run(folder) for folder in (planned, turned)]
+    matrices, usable = [measurability(run) for run in runs], [reached(run).reachable for run in runs]
+    areas = matrices[0].features.areas
+    np.testing.assert_array_equal(areas, matrices[1].features.areas)
+    coverable = [float(areas[np.diff(M.indptr) > 0].sum()) for M in matrices]
+    assert coverable[1] >= coverable[0]
+    for share in (0.5, 0.8, 0.9, 0.95, 0.99, 1.0):
+        fixed, table = (
+            cover.solve(
+                cover.Problem(M.matrix(), areas, may, coverage=share * coverable[0] / can),
+                rng=np.random.default_rng(0), solver="exact",
+            )
+            for M, may, can in zip(matrices, usable, coverable, strict=True)
+        )  # fmt: skip
+        assert fixed.status is table.status is cover.CoverStatus.PROVEN
+        assert len(table.views) <= len(fixed.views)
+
+
 def test_a_further_set_up_takes_the_table_with_it(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
     """Upside down the table stands under the part again, and both measure more than one; the motion is certified."""
     done = run_cell("plan", "--open-of", turned, "--place", "1000,300,100,0,0,180", "--out", "over", cwd=tmp_path)
@@ -420,3 +445,35 @@ def test_an_indexed_table_is_planned_proven_and_gone_on_with(
     assert not (moved[:, :6].any(axis=1) & moved[:, 6]).any()
     with pytest.raises(FileError, match="the way moves arm and table at once"):
         prove(run).require_way(np.stack([via[0], quantise(via[0] + np.radians([1, 0, 0, 0, 0, 0, 1]))]))
+
+
+def test_about_a_tilted_axis_a_plan_is_proven_scanned_and_placed_as_about_an_upright_one(
+    run_cell: RunCell, part_file: Path, small_plan: tuple[str, ...], tmp_path: Path
+) -> None:
+    """At each view the part has turned about the axis that the scene tilts; the dynamic arm is refused."""
+    (tmp_path / "tilted.toml").write_text("[table]\nabc_deg = [0.0, -30.0, 20.0]\n", encoding="utf-8")
+    done = run_cell(
+        "plan", part_file, "--units", "mm", *small_plan, "--scene", "tilted.toml", "--out", "run", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    scene = _json(tmp_path / "run" / "scene.resolved.json")
+    T_base_table, T_base_object = np.array(scene["table"]["T_base_table"]), np.array(scene["T_base_object"])
+    np.testing.assert_allclose(np.degrees(np.arccos(T_base_table[2, 2])), 35.531, atol=1e-3)
+    turned_by = set()
+    for view in _json(tmp_path / "run" / "plan.json")["views"]:
+        turn, face = Rotation.from_rotvec(np.radians(view["e_deg"][0]) * T_base_table[:3, 2]), T_base_table[:3, 3]
+        at = turn.apply(T_base_object[:3, 3] - face) + face
+        np.testing.assert_allclose(np.array(view["T_base_object"])[:3, 3], at, atol=1e-9)
+        turned_by.add(view["e_deg"][0])
+    assert len(turned_by) > 1
+    proven = prove(tmp_path / "run")
+    again = world_of(proven.run, proven.world.part_mesh).table
+    assert again is not None
+    np.testing.assert_allclose(again.T_base_table, T_base_table, atol=1e-9)
+    done = run_cell("scan", "run", "--resolution", "1", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    coverage = _json(tmp_path / "run" / "executions" / "0001" / "report.json")["coverage"]
+    assert coverage["visible"] == pytest.approx(coverage["predicted"], abs=1e-6)
+    refused = run_cell("scan", "run", "--driver", "sim://?plant=mujoco", cwd=tmp_path)
+    assert refused.returncode != 0
+    assert "whose axis is upright" in refused.stderr

@@ -167,6 +167,17 @@ def test_a_turn_that_the_table_makes_is_not_proposed(table: dict[str, object], t
         assert again.post_top(again.T_base_object)[2] == pytest.approx(-0.05, abs=2e-6)
 
 
+def test_no_set_up_is_proposed_on_a_tilted_table() -> None:
+    """Nothing lies stable there: a sentence says what to give."""
+    box = trimesh.creation.box(extents=[0.06, 0.1, 0.16])
+    scene = Scene.model_validate({"table": {"abc_deg": [0, 30, 0]}})
+    world = compile_world(scene, box.vertices, part_faces=box.faces, baseline_mm=75.0)
+    part = TriangleMesh(box.vertices, box.faces.astype(np.int32))
+    assert proposed(world, part, 0) == []
+    with pytest.raises(SceneError, match="this one is tilted; give"):
+        proposed(world, part, 4)
+
+
 def test_advice_is_a_command_that_can_be_pasted(tmp_path: Path) -> None:
     """Of one of several set-ups it goes on from all of them; another place takes the command that began the run."""
     T = np.eye(4)
