@@ -58,7 +58,7 @@ class Show:
         self.theatre, self.timeline = theatre, timeline
         self.data = mujoco.MjData(theatre.model)
         self._followers = robot.Followers.of(theatre.model)
-        self._turner = Turner(theatre.model, self.data, theatre.table)
+        self._turner = Turner(self.data, theatre.table)
         self._flange = theatre.model.site(robot.FLANGE).id
         self.T_base_scanner = readonly(
             "T_base_scanner",

@@ -52,7 +52,7 @@ class MujocoCollisionChecker:
         self._grown: mujoco.MjData = world.data(T_base_object, world.grown)
         model = world.model
         self._travel = TravelBound(model, swing(model, self._data, world.table))
-        self._turner = Turner(model, self._data, world.table)
+        self._turner = Turner(self._data, world.table)
         self._pairs = world.pairs
         self._radius = model.geom_rbound[self._pairs].sum(axis=1)
         moves = model.body_weldid[model.geom_bodyid] > 0
@@ -82,14 +82,14 @@ class MujocoCollisionChecker:
         angles = self._world.followers.qpos(q[:, :ARM_AXES])
         model, data = self._world.grown, self._grown
         kinematics, collision, qpos = mujoco.mj_kinematics, mujoco.mj_collision, data.qpos
-        free = np.ones(len(angles), dtype=np.bool_)
+        free, put, turned = np.ones(len(angles), dtype=np.bool_), self._turner.put, self._turner.poses(q)
         for i, configuration in enumerate(angles):
             qpos[:] = configuration
-            self._turner(data, q[i])
+            put(data, turned[i])
             kinematics(model, data)
             collision(model, data)
             if data.ncon:
-                free[i] = self._clear_after_all(q[i])
+                free[i] = self._clear_after_all()
             free[i] = free[i] and self._turn.clear(q[i])
         return free
 
@@ -220,14 +220,22 @@ class MujocoCollisionChecker:
         self._turner(self._data, configuration)
         mujoco.mj_kinematics(self._world.model, self._data)
 
+    def _set_as_grown(self) -> None:
+        """The state as that of the grown model."""
+        import mujoco
+
+        data, grown = self._data, self._grown
+        data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = grown.qpos, grown.mocap_pos, grown.mocap_quat
+        mujoco.mj_kinematics(self._world.model, data)
+
     def _gap(self, pair: int, reach: float) -> float:
         """Distance of a guarded pair at the present configuration [m], `reach` where it is more."""
         a, b = self._pairs[pair]
         return self._world.distance(self._data, int(a), int(b), reach)
 
-    def _clear_after_all(self, configuration: Floats) -> bool:
+    def _clear_after_all(self) -> bool:
         """Whether all pairs that touch in the grown model are at least the clearance apart in the true one."""
-        self._set(configuration)
+        self._set_as_grown()
         touching = dict.fromkeys(map(tuple, self._grown.contact.geom.tolist()))
         world, data, least = self._world, self._data, self.clearance
         return all(world.distance(data, a, b, least, any_nearer=True) >= least for a, b in touching)

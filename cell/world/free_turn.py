@@ -49,7 +49,7 @@ class FreeTurn:
     ) -> None:  # fmt: skip
         self._model, self._data, self._clearance, self._distance = model, data, clearance, distance
         self._pairs = [] if table is None else _near_each_other(model, data, table, pairs, clearance)
-        self._turner = Turner(model, data, table)
+        self._turner = Turner(data, table)
         self._known: dict[float, bool] = {}
 
     def clear(self, q: Floats) -> bool:

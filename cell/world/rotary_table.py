@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -78,38 +78,39 @@ class Turner:
     """Puts part and post of states of a model where a table has turned them.
 
     Args:
-        model: the cell.
-        data: a state with both at angle 0.
+        data: a state with both at angle 0; a cell has no other mocap bodies.
         table: turns them; None: they stand.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, table: RotaryTable | None) -> None:
-        bodies = [int(model.body(name).mocapid[0]) for name in ("object", "post")]
-        self._at_0 = [] if table is None else [_circle(table, body, data) for body in bodies]
+    def __init__(self, data: mujoco.MjData, table: RotaryTable | None) -> None:
+        self._turns = table is not None
+        if table is None:
+            return
+        # An origin goes round a circle; a quaternion is cos of half the angle of the one at 0, and sin of it of that
+        # times the axis' own.
+        axis, at, quaternion = table.T_base_table[:3, 2], data.mocap_pos.copy(), data.mocap_quat.copy()
+        along = (at - table.T_base_table[:3, 3]) @ axis
+        self._middle = table.T_base_table[:3, 3] + along[:, None] * axis
+        self._out, self._quaternion = at - self._middle, quaternion
+        self._across = np.cross(axis, self._out)
+        scalar, vector = quaternion[:, :1], quaternion[:, 1:]
+        self._times_axis = np.concatenate([-vector @ axis[:, None], scalar * axis + np.cross(axis, vector)], axis=1)
 
     def __call__(self, data: mujoco.MjData, q: Floats) -> None:
-        """Set both in a state, at (axes,) joint angles [rad]; nothing is done where they stand.
+        """Set both in a state, at (axes,) joint angles [rad]; nothing is done where they stand."""
+        self.put(data, self.poses(q[None])[0])
 
-        In plain numbers: every configuration that is checked comes through here.
-        """
-        if not self._at_0:
-            return
-        angle = float(q[ARM_AXES])
-        c, s, c2, s2 = math.cos(angle), math.sin(angle), math.cos(angle / 2), math.sin(angle / 2)
-        for body, (x, y, z), (rx, ry, rz), (tx, ty, tz), (w, a, b, d), (w1, a1, b1, d1) in self._at_0:
-            data.mocap_pos[body] = x + c * rx + s * tx, y + c * ry + s * ty, z + c * rz + s * tz
-            data.mocap_quat[body] = c2 * w + s2 * w1, c2 * a + s2 * a1, c2 * b + s2 * b1, c2 * d + s2 * d1
+    def poses(self, q: Floats) -> Sequence[tuple[Floats, Floats] | None]:
+        """N positions (2, 3) [m] and quaternions (2, 4) of part and post at (N, axes) joint angles [rad]; or None."""
+        if not self._turns:
+            return [None] * len(q)
+        angle = q[:, ARM_AXES, None, None]
+        c, s, c2, s2 = np.cos(angle), np.sin(angle), np.cos(angle / 2), np.sin(angle / 2)
+        positions = self._middle + c * self._out + s * self._across
+        return list(zip(positions, c2 * self._quaternion + s2 * self._times_axis, strict=True))
 
-
-def _circle(table: RotaryTable, body: int, data: mujoco.MjData) -> tuple[Any, ...]:
-    """A mocap body and what its turn is made of: the circle that its origin goes round, and two quaternions.
-
-    The circle has a middle, and from there its origin at angle 0 and at a quarter turn [m]. The quaternion at an angle
-    is cos(angle / 2) of the one at 0 and sin(angle / 2) of that times the axis' own.
-    """
-    axis, at = table.T_base_table[:3, 2], data.mocap_pos[body] - table.T_base_table[:3, 3]
-    out = at - (at @ axis) * axis
-    (x, y, z), (w, a, b, d) = axis.tolist(), data.mocap_quat[body].tolist()
-    quarter = [-x * a - y * b - z * d, x * w + y * d - z * b, y * w + z * a - x * d, z * w + x * b - y * a]
-    middle = data.mocap_pos[body] - out
-    return body, middle.tolist(), out.tolist(), np.cross(axis, out).tolist(), [w, a, b, d], quarter
+    @staticmethod
+    def put(data: mujoco.MjData, at: tuple[Floats, Floats] | None) -> None:
+        """Set both in a state, at one of the `poses`."""
+        if at is not None:
+            data.mocap_pos[:], data.mocap_quat[:] = at

@@ -18,7 +18,7 @@ from planner.order.orderings import Ordering
 from planner.order.roadmap import Edge, Roadmap
 from planner.order.visits import Visits
 from planner.path.path import CHECKS, is_detour, path_time
-from planner.ports import JointLimits, Progress
+from planner.ports import ARM_AXES, JointLimits, Progress
 from planner.values import Floats, Ints
 
 
@@ -101,8 +101,12 @@ class TourSearch:
     def run(self) -> list[int]:
         """Nodes of the best tour in visiting order, home at both ends; every edge of it is real."""
         wanted = list(self.views)
-        # Low guesses have many detours searched: of many views more than the checks last for.
-        for guess in self.budget.guesses[:1] if self.many else self.budget.guesses:
+        guesses = self.budget.guesses
+        if self.many:  # low guesses have many detours searched: more than the checks last for
+            guesses = guesses[:1]
+        elif self.roadmap.q.shape[1] > ARM_AXES:  # many angles of a table are cheaper than a dear guess: all looked at
+            guesses = guesses[-1:]
+        for guess in guesses:
             guessed = self.roadmap.guess_by(*guess)
             if self.best and (not guessed or self.rounds >= self.budget.rounds):
                 break
@@ -178,7 +182,7 @@ class TourSearch:
             at = int((step[at] + rest).argmin())
             nodes.append(int(b[at]))
             reached = (reached[:, None] + step).min(axis=0)
-        best = np.argsort(np.concatenate(slack), kind="stable")[: self.budget.around]
+        best = _smallest(np.concatenate(slack), self.budget.around)
         return nodes, [(int(a), int(b)) for a, b in np.concatenate(found)[best]]
 
     def polish(self) -> None:
@@ -284,3 +288,11 @@ class TourSearch:
         """Report how many of the tour's edges are real."""
         if self.progress is not None:
             self.progress(sum(self.roadmap.path(a, b) is not None for a, b in edges), len(edges))
+
+
+def _smallest(values: Floats, count: int) -> Ints:
+    """Where the `count` smallest of (n,) values are, in order; of equal ones the first."""
+    if len(values) > count:
+        among = np.flatnonzero(values <= np.partition(values, count - 1)[count - 1])
+        return among[np.argsort(values[among], kind="stable")[:count]]
+    return np.argsort(values, kind="stable")

@@ -130,7 +130,7 @@ def test_the_engine_has_part_and_post_where_the_transform_says(either: World) ->
     """MuJoCo's own kinematics of the mocap bodies against a rotation vector about the table's axis."""
     data, q = either.data(), either.home.copy()
     assert either.table is not None
-    turner, T_base_table = Turner(either.model, data, either.table), either.table.T_base_table
+    turner, T_base_table = Turner(data, either.table), either.table.T_base_table
     for angle in (0.7, -2.0, 0.0):
         q[6] = angle
         turner(data, q)
