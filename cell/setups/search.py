@@ -81,7 +81,7 @@ class Search:
             raise UnreachableError("no cover could be connected; move the part, or allow other set-ups with --offer")
         found, connected = last
         moved = self._moved(found)
-        thorough = self._cover(brief=False, start=None if moved is None else moved.views)
+        thorough = self._cover(brief=False, start=(moved or found).views)
         for better in sorted((thorough, moved or thorough), key=lambda one: one.size):
             keeps = better.size < found.size and (self._lacks(better, self._chosen(better)) <= 0).all()
             plans = self._connected(better) if keeps else None

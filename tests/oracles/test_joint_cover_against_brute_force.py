@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array
 
-from cell.setups import fewest, joint
+from cell.setups import choices, fewest
 from cell.setups.fewest import Rows, fewest_setups
 from cell.setups.joint import JointCover, joint_cover, views_first
 from planner.cover import Overlap, Problem
@@ -149,7 +149,7 @@ def test_parts_of_the_rows_have_targets_of_their_own(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_views_of_all_set_ups_hang_together(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """One chain of views that share a row, whichever set-up each is of; no bound is above the best."""
-    monkeypatch.setattr(joint.cover, "DEFAULT_WORK", joint.cover.DEFAULT_WORK // 10)  # for twelve columns
+    monkeypatch.setattr(choices.cover, "DEFAULT_WORK", choices.cover.DEFAULT_WORK // 10)  # for twelve columns
     wish = replace(_wish(np.random.default_rng(160 + seed), 3, 4), overlap=Overlap(area=0.5))
     dense, group = wish.matrix.toarray(), np.asarray(wish.group)
 
@@ -173,9 +173,14 @@ def test_views_of_all_set_ups_hang_together(seed: int, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_many_choices_are_one_problem(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where only one choice is covered by itself, the number of set-ups stays exact and the bound on views a bound."""
-    monkeypatch.setattr(joint, "_EACH", 1)
+@pytest.mark.parametrize("looked_at", [1, 100])
+def test_many_choices_are_bounded_together(seed: int, looked_at: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where one choice is covered by itself, the number of set-ups stays exact and the bound on views a bound.
+
+    Where all are looked at, so many views are the fewest.
+    """
+    monkeypatch.setattr(choices, "_EACH", 1)
+    monkeypatch.setattr(choices, "_MORE", looked_at)
     wish = _wish(np.random.default_rng(100 + seed), 4, 3)
     group = np.asarray(wish.group)
     found = joint_cover(wish, np.array([0.75]), np.random.default_rng(0))
@@ -187,6 +192,7 @@ def test_many_choices_are_one_problem(seed: int, monkeypatch: pytest.MonkeyPatch
     setups, views = _best(wish, size)
     assert (len(found.views), found.setups_bound) == (setups, setups)
     assert found.views_bound <= views <= found.n_views
+    assert looked_at == 1 or found.n_views == views
     _checked(wish, found)
 
 

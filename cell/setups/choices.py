@@ -1,0 +1,170 @@
+"""Covers by choices of set-ups: each by itself, and what all of them together allow at best.
+
+Choices are covered one by one, those that can measure most first: shortly, then with all work those whose bound leaves
+a better cover. Where they are many that is for the best of them alone, and the bound on all is that of all their
+columns, as if set-ups cost nothing: most columns are held by others then, and what is left of a matrix of all set-ups
+is hardly larger than that of two.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from cell.setups.fewest import Rows
+from planner import cover
+from planner.cover import Cover, Problem
+from planner.values import Bools, Ints
+
+_EACH = 24
+"""Choices of set-ups that are covered one by one, of many too; a brief answer looks at a third of them."""
+
+_MORE, _BEST = 48, 4
+"""Of many choices so many are looked at where the bound leaves a better cover, and so many covered with all work."""
+
+SHORT, _TOGETHER = 0.2, 4.0
+"""Of the work for one plan: for a short cover, and for the bound on all choices together."""
+
+_SLACK = 1e-9  # relative, of costs and areas
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """What no cover undercuts, and none exceeds."""
+
+    views: int
+    cost: float
+    area: float
+
+    @classmethod
+    def of(cls, some: Collection[Cover]) -> Self:
+        """Of all that one of some covers answers."""
+        return cls(
+            min(one.lower_bound for one in some),
+            min(one.cost_bound for one in some),
+            max(one.upper_area for one in some),
+        )
+
+    def tightened(self, by: Self) -> "Bound":
+        """With another of the same."""
+        return Bound(max(self.views, by.views), max(self.cost, by.cost), min(self.area, by.area))
+
+
+class Choices:
+    """What is asked, of some of the columns, answered by `planner.cover`."""
+
+    def __init__(self, wish: Problem, rows: Rows, rng: np.random.Generator, solver: str) -> None:
+        self._wish, self._rows, self._rng, self._solver = wish, rows, rng, solver
+        hard = wish.overlap is not None or wish.max_views is not None
+        self._work = cover.DEFAULT_WORK * (3 if hard else 1)  # as for one plan
+        self._group, self._allowed = np.asarray(wish.group), np.asarray(wish.allowed)
+        self._costs = np.ones(len(self._group)) if wish.costs is None else np.asarray(wish.costs, dtype=np.float64)
+
+    def of_choices(
+        self, choices: Sequence[tuple[int, ...]], known: Ints, *, every: bool, brief: bool
+    ) -> tuple[Cover, Bound]:
+        """The best cover by one of some choices of set-ups, and the bound on all; on the first few where brief.
+
+        Args:
+            choices: of so many set-ups, the most promising first.
+            known: columns to begin with where a choice has them all.
+            every: whether no other choice does; without, the bound is on all set-ups together.
+            brief: whether short covers of the first few are enough.
+        """
+        each = {some: self._by(some, SHORT, known) for some in choices[: _EACH // 3 if brief else _EACH]}
+        if brief:
+            return self._best(each), Bound.of(each.values())
+        free = None
+        if not every or len(choices) > _EACH:
+            columns = self._of_setups({setup for some in choices for setup in some}) if every else self._allowed
+            solver = "exact" if self._solver == "auto" else self._solver
+            free = self.of(columns, _TOGETHER, start=self._best(each).views, solver=solver)
+            for some in choices[_EACH:_MORE]:
+                if self._leaves_better(free, each):
+                    each[some] = self._by(some, SHORT, known)
+        for some in sorted(each, key=lambda some: self._size(each[some]))[: _BEST if free else None]:
+            if self._leaves_better(each[some], each) and (free is None or self._leaves_better(free, each)):
+                each[some] = self._by(some, 1.0, each[some].views)
+        bound = Bound.of(each.values())
+        if free is not None:
+            together = Bound.of([free])
+            bound = bound.tightened(together) if every and len(each) == len(choices) else together
+        return self._best(each), bound
+
+    def weighted(self, known: Cover, setup_cost: float, fewest: int, work: float) -> tuple[Cover, Bound]:
+        """The cover by any set-ups, each at a cost; no dearer than one that is known."""
+        free = self.of(self._allowed, work, start=known.views)
+        found = self.of(self._allowed, work, start=known.views, setup_cost=setup_cost)
+        bound = Bound.of([found])
+        bound = replace(bound, cost=max(bound.cost, free.cost_bound + fewest * setup_cost))
+        return min(found, known, key=lambda one: self.paid(one, setup_cost) or 0.0), bound
+
+    def paid(self, one: Cover, setup_cost: float | None) -> float | None:
+        """What views cost, and their set-ups where these have a cost; None where views are counted."""
+        if self._wish.costs is None:
+            return None
+        return float(self._costs[one.views].sum()) + (setup_cost or 0.0) * len(np.unique(self._group[one.views]))
+
+    @property
+    def groups_go(self) -> bool:
+        """Whether set-ups may have a cost in one problem (`planner.cover.targets`, `planner.cover.canonical`)."""
+        wish = self._wish
+        return wish.part is None and wish.weights is None and wish.max_views is None and wish.overlap is None
+
+    def _by(self, setups: tuple[int, ...], work: float, start: Ints) -> Cover:
+        return self.of(self._of_setups(setups), work, start=start)
+
+    def _of_setups(self, setups: Collection[int]) -> Bools:
+        return self._allowed & np.isin(self._group, sorted(setups))
+
+    def _best(self, each: Mapping[tuple[int, ...], Cover]) -> Cover:
+        return min(each.values(), key=self._size)
+
+    def _leaves_better(self, one: Cover, each: Mapping[tuple[int, ...], Cover]) -> bool:
+        """Whether what one cover proves leaves a better one than the best of some."""
+        best = self._best(each)
+        if self._wish.max_views is not None:
+            return one.upper_area > best.covered_area * (1 + _SLACK)
+        return one.cost_bound < best.cost * (1 - _SLACK)
+
+    def _size(self, one: Cover) -> tuple[float, ...]:
+        """What is to be small."""
+        setups, paid = len(np.unique(self._group[one.views])), self.paid(one, None)
+        most_first = -one.covered_area if self._wish.max_views is not None else 0.0
+        return most_first, setups, len(one.views) if paid is None else paid
+
+    def of(
+        self, columns: Bools, work: float, *, start: Ints | None = None, setup_cost: float | None = None,
+        solver: str | None = None,
+    ) -> Cover:  # fmt: skip
+        """Of columns (V,), as far as they bring what all would.
+
+        Args:
+            columns: that may be chosen.
+            work: in that of one plan.
+            start: columns to begin with where they all may be.
+            setup_cost: of each set-up; None: set-ups cost nothing.
+            solver: None: what was asked for.
+        """
+        wish, rows, some = self._wish, self._rows, np.flatnonzero(columns)
+        matrix = wish.matrix[:, some]
+        kept = rows.have(np.asarray(matrix.sum(axis=1, dtype=np.int64)).ravel())
+        reach = rows.worth_of(kept)
+        shares = np.minimum(np.divide(rows.wanted, reach, out=np.ones_like(reach), where=reach > 0), 1.0)
+        problem = replace(
+            wish, matrix=matrix[kept], areas=np.asarray(wish.areas)[kept], allowed=None, demand=rows.need[kept],
+            coverage=float(shares[0]),
+            costs=None if wish.costs is None else self._costs[some],
+            pinned=np.searchsorted(some, list(wish.pinned)).tolist(),
+            weights=None if wish.weights is None else rows.worth[kept],
+            part=None if wish.part is None else rows.part[kept],
+            part_coverage=() if wish.part is None else tuple(shares.tolist()),
+            group=None if setup_cost is None else self._group[some],
+            group_costs=None if setup_cost is None else np.full(len(rows.brought), setup_cost),
+        )  # fmt: skip
+        begin = np.searchsorted(some, start) if start is not None and len(start) and columns[start].all() else None
+        found = cover.solve(
+            problem, rng=self._rng, solver=solver or self._solver, budget=int(work * self._work), start=begin
+        )
+        return replace(found, views=some[found.views])
