@@ -1,5 +1,7 @@
 """Coverage over the number of views in the run folder: `curve.json` and `curve.png`."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from cell.plan.picture_process import Drawing
@@ -41,7 +43,10 @@ def fewest_of(curve: CoverageCurve) -> Curve:
     return Curve(fewest=[Fewest(of_coverable=share, views=n, at_least=least) for share, (n, least) in fewest.items()])
 
 
-def write(folder: RunFolder, drawing: Drawing, curve: CoverageCurve, plan_views: int, plan_area: float) -> None:
+def write(
+    folder: RunFolder, drawing: Drawing, curve: CoverageCurve, plan_views: int, plan_area: float,
+    named: Callable[[int], int | str] = int,
+) -> None:  # fmt: skip
     """Data and picture of a curve.
 
     Args:
@@ -50,6 +55,7 @@ def write(folder: RunFolder, drawing: Drawing, curve: CoverageCurve, plan_views:
         curve: what to write.
         plan_views: number of views of the plan.
         plan_area: area of the matrix' samples that the plan measures [m^2].
+        named: what a column of the matrix is called.
     """
     folder.write_json(
         "curve.json",
@@ -61,7 +67,7 @@ def write(folder: RunFolder, drawing: Drawing, curve: CoverageCurve, plan_views:
                     "n_views": int(n),
                     "covered": float(area) / curve.total_area,
                     "upper_bound": float(upper) / curve.total_area,
-                    "views": views.tolist(),
+                    "views": [named(view) for view in views],
                 }
                 for n, area, upper, views in zip(
                     curve.n_views, curve.covered_area, curve.upper_area, curve.views, strict=True

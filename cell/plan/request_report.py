@@ -1,7 +1,7 @@
 """Requests beyond the fewest views, in words with units: rows for terminal and report, sections for the page."""
 
 from cell.run.plan_json import OpenOf, Overlap, Promise
-from cell.run.report_json import Report
+from cell.run.report_json import Curve, Report
 from cell.words import percent
 
 
@@ -113,14 +113,18 @@ def page(report: Report) -> list[str]:
             "",
         ]
     if report.curve:
-        lines += ["## Coverage over the number of views", "", "| of what can be measured | views | at least |"]
-        lines += ["|---|---|---|"]
-        lines += [
-            f"| {100 * row.of_coverable:g} % | {_or_dash(row.views)} | {_or_dash(row.at_least)} |"
-            for row in report.curve.fewest
-        ]
-        lines += ["", "![Coverage over the number of views, with its bound](curve.png)", ""]
+        lines += coverage_over_views(report.curve)
     return lines
+
+
+def coverage_over_views(curve: Curve) -> list[str]:
+    """The section of the curve."""
+    lines = ["## Coverage over the number of views", "", "| of what can be measured | views | at least |"]
+    lines += ["|---|---|---|"]
+    lines += [
+        f"| {100 * row.of_coverable:g} % | {_or_dash(row.views)} | {_or_dash(row.at_least)} |" for row in curve.fewest
+    ]
+    return [*lines, "", "![Coverage over the number of views, with its bound](curve.png)", ""]
 
 
 def _or_dash(number: int | None) -> str:

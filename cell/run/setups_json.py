@@ -7,6 +7,7 @@ from pydantic import Field
 
 from cell.run.execution_json import ExecutedDeviation, ExecutedPlace, ExecutedRegistration, ExecutedSurface
 from cell.run.json_table import JsonTable, Triple, optional
+from cell.run.report_json import Curve
 
 
 class OfferedSetup(JsonTable):
@@ -92,6 +93,9 @@ class SetupsFile(JsonTable):
         "fewer views"
     )
     views_first: ViewsFirst | None = optional("where fewer views would do if they came before set-ups")
+    curve: Curve | None = optional(
+        "with `--curve`: the fewest views of these set-ups for round shares of what they can"
+    )
     seconds: float | None = Field(
         default=None, description="that views cost, and set-ups where they do; null where views were counted"
     )

@@ -125,6 +125,9 @@ _OF_THE_CHOICE = ("max_views", "multiplicity", "cost", "overlap_mm2", "overlap_s
 """Wishes that the choice of views answers."""
 
 
+_OF_THE_ORDER = ("overlap_mm2", "overlap_share", "overlap_in_order")
+
+
 class PlanSettings(PlanKeys):
     """How to plan: the keys, and that they go together."""
 
@@ -136,6 +139,12 @@ class PlanSettings(PlanKeys):
         """What a plan of these views is asked, and of no others of so many candidates."""
         others = tuple(sorted(set(range(candidates)).difference(views)))
         return self.plain().model_copy(update={"coverage": 1.0, "pinned": tuple(views), "banned": others})
+
+    def ordered_as(self, other: Self) -> Self:
+        """With the overlap of other settings where the order of visits is to keep it."""
+        if not other.overlap_in_order:
+            return self
+        return self.model_copy(update={key: getattr(other, key) for key in _OF_THE_ORDER})
 
     @field_validator("percent_kept")
     @classmethod

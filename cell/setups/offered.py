@@ -37,7 +37,11 @@ class Offer:
 
     def scene(self, shared: Scene) -> Scene:
         """The scene of this set-up alone, of that of all."""
-        own: dict[str, object] = {"placement": self.placement, "setup": (), "plan": shared.plan.plain()}
+        own: dict[str, object] = {
+            "placement": self.placement,
+            "setup": (),
+            "plan": shared.plan.plain().ordered_as(shared.plan),
+        }
         if self.given is None:
             return shared.model_copy(update=own)
         own["fixtures"] = (*shared.fixtures, *self.given.fixtures)

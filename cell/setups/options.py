@@ -8,16 +8,9 @@ from pydantic import Field
 from cell.errors import UsageError
 from cell.scene.fields import Positive, Table
 from cell.scene.option import Option
-from cell.scene.plan_settings import PlanSettings
 from cell.scene.scene import Scene
 
 _PANEL = "Set-ups"
-
-FOREIGN = {
-    "curve": "is drawn of one plan",
-    "overlap_in_order": "is an order of one tour, and each set-up has its own",
-}
-"""Wishes of `[plan]` that several set-ups do not answer, and why."""
 
 
 def _each(texts: Sequence[str]) -> list[str]:
@@ -87,9 +80,6 @@ class SetupOptions(Table):
             UsageError: naming the wish.
         """
         plan = scene.plan
-        for key, why in FOREIGN.items():
-            if getattr(plan, key) != PlanSettings.model_fields[key].default:
-                raise UsageError(f"plan.{key} {why}; leave it out of a plan of several set-ups")
         if plan.pinned or plan.banned:
             raise UsageError(
                 "plan.pinned and plan.banned name candidates of one set-up; of several give --pin and --ban with the "

@@ -93,7 +93,7 @@ def plan_setups(
         raise UsageError("no set-up is offered: give [[setup]] tables in the scene, or let some be proposed")
     return pipeline.plan(
         scene, part=part, scene_path=scene_path, out=out, argv=argv, use_cache=use_cache, narrator=narrator,
-        steps_of=partial(_steps, options, scene_path, narrator),
+        steps_of=partial(_steps, options, scene_path, narrator), drawn=scene.plan.curve,
     )  # fmt: skip
 
 
@@ -129,6 +129,10 @@ def _steps(options: SetupOptions, scene_path: Path | None, narrator: Narrator, r
     file = _file(run, job, asked, setups, found, offers, tried, used).model_copy(
         update={"views_first": None if first is None else ViewsFirst(setups=first[0], views=first[1])}
     )
+    if job.scene.plan.curve:
+        with run.step("coverage over views"):
+            file = file.model_copy(update={"curve": search.curve(connected)})
+            run.drawing.finish(run.folder)
     run.folder.write_json("setups.json", file.as_json())
     run.folder.write_text("report.md", page(file))
     for number in apart(file.shared, range(1, len(order) + 1)):

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cell.plan.request_report import coverage_over_views
 from cell.run.setups_json import PlannedOpen, SetupsFile, SharedSurface
 from cell.setups.joint import JointCover
 from cell.words import listed, percent
@@ -102,7 +103,8 @@ def page(file: SetupsFile) -> str:
             f"| {row} | {each.name} | {listed(each.placement_mm)} | {listed(each.placement_abc_deg)} | {each.reachable}"
             f" | {percent(each.coverable)} | {percent(each.in_contact)} | {each.left_out or use} |"
         )
-    return "\n".join([*lines, *shared_surface(file.shared), ""])
+    curve = ["", *coverage_over_views(file.curve)] if file.curve else []
+    return "\n".join([*lines, *shared_surface(file.shared), *curve, ""])
 
 
 def shared_surface(pairs: Sequence[SharedSurface]) -> list[str]:

@@ -9,21 +9,27 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from scipy.sparse import hstack
 
 from cell.errors import UnreachableError
+from cell.plan import curve as curves
 from cell.plan import denser_samples, steps
 from cell.plan.connected_plan import ConnectedPlan
-from cell.plan.problem import PinnedOutError, Problem
+from cell.plan.problem import PinnedOutError
+from cell.plan.problem import Problem as PlanProblem
 from cell.plan.steps import Run
 from cell.plan.view_plan import choose_and_connect, first_choice
 from cell.rays.matrix import PartSurface
+from cell.run.report_json import Curve
 from cell.setups.joint import JointCover, joint_cover, views_first
 from cell.setups.measured import Setup
 from cell.setups.moved import movable, with_fewer
 from cell.setups.options import named
 from cell.setups.shared import joining
 from cell.setups.wishes import Asked
-from planner.cover import CoverStatus
+from planner.cover import CoverStatus, Problem
+from planner.cover.curve import coverage_curve
+from planner.cover.overlap import Connection
 from planner.measurability.sample_rows import add_rows
 from planner.surface.sample import pick_samples, sample
 from planner.values import Floats, Ints
@@ -31,7 +37,7 @@ from planner.values import Floats, Ints
 _TRIES = 20  # covers in all
 _STEP = 0.0005  # beyond the gap that the held-out samples show, as `cell.plan.request` raises a target
 
-Connected = Mapping[int, tuple[Problem, ConnectedPlan]]
+Connected = Mapping[int, tuple[PlanProblem, ConnectedPlan]]
 Poses = Mapping[int, Floats]
 """Of each set-up that is used, (n, K, 4, 4) views in the object frame [m]."""
 
@@ -89,7 +95,14 @@ class Search:
                 found, connected = better, plans
                 break
         found = found.bounded(thorough)  # which knows all set-ups, and moved views too
-        return self._held_together(found, connected)
+        found, connected = self._held_together(found, connected)
+        for row, (problem, plan) in connected.items():
+            if problem.request.plan.overlap_in_order and plan.selected.answer is None:
+                self._run.narrator.note(
+                    f"the views of set-up {row} of those offered hang together through other set-ups alone: they are "
+                    "visited in the fastest order"
+                )
+        return found, connected
 
     def views_first(self, found: JointCover) -> tuple[int, int] | None:
         """Set-ups and views where fewest views come first and no motion is planned; None but for fewer in more set-ups.
@@ -98,6 +111,23 @@ class Search:
         """
         told = views_first(self._asked.problem(self._M, self._usable), found.targets, self._chooses)
         return told if told is not None and told[0] > len(found.views) and told[1] < found.n_views else None
+
+    def curve(self, connected: Connected) -> Curve:
+        """Coverage over the number of views in the set-ups of a cover, written to the folder.
+
+        What they can measure is all of it; pinned views stay and banned ones are left out, as in the curve of a plan.
+        """
+        names = [(row, column) for row, (_, plan) in connected.items() for column in range(plan.matrix.n_viewpoints)]
+        place = {name: column for column, name in enumerate(names)}
+        views = [place[row, int(column)] for row, (_, plan) in connected.items() for column in plan.candidate]
+        matrix = hstack([plan.matrix.matrix() for _, plan in connected.values()], format="csc")
+        areas = next(iter(connected.values()))[1].matrix.features.areas
+        allowed = np.concatenate([self._usable[row] for row in connected])
+        wish = Problem(matrix, areas, allowed, pinned=[place[name] for name in self._asked.own.pins])
+        curve = coverage_curve(wish, rng=self._run.rng(steps.CURVE), known=[views])
+        covered = float(areas[np.asarray(matrix[:, views].sum(axis=1)).ravel() > 0].sum())
+        curves.write(self._run.folder, self._run.drawing, curve, len(views), covered, lambda k: named(names[k]))
+        return curves.fewest_of(curve)
 
     @property
     def setups(self) -> Mapping[int, Setup]:
@@ -218,7 +248,7 @@ class Search:
         }
         return True
 
-    def _plan(self, row: int, views: list[int]) -> tuple[Problem, ConnectedPlan]:
+    def _plan(self, row: int, views: list[int]) -> tuple[PlanProblem, ConnectedPlan]:
         """The views of one set-up with the motion through them.
 
         Raises:
@@ -226,7 +256,7 @@ class Search:
         """
         setup = self._setups[row]
         scene = setup.job.scene
-        given = scene.plan.of_views(views, len(setup.measured.reached))
+        given = scene.plan.of_views(views, len(setup.measured.reached)).ordered_as(scene.plan)
         asked = replace(setup.job, scene=scene.model_copy(update={"plan": given}))
         measured = replace(setup.measured, M=self._M[row])
         problem = steps.ask(self._run, asked, setup.cell, measured, setup.prediction)
@@ -245,7 +275,12 @@ class Search:
             raise
         cover = replace(chosen.cover, lower_bound=1, status=CoverStatus.BOUNDED, solver="joint")
         problem = problem.taking(chosen.candidate, chosen.tour.q)
-        return problem, replace(chosen, cover=cover, selected=replace(chosen.selected, targets=self._targets))
+        how = chosen.selected.answer
+        if isinstance(how, Connection) and not how.connected:
+            how = None  # through views of other set-ups all may hang together; it is not told of these alone
+        return problem, replace(
+            chosen, cover=cover, selected=replace(chosen.selected, targets=self._targets, answer=how)
+        )
 
 
 def _driven(connected: Connected) -> Poses:

@@ -79,7 +79,6 @@ def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: Cell) -> None:
 @pytest.mark.parametrize(
     ("options", "code", "told"),
     [
-        (("--curve",), 2, "plan.curve is drawn of one plan; leave it out of a plan of several set-ups"),
         (("--pin", "3"), 2, "--pin 3 must be candidates, each by the number of the set-up offered"),
         (("--pin", "1:3"), 2, "candidate 1:3: there are 1 set-ups offered, 0 to 0"),
         (("--pin", "0:3000"), 2, "candidate 0:3000: set-up 0 has candidates 0 to "),
@@ -180,6 +179,33 @@ def test_wishes_are_asked_of_all_set_ups_together(part_file: Path, tmp_path: Pat
     assert made.file.kept is not None
     assert made.file.kept >= 0.95
     assert (np.asarray(twice) >= 2).mean() >= 0.9 * made.file.kept
+
+
+def test_the_curve_is_of_the_set_ups_that_are_used_and_each_is_visited_in_order(
+    part_file: Path, tmp_path: Path
+) -> None:
+    """Its views are named as pinned ones are and measure what it says; in each set-up views overlap earlier ones."""
+    made = plan_setups(
+        part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,
+        candidates="optimal-scanning-zone", offer=3, coverage=0.95, curve=True, overlap="5%", overlap_in_order=True,
+    )  # fmt: skip
+    matrices = {}
+    for setup, folder in zip(made.file.chosen, made.folders, strict=True):
+        run = open_run(folder)
+        M = reader.measurability(run.record)
+        matrices[str(setup.offered)], areas = M.matrix().tocsc(), M.features.areas
+        assert json.loads((folder / "report.json").read_text())["overlap"]["without_earlier"] == 0
+    said = json.loads((tmp_path / "made" / "curve.json").read_text())
+    for point in said["points"][1:]:
+        views = [view.split(":") for view in point["views"]]
+        seen = np.hstack([matrices[setup][:, [int(number)]].toarray() for setup, number in views]).any(axis=1)
+        assert areas[seen].sum() / areas.sum() == pytest.approx(point["covered"])
+        assert point["upper_bound"] >= point["covered"]
+    assert said["points"][-1]["covered"] == pytest.approx(said["coverable"])
+    assert made.file.curve is not None
+    assert made.file.curve.fewest[-1].views == len(said["points"]) - 1
+    assert "![Coverage over the number of views" in (tmp_path / "made" / "report.md").read_text()
+    assert (tmp_path / "made" / "curve.png").is_file()
 
 
 def test_regions_of_set_ups_have_coverages_of_their_own(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
