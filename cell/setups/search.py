@@ -35,6 +35,7 @@ from planner.surface.sample import pick_samples, sample
 from planner.values import Floats, Ints
 
 _TRIES = 20  # covers in all
+_AGAIN = 3  # times that fewer views are searched for with all work
 _STEP = 0.0005  # beyond the gap that the held-out samples show, as `cell.plan.request` raises a target
 
 Connected = Mapping[int, tuple[PlanProblem, ConnectedPlan]]
@@ -67,7 +68,7 @@ class Search:
     def result(self) -> tuple[JointCover, Connected]:
         """The cover, and the plan of each set-up that it uses; the last one tried where none keeps the coverage.
 
-        Covers are tried by short searches; bounds, and perhaps fewer views, are for the last one alone.
+        Covers are tried by short searches; bounds, and perhaps fewer views, are from the last one on.
 
         Raises:
             UnreachableError: if none could be connected.
@@ -85,24 +86,27 @@ class Search:
                 break
         if last is None:
             raise UnreachableError("no cover could be connected; move the part, or allow other set-ups with --offer")
-        found, connected = last
+        return self._held_together(*self._thorough(*last))
+
+    def _thorough(self, found: JointCover, connected: Connected) -> tuple[JointCover, Connected]:
+        """A cover with its bound, by all work that there is; of fewer views where some keep the coverage.
+
+        Fewer that miss it are searched for again, with more samples or a higher target.
+        """
         moved = self._moved(found)
-        thorough = self._cover(brief=False, start=(moved or found).views)
-        for better in sorted((thorough, moved or thorough), key=lambda one: one.size):
-            keeps = better.size < found.size and (self._lacks(better, self._chosen(better)) <= 0).all()
-            plans = self._connected(better) if keeps else None
-            if plans is not None and (self._lacks(better, _driven(plans)) <= 0).all():
-                found, connected = better, plans
+        bounded, others, before = None, [moved] if moved else [], (self._M.copy(), self._targets)
+        for _ in range(_AGAIN):
+            thorough = self._cover(brief=False, start=(moved or found).views)
+            for better in sorted((thorough, *others), key=lambda one: one.size):
+                keeps = better.size < found.size and (self._lacks(better, self._chosen(better)) <= 0).all()
+                plans = self._connected(better) if keeps else None
+                if plans is not None and (self._lacks(better, _driven(plans)) <= 0).all():
+                    return better.bounded(thorough), plans  # which knows all set-ups, and moved views too
+            bounded, others = bounded or found.bounded(thorough), []  # later ones are asked for more
+            if thorough.size >= found.size or not self._asks_more(thorough, self._chosen(thorough)):
                 break
-        found = found.bounded(thorough)  # which knows all set-ups, and moved views too
-        found, connected = self._held_together(found, connected)
-        for row, (problem, plan) in connected.items():
-            if problem.request.plan.overlap_in_order and plan.selected.answer is None:
-                self._run.narrator.note(
-                    f"the views of set-up {row} of those offered hang together through other set-ups alone: they are "
-                    "visited in the fastest order"
-                )
-        return found, connected
+        self._M, self._targets = before  # as they were asked for
+        return bounded or found, connected
 
     def views_first(self, found: JointCover) -> tuple[int, int] | None:
         """Set-ups and views where fewest views come first and no motion is planned; None but for fewer in more set-ups.
@@ -171,6 +175,12 @@ class Search:
             plans = self._connected(held)  # None: the candidate is usable no more, and another is tried
             if plans is not None:
                 found, connected = held, plans
+        for row, (problem, plan) in connected.items():
+            if problem.request.plan.overlap_in_order and plan.selected.answer is None:
+                self._run.narrator.note(
+                    f"the views of set-up {row} of those offered hang together through other set-ups alone: they are "
+                    "visited in the fastest order"
+                )
         return found, connected
 
     def _connected(self, found: JointCover) -> Connected | None:

@@ -1,5 +1,6 @@
 """Further set-ups: what a support touches, and which scene a set-up has."""
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -216,7 +217,7 @@ def test_fewer_set_ups_count_before_fewer_views_and_the_bound_knows_moved_views(
     """Once views were moved one set-up may do: it is taken though two need fewer views, and no bound is above it."""
     first, moved, thorough = _cover({0: 3, 1: 3}, 2), _cover({0: 2, 1: 2}, 2), _cover({0: 5}, 1)
     for name, answer in (
-        ("__init__", lambda _: None),
+        ("__init__", lambda self: self.__dict__.update(_M={}, _targets=np.ones(1))),
         ("_cover", lambda _, *, brief, start=None: first if brief else thorough),
         ("_connected", lambda _, found: {"of": found}),
         ("_lacks", lambda *_: np.zeros(1)),
@@ -231,6 +232,31 @@ def test_fewer_set_ups_count_before_fewer_views_and_the_bound_knows_moved_views(
     assert connected == {"of": thorough}
     monkeypatch.setattr(Search, "_cover", lambda _, *, brief, start=None: first if brief else _cover({0: 2, 1: 2}, 1))
     assert Search().result()[0].setups_bound == 1  # type: ignore[call-arg]
+
+
+def test_fewer_views_that_miss_the_coverage_are_searched_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With more asked; where no fewer keep it, the bound is that of what was asked of the views that are taken."""
+    few, fewer, first = (_cover({0: count}, 1) for count in (4, 2, 5))
+    thorough = iter([replace(fewer, views_bound=2), replace(few, views_bound=3)])
+    missed = iter([True, False])
+    for name, answer in (
+        ("__init__", lambda self: self.__dict__.update(_M={}, _targets=np.ones(1))),
+        ("_cover", lambda _, *, brief, start=None: first if brief else next(thorough)),
+        ("_connected", lambda _, found: {"of": found}),
+        ("_lacks", lambda _, found, __: np.array([0.1 if found.n_views == 2 else 0.0])),
+        ("_asks_more", lambda _, found, __: found.n_views == 2 and next(missed)),
+        ("_chosen", lambda *_: {}),
+        ("_moved", lambda *_: None),
+        ("_held_together", lambda _, found, connected: (found, connected)),
+    ):
+        monkeypatch.setattr(Search, name, answer)
+    monkeypatch.setattr("cell.setups.search._driven", lambda connected: {})
+    found, _ = Search().result()  # type: ignore[call-arg]
+    assert (found.n_views, found.views_bound) == (4, 3)
+    thorough = iter([replace(fewer, views_bound=2), replace(first, views_bound=5)])
+    missed = iter([True])
+    found, _ = Search().result()  # type: ignore[call-arg]
+    assert (found.n_views, found.views_bound) == (5, 2)
 
 
 def test_a_first_set_up_that_a_table_cannot_carry_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -251,7 +277,7 @@ def test_tries_are_left_for_views_that_cannot_be_connected(monkeypatch: pytest.M
     """However often more was asked before: the first three covers that are connected have a view without a path."""
     connected = iter([None, None, None])
     for name, answer in (
-        ("__init__", lambda _: None),
+        ("__init__", lambda self: self.__dict__.update(_M={}, _targets=np.ones(1))),
         ("_cover", lambda _, *, brief, start=None: _cover({0: 3}, 1)),
         ("_asks_more", lambda *_: True),
         ("_chosen", lambda *_: {}),
