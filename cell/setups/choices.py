@@ -20,8 +20,11 @@ from planner.values import Bools, Ints
 _EACH = 24
 """Choices of set-ups that are covered one by one, of many too; a brief answer looks at a third of them."""
 
-_MORE, _BEST = 48, 4
-"""Of many choices so many are looked at where the bound leaves a better cover, and so many covered with all work."""
+_MORE, _BEST = 48, 3
+"""Of many choices so many are looked at where the bound leaves a better cover, and so many covered with all work.
+
+Choices of several set-ups are many beyond the latter: what all allow together is hardly less than what most do alone.
+"""
 
 SHORT, _TOGETHER = 0.2, 4.0
 """Of the work for one plan: for a short cover, and for the bound on all choices together."""
@@ -76,7 +79,7 @@ class Choices:
         if brief:
             return self._best(each), Bound.of(each.values())
         free = None
-        if not every or len(choices) > _EACH:
+        if not every or len(choices) > len(each) or (len(choices) > _BEST and len(choices[0]) > 1):
             columns = self._of_setups({setup for some in choices for setup in some}) if every else self._allowed
             solver = "exact" if self._solver == "auto" else self._solver
             free = self.of(columns, _TOGETHER, start=self._best(each).views, solver=solver)
