@@ -81,8 +81,7 @@ class Choices:
         free = None
         if not every or len(choices) > len(each) or (len(choices) > _BEST and len(choices[0]) > 1):
             columns = self._of_setups({setup for some in choices for setup in some}) if every else self._allowed
-            solver = "exact" if self._solver == "auto" else self._solver
-            free = self.of(columns, _TOGETHER, start=self._best(each).views, solver=solver)
+            free = self.of(columns, _TOGETHER, start=self._best(each).views, together=True)
             for some in choices[_EACH:_MORE]:
                 if self._leaves_better(free, each):
                     each[some] = self._by(some, SHORT, known)
@@ -139,7 +138,7 @@ class Choices:
 
     def of(
         self, columns: Bools, work: float, *, start: Ints | None = None, setup_cost: float | None = None,
-        solver: str | None = None,
+        together: bool = False,
     ) -> Cover:  # fmt: skip
         """Of columns (V,), as far as they bring what all would.
 
@@ -148,7 +147,7 @@ class Choices:
             work: in that of one plan.
             start: columns to begin with where they all may be.
             setup_cost: of each set-up; None: set-ups cost nothing.
-            solver: None: what was asked for.
+            together: whether only the bound is of use: by branch and bound, and views need not hang together.
         """
         wish, rows, some = self._wish, self._rows, np.flatnonzero(columns)
         matrix = wish.matrix[:, some]
@@ -163,11 +162,11 @@ class Choices:
             weights=None if wish.weights is None else rows.worth[kept],
             part=None if wish.part is None else rows.part[kept],
             part_coverage=() if wish.part is None else tuple(shares.tolist()),
+            overlap=None if together else wish.overlap,
             group=None if setup_cost is None else self._group[some],
             group_costs=None if setup_cost is None else np.full(len(rows.brought), setup_cost),
         )  # fmt: skip
         begin = np.searchsorted(some, start) if start is not None and len(start) and columns[start].all() else None
-        found = cover.solve(
-            problem, rng=self._rng, solver=solver or self._solver, budget=int(work * self._work), start=begin
-        )
+        solver, whole = ("exact", cover.DEFAULT_WORK) if together else (self._solver, self._work)
+        found = cover.solve(problem, rng=self._rng, solver=solver, budget=int(work * whole), start=begin)
         return replace(found, views=some[found.views])
