@@ -1,9 +1,9 @@
 """Covers by choices of set-ups: each by itself, and what all of them together allow at best.
 
-Choices are covered one by one, those that can measure most first: shortly, then with all work those whose bound leaves
-a better cover. Where they are many that is for the best of them alone, and the bound on all is that of all their
-columns, as if set-ups cost nothing: most columns are held by others then, and what is left of a matrix of all set-ups
-is hardly larger than that of two.
+Choices are covered one by one, those that can measure most first: shortly, the best with all work, then those of the
+least bound as long as that raises the bound on all. Where they are many, all their columns together give a bound as
+well, as if set-ups cost nothing: most columns are held by others then, and what is left of a matrix of all set-ups is
+hardly larger than that of two.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -21,7 +21,7 @@ _EACH = 24
 """Choices of set-ups that are covered one by one, of many too; a brief answer looks at a third of them."""
 
 _MORE, _BEST = 48, 3
-"""Of many choices so many are looked at where the bound leaves a better cover, and so many covered with all work.
+"""Of many choices so many are looked at where the bound leaves a better cover; so many are covered with all work.
 
 Choices of several set-ups are many beyond the latter: what all allow together is hardly less than what most do alone.
 """
@@ -49,9 +49,10 @@ class Bound:
             max(one.upper_area for one in some),
         )
 
-    def tightened(self, by: Self) -> "Bound":
-        """With another of the same."""
-        return Bound(max(self.views, by.views), max(self.cost, by.cost), min(self.area, by.area))
+    @classmethod
+    def tightest(cls, some: Collection["Bound"]) -> Self:
+        """Of some that hold for the same."""
+        return cls(max(one.views for one in some), max(one.cost for one in some), min(one.area for one in some))
 
 
 class Choices:
@@ -85,14 +86,23 @@ class Choices:
             for some in choices[_EACH:_MORE]:
                 if self._leaves_better(free, each):
                     each[some] = self._by(some, SHORT, known)
-        for some in sorted(each, key=lambda some: self._size(each[some]))[: _BEST if free else None]:
+        left = sorted(each, key=lambda some: self._size(each[some]))
+        for some in left[:_BEST]:
             if self._leaves_better(each[some], each) and (free is None or self._leaves_better(free, each)):
                 each[some] = self._by(some, 1.0, each[some].views)
-        bound = Bound.of(each.values())
-        if free is not None:
-            together = Bound.of([free])
-            bound = bound.tightened(together) if every and len(each) == len(choices) else together
-        return self._best(each), bound
+        left = left[_BEST:]
+        bounds = [] if free is None else [Bound.of([free])]
+        if every and len(each) == len(choices):
+            least = -np.inf if free is None else self._least(free)
+            while left:  # the bound on all is the least of theirs
+                weakest = min(left, key=lambda some: self._least(each[some]))
+                others = [self._least(one) for some, one in each.items() if some not in left]
+                if max(self._least(each[weakest]), least) >= min(others):
+                    break
+                each[weakest] = self._by(weakest, 1.0, each[weakest].views)
+                left.remove(weakest)
+            bounds.append(Bound.of(each.values()))
+        return self._best(each), Bound.tightest(bounds)
 
     def weighted(self, known: Cover, setup_cost: float, fewest: int, work: float) -> tuple[Cover, Bound]:
         """The cover by any set-ups, each at a cost; no dearer than one that is known."""
@@ -123,12 +133,15 @@ class Choices:
     def _best(self, each: Mapping[tuple[int, ...], Cover]) -> Cover:
         return min(each.values(), key=self._size)
 
+    def _least(self, one: Cover) -> float:
+        """What no cover of the same undercuts of what is to be small."""
+        return one.cost_bound if self._wish.max_views is None else -one.upper_area
+
     def _leaves_better(self, one: Cover, each: Mapping[tuple[int, ...], Cover]) -> bool:
         """Whether what one cover proves leaves a better one than the best of some."""
         best = self._best(each)
-        if self._wish.max_views is not None:
-            return one.upper_area > best.covered_area * (1 + _SLACK)
-        return one.cost_bound < best.cost * (1 - _SLACK)
+        size = best.cost if self._wish.max_views is None else -best.covered_area
+        return self._least(one) < size - _SLACK * abs(size)
 
     def _size(self, one: Cover) -> tuple[float, ...]:
         """What is to be small."""
