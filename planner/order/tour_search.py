@@ -60,6 +60,8 @@ class MotionBudget:
 _DOUBT = 0.02
 """What an edge that nobody looked at costs more in quick orderings of many views [s]: they keep to what is known."""
 
+_THOROUGH = 4  # share of `orders`, as its inverse, that an ordering of many views gets where quick ones settled
+
 _WORTH = 0.005
 """Share of the motion below which what many views may still save is not searched for."""
 
@@ -131,10 +133,10 @@ class TourSearch:
                     return
                 # Quick orderings brought all edges to light; a full one may find a faster tour over them.
                 full = True
-                nodes = self.order(self.budget.orders, nodes)
-            else:
-                full = False
-                nodes = self.order(self.budget.orders // self.budget.quick, nodes)
+            else:  # of many views some edge of every ordering is new: what is real among them is kept
+                full = self.many and self.kept(nodes) and self.promised >= self.best_time * (1 - worth)
+            thorough = self.budget.orders // (_THOROUGH if self.many else 1)
+            nodes = self.order(thorough if full else self.budget.orders // self.budget.quick, nodes)
         if self.best:
             return
         while not self.make_real(nodes):
@@ -182,7 +184,8 @@ class TourSearch:
             at = int((step[at] + rest).argmin())
             nodes.append(int(b[at]))
             reached = (reached[:, None] + step).min(axis=0)
-        best = _smallest(np.concatenate(slack), self.budget.around)
+        around = self.budget.around * max(1, len(self.views) // gtsp.FULL)
+        best = _smallest(np.concatenate(slack), around)
         return nodes, [(int(a), int(b)) for a, b in np.concatenate(found)[best]]
 
     def polish(self) -> None:
@@ -190,6 +193,12 @@ class TourSearch:
         for a, b in self.edges(self.best):
             if self.budget.polish and is_detour(self.path(a, b)):
                 self.roadmap.improve(a, b, self.budget.polish)
+
+    def kept(self, nodes: list[int]) -> bool:
+        """Keep a tour if all its edges are real and it is the best so far; whether a real one is known."""
+        if not any(self.roadmap.unseen[e] or self.roadmap.blocked[e] for e in self.edges(nodes)):
+            self.keep(nodes)
+        return bool(self.best)
 
     def keep(self, nodes: list[int]) -> bool:
         """Keep a tour of real edges if it visits more views than the best so far, or as many in less time."""
