@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.world.crossings import crossings
-from cell.world.triangle_distance import HULL, nearest_pair, nearest_triangle
+from cell.world.triangle_distance import HULL, nearest_pair, nearest_triangle, scratch
 from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
@@ -96,7 +96,7 @@ class TriangleTree:
         found = np.zeros((2, 3)) if points is None else points
         measured = nearest_triangle(
             kind, size.reshape(-1, 3), (position, rotation), (part_position, part_rotation), self._tree, reach,
-            any_nearer, found,
+            any_nearer, found, scratch(),
         )  # fmt: skip
         if measured > 0 and self.closed and self._inside(part_rotation.reshape(3, 3).T @ (position - part_position)):
             return -measured

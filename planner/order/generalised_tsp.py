@@ -236,7 +236,7 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int, hot: float = _H
     """
     if steps <= 0 or problem.n_clusters < 4:  # three clusters and fewer have one cyclic order, which has its best nodes
         return best_nodes(problem, problem.clusters_of(tour)[1:])
-    from planner.order.ruin_and_recreate import anneal  # importing numba costs 0.3 s, and small tours do without
+    from planner.order.ruin_and_recreate import annealed  # importing numba costs 0.3 s, and small tours do without
 
     between = tour_bound.between_clusters(problem.either, problem.first)
     np.fill_diagonal(between, -1.0)  # each cluster is its own nearest
@@ -244,10 +244,9 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int, hot: float = _H
     usable = np.where(between < BLOCKED, between, np.nan)
     two = np.sort(usable, axis=1)[:, 1:3]  # NaN comes last
     scale = max(float(np.nanmean(two)), 1e-12) if np.isfinite(two).any() else 1.0
-    best, _ = anneal(
-        problem.cost, problem.back, problem.first, near, tour.copy(), steps, hot * scale, min(hot, _COLD) * scale, seed
+    best = annealed(
+        problem.cost, problem.back, problem.first, near, tour, steps, hot * scale, min(hot, _COLD) * scale, seed
     )
-    best = np.roll(best, -int(np.flatnonzero(best < problem.first[1])[0]))
     return problem.length(best), best
 
 

@@ -28,10 +28,9 @@ _WORTH = 0.2  # nodes are chosen anew where the rebuilt tour is longer than acce
 _NODE, _BEFORE, _AFTER = 0, 1, 2  # rows of a tour
 
 
-@compiled
-def anneal(
+def annealed(
     cost: Floats, back: Floats, first: Ints, near: Ints, start: Ints, steps: int, hot: float, cold: float, seed: int
-) -> tuple[Ints, float]:
+) -> Ints:
     """The best tour seen in a number of steps.
 
     Args:
@@ -46,29 +45,40 @@ def anneal(
         seed: seed of the random numbers.
 
     Returns:
-        (m,) nodes in visiting order, and the cost of their tour.
+        (m,) nodes in visiting order, that of cluster 0 first.
     """
+    sizes = np.diff(first)
+    m, widest = len(sizes), int(sizes.max())
+    clusters = np.searchsorted(first, start, side="right") - 1
+    tour = np.empty((3, m), dtype=np.int64)
+    tour[_NODE, clusters], tour[_BEFORE, clusters] = start, np.roll(clusters, 1)
+    tour[_AFTER, clusters] = np.roll(clusters, -1)
+    best, trial = tour.copy(), tour.copy()
+    layers = np.empty(m, dtype=np.int64), np.empty(widest), np.empty(widest), np.empty((m, widest), dtype=np.int64)
+    out = np.empty(m, dtype=np.int64), np.zeros(m, dtype=np.int64)
+    state = np.array([seed], dtype=np.uint64)
+    root = int(sizes.argmin())  # the cycle is cut at its smallest cluster
+    _anneal(cost, back, first, near, root, (best, tour, trial), layers, out, steps, hot, cold, state)
+    order = [0]
+    while len(order) < m:
+        order.append(int(best[_AFTER, order[-1]]))
+    return best[_NODE, order]
+
+
+@compiled
+def _anneal(
+    cost: Floats, back: Floats, first: Ints, near: Ints, root: int, tours: tuple[Ints, Ints, Ints],
+    layers: tuple[Ints, Floats, Floats, Ints], out: tuple[Ints, Ints], steps: int, hot: float, cold: float,
+    state: NDArray[np.uint64],
+) -> None:  # fmt: skip
+    """Ruin and recreate the second of three tours; the first becomes the best one seen, the third is scratch."""
     m = len(first) - 1
-    state = np.empty(1, dtype=np.uint64)
-    state[0] = seed
-    widest, root = 0, near[0, 0]  # cluster 0; the literal would be a type of its own, and compile `_choose_nodes` twice
-    for k in range(m):
-        widest = max(widest, first[k + 1] - first[k])
-        if first[k + 1] - first[k] < first[root + 1] - first[root]:
-            root = k  # the cycle is cut at its smallest cluster
-    value, onward = np.empty(widest), np.empty(widest)
-    parent, sequence = np.empty((m, widest), dtype=np.int64), np.empty(m, dtype=np.int64)
-    best, tour = np.empty((3, m), dtype=np.int64), np.empty((3, m), dtype=np.int64)
-    trial = np.empty((3, m), dtype=np.int64)
-    cluster_of = np.empty(len(cost), dtype=np.int64)
-    for k in range(m):
-        for v in range(first[k], first[k + 1]):
-            cluster_of[v] = k
-    _link(cluster_of, start, tour)
-    tour_cost = _choose_nodes(cost, back, first, root, tour, sequence, value, onward, parent)
+    best, tour, trial = tours
+    order, value, onward, parent = layers
+    removed, is_out = out
+    tour_cost = _choose_nodes(cost, back, first, root, tour, order, value, onward, parent)
     _copy(tour, best)
     best_cost = tour_cost
-    removed, is_out = np.empty(m, dtype=np.int64), np.zeros(m, dtype=np.int64)
     longest = min(_STRING, max(1, m // 3))
     most_strings = max(1.0, 4.0 * _REMOVED / (1.0 + longest) - 1.0)
     temperature, cooling = hot, (cold / hot) ** (1.0 / max(1, steps - 1))
@@ -78,7 +88,7 @@ def anneal(
         trial_cost = tour_cost + saved + _recreate(cost, back, first, near, trial, removed, gone, is_out, state)
         accepted = tour_cost - temperature * np.log(1.0 - _uniform(state))
         if trial_cost <= min(accepted, best_cost) + _WORTH * tour_cost / m:
-            trial_cost = _choose_nodes(cost, back, first, root, trial, sequence, value, onward, parent)
+            trial_cost = _choose_nodes(cost, back, first, root, trial, order, value, onward, parent)
         if trial_cost < accepted:
             _copy(trial, tour)
             tour_cost = trial_cost
@@ -86,22 +96,6 @@ def anneal(
                 _copy(tour, best)
                 best_cost = tour_cost
         temperature *= cooling
-    k = 0
-    for i in range(m):
-        sequence[i] = best[_NODE, k]
-        k = best[_AFTER, k]
-    return sequence, best_cost
-
-
-@compiled
-def _link(cluster_of: Ints, nodes: Ints, tour: Ints) -> None:
-    """Write a tour, given as (m,) nodes in visiting order."""
-    m = len(nodes)
-    for i in range(m):
-        k = cluster_of[nodes[i]]
-        tour[_NODE, k] = nodes[i]
-        tour[_BEFORE, k] = cluster_of[nodes[i - 1]]
-        tour[_AFTER, k] = cluster_of[nodes[(i + 1) % m]]
 
 
 @compiled

@@ -36,7 +36,7 @@ class MotionBudget:
         quick: share of `orders` that every ordering after the first gets, but the last, as its inverse.
         looks: how often the edges of a tour are looked at, and its joint solutions chosen anew, before it is ordered
             again.
-        around: edges of the next best tours in the same order of views that are looked at each time.
+        around: edges of the next best tours in the same order of 22 views that are looked at each time.
         before_settling: configurations checked under each guess after which the search settles for what it has.
         polish: further searches for each detour of the final tour.
         guesses: what a colliding move is priced at until a detour is searched, one after the other: so many times the
