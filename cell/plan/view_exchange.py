@@ -60,10 +60,11 @@ def groups(
     if problem.request.costs is None:
         return exchanged
     draws = rng.spawn(1)[0]  # so that where no other cover is better the motion is that of the fewest views
-    other, others = _other_covers(problem, arm, selected, (found, members), usable, draws)
-    if other is found:
+    timed, _ = _timed(problem, arm, (found, members), draws)
+    other, others = _other_covers(problem, arm, selected, (timed, members), usable, draws)
+    if other is timed:
         return exchanged
-    before = found.duration + standing * len(members)
+    before = timed.duration + standing * len(members)
     groups = replace(_groups(arm, others), straight_before=before, visited=tuple(other.visited.tolist()))
     return replace(groups, instead=exchanged)
 
@@ -95,6 +96,23 @@ def _exchanged(
     visited = views[np.array([np.flatnonzero(found.views == view)[0] for view in found.visited])]
     once = np.sort(np.unique(views, return_index=True)[1])  # a view that came back may have stood in for another
     return replace(found, views=views, visited=visited), _single(views[once])
+
+
+def _timed(
+    problem: Problem, arm: OwnArm, exchanged: tuple[Exchange, tuple[Ints, ...]], rng: np.random.Generator
+) -> tuple[Exchange, tuple[Ints, ...]]:
+    """The exchange with a tour through the views of its groups: where some were taken back, its own tour has others."""
+    found, members = exchanged
+    views = np.array([group[0] for group in members])
+    stops = zip(found.visited.tolist(), found.stops[1:-1], strict=False)
+    alike = np.array_equal(np.sort(found.visited), np.sort(views)) and len(found.stops) == len(views) + 2
+    if alike and all((arm.configurations(view) == q).all(axis=1).any() for view, q in stops):
+        return exchanged
+    matrix = Matrix(arm.M.matrix(), arm.M.features.areas, np.ones(arm.M.shape[1], dtype=np.bool_))
+    timed = exchange(
+        matrix, views, arm.configurations, problem.world.home, problem.limits, rng, pinned=views.tolist()
+    )  # fmt: skip
+    return replace(timed, duration_before=found.duration_before), members
 
 
 def _taken_back(problem: Problem, own: Ints, found: Exchange, least: float) -> Ints:
@@ -166,7 +184,7 @@ def _other_covers(
         cheapest = choose(looked=choose(looked=selected, look=WORK))
         back = frozenset(cheapest.cover.views.tolist()) in seen
         if not back:
-            found, others = _exchanged(problem, arm, cheapest, usable, rng)
+            found, others = _timed(problem, arm, _exchanged(problem, arm, cheapest, usable, rng), rng)
             seen |= {frozenset(cheapest.cover.views.tolist()), frozenset(found.views.tolist())}
             seconds = found.duration + request.standing * len(others)
             log.info("another cover of %d views: %.3f s with the motion, best %.3f s", len(others), seconds, least)

@@ -152,7 +152,7 @@ def _connect(
     standing, least = problem.request.standing, (groups, motion)
     while groups.exchanged:
         seconds = motion.duration + standing * len(groups.members)
-        spare = _DETOURS * motion.duration if len(groups.members) > FULL else 0.0
+        spare = _DETOURS * motion.duration if len(groups.members) > FULL and problem.request.costs is None else 0.0
         if not motion.dropped and seconds - spare <= groups.straight_before:
             break
         groups = groups.instead or views.alone(chosen)

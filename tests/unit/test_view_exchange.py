@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from cell.plan import view_plan
+from cell.plan import view_exchange, view_plan
 from cell.plan.request import Request
 from cell.plan.view_exchange import _taken_back, settled, shorter
 from cell.plan.views import Groups, Next
@@ -18,6 +18,7 @@ from planner.cover import CoverStatus
 from planner.order.tour import Tour, TourStatus, plan_motion
 from planner.order.visits import Visits
 from planner.ports import JointLimits
+from planner.timing.move_time import move_time
 
 RANGE = np.full(6, 3.0)
 LIMITS = JointLimits(-RANGE, RANGE, np.full(6, 2.0), np.full(6, 4.0))
@@ -171,11 +172,14 @@ def test_a_shorter_motion_at_other_solutions_is_taken_where_their_arms_hide_no_m
     assert found.motion.duration == (9.0 if hides_no_more else 10.0)
 
 
-@pytest.mark.parametrize(("seconds", "compared"), [(101.0, False), (103.0, True)])
-def test_what_detours_may_lengthen_is_the_motion_and_not_the_standing(
-    seconds: float, compared: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("seconds", "time_counts", "compared"),
+    [(101.0, False, False), (103.0, False, True), (99.0, True, False), (101.0, True, True)],
+)
+def test_what_detours_may_lengthen_is_compared_where_time_counts(
+    seconds: float, time_counts: bool, compared: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of many views: 2 % of 100 s of motion, however long the scanner stands at 30 views."""
+    """Of many views 2 % of 100 s of motion are left unasked; not where it is seconds that were asked for."""
     planned = []
 
     def motion_of(_: object, __: object, ___: object, found: Groups, *____: object) -> Lasts:
@@ -183,10 +187,10 @@ def test_what_detours_may_lengthen_is_the_motion_and_not_the_standing(
         return Lasts(seconds)
 
     monkeypatch.setattr(view_plan, "_motion", motion_of)
-    views, standing = np.arange(30), 10.0
+    views, standing = np.arange(30), 10.0 if time_counts else 0.0
     exchanged = replace(Shown(groups()).alone(views), straight_before=100.0 + 30 * standing)
     selected = SimpleNamespace(cover=SimpleNamespace(views=views))
-    problem = Stub(replace(Request(PlanSettings()), costs=np.ones(30)))
+    problem = Stub(replace(Request(PlanSettings()), costs=np.ones(30) if time_counts else None))
     monkeypatch.setattr(Request, "standing", standing)
     monkeypatch.setattr(Groups, "exchanged", True)
     view_plan._connect(problem, Shown(exchanged), selected, (), (), None, None)
@@ -208,6 +212,35 @@ def test_the_motion_of_another_cover_is_compared_with_those_that_straight_moves_
     assert isinstance(found, view_plan._Connected)
     assert found.motion.duration == least
     assert next(motions, None) is None
+
+
+@pytest.mark.parametrize("back", [[0, 1, 2], [0, 4, 2]], ids=["all", "one"])
+def test_views_taken_back_have_the_seconds_of_their_own_tour(back: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where seconds decide, a cover is not told shorter by stand-ins that it does not have."""
+    q = 0.1 * np.eye(6) * np.array([[6], [5], [4], [3], [2], [1]])  # 3 to 5 stand nearer to home than 0 to 2
+    alike = SimpleNamespace(
+        matrix=lambda: sp.csr_array(np.eye(6)[3:] + np.eye(6)[:3]), features=Seen(np.ones(3)).samples, shape=(3, 6)
+    )
+    arm = SimpleNamespace(M=alike, configurations=lambda view: q[view][None])
+    known = SimpleNamespace(share_of_coverable=lambda views: 0.5)
+    problem = SimpleNamespace(
+        request=replace(Request(PlanSettings(coverage=0.4)), costs=np.ones(6)), prediction=known, limits=LIMITS,
+        world=SimpleNamespace(home=HOME), candidates=SimpleNamespace(T_object_scanner=np.zeros((6, 1, 4, 4))),
+    )  # fmt: skip
+    chosen = SimpleNamespace(
+        views=np.arange(3), covered_area=3.0, coverable_area=6.0, pinned=np.zeros(0, dtype=np.int64)
+    )
+    selected = SimpleNamespace(cover=chosen, target=0.5, shares=np.array([0.9]))
+    monkeypatch.setattr(view_exchange, "_taken_back", lambda *_: np.array(back))
+    rng = np.random.default_rng(0)
+    before = view_exchange._exchanged(problem, arm, selected, np.ones(6, dtype=bool), rng)
+    found, members = view_exchange._timed(problem, arm, before, rng)
+    assert [group.tolist() for group in members] == [[view] for view in back]
+    assert sorted(found.visited) == sorted(back)
+    stops = np.concatenate([[HOME], q[found.visited], [HOME]])
+    assert found.duration == pytest.approx(move_time(stops[:-1], stops[1:], LIMITS).sum())
+    assert found.duration_before == before[0].duration_before
+    assert view_exchange._timed(problem, arm, (found, members), rng)[0] is found
 
 
 class Seen:
