@@ -1,0 +1,59 @@
+"""The search of a motion through many views settles on real tours, and looks at more edges the more there are."""
+
+import numpy as np
+import pytest
+
+from planner.order import generalised_tsp as gtsp
+from planner.order.orderings import sequence
+from planner.order.roadmap import Edge, Roadmap
+from planner.order.tour_search import MotionBudget, TourSearch
+from planner.order.visits import Visits
+from planner.ports import JointLimits
+
+LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 2.0), np.full(6, 4.0))
+
+
+class Open:
+    """A place without obstacles."""
+
+    clearance = 0.01
+
+    def free(self, q: np.ndarray) -> np.ndarray:
+        return np.ones(len(q), dtype=bool)
+
+    def travel(self, q_from: np.ndarray, q_to: np.ndarray) -> np.ndarray:
+        return 0.01 * np.abs(np.asarray(q_to) - q_from).sum(axis=-1)
+
+
+class AlwaysNew(TourSearch):
+    """A search that finds new collisions beside every tour, whose own edges are free."""
+
+    def look_around(self, nodes: list[int]) -> tuple[list[int], bool]:
+        self.roadmap.look(self.edges(nodes))
+        return nodes, False
+
+
+def search_of(kind: type[TourSearch], views: int) -> TourSearch:
+    """A search over views of two joint solutions each."""
+    rng = np.random.default_rng(0)
+    q = np.round(np.degrees(rng.uniform(-1, 1, (views, 2, 6))), 4)
+    visits = Visits([np.radians(own) for own in q], np.zeros(6), np.tile(np.eye(4), (views, 1, 1)))
+    roadmap = Roadmap(visits, Open(), LIMITS, 0, 1000, 10_000)
+    return kind(roadmap, visits, LIMITS, 0, MotionBudget(), sequence, None)
+
+
+def test_of_many_views_a_real_tour_is_enough_where_orderings_promise_little_more() -> None:
+    """There is always an edge that nobody looked at: without this, all orderings of the budget would be computed."""
+    search = search_of(AlwaysNew, gtsp.FULL + 8)
+    nodes = search.run()
+    assert sorted(search.view_of(node) for node in nodes[1:-1]) == list(range(gtsp.FULL + 8))
+    assert all(search.roadmap.path(*edge) is not None for edge in search.edges(nodes))
+    assert search.rounds <= 5
+
+
+@pytest.mark.parametrize("views", [gtsp.FULL, 3 * gtsp.FULL])
+def test_more_edges_beside_a_tour_are_looked_at_the_more_views_it_has(views: int) -> None:
+    """So that the number of orderings does not grow with that of the views."""
+    search = search_of(TourSearch, views)
+    asked: list[Edge] = search.through([np.array([0]), *map(search.roadmap.nodes_of, range(views)), np.array([0])])[1]
+    assert len(asked) == MotionBudget().around * views // gtsp.FULL
