@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -234,8 +235,9 @@ def floor_square(height: float) -> tuple[Floats, NDArray[np.int32]]:
     return square, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
 
 
+@lru_cache(maxsize=64)  # the arm's cylinders are asked for at every configuration
 def prism(radius: float, length: float, sides: int = _SIDES) -> tuple[Floats, NDArray[np.int32]]:
-    """A prism around a cylinder along z, its middle at the origin; faces outward."""
+    """A prism around a cylinder along z, its middle at the origin; faces outward. Its arrays are read-only."""
     angles = np.arange(sides) * (2 * np.pi / sides)
     ring = radius / np.cos(np.pi / sides) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     low = np.column_stack([ring, np.full(sides, -length / 2)])
@@ -252,4 +254,7 @@ def prism(radius: float, length: float, sides: int = _SIDES) -> tuple[Floats, ND
             np.stack([top, sides + i, sides + j], axis=1),
         ]
     )
-    return np.concatenate([low, high, ends]), faces.astype(np.int32)
+    vertices, faces = np.concatenate([low, high, ends]), faces.astype(np.int32)
+    vertices.setflags(write=False)
+    faces.setflags(write=False)
+    return vertices, faces

@@ -20,6 +20,7 @@ from planner.values import Floats, Ints
 _ONE_TREE_STEPS = 40
 _MEMORIES = 11  # members of an NG set at most: 2048 memories a cluster
 _NEAREST, _EVALUATIONS = 5, 30  # members to begin with, where the work allows at least so many evaluations then
+_FEWEST = 10  # evaluations: after fewer the walks still go back and forth, far below the quick bound
 _DEFLECTION = 0.6  # share of the last direction in the next one
 _PATIENCE, _PROGRESS = 6, 1e-3  # evaluations without progress (a share of the gap) before the step is halved
 _LEAST_SCALE = 0.1  # share of the full step at which a round ends
@@ -80,8 +81,11 @@ def by_walks(cost: Floats, first: Ints, tour_cost: float, work: int) -> Bound:
             the better.
         tour_cost: cost of a tour that is known; the closer it is to the best, the faster the ascent.
         work: edges to look at; the evaluation that reaches it is finished. A thousand million take about a second.
+            Where it does not last for ten evaluations, as with 200 clusters at the default, nothing is looked at (0).
     """
     ascent = _Ascent(cost, first, tour_cost, work)
+    if ascent.price * _FEWEST > work:
+        return Bound(0.0, None)
     while ascent.work < work:
         closed = ascent.raise_prizes(work)
         if closed or not ascent.remember():

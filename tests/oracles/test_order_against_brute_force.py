@@ -108,6 +108,15 @@ def test_bounds_are_bounds(work: int) -> None:
                 assert problem.length(bound.tour) == pytest.approx(optimum, rel=1e-9)
 
 
+def test_walks_that_could_not_be_raised_are_not_looked_for() -> None:
+    """With work for a few evaluations, as of hundreds of clusters, nothing is; with more there is a bound."""
+    problem = random_problem(200, 8, 6)
+    price = tour_bound._Ascent(problem.cost, problem.first, 1.0, 0).price
+    best = gtsp.exact(problem).cost
+    assert tour_bound.by_walks(problem.cost, problem.first, best, 9 * price).value == 0.0
+    assert tour_bound.by_walks(problem.cost, problem.first, best, 90 * price).value > 0.0
+
+
 def test_the_walks_prove_the_optimum() -> None:
     """With work enough, the bound of each of six instances is the optimum, which the quick bound is not."""
     for seed in range(6):
