@@ -36,7 +36,8 @@ class MotionBudget:
         quick: share of `orders` that every ordering after the first gets, but the last, as its inverse.
         looks: how often the edges of a tour are looked at, and its joint solutions chosen anew, before it is ordered
             again.
-        around: edges of the next best tours in the same order of 22 views that are looked at each time.
+        around: edges of the next best tours in the same order that are looked at each time; more of very many
+            views.
         before_settling: configurations checked under each guess after which the search settles for what it has.
         polish: further searches for each detour of the final tour.
         guesses: what a colliding move is priced at until a detour is searched, one after the other: so many times the
@@ -60,7 +61,10 @@ class MotionBudget:
 _DOUBT = 0.02
 """What an edge that nobody looked at costs more in quick orderings of many views [s]: they keep to what is known."""
 
-_THOROUGH = 4  # share of `orders`, as its inverse, that an ordering of many views gets where quick ones settled
+_VERY_MANY = 100
+"""Views from which on some edge of every ordering is new: orderings then go on until one is real and good enough."""
+
+_THOROUGH = 4  # share of `orders`, as its inverse, that an ordering of very many views gets where quick ones settled
 
 _WORTH = 0.005
 """Share of the motion below which what many views may still save is not searched for."""
@@ -98,7 +102,7 @@ class TourSearch:
         self.best: list[int] = []
         self.best_time, self.promised = float("inf"), 0.0
         self.stays = visits.stays
-        self.many = len(self.views) > gtsp.FULL
+        self.many, self.very_many = len(self.views) > gtsp.FULL, len(self.views) > _VERY_MANY
 
     def run(self) -> list[int]:
         """Nodes of the best tour in visiting order, home at both ends; every edge of it is real."""
@@ -133,9 +137,9 @@ class TourSearch:
                     return
                 # Quick orderings brought all edges to light; a full one may find a faster tour over them.
                 full = True
-            else:  # of many views some edge of every ordering is new: what is real among them is kept
-                full = self.many and self.kept(nodes) and self.promised >= self.best_time * (1 - worth)
-            thorough = self.budget.orders // (_THOROUGH if self.many else 1)
+            else:  # tours with edges that are all real are kept, whatever collides beside them
+                full = self.very_many and self.kept(nodes) and self.promised >= self.best_time * (1 - worth)
+            thorough = self.budget.orders // (_THOROUGH if self.very_many else 1)
             nodes = self.order(thorough if full else self.budget.orders // self.budget.quick, nodes)
         if self.best:
             return

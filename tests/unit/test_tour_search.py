@@ -6,7 +6,7 @@ import pytest
 from planner.order import generalised_tsp as gtsp
 from planner.order.orderings import sequence
 from planner.order.roadmap import Edge, Roadmap
-from planner.order.tour_search import MotionBudget, TourSearch
+from planner.order.tour_search import _VERY_MANY, MotionBudget, TourSearch
 from planner.order.visits import Visits
 from planner.ports import JointLimits
 
@@ -42,18 +42,18 @@ def search_of(kind: type[TourSearch], views: int) -> TourSearch:
     return kind(roadmap, visits, LIMITS, 0, MotionBudget(), sequence, None)
 
 
-def test_of_many_views_a_real_tour_is_enough_where_orderings_promise_little_more() -> None:
+def test_of_very_many_views_a_real_tour_is_enough_where_orderings_promise_little_more() -> None:
     """There is always an edge that nobody looked at: without this, all orderings of the budget would be computed."""
-    search = search_of(AlwaysNew, gtsp.FULL + 8)
+    search = search_of(AlwaysNew, _VERY_MANY + 1)
     nodes = search.run()
-    assert sorted(search.view_of(node) for node in nodes[1:-1]) == list(range(gtsp.FULL + 8))
+    assert sorted(search.view_of(node) for node in nodes[1:-1]) == list(range(_VERY_MANY + 1))
     assert all(search.roadmap.path(*edge) is not None for edge in search.edges(nodes))
     assert search.rounds <= 5
 
 
-@pytest.mark.parametrize("views", [gtsp.FULL, 3 * gtsp.FULL])
+@pytest.mark.parametrize("views", [3 * gtsp.FULL, 5 * gtsp.FULL])
 def test_more_edges_beside_a_tour_are_looked_at_the_more_views_it_has(views: int) -> None:
-    """So that the number of orderings does not grow with that of the views."""
+    """Of more than a hundred: so that the number of orderings does not grow with that of the views."""
     search = search_of(TourSearch, views)
     asked: list[Edge] = search.through([np.array([0]), *map(search.roadmap.nodes_of, range(views)), np.array([0])])[1]
-    assert len(asked) == MotionBudget().around * views // gtsp.FULL
+    assert len(asked) == MotionBudget().around * (5 if views > _VERY_MANY else 1)
