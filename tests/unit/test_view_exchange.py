@@ -243,6 +243,25 @@ def test_views_taken_back_have_the_seconds_of_their_own_tour(back: list[int], mo
     assert view_exchange._timed(problem, arm, (found, members), rng)[0] is found
 
 
+def test_other_covers_are_compared_by_the_seconds_of_their_own_tour(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cover whose exchange was taken back, 9 s for the 1 s of its stand-ins, does not take the place of 5 s."""
+    views = SimpleNamespace(cover=SimpleNamespace(views=np.array([2])))
+    tour = SimpleNamespace(views=np.array([1]), stops=None, visited=None, duration=1.0)
+    first = SimpleNamespace(**{**vars(tour), "views": np.array([0]), "duration": 5.0})
+    monkeypatch.setattr(view_exchange, "select", lambda *_, **__: views)
+    monkeypatch.setattr(view_exchange, "moves_in", lambda *_: np.zeros(3))
+    monkeypatch.setattr(view_exchange, "_exchanged", lambda *_: (tour, (np.array([1]),)))
+    timed = SimpleNamespace(**{**vars(tour), "duration": 9.0})
+    monkeypatch.setattr(view_exchange, "_timed", lambda *_: (timed, (np.array([1]),)))
+    problem = SimpleNamespace(
+        request=replace(Request(PlanSettings()), costs=np.ones(3)), limits=LIMITS, candidates=None, prediction=None,
+        reached=SimpleNamespace(q=None, offsets=None, reachable=np.ones(3, dtype=bool)),
+    )  # fmt: skip
+    usable, rng = np.ones(3, dtype=bool), np.random.default_rng(0)
+    arm, given = SimpleNamespace(M=None), (first, (np.array([0]),))
+    assert view_exchange._other_covers(problem, arm, None, given, usable, rng)[0] is first
+
+
 class Seen:
     """Held-out samples of equal areas, and what each candidate measures of them, asked as `Prediction` is."""
 
