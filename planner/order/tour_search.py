@@ -188,7 +188,7 @@ class TourSearch:
             at = int((step[at] + rest).argmin())
             nodes.append(int(b[at]))
             reached = (reached[:, None] + step).min(axis=0)
-        around = self.budget.around * max(1, len(self.views) // gtsp.FULL)
+        around = self.budget.around * (len(self.views) // gtsp.FULL if self.very_many else 1)
         best = _smallest(np.concatenate(slack), around)
         return nodes, [(int(a), int(b)) for a, b in np.concatenate(found)[best]]
 
