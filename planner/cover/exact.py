@@ -15,6 +15,7 @@ import numpy as np
 from highspy import HighsModelStatus
 from numpy.typing import NDArray
 
+from planner.cover import tree
 from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.greedy import complete, prune
@@ -44,11 +45,15 @@ def close_gap(relaxation: Relaxation, budget: Budget) -> None:
         if aim < 0 or not len(core) or not (sets.most >= 0 or sets.met(core)):
             budget.prove(aim + 1)
             continue
-        budget.spend(12 * sets.n_entries)
-        inside = Relaxation(sets.restricted(columns=useful))
-        found, ended = _search(inside, Model(inside, _decisive(relaxation)), aim, budget)
+        if tree.can_tell(sets):
+            found, ended = tree.search(sets, relaxation.multipliers > 0, useful, aim, budget)
+        else:
+            budget.spend(12 * sets.n_entries)
+            inside = Relaxation(sets.restricted(columns=useful))
+            found, ended = _search(inside, Model(inside, _decisive(relaxation)), aim, budget)
+            found = None if found is None else core[found]
         if found is not None:
-            budget.offer(core[found], sets.objective(core[found]))
+            budget.offer(found, sets.objective(found))
         elif ended:
             budget.prove(aim + 1)  # what the core leaves out is no better
         else:
@@ -59,7 +64,7 @@ def _aim(relaxation: Relaxation, budget: Budget) -> int:
     """The objective to be asked for: the next better one, or half-way to the bound."""
     best = budget.objective - budget.tolerance
     gap = best - budget.lower_bound
-    last = gap <= FINE * budget.objective and not (relaxation.sets.most < 0 and relaxation.sets.unit_cost)
+    last = relaxation.sets.most >= 0 or (gap <= FINE * budget.objective and not relaxation.sets.unit_cost)
     return best - (1 if last else (gap + 2) // 2)
 
 
