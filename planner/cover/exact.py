@@ -46,7 +46,7 @@ def close_gap(relaxation: Relaxation, budget: Budget) -> None:
             budget.prove(aim + 1)
             continue
         if tree.can_tell(sets):
-            found, ended = tree.search(sets, relaxation.multipliers > 0, useful, aim, budget)
+            found, ended = tree.search(sets, (relaxation.multipliers > 0) | (sets.most >= 0), useful, aim, budget)
         else:
             budget.spend(12 * sets.n_entries)
             inside = Relaxation(sets.restricted(columns=useful))
@@ -61,11 +61,14 @@ def close_gap(relaxation: Relaxation, budget: Budget) -> None:
 
 
 def _aim(relaxation: Relaxation, budget: Budget) -> int:
-    """The objective to be asked for: the next better one, or half-way to the bound."""
+    """The objective to be asked for: numbers of views from the bound on, the next better area, costs half-way."""
     best = budget.objective - budget.tolerance
+    if relaxation.sets.most >= 0:
+        return best - 1
+    if tree.can_tell(relaxation.sets):
+        return budget.lower_bound
     gap = best - budget.lower_bound
-    last = relaxation.sets.most >= 0 or (gap <= FINE * budget.objective and not relaxation.sets.unit_cost)
-    return best - (1 if last else (gap + 2) // 2)
+    return best - (1 if gap <= FINE * budget.objective and not relaxation.sets.unit_cost else (gap + 2) // 2)
 
 
 def _decisive(relaxation: Relaxation) -> Ints:

@@ -20,8 +20,9 @@ BOUND_SHARE = 0.35
 SEARCH_SHARES = (0.2, 0.4)
 """`auto`: share of what is left for the search before branch and bound is tried, and before it is tried again."""
 
-PROOF_SHARE, LAST_PROOF_SHARE = 0.75, 0.9
-"""`auto`: share of what is left for branch and bound, and where best and bound are one view apart."""
+PROOF_SHARE, AREA_PROOF_SHARE = 0.8, 0.5
+"""`auto`: share of what is left for branch and bound, and for the most area, which from some ten views on only the
+search improves."""
 
 EARLY_SHARE, EARLY_CHUNKS = 0.15, 4
 """`auto` begins with a search on the problem as it is: with at most this share, and until it finds nothing better in so
@@ -32,8 +33,7 @@ SCARCE, SCARCE_PER_ENTRY, SCARCE_SHARE = WORK_PER_SECOND // 2, 100, 0.6
 the share of the first search then, which goes to its end."""
 
 HOPEFUL_EXCESS = 0.1
-"""`auto` tries branch and bound on a choice that exceeds the bound by at most 2 columns or, where no row may stay
-open, this share."""
+"""`auto` tries branch and bound on a choice that exceeds the bound by at most 2 columns or this share."""
 
 SMALL = 30
 """With no more columns than this branch and bound comes before the search, and whatever the gap."""
@@ -70,12 +70,13 @@ class Job:
         if self.sets.n_columns <= SMALL or self.sets.most >= 0:
             return True
         excess = (self.budget.objective - self.budget.lower_bound) / float(self.sets.costs.mean())
-        return excess <= max(2.0, HOPEFUL_EXCESS * len(self.best) if self.sets.full else 0.0)
+        return excess <= max(2.0, HOPEFUL_EXCESS * len(self.best))
 
     @property
-    def last(self) -> bool:
-        """Whether best and bound are at most one view apart: a search has one view to find, and mostly does not."""
-        return self.sets.unit_cost and self.sets.most < 0 and self.budget.objective - self.budget.lower_bound <= 1
+    def near(self) -> bool:
+        """Whether branch and bound is likely to close the gap, so that it comes after a short search."""
+        one_left = self.budget.objective - self.budget.lower_bound <= 1
+        return self.hopeful and (self.sets.full or self.sets.most >= 0 or one_left)
 
     def core_search(self) -> Search:
         """A search on the columns that a better choice may contain (reduced-cost fixing), where these are fewer."""
@@ -105,7 +106,8 @@ Solver = Callable[[Job], None]
 def auto(job: Job) -> None:
     """Branch and bound first where little is left; else search and branch and bound, until neither helps.
 
-    The search is short where one view is left between best and bound: the tree of that step is the smallest.
+    The search is short where branch and bound may close the gap: its trees find what is missing, or show that nothing
+    is.
     """
     if job.sets.n_columns <= SMALL:
         job.prove()
@@ -114,10 +116,10 @@ def auto(job: Job) -> None:
         if job.budget.spend(0):
             search = search or job.core_search()
             with job.budget.portion(share):
-                search.run(job.budget, EARLY_CHUNKS if job.last else None)
+                search.run(job.budget, EARLY_CHUNKS if job.near else None)
         if job.hopeful and job.budget.objective != asked and job.budget.spend(0):
             asked = job.budget.objective
-            with job.budget.portion(LAST_PROOF_SHARE if job.last else PROOF_SHARE):
+            with job.budget.portion(PROOF_SHARE if job.sets.most < 0 else AREA_PROOF_SHARE):
                 job.prove()
     if search and job.budget.spend(0):
         search.run(job.budget)
