@@ -103,7 +103,7 @@ class _Question:
         rows = np.stack((sets.units, sets.units)).astype(np.float64)
         columns = np.stack((np.arange(sets.n_columns), sets.column_start[:-1], sets.column_start[1:]))
         return k.Tree(
-            np.zeros(4, dtype=np.int64), levels, rows, columns.astype(np.int64), sets.column_rows.astype(np.int32),
+            np.zeros(4, dtype=np.int64), levels, rows, columns.astype(np.int64), sets.column_rows.astype(np.uint32),
             np.zeros(sets.n_columns), np.zeros(sets.n_rows), np.zeros(sets.n_rows, dtype=np.int64),
             np.zeros(left, dtype=np.int64), np.zeros(left, dtype=np.int64),
         )  # fmt: skip
@@ -116,8 +116,8 @@ class _Question:
         """The next choice that is good enough; None where there is none, or no work is left."""
         k, work = self._kernels, 0
         while not self.ended and budget.spend(work):
-            status = k.grow(self._tree, min(CHUNK_WORK, budget.left))
-            work = int(self._tree.numbers[k.WORK]) // 2
+            status = k.grow(self._tree, min(CHUNK_WORK, budget.left) * 5 // 2)
+            work = int(self._tree.numbers[k.WORK]) * 2 // 5
             if status == k.FOUND:
                 budget.spend(work)
                 return self._reduction.lift(self._tree.choice[: self._tree.numbers[k.CHOSEN]])

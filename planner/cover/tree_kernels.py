@@ -18,19 +18,19 @@ MARGIN = 1e-9
 ROOT_STEPS, FIRST_STEPS, STEPS = 200, 30, 8
 """Steps of the multipliers at the root, in a node that is new, and after a column was taken from it."""
 
-DEFLECTION, SHRINK, PROGRESS, BEYOND = 0.5, 0.7, 1e-4, 0.01
+DEFLECTION, SHRINK, SHORTEST, PROGRESS, BEYOND = 0.5, 0.7, 0.1, 1e-4, 0.01
 """Share of the direction before in the next; of the step's length that is left where the bound did not grow by this
-share of what it lacks; and how far beyond what is allowed a step aims, as a share of the mean sum of a chosen column.
+(the fourth) share of what it lacks, and with which steps end; how far beyond what is allowed a step aims, as a share of the mean sum of a chosen column.
 The first was measured: with 0.3 trees are twice as large, with 0.8 ten times."""
 
 STEP_WORK = 50
-"""Charge of a step in half units, an entry being 1, a column 8, a row 6."""
+"""Charge of a step in `WORK`, an entry being 1, a column 8, a row 6."""
 
 GOES_ON, NONE, FOUND, FULL = range(4)
 """How `grow` ended: work is done; no choice leaves as little open as is allowed; a choice does; arrays are full."""
 
 LEVEL, WORK, ALLOWED, CHOSEN = range(4)
-"""Numbers of a tree: the node's level (-1 at the end), work done in half units, units that may stay open, columns of
+"""Numbers of a tree: the node's level (-1 at the end), work done in 2/5 of units, units that may stay open, columns of
 the choice that was found."""
 
 ROWS, COLUMNS, LEFT, FIRST_ROW, FIRST_COLUMN, FIRST_ENTRY, VISITS, TAKEN = range(8)
@@ -61,13 +61,14 @@ class Tree(NamedTuple):
 def summed(t: Tree, level: int) -> int:
     """The columns' sums of multipliers, and the largest of them: how many these are."""
     levels, columns, entries, value, top = t.levels, t.columns, t.entries, t.value, t.top
-    u, r0, c0 = t.rows[MULTIPLIER], levels[FIRST_ROW, level], levels[FIRST_COLUMN, level]
+    r0, c0 = levels[FIRST_ROW, level], levels[FIRST_COLUMN, level]
+    u = t.rows[MULTIPLIER, r0 : r0 + levels[ROWS, level]]
     n, n_top, touched = levels[COLUMNS, level], 0, 0
     most = min(levels[LEFT, level], n)
     for c in range(n):
         begin, end, total = columns[BEGIN, c0 + c], columns[END, c0 + c], 0.0
-        for e in range(begin, end):
-            total += u[r0 + entries[e]]
+        for row in entries[begin:end]:
+            total += u[row]
         touched += end - begin
         value[c] = total
         if n_top == most and total <= value[top[n_top - 1]]:
@@ -125,8 +126,8 @@ def bounded(t: Tree, level: int, steps: int) -> int:
         for k in range(n_top):
             c = t.top[k]
             bound -= t.value[c]
-            for e in range(columns[BEGIN, c0 + c], columns[END, c0 + c]):
-                count[entries[e]] += 1
+            for row in entries[columns[BEGIN, c0 + c] : columns[END, c0 + c]]:
+                count[row] += 1
         margin = MARGIN * (total + allowed)
         if bound > allowed + margin:
             return NONE
@@ -149,6 +150,8 @@ def bounded(t: Tree, level: int, steps: int) -> int:
             best = bound
         else:
             length *= SHRINK
+            if length < SHORTEST:
+                break
         norm = 0.0
         for i in range(n_rows):
             d = (1.0 - DEFLECTION) * (1.0 - count[i]) + DEFLECTION * direction[i]
@@ -179,8 +182,8 @@ def branching(t: Tree, level: int) -> int:
     for i in range(levels[ROWS, level]):
         count[i] = 0
     for c in range(n):
-        for e in range(columns[BEGIN, c0 + c], columns[END, c0 + c]):
-            count[entries[e]] += 1
+        for i in entries[columns[BEGIN, c0 + c] : columns[END, c0 + c]]:
+            count[i] += 1
     for i in range(levels[ROWS, level]):
         if units[r0 + i] > t.numbers[ALLOWED] and (
             row < 0 or count[i] < count[row] or (count[i] == count[row] and u[r0 + i] > u[r0 + row])
@@ -194,8 +197,8 @@ def branching(t: Tree, level: int) -> int:
         if best >= 0 and t.value[c] <= t.value[best]:
             continue
         inside = row < 0
-        for e in range(columns[BEGIN, c0 + c], columns[END, c0 + c]):
-            inside = inside or entries[e] == row
+        for other in entries[columns[BEGIN, c0 + c] : columns[END, c0 + c]]:
+            inside = inside or other == row
         if inside:
             best = c
     return best
@@ -216,8 +219,8 @@ def descend(t: Tree, level: int, c: int) -> bool:
     levels[TAKEN, level] = columns[ID, c0 + c]
     for i in range(n_rows):
         place[i] = 0
-    for e in range(columns[BEGIN, c0 + c], columns[END, c0 + c]):
-        place[entries[e]] = -1
+    for i in entries[columns[BEGIN, c0 + c] : columns[END, c0 + c]]:
+        place[i] = -1
     fresh = 0
     for i in range(n_rows):
         if place[i] == 0:
@@ -229,9 +232,9 @@ def descend(t: Tree, level: int, c: int) -> bool:
     n, at = 0, e1
     for q in range(c0, c0 + levels[COLUMNS, level]):
         begin = at
-        for e in range(columns[BEGIN, q], columns[END, q]):
-            if place[entries[e]] >= 0:
-                entries[at] = place[entries[e]]
+        for i in entries[columns[BEGIN, q] : columns[END, q]]:
+            if place[i] >= 0:
+                entries[at] = place[i]
                 at += 1
         if at > begin:
             columns[ID, c1 + n], columns[BEGIN, c1 + n], columns[END, c1 + n] = columns[ID, q], begin, at
@@ -250,7 +253,7 @@ def grow(t: Tree, work_limit: int) -> int:
     numbers, levels = t.numbers, t.levels
     numbers[WORK] = 0
     while numbers[LEVEL] >= 0:
-        if numbers[WORK] > 2 * work_limit:
+        if numbers[WORK] > work_limit:
             return GOES_ON
         level = numbers[LEVEL]
         still, r0 = 0.0, levels[FIRST_ROW, level]
