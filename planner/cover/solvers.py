@@ -20,9 +20,9 @@ BOUND_SHARE = 0.35
 SEARCH_SHARES = (0.2, 0.4)
 """`auto`: share of what is left for the search before branch and bound is tried, and before it is tried again."""
 
-PROOF_SHARE, AREA_PROOF_SHARE = 0.8, 0.5
-"""`auto`: share of what is left for branch and bound, and for the most area, which from some ten views on only the
-search improves."""
+PROOF_SHARE, FAR_PROOF_SHARE = 0.8, 0.3
+"""`auto`: share of what is left for branch and bound, and where the search may well do better: for the most area with
+many views, and for a share of the area while more than one view is left."""
 
 EARLY_SHARE, EARLY_CHUNKS = 0.15, 4
 """`auto` begins with a search on the problem as it is: with at most this share, and until it finds nothing better in so
@@ -75,8 +75,8 @@ class Job:
     @property
     def near(self) -> bool:
         """Whether branch and bound is likely to close the gap, so that it comes after a short search."""
-        one_left = self.budget.objective - self.budget.lower_bound <= 1
-        return self.hopeful and (self.sets.full or self.sets.most >= 0 or one_left)
+        one_left = self.sets.most < 0 and self.budget.objective - self.budget.lower_bound <= 1
+        return self.hopeful and (self.sets.full or one_left)
 
     def core_search(self) -> Search:
         """A search on the columns that a better choice may contain (reduced-cost fixing), where these are fewer."""
@@ -116,10 +116,10 @@ def auto(job: Job) -> None:
         if job.budget.spend(0):
             search = search or job.core_search()
             with job.budget.portion(share):
-                search.run(job.budget, EARLY_CHUNKS if job.near else None)
+                search.run(job.budget, EARLY_CHUNKS if job.near or job.sets.most >= 0 else None)
         if job.hopeful and job.budget.objective != asked and job.budget.spend(0):
             asked = job.budget.objective
-            with job.budget.portion(PROOF_SHARE if job.sets.most < 0 else AREA_PROOF_SHARE):
+            with job.budget.portion(PROOF_SHARE if job.near else FAR_PROOF_SHARE):
                 job.prove()
     if search and job.budget.spend(0):
         search.run(job.budget)

@@ -75,10 +75,12 @@ def summed(t: Tree, level: int) -> int:
             continue
         at = n_top if n_top < most else n_top - 1
         n_top = at + 1
+        touched += at
         while at > 0 and value[top[at - 1]] < total:
             top[at] = top[at - 1]
             at -= 1
         top[at] = c
+        touched -= at
     t.numbers[WORK] += touched + 8 * n + 6 * levels[ROWS, level] + STEP_WORK
     return n_top
 
