@@ -30,6 +30,9 @@ LARGE = 5_000_000
 """Entries of a matrix from which on budgets grow with it: of what large ones get, half goes before the search (the
 canonical form, the first choice, reductions)."""
 
+LARGE_PACE = 1.25
+"""What work on a larger one costs: no cache holds it."""
+
 UNLIMITED_WORK = 10**15
 """A budget that only a clock ends."""
 
@@ -53,6 +56,7 @@ class Budget:
         objective: its objective (`Sets.objective`), the smaller the better.
         lower_bound: no choice has a smaller one.
         tolerance: objectives that differ by no more count as equal.
+        pace: what is charged for a unit of work.
     """
 
     def __init__(
@@ -73,6 +77,7 @@ class Budget:
         self.objective = 0
         self.lower_bound = 0
         self.tolerance = 0
+        self.pace = 1.0
         self._clock = clock
         self._deadline = None if time_limit_s is None else clock() + time_limit_s
 
@@ -93,7 +98,7 @@ class Budget:
 
     def spend(self, work: int) -> bool:
         """Book work and say whether the search may go on (work left, clock not run out, best not proven)."""
-        self.spent += int(work)
+        self.spent += int(work * self.pace)
         if self._deadline is not None and self._clock() >= self._deadline:
             self.time_limited = True
             return False

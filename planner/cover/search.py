@@ -42,8 +42,8 @@ FAR_BITS, FAR_BITS_CHARGE = 10_000_000, 1.0
 CHUNK_WORK = 5_000_000
 """Work between two looks at the clock: about 10 ms."""
 
-FRESH_WORK = 5
-"""Charge of each entry when a search begins."""
+FRESH_WORK, FRESH_BYTE_WORK = 15, 2
+"""Charge of each entry when a search begins, and of each byte of bits."""
 
 WIDE = 16
 """Where columns have more rows than this on average, a bit for each row says whether they have it."""
@@ -82,7 +82,8 @@ class Search:
         numbers[k.LIMIT] = sets.most if sets.most >= 0 else sets.cost(columns) - 1
         numbers[k.ALLOWED] = numbers[k.BEST] - 1 if sets.most >= 0 else sets.slack
         self._tenures = 0 if sets.full else min(TENURES, max(sets.n_columns - len(columns), 1))
-        self._patience, self._fresh_work = PATIENCE, FRESH_WORK * sets.n_entries
+        self._patience = PATIENCE
+        self._fresh_work = FRESH_WORK * sets.n_entries + FRESH_BYTE_WORK * self._state.bits.nbytes
         self._waited = 0
 
     def run(self, budget: Budget, chunks: int | None = None) -> None:

@@ -21,14 +21,14 @@ import numpy as np
 from planner.compiled import compiled
 
 MOVE_WORK, ROW_WORK, ENTRY_WORK, BIT_WORK = 10, 7, 3, 2
-MEMBER_WORK, DRAWN_MEMBER_WORK, CANDIDATE_WORK, DRAWN_CANDIDATE_WORK = 10, 18, 10, 35
+MEMBER_WORK, DRAWN_MEMBER_WORK, CANDIDATE_WORK, DRAWN_CANDIDATE_WORK = 9, 18, 10, 35
 """Charge in quarter units of a move, each of its rows, each entry and bit that is added up; of looking at a member or a
 candidate in turn, and at one that is drawn: fitted to processor time on files of 200 to 5000 rows (within 15 %)."""
 
 SAMPLE = 50
 """Members of an open row that are looked at where it has more; of a choice of `MANY` members likewise."""
 
-MANY = 200
+MANY = 400
 """With more members a sample of them is looked at."""
 
 # typed, since numba would compile a kernel anew for each literal that it is called with

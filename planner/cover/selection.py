@@ -7,7 +7,7 @@ import numpy as np
 
 from planner.cover.answer import Cover
 from planner.cover.answer_of_columns import told
-from planner.cover.budget import DEFAULT_WORK, Budget, grown
+from planner.cover.budget import DEFAULT_WORK, LARGE, LARGE_PACE, Budget, grown
 from planner.cover.canonical import canonical
 from planner.cover.overlap import connected_cover
 from planner.cover.problem import Problem
@@ -16,7 +16,7 @@ from planner.cover.targets import solve_parts
 from planner.errors import PlannerError
 from planner.values import Ints
 
-CANONICAL_WORK = 25
+CANONICAL_WORK = 40
 """Charge of checking and sorting, for each entry of the matrix."""
 
 
@@ -64,6 +64,7 @@ def solve(
     found = canonical(problem)
     if budget is None:
         work.limit = grown(work.limit, found.whole.n_entries)
+    work.pace = LARGE_PACE if found.whole.n_entries > LARGE else 1.0
     work.spend(CANONICAL_WORK * found.whole.n_entries)
     if len(found.rest.adjacent):
         return connected_cover(problem, found, rng, work, solver)
