@@ -12,6 +12,7 @@ canonical, told            whole numbers and sorted columns, and the way back
 sets                       the problem that is searched
 reductions, greedy         exact simplifications (`reduction_kernels`: its compiled test); the first choice
 bound, linear, exact       the certified bound; HiGHS, which proposes its multipliers; branch and bound
+tree, tree_kernels         branch and bound over numbers of columns and its compiled loops
 search, search_kernels     local search and its compiled loops
 meta_raps                  the paper's own solver
 solvers, selection         `SOLVERS` by name; `solve`

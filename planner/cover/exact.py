@@ -1,5 +1,8 @@
 """Branch and bound: a better choice than the best one known, or the proof that there is none.
 
+Where columns have no costs and one is enough for every row, numbers of columns are asked for one by one, from the bound
+on, by `planner.cover.tree`. Costs, loads and rows that ask for several columns are answered here:
+
 A node has columns that are in and columns that are out. The linear programme of `planner.cover.linear` goes on from the
 node before by the dual simplex, row by row; its multipliers bound what the node holds (`planner.cover.bound`, evaluated
 in our own arithmetic). Columns that by their reduced cost no choice as good as asked for contains are out in all that
@@ -26,8 +29,7 @@ WHOLE = 1e-6
 """A column nearer than this to 0 or 1 is not branched on while there are others."""
 
 FINE = 0.1
-"""With best and bound no further apart than this share the last step is asked for; for numbers of views always the
-middle."""
+"""With best and bound no further apart than this share the last step is asked for, in costs."""
 
 
 def close_gap(relaxation: Relaxation, budget: Budget) -> None:

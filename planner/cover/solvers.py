@@ -20,9 +20,9 @@ BOUND_SHARE = 0.35
 SEARCH_SHARES = (0.2, 0.4)
 """`auto`: share of what is left for the search before branch and bound is tried, and before it is tried again."""
 
-PROOF_SHARE, FAR_PROOF_SHARE = 0.8, 0.3
-"""`auto`: share of what is left for branch and bound, and where the search may well do better: for the most area with
-many views, and for a share of the area while more than one view is left."""
+PROOF_SHARE, AREA_PROOF_SHARE, FAR_PROOF_SHARE = 0.8, 0.6, 0.3
+"""`auto`: share of what is left for branch and bound; for the most area, which with many views only the search
+improves; and for a share of the area while more than one view is left, where the search may find it."""
 
 EARLY_SHARE, EARLY_CHUNKS = 0.15, 4
 """`auto` begins with a search on the problem as it is: with at most this share, and until it finds nothing better in so
@@ -73,10 +73,12 @@ class Job:
         return excess <= max(2.0, HOPEFUL_EXCESS * len(self.best))
 
     @property
-    def near(self) -> bool:
-        """Whether branch and bound is likely to close the gap, so that it comes after a short search."""
-        one_left = self.sets.most < 0 and self.budget.objective - self.budget.lower_bound <= 1
-        return self.hopeful and (self.sets.full or one_left)
+    def proof_share(self) -> float:
+        """Share of what is left for branch and bound; above `FAR_PROOF_SHARE` it comes after a short search."""
+        if self.sets.most >= 0:
+            return AREA_PROOF_SHARE
+        one_left = self.budget.objective - self.budget.lower_bound <= 1
+        return PROOF_SHARE if self.hopeful and (self.sets.full or one_left) else FAR_PROOF_SHARE
 
     def core_search(self) -> Search:
         """A search on the columns that a better choice may contain (reduced-cost fixing), where these are fewer."""
@@ -116,10 +118,10 @@ def auto(job: Job) -> None:
         if job.budget.spend(0):
             search = search or job.core_search()
             with job.budget.portion(share):
-                search.run(job.budget, EARLY_CHUNKS if job.near or job.sets.most >= 0 else None)
+                search.run(job.budget, EARLY_CHUNKS if job.proof_share > FAR_PROOF_SHARE else None)
         if job.hopeful and job.budget.objective != asked and job.budget.spend(0):
             asked = job.budget.objective
-            with job.budget.portion(PROOF_SHARE if job.near else FAR_PROOF_SHARE):
+            with job.budget.portion(job.proof_share):
                 job.prove()
     if search and job.budget.spend(0):
         search.run(job.budget)

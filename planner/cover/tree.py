@@ -16,7 +16,7 @@ that fails on the others brings the rows that it leaves open. On few rows most c
 the question is reduced before it is asked.
 """
 
-from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,8 +26,14 @@ from planner.cover.reductions import reduce
 from planner.cover.sets import Sets
 from planner.values import Bools, Ints
 
+if TYPE_CHECKING:
+    from planner.cover.tree_kernels import Tree
+
 CHUNK_WORK = 5_000_000
 """Work between two looks at the clock: about 10 ms."""
+
+TOUCH_WORK = 0.4
+"""Charge of what a tree counts as work: sums in a near cache."""
 
 MORE_ROWS, LEAST_ROWS = 0.2, 20
 """Rows added when a choice fails on them: as a share of those there, and at least."""
@@ -40,6 +46,8 @@ def can_tell(sets: Sets) -> bool:
 
 def search(sets: Sets, rows: Bools, columns: Bools, aim: int, budget: Budget) -> tuple[Ints | None, bool]:
     """A choice whose objective is at most the aim, or None; and whether there certainly is none.
+
+    With a number of columns allowed better choices go to the budget, and the tree goes on for still better ones.
 
     Args:
         sets: the problem.
@@ -59,73 +67,72 @@ def search(sets: Sets, rows: Bools, columns: Bools, aim: int, budget: Budget) ->
                 break
             if sets.most < 0 or not budget.offer(better, sets.objective(better)):
                 return better, False
-            aim = budget.objective - budget.tolerance - 1
-            question.ask_for_less(aim)
+            aim = allowed = budget.objective - budget.tolerance - 1
+            question.ask_for(allowed)
         if picked is None:
             return None, question.ended
         fresh = np.flatnonzero(~sets.covered(found) & ~rows)
-        few = np.diff(sets.row_start)[fresh] if sets.full else -sets.units[fresh]
-        rows[fresh[np.argsort(few, kind="stable")[: max(LEAST_ROWS, int(MORE_ROWS * rows.sum()))]]] = True
+        first = np.diff(sets.row_start)[fresh] if sets.full else -sets.units[fresh]
+        rows[fresh[np.argsort(first, kind="stable")[: max(LEAST_ROWS, int(MORE_ROWS * rows.sum()))]]] = True
     return None, False
 
 
 class _Question:
-    """Whether some columns leave little enough of some rows open, as a tree that is grown until it ends.
+    """Whether so many columns leave little enough of some rows open: a tree that is grown until it ends.
 
     Attributes:
-        ended: whether no choice does.
+        ended: whether no choice does, or no other.
     """
 
-    def __init__(
-        self, sets: Sets, rows: Bools, columns: Bools, most: int, allowed: int, budget: Budget
-    ) -> None:  # fmt: skip
-        """Restrict the problem to the question, reduce it, and plant the tree."""
+    def __init__(self, sets: Sets, rows: Bools, columns: Bools, most: int, allowed: int, budget: Budget) -> None:
         from planner.cover import tree_kernels  # importing numba costs 0.3 s
 
         self._kernels = tree_kernels
         units = np.ones_like(sets.units) if sets.full else sets.units  # a full cover does not look at areas
         reached = sets.covered(np.flatnonzero(columns))
-        self._bare = int(units[rows & ~reached].sum())
+        self._bare = int(units[rows & ~reached].sum())  # stays open whatever is chosen
         rows = rows & reached
-        required = int(units[rows].sum()) - (allowed - self._bare)
-        inside = replace(sets.restricted(rows, columns, units=units, required=required), most=min(sets.most, most))
+        required = int(units[rows].sum()) + self._bare - allowed
+        inside = sets.restricted(rows, columns, units=units, required=required)
         self._reduction = reduce(inside, budget)
-        self._left = most - len(self._reduction.forced)
-        self.ended = self._left < 0 or allowed < self._bare
-        self._tree = self._planted(self._reduction.sets)
-        self.ask_for_less(allowed)
+        left = most - len(self._reduction.forced)
+        self.ended = left < 0 or allowed < self._bare
+        self._tree = self._planted(self._reduction.sets, max(left, 0))
+        self.ask_for(allowed)
 
-    def _planted(self, sets: Sets):
-        k, left = self._kernels, max(self._left, 1)
+    def _planted(self, sets: Sets, left: int) -> "Tree":
+        """The root: everything is open, a row's multiplier is what it counts, which is best for one column."""
+        k = self._kernels
         levels = np.zeros((k.TAKEN + 1, left + 2), dtype=np.int64)
-        levels[[k.ROWS, k.COLUMNS, k.LEFT], 0] = sets.n_rows, sets.n_columns, self._left
+        levels[[k.ROWS, k.COLUMNS, k.LEFT], 0] = sets.n_rows, sets.n_columns, left
         levels[[k.FIRST_ROW, k.FIRST_COLUMN, k.FIRST_ENTRY], 1] = sets.n_rows, sets.n_columns, sets.n_entries
         rows = np.stack((sets.units, sets.units)).astype(np.float64)
         columns = np.stack((np.arange(sets.n_columns), sets.column_start[:-1], sets.column_start[1:]))
-        return k.Tree(
+        tree: Tree = k.Tree(
             np.zeros(4, dtype=np.int64), levels, rows, columns.astype(np.int64), sets.column_rows.astype(np.uint32),
             np.zeros(sets.n_columns), np.zeros(sets.n_rows), np.zeros(sets.n_rows, dtype=np.int64),
-            np.zeros(left, dtype=np.int64), np.zeros(left, dtype=np.int64),
+            np.zeros(left + 1, dtype=np.int64), np.zeros(left + 1, dtype=np.int64),
         )  # fmt: skip
+        return tree
 
-    def ask_for_less(self, allowed: int) -> None:
-        """No more than this may stay open from here on."""
+    def ask_for(self, allowed: int) -> None:
+        """So much may stay open, from here on; no more than before."""
         self._tree.numbers[self._kernels.ALLOWED] = allowed - self._bare
 
     def answer(self, budget: Budget) -> Ints | None:
         """The next choice that is good enough; None where there is none, or no work is left."""
-        k, work = self._kernels, 0
-        while not self.ended and budget.spend(work):
-            status = k.grow(self._tree, min(CHUNK_WORK, budget.left) * 5 // 2)
-            work = int(self._tree.numbers[k.WORK]) * 2 // 5
-            if status == k.FOUND:
-                budget.spend(work)
-                return self._reduction.lift(self._tree.choice[: self._tree.numbers[k.CHOSEN]])
-            if status == k.FULL:
-                rows, columns, entries = (
-                    np.concatenate((a, np.zeros_like(a)), axis=-1)
-                    for a in (self._tree.rows, self._tree.columns, self._tree.entries)
+        k, spent = self._kernels, 0
+        while not self.ended and budget.spend(spent):
+            tree = self._tree
+            ended = k.grow(tree, int(min(CHUNK_WORK, budget.left) / TOUCH_WORK))
+            spent = int(tree.numbers[k.WORK] * TOUCH_WORK)
+            if ended == k.FOUND:
+                budget.spend(spent)
+                return self._reduction.lift(tree.choice[: tree.numbers[k.CHOSEN]])
+            if ended == k.FULL:
+                larger = (
+                    np.concatenate((a, np.zeros_like(a)), axis=-1) for a in (tree.rows, tree.columns, tree.entries)
                 )
-                self._tree = self._tree._replace(rows=rows, columns=columns, entries=entries)
-            self.ended = status == k.NONE
+                self._tree = tree._replace(**dict(zip(("rows", "columns", "entries"), larger, strict=True)))
+            self.ended = ended == k.NONE
         return None

@@ -19,27 +19,31 @@ ROOT_STEPS, FIRST_STEPS, STEPS = 200, 30, 8
 """Steps of the multipliers at the root, in a node that is new, and after a column was taken from it."""
 
 DEFLECTION, SHRINK, SHORTEST, PROGRESS, BEYOND = 0.5, 0.7, 0.1, 1e-4, 0.01
-"""Share of the direction before in the next; of the step's length that is left where the bound did not grow by this
-(the fourth) share of what it lacks, and with which steps end; how far beyond what is allowed a step aims, as a share of the mean sum of a chosen column.
-The first was measured: with 0.3 trees are twice as large, with 0.8 ten times."""
+"""Share of the direction before in the next (with 0.3 trees are twice as large, with 0.8 ten times). What is left of a
+step's length where the bound did not grow by the share `PROGRESS` of what it lacks; below the third steps end. How far
+beyond what is allowed a step aims, as a share of the mean sum of a chosen column."""
 
-STEP_WORK = 50
-"""Charge of a step in `WORK`, an entry being 1, a column 8, a row 6."""
+COLUMN_WORK, ROW_WORK, STEP_WORK = 8, 6, 50
+"""Charge of each column and row in a step, and of the step; an entry is 1."""
 
 GOES_ON, NONE, FOUND, FULL = range(4)
 """How `grow` ended: work is done; no choice leaves as little open as is allowed; a choice does; arrays are full."""
 
 LEVEL, WORK, ALLOWED, CHOSEN = range(4)
-"""Numbers of a tree: the node's level (-1 at the end), work done in 2/5 of units, units that may stay open, columns of
-the choice that was found."""
+"""Numbers of a tree: the node's level (-1 at the end), work done, units that may stay open, columns of the
+choice that was found."""
 
 ROWS, COLUMNS, LEFT, FIRST_ROW, FIRST_COLUMN, FIRST_ENTRY, VISITS, TAKEN = range(8)
 """Fields of a level: rows and columns of its node, columns that may still come in, where each of the three begins in
 its array, how often it was looked at, the column that its child has in."""
 
 UNITS, MULTIPLIER = range(2)
-NOTHING: Any = np.int64(0)  # typed, since numba would compile a kernel anew for a literal
+"""Fields of a row: what it counts while it is open; u."""
+
 ID, BEGIN, END = range(3)
+"""Fields of a column: its number at the root; where its entries are."""
+
+NOTHING: Any = np.int64(0)  # typed, since numba would compile a kernel anew for a literal
 
 
 class Tree(NamedTuple):
@@ -81,7 +85,7 @@ def summed(t: Tree, level: int) -> int:
             at -= 1
         top[at] = c
         touched -= at
-    t.numbers[WORK] += touched + 8 * n + 6 * levels[ROWS, level] + STEP_WORK
+    t.numbers[WORK] += touched + COLUMN_WORK * n + ROW_WORK * levels[ROWS, level] + STEP_WORK
     return n_top
 
 
@@ -112,7 +116,8 @@ def bounded(t: Tree, level: int, steps: int) -> int:
     """Move the multipliers of a node until it holds nothing (`NONE`), a choice is found, or steps are done."""
     levels, columns, entries, count, direction = t.levels, t.columns, t.entries, t.count, t.direction
     units, u, allowed = t.rows[UNITS], t.rows[MULTIPLIER], float(t.numbers[ALLOWED])
-    n_rows, left, r0, c0 = levels[ROWS, level], levels[LEFT, level], levels[FIRST_ROW, level], levels[FIRST_COLUMN, level]
+    r0, c0 = levels[FIRST_ROW, level], levels[FIRST_COLUMN, level]
+    n_rows, left = levels[ROWS, level], levels[LEFT, level]
     best, length = -np.inf, 1.0
     for i in range(n_rows):
         direction[i] = 0.0
