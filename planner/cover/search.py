@@ -42,8 +42,8 @@ FAR_BITS, FAR_BITS_CHARGE = 10_000_000, 1.0
 CHUNK_WORK = 5_000_000
 """Work between two looks at the clock: about 10 ms."""
 
-FRESH_WORK, FRESH_BYTE_WORK = 15, 2
-"""Charge of each entry when a search begins, and of each byte of bits."""
+FRESH_WORK, FAR_BYTE_WORK = 5, 3
+"""Charge of each entry when a search begins, and of each byte of so many bits."""
 
 WIDE = 16
 """Where columns have more rows than this on average, a bit for each row says whether they have it."""
@@ -83,7 +83,8 @@ class Search:
         numbers[k.ALLOWED] = numbers[k.BEST] - 1 if sets.most >= 0 else sets.slack
         self._tenures = 0 if sets.full else min(TENURES, max(sets.n_columns - len(columns), 1))
         self._patience = PATIENCE
-        self._fresh_work = FRESH_WORK * sets.n_entries + FRESH_BYTE_WORK * self._state.bits.nbytes
+        self._far_bits = self._state.bits.nbytes >= FAR_BITS
+        self._fresh_work = FRESH_WORK * sets.n_entries + FAR_BYTE_WORK * self._state.bits.nbytes * self._far_bits
         self._waited = 0
 
     def run(self, budget: Budget, chunks: int | None = None) -> None:
@@ -98,7 +99,7 @@ class Search:
         # Rows open for good: nothing is better than the bound; elsewhere the budget knows.
         target = budget.lower_bound + sets.tolerance
         far = 1.0 + min(sets.n_columns / FAR_COLUMNS + sets.n_entries / FAR_ENTRIES, FARTHEST)
-        far += FAR_BITS_CHARGE * (state.bits.nbytes >= FAR_BITS)
+        far += FAR_BITS_CHARGE * self._far_bits
         best, work, self._fresh_work = int(numbers[kernels.BEST]), self._fresh_work, 0
         while budget.spend(work):
             limit = min(CHUNK_WORK, max(int(budget.left / far), 1))

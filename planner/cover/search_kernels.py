@@ -20,17 +20,17 @@ import numpy as np
 
 from planner.compiled import compiled
 
-MOVE_WORK, ROW_WORK, ENTRY_WORK, BIT_WORK, LOOK_WORK = 10, 7, 3, 2, 120
-MEMBER_WORK, DRAWN_MEMBER_WORK, CANDIDATE_WORK, DRAWN_CANDIDATE_WORK = 7, 18, 10, 35
-"""Charge in quarter units of a move, each of its rows, each entry and bit that is added up, a look at the members; of
-looking at a member or a candidate in turn, and at one that is drawn: fitted to processor time on files of 200 to 5000
-rows (within 15 %)."""
+MOVE_WORK, ROW_WORK, ENTRY_WORK, BIT_WORK = 10, 7, 3, 2
+MEMBER_WORK, NEXT_MEMBER_WORK, DRAWN_MEMBER_WORK, CANDIDATE_WORK, DRAWN_CANDIDATE_WORK = 10, 6, 18, 10, 35
+"""Charge in quarter units of a move, each of its rows, each entry and bit that is added up; of looking at a member
+(after the first `FEW` less) or a candidate in turn, and at one that is drawn: fitted to processor time on files of 200
+to 5000 rows (within 15 %)."""
 
 SAMPLE = 50
 """Members of an open row that are looked at where it has more; of a choice of `MANY` members likewise."""
 
-MANY = 400
-"""With more members a sample of them is looked at."""
+FEW, MANY = 120, 400
+"""With more members than the second a sample of them is looked at."""
 
 # typed, since numba would compile a kernel anew for each literal that it is called with
 IN: Any = np.int64(1)
@@ -199,7 +199,10 @@ def leaving(s: State, tabu: int, parts: int, tenure: int) -> Any:
     priced, once, loads = numbers[PRICED] > 0, numbers[ONCE] > 0, len(s.column_load) > 0
     size = numbers[MEMBERS]
     looked_at = size if size <= MANY else SAMPLE
-    numbers[WORK] += LOOK_WORK + (MEMBER_WORK if looked_at == size else DRAWN_MEMBER_WORK) * looked_at
+    if looked_at == size:
+        numbers[WORK] += MEMBER_WORK * min(size, FEW) + NEXT_MEMBER_WORK * max(size - FEW, 0)
+    else:
+        numbers[WORK] += DRAWN_MEMBER_WORK * looked_at
     for k in range(looked_at):
         position = k if looked_at == size else draw(random, size)
         column = columns[MEMBER, position]

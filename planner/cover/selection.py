@@ -16,7 +16,7 @@ from planner.cover.targets import solve_parts
 from planner.errors import PlannerError
 from planner.values import Ints
 
-CANONICAL_WORK = 40
+CANONICAL_WORK = 25
 """Charge of checking and sorting, for each entry of the matrix."""
 
 
