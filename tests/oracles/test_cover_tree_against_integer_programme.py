@@ -42,8 +42,10 @@ def test_there_is_none_below_the_least_and_one_at_it(seed: int, asked: dict[str,
         below, at = int(optimum * (1 - 1e-6)), int(optimum * (1 + 1e-6))
     every = np.ones(sets.n_columns, dtype=bool)
     found, ended = search(sets, rows, every, below, Budget(10**10))
-    assert found is None and ended
+    assert (found is None, ended) == (True, True)
     budget = Budget(10**10)
     found, _ = search(sets, rows, every, at, budget)
     best = budget.best if found is None else found  # the most area is told to the budget on the way
-    assert best is not None and sets.met(best) and sets.objective(best) <= at
+    assert best is not None
+    assert sets.met(best)
+    assert sets.objective(best) <= at
