@@ -205,6 +205,34 @@ def test_a_tilted_axis_carries_its_post_and_turns_no_part_into_what_stands(tilte
     assert 3 < sum(free) < len(free) - 3
 
 
+@pytest.mark.parametrize(
+    ("table", "of_part", "met"),
+    [
+        (((1000.0, 500.0, -350.0), (0.0, 90.0, 0.0)), (-0.25, 0.0, 0.3), "floor with part"),
+        (((1300.0, 500.0, -450.0), (0.0, 40.0, 0.0)), (-0.3, 0.0, 0.6), "floor with post"),
+        (((1300.0, 500.0, -300.0), (0.0, 30.0, 0.0)), (-0.3, 0.0, 0.4), "stop with part"),
+    ],
+)
+def test_half_a_turn_about_a_tilted_axis_takes_part_and_post_into_what_stands_across_it(
+    table: tuple[tuple[float, float, float], tuple[float, float, float]], of_part: tuple[float, ...], met: str
+) -> None:
+    """A cube beside the axis, farther than its own size from where it comes: floor, post's foot, a box of 60 mm."""
+    small, T = trimesh.creation.box((0.1, 0.1, 0.1)), pose(*table)
+    place, across = (1000 * (T @ [sign * of_part[0], *of_part[1:], 1.0])[:3] for sign in (1, -1))
+    box = {"name": "stop", "shape": "box", "size_mm": [60, 60, 60], "position_mm": across.tolist()}
+    scene = Scene.model_validate({
+        "table": {"position_mm": table[0], "abc_deg": table[1]}, "placement": {"position_mm": place.tolist()},
+        "post": {"enabled": met != "floor with part"}, "fixtures": [box] if met.startswith("stop") else [],
+    })  # fmt: skip
+    world = compile_world(scene, small.vertices, part_faces=small.faces, baseline_mm=75.0)
+    checker, q = MujocoCollisionChecker(world), np.repeat(world.home[None], 2, axis=0)
+    q[1, 6] = np.pi
+    assert checker.free(q).tolist() == [True, False]
+    assert checker.contacts(q[1]) == (met,)
+    assert world.table is not None
+    assert 90 < np.degrees(world.table.upper) < 180
+
+
 def test_a_part_that_turns_into_what_stands_is_not_free(off_axis: World) -> None:
     """The pillar stands where the block comes at -90 deg: found there, by name, and not at 0 and 90 deg."""
     checker = MujocoCollisionChecker(off_axis)
