@@ -46,7 +46,7 @@ class ResolvedRobot(JsonTable):
 
 
 class ResolvedTable(JsonTable):
-    """The rotary table that turns the part, an upright cylinder below its face; E1 is its angle, 0 the placement."""
+    """The rotary table that turns the part, a cylinder below its face; E1 is its angle, 0 the placement."""
 
     T_base_table: Transform = Field(description="the middle of its face; it turns about z, right-handed")
     diameter_mm: float = Field(description="of the cylinder")

@@ -14,10 +14,10 @@ class Turntable(Table):
 
     `position_mm` is the middle of its face, `abc_deg` the turn of its frame, 0 where the axis is upright. Without a
     position the axis goes through the part's centre, the face `post_mm` below what of the part is lowest along it; else
-    the post is as long as the part stands above the face. A table of the
-    scene file is there unless it says `enabled = false`. Without limits it is endless, and used half a turn to either
-    side of 0, where motions begin and end. It moves together with the arm, or is indexed: it turns only while the arm
-    stands still, clear of all that it turns at any angle.
+    the post is as long as the part stands above the face. A table of the scene file is there unless it says `enabled =
+    false`. Without limits it is endless, and used half a turn to either side of 0, where motions begin and end. It
+    moves together with the arm, or is indexed: it turns only while the arm stands still, clear of all that it turns at
+    any angle.
     """
 
     enabled: Annotated[

@@ -126,7 +126,10 @@ class Search:
         views = [place[row, int(column)] for row, (_, plan) in connected.items() for column in plan.candidate]
         matrix = hstack([plan.matrix.matrix() for _, plan in connected.values()], format="csc")
         areas = next(iter(connected.values()))[1].matrix.features.areas
-        allowed = np.concatenate([self._usable[row] for row in connected])
+        # Views that were moved after these plans are candidates behind theirs.
+        allowed = np.concatenate(
+            [self._usable[row][: plan.matrix.n_viewpoints] for row, (_, plan) in connected.items()]
+        )
         wish = Problem(matrix, areas, allowed, pinned=[place[name] for name in self._asked.own.pins])
         curve = coverage_curve(wish, rng=self._run.rng(steps.CURVE), known=[views])
         covered = float(areas[np.asarray(matrix[:, views].sum(axis=1)).ravel() > 0].sum())

@@ -52,7 +52,7 @@ def rotary_table(scene: Scene, T_base_object: Floats, hull: TriangleMesh) -> Rot
     if height < needed - 1e-6:
         raise SceneError(
             f"the part's lowest point is {height:.1f} mm above the face of the rotary table, and must be "
-            f"{needed:g} mm or more above it: raise placement.position_mm or lower table.position_mm"
+            f"{needed:g} mm or more above it: raise placement.position_mm or lower table.position_mm along its axis"
             + ("; a part that stands on the face itself needs post.enabled = false" if needed else "")
         )
     swing = 2000 * float(np.linalg.norm(on_face[:, :2], axis=1).max())

@@ -109,6 +109,28 @@ def test_seconds_come_after_set_ups_or_with_them(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(8))
+def test_what_bounds_seconds_is_no_more_than_the_optimum(seed: int) -> None:
+    """By itself, not held to what was found."""
+    rng = np.random.default_rng(50 + seed)
+    wish = replace(_wish(rng, 3, 4), costs=rng.integers(1, 9, 12).astype(float))
+    costs, group = np.asarray(wish.costs), np.asarray(wish.group)
+
+    def paid(some: list[int], has: Bools) -> tuple[float, ...] | None:
+        if np.asarray(wish.areas)[has].sum() < _wanted(wish, 0.8) - 1e-9:
+            return None
+        setups = len(set(group[some]))
+        return setups, float(costs[some].sum()), float(costs[some].sum()) + 6.0 * setups
+
+    rows = Rows(wish, np.array([0.8]))
+    fewest, members, every = fewest_setups(rows, (), None)
+    asked = choices.Choices(wish, rows, rng, "auto")
+    found, bound = asked.of_choices(members, np.empty(0, np.int64), every=every, brief=False)
+    assert bound.cost <= _best(wish, paid)[1] + 1e-9
+    priced = asked.weighted(found, 6.0, fewest, 1.0)[1]
+    assert priced.cost <= _best(wish, lambda some, has: (told := paid(some, has)) and told[2:])[0] + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(8))
 def test_the_most_area_with_so_many_views(seed: int) -> None:
     """In as few set-ups as could measure what is asked for with all their views; the bound is no less."""
     wish = replace(_wish(np.random.default_rng(80 + seed), 4, 3), max_views=3)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from scipy.sparse import csr_array
 
 from cell.api import open_run
 from cell.errors import SceneError, UsageError
@@ -257,6 +258,31 @@ def test_fewer_views_that_miss_the_coverage_are_searched_for_again(monkeypatch: 
     missed = iter([True])
     found, _ = Search().result()  # type: ignore[call-arg]
     assert (found.n_views, found.views_bound) == (5, 2)
+
+
+def test_the_curve_leaves_out_views_that_were_moved_for_plans_that_were_not_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """They are candidates behind those of the plans that are there: a banned one of the second set-up stays banned."""
+    monkeypatch.setattr(Search, "__init__", lambda _: None)
+    monkeypatch.setattr("cell.setups.search.curves.write", lambda *given: written.append(given))
+    written: list[Any] = []
+    own = Search()  # type: ignore[call-arg]
+    own._asked = SimpleNamespace(own=SimpleNamespace(pins=[(2, 0)]))  # type: ignore[assignment]
+    own._run = SimpleNamespace(rng=lambda _: np.random.default_rng(0), folder=None, drawing=None)  # type: ignore[assignment]
+    own._usable = {0: np.array([True, True, True]), 2: np.array([True, False])}
+    columns = {0: np.array([[1, 0], [0, 1], [0, 0]]), 2: np.array([[0, 0], [0, 0], [1, 1]])}
+    plans: Any = {
+        row: (None, SimpleNamespace(candidate=np.zeros(1, np.int64), matrix=SimpleNamespace(
+            n_viewpoints=2, matrix=lambda row=row: csr_array(columns[row]),
+            features=SimpleNamespace(areas=np.array([3.0, 2.0, 1.0])),
+        ))) for row in columns
+    }  # fmt: skip
+    own.curve(plans)
+    ((_, _, curve, views, covered, named),) = written
+    assert (views, covered) == (2, 4.0)
+    assert sorted(named(view) for view in curve.views[-1]) == ["0:0", "0:1", "2:0"]
+    assert curve.covered_area[-1] == pytest.approx(6.0)
 
 
 def test_a_first_set_up_that_a_table_cannot_carry_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
