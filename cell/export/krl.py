@@ -233,10 +233,12 @@ def _comments(program: Program) -> Iterator[str]:
     yield f"; digest of the plan {program.told.digest}"
     yield "; before it runs: the same robot, tool, base, part and fixtures as in the plan; first in T1 at 10 %"
     if program.q.shape[1] > ARM_AXES:
-        yield "; external axes: E1 is the rotary table, 0 where the part stands as below, positive anticlockwise seen"
-        yield "; against its axis; it moves together with A1 to A6; every motion sends E2 to E6 to 0"
+        yield "; external axes: E1 is the rotary table, 0 where the part stands as below, positive right-handed about z"
+        yield "; of its frame; it moves together with A1 to A6; every motion sends E2 to E6 to 0"
     else:
         yield "; external axes: every motion sends E1 to E6 to 0; the plan knows of none"
+    if program.T_base_table is not None:
+        yield f"; rotary table: its frame in the base of this program is {frame(program.T_base_table)}"
     yield f"; part: its frame in the base of this program is {frame(program.T_base_object)}"
     if np.isfinite(program.told.clearance):
         nearest = f"{program.told.clearance * 1000:.1f} mm ({program.told.between})"

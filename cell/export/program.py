@@ -9,7 +9,7 @@ elbow (A3 above the stretched arm, -2.990345 deg) and A5 < 0; bit i - 1 of T say
 KUKA's axes; the program of another has neither, and is not written in KRL.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -106,6 +106,7 @@ class Program(Value):
         turn: (N,) T of E6POS; None likewise.
         limits: joint limits that the plan was timed with.
         sweeps: lines that are driven, in driving order; their via points have the kind `lin`, but for the first.
+        T_base_table: (4, 4) about whose z E1 turns the part, right-handed [m]; None where nothing does.
     """
 
     told: Told
@@ -124,6 +125,7 @@ class Program(Value):
     turn: Annotated[NDArray[np.int64], "N"] | None
     limits: JointLimits
     sweeps: tuple[Sweep, ...]
+    T_base_table: Annotated[Floats, "4 4"] | None = None
 
     @property
     def views(self) -> int:
@@ -164,7 +166,8 @@ def load(run_folder: Path, name: str | None, now: FilesNow, narrator: Narrator |
         between=between,
     )
     kinematics = kinematics_of(proven.world.model)
-    return of_motion(proven.motion, kinematics, scene.T_flange_scanner, scene.T_base_object, told)
+    program = of_motion(proven.motion, kinematics, scene.T_flange_scanner, scene.T_base_object, told)
+    return program if scene.table is None else replace(program, T_base_table=scene.table.T_base_table)
 
 
 def of_motion(

@@ -1,7 +1,8 @@
 """`--cost time`: the fewest views are where the search for the least time begins, and bounds are in seconds.
 
 Views that were moved so that fewer do are candidates here too. From them on, views and motion are chosen in turns
-(`cell.plan.view_exchange`), so that no plan takes longer than one that chooses the fewest views and orders them after.
+(`cell.plan.view_exchange`), so that no plan takes longer than one that chooses the fewest views and orders them after;
+but where views sweep, are refused and chosen again, or a wish hangs on them: then the motion is no part of the choice.
 """
 
 from dataclasses import replace

@@ -477,3 +477,13 @@ def test_about_a_tilted_axis_a_plan_is_proven_scanned_and_placed_as_about_an_upr
     refused = run_cell("scan", "run", "--driver", "sim://?plant=mujoco", cwd=tmp_path)
     assert refused.returncode != 0
     assert "whose axis is upright" in refused.stderr
+    done = run_cell("export", "run", "--out", "program", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    text = next((tmp_path / "program").glob("*.src")).read_text(encoding="ascii")
+    told = re.search(
+        r"rotary table: its frame in the base of this program is {X (.*),Y (.*),Z (.*),A (.*),B (.*),C (.*)}", text
+    )
+    assert told is not None
+    x, y, z, *abc = map(float, told.groups())
+    np.testing.assert_allclose([x, y, z], 1000 * T_base_table[:3, 3], atol=1e-3)
+    np.testing.assert_allclose(abc, [0.0, -30.0, 20.0], atol=1e-4)
