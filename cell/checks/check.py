@@ -20,6 +20,7 @@ from cell.scene.scene import Scene
 from cell.words import listed
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.world.model import World, compile_world
+from cell.world.shapes import TABLE
 
 Triple = tuple[float, float, float]
 
@@ -195,8 +196,8 @@ def checked(cell: Compiled) -> CheckResult:
     problems = impossible(world)
     if beyond := _beyond_reach(world, envelope, max(settings.standoffs)):
         problems.append(beyond)
-    lower, upper = np.rad2deg(world.limits.lower).round(6), np.rad2deg(world.limits.upper).round(6)
-    standing = {"part", "post", "pedestal", "floor", *(fixture.name for fixture in scene.fixtures)}
+    lower, upper = (np.rad2deg(ends).round(6).tolist() for ends in (world.limits.lower, world.limits.upper))
+    standing = {"part", "post", TABLE, "pedestal", "floor", *(fixture.name for fixture in scene.fixtures)}
     return CheckResult(
         problems=tuple(problems),
         warnings=tuple(doubtful(world)),
@@ -209,7 +210,7 @@ def checked(cell: Compiled) -> CheckResult:
         contacts_at_home=contacts,
         nearest_at_home=nearest[0],
         nearest_at_home_mm=_mm(distance[0]),
-        joint_limits_deg={axis: (float(lower[i]), float(upper[i])) for i, axis in enumerate(AXES)},
+        joint_limits_deg={axis: (low, high) for axis, low, high in zip((*AXES, "E1"), lower, upper, strict=False)},
         envelope=envelope,
         mount_mm=_triple(world.T_flange_scanner[:3, 3]),
         housing_size_mm=scene.housing.sides_mm,
@@ -236,9 +237,12 @@ def _envelope(world: World) -> Envelope:
 
 def _beyond_reach(world: World, envelope: Envelope, standoff: float) -> str:
     """A sentence where not even the nearest point of the part comes within the standoff; a necessary condition only."""
-    centre = (np.linalg.inv(world.scene.robot.T_base) @ world.T_base_object @ world.T_object_centre)[:3, 3]
+    T_base_centre = world.T_base_object @ world.T_object_centre
+    centre = (np.linalg.inv(world.scene.robot.T_base) @ T_base_centre)[:3, 3]
     radius = float(np.linalg.norm(world.part_hull.vertices - world.T_object_centre[:3, 3], axis=1).max())
     farthest = (envelope.wrist_reach_mm + envelope.wrist_to_source_mm) / 1000 + standoff
+    if world.table is not None:  # half a turn may bring it nearer
+        farthest += 2 * float(np.linalg.norm(world.table.seen(T_base_centre[:3, 3])[:2]))
     gap = float(np.hypot(centre[0], centre[1])) - radius - farthest
     if gap <= 0:
         return ""

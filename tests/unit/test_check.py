@@ -27,6 +27,17 @@ def test_the_arm_s_envelope_is_the_data_sheet_s(ball: dict) -> None:
     assert envelope.wrist_to_source_mm == pytest.approx(158 + 120)
 
 
+def test_a_table_is_kept_clear_of_and_turns_a_part_into_reach(ball: dict) -> None:
+    """Its range is told as E1's; where the part stands beyond the axis, the other side of its circle counts."""
+    place = {"placement": {"position_mm": [2600.0, 0.0, 0.0]}}
+    assert check_scene(Scene.model_validate({"part": ball} | place)).problems
+    table = {"position_mm": [2200.0, 0.0, -400.0], "limits_deg": [-90.0, 170.0], "swing_mm": 1200.0}
+    result = check_scene(Scene.model_validate({"part": ball, "table": table} | place))
+    assert result.problems == ()
+    assert "rotary table" in result.obstacles
+    assert result.joint_limits_deg["E1"] == (-90.0, 170.0)
+
+
 def test_a_good_scene_has_no_problems(ball: dict) -> None:
     """The built-in cell with a ball: nothing touches at home, everything is listed and serialises."""
     result = check_scene(Scene.model_validate({"part": ball}))

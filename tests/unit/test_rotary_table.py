@@ -21,6 +21,7 @@ from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from cell.world.rotary_table import Turner
+from cell.world.travel import swing
 from planner.path.certified_edge import certify_many
 from planner.reach.rotary_table import ArmOnTable, RotaryTable
 
@@ -164,6 +165,15 @@ def test_no_distance_of_arm_and_part_changes_by_more_than_the_travel(either: Wor
     axis, face = either.table.T_base_table[:3, 2:].T
     middle = np.linalg.norm(np.cross(axis, either.T_base_object[:3, 3] - face))
     assert (travel[:100] > middle * np.abs(q_to - q_from)[:100, 6]).all()  # the block's middle alone goes so far
+
+
+def test_what_turns_is_as_far_from_the_axis_as_its_farthest_corner(either: World) -> None:
+    """What the table adds to the travel by each radian: no less, or motions touch between two looks; and no more."""
+    assert either.table is not None
+    corners = (either.T_base_object @ np.c_[BLOCK.vertices, np.ones(8)].T)[:3].T
+    axis, face = either.table.T_base_table[:3, 2:].T
+    farthest = np.linalg.norm(np.cross(axis, corners - face), axis=1).max()
+    assert swing(either.model, either.data(), either.table) == pytest.approx(farthest, abs=1e-7)
 
 
 def test_a_tilted_axis_carries_its_post_and_turns_no_part_into_what_stands(tilted: World) -> None:
