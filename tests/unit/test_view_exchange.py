@@ -262,6 +262,29 @@ def test_other_covers_are_compared_by_the_seconds_of_their_own_tour(monkeypatch:
     assert view_exchange._other_covers(problem, arm, None, given, usable, rng)[0] is first
 
 
+@pytest.mark.parametrize("better", [True, False])
+def test_another_cover_is_connected_with_the_exchange_of_the_fewest_views_behind_it(
+    better: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has to take less than these views stand and move straight; where no cover is better, they are all there is."""
+    arm: Any = SimpleNamespace(configurations=lambda view: np.full((1, 6), float(view)))
+    few = SimpleNamespace(duration=4.0, duration_before=6.0, visited=np.array([1, 0]), orderings=1)
+    own, other = ((np.array([0]), np.array([1])), (np.array([2]),))
+    found = SimpleNamespace(**{**vars(few), "visited": np.array([2])})
+    monkeypatch.setattr(view_exchange, "_exchanged", lambda *_: (few, own))
+    monkeypatch.setattr(view_exchange, "_timed", lambda _, __, exchanged, ___: exchanged)
+    monkeypatch.setattr(view_exchange, "_other_covers", lambda *_: (found, other) if better else (few, own))
+    monkeypatch.setattr(Request, "standing", 2.5)
+    problem: Any = SimpleNamespace(request=replace(Request(PlanSettings()), costs=np.ones(3)))
+    selected: Any = SimpleNamespace(cover=SimpleNamespace(views=np.arange(2)))
+    told = view_exchange.groups(problem, arm, selected, np.ones(3, dtype=bool), np.random.default_rng(0))
+    exchanged = told.instead if better else told
+    assert exchanged is not None
+    assert (exchanged.straight_before, exchanged.visited, exchanged.instead) == (6.0 + 2 * 2.5, (1, 0), None)
+    if better:
+        assert (told.straight_before, told.visited, len(told.members)) == (4.0 + 2 * 2.5, (2,), 1)
+
+
 class Seen:
     """Held-out samples of equal areas, and what each candidate measures of them, asked as `Prediction` is."""
 
