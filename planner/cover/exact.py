@@ -57,7 +57,8 @@ def close_gap(relaxation: Relaxation, budget: Budget) -> None:
         if found is not None:
             budget.offer(found, sets.objective(found))
         elif ended:
-            budget.prove(aim + 1)  # what the core leaves out is no better
+            # What the core leaves out is no better; on its way the tree may have found better areas than it began with.
+            budget.prove(_aim(relaxation, budget) + 1)
         else:
             break
 

@@ -111,7 +111,7 @@ class _Question:
         tree: Tree = k.Tree(
             np.zeros(4, dtype=np.int64), levels, rows, columns.astype(np.int64), sets.column_rows.astype(np.uint32),
             np.zeros(sets.n_columns), np.zeros(sets.n_rows), np.zeros(sets.n_rows, dtype=np.int64),
-            np.zeros(left + 1, dtype=np.int64), np.zeros(left + 1, dtype=np.int64),
+            np.zeros(left + 1, dtype=np.int64),
         )  # fmt: skip
         return tree
 
@@ -121,18 +121,19 @@ class _Question:
 
     def answer(self, budget: Budget) -> Ints | None:
         """The next choice that is good enough; None where there is none, or no work is left."""
-        k, spent = self._kernels, 0
-        while not self.ended and budget.spend(spent):
+        k = self._kernels
+        while not self.ended and budget.spend(0):
             tree = self._tree
-            ended = k.grow(tree, int(min(CHUNK_WORK, budget.left) / TOUCH_WORK))
-            spent = int(tree.numbers[k.WORK] * TOUCH_WORK)
-            if ended == k.FOUND:
-                budget.spend(spent)
-                return self._reduction.lift(tree.choice[: tree.numbers[k.CHOSEN]])
-            if ended == k.FULL:
+            found = k.grow(tree, int(min(CHUNK_WORK, budget.left) / TOUCH_WORK))
+            budget.spend(int(tree.numbers[k.WORK] * TOUCH_WORK))
+            if found == k.FOUND:
+                level, n_top = tree.numbers[[k.LEVEL, k.CHOSEN]]
+                largest = tree.columns[k.ID, tree.levels[k.FIRST_COLUMN, level] + tree.top[:n_top]]
+                return self._reduction.lift(np.concatenate((tree.levels[k.TAKEN, :level], largest)))
+            if found == k.FULL:
                 larger = (
                     np.concatenate((a, np.zeros_like(a)), axis=-1) for a in (tree.rows, tree.columns, tree.entries)
                 )
                 self._tree = tree._replace(**dict(zip(("rows", "columns", "entries"), larger, strict=True)))
-            self.ended = ended == k.NONE
+            self.ended = found == k.NONE
         return None

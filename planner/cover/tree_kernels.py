@@ -30,8 +30,8 @@ GOES_ON, NONE, FOUND, FULL = range(4)
 """How `grow` ended: work is done; no choice leaves as little open as is allowed; a choice does; arrays are full."""
 
 LEVEL, WORK, ALLOWED, CHOSEN = range(4)
-"""Numbers of a tree: the node's level (-1 at the end), work done, units that may stay open, columns of the
-choice that was found."""
+"""Numbers of a tree: the node's level (-1 at the end), work done, units that may stay open, how many of `Tree.top` the
+choice has that was found: they and what is in."""
 
 ROWS, COLUMNS, LEFT, FIRST_ROW, FIRST_COLUMN, FIRST_ENTRY, VISITS, TAKEN = range(8)
 """Fields of a level: rows and columns of its node, columns that may still come in, where each of the three begins in
@@ -43,7 +43,7 @@ UNITS, MULTIPLIER = range(2)
 ID, BEGIN, END = range(3)
 """Fields of a column: its number at the root; where its entries are."""
 
-NOTHING: Any = np.int64(0)  # typed, since numba would compile a kernel anew for a literal
+FIRST: Any = np.int64(0)  # typed, since numba would compile a kernel anew for a literal
 
 
 class Tree(NamedTuple):
@@ -58,7 +58,6 @@ class Tree(NamedTuple):
     direction: Any  # (rows of the root,) float64
     count: Any  # (rows of the root,)
     top: Any  # (columns that may come in,) columns of the node with the largest sums, the largest first
-    choice: Any  # (columns that may come in,)
 
 
 @compiled
@@ -101,17 +100,6 @@ def swap_out(t: Tree, level: int, c: int) -> None:
 
 
 @compiled
-def chosen(t: Tree, level: int, n_top: int) -> int:
-    """Tell the choice: what is in, and the largest of the node."""
-    for above in range(level):
-        t.choice[above] = t.levels[TAKEN, above]
-    for k in range(n_top):
-        t.choice[level + k] = t.columns[ID, t.levels[FIRST_COLUMN, level] + t.top[k]]
-    t.numbers[CHOSEN] = level + n_top
-    return FOUND
-
-
-@compiled
 def bounded(t: Tree, level: int, steps: int) -> int:
     """Move the multipliers of a node until it holds nothing (`NONE`), a choice is found, or steps are done."""
     levels, columns, entries, count, direction = t.levels, t.columns, t.entries, t.count, t.direction
@@ -133,8 +121,8 @@ def bounded(t: Tree, level: int, steps: int) -> int:
         for k in range(n_top):
             c = t.top[k]
             bound -= t.value[c]
-            for row in entries[columns[BEGIN, c0 + c] : columns[END, c0 + c]]:
-                count[row] += 1
+            for e in range(columns[BEGIN, c0 + c], columns[END, c0 + c]):
+                count[entries[e]] += 1
         margin = MARGIN * (total + allowed)
         if bound > allowed + margin:
             return NONE
@@ -143,11 +131,12 @@ def bounded(t: Tree, level: int, steps: int) -> int:
             if count[i] == 0:
                 still += units[r0 + i]
         if still <= allowed:
-            return chosen(t, level, n_top)
+            t.numbers[CHOSEN] = n_top
+            return FOUND
         if left == 1 or n <= left:
             return NONE
         least = bound + t.value[t.top[n_top - 1]] - allowed - margin
-        c = 0
+        c = FIRST
         while c < levels[COLUMNS, level]:
             if t.value[c] < least:
                 swap_out(t, level, c)
@@ -180,17 +169,18 @@ def bounded(t: Tree, level: int, steps: int) -> int:
 def branching(t: Tree, level: int) -> int:
     """The column to be put in: of the row that must not stay open and has the fewest, that of the largest sum.
 
-    Where all rows may stay open, the one of the largest sum; -1 where such a row has none.
+    Where all rows may stay open, the one of the largest sum; -1 where such a row has none. Sums are made anew: by those
+    before the last move trees on measurability matrices are twice as large.
     """
-    levels, columns, entries, count = t.levels, t.columns, t.entries, t.count
+    levels, columns, entries, count, value = t.levels, t.columns, t.entries, t.count, t.value
     r0, c0, n = levels[FIRST_ROW, level], levels[FIRST_COLUMN, level], levels[COLUMNS, level]
     units, u = t.rows[UNITS], t.rows[MULTIPLIER]
     row = -1
     for i in range(levels[ROWS, level]):
         count[i] = 0
     for c in range(n):
-        for i in entries[columns[BEGIN, c0 + c] : columns[END, c0 + c]]:
-            count[i] += 1
+        for e in range(columns[BEGIN, c0 + c], columns[END, c0 + c]):
+            count[entries[e]] += 1
     for i in range(levels[ROWS, level]):
         if units[r0 + i] > t.numbers[ALLOWED] and (
             row < 0 or count[i] < count[row] or (count[i] == count[row] and u[r0 + i] > u[r0 + row])
@@ -201,11 +191,11 @@ def branching(t: Tree, level: int) -> int:
     summed(t, level)
     best = -1
     for c in range(n):
-        if best >= 0 and t.value[c] <= t.value[best]:
+        if best >= 0 and value[c] <= value[best]:
             continue
         inside = row < 0
-        for other in entries[columns[BEGIN, c0 + c] : columns[END, c0 + c]]:
-            inside = inside or other == row
+        for e in range(columns[BEGIN, c0 + c], columns[END, c0 + c]):
+            inside = inside or entries[e] == row
         if inside:
             best = c
     return best
@@ -226,8 +216,8 @@ def descend(t: Tree, level: int, c: int) -> bool:
     levels[TAKEN, level] = columns[ID, c0 + c]
     for i in range(n_rows):
         place[i] = 0
-    for i in entries[columns[BEGIN, c0 + c] : columns[END, c0 + c]]:
-        place[i] = -1
+    for e in range(columns[BEGIN, c0 + c], columns[END, c0 + c]):
+        place[entries[e]] = -1
     fresh = 0
     for i in range(n_rows):
         if place[i] == 0:
@@ -239,9 +229,10 @@ def descend(t: Tree, level: int, c: int) -> bool:
     n, at = 0, e1
     for q in range(c0, c0 + levels[COLUMNS, level]):
         begin = at
-        for i in entries[columns[BEGIN, q] : columns[END, q]]:
-            if place[i] >= 0:
-                entries[at] = place[i]
+        for e in range(columns[BEGIN, q], columns[END, q]):
+            row = place[entries[e]]
+            if row >= 0:
+                entries[at] = row
                 at += 1
         if at > begin:
             columns[ID, c1 + n], columns[BEGIN, c1 + n], columns[END, c1 + n] = columns[ID, q], begin, at
@@ -267,7 +258,8 @@ def grow(t: Tree, work_limit: int) -> int:
         for i in range(levels[ROWS, level]):
             still += t.rows[UNITS, r0 + i]
         if still <= float(numbers[ALLOWED]):
-            return chosen(t, level, NOTHING)
+            numbers[CHOSEN] = 0
+            return FOUND
         ended, c = NONE, -1
         if levels[LEFT, level] > 0 and levels[COLUMNS, level] > 0:
             visits = levels[VISITS, level]

@@ -1,16 +1,20 @@
-"""Branch and bound over numbers of views against the plain integer programme in scipy."""
+"""Branch and bound over numbers of views against the plain integer programme in scipy, and brute force."""
+
+from itertools import combinations
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from scipy.optimize import LinearConstraint, milp
 
+from planner.cover import tree_kernels
 from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
+from planner.cover.exact import close_gap
 from planner.cover.problem import Problem
 from planner.cover.sets import Sets
-from planner.cover.tree import search
+from planner.cover.tree import TOUCH_WORK, search
 
 
 def least(sets: Sets) -> float:
@@ -49,3 +53,39 @@ def test_there_is_none_below_the_least_and_one_at_it(seed: int, asked: dict[str,
     assert best is not None
     assert sets.met(best)
     assert sets.objective(best) <= at
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_bound_on_areas_is_not_above_the_least_though_better_ones_are_found_on_the_way(seed: int) -> None:
+    """From the empty choice, with areas of 1e-12 to 1e6."""
+    rng = np.random.default_rng(seed)
+    M = rng.random((30, 9)) < rng.uniform(0.1, 0.3)
+    areas = rng.uniform(0.5, 2.0, 30) if seed % 2 else 10.0 ** rng.uniform(-12, 6, 30)
+    sets = canonical(Problem(M, areas, max_views=1 + seed % 6)).rest
+    every = range(sets.n_columns)
+    optimum = min(sets.objective(np.array(some)) for some in combinations(every, min(sets.most, len(every))))
+    budget, relaxation = Budget(10**9), Relaxation(sets)
+    budget.begin(sets.tolerance, relaxation.value)
+    budget.offer(np.zeros(0, dtype=np.int64), sets.total)
+    close_gap(relaxation, budget)
+    assert budget.lower_bound <= optimum <= budget.objective <= budget.lower_bound + sets.tolerance
+
+
+def test_all_work_is_booked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That of the chunk in which a tree ends as well."""
+    grow, done = tree_kernels.grow, []
+
+    def counted(tree: tree_kernels.Tree, limit: int) -> int:
+        ended = grow(tree, limit)
+        done.append(TOUCH_WORK * int(tree.numbers[tree_kernels.WORK]))
+        return ended
+
+    monkeypatch.setattr(tree_kernels, "grow", counted)
+    rng = np.random.default_rng(0)
+    M = rng.random((90, 60)) < 0.1
+    M[np.arange(90), rng.integers(0, 60, 90)] = True
+    sets = canonical(Problem(M, np.ones(90))).rest
+    budget = Budget(10**9)
+    found, ended = search(sets, np.ones(90, dtype=bool), np.ones(sets.n_columns, dtype=bool), 11, budget)
+    assert (found is None, ended) == (True, True)
+    assert budget.spent > sum(done) > 100_000
