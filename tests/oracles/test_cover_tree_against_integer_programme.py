@@ -71,6 +71,24 @@ def test_a_bound_on_areas_is_not_above_the_least_though_better_ones_are_found_on
     assert budget.lower_bound <= optimum <= budget.objective <= budget.lower_bound + sets.tolerance
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_what_no_column_reaches_stays_open(seed: int) -> None:
+    """Some columns are out: some rows have none left."""
+    rng = np.random.default_rng(seed)
+    M = rng.random((30, 14)) < 0.15
+    areas = rng.uniform(0.5, 2.0, 30) if seed % 2 else 10.0 ** rng.uniform(-12, 6, 30)
+    sets = canonical(Problem(M, areas, coverage=(0.8, 0.6, 0.95, 0.5)[seed % 4])).rest
+    columns = rng.random(sets.n_columns) < 0.8
+    left = np.flatnonzero(columns).tolist()
+    sizes = range(len(left) + 1)
+    least = next((k for k in sizes if any(sets.met(np.array(some, int)) for some in combinations(left, k))), None)
+    for aim in sizes:
+        found, ended = search(sets, rng.random(sets.n_rows) < 0.7, columns, aim, Budget(10**9))
+        assert ended == (found is None)
+        assert found is None or (sets.met(found) and len(found) <= aim)
+        assert found is not None or least is None or aim < least
+
+
 def test_all_work_is_booked(monkeypatch: pytest.MonkeyPatch) -> None:
     """That of the chunk in which a tree ends as well."""
     grow, done = tree_kernels.grow, []
