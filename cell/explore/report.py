@@ -36,11 +36,11 @@ def write(folder: Path, file: ExploreFile) -> None:
     lines += [f"- {name or 'open'}: {value}" for name, value in file.rows()]
     lines += [
         "", "## Stages", "",
-        "| stage | views | points | motion s | open before, to be measured mm2 | believed mm2 | of it open mm2 |",
-        "|---|---|---|---|---|---|---|",
+        "| stage | views | points | motion s | expected mm2 | new mm2 | believed mm2 | of it open mm2 |",
+        "|---|---|---|---|---|---|---|---|",
         *(
             f"| {stage.folder} | {stage.views} | {stage.points} | {stage.seconds:.1f} | {stage.expected_mm2:.0f} | "
-            f"{stage.surface_mm2:.0f} | {stage.open_mm2:.0f} |"
+            f"{stage.new_mm2:.0f} | {stage.surface_mm2:.0f} | {stage.open_mm2:.0f} |"
             for stage in file.stages
         ),
     ]  # fmt: skip
