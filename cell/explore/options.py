@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from cell.run.digest import SHOWN
-from cell.scene.fields import NotNegative, Positive, Table
+from cell.scene.fields import Positive, Table
 from cell.scene.option import Option
 
 _EXPLORE = "Exploration"
@@ -66,7 +66,7 @@ class ExploreOptions(Table):
         int, Field(ge=1), Option("Views that are planned and executed at a time (stepwise).", _EXPLORE)
     ] = 1
     least_gain: Annotated[
-        NotNegative,
+        Positive,
         Field(lt=1),
         Option(
             "Share of the believed surface that a batch must be expected to add for each of its views.",
