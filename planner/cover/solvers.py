@@ -22,7 +22,7 @@ SEARCH_SHARES = (0.2, 0.4)
 
 PROOF_SHARE, AREA_PROOF_SHARE, FAR_PROOF_SHARE = 0.8, 0.6, 0.3
 """`auto`: share of what is left for branch and bound; for the most area, which with many views only the search
-improves; and for a share of the area while more than one view is left, where the search may find it."""
+improves; and where more than `FEW` views are left, or for a share of the area more than one: the search may find it."""
 
 EARLY_SHARE, EARLY_CHUNKS = 0.15, 4
 """`auto` begins with a search on the problem as it is: with at most this share, and until it finds nothing better in so
@@ -32,8 +32,8 @@ SCARCE, SCARCE_PER_ENTRY, SCARCE_SHARE = WORK_PER_SECOND // 2, 100, 0.6
 """With no more work left than this, or than this for each entry (which reductions take), hardly anything can be proven:
 the share of the first search then, which goes to its end."""
 
-HOPEFUL_EXCESS = 0.1
-"""`auto` tries branch and bound on a choice that exceeds the bound by at most 2 columns or this share."""
+FEW, HOPEFUL_EXCESS = 2.0, 0.1
+"""`auto` tries branch and bound on a choice that exceeds the bound by at most so few columns or this share."""
 
 SMALL = 30
 """With no more columns than this branch and bound comes before the search, and whatever the gap."""
@@ -69,8 +69,12 @@ class Job:
         """Whether branch and bound may close the gap."""
         if self.sets.n_columns <= SMALL or self.sets.most >= 0:
             return True
-        excess = (self.budget.objective - self.budget.lower_bound) / float(self.sets.costs.mean())
-        return excess <= max(2.0, HOPEFUL_EXCESS * len(self.best))
+        return self.excess <= max(FEW, HOPEFUL_EXCESS * len(self.best))
+
+    @property
+    def excess(self) -> float:
+        """By how many columns of the mean cost the best choice exceeds the bound."""
+        return (self.budget.objective - self.budget.lower_bound) / float(self.sets.costs.mean())
 
     @property
     def proof_share(self) -> float:
@@ -78,7 +82,7 @@ class Job:
         if self.sets.most >= 0:
             return AREA_PROOF_SHARE
         one_left = self.budget.objective - self.budget.lower_bound <= 1
-        return PROOF_SHARE if self.hopeful and (self.sets.full or one_left) else FAR_PROOF_SHARE
+        return PROOF_SHARE if one_left or (self.sets.full and self.excess <= FEW) else FAR_PROOF_SHARE
 
     def core_search(self) -> Search:
         """A search on the columns that a better choice may contain (reduced-cost fixing), where these are fewer."""
