@@ -2,11 +2,12 @@
 
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from planner.cover import CoverStatus, Problem, solve
+from planner.cover import CoverStatus, Problem, solve, solvers
 from planner.cover.budget import LARGE, Budget, grown, interruptible
 from planner.cover.canonical import canonical
 from planner.cover.greedy import greedy
@@ -114,3 +115,23 @@ def test_guard_overrun_is_one_chunk():
     Search(sets, first, rng).run(budget)
     assert budget.time_limited
     assert budget.spent <= 4 * CHUNK_WORK
+
+
+@pytest.mark.parametrize(
+    ("best", "bound", "full", "most", "share"),
+    [
+        (9, 8, True, -1, solvers.PROOF_SHARE),
+        (10, 8, True, -1, solvers.PROOF_SHARE),
+        (84, 80, True, -1, solvers.FAR_PROOF_SHARE),
+        (9, 8, False, -1, solvers.PROOF_SHARE),
+        (10, 8, False, -1, solvers.FAR_PROOF_SHARE),
+        (10, 8, False, 5, solvers.AREA_PROOF_SHARE),
+    ],
+)
+def test_branch_and_bound_has_the_most_of_the_budget_where_few_views_are_left(
+    best: int, bound: int, full: bool, most: int, share: float
+) -> None:
+    """Beyond two views the search finds more in the same time, as on rail-like problems."""
+    sets = SimpleNamespace(full=full, most=most, costs=np.ones(500, dtype=np.int64), n_columns=500)
+    budget = SimpleNamespace(objective=best, lower_bound=bound)
+    assert solvers.Job(sets, None, budget, None).proof_share == share  # type: ignore[arg-type]
