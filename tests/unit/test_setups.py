@@ -1,5 +1,6 @@
 """Further set-ups: what a support touches, and which scene a set-up has."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -212,22 +213,33 @@ def _cover(views: dict[int, int], setups_bound: int) -> JointCover:
     return JointCover(columns, setups_bound, 1, 1.0, Rows(wish, np.ones(1)), np.ones(1), enough=True)
 
 
-def test_fewer_set_ups_count_before_fewer_views_and_the_bound_knows_moved_views(
+def _answering(
     monkeypatch: pytest.MonkeyPatch,
+    *,
+    cover: Callable[[bool], JointCover],
+    lacks: Callable[[JointCover], float],
+    moved: JointCover | None = None,
 ) -> None:
-    """Once views were moved one set-up may do: it is taken though two need fewer views, and no bound is above it."""
-    first, moved, thorough = _cover({0: 3, 1: 3}, 2), _cover({0: 2, 1: 2}, 2), _cover({0: 5}, 1)
+    """A search whose covers, what they lack and the views that were moved are given, and all of it can be connected."""
     for name, answer in (
         ("__init__", lambda self: self.__dict__.update(_M={}, _targets=np.ones(1))),
-        ("_cover", lambda _, *, brief, start=None: first if brief else thorough),
+        ("_cover", lambda _, *, brief, start=None: cover(brief)),
         ("_connected", lambda _, found: {"of": found}),
-        ("_lacks", lambda *_: np.zeros(1)),
-        ("_chosen", lambda *_: {}),
+        ("_lacks", lambda _, found, __: np.array([lacks(found)])),
+        ("_chosen", lambda _, found: found),
         ("_moved", lambda *_: moved),
         ("_held_together", lambda _, found, connected: (found, connected)),
     ):
         monkeypatch.setattr(Search, name, answer)
     monkeypatch.setattr("cell.setups.search._driven", lambda connected: {})
+
+
+def test_fewer_set_ups_count_before_fewer_views_and_the_bound_knows_moved_views(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Once views were moved one set-up may do: it is taken though two need fewer views, and no bound is above it."""
+    first, moved, thorough = _cover({0: 3, 1: 3}, 2), _cover({0: 2, 1: 2}, 2), _cover({0: 5}, 1)
+    _answering(monkeypatch, cover=lambda brief: first if brief else thorough, lacks=lambda found: 0.0, moved=moved)
     found, connected = Search().result()  # type: ignore[call-arg]
     assert (list(found.views), found.n_views, found.setups_bound) == ([0], 5, 1)
     assert connected == {"of": thorough}
@@ -240,18 +252,12 @@ def test_fewer_views_that_miss_the_coverage_are_searched_for_again(monkeypatch: 
     few, fewer, first = (_cover({0: count}, 1) for count in (4, 2, 5))
     thorough = iter([replace(fewer, views_bound=2), replace(few, views_bound=3)])
     missed = iter([True, False])
-    for name, answer in (
-        ("__init__", lambda self: self.__dict__.update(_M={}, _targets=np.ones(1))),
-        ("_cover", lambda _, *, brief, start=None: first if brief else next(thorough)),
-        ("_connected", lambda _, found: {"of": found}),
-        ("_lacks", lambda _, found, __: np.array([0.1 if found.n_views == 2 else 0.0])),
-        ("_asks_more", lambda _, found, __: found.n_views == 2 and next(missed)),
-        ("_chosen", lambda *_: {}),
-        ("_moved", lambda *_: None),
-        ("_held_together", lambda _, found, connected: (found, connected)),
-    ):
-        monkeypatch.setattr(Search, name, answer)
-    monkeypatch.setattr("cell.setups.search._driven", lambda connected: {})
+    _answering(
+        monkeypatch,
+        cover=lambda brief: first if brief else next(thorough),
+        lacks=lambda found: 0.1 if found.n_views == 2 else 0.0,
+    )
+    monkeypatch.setattr(Search, "_asks_more", lambda _, found, __: found.n_views == 2 and next(missed))
     found, _ = Search().result()  # type: ignore[call-arg]
     assert (found.n_views, found.views_bound) == (4, 3)
     thorough = iter([replace(fewer, views_bound=2), replace(first, views_bound=5)])
