@@ -10,8 +10,9 @@ from numpy.random import Generator
 
 from benchmarks.exploring.lab import Known, Lab, NextView
 from cell.explore import belief
+from cell.explore.asked import Asked, probable
 from cell.explore.policies import Batch
-from cell.explore.stage import DRAWN, ROWS_KEPT, SCHEDULE, SCOUTS_KEPT, Asked, probable
+from cell.explore.stage import DRAWN, ROWS_KEPT, SCHEDULE, SCOUTS_KEPT
 from cell.rays.embree import EmbreeRayCaster
 from planner.explore.gain import Record
 from planner.explore.space import VoxelSpace

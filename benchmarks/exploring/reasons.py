@@ -16,10 +16,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cell.explore import belief, state
+from cell.explore.asked import Asked
 from cell.explore.policies import Batch
 from cell.explore.prepare import Exploring
 from cell.explore.reasons import BESIDE, NOT_TAKEN, SMALL, TRIED, StillOpen, closest, sentence
-from cell.explore.stage import Asked, EnoughError, plan_stage
+from cell.explore.stage import EnoughError, plan_stage
 from cell.narrator import Quiet
 from cell.rays.prediction import held_out
 from cell.run import reader

@@ -32,9 +32,9 @@ def surface_of(space: VoxelSpace) -> TriangleMesh:
     return _about(space.low, space.edge, space.believed(), _TIGHT, _SMOOTH)
 
 
-def part_of(surface: TriangleMesh, name: str) -> Workpiece:
-    """A believed surface as a part, its name saying that it is no model."""
-    return workpiece.made(f"{name} as believed", surface)
+def part_of(surface: TriangleMesh, name: str, known: str = "believed") -> Workpiece:
+    """A believed, or measured, surface as a part, its name saying that it is no model."""
+    return workpiece.made(f"{name} as {known}", surface)
 
 
 def rough(space: VoxelSpace) -> TriangleMesh:

@@ -12,16 +12,18 @@ import numpy as np
 
 from cell.errors import FileError, SceneError
 from cell.explore import belief, report, specification, truth
+from cell.explore.asked import Asked
 from cell.explore.execution import executed
 from cell.explore.options import EVERY_BATCH, ExploreOptions
 from cell.explore.policies import POLICIES, Batch, So
 from cell.explore.prepare import Exploring, Eye, begun, prepared
-from cell.explore.stage import Asked, EnoughError, plan_stage
+from cell.explore.stage import EnoughError, plan_stage
 from cell.explore.state import Known, scans_of
 from cell.narrator import Narrator
-from cell.run import reader
+from cell.part.workpiece import Workpiece
+from cell.run import ply, reader
 from cell.run.executions import ExecutedScan
-from cell.run.explore_json import ExploredStage, ExploreFile, OpenReason
+from cell.run.explore_json import BELIEVED, MEASURED, ExploredStage, ExploreFile, OpenReason, SurfaceName
 from cell.run.record import open_finished
 from cell.scan import lock
 from cell.scan.options import ScanOptions
@@ -79,9 +81,10 @@ def explore(
             except EnoughError as error:
                 file = _finished(work, file, str(error), () if error.open is None else error.open.by_area())
                 break
+            on = MEASURED if work.paths.measured(number).is_file() else BELIEVED
             scans = _executed(work, folder)
             require_plausible(known.space, folder, np.concatenate([scan.points for scan in scans]))
-            expected = _expected(folder, known.space)
+            expected = _expected(folder, known.space, on)
             before, known = known, _learned(known, expected, scans, work.eye)
             work.paths.keep(number, known)
             stage = _stage_of(folder, scans, expected, before.space, known)
@@ -106,30 +109,60 @@ def _next(work: Exploring, file: ExploreFile) -> tuple[Batch, str]:
 def _planned(work: Exploring, file: ExploreFile, known: Known, batch: Batch, ended: str) -> Path:
     """The run folder of a stage's plan; one that finished before the exploration was stopped is taken.
 
+    The surface that the stage before was planned on comes first; where it is worth no further view, the other one.
+
     Raises:
-        EnoughError: if there is no batch, or none is worth its views.
+        EnoughError: if there is no batch, or none is worth its views, with what stays open of the believed surface.
     """
-    paths, number = work.paths, len(file.stages) + 1
-    if paths.stage(number).is_dir():
-        return paths.stage(number)
-    paths.clear(number)
-    believed = belief.part_of(known.believed, work.name)
-    belief.write_unseen(known.space, paths.unseen(number))
-    scene = specification.without(work.scene) if batch.rough else work.scene
-    scene = belief.scene_of(scene, work.cylinder, believed, paths.unseen(number))
+    if (folder := work.paths.stage(len(file.stages) + 1)).is_dir():
+        return folder
+    surfaces = [_on_believed, _on_measured] if batch.measured else [_on_believed]
+    enough = list[EnoughError]()
+    for plan in reversed(surfaces) if file.stages and file.stages[-1].planned_on == MEASURED else surfaces:
+        work.paths.clear(len(file.stages) + 1)
+        try:
+            return plan(work, file, known, batch, ended)
+        except EnoughError as error:
+            enough.append(error)
+    work.paths.clear(len(file.stages) + 1)
+    raise next((error for error in enough if error.open is not None), enough[0])
+
+
+def _on_believed(work: Exploring, file: ExploreFile, known: Known, batch: Batch, ended: str) -> Path:
+    """A stage's plan on the surface about all that was not seen free."""
+    number = len(file.stages) + 1
     least = work.options.least_gain if number > 1 else 0.0
     asked = Asked(known.space, known.record, batch, least, _came(file), ended)
-    try:
-        return plan_stage(scene, believed, asked, paths.stage(number), work.narrator)
-    except EnoughError:
-        paths.clear(number)
-        paths.unseen(number).unlink()
-        raise
+    return _stage(work, asked, number, belief.part_of(known.believed, work.name))
+
+
+def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch, ended: str) -> Path:
+    """A stage's plan on the surface of all points.
+
+    Raises:
+        EnoughError: if they describe none.
+    """
+    number, scans = len(file.stages) + 1, scans_of(work.paths, file.stages)
+    surface = report.surface_of(scans)
+    if surface is None:
+        raise EnoughError("the points describe no surface")
+    work.paths.measured(number).write_bytes(ply.written(surface))
+    poses = np.stack([scan.T_reported for scan in scans])
+    asked = Asked(known.space, known.record, batch, work.options.least_gain, ended=ended, poses=poses)
+    return _stage(work, asked, number, belief.part_of(surface, work.name, MEASURED))
+
+
+def _stage(work: Exploring, asked: Asked, number: int, surface: Workpiece) -> Path:
+    paths = work.paths
+    belief.write_unseen(asked.space, paths.unseen(number))
+    scene = specification.without(work.scene) if asked.batch.rough else work.scene
+    scene = belief.scene_of(scene, work.cylinder, surface, paths.unseen(number))
+    return plan_stage(scene, surface, asked, paths.stage(number), work.narrator)
 
 
 def _came(file: ExploreFile) -> float:
     """How many times as much as expected came; the ring was planned for the cylinder, which is no guess at the part."""
-    return came([(stage.expected_mm2, stage.new_mm2) for stage in file.stages[1:]])
+    return came([(s.expected_mm2, s.new_mm2) for s in file.stages[1:] if s.planned_on == BELIEVED])
 
 
 def _executed(work: Exploring, folder: Path) -> tuple[ExecutedScan, ...]:
@@ -149,14 +182,16 @@ class _Expected:
     """What was open and a stage's views should have measured.
 
     Attributes:
-        samples: N of the surface that was believed before it.
+        samples: N of the surface that it was planned on.
         sees: (N, views) by which of them.
-        surface: all that was believed [m^2].
+        surface: all of it [m^2].
+        on: which surface that was.
     """
 
     samples: SurfaceSamples
     sees: Bools
     surface: float
+    on: SurfaceName
 
 
 def _learned(known: Known, asked: _Expected, scans: Sequence[ExecutedScan], eye: Eye) -> Known:
@@ -169,6 +204,8 @@ def _learned(known: Known, asked: _Expected, scans: Sequence[ExecutedScan], eye:
         after = after.seen_from(scan.points, [source, sensor])
         after = after.judged_from(scan.points, source, sensor, eye.blank(scan.points, T), eye.near, eye.far)
         found |= asked.sees[:, view] & eye.answered(expected.points, scan.points[before.fresh(scan.points)], T)
+    if asked.on == MEASURED:  # what lies between points is no news of what is believed
+        return Known(after, known.record)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part
         of = before.open_at(expected.points)
@@ -198,14 +235,16 @@ def require_plausible(space: VoxelSpace, folder: Path, points: Floats) -> None:
         )
 
 
-def _expected(folder: Path, before: VoxelSpace) -> _Expected:
+def _expected(folder: Path, before: VoxelSpace, on: SurfaceName) -> _Expected:
     """What of the rows of a stage's matrix its views should have measured."""
     run = open_finished(folder)
     M, views = reader.measurability(run), reader.plan(run).views
     sees = M.matrix()[:, [view.id for view in views]].toarray()
-    rows = sees.any(axis=1) & ~before.seen(M.features.points, M.features.normals)
-    believed = float(reader.mesh(run, "reference.ply").areas.sum())
-    return _Expected(pick_samples(M.features, rows), sees[rows], believed)
+    rows: Bools = sees.any(axis=1)
+    if on == BELIEVED:  # a batch may be asked for what was seen as well
+        rows = rows & ~before.seen(M.features.points, M.features.normals)
+    surface = float(reader.mesh(run, "reference.ply").areas.sum())
+    return _Expected(pick_samples(M.features, rows), sees[rows], surface, on)
 
 
 def _stage_of(
@@ -218,6 +257,7 @@ def _stage_of(
         folder=f"{folder.parent.name}/{folder.name}",
         digest=run.digest,
         views=len(scans),
+        planned_on=expected.on,
         points=sum(len(scan.points) for scan in scans),
         seconds=round(reader.motion(run).duration, 6),
         expected_mm2=round(1e6 * float(expected.samples.areas.sum()), 3),

@@ -58,7 +58,7 @@ class ExploreOptions(Table):
         int | None,
         Field(ge=1),
         Option(
-            "Views of the first ring, which see the cylinder best. Default: 3 stepwise, 6 in two stages.",
+            "Views of the first ring, which see the cylinder best. Default: 1 stepwise, 6 in two stages.",
             _EXPLORE,
         ),
     ] = None

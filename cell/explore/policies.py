@@ -31,25 +31,28 @@ class Batch:
         whole: whether surface that was seen counts as well; otherwise only what is open does.
         rough: whether it is there to plan on, so that limits of sigma and spacing do not hold for it.
         per_second: whether the most per second of standing and moving is wanted; otherwise the most.
+        measured: whether the surface of all points is planned on where the believed one is worth no further view.
     """
 
     views: int | None
     whole: bool = False
     rough: bool = False
     per_second: bool = False
+    measured: bool = False
 
 
-_FEW, _ROUGH = 3, 6
-"""Views of the first ring: what follows view by view corrects it; a rough model that all else rests on wants more."""
+_FEW, _ROUGH = 1, 6
+"""Views that are taken blindly: what follows view by view is better chosen; a rough model that all else rests on wants
+more."""
 
 Policy = Callable[[ExploreOptions, So], Batch | None]
 
 
 def stepwise(options: ExploreOptions, so: So) -> Batch | None:
-    """A ring, then the few views with the most expected gain per second, planned anew after each batch."""
+    """A first view, then the few with the most expected gain per second, planned anew after each batch."""
     if so.stages == 0:
         return Batch(_within(so, options.ring or _FEW))
-    return Batch(_within(so, options.batch), per_second=True)
+    return Batch(_within(so, options.batch), per_second=True, measured=True)
 
 
 def two_stage(options: ExploreOptions, so: So) -> Batch | None:

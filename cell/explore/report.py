@@ -16,10 +16,14 @@ from planner.values import Floats
 MODEL, REPORT, PICTURE = "model.ply", "report.md", "curve.png"
 
 
-def write_model(folder: Path, scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
+def surface_of(scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
     """The surface of all scans, explored frame [m]; None where the points describe none."""
-    mesh = reconstruct(merge([ScanCloud(scan.points, scan.T_reported[:3, 3]) for scan in scans])).mesh
-    if mesh is not None:
+    return reconstruct(merge([ScanCloud(scan.points, scan.T_reported[:3, 3]) for scan in scans])).mesh
+
+
+def write_model(folder: Path, scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
+    """Write the surface of all scans, and give it."""
+    if (mesh := surface_of(scans)) is not None:
         (folder / MODEL).write_bytes(ply.written(mesh))
     return mesh
 
@@ -36,11 +40,11 @@ def write(folder: Path, file: ExploreFile) -> None:
     lines += [f"- {name or 'open'}: {value}" for name, value in file.rows()]
     lines += [
         "", "## Stages", "",
-        "| stage | views | points | motion s | expected mm2 | new mm2 | believed mm2 | of it open mm2 |",
-        "|---|---|---|---|---|---|---|---|",
+        "| stage | views | planned on | points | motion s | expected mm2 | new mm2 | believed mm2 | of it open mm2 |",
+        "|---|---|---|---|---|---|---|---|---|",
         *(
-            f"| {stage.folder} | {stage.views} | {stage.points} | {stage.seconds:.1f} | {stage.expected_mm2:.0f} | "
-            f"{stage.new_mm2:.0f} | {stage.surface_mm2:.0f} | {stage.open_mm2:.0f} |"
+            f"| {stage.folder} | {stage.views} | {stage.planned_on} | {stage.points} | {stage.seconds:.1f} | "
+            f"{stage.expected_mm2:.0f} | {stage.new_mm2:.0f} | {stage.surface_mm2:.0f} | {stage.open_mm2:.0f} |"
             for stage in file.stages
         ),
     ]  # fmt: skip

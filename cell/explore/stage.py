@@ -1,12 +1,11 @@
 """One stage's plan: steps 2 to 9 of `cell plan` on what is believed of the part, for what is open of it.
 
 The run folder that comes out is proven, driven and read back as any other. Its coverage is that of the believed
-surface which the batch is asked for; the matrix and its rows are weighted with the probability that a view which
-should measure something open does (`planner.explore.gain`).
+surface which the batch is asked for, the rows of its matrix (`cell.explore.asked`).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from cell import scanners
 from cell.errors import UnreachableError
 from cell.explore import belief
-from cell.explore.policies import Batch
+from cell.explore.asked import Asked, wanted
 from cell.explore.reasons import StillOpen, still_open
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
@@ -31,8 +30,7 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
 from cell.scene.scene import Scene
-from planner.explore.gain import Record, most_per_second
-from planner.explore.space import VoxelSpace
+from planner.explore.gain import most_per_second
 from planner.measurability.candidate_columns import spread_measurability
 from planner.order.tour_search import DEFAULT_BUDGET
 from planner.path.path import CHECKS
@@ -65,27 +63,6 @@ class EnoughError(UnreachableError):
     def __init__(self, message: str, still_open: StillOpen | None = None) -> None:
         super().__init__(message)
         self.open = still_open
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Asked:
-    """What a stage is planned for.
-
-    Attributes:
-        space: what is known.
-        record: what became of what was open before.
-        batch: what is asked for; no views: only why what is open stays open.
-        least_gain: share of the believed surface that it must be expected to add for each view.
-        came: how many times as much as expected came so far.
-        ended: why there is no further batch, where none is asked for.
-    """
-
-    space: VoxelSpace
-    record: Record
-    batch: Batch
-    least_gain: float
-    came: float = 1.0
-    ended: str = ""
 
 
 def plan_stage(scene: Scene, believed: Workpiece, asked: Asked, out: Path, narrator: Narrator) -> Path:
@@ -161,10 +138,11 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
     """
     with run.step("decimate and sample"):
         reference = job.part.reference
-        planning = decimate(belief.rough(asked.space), job.settings.faces)
+        planning = decimate(belief.rough(asked.space) if asked.poses is None else reference, job.settings.faces)
         plan_files.write_meshes(run.folder, reference, planning)
+        caster, scanner = EmbreeRayCaster(reference.vertices, reference.faces), limited(job.scene, job.scanner)
         rows, scouts = (
-            probable(sample(reference, planning, DRAWN, run.rng(stream)), asked, kept)
+            wanted(sample(reference, planning, DRAWN, run.rng(stream)), asked, kept, scanner, caster)
             for stream, kept in ((_ROWS, ROWS_KEPT), (_SCOUTS, SCOUTS_KEPT))
         )
         if not len(rows) or not len(scouts):
@@ -172,27 +150,7 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
         candidates = first(job.scene, job.settings, job.part, planning)
         if (candidates.face >= 0).all():
             candidates = pick_viewpoints(candidates, np.isin(candidates.face, rows.planning_face))
-        return (
-            PartSurface(reference, planning, rows, EmbreeRayCaster(reference.vertices, reference.faces)),
-            scouts,
-            candidates,
-        )
-
-
-def probable(samples: SurfaceSamples, asked: Asked, most: int) -> SurfaceSamples:
-    """What is asked for of the samples, areas times probabilities; of more than `most`, so many of the same product."""
-    space = asked.space
-    unseen = ~space.seen(samples.points, samples.normals)
-    weights = np.where(unseen, asked.record.weights(space.open_at(samples.points)), float(asked.batch.whole))
-    areas = weights * samples.areas
-    kept = np.flatnonzero(areas)
-    if len(kept) > most:
-        until = np.cumsum(areas)
-        kept, times = np.unique(np.searchsorted(until, until[-1] * (np.arange(most) + 0.5) / most), return_counts=True)
-        areas[kept] = until[-1] / most * times
-    return SurfaceSamples(
-        samples.points[kept], samples.normals[kept], areas[kept], samples.face[kept], samples.planning_face[kept]
-    )
+        return PartSurface(reference, planning, rows, caster), scouts, candidates
 
 
 def _connected(run: Run, problem: Problem, surface: PartSurface, asked: Asked) -> tuple[Problem, ConnectedPlan]:
@@ -238,10 +196,12 @@ def _too_little(chosen: ConnectedPlan, surface: PartSurface, asked: Asked) -> st
 def _explained(
     asked: Asked, scouts: SurfaceSamples, candidates: Viewpoints, reached: Reach, scanner: Scanner,
     casters: Sequence[RayCaster],
-) -> Callable[[], StillOpen]:  # fmt: skip
-    """Gives what is open with the reasons why it stays open."""
+) -> Callable[[], StillOpen | None]:  # fmt: skip
+    """Gives what is open with the reasons why it stays open; None for what is measured, of which views say nothing."""
 
-    def reasons_now() -> StillOpen:
+    def reasons_now() -> StillOpen | None:
+        if asked.poses is not None:
+            return None
         left = pick_samples(scouts, ~asked.space.seen(scouts.points, scouts.normals))
         of = asked.space.open_at(left.points)
         left = replace(left, areas=left.areas / asked.record.weights(of))

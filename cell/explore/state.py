@@ -3,6 +3,7 @@
     explore.json               what was done (`cell.run.explore_json`); a stage that it names is finished
     stages/0001/               run folder of the batch: plan, and its execution
     stages/0001.unseen.ply     what arm and housing kept away from
+    stages/0001.measured.ply   the surface of all points before it, where it was planned on that
     stages/0001.voxels.npz     the voxels after it
     truth/                     in simulation: the plan that knows the model
 
@@ -63,6 +64,10 @@ class Paths:
     def unseen(self, number: int) -> Path:
         """What was not seen before a stage."""
         return self.root / "stages" / f"{number:04d}.unseen.ply"
+
+    def measured(self, number: int) -> Path:
+        """The surface of all points that a stage was planned on; there where it was."""
+        return self.root / "stages" / f"{number:04d}.measured.ply"
 
     def voxels(self, number: int) -> Path:
         """What was known after a stage."""
@@ -146,6 +151,8 @@ class Paths:
         """Take away what is left of a stage's plan that did not finish."""
         for path in self.root.glob(f"{self.stage(number).relative_to(self.root)}.part*"):
             shutil.rmtree(path)
+        self.unseen(number).unlink(missing_ok=True)
+        self.measured(number).unlink(missing_ok=True)
 
 
 def scans_of(paths: Paths, stages: tuple[ExploredStage, ...]) -> tuple[ExecutedScan, ...]:

@@ -1,7 +1,9 @@
 """What a simulation knows and the planning does not: the true part, its coverage, and the fewest views for that.
 
 The bound is that of `cell plan --curve` on the true model, a run folder of its own (truth/): no so many of *its*
-candidates measure more of its samples. Coverage is visible coverage on the held-out samples, as everywhere.
+candidates measure more of its samples. For the coverage that was reached it is asked anew, as a set cover with branch
+and bound, which proves more than the curve does for each number of views. Coverage is visible coverage on the held-out
+samples, as everywhere.
 """
 
 import shutil
@@ -22,14 +24,17 @@ from cell.run.cell import read_cell, world_of
 from cell.run.executions import ExecutedScan
 from cell.run.explore_json import BoundAt, Truth
 from cell.run.json_table import JsonTable, parsed
-from cell.run.record import artefact, open_finished
+from cell.run.record import RunRecord, artefact, open_finished
 from cell.scene.scene import Scene
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
+from planner.cover.problem import Problem
+from planner.cover.selection import solve
 from planner.measurability.coverage import added
 from planner.measurability.matrix import measured
 
 FOLDER = "truth"
+_FEWEST = 12  # stream of randomness of its own, beside those of `cell.explore.stage`
 
 
 class _Point(JsonTable):
@@ -86,20 +91,45 @@ def truth_of(truth: Path, hidden: Hidden, explored: Explored) -> Truth:
     poses = np.stack([to_object @ _true_pose(scan) for scan in explored.scans])[:, None]
     seen = measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
     by_views = np.cumsum(added(seen))
+    reached = float(by_views[-1])
+    fewest, found = _fewest(run, reached)
     points = parsed(_Curve, artefact(run, "curve.json"), truth / "curve.json").points
-    most = min(float(by_views[-1]), max(point.upper_bound for point in points))
     nearest, between = _nearest(run.folder, explored.stages)
     return Truth(
-        visible=float(by_views[-1]),
+        visible=reached,
         by_views=tuple(round(float(share), 6) for share in by_views),
         known_model_visible=report.coverage.visible,
         known_model_views=report.n_views,
         coverable=report.coverage.coverable,
-        fewest=min(point.n_views for point in points if point.upper_bound >= most),
-        bound=tuple(BoundAt(views=p.n_views, found=p.covered, at_most=p.upper_bound) for p in points),
+        fewest=fewest,
+        fewest_found=found,
+        bound=tuple(
+            BoundAt(
+                views=p.n_views,
+                found=p.covered,
+                at_most=p.upper_bound if p.n_views >= fewest else max(p.covered, min(p.upper_bound, reached)),
+            )
+            for p in points
+        ),
         nearest_mm=round(1000 * nearest, 4),
         nearest=between,
     )
+
+
+def _fewest(run: RunRecord, coverage: float) -> tuple[int, int]:
+    """Views that a plan's candidates need at least for a coverage, or for all that they measure, and that suffice.
+
+    Args:
+        run: the plan, its matrix beside it.
+        coverage: share of the surface.
+    """
+    M, reachable = reader.measurability(run), reader.reached(run).reachable
+    matrix, areas = M.matrix(), M.features.areas
+    coverable = float(areas[matrix[:, np.flatnonzero(reachable)].sum(axis=1) > 0].sum())
+    share = min(coverage * float(areas.sum()) / coverable, 1.0)
+    rng = np.random.default_rng([run.seed, _FEWEST])
+    cover = solve(Problem(matrix, areas, reachable, coverage=share), rng=rng)
+    return cover.lower_bound, len(cover.views)
 
 
 def _true_pose(scan: ExecutedScan) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

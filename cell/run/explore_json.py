@@ -1,6 +1,7 @@
 """explore.json: how a part without a model was explored, stage by stage, and, in simulation, the truth beside it."""
 
 from pathlib import Path
+from typing import Literal
 
 from pydantic import ConfigDict, Field, JsonValue
 
@@ -10,6 +11,11 @@ NAME = "explore.json"
 
 UNSEEN = "unseen"
 """The fixture of a stage that is the space not seen free: it collides, and hides nothing."""
+
+
+SurfaceName = Literal["believed", "measured"]
+BELIEVED: SurfaceName = "believed"
+MEASURED: SurfaceName = "measured"
 
 
 class ExploredCylinder(JsonTable):
@@ -27,9 +33,10 @@ class ExploredStage(JsonTable):
     folder: str = Field(description="its run folder, below this one")
     digest: str = Field(description="of what was driven")
     views: int = Field(description="that were scanned")
+    planned_on: SurfaceName = Field(description="surface about what was not seen free, or that of all points before it")
     points: int = Field(description="that came back")
     seconds: float = Field(description="of the planned motion, from home to home")
-    expected_mm2: float = Field(description="of the believed surface that was open, to be measured by the batch")
+    expected_mm2: float = Field(description="of the surface that it was planned on, what it was to measure first")
     new_mm2: float = Field(description="of the surface believed after it, what it measured and no batch before")
     surface_mm2: float = Field(description="of the surface that was believed after it")
     open_mm2: float = Field(description="of that, without a measured point beside it")
@@ -62,9 +69,16 @@ class Truth(JsonTable):
     fewest: int = Field(
         description="views that its candidates need at least for the coverage reached, or for all that they measure"
     )
+    fewest_found: int = Field(description="of its candidates that measure as much: the best cover found")
     bound: tuple[BoundAt, ...] = Field(description="over the number of views, for the true model's candidates")
     nearest_mm: float = Field(description="smallest distance of arm or tool to anything, the true part in place")
     nearest: str = Field(description="between what")
+
+    @property
+    def fewest_words(self) -> str:
+        """The fewest views for the coverage that was reached, in a line."""
+        least = f"{self.fewest} at least" if self.fewest < self.fewest_found else f"{self.fewest}, proven,"
+        return f"{least} for this coverage, for the true model's candidates and samples"
 
 
 class ExploreFile(JsonTable):
@@ -123,7 +137,7 @@ class ExploreFile(JsonTable):
                     "with the model",
                     f"{known.known_model_views} views would have measured {100 * known.known_model_visible:.2f} %",
                 ),
-                ("fewest views", f"{known.fewest} at least for this coverage, for these candidates and samples"),
+                ("fewest views", known.fewest_words),
                 ("nearest", f"{known.nearest_mm:.1f} mm ({known.nearest}), the true part in place"),
             ]
         return rows

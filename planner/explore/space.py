@@ -34,6 +34,10 @@ UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 MOST_VOXELS = 8_000_000
 """Of a grid; two arrays of bytes and one of 8-byte counters are made of it."""
 
+_DEEP = 8.0
+"""Edges behind what was measured to which the part is believed to go on: farther off it may be anywhere in what no leg
+crossed, or nowhere, and a surface about all of that hides from the planning what lies between."""
+
 _PADDING = 3  # free voxels about the cylinder, so that surfaces about what is not free are closed
 _LIKELY = 0.6  # of the cylinder: a view for this much of it looks deep into it, where the part's surface may be
 _GAP, _KNOWN = 0.9, 0.35
@@ -169,15 +173,17 @@ class VoxelSpace(Value):
         """(X, Y, Z) where the part is believed to be: not free, not voted down, in one piece with a point of it.
 
         A part, or each body of it, that was hit hangs together; what hangs together with nothing that was hit is space
-        that no leg has crossed yet. Before the first point it is the middle of the cylinder, `_LIKELY`.
+        that no leg has crossed yet. It goes `_DEEP` behind what was measured, and where that encloses space no leg
+        enters it. Before the first point it is the middle of the cylinder, `_LIKELY`.
         """
         if not (self.state == OCCUPIED).any():
             return self._cylinder(_LIKELY * self.radius, _LIKELY * self.height / 2)
-        solid = (self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0))
+        near = ndimage.distance_transform_edt(self.state != OCCUPIED) <= _DEEP
+        solid = (self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0) & near)
         labels, count = ndimage.label(solid, _ALL_ROUND)
         hit = np.zeros(count + 1, dtype=np.bool_)
         hit[labels[self.state == OCCUPIED]] = True
-        return np.asarray(hit[labels])
+        return np.asarray(ndimage.binary_fill_holes(hit[labels]) & (self.state != FREE))
 
     def seen(self, points: Floats, normals: Floats) -> Bools:
         """(N,) which points of a believed surface have a measured point beside them, looked at along their normals.

@@ -1,0 +1,81 @@
+"""What a stage is planned for: which samples of the surface are wanted, and how much of each.
+
+There are two surfaces. The **believed** one is about all that was not seen free; of it is wanted what has no measured
+point beside it, each area times the probability that a view which should measure it finds something
+(`planner.explore.gain`). The **measured** one is that of all points so far, which is finer than voxels; of it is wanted
+what no executed view measures by the scanner's law: strips between points, too steep for the views that there were.
+Points beside such a strip hide it from the believed surface, and nobody saw where it leads from the measured one.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from cell.explore.policies import Batch
+from planner.explore.gain import Record
+from planner.explore.space import VoxelSpace
+from planner.measurability.matrix import measured
+from planner.ports import RayCaster, Scanner
+from planner.surface.sample import SurfaceSamples
+from planner.values import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """What a stage is planned for.
+
+    Attributes:
+        space: what is known.
+        record: what became of what was open before.
+        batch: what is asked for; no views: only why what is open stays open.
+        least_gain: share of the surface that it must be expected to add for each view.
+        came: how many times as much as expected came so far.
+        ended: why there is no further batch, where none is asked for.
+        poses: (V, 4, 4) executed views, explored frame [m], where the measured surface is planned on; None: the
+            believed one is.
+    """
+
+    space: VoxelSpace
+    record: Record
+    batch: Batch
+    least_gain: float
+    came: float = 1.0
+    ended: str = ""
+    poses: Annotated[Floats, "V 4 4"] | None = None
+
+
+def wanted(samples: SurfaceSamples, asked: Asked, most: int, scanner: Scanner, caster: RayCaster) -> SurfaceSamples:
+    """What is asked for of the samples, at most so many.
+
+    Args:
+        samples: of the surface that is planned on.
+        asked: what for.
+        most: samples that are kept.
+        scanner: its law, limits of sigma and spacing included.
+        caster: the surface's.
+    """
+    if asked.poses is None:
+        return probable(samples, asked, most)
+    missed = ~measured(asked.poses[:, None], samples, scanner, (caster,))
+    return _kept(samples, missed * samples.areas, most)
+
+
+def probable(samples: SurfaceSamples, asked: Asked, most: int) -> SurfaceSamples:
+    """What is asked for of a believed surface's samples, areas times probabilities."""
+    space = asked.space
+    unseen = ~space.seen(samples.points, samples.normals)
+    weights = np.where(unseen, asked.record.weights(space.open_at(samples.points)), float(asked.batch.whole))
+    return _kept(samples, weights * samples.areas, most)
+
+
+def _kept(samples: SurfaceSamples, areas: Floats, most: int) -> SurfaceSamples:
+    """The samples that count, with these areas; of more than `most`, so many of the same area."""
+    kept = np.flatnonzero(areas)
+    if len(kept) > most:
+        until = np.cumsum(areas)
+        kept, times = np.unique(np.searchsorted(until, until[-1] * (np.arange(most) + 0.5) / most), return_counts=True)
+        areas[kept] = until[-1] / most * times
+    return SurfaceSamples(
+        samples.points[kept], samples.normals[kept], areas[kept], samples.face[kept], samples.planning_face[kept]
+    )
