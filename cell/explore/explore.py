@@ -240,7 +240,7 @@ def _expected(folder: Path, before: VoxelSpace, on: SurfaceName) -> _Expected:
     run = open_finished(folder)
     M, views = reader.measurability(run), reader.plan(run).views
     sees = M.matrix()[:, [view.id for view in views]].toarray()
-    rows: Bools = sees.any(axis=1)
+    rows = np.asarray(sees.any(axis=1))
     if on == BELIEVED:  # a batch may be asked for what was seen as well
         rows = rows & ~before.seen(M.features.points, M.features.normals)
     surface = float(reader.mesh(run, "reference.ply").areas.sum())
