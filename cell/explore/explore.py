@@ -41,6 +41,10 @@ LAST_STAGE = "merge and reconstruct"
 _OUTSIDE = 0.01
 """Share of a stage's points beyond the cylinder, or in space that was seen free, above which something is wrong."""
 
+_GUESSED = 1.5
+"""Times the least gain that a view of the believed surface must promise, where the measured one is asked after it: of
+what is believed last, half is not there."""
+
 _MISSED = 0.01
 """Share of what was measured, beyond the limits of sigma and spacing, above which a person is told."""
 
@@ -131,7 +135,7 @@ def _planned(work: Exploring, file: ExploreFile, known: Known, batch: Batch, end
 def _on_believed(work: Exploring, file: ExploreFile, known: Known, batch: Batch, ended: str) -> Path:
     """A stage's plan on the surface about all that was not seen free."""
     number = len(file.stages) + 1
-    least = work.options.least_gain if number > 1 else 0.0
+    least = work.options.least_gain * (_GUESSED if batch.measured else 1.0) if number > 1 else 0.0
     asked = Asked(known.space, known.record, batch, least, _came(file), ended)
     return _stage(work, asked, number, belief.part_of(known.believed, work.name))
 
