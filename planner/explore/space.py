@@ -174,8 +174,8 @@ class VoxelSpace(Value):
         """(X, Y, Z) where the part is believed to be: not free, not voted down, in one piece with a point of it.
 
         A part, or each body of it, that was hit hangs together; what hangs together with nothing that was hit is space
-        that no leg has crossed yet. It goes on `_BOX` and `_STEPS` behind what was measured, and where that encloses space no leg
-        enters it. Before the first point it is the middle of the cylinder, `_LIKELY`.
+        that no leg has crossed yet. It goes on `_BOX` and `_STEPS` behind what was measured, and where that encloses
+        space no leg enters it. Before the first point it is the middle of the cylinder, `_LIKELY`.
         """
         if not (self.state == OCCUPIED).any():
             return self._cylinder(_LIKELY * self.radius, _LIKELY * self.height / 2)
