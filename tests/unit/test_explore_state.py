@@ -20,7 +20,7 @@ from cell.explore.state import Known, Paths
 from cell.narrator import Quiet
 from cell.part import mesh_files
 from cell.plan.request import Request
-from cell.run.explore_json import ExploreFile
+from cell.run.explore_json import BELIEVED, MEASURED, ExploreFile
 from cell.scan.options import ScanOptions
 from cell.scene.options import scene_of
 from cell.scene.plan_settings import PlanSettings
@@ -160,11 +160,15 @@ def test_batches_that_brought_nothing_ask_for_one_view_at_most() -> None:
 
 
 def test_what_came_is_held_against_what_was_expected() -> None:
-    """The first ring counts for nothing; then newly measured over expected area."""
-    stages = [(5.0, 20.0), (2.0, 4.0), (1.0, 3.0)]
-    file = SimpleNamespace(stages=[SimpleNamespace(expected_mm2=area, new_mm2=new) for area, new in stages])
-    assert _came(file) == 2.0  # median of 1, 2 and 3
-    assert _came(SimpleNamespace(stages=file.stages[:1])) == 1.0
+    """Newly measured over expected area; the first batch and those planned on measured surface count for nothing."""
+    stages = [
+        SimpleNamespace(expected_mm2=area, new_mm2=new, planned_on=on)
+        for area, new, on in (
+            (5.0, 20.0, BELIEVED), (2.0, 4.0, BELIEVED), (9.0, 0.0, MEASURED), (9.0, 0.0, MEASURED), (1.0, 3.0, BELIEVED)
+        )
+    ]  # fmt: skip
+    assert _came(SimpleNamespace(stages=stages)) == 2.0  # median of 1, 2 and 3
+    assert _came(SimpleNamespace(stages=stages[:1])) == 1.0
 
 
 def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
