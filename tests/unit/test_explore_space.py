@@ -10,7 +10,7 @@ from planner.errors import PlannerError
 from planner.explore.gain import MOST_TRIES, Open, Record, came, most_per_second
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.explore.traverse import cross
-from planner.values import Floats, Ints
+from planner.values import Bools, Floats, Ints
 
 
 def _crossed(starts: Floats, ends: Floats, low: Floats, edge: float, shape: tuple[int, int, int]) -> Ints:
@@ -243,3 +243,83 @@ def test_how_much_more_comes_than_was_expected() -> None:
     assert came([(1.0, 3.0)]) == 2
     assert came([(1.0, 0.0), (1.0, 0.0)]) == 0
     assert came([(1.0, 9.0)] * 9 + [(1.0, 3.0)] * 4) == 3  # what came long ago is of another kind
+
+
+def _block() -> VoxelSpace:
+    """A grid of which nothing is known to be free but its border."""
+    return VoxelSpace.of_cylinder(0.08, 0.16, 0.004, 0.003)
+
+
+def _shell(space: VoxelSpace, radius: float) -> Bools:
+    """(X, Y, Z) a closed shell about the middle, a diagonal of a voxel thick."""
+    away = np.linalg.norm(space.centres(np.ones(space.state.shape, dtype=bool)), axis=1).reshape(space.state.shape)
+    return np.asarray(np.abs(away - radius) < space.edge)
+
+
+def _flooded(open_to: Bools, starts: Bools, steps: Ints) -> Bools:
+    """Brute force: voxels that steps lead to from the starts, on voxels that are open to them."""
+    reached, front = np.array(starts & open_to), [tuple(at) for at in np.argwhere(starts & open_to).tolist()]
+    while front:
+        at = np.array(front.pop())
+        for step in steps:
+            to = tuple((at + step).tolist())
+            if all(0 <= k < size for k, size in zip(to, reached.shape, strict=True)) and open_to[to] > reached[to]:
+                reached[to] = True
+                front.append(to)
+    return reached
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_believed_part_is_that_of_brute_force(seed: int) -> None:
+    """Floods from what was hit to neighbours by a corner, then from the border to those by a face; never what is free.
+
+    Random voxels of all kinds and votes, pockets that nothing leads to among them.
+    """
+    rng, space = np.random.default_rng(seed), VoxelSpace.of_cylinder(0.012, 0.022, 0.001, 0.001)
+    state = np.array(space.state)
+    inside = state == UNKNOWN
+    state[inside & (rng.random(state.shape) < 0.25)] = FREE
+    state[inside & (rng.random(state.shape) < 0.002)] = OCCUPIED
+    votes = rng.choice([-1, 0, 2], size=state.shape, p=[0.2, 0.6, 0.2]).astype(np.int16)
+    occupied = np.argwhere(state == OCCUPIED)
+    everywhere = np.argwhere(np.ones(state.shape, dtype=bool))
+    near = (np.linalg.norm(everywhere[:, None] - occupied, axis=2).min(axis=1) <= 8).reshape(state.shape)
+    around = np.array([at for at in np.ndindex(3, 3, 3) if at != (1, 1, 1)]) - 1
+    solid = (state == OCCUPIED) | ((state == UNKNOWN) & (votes <= 0) & near)
+    hit = _flooded(solid, state == OCCUPIED, around)
+    border = np.pad(np.zeros(np.array(state.shape) - 2, dtype=bool), 1, constant_values=True)
+    outside = _flooded(~hit, border, around[np.abs(around).sum(axis=1) == 1])
+    expected = ~outside & (state != FREE)
+    assert (expected & ~hit).any()
+    assert (~expected & (state == UNKNOWN)).any()
+    assert np.array_equal(replace(space, state=state, votes=votes).believed(), expected)
+
+
+def test_the_part_is_believed_to_go_eight_edges_behind_what_was_measured() -> None:
+    """Of a measured plane above what was never entered: eight layers, and none above it that is free."""
+    space = _block()
+    state = np.array(space.state)
+    state[:, :, 30][state[:, :, 30] == UNKNOWN] = OCCUPIED
+    state[:, :, 31:] = FREE
+    believed = replace(space, state=state).believed()
+    middle = believed[space.state.shape[0] // 2, space.state.shape[1] // 2]
+    assert np.flatnonzero(middle).tolist() == list(range(22, 31))
+    assert not believed[:, :, :22].any()
+
+
+def test_what_a_closed_surface_encloses_is_believed_however_deep() -> None:
+    """No leg enters it, voted down or not; a pocket that is free stays so, and one leg opens all that is deep."""
+    space = _block()
+    shell, far = _shell(space, 0.06), _shell(space, 0.0) | _shell(space, 0.07)
+    state = np.where(shell, OCCUPIED, np.where(far, FREE, space.state)).astype(np.uint8)
+    middle = tuple(size // 2 for size in state.shape)
+    deep = (middle[0] + 3, *middle[1:])
+    closed = replace(space, state=state)
+    assert state[middle] == FREE
+    assert not closed.believed()[middle]
+    assert closed.believed()[deep]
+    voted = replace(closed, votes=np.full(state.shape, 2, dtype=np.int16))
+    assert voted.believed()[deep]
+    opened = np.array(state)
+    opened[middle[0] :, middle[1], middle[2]] = FREE
+    assert not replace(closed, state=opened).believed()[middle[0] - 3, middle[1], middle[2]]
