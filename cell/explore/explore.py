@@ -4,7 +4,7 @@
 the batch is executed on the part that stands there, and its rays change what is believed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -110,26 +110,31 @@ def _next(work: Exploring, file: ExploreFile) -> tuple[Batch, str]:
     return (Batch(0), "all batches of the policy were executed") if batch is None else (batch, "")
 
 
+_Planner = Callable[[Exploring, ExploreFile, Known, Batch, str], Path]
+
+
 def _planned(work: Exploring, file: ExploreFile, known: Known, batch: Batch, ended: str) -> Path:
     """The run folder of a stage's plan; one that finished before the exploration was stopped is taken.
 
     The surface that the stage before was planned on comes first; where it is worth no further view, the other one.
 
     Raises:
-        EnoughError: if there is no batch, or none is worth its views, with what stays open of the believed surface.
+        EnoughError: if there is no batch, or none is worth its views; with what stays open of the believed surface.
     """
     if (folder := work.paths.stage(len(file.stages) + 1)).is_dir():
         return folder
     surfaces = [_on_believed, _on_measured] if batch.measured else [_on_believed]
-    enough = list[EnoughError]()
-    for plan in reversed(surfaces) if file.stages and file.stages[-1].planned_on == MEASURED else surfaces:
+    if file.stages and file.stages[-1].planned_on == MEASURED:
+        surfaces.reverse()
+    enough = dict[_Planner, EnoughError]()
+    for plan in surfaces:
         work.paths.clear(len(file.stages) + 1)
         try:
             return plan(work, file, known, batch, ended)
         except EnoughError as error:
-            enough.append(error)
+            enough[plan] = error
     work.paths.clear(len(file.stages) + 1)
-    raise next((error for error in enough if error.open is not None), enough[0])
+    raise enough[_on_believed]
 
 
 def _on_believed(work: Exploring, file: ExploreFile, known: Known, batch: Batch, ended: str) -> Path:

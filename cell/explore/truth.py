@@ -92,8 +92,8 @@ def truth_of(truth: Path, hidden: Hidden, explored: Explored) -> Truth:
     seen = measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
     by_views = np.cumsum(added(seen))
     reached = float(by_views[-1])
-    fewest, found = _fewest(run, reached)
     points = parsed(_Curve, artefact(run, "curve.json"), truth / "curve.json").points
+    fewest, found = _fewest(run, reached)
     nearest, between = _nearest(run.folder, explored.stages)
     return Truth(
         visible=reached,
@@ -103,16 +103,21 @@ def truth_of(truth: Path, hidden: Hidden, explored: Explored) -> Truth:
         coverable=report.coverage.coverable,
         fewest=fewest,
         fewest_found=found,
-        bound=tuple(
-            BoundAt(
-                views=p.n_views,
-                found=p.covered,
-                at_most=p.upper_bound if p.n_views >= fewest else max(p.covered, min(p.upper_bound, reached)),
-            )
-            for p in points
-        ),
+        bound=_bound(points, reached, fewest),
         nearest_mm=round(1000 * nearest, 4),
         nearest=between,
+    )
+
+
+def _bound(points: Sequence[_Point], reached: float, fewest: int) -> tuple[BoundAt, ...]:
+    """The curve, and that fewer views than the fewest do not measure as much as was reached."""
+    return tuple(
+        BoundAt(
+            views=p.n_views,
+            found=p.covered,
+            at_most=p.upper_bound if p.n_views >= fewest else max(p.covered, min(p.upper_bound, reached)),
+        )
+        for p in points
     )
 
 

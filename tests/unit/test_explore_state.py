@@ -161,12 +161,8 @@ def test_batches_that_brought_nothing_ask_for_one_view_at_most() -> None:
 
 def test_what_came_is_held_against_what_was_expected() -> None:
     """Newly measured over expected area; the first batch and those planned on measured surface count for nothing."""
-    stages = [
-        SimpleNamespace(expected_mm2=area, new_mm2=new, planned_on=on)
-        for area, new, on in (
-            (5.0, 20.0, BELIEVED), (2.0, 4.0, BELIEVED), (9.0, 0.0, MEASURED), (9.0, 0.0, MEASURED), (1.0, 3.0, BELIEVED)
-        )
-    ]  # fmt: skip
+    went = [(5.0, 20.0, BELIEVED), (2.0, 4.0, BELIEVED), *[(9.0, 0.0, MEASURED)] * 2, (1.0, 3.0, BELIEVED)]
+    stages = [SimpleNamespace(expected_mm2=area, new_mm2=new, planned_on=on) for area, new, on in went]
     assert _came(SimpleNamespace(stages=stages)) == 2.0  # median of 1, 2 and 3
     assert _came(SimpleNamespace(stages=stages[:1])) == 1.0
 

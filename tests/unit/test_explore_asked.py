@@ -1,0 +1,179 @@
+"""Which surface a stage of an exploration is planned on, and what of it is wanted."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.explore import explore
+from cell.explore.asked import Asked, probable, wanted
+from cell.explore.policies import Batch
+from cell.explore.stage import EnoughError
+from cell.explore.state import Paths
+from cell.rays.embree import EmbreeRayCaster
+from cell.run.explore_json import BELIEVED, MEASURED
+from cell.scanners.laser_area import LaserArea
+from planner.explore.gain import Record
+from planner.explore.space import VoxelSpace
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples, sample
+from planner.values import Bools, Floats
+from planner.viewpoints.viewpoints import looking_at
+
+UNKNOWN = VoxelSpace.of_cylinder(0.06, 0.06, 0.003, 0.002)
+LAW = LaserArea(range_mm=(50, 900), baseline_mm=60.0, grazing_max_deg=75.0, sensor_grazing_max_deg=75.0)
+
+
+@pytest.fixture(scope="module")
+def balls() -> TriangleMesh:
+    """Two balls beside each other, of which each hides some of the other."""
+    whole = trimesh.util.concatenate([
+        trimesh.creation.icosphere(3, 0.02).apply_translation((x, 0.0, 0.0)) for x in (-0.025, 0.025)
+    ])  # fmt: skip
+    return TriangleMesh(np.asarray(whole.vertices, dtype=np.float64), np.asarray(whole.faces, dtype=np.int32))
+
+
+def _poses() -> Floats:
+    """(3, 4, 4) from one side, from above and from a corner."""
+    out = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.6, 0.48, 0.64]])
+    return np.asarray(looking_at(np.zeros((3, 3)), out, np.full(3, -1), [0.3], [0.0]).T_object_scanner[:, 0])
+
+
+def _measured(samples: SurfaceSamples, poses: Floats, mesh: TriangleMesh, grazing_deg: float) -> Bools:
+    """(N,) which samples are in view of source and sensor, not too steep for either, by triangles of another library.
+
+    What is within 0.01 mm of being hidden counts as not seen: none of the samples is.
+    """
+    found = np.zeros(len(samples), dtype=bool)
+    triangles = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    for T in poses:
+        sees = np.ones(len(samples), dtype=bool)
+        for stand in (T[:3, 3], T[:3, 3] + 0.06 * T[:3, 0]):
+            leg = stand - samples.points
+            length = np.linalg.norm(leg, axis=1, keepdims=True)
+            sees &= np.einsum("ij,ij->i", leg / length, samples.normals) >= np.cos(np.radians(grazing_deg))
+            sees &= ~triangles.ray.intersects_any(samples.points + 1e-5 * samples.normals, leg / length)
+        found |= sees
+    return found
+
+
+def _asked(poses: Floats | None, whole: bool = False, space: VoxelSpace = UNKNOWN) -> Asked:
+    return Asked(space, Record.empty(), Batch(1, whole=whole), 0.001, poses=poses)
+
+
+def test_of_the_measured_surface_is_wanted_what_no_view_measures(balls: TriangleMesh) -> None:
+    """Each such sample with the area that it has, in their order; brute force says which. Believed weights are none."""
+    samples = sample(balls, balls, 3000, np.random.default_rng(0))
+    caster = EmbreeRayCaster(balls.vertices, balls.faces)
+    kept = wanted(samples, _asked(_poses()), 3000, LAW, caster)
+    missed = ~_measured(samples, _poses(), balls, LAW.grazing_max_deg)
+    assert 0.2 < missed.mean() < 0.8
+    for name in ("points", "normals", "areas", "face", "planning_face"):
+        assert np.array_equal(getattr(kept, name), getattr(samples, name)[missed]), name
+    assert len(wanted(samples, _asked(np.repeat(_poses()[:1], 2, axis=0)), 3000, LAW, caster)) > len(kept)
+
+
+def test_of_more_samples_than_are_kept_the_area_is_the_same(balls: TriangleMesh) -> None:
+    """At most so many stay, of those that are wanted, and they stand for all of it."""
+    samples = sample(balls, balls, 3000, np.random.default_rng(0))
+    caster = EmbreeRayCaster(balls.vertices, balls.faces)
+    every, few = (wanted(samples, _asked(_poses()), most, LAW, caster) for most in (3000, 100))
+    assert 90 < len(few) <= 100 < len(every)
+    assert few.areas.sum() == pytest.approx(every.areas.sum())
+    assert {tuple(point) for point in few.points.tolist()} < {tuple(point) for point in every.points.tolist()}
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls: TriangleMesh) -> None:
+    """Area times probability, whatever was executed; of what was seen nothing, or all where the whole is asked for."""
+    samples = sample(balls, balls, 3000, np.random.default_rng(0))
+    right = samples.points[:, 0] > 0
+    space = replace(UNKNOWN, points=samples.points[right])
+    asked = _asked(None, whole, space)
+    kept = wanted(samples, asked, 3000, LAW, EmbreeRayCaster(balls.vertices, balls.faces))
+    seen = space.seen(samples.points, samples.normals)
+    assert seen[right].all()
+    weights = np.where(seen, float(whole), Record.empty().weights(space.open_at(samples.points)))
+    assert np.array_equal(kept.points, samples.points[weights > 0])
+    assert kept.areas == pytest.approx((weights * samples.areas)[weights > 0])
+    assert np.array_equal(probable(samples, asked, 3000).areas, kept.areas)
+
+
+class _Worth:
+    """Planners of both surfaces that write down whose turn it was, and find a batch on those that are worth one."""
+
+    def __init__(self, *surfaces: str) -> None:
+        self.surfaces, self.asked = surfaces, list[str]()
+
+    def on(self, surface: str) -> Callable[..., Path]:
+        """The planner of a surface; what it leaves behind is in the way of the next."""
+
+        def plan(work: Any, *_: object) -> Path:
+            self.asked.append(surface)
+            assert not work.paths.measured(2).exists()
+            assert not work.paths.unseen(2).exists()
+            work.paths.unseen(2).touch()
+            if surface == MEASURED:
+                work.paths.measured(2).touch()
+            if surface not in self.surfaces:
+                raise EnoughError(f"of {surface}")
+            return Path(surface)
+
+        return plan
+
+
+@pytest.mark.parametrize(
+    ("before", "measured", "worth", "asked", "ends"),
+    [
+        (BELIEVED, True, (BELIEVED, MEASURED), [BELIEVED], BELIEVED),
+        (BELIEVED, True, (MEASURED,), [BELIEVED, MEASURED], MEASURED),
+        (MEASURED, True, (BELIEVED, MEASURED), [MEASURED], MEASURED),
+        (MEASURED, True, (BELIEVED,), [MEASURED, BELIEVED], BELIEVED),
+        (BELIEVED, True, (), [BELIEVED, MEASURED], None),
+        (MEASURED, True, (), [MEASURED, BELIEVED], None),
+        (BELIEVED, False, (MEASURED,), [BELIEVED], None),
+        (MEASURED, False, (MEASURED,), [BELIEVED], None),
+    ],
+)
+def test_the_surface_of_the_stage_before_comes_first_and_then_the_other(
+    before: str, measured: bool, worth: tuple[str, ...], asked: list[str], ends: str | None,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Nothing of the one that was not worth a view is left; where none is, it is the believed one's reason that counts.
+
+    A batch that wants no measured surface gets none.
+    """
+    planners, paths = _Worth(*worth), Paths(tmp_path)
+    (tmp_path / "stages").mkdir()
+    monkeypatch.setattr(explore, "_on_believed", planners.on(BELIEVED))
+    monkeypatch.setattr(explore, "_on_measured", planners.on(MEASURED))
+    file, batch = SimpleNamespace(stages=[SimpleNamespace(planned_on=before)]), Batch(1, measured=measured)
+    given: Any = (SimpleNamespace(paths=paths), file, None, batch, "")
+    if ends is None:
+        with pytest.raises(EnoughError, match="of believed"):
+            explore._planned(*given)
+        assert list((tmp_path / "stages").iterdir()) == []
+    else:
+        assert explore._planned(*given) == Path(ends)
+        assert paths.measured(2).exists() == (ends == MEASURED)
+        assert paths.unseen(2).exists()
+    assert planners.asked == asked
+
+
+def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:
+    """Nothing is planned anew, and nothing beside it is taken away."""
+    paths = Paths(tmp_path)
+    paths.stage(2).mkdir(parents=True)
+    for path in (paths.unseen(2), paths.measured(2)):
+        path.touch()
+    work: Any = SimpleNamespace(paths=paths)
+    file: Any = SimpleNamespace(stages=[None])
+    known: Any = None
+    assert explore._planned(work, file, known, Batch(1, measured=True), "") == paths.stage(2)
+    assert paths.unseen(2).is_file()
+    assert paths.measured(2).is_file()
