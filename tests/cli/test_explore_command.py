@@ -14,14 +14,20 @@ import pytest
 
 from benchmarks.triangle_cell import TriangleCell
 from cell.errors import FileError
+from cell.explore import explore, state
 from cell.explore.hidden import Hidden
+from cell.explore.prepare import Exploring
+from cell.explore.report import surface_of
+from cell.explore.stage import EnoughError
 from cell.part import workpiece
-from cell.run import explore_json, reader
-from cell.run.cell import world_of
+from cell.run import explore_json, ply, reader
+from cell.run.cell import read_cell, world_of
+from cell.run.explore_json import BELIEVED, MEASURED, ExploreFile
 from cell.run.record import open_finished
 from cell.scene.options import scene_of
 from cell.view.explore_page import explore_page
 from planner.explore.space import FREE
+from planner.measurability.matrix import measured
 from planner.surface.closest import NearestSurface
 
 PLACE = (
@@ -155,6 +161,116 @@ def test_the_same_command_goes_on_where_it_was_killed(
     assert done.returncode == 0, done.stderr
     for name in ("explore.json", "report.md", "model.ply", "stages/0002.voxels.npz"):
         assert (again / name).read_bytes() == (explored / name).read_bytes(), name
+
+
+_MEASURED = (*PLACE, "--resolution", "0.5", "--ring", "3", "--batch", "1", "--max-views", "5", "--least-gain", "0.0003")
+
+
+@pytest.fixture
+def soon_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The believed surface is worth no further view after the first batch, as if so little of it stayed open."""
+    believed = explore._on_believed
+
+    def plan(work: Exploring, file: ExploreFile, *asked: Any) -> Path:
+        folder = believed(work, file, *asked)
+        if file.stages:
+            shutil.rmtree(folder)
+            raise EnoughError("too little of the believed surface is open")
+        return folder
+
+    monkeypatch.setattr(explore, "_on_believed", plan)
+
+
+@pytest.fixture
+def on_measured(
+    soon_measured: None,
+    made_once: Callable[..., Path],
+    part_file: Path,
+    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+) -> Path:
+    """A finished exploration whose first batch was planned on a believed surface, the others on measured ones."""
+
+    def make(folder: Path) -> None:
+        done = run_cell("explore", part_file, "--units", "mm", *_MEASURED, "--out", "explored", cwd=folder)
+        assert done.returncode == 0, done.stderr
+
+    return made_once("explored on measured surfaces", make) / "explored"
+
+
+def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(on_measured: Path) -> None:
+    """Their part is the surface of all points before them, which is kept; what is believed learns no record of them."""
+    file = explore_json.read(on_measured / "explore.json")
+    assert [(stage.planned_on, stage.views) for stage in file.stages] == [(BELIEVED, 3), (MEASURED, 1), (MEASURED, 1)]
+    paths, first = state.Paths(on_measured), np.load(on_measured / "stages" / "0001.voxels.npz")
+    assert not paths.measured(1).exists()
+    for number, stage in enumerate(file.stages[1:], start=2):
+        run, scans = open_finished(on_measured / stage.folder), state.scans_of(paths, file.stages[: number - 1])
+        surface = surface_of(scans)
+        assert surface is not None
+        assert paths.measured(number).read_bytes() == ply.written(surface)
+        assert reader.mesh(run, "reference.ply").areas.sum() == pytest.approx(surface.areas.sum(), rel=1e-6)
+        M, plan = reader.measurability(run), reader.plan(run)
+        cell = read_cell(run)
+        poses = np.stack([scan.T_reported for scan in scans])[:, None]
+        assert not measured(poses, M.features, cell.scanner, (cell.part_caster,)).any()
+        sees = M.matrix()[:, [view.id for view in plan.views]].toarray().any(axis=1)
+        assert stage.expected_mm2 == pytest.approx(1e6 * M.features.areas[sees].sum(), abs=0.01)
+        assert stage.new_mm2 > 0
+        known = np.load(paths.voxels(number))
+        for name in ("expected", "found", "tries"):
+            assert np.array_equal(known[name], first[name]), name
+        assert len(known["points"]) > len(first["points"])
+    assert (on_measured / "report.md").read_text().count("| 1 | measured |") == 2
+
+
+def _measured_plan_killed(stage: Path) -> None:
+    shutil.rmtree(stage / "executions")
+    stage.rename(stage.with_name(f"{stage.name}.part"))
+
+
+def _killed_between_plan_and_execution(stage: Path) -> None:
+    shutil.rmtree(stage / "executions")
+
+
+def _killed_before_what_was_learned_was_written(stage: Path) -> None:
+    assert (stage / "executions" / "0001").is_dir()
+
+
+@pytest.mark.usefixtures("soon_measured")
+@pytest.mark.parametrize(
+    "killed",
+    [
+        pytest.param(_measured_plan_killed, marks=pytest.mark.slow),
+        _killed_between_plan_and_execution,
+        pytest.param(_killed_before_what_was_learned_was_written, marks=pytest.mark.slow),
+    ],
+)
+def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
+    killed: Callable[[Path], None],
+    on_measured: Path,
+    tmp_path: Path,
+    part_file: Path,
+    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+) -> None:
+    """To the same bytes as those of an exploration that was not killed."""
+    again = tmp_path / "explored"
+    shutil.copytree(on_measured, again)
+    file = explore_json.read(again / "explore.json")
+    before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1], "truth": None})
+    (again / "explore.json").write_text(json.dumps(before.as_json()))
+    for left in (again / "stages").glob("0003*"):
+        shutil.rmtree(left) if left.is_dir() else left.unlink()
+    (again / "stages" / "0002.voxels.npz").unlink()
+    killed(again / "stages" / "0002")
+    done = run_cell("explore", part_file, "--units", "mm", *_MEASURED, "--out", again, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    stages = [
+        f"stages/{number}.{kind}"
+        for number in ("0002", "0003")
+        for kind in ("voxels.npz", "measured.ply", "unseen.ply")
+    ]
+    for name in ("explore.json", "report.md", "model.ply", *stages):
+        assert (again / name).read_bytes() == (on_measured / name).read_bytes(), name
 
 
 def test_points_of_files_need_no_model(
