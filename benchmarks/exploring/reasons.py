@@ -8,20 +8,15 @@ where no candidate that the arm reaches there measures it. "Views ... did not" i
 surface within a voxel's edge of the sample is measured by the executed views, "a rest" where any within two edges is.
 """
 
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cell.explore import belief, state
-from cell.explore.asked import Asked
-from cell.explore.policies import Batch
+from cell.explore import state
+from cell.explore.explore import stays_open
 from cell.explore.prepare import Exploring
 from cell.explore.reasons import BESIDE, NOT_TAKEN, SMALL, TRIED, StillOpen, closest, sentence
-from cell.explore.stage import EnoughError, plan_stage
-from cell.narrator import Quiet
 from cell.rays.prediction import held_out
 from cell.run import reader
 from cell.run.cell import RunCell, read_cell, world_of
@@ -44,7 +39,7 @@ def judged(work: Exploring, file: ExploreFile) -> dict[str, tuple[float, float]]
         work: what the exploration was begun with, its folder finished.
         file: its explore.json.
     """
-    said = _said(work, len(file.stages))
+    said = stays_open(work, file, work.paths.known(len(file.stages), work.unknown))
     if said is None:
         return {}
     true = _true(work, file, said)
@@ -55,22 +50,6 @@ def judged(work: Exploring, file: ExploreFile) -> dict[str, tuple[float, float]]
         areas = 1e6 * said.samples.areas
         found[sentence(code)] = area + float(areas[here].sum()), of_it + float(areas[here & true].sum())
     return found
-
-
-def _said(work: Exploring, stages: int) -> StillOpen | None:
-    """What was open after so many stages, and why."""
-    known = work.paths.known(stages, work.unknown)
-    believed = belief.part_of(known.believed, work.name)
-    with tempfile.TemporaryDirectory() as folder:
-        unseen = Path(folder) / "unseen.ply"
-        belief.write_unseen(known.space, unseen)
-        scene = belief.scene_of(work.scene, work.cylinder, believed, unseen)
-        asked = Asked(known.space, known.record, Batch(0), 0.0, ended="asked again")
-        try:
-            plan_stage(scene, believed, asked, Path(folder) / "again", Quiet())
-        except EnoughError as error:
-            return error.open
-    raise AssertionError("a batch without views is no plan")
 
 
 def _true(work: Exploring, file: ExploreFile, said: StillOpen) -> Bools:

@@ -28,10 +28,10 @@ class Asked:
     Attributes:
         space: what is known.
         record: what became of what was open before.
-        batch: what is asked for; no views: only why what is open stays open.
-        least_gain: share of the surface that it must be expected to add for each view.
+        batch: what is asked for; no views: why what is open stays open, of all that the part may be.
+        least_gain: share of what was measured that it must be expected to add for each view.
+        measured: area of the believed surface that was [m^2].
         came: how many times as much as expected came so far.
-        ended: why there is no further batch, where none is asked for.
         poses: (V, 4, 4) executed views, explored frame [m], where the measured surface is planned on; None: the
             believed one is.
     """
@@ -40,8 +40,8 @@ class Asked:
     record: Record
     batch: Batch
     least_gain: float
+    measured: float = 0.0
     came: float = 1.0
-    ended: str = ""
     poses: Annotated[Floats, "V 4 4"] | None = None
 
 

@@ -27,9 +27,9 @@ _BEYOND = 0.37  # of an edge: how far beyond voxels arm and housing keep away fr
 _BLOCK = 2  # edges: where a surface need not be tight, blocks of voxels do, with a quarter of the faces
 
 
-def surface_of(space: VoxelSpace) -> TriangleMesh:
-    """The believed surface [m]."""
-    return _about(space.low, space.edge, space.believed(), _TIGHT, _SMOOTH)
+def surface_of(space: VoxelSpace, *, whole: bool = False) -> TriangleMesh:
+    """The believed surface [m]; `whole` as in `VoxelSpace.believed`."""
+    return _about(space.low, space.edge, space.believed(whole=whole), _TIGHT, _SMOOTH)
 
 
 def part_of(surface: TriangleMesh, name: str, known: str = "believed") -> Workpiece:
@@ -37,9 +37,9 @@ def part_of(surface: TriangleMesh, name: str, known: str = "believed") -> Workpi
     return workpiece.made(f"{name} as {known}", surface)
 
 
-def rough(space: VoxelSpace) -> TriangleMesh:
-    """A surface of few faces about what is believed [m], before which candidates stand."""
-    return _about(space.low, _BLOCK * space.edge, _blocks(space.believed()), _ROUGH, _SMOOTH)
+def rough(space: VoxelSpace, *, whole: bool = False) -> TriangleMesh:
+    """A surface of few faces about what is believed [m], before which candidates stand; `whole` as in `surface_of`."""
+    return _about(space.low, _BLOCK * space.edge, _blocks(space.believed(whole=whole)), _ROUGH, _SMOOTH)
 
 
 def write_unseen(space: VoxelSpace, path: Path) -> None:

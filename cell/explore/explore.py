@@ -17,6 +17,7 @@ from cell.explore.execution import executed
 from cell.explore.options import EVERY_BATCH, ExploreOptions
 from cell.explore.policies import POLICIES, Batch, So
 from cell.explore.prepare import Exploring, Eye, begun, prepared
+from cell.explore.reasons import StillOpen
 from cell.explore.stage import EnoughError, plan_stage
 from cell.explore.state import Known, scans_of
 from cell.narrator import Narrator
@@ -40,10 +41,6 @@ LAST_STAGE = "merge and reconstruct"
 
 _OUTSIDE = 0.01
 """Share of a stage's points beyond the cylinder, or in space that was seen free, above which something is wrong."""
-
-_GUESSED = 1.5
-"""Times the least gain that a view of the believed surface must promise, where the measured one is asked after it: of
-what is believed last, half is not there."""
 
 _MISSED = 0.01
 """Share of what was measured, beyond the limits of sigma and spacing, above which a person is told."""
@@ -110,7 +107,7 @@ def _next(work: Exploring, file: ExploreFile) -> tuple[Batch, str]:
     return (Batch(0), "all batches of the policy were executed") if batch is None else (batch, "")
 
 
-_Planner = Callable[[Exploring, ExploreFile, Known, Batch, str], Path]
+_Planner = Callable[[Exploring, ExploreFile, Known, Batch], Path]
 
 
 def _planned(work: Exploring, file: ExploreFile, known: Known, batch: Batch, ended: str) -> Path:
@@ -119,10 +116,12 @@ def _planned(work: Exploring, file: ExploreFile, known: Known, batch: Batch, end
     The surface that the stage before was planned on comes first; where it is worth no further view, the other one.
 
     Raises:
-        EnoughError: if there is no batch, or none is worth its views; with what stays open of the believed surface.
+        EnoughError: if there is no batch, or none is worth its views; with what stays open of all that the part may be.
     """
     if (folder := work.paths.stage(len(file.stages) + 1)).is_dir():
         return folder
+    if batch.views == 0:
+        raise EnoughError(ended, stays_open(work, file, known))
     surfaces = [_on_believed, _on_measured] if batch.measured else [_on_believed]
     if file.stages and file.stages[-1].planned_on == MEASURED:
         surfaces.reverse()
@@ -130,22 +129,33 @@ def _planned(work: Exploring, file: ExploreFile, known: Known, batch: Batch, end
     for plan in surfaces:
         work.paths.clear(len(file.stages) + 1)
         try:
-            return plan(work, file, known, batch, ended)
+            return plan(work, file, known, batch)
         except EnoughError as error:
             enough[plan] = error
-    work.paths.clear(len(file.stages) + 1)
-    raise enough[_on_believed]
+    raise EnoughError(str(enough[_on_believed]), stays_open(work, file, known))
 
 
-def _on_believed(work: Exploring, file: ExploreFile, known: Known, batch: Batch, ended: str) -> Path:
+def stays_open(work: Exploring, file: ExploreFile, known: Known) -> StillOpen | None:
+    """What stays open of all that the part may be, and why; None where nothing does."""
+    number, asked = len(file.stages) + 1, Asked(known.space, known.record, Batch(0), 0.0)
+    work.paths.clear(number)
+    try:
+        _stage(work, asked, number, belief.part_of(belief.surface_of(known.space, whole=True), work.name))
+    except EnoughError as error:
+        work.paths.clear(number)
+        return error.open
+    raise AssertionError("a batch without views is no plan")
+
+
+def _on_believed(work: Exploring, file: ExploreFile, known: Known, batch: Batch) -> Path:
     """A stage's plan on the surface about all that was not seen free."""
     number = len(file.stages) + 1
-    least = work.options.least_gain * (_GUESSED if batch.measured else 1.0) if number > 1 else 0.0
-    asked = Asked(known.space, known.record, batch, least, _came(file), ended)
+    least = work.options.least_gain if number > 1 else 0.0
+    asked = Asked(known.space, known.record, batch, least, _measured_area(file), _came(file))
     return _stage(work, asked, number, belief.part_of(known.believed, work.name))
 
 
-def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch, ended: str) -> Path:
+def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch) -> Path:
     """A stage's plan on the surface of all points.
 
     Raises:
@@ -157,7 +167,7 @@ def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch,
         raise EnoughError("the points describe no surface")
     work.paths.measured(number).write_bytes(ply.written(surface))
     poses = np.stack([scan.T_reported for scan in scans])
-    asked = Asked(known.space, known.record, batch, work.options.least_gain, ended=ended, poses=poses)
+    asked = Asked(known.space, known.record, batch, work.options.least_gain, _measured_area(file), poses=poses)
     return _stage(work, asked, number, belief.part_of(surface, work.name, MEASURED))
 
 
@@ -167,6 +177,11 @@ def _stage(work: Exploring, asked: Asked, number: int, surface: Workpiece) -> Pa
     scene = specification.without(work.scene) if asked.batch.rough else work.scene
     scene = belief.scene_of(scene, work.cylinder, surface, paths.unseen(number))
     return plan_stage(scene, surface, asked, paths.stage(number), work.narrator)
+
+
+def _measured_area(file: ExploreFile) -> float:
+    """Area of the believed surface that was measured [m^2]."""
+    return 1e-6 * (file.stages[-1].surface_mm2 - file.stages[-1].open_mm2) if file.stages else 0.0
 
 
 def _came(file: ExploreFile) -> float:

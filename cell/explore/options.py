@@ -69,7 +69,7 @@ class ExploreOptions(Table):
         Positive,
         Field(lt=1),
         Option(
-            "Share of the believed surface that a batch must be expected to add for each of its views.",
+            "Share of the surface measured so far that a batch must be expected to add for each of its views.",
             _EXPLORE,
             metavar="SHARE",
         ),

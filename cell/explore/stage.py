@@ -4,7 +4,7 @@ The run folder that comes out is proven, driven and read back as any other. Its 
 surface which the batch is asked for, the rows of its matrix (`cell.explore.asked`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -106,11 +106,10 @@ def _steps(run: Run, job: Job, asked: Asked) -> int:
             candidates = join_viewpoints([candidates, grown])
         plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
         plan_files.write_reach(run.folder, reached)
-    explained = _explained(asked, scouts, candidates, reached, scanner, casters)
-    if not reached.reachable.any():
-        raise EnoughError("the arm reaches no view of what is open", explained())
     if asked.batch.views == 0:
-        raise EnoughError(asked.ended, explained())
+        raise EnoughError("no batch is asked for", _explained(asked, scouts, candidates, reached, scanner, casters))
+    if not reached.reachable.any():
+        raise EnoughError("the arm reaches no view of what is open")
     with run.step("measurability") as progress:
         usable = np.flatnonzero(reached.reachable)
         M, scanner = steps.columns(run, job, surface, casters, pick_viewpoints(candidates, usable), progress)
@@ -123,9 +122,9 @@ def _steps(run: Run, job: Job, asked: Asked) -> int:
     try:
         problem, chosen = _connected(run, problem, surface, asked)
     except UnreachableError as error:
-        raise EnoughError(str(error), explained()) from error
-    if told := _too_little(chosen, surface, asked):
-        raise EnoughError(told, explained())
+        raise EnoughError(str(error)) from error
+    if told := _too_little(chosen, asked):
+        raise EnoughError(told)
     _finish(run, job, surface, problem, chosen)
     return 0
 
@@ -138,7 +137,9 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
     """
     with run.step("decimate and sample"):
         reference = job.part.reference
-        planning = decimate(belief.rough(asked.space) if asked.poses is None else reference, job.settings.faces)
+        whole = asked.batch.views == 0
+        stood_before = belief.rough(asked.space, whole=whole) if asked.poses is None else reference
+        planning = decimate(stood_before, job.settings.faces)
         plan_files.write_meshes(run.folder, reference, planning)
         caster, scanner = EmbreeRayCaster(reference.vertices, reference.faces), limited(job.scene, job.scanner)
         rows, scouts = (
@@ -157,7 +158,7 @@ def _connected(run: Run, problem: Problem, surface: PartSurface, asked: Asked) -
     """Steps 6 to 8; views that cannot be connected are replaced by those that measure the most."""
     batch = asked.batch
     if not batch.per_second or batch.views is None:
-        return steps.connect(run, _worth(problem, surface, asked) if asked.least_gain else problem, surface)
+        return steps.connect(run, _worth(problem, asked) if asked.least_gain else problem, surface)
     with run.step("select, order and connect") as progress:
         M, reached, plan, rng = problem.M, problem.reached, problem.request.plan, run.rng(steps.SELECTION)
         seconds = seconds_of_views(plan, reached, problem.world.home, problem.limits)
@@ -171,10 +172,10 @@ def _connected(run: Run, problem: Problem, surface: PartSurface, asked: Asked) -
         )
 
 
-def _worth(problem: Problem, surface: PartSurface, asked: Asked) -> Problem:
+def _worth(problem: Problem, asked: Asked) -> Problem:
     """The problem for no more views than greedily each add the least gain."""
     M, usable = problem.M, problem.usable(())
-    least = asked.least_gain * float(surface.reference.areas.sum())
+    least = asked.least_gain * asked.measured
     most = len(usable) if asked.batch.views is None else asked.batch.views
     gains = asked.came * M.features.areas
     views = len(most_per_second(M.matrix(), gains, np.ones(len(usable)), usable, most, least))
@@ -182,13 +183,13 @@ def _worth(problem: Problem, surface: PartSurface, asked: Asked) -> Problem:
     return replace(problem, request=replace(problem.request, plan=plan))
 
 
-def _too_little(chosen: ConnectedPlan, surface: PartSurface, asked: Asked) -> str:
+def _too_little(chosen: ConnectedPlan, asked: Asked) -> str:
     """Why a batch is not worth its views; "" where it is."""
-    expected = asked.came * chosen.cover.covered_area / len(chosen.cover.views) / float(surface.reference.areas.sum())
-    if asked.batch.whole or expected >= asked.least_gain:
+    each = asked.came * chosen.cover.covered_area / len(chosen.cover.views)
+    if asked.batch.whole or each >= asked.least_gain * asked.measured:
         return ""
     return (
-        f"a further view is expected to add {100 * expected:.3f} % of the believed surface, less than the "
+        f"a further view is expected to add {100 * each / asked.measured:.3f} % of what was measured, less than the "
         f"{100 * asked.least_gain:g} % asked for"
     )
 
@@ -196,18 +197,12 @@ def _too_little(chosen: ConnectedPlan, surface: PartSurface, asked: Asked) -> st
 def _explained(
     asked: Asked, scouts: SurfaceSamples, candidates: Viewpoints, reached: Reach, scanner: Scanner,
     casters: Sequence[RayCaster],
-) -> Callable[[], StillOpen | None]:  # fmt: skip
-    """Gives what is open with the reasons why it stays open; None for what is measured, of which views say nothing."""
-
-    def reasons_now() -> StillOpen | None:
-        if asked.poses is not None:
-            return None
-        left = pick_samples(scouts, ~asked.space.seen(scouts.points, scouts.normals))
-        of = asked.space.open_at(left.points)
-        left = replace(left, areas=left.areas / asked.record.weights(of))
-        return still_open(left, of, candidates, reached, scanner, casters)
-
-    return reasons_now
+) -> StillOpen:  # fmt: skip
+    """What is open with the reasons why it stays open."""
+    left = pick_samples(scouts, ~asked.space.seen(scouts.points, scouts.normals))
+    of = asked.space.open_at(left.points)
+    left = replace(left, areas=left.areas / asked.record.weights(of))
+    return still_open(left, of, candidates, reached, scanner, casters)
 
 
 def _finish(run: Run, job: Job, surface: PartSurface, problem: Problem, chosen: ConnectedPlan) -> None:

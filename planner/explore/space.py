@@ -170,17 +170,20 @@ class VoxelSpace(Value):
         far = ~ndimage.binary_dilation(self.state != FREE, _ALL_ROUND)
         return float(self.at(points, far & self._within(0.0)).mean()) if len(points) else 0.0
 
-    def believed(self) -> Bools:
+    def believed(self, *, whole: bool = False) -> Bools:
         """(X, Y, Z) where the part is believed to be: not free, not voted down, in one piece with a point of it.
 
         A part, or each body of it, that was hit hangs together; what hangs together with nothing that was hit is space
         that no leg has crossed yet. It goes on `_BOX` and `_STEPS` behind what was measured, and where that encloses
         space no leg enters it. Before the first point it is the middle of the cylinder, `_LIKELY`.
+
+        Args:
+            whole: however far it is from what was measured: where the part may be at most.
         """
         if not (self.state == OCCUPIED).any():
             return self._cylinder(_LIKELY * self.radius, _LIKELY * self.height / 2)
         about = ndimage.maximum_filter((self.state == OCCUPIED).view(np.uint8), 2 * _BOX + 1)
-        near = ndimage.binary_dilation(about, iterations=_STEPS)
+        near = whole | ndimage.binary_dilation(about, iterations=_STEPS)
         solid = (self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0) & near)
         labels, count = ndimage.label(solid, _ALL_ROUND)
         hit = np.zeros(count + 1, dtype=np.bool_)
