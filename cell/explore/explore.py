@@ -181,7 +181,7 @@ def _stage(work: Exploring, asked: Asked, number: int, surface: Workpiece) -> Pa
 
 def _measured_area(file: ExploreFile) -> float:
     """Area of the believed surface that was measured [m^2]."""
-    return 1e-6 * (file.stages[-1].surface_mm2 - file.stages[-1].open_mm2) if file.stages else 0.0
+    return 1e-6 * file.stages[-1].measured_mm2 if file.stages else 0.0
 
 
 def _came(file: ExploreFile) -> float:

@@ -42,12 +42,17 @@ class ExploredStage(JsonTable):
     open_mm2: float = Field(description="of that, without a measured point beside it")
     never_entered_mm3: float = Field(description="of the cylinder, by any ray; the part's inside is of it")
 
+    @property
+    def measured_mm2(self) -> float:
+        """Of the surface that was believed after it, with a measured point beside it."""
+        return self.surface_mm2 - self.open_mm2
+
 
 class OpenReason(JsonTable):
     """Believed surface that stays open for one reason."""
 
     reason: str = Field(description="at which the closest candidate view fails")
-    area_mm2: float = Field(description="of the believed surface")
+    area_mm2: float = Field(description="of the surface of all that the part may be")
 
 
 class BoundAt(JsonTable):
@@ -119,7 +124,8 @@ class ExploreFile(JsonTable):
             ("views", f"{self.views} in {len(self.stages)} batches ({self.policy})"),
             ("motion", f"{sum(stage.seconds for stage in self.stages):.1f} s"),
             ("ended", self.ended),
-            ("stays open", f"{100 * last.open_mm2 / last.surface_mm2:.2f} % of the believed surface"),
+            ("measured", f"{last.measured_mm2 / 100:.1f} cm2 of surface"),
+            ("stays open", f"{sum(reason.area_mm2 for reason in self.open) / 100:.1f} cm2 of all that the part may be"),
         ]
         rows.append(("never entered", f"{last.never_entered_mm3 / 1000:.1f} cm3 of the cylinder, by any ray"))
         rows += [("", f"{reason.area_mm2:.0f} mm2: {reason.reason}") for reason in self.open[:4]]

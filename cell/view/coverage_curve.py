@@ -37,10 +37,11 @@ def draw(path: Path, file: ExploreFile, size: tuple[float, float] = (7.2, 4.6)) 
         _draw_truth(axes, file.truth)
     else:
         views = np.cumsum([0, *(stage.views for stage in file.stages)])
-        shares = [0.0, *(100 * (1 - stage.open_mm2 / stage.surface_mm2) for stage in file.stages)]
-        axes.plot(views, shares, "o-", color=BLUE, ms=4, lw=1.2, label="measured of what was believed by then")
-        axes.set_ylabel("measured [% of the believed surface]")
-    axes.set(xlabel="number of views", ylim=(0, 103), xlim=(0, max(file.views, 1)))
+        areas = [0.0, *(stage.measured_mm2 / 100 for stage in file.stages)]
+        axes.plot(views, areas, "o-", color=BLUE, ms=4, lw=1.2, label="surface with a measured point beside it")
+        axes.set_ylabel("measured [cm$^2$]")
+        axes.set_ylim(0, None)
+    axes.set(xlabel="number of views", xlim=(0, max(file.views, 1)))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(alpha=0.3)
     figure.legend(loc="outside lower center", fontsize=8, ncols=1 if size[0] < _WIDE else 2, frameon=False)
@@ -62,4 +63,4 @@ def _draw_truth(axes: "Axes", known: Truth) -> None:
     axes.plot(n, found, "-", color=ORANGE, lw=1, label="best views found, the model being known")
     shares = 100 * np.array([0.0, *known.by_views])
     axes.plot(range(len(shares)), shares, "o-", color=BLUE, ms=4, lw=1.2, label="explored")
-    axes.set_ylabel("visible coverage [% of the true surface]")
+    axes.set(ylabel="visible coverage [% of the true surface]", ylim=(0, 103))
