@@ -16,6 +16,7 @@ from cell.explore.policies import Batch
 from cell.explore.stage import EnoughError
 from cell.explore.state import Paths
 from cell.rays.embree import EmbreeRayCaster
+from cell.run import ply
 from cell.run.explore_json import BELIEVED, MEASURED
 from cell.scanners.laser_area import LaserArea
 from planner.explore.gain import Record
@@ -163,6 +164,45 @@ def test_the_surface_of_the_stage_before_comes_first_and_then_the_other(
         assert paths.measured(2).exists() == (ends == MEASURED)
         assert paths.unseen(2).exists()
     assert planners.asked == asked
+
+
+def test_each_surface_is_planned_for_what_is_known_of_it(
+    balls: TriangleMesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The measured one from the executed poses, its surface kept; the believed one with what came of batches on it.
+
+    The least gain holds for both, but for the first batch, of which nothing is known.
+    """
+    scans = [SimpleNamespace(T_reported=T) for T in _poses()]
+    monkeypatch.setattr(explore, "scans_of", lambda paths, stages: scans[: len(stages)])
+    monkeypatch.setattr(explore.report, "surface_of", lambda scans: balls)
+    monkeypatch.setattr(explore, "_stage", lambda work, asked, number, part: (asked, number, part))
+    (tmp_path / "stages").mkdir()
+    work: Any = SimpleNamespace(paths=Paths(tmp_path), options=SimpleNamespace(least_gain=0.25), name="balls")
+    known: Any = SimpleNamespace(space=UNKNOWN, record=Record.empty(), believed=balls)
+    stages = [SimpleNamespace(expected_mm2=1.0, new_mm2=3.0, planned_on=BELIEVED)] * 2
+    file, first = SimpleNamespace(stages=stages), SimpleNamespace(stages=[])
+    believed: Any = explore._on_believed(work, file, known, Batch(1), "why")
+    assert (believed[0].poses, believed[0].least_gain, believed[0].came, believed[0].ended) == (None, 0.25, 2.0, "why")
+    assert (believed[1], believed[2].name) == (3, "balls as believed")
+    assert not work.paths.measured(3).exists()
+    begun: Any = explore._on_believed(work, first, known, Batch(1), "")
+    assert (begun[0].least_gain, begun[0].came, begun[1]) == (0.0, 1.0, 1)
+    on: Any = explore._on_measured(work, file, known, Batch(1), "why")
+    assert np.array_equal(on[0].poses, _poses()[:2])
+    assert (on[0].least_gain, on[0].came, on[0].ended) == (0.25, 1.0, "why")
+    assert (on[1], on[2].name, on[2].reference) == (3, "balls as measured", balls)
+    assert work.paths.measured(3).read_bytes() == ply.written(balls)
+
+
+def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There is no further view then, and no file."""
+    monkeypatch.setattr(explore, "scans_of", lambda paths, stages: ())
+    monkeypatch.setattr(explore.report, "surface_of", lambda scans: None)
+    work: Any = SimpleNamespace(paths=Paths(tmp_path))
+    with pytest.raises(EnoughError, match="describe no surface"):
+        explore._on_measured(work, SimpleNamespace(stages=[None]), None, Batch(1), "")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:

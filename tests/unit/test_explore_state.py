@@ -106,6 +106,16 @@ def test_limits_hold_in_the_fine_stage_alone() -> None:
     assert POLICIES["two-stage"](ExploreOptions(), So(3, None)) is None
 
 
+def test_stepwise_begins_with_one_view_and_plans_on_what_was_measured_after_it() -> None:
+    """Or with as many as are asked for; two stages begin with six, and plan on what is believed alone."""
+    first = {name: policy(ExploreOptions(), So(0, None)) for name, policy in POLICIES.items()}
+    assert first == {"stepwise": Batch(1), "two-stage": Batch(6, rough=True)}
+    assert POLICIES["stepwise"](ExploreOptions(ring=4), So(0, None)) == Batch(4)
+    assert POLICIES["stepwise"](ExploreOptions(ring=4), So(0, 2)) == Batch(2)
+    later = {name: policy(ExploreOptions(batch=3), So(1, 9)) for name, policy in POLICIES.items()}
+    assert later == {"stepwise": Batch(3, per_second=True, measured=True), "two-stage": Batch(9)}
+
+
 def test_what_the_model_misses_of_the_limits() -> None:
     """A square seen from one place: of it lies beyond a limit of spacing what the law of the grid's tangents says."""
     square = trimesh.creation.box((0.08, 0.08, 0.002))
