@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from benchmarks.triangle_cell import TriangleCell
 from cell.errors import FileError
@@ -209,6 +210,7 @@ def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(on_
         assert surface is not None
         assert paths.measured(number).read_bytes() == ply.written(surface)
         assert reader.mesh(run, "reference.ply").areas.sum() == pytest.approx(surface.areas.sum(), rel=1e-6)
+        assert cKDTree(surface.vertices).query(reader.mesh(run, "planning.ply").vertices)[0].max() < 0.005
         M, plan = reader.measurability(run), reader.plan(run)
         cell = read_cell(run)
         poses = np.stack([scan.T_reported for scan in scans])[:, None]
