@@ -153,6 +153,7 @@ def test_the_surface_of_the_stage_before_comes_first_and_then_the_other(
     (tmp_path / "stages").mkdir()
     monkeypatch.setattr(explore, "_on_believed", planners.on(BELIEVED))
     monkeypatch.setattr(explore, "_on_measured", planners.on(MEASURED))
+    monkeypatch.setattr(explore, "stays_open", lambda work, *_: work.paths.clear(2))
     file, batch = SimpleNamespace(stages=[SimpleNamespace(planned_on=before)]), Batch(1, measured=measured)
     given: Any = (SimpleNamespace(paths=paths), file, None, batch, "")
     if ends is None:
@@ -180,17 +181,18 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     (tmp_path / "stages").mkdir()
     work: Any = SimpleNamespace(paths=Paths(tmp_path), options=SimpleNamespace(least_gain=0.25), name="balls")
     known: Any = SimpleNamespace(space=UNKNOWN, record=Record.empty(), believed=balls)
-    stages = [SimpleNamespace(expected_mm2=1.0, new_mm2=3.0, planned_on=BELIEVED)] * 2
+    stages = [SimpleNamespace(expected_mm2=1.0, new_mm2=3.0, measured_mm2=7.0, planned_on=BELIEVED)] * 2
     file, first = SimpleNamespace(stages=stages), SimpleNamespace(stages=[])
-    believed: Any = explore._on_believed(work, file, known, Batch(1), "why")
-    assert (believed[0].poses, believed[0].least_gain, believed[0].came, believed[0].ended) == (None, 0.25, 2.0, "why")
+    believed: Any = explore._on_believed(work, file, known, Batch(1))
+    assert (believed[0].poses, believed[0].least_gain, believed[0].came) == (None, 0.25, 2.0)
+    assert believed[0].measured == pytest.approx(7e-6)
     assert (believed[1], believed[2].name) == (3, "balls as believed")
     assert not work.paths.measured(3).exists()
-    begun: Any = explore._on_believed(work, first, known, Batch(1), "")
+    begun: Any = explore._on_believed(work, first, known, Batch(1))
     assert (begun[0].least_gain, begun[0].came, begun[1]) == (0.0, 1.0, 1)
-    on: Any = explore._on_measured(work, file, known, Batch(1), "why")
+    on: Any = explore._on_measured(work, file, known, Batch(1))
     assert np.array_equal(on[0].poses, _poses()[:2])
-    assert (on[0].least_gain, on[0].came, on[0].ended) == (0.25, 1.0, "why")
+    assert (on[0].least_gain, on[0].came) == (0.25, 1.0)
     assert (on[1], on[2].name, on[2].reference) == (3, "balls as measured", balls)
     assert work.paths.measured(3).read_bytes() == ply.written(balls)
 
@@ -201,7 +203,7 @@ def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, mo
     monkeypatch.setattr(explore.report, "surface_of", lambda scans: None)
     work: Any = SimpleNamespace(paths=Paths(tmp_path))
     with pytest.raises(EnoughError, match="describe no surface"):
-        explore._on_measured(work, SimpleNamespace(stages=[None]), None, Batch(1), "")
+        explore._on_measured(work, SimpleNamespace(stages=[None]), None, Batch(1))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -163,10 +163,9 @@ def test_batches_that_brought_nothing_ask_for_one_view_at_most() -> None:
     """Nothing is expected of the next one then, and it is one view that is told to be too little."""
     M = SimpleNamespace(matrix=lambda: csr_array(np.eye(3, dtype=bool)), features=SimpleNamespace(areas=np.ones(3)))
     problem = Stub(M, Request(PlanSettings()), lambda _: np.ones(3, dtype=bool))
-    surface = SimpleNamespace(reference=SimpleNamespace(areas=np.ones(3)))
     for came, views in ((1.0, 3), (0.0, 1)):
-        asked = stage.Asked(None, None, Batch(None), 0.01, came)
-        assert stage._worth(problem, surface, asked).request.plan.max_views == views
+        asked = stage.Asked(None, None, Batch(None), 0.01, 3.0, came)
+        assert stage._worth(problem, asked).request.plan.max_views == views
 
 
 def test_what_came_is_held_against_what_was_expected() -> None:
