@@ -94,6 +94,8 @@ def truth_of(truth: Path, hidden: Hidden, explored: Explored) -> Truth:
     reached = float(by_views[-1])
     points = parsed(_Curve, artefact(run, "curve.json"), truth / "curve.json").points
     fewest, found = _fewest(run, reached)
+    most = min(reached, max(point.upper_bound for point in points))
+    fewest = max(fewest, min(point.n_views for point in points if point.upper_bound >= most))
     nearest, between = _nearest(run.folder, explored.stages)
     return Truth(
         visible=reached,
@@ -103,21 +105,22 @@ def truth_of(truth: Path, hidden: Hidden, explored: Explored) -> Truth:
         coverable=report.coverage.coverable,
         fewest=fewest,
         fewest_found=found,
-        bound=_bound(points, reached, fewest),
+        bound=_bound(points, reached, fewest, found),
         nearest_mm=round(1000 * nearest, 4),
         nearest=between,
     )
 
 
-def _bound(points: Sequence[_Point], reached: float, fewest: int) -> tuple[BoundAt, ...]:
-    """The curve, and that fewer views than the fewest do not measure as much as was reached."""
+def _bound(points: Sequence[_Point], reached: float, fewest: int, found: int) -> tuple[BoundAt, ...]:
+    """The curve, and that fewer views than the fewest do not measure as much as was reached, and those found do."""
+    at = ((point, min(point.upper_bound, reached)) for point in points)
     return tuple(
         BoundAt(
-            views=p.n_views,
-            found=p.covered,
-            at_most=p.upper_bound if p.n_views >= fewest else max(p.covered, min(p.upper_bound, reached)),
+            views=point.n_views,
+            found=point.covered if point.n_views < found else max(point.covered, likewise),
+            at_most=point.upper_bound if point.n_views >= fewest else max(point.covered, likewise),
         )
-        for p in points
+        for point, likewise in at
     )
 
 

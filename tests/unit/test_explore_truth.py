@@ -56,15 +56,19 @@ def test_more_than_all_that_is_measured_takes_what_all_takes(planned: Path) -> N
 
 
 def test_fewer_views_than_the_fewest_measure_no_more_than_was_reached() -> None:
-    """The bound of the curve holds for as many and more; it is never raised, and never below what was found."""
+    """The bound of the curve holds for as many and more; it is never raised, and never below what was found.
+
+    As many as were found to suffice measure as much.
+    """
     curve = [(0, 0.0, 0.0), (1, 0.3, 0.35), (2, 0.6, 0.7), (3, 0.7, 0.85), (4, 0.8, 0.9), (5, 0.82, 0.9)]
     points = [_Point(n_views=n, covered=found, upper_bound=most) for n, found, most in curve]
     reached, fewest = 0.75, 4
-    bound = _bound(points, reached, fewest)
+    bound = _bound(points, reached, fewest, 4)
     assert [(at.views, at.found) for at in bound] == [(n, found) for n, found, _ in curve]
+    assert [at.found for at in _bound(points, reached, 3, 3)] == [0.0, 0.3, 0.6, 0.75, 0.8, 0.82]
     assert [at.at_most for at in bound] == [0.0, 0.35, 0.7, 0.75, 0.9, 0.9]
-    assert [at.at_most for at in _bound(points, 0.7 - 1e-12, fewest)] == [0.0, 0.35, 0.7 - 1e-12, 0.7, 0.9, 0.9]
-    assert [at.at_most for at in _bound(points, 1.0, 6)] == [most for _, _, most in curve]
+    assert [at.at_most for at in _bound(points, 0.7 - 1e-12, fewest, 4)] == [0.0, 0.35, 0.7 - 1e-12, 0.7, 0.9, 0.9]
+    assert [at.at_most for at in _bound(points, 1.0, 6, 6)] == [most for _, _, most in curve]
 
 
 @pytest.mark.parametrize(("least", "found", "told"), [(5, 5, "5, proven, for"), (4, 6, "4 at least for")])
