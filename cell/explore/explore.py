@@ -172,6 +172,7 @@ def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch)
 
 
 def _stage(work: Exploring, asked: Asked, number: int, surface: Workpiece) -> Path:
+    """A stage's plan on a surface, arm and housing out of all that was not seen free."""
     paths = work.paths
     belief.write_unseen(asked.space, paths.unseen(number))
     scene = specification.without(work.scene) if asked.batch.rough else work.scene

@@ -137,9 +137,10 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
     """
     with run.step("decimate and sample"):
         reference = job.part.reference
-        whole = asked.batch.views == 0
-        stood_before = belief.rough(asked.space, whole=whole) if asked.poses is None else reference
-        planning = decimate(stood_before, job.settings.faces)
+        if asked.poses is None:
+            planning = decimate(belief.rough(asked.space, whole=asked.batch.views == 0), job.settings.faces)
+        else:
+            planning = decimate(reference, job.settings.faces)
         plan_files.write_meshes(run.folder, reference, planning)
         caster, scanner = EmbreeRayCaster(reference.vertices, reference.faces), limited(job.scene, job.scanner)
         rows, scouts = (
