@@ -18,11 +18,11 @@ from planner.explore.space import VoxelSpace
 from planner.measurability.matrix import measured
 from planner.ports import RayCaster, Scanner
 from planner.surface.sample import SurfaceSamples
-from planner.values import Floats
+from planner.values import Floats, Value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Asked:
+class Asked(Value):
     """What a stage is planned for.
 
     Attributes:
