@@ -30,7 +30,7 @@ class Asked(Value):
         record: what became of what was open before.
         batch: what is asked for; no views: why what is open stays open, of all that the part may be.
         least_gain: share of what was measured that it must be expected to add for each view.
-        measured: area of the believed surface that was [m^2].
+        measured_area: of the believed surface, with a measured point beside it [m^2].
         came: how many times as much as expected came so far.
         poses: (V, 4, 4) executed views, explored frame [m], where the measured surface is planned on; None: the
             believed one is.
@@ -40,7 +40,7 @@ class Asked(Value):
     record: Record
     batch: Batch
     least_gain: float
-    measured: float = 0.0
+    measured_area: float = 0.0
     came: float = 1.0
     poses: Annotated[Floats, "V 4 4"] | None = None
 

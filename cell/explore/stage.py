@@ -176,7 +176,7 @@ def _connected(run: Run, problem: Problem, surface: PartSurface, asked: Asked) -
 def _worth(problem: Problem, asked: Asked) -> Problem:
     """The problem for no more views than greedily each add the least gain."""
     M, usable = problem.M, problem.usable(())
-    least = asked.least_gain * asked.measured
+    least = asked.least_gain * asked.measured_area
     most = len(usable) if asked.batch.views is None else asked.batch.views
     gains = asked.came * M.features.areas
     views = len(most_per_second(M.matrix(), gains, np.ones(len(usable)), usable, most, least))
@@ -187,11 +187,11 @@ def _worth(problem: Problem, asked: Asked) -> Problem:
 def _too_little(chosen: ConnectedPlan, asked: Asked) -> str:
     """Why a batch is not worth its views; "" where it is."""
     each = asked.came * chosen.cover.covered_area / len(chosen.cover.views)
-    if asked.batch.whole or each >= asked.least_gain * asked.measured:
+    if asked.batch.whole or each >= asked.least_gain * asked.measured_area:
         return ""
     return (
-        f"a further view is expected to add {100 * each / asked.measured:.3f} % of what was measured, less than the "
-        f"{100 * asked.least_gain:g} % asked for"
+        f"a further view is expected to add {100 * each / asked.measured_area:.3f} % of what was measured, less than "
+        f"the {100 * asked.least_gain:g} % asked for"
     )
 
 

@@ -36,8 +36,8 @@ MOST_VOXELS = 8_000_000
 
 _BOX, _STEPS = 3, 5
 """Edges behind what was measured to which the part is believed to go on, a box and steps to face neighbours about it:
-eight in all, as a ball would be to within 3 %, in a tenth of its time. Farther off the part may be anywhere in what no
-leg crossed, or nowhere, and a surface about all of that hides from the planning what lies between."""
+eight along each axis, nine at most, nearly a ball in a tenth of its time. Farther off the part may be anywhere in what
+no leg crossed, or nowhere, and a surface about all of that hides from the planning what lies between."""
 
 _PADDING = 3  # free voxels about the cylinder, so that surfaces about what is not free are closed
 _LIKELY = 0.6  # of the cylinder: a view for this much of it looks deep into it, where the part's surface may be
@@ -182,9 +182,10 @@ class VoxelSpace(Value):
         """
         if not (self.state == OCCUPIED).any():
             return self._cylinder(_LIKELY * self.radius, _LIKELY * self.height / 2)
-        about = ndimage.maximum_filter((self.state == OCCUPIED).view(np.uint8), 2 * _BOX + 1)
-        near = whole | ndimage.binary_dilation(about, iterations=_STEPS)
-        solid = (self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0) & near)
+        solid = (self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0))
+        if not whole:
+            about = ndimage.maximum_filter((self.state == OCCUPIED).view(np.uint8), 2 * _BOX + 1)
+            solid &= ndimage.binary_dilation(about, iterations=_STEPS)
         labels, count = ndimage.label(solid, _ALL_ROUND)
         hit = np.zeros(count + 1, dtype=np.bool_)
         hit[labels[self.state == OCCUPIED]] = True

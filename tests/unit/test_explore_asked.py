@@ -185,7 +185,7 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     file, first = SimpleNamespace(stages=stages), SimpleNamespace(stages=[])
     believed: Any = explore._on_believed(work, file, known, Batch(1))
     assert (believed[0].poses, believed[0].least_gain, believed[0].came) == (None, 0.25, 2.0)
-    assert believed[0].measured == pytest.approx(7e-6)
+    assert believed[0].measured_area == pytest.approx(7e-6)
     assert (believed[1], believed[2].name) == (3, "balls as believed")
     assert not work.paths.measured(3).exists()
     begun: Any = explore._on_believed(work, first, known, Batch(1))
