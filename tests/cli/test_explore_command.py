@@ -64,6 +64,7 @@ def test_the_file_says_what_was_done(explored: Path) -> None:
         assert stage.digest == run.digest
         assert stage.views == len(reader.plan(run).views)
     measured = [stage.surface_mm2 - stage.open_mm2 for stage in file.stages]
+    assert [stage.measured_mm2 for stage in file.stages] == pytest.approx(measured)
     assert file.stages[0].new_mm2 == pytest.approx(measured[0], abs=0.01)
     assert all(0 < stage.new_mm2 < all_of_it for stage, all_of_it in zip(file.stages[1:], measured[1:], strict=True))
     printed = json.loads((explored.parent / "stdout").read_text())

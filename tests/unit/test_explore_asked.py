@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.explore import explore
+from cell.explore import belief, explore
 from cell.explore.asked import Asked, probable, wanted
 from cell.explore.policies import Batch
 from cell.explore.stage import EnoughError
@@ -20,7 +20,7 @@ from cell.run import ply
 from cell.run.explore_json import BELIEVED, MEASURED
 from cell.scanners.laser_area import LaserArea
 from planner.explore.gain import Record
-from planner.explore.space import VoxelSpace
+from planner.explore.space import OCCUPIED, VoxelSpace
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
 from planner.values import Bools, Floats
@@ -195,6 +195,28 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     assert (on[0].least_gain, on[0].came) == (0.25, 1.0)
     assert (on[1], on[2].name, on[2].reference) == (3, "balls as measured", balls)
     assert work.paths.measured(3).read_bytes() == ply.written(balls)
+
+
+def test_what_stays_open_is_of_all_that_the_part_may_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However deep it lies behind what was measured; nothing of that planning is left."""
+    middle, rim = tuple(size // 2 for size in UNKNOWN.state.shape), np.array(UNKNOWN.state)
+    rim[middle] = OCCUPIED
+    space, told, paths = replace(UNKNOWN, state=rim), SimpleNamespace(), Paths(tmp_path)
+    (tmp_path / "stages").mkdir()
+
+    def stage(work: Any, asked: Any, number: int, part: Any) -> None:
+        work.paths.unseen(number).touch()
+        whole = belief.surface_of(space, whole=True)
+        assert asked.batch == Batch(0)
+        assert np.array_equal(part.reference.vertices, whole.vertices)
+        assert whole.areas.sum() > 2 * belief.surface_of(space).areas.sum()
+        raise EnoughError("", told)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(explore, "_stage", stage)
+    given: Any = (SimpleNamespace(paths=paths, name="ball"), SimpleNamespace(stages=[]))
+    known: Any = SimpleNamespace(space=space, record=Record.empty())
+    assert explore.stays_open(*given, known) is told
+    assert list((tmp_path / "stages").iterdir()) == []
 
 
 def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

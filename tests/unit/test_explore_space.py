@@ -306,6 +306,8 @@ def test_the_part_is_believed_to_go_eight_edges_behind_what_was_measured() -> No
     middle = believed[space.state.shape[0] // 2, space.state.shape[1] // 2]
     assert np.flatnonzero(middle).tolist() == list(range(22, 31))
     assert not believed[:, :, :22].any()
+    whole = replace(space, state=state).believed(whole=True)
+    assert np.array_equal(whole, state != FREE)
 
 
 def test_what_a_closed_surface_encloses_is_believed_however_deep() -> None:
