@@ -4,7 +4,7 @@
 the batch is executed on the part that stands there, and its rays change what is believed.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,9 +76,8 @@ def explore(
         known = work.paths.known(len(file.stages), work.unknown)
         while file.status != "finished":
             number = len(file.stages) + 1
-            batch, ended = _next(work, file)
             try:
-                folder = _planned(work, file, known, batch, ended)
+                folder = _planned(work, file, known, *_next(work, file))
             except EnoughError as error:
                 file = _finished(work, file, str(error), () if error.open is None else error.open.by_area())
                 break
@@ -94,45 +93,36 @@ def explore(
     return file
 
 
-def _next(work: Exploring, file: ExploreFile) -> tuple[Batch, str]:
-    """The next batch; one without views, and why there is none."""
+def _next(work: Exploring, file: ExploreFile) -> tuple[Sequence[Batch], str]:
+    """The next batches, of which the first is taken that is worth its views; none, and why there is none."""
     budget, limit = work.scene.plan.max_views, work.options.max_seconds
     left = None if budget is None else budget - file.views
     if left is not None and left <= 0:
-        return Batch(0), f"the {budget} views of the budget are used up"
+        return (), f"the {budget} views of the budget are used up"
     seconds = sum(stage.seconds for stage in file.stages)
     if limit is not None and seconds >= limit:
-        return Batch(0), f"the {limit:g} s of motion of the budget are used up"
-    batch = POLICIES[work.options.policy](work.options, So(len(file.stages), left, specification.asked(work.scene)))
-    return (Batch(0), "all batches of the policy were executed") if batch is None else (batch, "")
+        return (), f"the {limit:g} s of motion of the budget are used up"
+    on = file.stages[-1].planned_on if file.stages else BELIEVED
+    so = So(len(file.stages), left, specification.asked(work.scene), on)
+    return POLICIES[work.options.policy](work.options, so), "all batches of the policy were executed"
 
 
-_Planner = Callable[[Exploring, ExploreFile, Known, Batch], Path]
-
-
-def _planned(work: Exploring, file: ExploreFile, known: Known, batch: Batch, ended: str) -> Path:
+def _planned(work: Exploring, file: ExploreFile, known: Known, batches: Sequence[Batch], ended: str) -> Path:
     """The run folder of a stage's plan; one that finished before the exploration was stopped is taken.
 
-    The surface that the stage before was planned on comes first; where it is worth no further view, the other one.
-
     Raises:
-        EnoughError: if there is no batch, or none is worth its views; with what stays open of all that the part may be.
+        EnoughError: if no batch is worth its views: why the last on the believed surface is not, and what stays open.
     """
     if (folder := work.paths.stage(len(file.stages) + 1)).is_dir():
         return folder
-    if batch.views == 0:
-        raise EnoughError(ended, stays_open(work, file, known))
-    surfaces = [_on_believed, _on_measured] if batch.measured else [_on_believed]
-    if file.stages and file.stages[-1].planned_on == MEASURED:
-        surfaces.reverse()
-    enough = dict[_Planner, EnoughError]()
-    for plan in surfaces:
+    for batch in batches:
         work.paths.clear(len(file.stages) + 1)
+        plan = _on_measured if batch.on == MEASURED else _on_believed
         try:
             return plan(work, file, known, batch)
         except EnoughError as error:
-            enough[plan] = error
-    raise EnoughError(str(enough[_on_believed]), stays_open(work, file, known))
+            ended = str(error) if batch.on == BELIEVED else ended
+    raise EnoughError(ended, stays_open(work, file, known))
 
 
 def stays_open(work: Exploring, file: ExploreFile, known: Known) -> StillOpen | None:
@@ -150,7 +140,7 @@ def stays_open(work: Exploring, file: ExploreFile, known: Known) -> StillOpen | 
 def _on_believed(work: Exploring, file: ExploreFile, known: Known, batch: Batch) -> Path:
     """A stage's plan on the surface about all that was not seen free."""
     number = len(file.stages) + 1
-    least = work.options.least_gain if number > 1 else 0.0
+    least = batch.worth * work.options.least_gain if number > 1 else 0.0
     asked = Asked(known.space, known.record, batch, least, _measured_area(file), _came(file))
     return _stage(work, asked, number, belief.part_of(known.believed, work.name))
 
@@ -277,7 +267,7 @@ def _stage_of(
 ) -> ExploredStage:
     """What explore.json says of a stage."""
     run, mesh = open_finished(folder), known.believed
-    seen, known_before = (space.seen(mesh.centres, mesh.normals) for space in (known.space, before))
+    seen, new = known.space.seen_since(before, mesh.centres, mesh.normals)
     return ExploredStage(
         folder=f"{folder.parent.name}/{folder.name}",
         digest=run.digest,
@@ -287,7 +277,7 @@ def _stage_of(
         seconds=round(reader.motion(run).duration, 6),
         expected_mm2=round(1e6 * float(expected.samples.areas.sum()), 3),
         surface_mm2=round(1e6 * float(mesh.areas.sum()), 3),
-        new_mm2=round(1e6 * float(mesh.areas[seen & ~known_before].sum()), 3),
+        new_mm2=round(1e6 * float(mesh.areas[new].sum()), 3),
         open_mm2=round(1e6 * float(mesh.areas[~seen].sum()), 3),
         never_entered_mm3=round(1e9 * known.space.never_entered, 3),
     )

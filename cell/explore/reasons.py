@@ -88,7 +88,8 @@ def still_open(
     """
     found = closest(samples, candidates, reached, scanner, casters)
     reason = np.where(found == Reason.NOT_SELECTED, np.where(of.tries > 0, TRIED, NOT_TAKEN), found)
-    reason[(of.tries > 0) & (of.beside <= BESIDE) & (found >= Reason.OUT_OF_REACH)] = SMALL
+    asked_for = (found >= Reason.OUT_OF_REACH) | np.isin(found, _SHADED)
+    reason[(of.tries > 0) & (of.beside <= BESIDE) & asked_for] = SMALL
     return StillOpen(samples, reason, candidates)
 
 

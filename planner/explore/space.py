@@ -65,7 +65,7 @@ class VoxelSpace(Value):
             before it.
         tries: (X, Y, Z) how many views were executed that were expected to measure what is open in a voxel.
         gap: distance to the nearest measured point above which nothing is measured [m].
-        points: (P, 3) measured ones, the first in each of small cubes [m].
+        points: (P, 3) measured ones, the first in each of small cubes, in the order in which they came [m].
         radius: of the cylinder [m].
         height: of the cylinder [m].
     """
@@ -204,6 +204,15 @@ class VoxelSpace(Value):
             found[rest] = self._beside(tree, points[rest], normals[rest], many)
         return found
 
+    def seen_since(self, before: "VoxelSpace", points: Floats, normals: Floats) -> tuple[Bools, Bools]:
+        """(N,) what is seen, and what of it was not `before`, of which this is what followed; `points` as in `seen`."""
+        seen, new = self.seen(points, normals), np.zeros(len(points), dtype=np.bool_)
+        added = cKDTree(self.points[len(before.points) :])
+        near = np.isfinite(added.query(points[seen], distance_upper_bound=self._farthest)[0])
+        some = np.flatnonzero(seen)[near]  # without a point more beside it nothing is new
+        new[some] = ~before.seen(points[some], normals[some])
+        return seen, new
+
     def fresh(self, points: Floats) -> Bools:
         """(N,) which points (N, 3) of a view [m] lie in a gap between those that were measured before, or beyond."""
         near = cKDTree(self.points).query(points, distance_upper_bound=self.gap)[0]
@@ -235,8 +244,8 @@ class VoxelSpace(Value):
 
     def _beside(self, tree: cKDTree, points: Floats, normals: Floats, many: int) -> Bools:
         """(N,) whether one of the `many` measured points next to each is within a gap of its normal."""
-        most = float(np.hypot(self.gap, _BELOW * self.edge))
-        distance, at = map(np.asarray, tree.query(points, k=np.arange(1, many + 1), distance_upper_bound=most))
+        k = np.arange(1, many + 1)
+        distance, at = map(np.asarray, tree.query(points, k=k, distance_upper_bound=self._farthest))
         which, _ = np.nonzero(np.isfinite(distance))
         legs = self.points[at[np.isfinite(distance)]] - points[which]
         height = np.einsum("ij,ij->i", legs, normals[which])
@@ -258,6 +267,11 @@ class VoxelSpace(Value):
         length = np.linalg.norm(points - stand, axis=1, keepdims=True)
         onward = (points - stand) / np.maximum(length, 1e-12)
         return self._crossed(points + self.edge * onward, stand + np.maximum(far, length) * onward)
+
+    @property
+    def _farthest(self) -> float:
+        """Distance of a measured point that is beside a believed surface, at most [m]."""
+        return float(np.hypot(self.gap, _BELOW * self.edge))
 
     @property
     def _shape(self) -> Ints:

@@ -17,7 +17,7 @@ from cell.explore.stage import EnoughError
 from cell.explore.state import Paths
 from cell.rays.embree import EmbreeRayCaster
 from cell.run import ply
-from cell.run.explore_json import BELIEVED, MEASURED
+from cell.run.explore_json import BELIEVED, MEASURED, SurfaceName
 from cell.scanners.laser_area import LaserArea
 from planner.explore.gain import Record
 from planner.explore.space import OCCUPIED, VoxelSpace
@@ -129,41 +129,38 @@ class _Worth:
 
 
 @pytest.mark.parametrize(
-    ("before", "measured", "worth", "asked", "ends"),
+    ("tried", "worth", "asked", "ends"),
     [
-        (BELIEVED, True, (BELIEVED, MEASURED), [BELIEVED], BELIEVED),
-        (BELIEVED, True, (MEASURED,), [BELIEVED, MEASURED], MEASURED),
-        (MEASURED, True, (BELIEVED, MEASURED), [MEASURED], MEASURED),
-        (MEASURED, True, (BELIEVED,), [MEASURED, BELIEVED], BELIEVED),
-        (BELIEVED, True, (), [BELIEVED, MEASURED], None),
-        (MEASURED, True, (), [MEASURED, BELIEVED], None),
-        (BELIEVED, False, (MEASURED,), [BELIEVED], None),
-        (MEASURED, False, (MEASURED,), [BELIEVED], None),
+        ((BELIEVED, MEASURED), (BELIEVED, MEASURED), [BELIEVED], BELIEVED),
+        ((BELIEVED, MEASURED), (MEASURED,), [BELIEVED, MEASURED], MEASURED),
+        ((MEASURED, BELIEVED), (BELIEVED, MEASURED), [MEASURED], MEASURED),
+        ((MEASURED, BELIEVED), (BELIEVED,), [MEASURED, BELIEVED], BELIEVED),
+        ((BELIEVED, MEASURED), (), [BELIEVED, MEASURED], "of believed"),
+        ((MEASURED, BELIEVED), (), [MEASURED, BELIEVED], "of believed"),
+        ((MEASURED,), (BELIEVED,), [MEASURED], "nothing was tried"),
+        ((), (BELIEVED,), [], "nothing was tried"),
     ],
 )
-def test_the_surface_of_the_stage_before_comes_first_and_then_the_other(
-    before: str, measured: bool, worth: tuple[str, ...], asked: list[str], ends: str | None,
+def test_batches_are_tried_in_turn_until_one_is_worth_its_views(
+    tried: tuple[SurfaceName, ...], worth: tuple[str, ...], asked: list[str], ends: str,
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """Nothing of the one that was not worth a view is left; where none is, it is the believed one's reason that counts.
-
-    A batch that wants no measured surface gets none.
-    """
+    """Nothing is left of one that was not; where none is, it is the believed one's reason that counts."""
     planners, paths = _Worth(*worth), Paths(tmp_path)
     (tmp_path / "stages").mkdir()
     monkeypatch.setattr(explore, "_on_believed", planners.on(BELIEVED))
     monkeypatch.setattr(explore, "_on_measured", planners.on(MEASURED))
     monkeypatch.setattr(explore, "stays_open", lambda work, *_: work.paths.clear(2))
-    file, batch = SimpleNamespace(stages=[SimpleNamespace(planned_on=before)]), Batch(1, measured=measured)
-    given: Any = (SimpleNamespace(paths=paths), file, None, batch, "")
-    if ends is None:
-        with pytest.raises(EnoughError, match="of believed"):
-            explore._planned(*given)
-        assert list((tmp_path / "stages").iterdir()) == []
-    else:
+    file, batches = SimpleNamespace(stages=[None]), [Batch(1, on=on) for on in tried]
+    given: Any = (SimpleNamespace(paths=paths), file, None, batches, "nothing was tried")
+    if ends in (BELIEVED, MEASURED):
         assert explore._planned(*given) == Path(ends)
         assert paths.measured(2).exists() == (ends == MEASURED)
         assert paths.unseen(2).exists()
+    else:
+        with pytest.raises(EnoughError, match=ends):
+            explore._planned(*given)
+        assert list((tmp_path / "stages").iterdir()) == []
     assert planners.asked == asked
 
 
@@ -183,8 +180,8 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     known: Any = SimpleNamespace(space=UNKNOWN, record=Record.empty(), believed=balls)
     stages = [SimpleNamespace(expected_mm2=1.0, new_mm2=3.0, measured_mm2=7.0, planned_on=BELIEVED)] * 2
     file, first = SimpleNamespace(stages=stages), SimpleNamespace(stages=[])
-    believed: Any = explore._on_believed(work, file, known, Batch(1))
-    assert (believed[0].poses, believed[0].least_gain, believed[0].came) == (None, 0.25, 2.0)
+    believed: Any = explore._on_believed(work, file, known, Batch(1, worth=3.0))
+    assert (believed[0].poses, believed[0].least_gain, believed[0].came) == (None, 0.75, 2.0)
     assert believed[0].measured_area == pytest.approx(7e-6)
     assert (believed[1], believed[2].name) == (3, "balls as believed")
     assert not work.paths.measured(3).exists()
@@ -238,6 +235,6 @@ def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:
     work: Any = SimpleNamespace(paths=paths)
     file: Any = SimpleNamespace(stages=[None])
     known: Any = None
-    assert explore._planned(work, file, known, Batch(1, measured=True), "") == paths.stage(2)
+    assert explore._planned(work, file, known, [Batch(1)], "") == paths.stage(2)
     assert paths.unseen(2).is_file()
     assert paths.measured(2).is_file()

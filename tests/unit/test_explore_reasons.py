@@ -21,17 +21,34 @@ def _samples(count: int) -> SurfaceSamples:
     return SurfaceSamples(points, np.tile([0.0, 0, 1], (count, 1)), 1e-6 * np.arange(1.0, count + 1), none, none)
 
 
+_WALL = EmbreeRayCaster(
+    np.array([[-9.0, -9, 0.05], [9, -9, 0.05], [0, 9, 0.05]]), np.array([[0, 1, 2]], dtype=np.int32)
+)
+_OF = Open(np.array([0, 0, 1, 1]), np.array([1.0, 9.0, 1.0, 9.0]))
+
+
 @pytest.mark.parametrize("verdict", [Verdict.REACHABLE, Verdict.OUT_OF_REACH])
 def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) -> None:
     """Tried and near is a rest whatever became of the view; else it is the view's verdict, and whether it was tried."""
     views = looking_at(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     q = np.zeros((1 if verdict == Verdict.REACHABLE else 0, 6))
     reached = Reach(np.array([verdict], dtype=np.uint8), q, np.array([0, len(q)]), ("",))
-    of = Open(np.array([0, 0, 1, 1]), np.array([1.0, 9.0, 1.0, 9.0]))
-    found = still_open(_samples(4), of, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), (_FAR, _FAR))
+    found = still_open(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), (_FAR, _FAR))
     reached_codes = [NOT_TAKEN, NOT_TAKEN, SMALL, TRIED]
     others = [Reason.OUT_OF_REACH, Reason.OUT_OF_REACH, SMALL, Reason.OUT_OF_REACH]
     assert found.reason.tolist() == (reached_codes if verdict == Verdict.REACHABLE else others)
+
+
+@pytest.mark.parametrize("casters", [(_FAR, _WALL), (_WALL, _FAR)])
+def test_what_views_left_is_a_rest_where_something_is_believed_to_shade_it_too(
+    casters: tuple[EmbreeRayCaster, EmbreeRayCaster],
+) -> None:
+    """By the part or by what it stands on: within a voxel that is no news; farther off, or untried, it is the reason."""
+    views = looking_at(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
+    reached = Reach(np.array([Verdict.REACHABLE], dtype=np.uint8), np.zeros((1, 6)), np.array([0, 1]), ("",))
+    found = still_open(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), casters)
+    told = [sentence(code) for code in found.reason.tolist()]
+    assert told == ["laser or sensor shaded"] * 2 + [sentence(SMALL), "laser or sensor shaded"]
 
 
 def test_sentences_that_are_the_same_are_told_once() -> None:

@@ -131,6 +131,22 @@ def test_what_is_seen_has_a_point_beside_it_along_its_normal() -> None:
     assert np.array_equal(space.fresh(samples), ~near)
 
 
+@pytest.mark.parametrize("more", [0, 1, 40, 300])
+def test_what_is_seen_since_is_what_was_not_seen_before(more: int) -> None:
+    """With more points, or none: what both spaces say by themselves."""
+    rng = np.random.default_rng(more)
+    points = rng.uniform(-1, 1, (300, 3)) * np.array([0.02, 0.02, 0.001])
+    before = replace(_space(), points=points[: 300 - more])
+    samples = rng.uniform(-1, 1, (400, 3)) * np.array([0.025, 0.025, 0.008])
+    normals = rng.standard_normal((400, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    after = replace(before, points=points)
+    seen, new = after.seen_since(before, samples, normals)
+    assert np.array_equal(seen, after.seen(samples, normals))
+    assert np.array_equal(new, seen & ~before.seen(samples, normals))
+    assert new.any() == (more > 1)
+
+
 @pytest.mark.parametrize(("spacing", "gap"), [(0.003, 0.0027), (0.0005, 0.0014)])
 def test_a_strip_without_points_is_open_though_its_voxels_are_occupied(spacing: float, gap: float) -> None:
     """A plane of points but for a strip: open is what is farther than a gap from the points, never within half an edge.
@@ -233,7 +249,9 @@ def test_the_views_of_most_gain_per_second() -> None:
     assert len(chosen) == 4
     assert len(most_per_second(csr_array(measured), np.zeros(200), seconds, usable, 4)) == 0
     last = float((measured[:, chosen[3]] & ~measured[:, chosen[:3]].any(axis=1)) @ areas) / seconds[chosen[3]]
-    assert len(most_per_second(csr_array(measured), areas, seconds, usable, 12, last)) == 3
+    for least, views in ((last * (1 + 1e-9), 3), (last * (1 - 1e-9), 4)):
+        assert len(most_per_second(csr_array(measured), areas, seconds, usable, views + 1, least)) >= views
+        assert len(most_per_second(csr_array(measured), areas, seconds, usable, 4, least)) == views
 
 
 def test_how_much_more_comes_than_was_expected() -> None:

@@ -99,21 +99,32 @@ def test_limits_hold_in_the_fine_stage_alone() -> None:
     assert not specification.asked(rough)
     assert rough.plan.model_copy(update={"max_sigma_mm": 0.05}) == scene.plan
     batches = {name: [policy(ExploreOptions(), So(n, None)) for n in (0, 1)] for name, policy in POLICIES.items()}
-    said = {name: [batch is not None and batch.rough for batch in each] for name, each in batches.items()}
-    assert said == {"stepwise": [False, False], "two-stage": [True, False]}
-    fine = [POLICIES["two-stage"](ExploreOptions(), So(n, None, limited)) for n in (1, 2) for limited in (False, True)]
-    assert [batch is not None and batch.whole for batch in fine] == [False, True, False, False]
-    assert POLICIES["two-stage"](ExploreOptions(), So(3, None)) is None
+    said = {name: [[batch.rough for batch in tried] for tried in each] for name, each in batches.items()}
+    assert said == {"stepwise": [[False], [False, False]], "two-stage": [[True], [False] * 4]}
+    limited = [POLICIES["two-stage"](ExploreOptions(), So(n, 7, limited=True)) for n in (1, 2)]
+    assert limited[0] == (Batch(7, whole=True),)
+    assert not any(batch.whole for batch in limited[1])
 
 
-def test_stepwise_begins_with_one_view_and_plans_on_what_was_measured_after_it() -> None:
-    """Or with as many as are asked for; two stages begin with six, and plan on what is believed alone."""
-    first = {name: policy(ExploreOptions(), So(0, None)) for name, policy in POLICIES.items()}
-    assert first == {"stepwise": Batch(1), "two-stage": Batch(6, rough=True)}
-    assert POLICIES["stepwise"](ExploreOptions(ring=4), So(0, None)) == Batch(4)
-    assert POLICIES["stepwise"](ExploreOptions(ring=4), So(0, 2)) == Batch(2)
-    later = {name: policy(ExploreOptions(batch=3), So(1, 9)) for name, policy in POLICIES.items()}
-    assert later == {"stepwise": Batch(3, per_second=True, measured=True), "two-stage": Batch(9)}
+def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_on() -> None:
+    """Or begins with as many as are asked for; the other surface is tried where the first is worth no view."""
+    policy = POLICIES["stepwise"]
+    assert policy(ExploreOptions(), So(0, None)) == (Batch(1),)
+    assert policy(ExploreOptions(ring=4), So(0, None)) == (Batch(4),)
+    assert policy(ExploreOptions(ring=4), So(0, 2)) == (Batch(2),)
+    believed, measured = (Batch(3, per_second=True, on=on) for on in (BELIEVED, MEASURED))
+    assert policy(ExploreOptions(batch=3), So(1, 9)) == (believed, measured)
+    assert policy(ExploreOptions(batch=3), So(7, 9, on=MEASURED)) == (measured, believed)
+
+
+def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
+    """The later it is; where one that asks much is worth no view, the next is tried, at last the measured surface."""
+    policy = POLICIES["two-stage"]
+    last, fine = Batch(9, on=MEASURED), [Batch(9, worth=worth) for worth in (3.0, 3.0, 1.5)]
+    assert policy(ExploreOptions(), So(0, 9)) == (Batch(6, rough=True),)
+    for stages in range(1, 5):
+        assert policy(ExploreOptions(), So(stages, 9)) == (*fine[stages - 1 :], last)
+        assert policy(ExploreOptions(), So(stages, 9, on=MEASURED)) == ()
 
 
 def test_what_the_model_misses_of_the_limits() -> None:
