@@ -43,7 +43,7 @@ def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) ->
 def test_what_views_left_is_a_rest_where_something_is_believed_to_shade_it_too(
     casters: tuple[EmbreeRayCaster, EmbreeRayCaster],
 ) -> None:
-    """By the part or by what it stands on: within a voxel that is no news; farther off, or untried, it is the reason."""
+    """By the part or what it stands on: within a voxel that is no news; farther off, or untried, it is the reason."""
     views = looking_at(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     reached = Reach(np.array([Verdict.REACHABLE], dtype=np.uint8), np.zeros((1, 6)), np.array([0, 1]), ("",))
     found = still_open(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), casters)
