@@ -104,7 +104,7 @@ def _next(work: Exploring, file: ExploreFile) -> tuple[Sequence[Batch], str]:
         return (), f"the {limit:g} s of motion of the budget are used up"
     on = file.stages[-1].planned_on if file.stages else BELIEVED
     so = So(len(file.stages), left, specification.asked(work.scene), on)
-    return POLICIES[work.options.policy](work.options, so), "all batches of the policy were executed"
+    return POLICIES[work.options.policy](work.options, so), "no batch of the policy is left that is worth its views"
 
 
 def _planned(work: Exploring, file: ExploreFile, known: Known, batches: Sequence[Batch], ended: str) -> Path:
@@ -157,7 +157,8 @@ def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch)
         raise EnoughError("the points describe no surface")
     work.paths.measured(number).write_bytes(ply.written(surface))
     poses = np.stack([scan.T_reported for scan in scans])
-    asked = Asked(known.space, known.record, batch, work.options.least_gain, _measured_area(file), poses=poses)
+    least = batch.worth * work.options.least_gain
+    asked = Asked(known.space, known.record, batch, least, _measured_area(file), poses=poses)
     return _stage(work, asked, number, belief.part_of(surface, work.name, MEASURED))
 
 

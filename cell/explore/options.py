@@ -69,7 +69,8 @@ class ExploreOptions(Table):
         Positive,
         Field(lt=1),
         Option(
-            "Share of the surface measured so far that a batch must be expected to add for each of its views.",
+            "Share of the surface measured so far that a batch must be expected to add for each of its views; plans of "
+            "two-stage ask up to three times as much.",
             _EXPLORE,
             metavar="SHARE",
         ),

@@ -52,7 +52,7 @@ more."""
 
 _FINE = (3.0, 3.0, 1.5)
 """How many times the least gain a view of each fine plan is asked for: what the first ones leave is better planned for
-when they were executed."""
+once they are executed."""
 
 Policy = Callable[[ExploreOptions, So], Sequence[Batch]]
 """The batches of which the first is taken that is worth its views; none: the exploration ends."""
@@ -74,7 +74,7 @@ def two_stage(options: ExploreOptions, so: So) -> Sequence[Batch]:
 
     W. R. Scott, "Model-based view planning", Machine Vision and Applications 20 (2009), doi:10.1007/s00138-007-0110-2.
     The fine views measure all of the part anew where sigma or spacing is limited, as rough points need not keep limits.
-    The last plan is on the measured surface.
+    The last is planned on the measured surface.
     """
     if so.stages == 0:
         return (Batch(_within(so, options.ring or _ROUGH), rough=True),)
@@ -82,7 +82,8 @@ def two_stage(options: ExploreOptions, so: So) -> Sequence[Batch]:
         return (Batch(so.left, whole=True),)
     if so.on == MEASURED:
         return ()
-    return (*(Batch(so.left, worth=worth) for worth in _FINE[so.stages - 1 :]), Batch(so.left, on=MEASURED))
+    worths = dict.fromkeys(_FINE[so.stages - 1 :])  # one that was worth no view is not asked again
+    return (*(Batch(so.left, worth=worth) for worth in worths), Batch(so.left, on=MEASURED))
 
 
 POLICIES: Mapping[str, Policy] = MappingProxyType({"stepwise": stepwise, "two-stage": two_stage})

@@ -88,8 +88,7 @@ def still_open(
     """
     found = closest(samples, candidates, reached, scanner, casters)
     reason = np.where(found == Reason.NOT_SELECTED, np.where(of.tries > 0, TRIED, NOT_TAKEN), found)
-    asked_for = (found >= Reason.OUT_OF_REACH) | np.isin(found, _SHADED)
-    reason[(of.tries > 0) & (of.beside <= BESIDE) & asked_for] = SMALL
+    reason[(of.tries > 0) & (of.beside <= BESIDE) & (found >= min(_SHADED))] = SMALL
     return StillOpen(samples, reason, candidates)
 
 

@@ -189,9 +189,10 @@ def _too_little(chosen: ConnectedPlan, asked: Asked) -> str:
     each = asked.came * chosen.cover.covered_area / len(chosen.cover.views)
     if asked.batch.whole or each >= asked.least_gain * asked.measured_area:
         return ""
+    times = "" if asked.batch.worth == 1 else f"{asked.batch.worth:g} x "
     return (
         f"a further view is expected to add {100 * each / asked.measured_area:.3f} % of what was measured, less than "
-        f"the {100 * asked.least_gain:g} % asked for"
+        f"{times}the {100 * asked.least_gain / asked.batch.worth:g} % asked for"
     )
 
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.explore import belief, explore
+from cell.explore import belief, explore, stage
 from cell.explore.asked import Asked, probable, wanted
+from cell.explore.options import ExploreOptions
 from cell.explore.policies import Batch
 from cell.explore.stage import EnoughError
 from cell.explore.state import Paths
@@ -164,6 +165,52 @@ def test_batches_are_tried_in_turn_until_one_is_worth_its_views(
     assert planners.asked == asked
 
 
+@pytest.mark.parametrize(
+    ("views", "seconds", "on", "batches", "ended"),
+    [
+        (5, 40.0, BELIEVED, (BELIEVED, MEASURED), "no batch of the policy"),
+        (5, 40.0, MEASURED, (MEASURED, BELIEVED), "no batch of the policy"),
+        (7, 40.0, BELIEVED, (), "the 7 views of the budget are used up"),
+        (8, 90.0, BELIEVED, (), "the 7 views of the budget are used up"),
+        (5, 60.0, BELIEVED, (), "the 60 s of motion of the budget are used up"),
+    ],
+)
+def test_the_next_batches_are_the_policys_within_the_budget(
+    views: int, seconds: float, on: SurfaceName, batches: tuple[SurfaceName, ...], ended: str
+) -> None:
+    """Stepwise with a view at a time, of which as many are left; none where views or seconds are used up."""
+    stages = [
+        SimpleNamespace(seconds=seconds / 2, planned_on=BELIEVED),
+        SimpleNamespace(seconds=seconds / 2, planned_on=on),
+    ]
+    plan = SimpleNamespace(max_views=7, max_sigma_mm=None)
+    scene = SimpleNamespace(plan=plan, scanner=SimpleNamespace(max_spacing_mm=None))
+    work: Any = SimpleNamespace(scene=scene, options=ExploreOptions(max_seconds=60.0, batch=3))
+    found, told = explore._next(work, SimpleNamespace(stages=stages, views=views))  # type: ignore[arg-type]
+    assert found == tuple(Batch(2, per_second=True, on=each) for each in batches)
+    assert told.startswith(ended)
+    first, _ = explore._next(work, SimpleNamespace(stages=[], views=0))  # type: ignore[arg-type]
+    assert first == (Batch(1),)
+
+
+@pytest.mark.parametrize(
+    ("batch", "said"),
+    [
+        (Batch(1), "less than the 0.1 % asked for"),
+        (Batch(1, worth=1.5), "less than 1.5 x the 0.1 % asked for"),
+        (Batch(1, worth=0.5), ""),
+        (Batch(1, whole=True), ""),
+    ],
+)
+def test_a_batch_that_is_not_worth_its_views_says_what_was_asked_of_it(batch: Batch, said: str) -> None:
+    """Of two views that are expected to add 0.08 % each: a little more comes than is expected."""
+    chosen: Any = SimpleNamespace(cover=SimpleNamespace(covered_area=0.0001, views=(3, 7)))
+    asked = Asked(UNKNOWN, Record.empty(), batch, batch.worth * 0.001, measured_area=0.1, came=1.6)
+    told = stage._too_little(chosen, asked)
+    assert told.endswith(said)
+    assert ("to add 0.080 % of what" in told) == bool(said)
+
+
 def test_each_surface_is_planned_for_what_is_known_of_it(
     balls: TriangleMesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -187,9 +234,9 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     assert not work.paths.measured(3).exists()
     begun: Any = explore._on_believed(work, first, known, Batch(1))
     assert (begun[0].least_gain, begun[0].came, begun[1]) == (0.0, 1.0, 1)
-    on: Any = explore._on_measured(work, file, known, Batch(1))
+    on: Any = explore._on_measured(work, file, known, Batch(1, worth=2.0))
     assert np.array_equal(on[0].poses, _poses()[:2])
-    assert (on[0].least_gain, on[0].came) == (0.25, 1.0)
+    assert (on[0].least_gain, on[0].came) == (0.5, 1.0)
     assert (on[1], on[2].name, on[2].reference) == (3, "balls as measured", balls)
     assert work.paths.measured(3).read_bytes() == ply.written(balls)
 

@@ -51,6 +51,15 @@ def test_what_views_left_is_a_rest_where_something_is_believed_to_shade_it_too(
     assert told == ["laser or sensor shaded"] * 2 + [sentence(SMALL), "laser or sensor shaded"]
 
 
+def test_what_no_view_looks_at_squarely_is_no_rest() -> None:
+    """A view from beside it is too grazing, tried or not."""
+    views = looking_at(np.zeros((1, 3)), np.array([[0.995, 0, np.sqrt(1 - 0.995**2)]]), np.array([-1]), [0.1], [0.0])
+    reached = Reach(np.array([Verdict.REACHABLE], dtype=np.uint8), np.zeros((1, 6)), np.array([0, 1]), ("",))
+    scanner = LaserArea(range_mm=(50, 900), baseline_mm=0, fov_deg=(60, 60))
+    found = still_open(_samples(4), _OF, views, reached, scanner, (_FAR, _FAR))
+    assert found.reason.tolist() == [Reason.GRAZING_SOURCE] * 4
+
+
 def test_sentences_that_are_the_same_are_told_once() -> None:
     """Areas [mm2] of codes with one sentence are summed; the largest comes first."""
     codes = np.array([Reason.SOURCE_SHADED_BY_PART, NOT_TAKEN, Reason.SENSOR_SHADED, TRIED])
