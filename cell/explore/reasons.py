@@ -88,7 +88,7 @@ def still_open(
     """
     found = closest(samples, candidates, reached, scanner, casters)
     reason = np.where(found == Reason.NOT_SELECTED, np.where(of.tries > 0, TRIED, NOT_TAKEN), found)
-    reason[(of.tries > 0) & (of.beside <= BESIDE) & (found >= min(_SHADED))] = SMALL
+    reason[(of.tries > 0) & (of.beside <= BESIDE) & (found >= Reason.SOURCE_SHADED)] = SMALL
     return StillOpen(samples, reason, candidates)
 
 

@@ -39,16 +39,16 @@ def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) ->
     assert found.reason.tolist() == (reached_codes if verdict == Verdict.REACHABLE else others)
 
 
-@pytest.mark.parametrize("casters", [(_FAR, _WALL), (_WALL, _FAR)])
-def test_what_views_left_is_a_rest_where_something_is_believed_to_shade_it_too(
-    casters: tuple[EmbreeRayCaster, EmbreeRayCaster],
+@pytest.mark.parametrize(("casters", "near"), [((_FAR, _WALL), SMALL), ((_WALL, _FAR), Reason.SOURCE_SHADED_BY_PART)])
+def test_what_views_left_is_a_rest_where_what_the_part_stands_on_seems_to_shade_it(
+    casters: tuple[EmbreeRayCaster, EmbreeRayCaster], near: int
 ) -> None:
-    """By the part or what it stands on: within a voxel that is no news; farther off, or untried, it is the reason."""
+    """A voxel more or less lies within the stand; farther off, untried, or shaded by the part, it is the reason."""
     views = looking_at(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     reached = Reach(np.array([Verdict.REACHABLE], dtype=np.uint8), np.zeros((1, 6)), np.array([0, 1]), ("",))
     found = still_open(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), casters)
     told = [sentence(code) for code in found.reason.tolist()]
-    assert told == ["laser or sensor shaded"] * 2 + [sentence(SMALL), "laser or sensor shaded"]
+    assert told == ["laser or sensor shaded"] * 2 + [sentence(near), "laser or sensor shaded"]
 
 
 def test_what_no_view_looks_at_squarely_is_no_rest() -> None:
