@@ -29,7 +29,7 @@ class Asked(Value):
         space: what is known.
         record: what became of what was open before.
         batch: what is asked for; no views: why what is open stays open, of all that the part may be.
-        least_gain: share of what was measured that it must be expected to add for each view.
+        least_gain: share of what was measured that each view must be expected to add, `Batch.worth` times.
         measured_area: of the believed surface, with a measured point beside it [m^2].
         came: how many times as much as expected came so far.
         poses: (V, 4, 4) executed views, explored frame [m], where the measured surface is planned on; None: the
@@ -43,6 +43,11 @@ class Asked(Value):
     measured_area: float = 0.0
     came: float = 1.0
     poses: Annotated[Floats, "V 4 4"] | None = None
+
+    @property
+    def least_area(self) -> float:
+        """What each view must be expected to add [m^2]."""
+        return self.batch.worth * self.least_gain * self.measured_area
 
 
 def wanted(samples: SurfaceSamples, asked: Asked, most: int, scanner: Scanner, caster: RayCaster) -> SurfaceSamples:

@@ -140,7 +140,7 @@ def stays_open(work: Exploring, file: ExploreFile, known: Known) -> StillOpen | 
 def _on_believed(work: Exploring, file: ExploreFile, known: Known, batch: Batch) -> Path:
     """A stage's plan on the surface about all that was not seen free."""
     number = len(file.stages) + 1
-    least = batch.worth * work.options.least_gain if number > 1 else 0.0
+    least = work.options.least_gain if number > 1 else 0.0
     asked = Asked(known.space, known.record, batch, least, _measured_area(file), _came(file))
     return _stage(work, asked, number, belief.part_of(known.believed, work.name))
 
@@ -157,8 +157,7 @@ def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch)
         raise EnoughError("the points describe no surface")
     work.paths.measured(number).write_bytes(ply.written(surface))
     poses = np.stack([scan.T_reported for scan in scans])
-    least = batch.worth * work.options.least_gain
-    asked = Asked(known.space, known.record, batch, least, _measured_area(file), poses=poses)
+    asked = Asked(known.space, known.record, batch, work.options.least_gain, _measured_area(file), poses=poses)
     return _stage(work, asked, number, belief.part_of(surface, work.name, MEASURED))
 
 

@@ -1,4 +1,4 @@
-"""Which batch comes next: one function a policy, all with one signature, in `POLICIES`."""
+"""Which batches may come next: one function a policy, all with one signature, in `POLICIES`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

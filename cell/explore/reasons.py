@@ -88,6 +88,7 @@ def still_open(
     """
     found = closest(samples, candidates, reached, scanner, casters)
     reason = np.where(found == Reason.NOT_SELECTED, np.where(of.tries > 0, TRIED, NOT_TAKEN), found)
+    # What is shaded by others than the part is, that near, a voxel of belief in what the part stands on.
     reason[(of.tries > 0) & (of.beside <= BESIDE) & (found >= Reason.SOURCE_SHADED)] = SMALL
     return StillOpen(samples, reason, candidates)
 

@@ -176,10 +176,9 @@ def _connected(run: Run, problem: Problem, surface: PartSurface, asked: Asked) -
 def _worth(problem: Problem, asked: Asked) -> Problem:
     """The problem for no more views than greedily each add the least gain."""
     M, usable = problem.M, problem.usable(())
-    least = asked.least_gain * asked.measured_area
     most = len(usable) if asked.batch.views is None else asked.batch.views
     gains = asked.came * M.features.areas
-    views = len(most_per_second(M.matrix(), gains, np.ones(len(usable)), usable, most, least))
+    views = len(most_per_second(M.matrix(), gains, np.ones(len(usable)), usable, most, asked.least_area))
     plan = problem.request.plan.model_copy(update={"max_views": max(views, 1)})
     return replace(problem, request=replace(problem.request, plan=plan))
 
@@ -187,12 +186,12 @@ def _worth(problem: Problem, asked: Asked) -> Problem:
 def _too_little(chosen: ConnectedPlan, asked: Asked) -> str:
     """Why a batch is not worth its views; "" where it is."""
     each = asked.came * chosen.cover.covered_area / len(chosen.cover.views)
-    if asked.batch.whole or each >= asked.least_gain * asked.measured_area:
+    if asked.batch.whole or each >= asked.least_area:
         return ""
     times = "" if asked.batch.worth == 1 else f"{asked.batch.worth:g} x "
     return (
         f"a further view is expected to add {100 * each / asked.measured_area:.3f} % of what was measured, less than "
-        f"{times}the {100 * asked.least_gain / asked.batch.worth:g} % asked for"
+        f"{times}the {100 * asked.least_gain:g} % asked for"
     )
 
 

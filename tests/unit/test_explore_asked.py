@@ -123,7 +123,7 @@ class _Worth:
             if surface == MEASURED:
                 work.paths.measured(2).touch()
             if surface not in self.surfaces:
-                raise EnoughError(f"of {surface}")
+                raise EnoughError(f"of {surface}, {len(self.asked)}")
             return Path(surface)
 
         return plan
@@ -137,7 +137,8 @@ class _Worth:
         ((MEASURED, BELIEVED), (BELIEVED, MEASURED), [MEASURED], MEASURED),
         ((MEASURED, BELIEVED), (BELIEVED,), [MEASURED, BELIEVED], BELIEVED),
         ((BELIEVED, MEASURED), (), [BELIEVED, MEASURED], "of believed"),
-        ((MEASURED, BELIEVED), (), [MEASURED, BELIEVED], "of believed"),
+        ((MEASURED, BELIEVED), (), [MEASURED, BELIEVED], "of believed, 2"),
+        ((BELIEVED, BELIEVED, MEASURED), (), [BELIEVED, BELIEVED, MEASURED], "of believed, 2"),
         ((MEASURED,), (BELIEVED,), [MEASURED], "nothing was tried"),
         ((), (BELIEVED,), [], "nothing was tried"),
     ],
@@ -146,7 +147,7 @@ def test_batches_are_tried_in_turn_until_one_is_worth_its_views(
     tried: tuple[SurfaceName, ...], worth: tuple[str, ...], asked: list[str], ends: str,
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """Nothing is left of one that was not; where none is, it is the believed one's reason that counts."""
+    """Nothing is left of one that was not; where none is, it is the last believed one's reason that counts."""
     planners, paths = _Worth(*worth), Paths(tmp_path)
     (tmp_path / "stages").mkdir()
     monkeypatch.setattr(explore, "_on_believed", planners.on(BELIEVED))
@@ -205,7 +206,7 @@ def test_the_next_batches_are_the_policys_within_the_budget(
 def test_a_batch_that_is_not_worth_its_views_says_what_was_asked_of_it(batch: Batch, said: str) -> None:
     """Of two views that are expected to add 0.08 % each: a little more comes than is expected."""
     chosen: Any = SimpleNamespace(cover=SimpleNamespace(covered_area=0.0001, views=(3, 7)))
-    asked = Asked(UNKNOWN, Record.empty(), batch, batch.worth * 0.001, measured_area=0.1, came=1.6)
+    asked = Asked(UNKNOWN, Record.empty(), batch, 0.001, measured_area=0.1, came=1.6)
     told = stage._too_little(chosen, asked)
     assert told.endswith(said)
     assert ("to add 0.080 % of what" in told) == bool(said)
@@ -228,15 +229,16 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     stages = [SimpleNamespace(expected_mm2=1.0, new_mm2=3.0, measured_mm2=7.0, planned_on=BELIEVED)] * 2
     file, first = SimpleNamespace(stages=stages), SimpleNamespace(stages=[])
     believed: Any = explore._on_believed(work, file, known, Batch(1, worth=3.0))
-    assert (believed[0].poses, believed[0].least_gain, believed[0].came) == (None, 0.75, 2.0)
+    assert (believed[0].poses, believed[0].least_gain, believed[0].came) == (None, 0.25, 2.0)
     assert believed[0].measured_area == pytest.approx(7e-6)
+    assert believed[0].least_area == pytest.approx(3 * 0.25 * 7e-6)
     assert (believed[1], believed[2].name) == (3, "balls as believed")
     assert not work.paths.measured(3).exists()
     begun: Any = explore._on_believed(work, first, known, Batch(1))
     assert (begun[0].least_gain, begun[0].came, begun[1]) == (0.0, 1.0, 1)
     on: Any = explore._on_measured(work, file, known, Batch(1, worth=2.0))
     assert np.array_equal(on[0].poses, _poses()[:2])
-    assert (on[0].least_gain, on[0].came) == (0.5, 1.0)
+    assert (on[0].least_gain, on[0].least_area, on[0].came) == (0.25, pytest.approx(2 * 0.25 * 7e-6), 1.0)
     assert (on[1], on[2].name, on[2].reference) == (3, "balls as measured", balls)
     assert work.paths.measured(3).read_bytes() == ply.written(balls)
 
