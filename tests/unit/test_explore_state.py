@@ -170,12 +170,13 @@ class Stub:
     usable: Any
 
 
-def test_batches_that_brought_nothing_ask_for_one_view_at_most() -> None:
-    """Nothing is expected of the next one then, and it is one view that is told to be too little."""
-    M = SimpleNamespace(matrix=lambda: csr_array(np.eye(3, dtype=bool)), features=SimpleNamespace(areas=np.ones(3)))
+def test_a_batch_is_of_as_many_views_as_each_add_what_is_asked_of_them() -> None:
+    """Where nothing is expected as batches brought nothing, it is one view that is told to be too little."""
+    areas = np.array([3.0, 2.0, 1.0])
+    M = SimpleNamespace(matrix=lambda: csr_array(np.eye(3, dtype=bool)), features=SimpleNamespace(areas=areas))
     problem = Stub(M, Request(PlanSettings()), lambda _: np.ones(3, dtype=bool))
-    for came, views in ((1.0, 3), (0.0, 1)):
-        asked = stage.Asked(None, None, Batch(None), 0.01, 3.0, came)
+    for came, worth, views in ((1.0, 1.0, 3), (1.0, 50.0, 2), (0.5, 50.0, 1), (0.0, 1.0, 1)):
+        asked = stage.Asked(None, None, Batch(None, worth=worth), 0.01, 3.0, came)
         assert stage._worth(problem, asked).request.plan.max_views == views
 
 
