@@ -151,7 +151,9 @@ class Lab:
         """What is known after a view from (4, 4)."""
         points = virtual_scan.scan(self.scanner, T, self.caster, self.part).points
         eye, source, sensor = self.eye, *(T[:3, :3] @ at + T[:3, 3] for at in (self.eye.source, self.eye.sensor))
-        space = known.space.seen_from(points, [source, sensor]) if len(points) else known.space
+        space = known.space
+        if len(points):
+            space = space.seen_from(points, [source, sensor]).joined(eye.between(points, T, space.gap))
         space = space.judged_from(points, source, sensor, eye.blank(points, T), eye.near, eye.far)
         return Known(space, (*known.poses, T), (*known.points, points))
 
@@ -169,21 +171,34 @@ class Lab:
         space = replace(self.unknown, state=np.full_like(self.unknown.state, FREE))
         free = self.free(space.seen_from(self.samples.points, []))
         scouts = sample(self.part, planning, growth.SCOUTS, np.random.default_rng(0))
-        poses, casters = self.candidates(planning, scouts, (self.caster,), free), (self.caster,)
+        casters = (self.caster,)
+        poses, _ = self.candidates(planning, scouts, casters, free)
         seen = measured(poses[:, None], self.samples, self.scanner, casters)
         return float(self.samples.areas[seen].sum() / self.samples.areas.sum())
+
+    def holder(self, casters: tuple[EmbreeRayCaster, ...], free: Callable[[Floats], Bools]) -> growth.Arm:
+        """Who holds the scanner wherever it can stand, past what the casters know."""
+        return growth.Arm(self.scanner, casters, lambda T: free(T[:, 0]), np.eye(4)[None])
 
     def candidates(
         self, planning: TriangleMesh, scouts: SurfaceSamples, casters: tuple[EmbreeRayCaster, ...],
         free: Callable[[Floats], Bools], schedule: Sequence[growth.Stage] = growth.SCHEDULE,
-    ) -> Floats:  # fmt: skip
-        """(V, 4, 4) candidates of a plan of a surface: before its faces, and grown for what those leave open."""
-        zone = optimal_scanning_zone(planning, self.settings.standoffs, self.settings.rolls).T_object_scanner[:, 0]
-        zone = zone[free(zone)]
+    ) -> tuple[Floats, Floats]:  # fmt: skip
+        """Candidates of a plan of a surface: before its faces, and grown for what those leave open.
+
+        Returns:
+            (V, 4, 4) and the (V,) distance of each to what it is aimed at [m].
+        """
+        before = optimal_scanning_zone(planning, self.settings.standoffs, self.settings.rolls)
+        zone = before.T_object_scanner[:, 0]
+        there = free(zone)
+        zone = zone[there]
         seen = measured(zone[:, None], scouts, self.scanner, casters) if len(zone) else np.zeros(len(scouts), bool)
-        arm = growth.Arm(self.scanner, casters, lambda T: free(T[:, 0]), np.eye(4)[None])
-        grown = growth.grow(Targets.of(scouts.points, scouts.normals), seen, arm, schedule=schedule)
-        return np.concatenate([zone, grown.T_object_scanner])
+        targets, arm = Targets.of(scouts.points, scouts.normals), self.holder(casters, free)
+        grown = growth.grow(targets, seen, arm, schedule=schedule)
+        distance = np.linalg.norm(scouts.points[grown.row] - grown.T_object_scanner[:, :3, 3], axis=1)
+        poses = np.concatenate([zone, grown.T_object_scanner])
+        return poses, np.concatenate([before.standoff[there], distance])
 
 
 def explored(lab: Lab, policy: Policy, seed: int, views: int) -> tuple[Known, Floats]:

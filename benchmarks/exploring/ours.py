@@ -7,19 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.random import Generator
+from scipy.sparse import csr_array
 
 from benchmarks.exploring.lab import Known, Lab, NextView
 from cell.explore import belief
 from cell.explore.asked import Asked, probable
 from cell.explore.policies import Batch
-from cell.explore.stage import DRAWN, ROWS_KEPT, SCHEDULE, SCOUTS_KEPT
+from cell.explore.stage import DRAWN, ROWS_KEPT, SCHEDULE, SCOUTS_KEPT, STARTS
 from cell.rays.embree import EmbreeRayCaster
-from planner.explore.gain import Record
+from planner.explore.gain import Record, most_per_second
 from planner.explore.space import VoxelSpace
 from planner.measurability.matrix import measured
 from planner.surface.decimate import decimate
 from planner.surface.sample import SurfaceSamples, pick_samples, sample
 from planner.values import Floats
+from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.refine import better
 
 
 class _Ours:
@@ -40,11 +43,16 @@ class _Ours:
         )
         if not len(rows) or not len(scouts):
             return None
-        casters = (EmbreeRayCaster(mesh.vertices, mesh.faces),)
-        poses = lab.candidates(planning, scouts, casters, lab.free(space), SCHEDULE)
+        casters, free = (EmbreeRayCaster(mesh.vertices, mesh.faces),), lab.free(space)
+        poses, distance = lab.candidates(planning, scouts, casters, free, SCHEDULE)
         M = measured(poses[:, None], rows, lab.scanner, casters, each=True)
         if not M.any():
             return None
+        starts = most_per_second(csr_array(M), rows.areas, np.ones(len(M.T)), np.ones(len(M.T), np.bool_), STARTS)
+        targets, arm = Targets.of(scouts.points, scouts.normals), lab.holder(casters, free)
+        T, moved = better(poses[starts], distance[starts], targets, scouts.areas, arm)
+        poses = np.concatenate([poses, T[moved]])
+        M = np.concatenate([M, measured(T[moved, None], rows, lab.scanner, casters, each=True)], axis=1)
         best = int(np.argmax(rows.areas @ M))
         self._expected, self._before = (pick_samples(rows, M[:, best]), float(mesh.areas.sum())), space
         return poses[best]
@@ -57,7 +65,7 @@ class _Ours:
         (rows, surface), before = self._expected, self._before
         new = known.points[-1][before.fresh(known.points[-1])]
         found = self._lab.eye.answered(rows.points, new, known.poses[-1]).astype(np.float64)
-        of = before.open_at(rows.points)
+        of = before.open_at(rows.points, rows.normals)
         self._record = self._record.with_stage(of, rows.areas / self._record.weights(of) / surface, found)
         return space.tried(rows.points[space.open_still(rows.points, rows.normals)])
 

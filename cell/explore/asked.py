@@ -70,7 +70,8 @@ def probable(samples: SurfaceSamples, asked: Asked, most: int) -> SurfaceSamples
     """What is asked for of a believed surface's samples, areas times probabilities."""
     space = asked.space
     unseen = ~space.seen(samples.points, samples.normals)
-    weights = np.where(unseen, asked.record.weights(space.open_at(samples.points)), float(asked.batch.whole))
+    likely = asked.record.weights(space.open_at(samples.points, samples.normals))
+    weights = np.where(unseen, likely, float(asked.batch.whole))
     return _kept(samples, weights * samples.areas, most)
 
 

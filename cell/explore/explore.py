@@ -216,14 +216,14 @@ def _learned(known: Known, asked: _Expected, scans: Sequence[ExecutedScan], eye:
     for view, scan in enumerate(scans):
         T = scan.T_reported
         source, sensor = (T[:3, :3] @ place + T[:3, 3] for place in (eye.source, eye.sensor))
-        after = after.seen_from(scan.points, [source, sensor])
+        after = after.seen_from(scan.points, [source, sensor]).joined(eye.between(scan.points, T, before.gap))
         after = after.judged_from(scan.points, source, sensor, eye.blank(scan.points, T), eye.near, eye.far)
         found |= asked.sees[:, view] & eye.answered(expected.points, scan.points[before.fresh(scan.points)], T)
     if asked.on == MEASURED:  # what lies between points is no news of what is believed
         return Known(after, known.record)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part
-        of = before.open_at(expected.points)
+        of = before.open_at(expected.points, expected.normals)
         record = record.with_stage(of, expected.areas / record.weights(of) / asked.surface, found.astype(np.float64))
     return Known(after.tried(expected.points[after.open_still(expected.points, expected.normals)]), record)
 

@@ -29,6 +29,10 @@ from planner.explore.space import VoxelSpace
 from planner.ports import Scanner
 from planner.values import Bools, Floats
 
+_JOINED = 4.0
+"""Distance of points of neighbouring rays, in those of a surface that the laser meets squarely, up to which they are on
+one surface: that of one which it meets at 75 degrees. On a steeper one what lies between them stays open."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Eye:
@@ -37,7 +41,8 @@ class Eye:
     Attributes:
         source: (3,) [m].
         sensor: (3,) [m].
-        rays: (R, 3) unit vectors, those of a scan.
+        rays: (R, 3) unit vectors, those of a scan, row by row.
+        columns: rays of each row.
         near: distance from the source to where it begins to measure [m].
         far: to where it ends [m].
         apart: angle between neighbouring rays [rad].
@@ -46,6 +51,7 @@ class Eye:
     source: Floats
     sensor: Floats
     rays: Floats
+    columns: int
     near: float
     far: float
     apart: float
@@ -57,7 +63,8 @@ class Eye:
         near, far = (limit / 1000 for limit in scene.scanner.range_mm)
         rays = np.asarray(scanner.ray_directions())
         apart = float(np.arccos(np.clip(rays[0] @ rays[1], -1.0, 1.0)))
-        return cls(np.asarray(scanner.source), np.asarray(scanner.sensor), rays, near, far, apart)
+        columns = scanner.grid_shape[1]
+        return cls(np.asarray(scanner.source), np.asarray(scanner.sensor), rays, columns, near, far, apart)
 
     def blank(self, points: Floats, T: Floats) -> Floats:
         """(M, 3) directions of the rays beside which no point came back, in the frame of points (N, 3) [m].
@@ -73,8 +80,37 @@ class Eye:
         """(M,) whether a point (N, 3) [m] came back beside the ray to each target (M, 3) [m]; `T` as in `blank`."""
         return self._beside(self._towards(targets, T), self._towards(points, T))
 
+    def between(self, points: Floats, T: Floats, gap: float) -> Floats:
+        """(M, 3) places between points of neighbouring rays that are on one surface, none a gap from the next [m].
+
+        Args:
+            points: (N, 3) of one scan [m]; of several next to a ray the first counts.
+            T: (4, 4) pose of the scanner in their frame [m].
+            gap: distance [m].
+        """
+        point_of = np.full(len(self.rays), -1)
+        of = np.asarray(cKDTree(self.rays).query(self._towards(points, T) @ T[:3, :3])[1])
+        point_of[of[::-1]] = np.arange(len(points))[::-1]
+        number = np.arange(len(self.rays)).reshape(-1, self.columns)
+        one, other = (
+            np.concatenate([rays.ravel() for rays in pair])
+            for pair in ((number[:-1], number[:, :-1]), (number[1:], number[:, 1:]))
+        )
+        known = (point_of[one] >= 0) & (point_of[other] >= 0)
+        one, other = one[known], other[known]
+        begin, end, squarely = points[point_of[one]], points[point_of[other]], self.rays[one] - self.rays[other]
+        length, away = np.linalg.norm(end - begin, axis=1), np.linalg.norm(begin - self._source(T), axis=1)
+        kept = (length > gap) & (length <= _JOINED * away * np.linalg.norm(squarely, axis=1))
+        begin, end, parts = begin[kept], end[kept], np.ceil(length[kept] / gap).astype(np.int64)
+        pair = np.repeat(np.arange(len(parts)), parts - 1)
+        step = np.arange(len(pair)) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1
+        return np.asarray(begin[pair] + (step / parts[pair])[:, None] * (end - begin)[pair])
+
+    def _source(self, T: Floats) -> Floats:
+        return np.asarray(T[:3, :3] @ self.source + T[:3, 3])
+
     def _towards(self, points: Floats, T: Floats) -> Floats:
-        legs = points - T[:3, :3] @ self.source - T[:3, 3]
+        legs = points - self._source(T)
         return np.asarray(legs / np.maximum(np.linalg.norm(legs, axis=1, keepdims=True), 1e-12))
 
     def _beside(self, rays: Floats, others: Floats) -> Bools:
@@ -157,6 +193,9 @@ def prepared(
             "explore with a scanner that stands still, such as laser-area"
         )
     unknown = _unknown(options, scanning, settings, cylinder)
+    if scanning.resolution_deg is not None and "resolution_deg" in settings.scanner:
+        resolution = {"resolution_deg": (scanning.resolution_deg, scanning.resolution_deg)}
+        scanner = scanners.make(settled.scanner.type, {**settings.scanner, **resolution})
     return Exploring(
         settled, options, scanning, part, hidden, cylinder, unknown, Eye.of(scanner, settled), Paths(out), narrator,
         ask, argv,

@@ -14,14 +14,17 @@ from cell import scanners
 from cell.errors import UnreachableError
 from cell.explore import belief
 from cell.explore.asked import Asked, wanted
+from cell.explore.moved import with_better
 from cell.explore.reasons import StillOpen, still_open
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
 from cell.plan import pipeline, steps
+from cell.plan.appended_candidates import behind
 from cell.plan.candidates import GROWN, arm_of, first, grow, limited
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
+from cell.plan.refined import Append
 from cell.plan.request import seconds_of_views
 from cell.plan.steps import Job, Measured, Run
 from cell.plan.summary import Further, plan_report
@@ -38,6 +41,7 @@ from planner.ports import RayCaster, Scanner
 from planner.reach.reach import Reach, join_reach
 from planner.surface.decimate import decimate
 from planner.surface.sample import SurfaceSamples, pick_samples, sample
+from planner.values import Ints
 from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
 
@@ -49,6 +53,9 @@ SCHEDULE = growth.SCHEDULE[:2]
 
 _BRIEF = replace(DEFAULT_BUDGET, path_checks=CHECKS // 4, polish=0, guesses=DEFAULT_BUDGET.guesses[:1])
 """Of the motion through the few views of a batch: searching on for a shorter one takes longer than it saves."""
+
+STARTS = 6
+"""Candidates, each the best after those before it, from which one is searched that measures more."""
 
 _ROWS, _SCOUTS = 10, 11  # streams of randomness of their own, beside those of `cell.plan.steps`
 
@@ -120,7 +127,7 @@ def _steps(run: Run, job: Job, asked: Asked) -> int:
         prediction = Prediction.of(scouts, scanner, casters, poses, progress)
     problem = steps.ask(run, job, cell, measured, prediction)
     try:
-        problem, chosen = _connected(run, problem, surface, asked)
+        problem, chosen = _connected(run, problem, surface, asked, behind(run, job, cell, surface))
     except UnreachableError as error:
         raise EnoughError(str(error)) from error
     if told := _too_little(chosen, asked):
@@ -155,31 +162,49 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
         return PartSurface(reference, planning, rows, caster), scouts, candidates
 
 
-def _connected(run: Run, problem: Problem, surface: PartSurface, asked: Asked) -> tuple[Problem, ConnectedPlan]:
+def _connected(
+    run: Run, problem: Problem, surface: PartSurface, asked: Asked, append: Append
+) -> tuple[Problem, ConnectedPlan]:
     """Steps 6 to 8; views that cannot be connected are replaced by those that measure the most."""
     batch = asked.batch
     if not batch.per_second or batch.views is None:
-        return steps.connect(run, _worth(problem, asked) if asked.least_gain else problem, surface)
+        if asked.least_gain:  # the ring is planned for a cylinder: nothing is gained by looking at it better
+            before, problem = problem, with_better(problem, _each_worth(problem, asked), append)
+            steps.write_changed(run, before, problem)
+            problem = _worth(problem, asked)
+        return steps.connect(run, problem, surface)
     with run.step("select, order and connect") as progress:
-        M, reached, plan, rng = problem.M, problem.reached, problem.request.plan, run.rng(steps.SELECTION)
-        seconds = seconds_of_views(plan, reached, problem.world.home, problem.limits)
-        best = most_per_second(M.matrix(), M.features.areas, seconds, problem.usable(()), batch.views)
-        others = tuple(np.setdiff1d(np.arange(len(reached)), best).tolist())
-        request = replace(problem.request, plan=plan.model_copy(update={"banned": others}))
-        selected = first_choice(replace(problem, request=request), rng)
+        rng, before = run.rng(steps.SELECTION), problem
+        problem = with_better(problem, _best(problem, max(batch.views, STARTS)), append)
+        others = tuple(np.setdiff1d(np.arange(len(problem.candidates)), _best(problem, batch.views)).tolist())
+        plan = problem.request.plan.model_copy(update={"banned": others})
+        selected = first_choice(replace(problem, request=replace(problem.request, plan=plan)), rng)
         problem = replace(problem, request=replace(problem.request, motion=_BRIEF))
-        return problem, choose_and_connect(
+        chosen = choose_and_connect(
             problem, selected, selection_rng=rng, motion_rng=run.rng(steps.MOTION), progress=progress
         )
+        steps.write_changed(run, before, problem)
+        return problem, chosen
+
+
+def _best(problem: Problem, count: int) -> Ints:
+    """So many candidates, each with the most per second after those before it."""
+    seconds = seconds_of_views(problem.request.plan, problem.reached, problem.world.home, problem.limits)
+    M = problem.M
+    return most_per_second(M.matrix(), M.features.areas, seconds, problem.usable(()), count)
+
+
+def _each_worth(problem: Problem, asked: Asked) -> Ints:
+    """Views that greedily each add the least gain."""
+    M, usable = problem.M, problem.usable(())
+    most = len(usable) if asked.batch.views is None else asked.batch.views
+    gains = asked.came * M.features.areas
+    return most_per_second(M.matrix(), gains, np.ones(len(usable)), usable, most, asked.least_area)
 
 
 def _worth(problem: Problem, asked: Asked) -> Problem:
     """The problem for no more views than greedily each add the least gain."""
-    M, usable = problem.M, problem.usable(())
-    most = len(usable) if asked.batch.views is None else asked.batch.views
-    gains = asked.came * M.features.areas
-    views = len(most_per_second(M.matrix(), gains, np.ones(len(usable)), usable, most, asked.least_area))
-    plan = problem.request.plan.model_copy(update={"max_views": max(views, 1)})
+    plan = problem.request.plan.model_copy(update={"max_views": max(len(_each_worth(problem, asked)), 1)})
     return replace(problem, request=replace(problem.request, plan=plan))
 
 
@@ -201,7 +226,7 @@ def _explained(
 ) -> StillOpen:  # fmt: skip
     """What is open with the reasons why it stays open."""
     left = pick_samples(scouts, ~asked.space.seen(scouts.points, scouts.normals))
-    of = asked.space.open_at(left.points)
+    of = asked.space.open_at(left.points, left.normals)
     left = replace(left, areas=left.areas / asked.record.weights(of))
     return still_open(left, of, candidates, reached, scanner, casters)
 

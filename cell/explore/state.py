@@ -127,7 +127,7 @@ class Paths:
         space, record = known.space, known.record
         np.savez_compressed(
             self.voxels(number), allow_pickle=False, state=space.state, votes=space.votes, tries=space.tries,
-            points=space.points, expected=record.expected, found=record.found,
+            points=space.points, between=space.between, expected=record.expected, found=record.found,
         )  # fmt: skip
 
     def known(self, number: int, unknown: VoxelSpace) -> Known:
@@ -143,8 +143,9 @@ class Paths:
             raise FileError(f"{path} is missing; explore anew")
         stored = npz(path, path.read_bytes())
         with understood(path):
-            state, votes, tries, points = (stored[name] for name in ("state", "votes", "tries", "points"))
-            space = replace(unknown, state=state, votes=votes, tries=tries, points=points)
+            state, votes, tries = (stored[name] for name in ("state", "votes", "tries"))
+            points, between = (stored[name] for name in ("points", "between"))
+            space = replace(unknown, state=state, votes=votes, tries=tries, points=points, between=between)
             return Known(space, Record(stored["expected"], stored["found"]))
 
     def clear(self, number: int) -> None:

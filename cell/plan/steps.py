@@ -264,14 +264,19 @@ def connect(
             moved = unmoved = in_seconds(*moved, chooses)
         joined = partial(choose_and_connect, selection_rng=chooses, progress=progress)
         problem, chosen = connected(moved, unmoved, lambda *asked: joined(*asked, motion_rng=run.rng(MOTION)))
-        if problem.M is not before.M:
-            plan_files.write_measurability(run.folder, problem.M)
-        if problem.candidates is not before.candidates:
-            plan_files.write_viewpoints(run.folder, problem.candidates)
         problem = problem.taking(chosen.candidate, chosen.tour.q)
-        if problem.reached is not before.reached:
-            plan_files.write_reach(run.folder, problem.reached)
+        write_changed(run, before, problem)
         return problem, chosen
+
+
+def write_changed(run: Run, before: Problem, problem: Problem) -> None:
+    """Write again what of a problem's candidates is other than before."""
+    if problem.M is not before.M:
+        plan_files.write_measurability(run.folder, problem.M)
+    if problem.candidates is not before.candidates:
+        plan_files.write_viewpoints(run.folder, problem.candidates)
+    if problem.reached is not before.reached:
+        plan_files.write_reach(run.folder, problem.reached)
 
 
 def prove_and_time(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[MotionClearance, Motion]:

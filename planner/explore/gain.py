@@ -25,6 +25,10 @@ REACHES = (1.1, 2.0, 4.0, 8.0, 16.0, 32.0)
 _PRIOR = 0.5 * 0.5 ** np.arange(MOST_TRIES + 1)[:, None] * 0.7 ** np.maximum(np.arange(len(REACHES) + 1) - 1, 0)
 """Probability before anything is known of it: halved with each try, less by a third with each class of distance ..."""
 
+_BETWEEN = 0.2
+"""Of all that, what lies between points of neighbouring rays: mostly nothing is there that is not measured, and then it
+need not be looked at again."""
+
 _WORTH = 0.01
 """... and the weight of this, as a share of the believed surface."""
 
@@ -43,10 +47,12 @@ class Open(Value):
     Attributes:
         tries: (N,) views that should have measured each and did not.
         beside: (N,) distance to the nearest measured voxel [edges].
+        between: (N,) whether it lies between points of neighbouring rays: seen, only steeply.
     """
 
     tries: Annotated[Ints, "N"]
     beside: Annotated[Floats, "N"]
+    between: Annotated[Bools, "N"]
 
     @property
     def classes(self) -> tuple[Ints, Ints]:
@@ -72,21 +78,22 @@ class Record(Value):
         return cls(np.zeros(_PRIOR.shape), np.zeros(_PRIOR.shape))
 
     def with_stage(self, still_open: Open, shares: Floats, found: Floats) -> "Record":
-        """With a stage more.
+        """With a stage more; what lies between neighbouring rays says nothing of what was not seen.
 
         Args:
             still_open: before it, samples that its views should have measured.
             shares: (N,) of the believed surface that each stands for.
             found: (N,) 1 where a ray came back with something new, else 0.
         """
-        expected, came = _KEPT * self.expected, _KEPT * self.found
+        expected, came, shares = _KEPT * self.expected, _KEPT * self.found, shares * ~still_open.between
         np.add.at(expected, still_open.classes, shares)
         np.add.at(came, still_open.classes, shares * found)
         return replace(self, expected=expected, found=came)
 
     def weights(self, still_open: Open) -> Floats:
         """(N,) probability that a view which should measure each finds something: the share that did, and the prior."""
-        return np.asarray(((self.found + _WORTH * _PRIOR) / (self.expected + _WORTH))[still_open.classes])
+        learned = ((self.found + _WORTH * _PRIOR) / (self.expected + _WORTH))[still_open.classes]
+        return np.where(still_open.between, _BETWEEN * learned, learned)
 
 
 def came(batches: Sequence[tuple[float, float]]) -> float:

@@ -66,6 +66,7 @@ class VoxelSpace(Value):
         tries: (X, Y, Z) how many views were executed that were expected to measure what is open in a voxel.
         gap: distance to the nearest measured point above which nothing is measured [m].
         points: (P, 3) measured ones, the first in each of small cubes, in the order in which they came [m].
+        between: (Q, 3) places between those of neighbouring rays, likewise [m].
         radius: of the cylinder [m].
         height: of the cylinder [m].
     """
@@ -77,6 +78,7 @@ class VoxelSpace(Value):
     tries: Annotated[NDArray[np.uint8], "X Y Z"]
     gap: float
     points: Annotated[Floats, "P 3"]
+    between: Annotated[Floats, "Q 3"]
     radius: float
     height: float
 
@@ -102,9 +104,9 @@ class VoxelSpace(Value):
             raise PlannerError(f"voxels of {1000 * edge:g} mm are too many for the cylinder; choose larger ones")
         low = -half * edge
         nothing = np.zeros(shape, np.uint8)
-        votes, points = nothing.astype(np.int16), np.empty((0, 3))
+        votes, none = nothing.astype(np.int16), np.empty((0, 3))
         gap = max(_GAP * spacing, _KNOWN * edge)
-        space = cls(low, edge, nothing, votes, nothing, gap, points, radius, height)
+        space = cls(low, edge, nothing, votes, nothing, gap, none, none, radius, height)
         return replace(space, state=np.where(space._within(edge / 2), UNKNOWN, FREE).astype(np.uint8))
 
     def centres(self, chosen: Bools) -> Floats:
@@ -143,10 +145,11 @@ class VoxelSpace(Value):
         state[crossed & (state == UNKNOWN)] = FREE
         within = points[~self.outside(points)]
         state[tuple(self._place(within).T)] = OCCUPIED
-        every = np.concatenate([self.points, within])
-        cubes = np.floor((every - self.low) / (_APART * self.gap)).astype(np.int64)
-        first = np.sort(np.unique(cubes, axis=0, return_index=True)[1])
-        return replace(self, state=state, points=every[first])
+        return replace(self, state=state, points=self._thinned(np.concatenate([self.points, within])))
+
+    def joined(self, places: Floats) -> "VoxelSpace":
+        """With (N, 3) places between points of neighbouring rays of one view, on one surface with them [m]."""
+        return replace(self, between=self._thinned(np.concatenate([self.between, places[~self.outside(places)]])))
 
     def judged_from(
         self, points: Floats, source: Floats, sensor: Floats, blank: Floats, near: float, far: float
@@ -198,11 +201,7 @@ class VoxelSpace(Value):
             points: (N, 3) [m].
             normals: (N, 3) outward unit normals.
         """
-        found, tree = np.zeros(len(points), dtype=np.bool_), cKDTree(self.points)
-        for many in (1, _NEIGHBOURS):  # the nearest says enough of most
-            rest = np.flatnonzero(~found)
-            found[rest] = self._beside(tree, points[rest], normals[rest], many)
-        return found
+        return self._beside(self.points, points, normals)
 
     def seen_since(self, before: "VoxelSpace", points: Floats, normals: Floats) -> tuple[Bools, Bools]:
         """(N,) what is seen, and what of it was not `before`, of which this is what followed; `points` as in `seen`."""
@@ -235,23 +234,33 @@ class VoxelSpace(Value):
         tries[place] = np.minimum(tries[place].astype(np.int64) + 1, 255).astype(np.uint8)
         return replace(self, tries=tries)
 
-    def open_at(self, points: Floats) -> Open:
-        """What class points (N, 3) of a believed surface [m] are of; tries within two voxels are of one patch."""
+    def open_at(self, points: Floats, normals: Floats) -> Open:
+        """What class points of a believed surface are of, as in `seen`; tries within two voxels are of one patch."""
         measured = self.centres(self.state == OCCUPIED)
         beside = cKDTree(measured).query(points)[0] / self.edge if len(measured) else np.full(len(points), np.inf)
         tries = self.at(points, ndimage.maximum_filter(self.tries, 5))
-        return Open(np.asarray(tries, dtype=np.int64), np.asarray(beside))
+        between = self._beside(self.between, points, normals)
+        return Open(np.asarray(tries, dtype=np.int64), np.asarray(beside), between)
 
-    def _beside(self, tree: cKDTree, points: Floats, normals: Floats, many: int) -> Bools:
-        """(N,) whether one of the `many` measured points next to each is within a gap of its normal."""
-        k = np.arange(1, many + 1)
-        distance, at = map(np.asarray, tree.query(points, k=k, distance_upper_bound=self._farthest))
-        which, _ = np.nonzero(np.isfinite(distance))
-        legs = self.points[at[np.isfinite(distance)]] - points[which]
-        height = np.einsum("ij,ij->i", legs, normals[which])
-        across = np.linalg.norm(legs - height[:, None] * normals[which], axis=1)
-        on_it = (height <= _ABOVE * self.edge) & (height >= -_BELOW * self.edge)
-        return np.bincount(which[(across <= self.gap) & on_it], minlength=len(points)) > 0
+    def _beside(self, known: Floats, points: Floats, normals: Floats) -> Bools:
+        """(N,) whether one of the `known` places (P, 3) next to each is within a gap of its normal."""
+        found, tree = np.zeros(len(points), dtype=np.bool_), cKDTree(known)
+        for many in (1, _NEIGHBOURS):  # the nearest says enough of most
+            rest = np.flatnonzero(~found)
+            k = np.arange(1, many + 1)
+            distance, at = map(np.asarray, tree.query(points[rest], k=k, distance_upper_bound=self._farthest))
+            which, _ = np.nonzero(np.isfinite(distance))
+            legs, along = known[at[np.isfinite(distance)]] - points[rest][which], normals[rest][which]
+            height = np.einsum("ij,ij->i", legs, along)
+            across = np.linalg.norm(legs - height[:, None] * along, axis=1)
+            on_it = (height <= _ABOVE * self.edge) & (height >= -_BELOW * self.edge)
+            found[rest] = np.bincount(which[(across <= self.gap) & on_it], minlength=len(rest)) > 0
+        return found
+
+    def _thinned(self, points: Floats) -> Floats:
+        """The first of the points (N, 3) [m] in each of small cubes."""
+        cubes = np.floor((points - self.low) / (_APART * self.gap)).astype(np.int64)
+        return points[np.sort(np.unique(cubes, axis=0, return_index=True)[1])]
 
     def _crossed(self, starts: Floats, ends: Floats) -> Bools:
         """(X, Y, Z) the voxels that legs from (N, 3) to (N, 3) cross [m]."""

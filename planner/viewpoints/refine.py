@@ -1,12 +1,13 @@
-"""Chosen views moved so that fewer of them measure as much: one view at a time, over all six degrees of freedom.
+"""Views moved so that fewer of them measure as much: one view at a time, over all six degrees of freedom.
 
 Candidates are drawn before it is known which of them will stand together. Once some are chosen, what each is needed for
 is known: what no other chosen view measures. `fewer` leaves out the views that are needed least and moves the others
 until nothing is missing again: each in turn to where it measures the largest area of what only it measures and of what
 is open, all others staying where they are; then all of them again with other steps. The measured area never falls. A
 pattern search (Kolda, Lewis, Torczon 2003, doi:10.1137/S003614450242889) whose steps are stretches of the lattice of
-`planner.viewpoints.pointwise`: nothing is random, and the work is counted in poses. Every pose that is kept measures by
-the same rules as a candidate and is taken up by the arm. Object frame, metres.
+`planner.viewpoints.pointwise`: nothing is random, and the work is counted in poses. `better` does the same with views
+that are not to stand together. Every pose that is kept measures by the same rules as a candidate and is taken up by the
+arm. Object frame, metres.
 """
 
 from collections.abc import Callable
@@ -25,6 +26,9 @@ WORK = 8_000
 
 SCALES = (1.0, 0.5, 1.0, 0.25, 0.5, 0.25)
 """Largest steps of the rounds over all views after some were left out, as shares of those of `pointwise.moved`."""
+
+ALONE = (1.0, 0.5, 0.25)
+"""The same where each view is moved for itself."""
 
 _POSES = 48  # that a view is compared with in a round
 _ASKED = 6  # poses of them that the arm is asked about, the best first
@@ -99,10 +103,32 @@ def fewer(
     return views
 
 
+def better(
+    T_object_scanner: Floats, distance: Floats, targets: Targets, areas: Floats, arm: Arm
+) -> tuple[Floats, Bools]:
+    """Viewpoints, each where it measures a larger area whatever the others measure, or where it was.
+
+    Args:
+        T_object_scanner: (n, 4, 4) where each begins [m].
+        distance: (n,) to the point that it is aimed at [m].
+        targets: the S rows.
+        areas: (S,) that each row stands for, in any unit; 0 where it does not count.
+        arm: the scanner and what it can take up.
+
+    Returns:
+        (n, 4, 4) and (n,) which of them moved.
+    """
+    n, rows = len(distance), arm.measured(T_object_scanner, targets, np.arange(len(targets)))
+    views = Standing(T_object_scanner, distance, np.arange(n), np.zeros(n, dtype=np.bool_), rows)
+    found = [_Search(targets, areas, lambda _: arm).alone(views.pick(np.array([view]))) for view in range(n)]
+    T = np.array([view.T_object_scanner[0] for view in found]).reshape(-1, 4, 4)
+    return T, np.array([view.moved[0] for view in found], dtype=np.bool_)
+
+
 class _Search:
     """Moves views, and counts the poses."""
 
-    def __init__(self, targets: Targets, areas: Floats, arm_of: Callable[[int], Arm], work: int) -> None:
+    def __init__(self, targets: Targets, areas: Floats, arm_of: Callable[[int], Arm], work: int = 0) -> None:
         self.targets, self.areas, self.arm_of, self.left, self.rounds = targets, areas, arm_of, work, 0
 
     def needed_most(self, views: Standing, count: int) -> Ints:
@@ -132,6 +158,13 @@ class _Search:
             if len(known) > 2 and goal - known[-1] > _HOPELESS * (known[-1] - known[-3]):
                 return None
         return None
+
+    def alone(self, view: Standing) -> Standing:
+        """One view where it measures more."""
+        for scale in ALONE:
+            view = self._better(view, 0, scale)
+            self.rounds += 1
+        return view
 
     def _covered(self, views: Standing) -> float:
         return float(self.areas[views.measured.any(axis=1)].sum())

@@ -16,11 +16,13 @@ from scipy.spatial import cKDTree
 from benchmarks.triangle_cell import TriangleCell
 from cell.errors import FileError
 from cell.explore import explore, state
+from cell.explore import stage as stage_plan
 from cell.explore.hidden import Hidden
 from cell.explore.prepare import Exploring
 from cell.explore.report import surface_of
 from cell.explore.stage import EnoughError
 from cell.part import workpiece
+from cell.plan.problem import Problem
 from cell.run import explore_json, ply, reader
 from cell.run.cell import read_cell, world_of
 from cell.run.explore_json import BELIEVED, MEASURED, ExploreFile
@@ -70,6 +72,35 @@ def test_the_file_says_what_was_done(explored: Path) -> None:
     printed = json.loads((explored.parent / "stdout").read_text())
     assert printed == json.loads((explored / "explore.json").read_text())
     assert (explored / "report.md").read_text().count("stages/000") == 2
+
+
+def test_views_are_moved_to_where_they_measure_more(
+    part_file: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """What is taken is one of them, on file with its pose, its joint angles and the rows that it measures by rays."""
+    before, better = list[int](), stage_plan.with_better
+
+    def with_better(problem: Problem, *asked: Any) -> Problem:
+        before.append(len(problem.candidates))
+        return better(problem, *asked)
+
+    monkeypatch.setattr(stage_plan, "with_better", with_better)
+    grown = (*PLACE[:-1], "grown", "--resolution", "0.5", "--max-views", "3")
+    done = run_cell("explore", part_file, "--units", "mm", *grown, "--out", "explored", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    moved = 0
+    for folder, known in zip(("0002", "0003"), before, strict=True):
+        run = open_finished(tmp_path / "explored" / "stages" / folder)
+        M, candidates, cell = reader.measurability(run), reader.candidates(run), read_cell(run)
+        assert known < len(candidates) == len(reader.reached(run)) == M.shape[1] <= known + stage_plan.STARTS
+        (view,) = reader.plan(run).views
+        moved += view.id >= known
+        for number in (view.id, *range(known, len(candidates))):
+            casters = (cell.part_caster, cell.occluder_caster)
+            sees = measured(candidates.T_object_scanner[[number]], M.features, cell.scanner, casters)
+            assert np.array_equal(M.matrix()[:, [number]].toarray()[:, 0] > 0, sees)
+    assert moved > 0
 
 
 def test_the_truth_beside_it_is_that_of_the_part(explored: Path) -> None:

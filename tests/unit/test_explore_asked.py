@@ -100,7 +100,7 @@ def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls:
     kept = wanted(samples, asked, 3000, LAW, EmbreeRayCaster(balls.vertices, balls.faces))
     seen = space.seen(samples.points, samples.normals)
     assert seen[right].all()
-    weights = np.where(seen, float(whole), Record.empty().weights(space.open_at(samples.points)))
+    weights = np.where(seen, float(whole), Record.empty().weights(space.open_at(samples.points, samples.normals)))
     assert np.array_equal(kept.points, samples.points[weights > 0])
     assert kept.areas == pytest.approx((weights * samples.areas)[weights > 0])
     assert np.array_equal(probable(samples, asked, 3000).areas, kept.areas)

@@ -24,7 +24,7 @@ def _samples(count: int) -> SurfaceSamples:
 _WALL = EmbreeRayCaster(
     np.array([[-9.0, -9, 0.05], [9, -9, 0.05], [0, 9, 0.05]]), np.array([[0, 1, 2]], dtype=np.int32)
 )
-_OF = Open(np.array([0, 0, 1, 1]), np.array([1.0, 9.0, 1.0, 9.0]))
+_OF = Open(np.array([0, 0, 1, 1]), np.array([1.0, 9.0, 1.0, 9.0]), np.zeros(4, dtype=bool))
 
 
 @pytest.mark.parametrize("verdict", [Verdict.REACHABLE, Verdict.OUT_OF_REACH])

@@ -168,6 +168,26 @@ def test_a_strip_without_points_is_open_though_its_voxels_are_occupied(spacing: 
     assert np.array_equal(space.open_still(above, up), open_now)
 
 
+def test_between_points_of_neighbouring_rays_a_surface_is_open_as_what_was_seen_steeply() -> None:
+    """Places there make nothing seen, and are kept from view to view; what is beside neither is open as ever."""
+    space = _space()
+    space = space.seen_from(np.array([[0.0, 0.0, 0.0], [0.012, 0.0, 0.0]]), [])
+    places = np.array([[0.004, 0.0, 0.0], [0.008, 0.0, 0.0]])
+    joined = space.joined(places).seen_from(np.array([[0.03, 0.0, 0.0]]), []).joined(np.array([[0.03, 0.003, 0.0]]))
+    above = np.array([[x, 0.0, 0.5 * space.edge] for x in (0.0, 0.004, 0.008, 0.012, 0.02)])
+    up = np.tile([0.0, 0.0, 1.0], (5, 1))
+    assert joined.seen(above, up).tolist() == space.seen(above, up).tolist() == [True, False, False, True, False]
+    assert joined.open_at(above, up).between.tolist() == [False, True, True, False, False]
+    beyond = above[1:2] + np.array(
+        [0.0, 0.0, 0.5 * space.edge]
+    )  # an edge before the place along the normal, which is beside it
+    assert [joined.open_at(beyond, side * up[:1]).between[0] for side in (1, -1)] == [True, False]
+    assert not space.open_at(above, up).between.any()
+    outside = np.array([[1.0, 0.0, 0.0]])
+    assert np.array_equal(joined.joined(joined.between + 1e-9).joined(outside).between, joined.between)
+    assert np.array_equal(joined.between, [*places, [0.03, 0.003, 0.0]])
+
+
 def test_each_small_cube_keeps_its_first_point() -> None:
     """Points that came before stay, in order; the same points again change nothing; one beyond the cylinder is none."""
     rng = np.random.default_rng(6)
@@ -211,12 +231,12 @@ def test_tries_are_counted_once_a_stage_and_reach_to_neighbours() -> None:
     """Two points of one voxel are one try; a class knows the distance to the nearest measured voxel."""
     space = _space().tried(np.array([[0.0, 0.0, 0.001], [0.0, 0.0, 0.0015], [0.02, 0.0, 0.001]]))
     assert space.tries.max() == 1
-    points = np.array([[0.0, 0.004, 0.001], [0.0, 0.03, 0.001]])
-    assert space.open_at(points).tries.tolist() == [1, 0]
-    assert np.isinf(space.open_at(points).beside).all()
+    points, up = np.array([[0.0, 0.004, 0.001], [0.0, 0.03, 0.001]]), np.tile([0.0, 0.0, 1.0], (2, 1))
+    assert space.open_at(points, up).tries.tolist() == [1, 0]
+    assert np.isinf(space.open_at(points, up).beside).all()
     state = np.array(space.state)
     state[tuple(np.floor((points[1] - space.low) / space.edge).astype(int))] = OCCUPIED
-    beside = replace(space, state=state).open_at(points).beside
+    beside = replace(space, state=state).open_at(points, up).beside
     assert beside[1] <= np.sqrt(3) / 2
     assert beside[0] == pytest.approx(0.026 / space.edge, abs=2)
 
@@ -224,15 +244,21 @@ def test_tries_are_counted_once_a_stage_and_reach_to_neighbours() -> None:
 def test_the_probability_follows_the_record() -> None:
     """Nothing known: less with each try, and with distance. Much known: the share of each class that was found."""
     tries, beside = np.repeat(np.arange(3), 2), np.tile([1.0, 20.0], 3)
-    before = Record.empty().weights(Open(tries, beside))
+    unseen = np.zeros(6, dtype=bool)
+    before = Record.empty().weights(Open(tries, beside, unseen))
     assert (np.diff(before[::2]) < 0).all()
     assert (before[1::2] < before[::2]).all()
-    assert Record.empty().weights(Open(np.array([MOST_TRIES, MOST_TRIES + 5]), np.array([1.0, 1.0]))).std() == 0
-    often = Open(np.repeat(tries, 1000), np.repeat(beside, 1000))
+    assert Record.empty().weights(Open(np.array([MOST_TRIES, MOST_TRIES + 5]), np.ones(2), unseen[:2])).std() == 0
+    often = Open(np.repeat(tries, 1000), np.repeat(beside, 1000), np.repeat(unseen, 1000))
     shares = [0.6, 0.1, 0.7, 0.0, 1.0, 0.2]
     found = np.concatenate([np.arange(1000) < 1000 * share for share in shares]).astype(float)
-    known = Record.empty().with_stage(often, np.ones(6000), found).weights(Open(tries, beside))
-    assert known == pytest.approx(shares, abs=1e-3)
+    known = Record.empty().with_stage(often, np.ones(6000), found)
+    assert known.weights(Open(tries, beside, unseen)) == pytest.approx(shares, abs=1e-3)
+    steep = Open(tries, beside, ~unseen)
+    assert known.weights(steep) == pytest.approx(0.2 * known.weights(Open(tries, beside, unseen)))
+    after = known.with_stage(steep, np.ones(6), np.ones(6))
+    assert after.expected == pytest.approx(0.7 * known.expected)
+    assert after.found == pytest.approx(0.7 * known.found)
 
 
 def test_the_views_of_most_gain_per_second() -> None:

@@ -84,7 +84,7 @@ def _points(mesh: TriangleMesh, T: Floats) -> Floats:
 def _learned(space: VoxelSpace, points: Floats, T: Floats) -> VoxelSpace:
     rays = np.asarray(_SCANNER.ray_directions())
     source, sensor = np.asarray(_SCANNER.source), np.asarray(_SCANNER.sensor)
-    eye = Eye(source, sensor, rays, NEAR, FAR, float(np.arccos(rays[0] @ rays[1])))
+    eye = Eye(source, sensor, rays, _SCANNER.grid_shape[1], NEAR, FAR, float(np.arccos(rays[0] @ rays[1])))
     stands = [T[:3, :3] @ at + T[:3, 3] for at in (source, sensor)]
     space = space.seen_from(points, stands) if len(points) else space
     return space.judged_from(points, *stands, eye.blank(points, T), NEAR, FAR)

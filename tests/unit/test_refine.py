@@ -11,11 +11,11 @@ from planner.measurability.matrix import fill, measured
 from planner.ports import Rejection
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import sample
-from planner.viewpoints import growth
+from planner.viewpoints import growth, refine
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.lines_of_sight import Targets, in_view, in_view_of
 from planner.viewpoints.pointwise import moved
-from planner.viewpoints.refine import Standing, fewer
+from planner.viewpoints.refine import Standing, better, fewer
 from planner.viewpoints.viewpoints import looking_at
 
 STANDOFF = 0.1
@@ -91,6 +91,52 @@ def test_views_that_fall_short_elsewhere_are_not_taken(case):
     for after in (_fewer(case, short=lambda views: 0.5)[1], _fewer(case, work=0)[1]):
         assert len(after) == len(views)
         np.testing.assert_array_equal(after.T_object_scanner, views.T_object_scanner)
+
+
+def _better(case, wanted, takes_up=lambda T: np.ones(len(T), dtype=bool), which=slice(None)):
+    features, scanner, caster, views = case
+    targets, arm = Targets.of(features.points, features.normals), _arm(scanner, caster, takes_up)
+    return better(views.T_object_scanner[which], views.distance[which], targets, wanted, arm)
+
+
+def test_each_view_alone_measures_more_where_it_is_moved_to(case):
+    """By the rays of each pose alone, whoever stands beside it; where it did not move it is the same to the bit."""
+    features, scanner, caster, views = case
+    wanted = features.areas * (features.points[:, 0] > 0)
+    T, moved_ = _better(case, wanted)
+    more = wanted @ measured(T[:, None], features, scanner, (caster,), each=True) > wanted @ views.measured
+    np.testing.assert_array_equal(more, moved_)
+    assert more.mean() > 0.5
+    np.testing.assert_array_equal(T[~moved_], views.T_object_scanner[~moved_])
+    np.testing.assert_array_equal(_better(case, wanted)[0], T)
+    np.testing.assert_array_equal(_better(case, wanted, which=[2])[0][0], T[2])
+    assert [len(each) for each in _better(case, wanted, which=[])] == [0, 0]
+
+
+def test_each_round_measures_more(case, monkeypatch):
+    """Smaller steps after large ones find what these did not; no view goes farther than the steps allow."""
+    features, _, _, views = case
+    rounds = []
+    for count in (1, 2, 3):
+        monkeypatch.setattr(refine, "ALONE", (1.0, 0.5, 0.25)[:count])
+        T, _ = _better(case, features.areas)
+        way = np.linalg.norm(T[:, :3, 3] - views.T_object_scanner[:, :3, 3], axis=1)
+        turn = 2 * np.sin(np.sqrt(3) * np.radians(15) / 2)
+        assert way.max() <= STANDOFF * sum(refine.ALONE) * (turn + np.sqrt(3) * 0.15)
+        rounds.append(float(np.sum(features.areas @ measured(T[:, None], features, *case[1:2], (case[2],), each=True))))
+    assert rounds == sorted(rounds)
+    assert rounds[0] < rounds[2]
+
+
+def test_what_the_arm_does_not_take_up_is_not_better(case):
+    """Views stay where an arm takes up nothing else; of an arm that reaches one half of space none leaves it."""
+    features, _, _, views = case
+    T, moved_ = _better(case, features.areas, lambda T: np.zeros(len(T), dtype=bool))
+    assert not moved_.any()
+    np.testing.assert_array_equal(T, views.T_object_scanner)
+    T, moved_ = _better(case, features.areas, lambda T: T[:, 0, 2, 3] > 0)
+    assert moved_.any()
+    assert (T[moved_, 2, 3] > 0).all()
 
 
 def test_moved_poses_stay_about_their_aim():

@@ -1,0 +1,66 @@
+"""Candidates of a stage moved to where they measure more: what is made of them, by a problem that is just that."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.explore import moved
+from cell.explore.moved import with_better
+from cell.rays.embree import EmbreeRayCaster
+from cell.scanners.laser_area import LaserArea
+from planner.measurability.matrix import measured
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import sample
+from planner.viewpoints.growth import Arm
+from planner.viewpoints.viewpoints import join_viewpoints, looking_at
+
+_GROWN, _NOT = (SimpleNamespace(plan=SimpleNamespace(candidates=kind)) for kind in ("grown", "view-sphere"))
+
+
+@pytest.fixture
+def problem(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """Before a ball of 60 mm twelve candidates, of an arm that stands anywhere."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
+    mesh = TriangleMesh(ball.vertices, ball.faces)
+    scanner = LaserArea(fov_deg=(40, 40), range_mm=(50, 150), baseline_mm=20, sensor_grazing_max_deg=75)
+    casters = (EmbreeRayCaster(mesh.vertices, mesh.faces),)
+    outward = np.random.default_rng(2).normal(size=(12, 3))
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    candidates = looking_at(0.03 * outward, outward, np.arange(12), [0.1], [0.0])
+    scouts = sample(mesh, mesh, 300, np.random.default_rng(1))
+    arm = Arm(scanner, casters, lambda T: np.ones(len(T), dtype=bool), np.eye(4)[None])
+    monkeypatch.setattr(moved, "arm_of", lambda *_: arm)
+    prediction = SimpleNamespace(samples=scouts, scanner=scanner, casters=casters)
+    return SimpleNamespace(
+        candidates=candidates, prediction=prediction, world=None, kinematics=None, checker=None, arm=arm, request=_GROWN
+    )
+
+
+def _append(problem: SimpleNamespace, views: object) -> SimpleNamespace:
+    return SimpleNamespace(**vars(problem) | {"candidates": join_viewpoints([problem.candidates, views])})
+
+
+def test_poses_that_measure_more_stand_behind_the_candidates(problem: SimpleNamespace) -> None:
+    """Each of its own candidate's face, aimed where it looks at its distance, and measuring more than that."""
+    views = np.array([7, 2, 4])
+    after = with_better(problem, views, _append)
+    added = len(after.candidates) - 12
+    assert 0 < added <= 3
+    assert np.array_equal(after.candidates.T_object_scanner[:12], problem.candidates.T_object_scanner)
+    known, scouts = problem.prediction, problem.prediction.samples
+    faces = after.candidates.face[12:].tolist()
+    assert set(faces) <= {7, 2, 4}
+    assert after.candidates.standoff[12:] == pytest.approx(0.1)
+    area = scouts.areas @ measured(after.candidates.T_object_scanner, scouts, known.scanner, known.casters, each=True)
+    assert (area[12:] > area[faces]).all()
+
+
+def test_where_nothing_is_better_the_problem_is_the_same(problem: SimpleNamespace) -> None:
+    """As where there is no view to begin from, and where the user wants the candidates of a generator."""
+    assert with_better(problem, np.empty(0, dtype=np.int64), _append) is problem
+    sphere = SimpleNamespace(**vars(problem) | {"request": _NOT})
+    assert with_better(sphere, np.arange(12), _append) is sphere
+    object.__setattr__(problem.arm, "takes_up", lambda T: np.zeros(len(T), dtype=bool))
+    assert with_better(problem, np.arange(12), _append) is problem
