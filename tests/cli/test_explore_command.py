@@ -100,6 +100,7 @@ def test_views_are_moved_to_where_they_measure_more(
             casters = (cell.part_caster, cell.occluder_caster)
             sees = measured(candidates.T_object_scanner[[number]], M.features, cell.scanner, casters)
             assert np.array_equal(M.matrix()[:, [number]].toarray()[:, 0] > 0, sees)
+        assert len(np.load(tmp_path / "explored" / "stages" / f"{folder}.voxels.npz")["between"]) > 100
     assert moved > 0
 
 

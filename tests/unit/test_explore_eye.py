@@ -1,10 +1,16 @@
 """What lies between the points of neighbouring rays: places on one surface, none across a step or a missing ray."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from cell.explore.prepare import Eye
+from cell.explore.options import ExploreOptions
+from cell.explore.prepare import Eye, prepared
+from cell.narrator import Quiet
+from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
+from cell.scene.options import scene_of
 from planner.values import Floats
 
 STEP = np.radians(0.5)
@@ -82,3 +88,15 @@ def test_a_ray_that_did_not_come_back_separates() -> None:
     assert not len(eye.between(points.reshape(40, 40, 3)[::2, ::2].reshape(-1, 3), T, gap))
     twice = np.concatenate([points, points + 1e-5])
     assert np.array_equal(eye.between(twice, T, gap), eye.between(points, T, gap))
+
+
+def test_the_rays_are_those_of_a_scan() -> None:
+    """At the resolution that is scanned with, the plan's where none is asked for."""
+    scene = scene_of(None, {"place": (1200, 500, 0)}, "petanque")
+    eyes = [
+        prepared(scene, ExploreOptions(), ScanOptions(resolution_deg=asked), Path(), (), Quiet(), None).eye
+        for asked in (None, 2.0)
+    ]
+    assert [eye.rays.shape for eye in eyes] == [(240 * 240, 3), (30 * 30, 3)]
+    assert [eye.columns for eye in eyes] == [240, 30]
+    assert eyes[1].apart > 7 * eyes[0].apart

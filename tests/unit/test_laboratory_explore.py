@@ -96,6 +96,7 @@ def test_every_policy_sees_more_of_a_ball_with_each_view(name: str, ball: Lab) -
 def test_an_explored_ball_is_judged_as_it_was_seen(ball: Lab) -> None:
     """A view from far above sees no more than the cap in which its rays meet the ball at the incidence limit."""
     T = ball.first_view(np.random.default_rng(0))
+    assert len(ball.look(Known(ball.unknown), T).space.between) > 100  # towards the ball's edge
     away = np.linalg.norm(T[:3, 3])
     limit = np.radians(75.0)
     cap = limit - np.arcsin(0.06 * np.sin(np.pi - limit) / away)  # at the centre, where a ray meets the ball at 75 deg
