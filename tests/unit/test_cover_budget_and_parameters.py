@@ -97,6 +97,13 @@ def test_nothing_is_compiled_where_the_reductions_leave_nothing():
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
+def test_the_solver_of_bounds_is_silent():
+    """Standard output is for what a command prints, `--json` above all; some releases greet there."""
+    program = "import planner.cover.linear as linear; linear._highs().run()"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
+
+
 def test_interruptible_hands_over_results_and_errors():
     """What the call returns or raises comes back from its thread."""
     assert interruptible(lambda: 7) == 7
