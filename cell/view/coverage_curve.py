@@ -59,7 +59,7 @@ def _draw_truth(axes: "Axes", known: Truth) -> None:
     n = [point.views for point in known.bound]
     found, most = ([100 * getattr(point, key) for point in known.bound] for key in ("found", "at_most"))
     axes.fill_between(n, found, most, color=BETWEEN, lw=0, label="not excluded by the bound")
-    axes.plot(n, most, "-", color=VERMILION, lw=1, label="no views of this number measure more")
+    axes.plot(n, most, "-", color=VERMILION, lw=1, label="no so many candidates of the model measure more")
     axes.plot(n, found, "-", color=ORANGE, lw=1, label="best views found, the model being known")
     shares = 100 * np.array([0.0, *known.by_views])
     axes.plot(range(len(shares)), shares, "o-", color=BLUE, ms=4, lw=1.2, label="explored")
