@@ -81,7 +81,7 @@ class Eye:
         return self._beside(self._towards(targets, T), self._towards(points, T))
 
     def between(self, points: Floats, T: Floats, gap: float) -> Floats:
-        """(M, 3) places between points of neighbouring rays that are on one surface, none a gap from the next [m].
+        """(M, 3) places between points of neighbouring rays that are on one surface, at most a gap apart [m].
 
         Args:
             points: (N, 3) of one scan [m]; of several next to a ray the first counts.
@@ -192,10 +192,10 @@ def prepared(
             f"the scanner {settled.scanner.type} sweeps, and from where each of its points was seen is not kept; "
             "explore with a scanner that stands still, such as laser-area"
         )
-    unknown = _unknown(options, scanning, settings, cylinder)
     if scanning.resolution_deg is not None and "resolution_deg" in settings.scanner:
         resolution = {"resolution_deg": (scanning.resolution_deg, scanning.resolution_deg)}
         scanner = scanners.make(settled.scanner.type, {**settings.scanner, **resolution})
+    unknown = _unknown(options, scanning, settings, cylinder)
     return Exploring(
         settled, options, scanning, part, hidden, cylinder, unknown, Eye.of(scanner, settled), Paths(out), narrator,
         ask, argv,

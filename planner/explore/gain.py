@@ -25,15 +25,14 @@ REACHES = (1.1, 2.0, 4.0, 8.0, 16.0, 32.0)
 _PRIOR = 0.5 * 0.5 ** np.arange(MOST_TRIES + 1)[:, None] * 0.7 ** np.maximum(np.arange(len(REACHES) + 1) - 1, 0)
 """Probability before anything is known of it: halved with each try, less by a third with each class of distance ..."""
 
-_BETWEEN = 0.2
-"""Of all that, what lies between points of neighbouring rays: mostly nothing is there that is not measured, and then it
-need not be looked at again."""
-
 _WORTH = 0.01
 """... and the weight of this, as a share of the believed surface."""
 
 _KEPT = 0.7
 """Weight of earlier stages at each new one: what is believed late is more often true than what was believed early."""
+
+_BETWEEN = 0.2
+"""Share of its probability that surface between points of neighbouring rays has: most of it is measured already."""
 
 
 _LATEST = 4

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.errors import SceneError
 from cell.explore.options import ExploreOptions
 from cell.explore.prepare import Eye, prepared
 from cell.narrator import Quiet
@@ -100,3 +101,10 @@ def test_the_rays_are_those_of_a_scan() -> None:
     assert [eye.rays.shape for eye in eyes] == [(240 * 240, 3), (30 * 30, 3)]
     assert [eye.columns for eye in eyes] == [240, 30]
     assert eyes[1].apart > 7 * eyes[0].apart
+
+
+def test_an_angle_that_leaves_no_ray_is_refused() -> None:
+    """By its own name, before anything is asked of it."""
+    scene = scene_of(None, {"place": (1200, 500, 0)}, "petanque")
+    with pytest.raises(SceneError, match="leaves no ray"):
+        prepared(scene, ExploreOptions(), ScanOptions(resolution_deg=100.0), Path(), (), Quiet(), None)
