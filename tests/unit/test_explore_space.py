@@ -178,9 +178,7 @@ def test_between_points_of_neighbouring_rays_a_surface_is_open_as_what_was_seen_
     up = np.tile([0.0, 0.0, 1.0], (5, 1))
     assert joined.seen(above, up).tolist() == space.seen(above, up).tolist() == [True, False, False, True, False]
     assert joined.open_at(above, up).between.tolist() == [False, True, True, False, False]
-    beyond = above[1:2] + np.array(
-        [0.0, 0.0, 0.5 * space.edge]
-    )  # an edge before the place along the normal, which is beside it
+    beyond = np.array([[0.004, 0.0, space.edge]])  # the place lies an edge below it, which is near; above it is not
     assert [joined.open_at(beyond, side * up[:1]).between[0] for side in (1, -1)] == [True, False]
     assert not space.open_at(above, up).between.any()
     outside = np.array([[1.0, 0.0, 0.0]])
