@@ -31,7 +31,7 @@ class ExploreOptions(Table):
         Literal["stepwise", "two-stage"],
         Option(
             "How views are chosen after the first ring: stepwise, a batch at a time for what is open; or two-stage, "
-            "all in one plan on the rough model, and up to three more for what stays open.",
+            "all in one plan on the rough model, and up to four more for what stays open.",
             _EXPLORE,
         ),
     ] = "stepwise"
@@ -70,7 +70,7 @@ class ExploreOptions(Table):
         Field(lt=1),
         Option(
             "Share of the surface measured so far that a batch must be expected to add for each of its views; plans of "
-            "two-stage ask up to three times as much.",
+            "two-stage ask from three times as much to half.",
             _EXPLORE,
             metavar="SHARE",
         ),

@@ -50,9 +50,12 @@ _FEW, _ROUGH = 1, 6
 """Views that are taken blindly: what follows view by view is better chosen; a rough model that all else rests on wants
 more."""
 
-_FINE = (3.0, 3.0, 1.5)
+_FINE = (3.0, 3.0, 1.5, 1.0)
 """How many times the least gain a view of each fine plan is asked for: what the first ones leave is better planned for
 once they are executed."""
+
+_LAST = 0.5
+"""The same of the plan on the measured surface, after which none comes that could take what it leaves."""
 
 Policy = Callable[[ExploreOptions, So], Sequence[Batch]]
 """The batches of which the first is taken that is worth its views; none: the exploration ends."""
@@ -70,7 +73,7 @@ def stepwise(options: ExploreOptions, so: So) -> Sequence[Batch]:
 
 
 def two_stage(options: ExploreOptions, so: So) -> Sequence[Batch]:
-    """A ring gives a rough model, a set cover on it the fine views, and up to three more those for what stayed open.
+    """A ring gives a rough model, a set cover on it the fine views, and up to four more those for what stayed open.
 
     W. R. Scott, "Model-based view planning", Machine Vision and Applications 20 (2009), doi:10.1007/s00138-007-0110-2.
     The fine views measure all of the part anew where sigma or spacing is limited, as rough points need not keep limits.
@@ -83,7 +86,7 @@ def two_stage(options: ExploreOptions, so: So) -> Sequence[Batch]:
     if so.on == MEASURED:
         return ()
     worths = dict.fromkeys(_FINE[so.stages - 1 :])  # one that was worth no view is not asked again
-    return (*(Batch(so.left, worth=worth) for worth in worths), Batch(so.left, on=MEASURED))
+    return (*(Batch(so.left, worth=worth) for worth in worths), Batch(so.left, on=MEASURED, worth=_LAST))
 
 
 POLICIES: Mapping[str, Policy] = MappingProxyType({"stepwise": stepwise, "two-stage": two_stage})

@@ -100,7 +100,7 @@ def test_limits_hold_in_the_fine_stage_alone() -> None:
     assert rough.plan.model_copy(update={"max_sigma_mm": 0.05}) == scene.plan
     batches = {name: [policy(ExploreOptions(), So(n, None)) for n in (0, 1)] for name, policy in POLICIES.items()}
     said = {name: [[batch.rough for batch in tried] for tried in each] for name, each in batches.items()}
-    assert said == {"stepwise": [[False], [False, False]], "two-stage": [[True], [False] * 3]}
+    assert said == {"stepwise": [[False], [False, False]], "two-stage": [[True], [False] * 4]}
     limited = [POLICIES["two-stage"](ExploreOptions(), So(n, 7, limited=True)) for n in (1, 2)]
     assert limited[0] == (Batch(7, whole=True),)
     assert not any(batch.whole for batch in limited[1])
@@ -120,9 +120,11 @@ def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_
 def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
     """The later it is; where one that asks much is worth no view, the next is tried, at last the measured surface."""
     policy = POLICIES["two-stage"]
-    much, less, last = Batch(9, worth=3.0), Batch(9, worth=1.5), Batch(9, on=MEASURED)
+    much, less, least = (Batch(9, worth=worth) for worth in (3.0, 1.5, 1.0))
+    last = Batch(9, on=MEASURED, worth=0.5)
     assert policy(ExploreOptions(), So(0, 9)) == (Batch(6, rough=True),)
-    for stages, tried in enumerate(((much, less, last), (much, less, last), (less, last), (last,)), start=1):
+    every = (much, less, least, last)
+    for stages, tried in enumerate((every, every, every[1:], every[2:], every[3:]), start=1):
         assert policy(ExploreOptions(), So(stages, 9)) == tried
         assert policy(ExploreOptions(), So(stages, 9, on=MEASURED)) == ()
 
