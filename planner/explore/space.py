@@ -9,7 +9,8 @@ not come back says nothing: it may have missed the part, or met it too steeply. 
     unknown   otherwise.
 
 What did not come back still makes it less likely that the part is where its ray went: `votes` counts, for what is
-believed and planned for, never for what is safe.
+believed and planned for, never for what is safe. A ray that may have met the part before the scanner begins to measure
+tells nothing of what lies behind.
 
 The part may be in every voxel that is not free, to within a voxel: a leg may pass beside a piece of surface that lies
 in the same voxel, and what is thinner than the rays are apart may be missed altogether. Object frame, metres: its
@@ -50,6 +51,7 @@ _APART = 0.7  # of a gap: side of the cubes of which each keeps one point
 _NEIGHBOURS = 8  # that are looked at: next to the middle of a gap there are fewer
 _BLANK = np.int16(2)
 """Votes of a view whose ray did not come back: most miss the part, while behind a point lies anything."""
+_LOOKED = 0.7  # edges between places at which the way of such a ray is looked at
 _ALL_ROUND = np.ones((3, 3, 3), dtype=np.bool_)
 
 
@@ -156,6 +158,9 @@ class VoxelSpace(Value):
     ) -> "VoxelSpace":
         """With the votes of one view; what points hide from the sensor would not have come back.
 
+        Nor would what lies behind a part that stands too near: a ray says nothing where its way to the range leads
+        through what may be the part's.
+
         Args:
             points: (N, 3) measured [m].
             source: (3,) where the rays began [m].
@@ -165,6 +170,7 @@ class VoxelSpace(Value):
             far: to where they would have [m].
         """
         behind, hidden = (self._behind(points, stand, far) for stand in (source, sensor))
+        blank = blank[self._clear(source, blank, near)]
         through = self._crossed(source + near * blank, source + far * blank)
         return replace(self, votes=self.votes + _BLANK * (through & ~behind & ~hidden) - behind)
 
@@ -270,6 +276,14 @@ class VoxelSpace(Value):
         begin, end = (np.ascontiguousarray(each, dtype=np.float64) for each in (starts, ends))
         cross(begin, end, np.array(self.low), self.edge, self._shape, count)
         return np.asarray(count > 0).reshape(self.state.shape)
+
+    def _clear(self, source: Floats, rays: Floats, length: float) -> Bools:
+        """(N,) along which unit rays (N, 3) from a place (3,) nothing that may be the part's stands so far [m]."""
+        may = (self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0))
+        clear = np.arange(len(rays))
+        for distance in np.arange(0.0, length, _LOOKED * self.edge):
+            clear = clear[~self.at(source + distance * rays[clear], may).astype(np.bool_)]
+        return np.isin(np.arange(len(rays)), clear)
 
     def _behind(self, points: Floats, stand: Floats, far: float) -> Bools:
         """(X, Y, Z) the voxels that points (N, 3) hide from a place (3,), as far as `far` from it [m]."""

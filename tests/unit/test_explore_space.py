@@ -225,6 +225,31 @@ def test_a_ray_without_an_answer_counts_where_the_sensor_sees() -> None:
     assert votes[""].at(at, votes[""].votes).tolist() == [2, 0, -1]
 
 
+def test_a_ray_that_may_have_met_the_part_too_near_says_nothing() -> None:
+    """Its way to where the scanner begins to measure leads through what nobody looked at, or what was hit.
+
+    A block whose near side stands before the range and whose far side does not: no ray comes back, and the block is
+    still believed.
+    """
+    space, ahead = _space(), np.array([[1.0, 0.0, 0.0]])
+    source, far = np.array([-0.2, 0.0, 0.0]), np.array([[0.03, 0.001, 0.001]])
+
+    def voted(known: VoxelSpace, near: float) -> int:
+        after = known.judged_from(np.empty((0, 3)), source, source, ahead, near, 0.3)
+        return int(after.at(far, after.votes)[0])
+
+    assert voted(space, 0.14) == 2  # the cylinder begins at 0.15
+    assert voted(space, 0.19) == 0
+    looked = replace(space, votes=np.full(space.votes.shape, 2, dtype=np.int16))
+    assert voted(looked, 0.19) == 4
+    state = np.array(looked.state)
+    state[tuple(np.floor((np.array([-0.03, 0.001, 0.001]) - space.low) / space.edge).astype(int))] = OCCUPIED
+    assert voted(replace(looked, state=state), 0.19) == 2
+    assert voted(replace(looked, state=state), 0.16) == 4
+    free = replace(space, state=np.full_like(space.state, FREE))
+    assert voted(free, 0.19) == 2
+
+
 def test_tries_are_counted_once_a_stage_and_reach_to_neighbours() -> None:
     """Two points of one voxel are one try; a class knows the distance to the nearest measured voxel."""
     space = _space().tried(np.array([[0.0, 0.0, 0.001], [0.0, 0.0, 0.0015], [0.02, 0.0, 0.001]]))
