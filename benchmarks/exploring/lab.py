@@ -31,7 +31,7 @@ from cell.scene.resolve import Settings, resolve
 from planner.explore.space import FREE, VoxelSpace
 from planner.measurability.coverage import added
 from planner.measurability.matrix import measured
-from planner.ports import Scanner
+from planner.ports import RayCaster, Scanner
 from planner.surface.decimate import decimate
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
@@ -176,12 +176,12 @@ class Lab:
         seen = measured(poses[:, None], self.samples, self.scanner, casters)
         return float(self.samples.areas[seen].sum() / self.samples.areas.sum())
 
-    def holder(self, casters: tuple[EmbreeRayCaster, ...], free: Callable[[Floats], Bools]) -> growth.Arm:
+    def holder(self, casters: tuple[RayCaster, ...], free: Callable[[Floats], Bools]) -> growth.Arm:
         """Who holds the scanner wherever it can stand, past what the casters know."""
         return growth.Arm(self.scanner, casters, lambda T: free(T[:, 0]), np.eye(4)[None])
 
     def candidates(
-        self, planning: TriangleMesh, scouts: SurfaceSamples, casters: tuple[EmbreeRayCaster, ...],
+        self, planning: TriangleMesh, scouts: SurfaceSamples, casters: tuple[RayCaster, ...],
         free: Callable[[Floats], Bools], schedule: Sequence[growth.Stage] = growth.SCHEDULE,
     ) -> tuple[Floats, Floats]:  # fmt: skip
         """Candidates of a plan of a surface: before its faces, and grown for what those leave open.

@@ -14,10 +14,12 @@ from cell.explore import belief
 from cell.explore.asked import Asked, probable
 from cell.explore.policies import Batch
 from cell.explore.stage import DRAWN, ROWS_KEPT, SCHEDULE, SCOUTS_KEPT, STARTS
+from cell.explore.too_near import BeyondNear, keep_off, too_near
 from cell.rays.embree import EmbreeRayCaster
 from planner.explore.gain import Record, most_per_second
 from planner.explore.space import VoxelSpace
 from planner.measurability.matrix import measured
+from planner.ports import RayCaster
 from planner.surface.decimate import decimate
 from planner.surface.sample import SurfaceSamples, pick_samples, sample
 from planner.values import Floats
@@ -32,6 +34,7 @@ class _Ours:
         self._lab, self._rng = lab, rng
         self._record, self._before = Record.empty(), lab.unknown
         self._expected: tuple[SurfaceSamples, float] | None = None
+        self._near = list[tuple[float, float]]()
 
     def __call__(self, known: Known) -> Floats | None:
         lab, space = self._lab, self._learned(known)
@@ -43,7 +46,10 @@ class _Ours:
         )
         if not len(rows) or not len(scouts):
             return None
-        casters, free = (EmbreeRayCaster(mesh.vertices, mesh.faces),), lab.free(space)
+        casters: tuple[RayCaster, ...] = (EmbreeRayCaster(mesh.vertices, mesh.faces),)
+        if keep_off(self._near):
+            casters = (*casters, BeyondNear(None, space, lab.eye.near))
+        free = lab.free(space)
         poses, distance = lab.candidates(planning, scouts, casters, free, SCHEDULE)
         M = measured(poses[:, None], rows, lab.scanner, casters, each=True)
         if not M.any():
@@ -67,6 +73,9 @@ class _Ours:
         found = self._lab.eye.answered(rows.points, new, known.poses[-1]).astype(np.float64)
         of = before.open_at(rows.points, rows.normals)
         self._record = self._record.with_stage(of, rows.areas / self._record.weights(of) / surface, found)
+        last = [(known.points[-1], known.poses[-1])]
+        near = too_near(rows, np.ones((len(rows), 1), np.bool_), last, before, self._lab.eye)
+        self._near.append((near, float(rows.areas.sum())))
         return space.tried(rows.points[space.open_still(rows.points, rows.normals)])
 
 

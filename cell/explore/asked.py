@@ -32,6 +32,7 @@ class Asked(Value):
         least_gain: share of what was measured that each view must be expected to add, `Batch.worth` times.
         measured_area: of the believed surface, with a measured point beside it [m^2].
         came: how many times as much as expected came so far.
+        cautious: whether views keep so far off that the part, where nobody looked, begins no nearer than the range.
         poses: (V, 4, 4) executed views, explored frame [m], where the measured surface is planned on; None: the
             believed one is.
     """
@@ -42,6 +43,7 @@ class Asked(Value):
     least_gain: float
     measured_area: float = 0.0
     came: float = 1.0
+    cautious: bool = False
     poses: Annotated[Floats, "V 4 4"] | None = None
 
     @property

@@ -1,5 +1,6 @@
 """A stage is driven and scanned, or gone on with where it was stopped; its points are read back from disk."""
 
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -7,8 +8,8 @@ from cell.errors import FileError
 from cell.narrator import Narrator
 from cell.run import reader
 from cell.run.cell import RunCell
-from cell.run.executions import ExecutedScan, execution_ids, read_execution
-from cell.run.record import open_finished
+from cell.run.executions import FOLDER, ExecutedScan, execution_ids, read_execution
+from cell.run.record import RunRecord, open_finished
 from cell.scan import scan
 from cell.scan.executed_scans import usable
 from cell.scan.options import ScanOptions
@@ -42,6 +43,7 @@ def executed(
         CellError: as `cell scan`.
     """
     run = open_finished(stage)
+    _clear_unbegun(run)
     known = execution_ids(run)
     if known and read_execution(run, known[-1]).manifest.status != "finished":
         scan.resume_and(
@@ -49,10 +51,30 @@ def executed(
         )  # fmt: skip
     elif not known:
         scan.execute_and(_taken, stage, options, argv=argv, narrator=narrator, ask=ask, stands=stands)
-    scans, left_out = usable(read_execution(run, "latest"), reader.plan(run).views)
-    if left_out:
-        raise FileError(left_out[0])
+    return scans_of_stage(run)
+
+
+def scans_of_stage(run: RunRecord) -> tuple[ExecutedScan, ...]:
+    """The scans of a stage that was executed, in driving order.
+
+    Raises:
+        FileError: if one is missing or damaged.
+    """
+    planned = reader.plan(run).views
+    scans, left_out = usable(read_execution(run, "latest"), planned)
+    if left_out or len(scans) < len(planned):
+        why = left_out[0] if left_out else f"{len(planned) - len(scans)} of its {len(planned)} scans are missing"
+        raise FileError(f"{run.folder}: {why}; explore anew, or put back what was there")
     return scans
+
+
+def _clear_unbegun(run: RunRecord) -> None:
+    """Take away an execution that was stopped before its manifest was written: nothing was driven in it."""
+    for name in execution_ids(run)[-1:]:
+        folder = run.folder / FOLDER / name
+        left = {path.name for path in folder.rglob("*")} - {"scans"}
+        if all(each.startswith("manifest.json.") for each in left):  # what writing it leaves
+            shutil.rmtree(folder)
 
 
 def _taken(work: Work, cell: RunCell, motion: Motion) -> None:

@@ -5,12 +5,12 @@ the batch is executed on the part that stands there, and its rays change what is
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from cell.errors import FileError, SceneError
+from cell.errors import FileError, UnreachableError
 from cell.explore import belief, report, specification, truth
 from cell.explore.asked import Asked
 from cell.explore.execution import executed
@@ -20,6 +20,7 @@ from cell.explore.prepare import Exploring, Eye, begun, prepared
 from cell.explore.reasons import StillOpen
 from cell.explore.stage import EnoughError, plan_stage
 from cell.explore.state import Known, scans_of
+from cell.explore.too_near import keep_off, too_near
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.run import ply, reader
@@ -28,7 +29,7 @@ from cell.run.explore_json import BELIEVED, MEASURED, ExploredStage, ExploreFile
 from cell.run.record import open_finished
 from cell.scan import lock
 from cell.scan.options import ScanOptions
-from cell.scan.safety import Ask
+from cell.scan.safety import EVERY, Ask
 from cell.scene.scene import Scene
 from planner.explore.gain import came
 from planner.explore.space import OCCUPIED, VoxelSpace
@@ -41,6 +42,10 @@ LAST_STAGE = "merge and reconstruct"
 
 _OUTSIDE = 0.01
 """Share of a stage's points beyond the cylinder, or in space that was seen free, above which something is wrong."""
+
+_PASSED, _MARGIN = 0.25, 2.0
+"""Share of known points past which a view looked above which the part was moved (where it was not, 14 % of thin sheets
+that are seen edge-on, else 2 % at most), and by how many edges of a voxel."""
 
 _MISSED = 0.01
 """Share of what was measured, beyond the limits of sigma and spacing, above which a person is told."""
@@ -74,6 +79,8 @@ def explore(
     file = work.paths.begin(begun(work))
     with lock.held(work.paths.root):
         known = work.paths.known(len(file.stages), work.unknown)
+        if file.status != "finished":
+            scans_of(work.paths, file.stages)  # what is missing is told before anything moves
         while file.status != "finished":
             number = len(file.stages) + 1
             try:
@@ -83,11 +90,11 @@ def explore(
                 break
             on = MEASURED if work.paths.measured(number).is_file() else BELIEVED
             scans = _executed(work, folder)
-            require_plausible(known.space, folder, np.concatenate([scan.points for scan in scans]))
+            require_plausible(known.space, folder, [(scan.points, scan.T_reported) for scan in scans], work.eye)
             expected = _expected(folder, known.space, on)
             before, known = known, _learned(known, expected, scans, work.eye)
             work.paths.keep(number, known)
-            stage = _stage_of(folder, scans, expected, before.space, known)
+            stage = _stage_of(folder, scans, expected, before.space, known, work.eye)
             file = file.model_copy(update={"stages": (*file.stages, stage)})
             work.paths.write(file)
     return file
@@ -138,11 +145,21 @@ def stays_open(work: Exploring, file: ExploreFile, known: Known) -> StillOpen | 
 
 
 def _on_believed(work: Exploring, file: ExploreFile, known: Known, batch: Batch) -> Path:
-    """A stage's plan on the surface about all that was not seen free."""
+    """A stage's plan on the surface about all that was not seen free; who keeps off for nothing goes near again.
+
+    Raises:
+        EnoughError: if no batch is worth its views.
+    """
     number = len(file.stages) + 1
     least = work.options.least_gain if number > 1 else 0.0
+    part = belief.part_of(known.believed, work.name)
     asked = Asked(known.space, known.record, batch, least, _measured_area(file), _came(file))
-    return _stage(work, asked, number, belief.part_of(known.believed, work.name))
+    if keep_off(_nearness(file)):
+        try:
+            return _stage(work, replace(asked, cautious=True), number, part)
+        except EnoughError:
+            work.paths.clear(number)
+    return _stage(work, asked, number, part)
 
 
 def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch) -> Path:
@@ -180,16 +197,36 @@ def _came(file: ExploreFile) -> float:
     return came([(s.expected_mm2, s.new_mm2) for s in file.stages[1:] if s.planned_on == BELIEVED])
 
 
+def _nearness(file: ExploreFile) -> list[tuple[float, float]]:
+    """Of each batch what the part may have hidden before the range, and what it was to measure; not of the ring."""
+    return [(stage.too_near_mm2, stage.expected_mm2) for stage in file.stages[1:]]
+
+
 def _executed(work: Exploring, folder: Path) -> tuple[ExecutedScan, ...]:
-    """The scans of a stage; its motion is released by its own digest."""
+    """The scans of a stage; its motion is released by its own digest, or with all others of the exploration."""
     word = work.options.confirm_motion
     if word == EVERY_BATCH:
-        word = open_finished(folder).digest
+        word = EVERY
     options = work.scanning.model_copy(update={"confirm_motion": word})
     if options.acquire.startswith(_FILES):  # views are numbered from 1 in each stage
         options = options.model_copy(update={"acquire": f"{options.acquire.rstrip('/')}/{folder.name}"})
+        _make_ready(Path(options.acquire.removeprefix(_FILES)).expanduser())
     stands = None if work.hidden is None else work.hidden.mesh
     return executed(folder, options, argv=work.argv, narrator=work.narrator, ask=work.ask, stands=stands)
+
+
+def _make_ready(folder: Path) -> None:
+    """The folder that a stage's points come into; the one of all stages is a person's to make.
+
+    Raises:
+        FileError: if it cannot be made.
+    """
+    if folder.parent.is_dir():
+        try:
+            folder.mkdir(exist_ok=True)
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise FileError(f"{folder} cannot be made: {reason}; make it for the points of this stage") from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -228,12 +265,19 @@ def _learned(known: Known, asked: _Expected, scans: Sequence[ExecutedScan], eye:
     return Known(after.tried(expected.points[after.open_still(expected.points, expected.normals)]), record)
 
 
-def require_plausible(space: VoxelSpace, folder: Path, points: Floats) -> None:
-    """Stop where a stage's points (N, 3) [m] cannot be; later views may look at what was believed and is not there.
+def require_plausible(space: VoxelSpace, folder: Path, views: Sequence[tuple[Floats, Floats]], eye: Eye) -> None:
+    """Stop where a stage's points cannot be; later views may look at what was believed and is not there.
+
+    Args:
+        space: what is known without them.
+        folder: of the stage.
+        views: of each the points (N, 3) [m] and the pose (4, 4) of the scanner [m].
+        eye: of the scanner.
 
     Raises:
         FileError: if nothing was hit yet, the part reaches out of its cylinder, or it moved.
     """
+    points = np.concatenate([points for points, _ in views])
     if not len(points):
         if (space.state == OCCUPIED).any():
             return
@@ -241,13 +285,15 @@ def require_plausible(space: VoxelSpace, folder: Path, points: Floats) -> None:
     if (out := float(space.outside(points).mean())) > _OUTSIDE:
         raise FileError(
             f"{100 * out:.1f} % of the points of {folder} lie outside the cylinder; nothing more is moved: explore "
-            "anew with a larger --cylinder, or with the part in its middle"
+            "anew with a larger --cylinder, or with the part in its middle; what it stands on must not be among the "
+            "points"
         )
+    moved = "the part was moved, or the poses are off; nothing more is moved: explore anew"
     if (gone := space.contradicted(points)) > _OUTSIDE:
-        raise FileError(
-            f"{100 * gone:.1f} % of the points of {folder} lie in space that was seen free; the part was moved, or the "
-            "poses are off; nothing more is moved: explore anew"
-        )
+        raise FileError(f"{100 * gone:.1f} % of the points of {folder} lie in space that was seen free; {moved}")
+    passed = max(eye.passed(space.points, points, T, _MARGIN * space.edge) for points, T in views)
+    if passed > _PASSED:
+        raise FileError(f"{100 * passed:.1f} % of the known points that a view of {folder} looked at are gone; {moved}")
 
 
 def _expected(folder: Path, before: VoxelSpace, on: SurfaceName) -> _Expected:
@@ -263,10 +309,11 @@ def _expected(folder: Path, before: VoxelSpace, on: SurfaceName) -> _Expected:
 
 
 def _stage_of(
-    folder: Path, scans: Sequence[ExecutedScan], expected: _Expected, before: VoxelSpace, known: Known
+    folder: Path, scans: Sequence[ExecutedScan], expected: _Expected, before: VoxelSpace, known: Known, eye: Eye
 ) -> ExploredStage:
     """What explore.json says of a stage."""
     run, mesh = open_finished(folder), known.believed
+    taken = [(scan.points, scan.T_reported) for scan in scans]
     seen, new = known.space.seen_since(before, mesh.centres, mesh.normals)
     return ExploredStage(
         folder=f"{folder.parent.name}/{folder.name}",
@@ -276,6 +323,7 @@ def _stage_of(
         points=sum(len(scan.points) for scan in scans),
         seconds=round(reader.motion(run).duration, 6),
         expected_mm2=round(1e6 * float(expected.samples.areas.sum()), 3),
+        too_near_mm2=round(1e6 * too_near(expected.samples, expected.sees, taken, before, eye), 3),
         surface_mm2=round(1e6 * float(mesh.areas.sum()), 3),
         new_mm2=round(1e6 * float(mesh.areas[new].sum()), 3),
         open_mm2=round(1e6 * float(mesh.areas[~seen].sum()), 3),
@@ -286,7 +334,7 @@ def _stage_of(
 def _finished(work: Exploring, file: ExploreFile, ended: str, still_open: tuple[OpenReason, ...]) -> ExploreFile:
     """The model of all scans, the truth in simulation, and the report."""
     if not file.stages:
-        raise SceneError(f"nothing can be explored here: {ended}; move the part (--place), or change the scanner")
+        raise UnreachableError(f"nothing can be explored here: {ended}; move the part (--place), or change the scanner")
     scans = scans_of(work.paths, file.stages)
     with work.narrator.stage(LAST_STAGE):
         model = report.write_model(work.paths.root, scans)

@@ -34,6 +34,13 @@ _JOINED = 4.0
 one surface: that of one which it meets at 75 degrees. On a steeper one what lies between them stays open."""
 
 
+_OF_WAITING = ("acquire_wait_s", "acquire_timeout_s")
+"""Options of an execution that change no point."""
+
+_RAYS, _ENOUGH = 8, 100
+"""Rays beside a known point that are asked how far they came, of 12 on a surface; and points whose share counts."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Eye:
     """Where a scanner looks, scanner frame.
@@ -79,6 +86,28 @@ class Eye:
     def answered(self, targets: Floats, points: Floats, T: Floats) -> Bools:
         """(M,) whether a point (N, 3) [m] came back beside the ray to each target (M, 3) [m]; `T` as in `blank`."""
         return self._beside(self._towards(targets, T), self._towards(points, T))
+
+    def passed(self, known: Floats, points: Floats, T: Floats, margin: float) -> float:
+        """Share of known points past which a view looked: all rays beside them came back from farther off.
+
+        What moved away has such points. Those beside which rays are missing say nothing: at an outline, or where the
+        surface is met too steeply, rays pass that belong to what lies behind. Nor do those nearer than the range.
+
+        Args:
+            known: (K, 3) points of earlier views [m].
+            points: (N, 3) of one scan [m].
+            T: (4, 4) pose of the scanner in their frame [m].
+            margin: how much farther [m].
+        """
+        if not len(known) or not len(points):
+            return 0.0
+        source = self._source(T)
+        near, far = (np.linalg.norm(each - source, axis=1) for each in (known, points))
+        tree = cKDTree(self._towards(points, T))
+        apart, at = map(np.asarray, tree.query(self._towards(known, T), k=_RAYS, distance_upper_bound=2 * self.apart))
+        looked = np.isfinite(apart).all(axis=1) & (near >= self.near)
+        past = far[at[looked]].min(axis=1, initial=np.inf) > near[looked] + margin
+        return float(past.mean()) if len(past) >= _ENOUGH else 0.0
 
     def between(self, points: Floats, T: Floats, gap: float) -> Floats:
         """(M, 3) places between points of neighbouring rays that are on one surface, at most a gap apart [m].
@@ -168,6 +197,8 @@ def prepared(
         UsageError: if the cylinder is not known, or what was asked for cannot be explored with.
     """
     _require_plain(scene)
+    if options.policy == "two-stage" and options.batch != ExploreOptions().batch:
+        raise UsageError("--batch is for stepwise; two-stage takes as many views at a time as are worth it")
     scene.require_fixed_part("an exploration")
     part = hidden = None
     if scanning.acquire == SIMULATED:
@@ -183,7 +214,7 @@ def prepared(
         raise UsageError(
             "nobody knows how large the part is; give --cylinder DIAMETER,HEIGHT in mm, about --place, that holds it"
         )
-    known = part or _as_workpiece(cylinder)
+    known = _as_workpiece(cylinder) if part is None or cylinder.given else part
     settled = devices.by_part(scene, known)
     settings = resolve(settled, known)
     scanner = scanners.make(settled.scanner.type, settings.scanner)
@@ -203,23 +234,28 @@ def prepared(
 
 
 def _require_plain(scene: Scene) -> None:
-    """Refuse wishes that name candidates or surface, which nobody knows before there is a part.
+    """Refuse wishes that name candidates or surface, which nobody knows before there is a part, or that nothing heeds.
 
     Raises:
         UsageError: naming the first.
     """
     plan = scene.plan
     asked = {
-        "fill 'rays'": plan.fill == "rays",
+        "--fill rays": plan.fill == "rays",
         "--k-fold": plan.multiplicity > 1,
         "--overlap": plan.overlap_mm2 is not None or plan.overlap_share is not None,
         "--pose-sd": plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0,
         "--cost time": plan.cost == "time",
+        "--curve": plan.curve,
+        "--require": plan.required_visible > 0,
+        "--solver": plan.solver != "auto",
         "--pin and --ban": bool(plan.pinned or plan.banned),
         "a region of the part": bool(scene.region),
     }
     if wish := next((name for name, wished in asked.items() if wished), None):
         raise UsageError(f"{wish} is for a part that is known; leave it away here, and plan with it on model.ply")
+    if scene.setup:
+        raise UsageError("set-ups are for a part that is known; leave [[setup]] away, and plan with them on model.ply")
     if scene.placement.origin_mm is not None:
         raise UsageError("--place-origin says where a file's origin stands; give --place, the middle of the cylinder")
     if on := [fixture.name for fixture in scene.fixtures if fixture.attached_to == "object"]:
@@ -252,8 +288,9 @@ def _unknown(options: ExploreOptions, scanning: ScanOptions, settings: Settings,
 
 def begun(work: Exploring) -> ExploreFile:
     """explore.json before the first stage."""
-    options, scanning = work.options.model_dump(mode="json", exclude={"confirm_motion"}), work.scanning
-    said = work.scene.model_dump(mode="json"), scanning.model_dump(mode="json", exclude=set(OF_EACH_TIME)), options
+    options = work.options.model_dump(mode="json", exclude={"confirm_motion"})
+    scanning = work.scanning.model_dump(mode="json", exclude={*OF_EACH_TIME, *_OF_WAITING})
+    said = work.scene.model_dump(mode="json"), scanning, options
     cylinder = work.cylinder
     return ExploreFile(
         schema=SCHEMA,
@@ -263,7 +300,7 @@ def begun(work: Exploring) -> ExploreFile:
         inputs=digest_of(*said, None if work.part is None else work.part.sha256),
         seed=work.scene.plan.seed,
         policy=work.options.policy,
-        source=scanning.acquire,
+        source=work.scanning.acquire,
         options=options,
         cylinder=ExploredCylinder(
             diameter_mm=round(2000 * cylinder.radius, 6), height_mm=round(1000 * cylinder.height, 6),

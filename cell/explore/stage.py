@@ -16,6 +16,7 @@ from cell.explore import belief
 from cell.explore.asked import Asked, wanted
 from cell.explore.moved import with_better
 from cell.explore.reasons import StillOpen, still_open
+from cell.explore.too_near import BeyondNear
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
@@ -26,7 +27,7 @@ from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.plan.refined import Append
 from cell.plan.request import seconds_of_views
-from cell.plan.steps import Job, Measured, Run
+from cell.plan.steps import Cell, Job, Measured, Run
 from cell.plan.summary import Further, plan_report
 from cell.plan.view_plan import choose_and_connect, first_choice
 from cell.rays.embree import EmbreeRayCaster
@@ -104,7 +105,7 @@ def _steps(run: Run, job: Job, asked: Asked) -> int:
     cell = steps.compile_cell(run, job, surface, believed=True)
     with run.step("reach and grow") as progress:
         reached = steps.reach_of(job, cell, candidates, progress)
-        casters = steps.casters_of(surface, cell)
+        casters = _casters(job, asked, surface, cell)
         scanner = limited(job.scene, job.scanner)
         arm = arm_of(cell.world, cell.kinematics, cell.checker, scanner, casters)
         if job.scene.plan.candidates == GROWN:
@@ -134,6 +135,15 @@ def _steps(run: Run, job: Job, asked: Asked) -> int:
         raise EnoughError(told)
     _finish(run, job, surface, problem, chosen)
     return 0
+
+
+def _casters(job: Job, asked: Asked, surface: PartSurface, cell: Cell) -> Sequence[RayCaster]:
+    """The surface's and the occluders'; to who is asked to keep off, what may be the part's hides what is behind."""
+    casters = steps.casters_of(surface, cell)
+    if not asked.cautious:
+        return casters
+    assert job.scene.scanner.range_mm is not None
+    return [casters[0], BeyondNear(casters[1], asked.space, job.scene.scanner.range_mm[0] / 1000)]
 
 
 def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, SurfaceSamples, Viewpoints]:

@@ -22,12 +22,12 @@ import numpy as np
 
 from cell.errors import FileError, UsageError
 from cell.explore import belief
-from cell.run import explore_json, reader
-from cell.run.executions import ExecutedScan, read_execution
+from cell.explore.execution import scans_of_stage
+from cell.run import explore_json
+from cell.run.executions import ExecutedScan
 from cell.run.explore_json import ExploredStage, ExploreFile
 from cell.run.folder import json_text
 from cell.run.record import npz, open_finished, understood
-from cell.scan.executed_scans import usable
 from planner.explore.gain import Record
 from planner.explore.space import VoxelSpace
 from planner.surface.mesh import TriangleMesh
@@ -157,12 +157,12 @@ class Paths:
 
 
 def scans_of(paths: Paths, stages: tuple[ExploredStage, ...]) -> tuple[ExecutedScan, ...]:
-    """The scans of all stages, in driving order."""
-    found: list[ExecutedScan] = []
-    for stage in stages:
-        run = open_finished(paths.root / stage.folder)
-        found += usable(read_execution(run, "latest"), reader.plan(run).views)[0]
-    return tuple(found)
+    """The scans of all stages, in driving order.
+
+    Raises:
+        FileError: if one is missing or damaged.
+    """
+    return tuple(scan for stage in stages for scan in scans_of_stage(open_finished(paths.root / stage.folder)))
 
 
 def digest_of(*said: object) -> str:

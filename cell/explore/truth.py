@@ -2,8 +2,8 @@
 
 The bound is that of `cell plan --curve` on the true model, a run folder of its own (truth/): no so many of *its*
 candidates measure more of its samples. For the coverage that was reached it is asked anew, as a set cover with branch
-and bound, which proves more than the curve does for each number of views. Coverage is visible coverage on the held-out
-samples, as everywhere.
+and bound, which proves more than the curve does for each number of views, for the coverage of the same samples.
+Coverage that is told is visible coverage on the held-out samples, as everywhere.
 """
 
 import shutil
@@ -31,7 +31,7 @@ from cell.world.collision import MujocoCollisionChecker
 from planner.cover.problem import Problem
 from planner.cover.selection import solve
 from planner.measurability.coverage import added
-from planner.measurability.matrix import measured
+from planner.measurability.matrix import Measurability, measured
 
 FOLDER = "truth"
 _FEWEST = 12  # stream of randomness of its own, beside those of `cell.explore.stage`
@@ -93,9 +93,15 @@ def truth_of(truth: Path, hidden: Hidden, explored: Explored) -> Truth:
     by_views = np.cumsum(added(seen))
     reached = float(by_views[-1])
     points = parsed(_Curve, artefact(run, "curve.json"), truth / "curve.json").points
-    fewest, found = _fewest(run, reached)
-    most = min(reached, max(point.upper_bound for point in points))
+    M = reader.measurability(run)
+    on_rows = measured(poses, M.features, cell.scanner, (cell.part_caster, cell.occluder_caster))
+    share = float(M.features.areas[on_rows].sum() / M.features.areas.sum())
+    fewest, found = _fewest(run, M, share)
+    most = min(share, max(point.upper_bound for point in points))
     fewest = max(fewest, min(point.n_views for point in points if point.upper_bound >= most))
+    bound = _bound(points, share, fewest, found)
+    if report.coverage.visible >= reached:  # of other samples: the plan that measured as much has no fewer views
+        fewest, found = min(fewest, report.n_views), min(found, report.n_views)
     nearest, between = _nearest(run.folder, explored.stages)
     return Truth(
         visible=reached,
@@ -105,7 +111,7 @@ def truth_of(truth: Path, hidden: Hidden, explored: Explored) -> Truth:
         coverable=report.coverage.coverable,
         fewest=fewest,
         fewest_found=found,
-        bound=_bound(points, reached, fewest, found),
+        bound=bound,
         nearest_mm=round(1000 * nearest, 4),
         nearest=between,
     )
@@ -124,14 +130,15 @@ def _bound(points: Sequence[_Point], reached: float, fewest: int, found: int) ->
     )
 
 
-def _fewest(run: RunRecord, coverage: float) -> tuple[int, int]:
+def _fewest(run: RunRecord, M: Measurability, coverage: float) -> tuple[int, int]:
     """Views that a plan's candidates need at least for a coverage, or for all that they measure, and that suffice.
 
     Args:
-        run: the plan, its matrix beside it.
-        coverage: share of the surface.
+        run: the plan.
+        M: its matrix.
+        coverage: share of the surface that the matrix' rows stand for.
     """
-    M, reachable = reader.measurability(run), reader.reached(run).reachable
+    reachable = reader.reached(run).reachable
     matrix, areas = M.matrix(), M.features.areas
     coverable = float(areas[matrix[:, np.flatnonzero(reachable)].sum(axis=1) > 0].sum())
     share = min(coverage * float(areas.sum()) / coverable, 1.0)

@@ -37,6 +37,9 @@ class ExploredStage(JsonTable):
     points: int = Field(description="that came back")
     seconds: float = Field(description="of the planned motion, from home to home")
     expected_mm2: float = Field(description="of the surface that it was planned on, what it was to measure first")
+    too_near_mm2: float = Field(
+        default=0.0, description="of that, what gave no point where the part may begin before the scanner's range"
+    )
     new_mm2: float = Field(description="of the surface believed after it, what it measured and no batch before")
     surface_mm2: float = Field(description="of the surface that was believed after it")
     open_mm2: float = Field(description="of that, without a measured point beside it")

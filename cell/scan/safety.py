@@ -14,6 +14,9 @@ from drivers.status import latched
 HARDWARE_SPEED = 0.1
 """Fraction of the axis speeds at which hardware moves unless the user asks for another."""
 
+EVERY = "every motion"
+"""What is given for a digest where a person released every motion of something larger, whatever way it takes."""
+
 Ask = Callable[[str], str]
 """Puts a question to a person and returns the answer."""
 
@@ -38,7 +41,7 @@ def require_confirmed(driver: Driver, speed: float, released: Released, *, given
         driver: connected.
         speed: at which it will be driven.
         released: what is to be driven.
-        given: digest that was given as an option, or its first characters.
+        given: digest that was given as an option, or its first characters; or `EVERY`.
         ask: puts the question to a person; None where nobody is there to answer.
 
     Raises:
@@ -50,7 +53,7 @@ def require_confirmed(driver: Driver, speed: float, released: Released, *, given
     danger = (
         f"{able.controller} moves an arm at {100 * speed:g} % of its axis speeds along {released.what} {released.shown}"
     )
-    if given is not None and released.digest.startswith(given):
+    if given == EVERY or (given is not None and released.digest.startswith(given)):
         return
     if given is not None and not (released.own and ask is not None):
         raise UsageError(

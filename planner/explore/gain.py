@@ -35,7 +35,7 @@ _BETWEEN = 0.2
 """Share of its probability that surface between points of neighbouring rays has: most of it is measured already."""
 
 
-_LATEST = 4
+LATEST = 4
 """Batches of which the last are asked how much came: what is left then is of another kind than what was first."""
 
 
@@ -96,16 +96,17 @@ class Record(Value):
 
 
 def came(batches: Sequence[tuple[float, float]]) -> float:
-    """How many times as much as expected comes: the median of the latest batches, and 1 as one of them.
+    """How many times as much as expected comes: the median of the latest batches and 1, and 1 at least.
 
     What lies behind an open patch is larger than the patch, and what is tried again less likely than what is chosen.
+    Batches that bring too little are in the record of what they looked at; they say nothing of the rest.
 
     Args:
         batches: area that each was expected to measure, and that it measured of this and of what lies about it [m^2];
             one of which nothing was expected does not count.
     """
     ratios = [measured / expected for expected, measured in batches if expected > 0]
-    return float(np.median([1.0, *ratios[-_LATEST:]]))
+    return max(1.0, float(np.median([1.0, *ratios[-LATEST:]])))
 
 
 def most_per_second(

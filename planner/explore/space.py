@@ -130,6 +130,11 @@ class VoxelSpace(Value):
         found: NDArray[np.generic] = values[tuple(self._place(points).T)]
         return found
 
+    @property
+    def possible(self) -> Bools:
+        """(X, Y, Z) where the part may be: hit, or neither crossed nor voted down."""
+        return np.asarray((self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0)))
+
     def seen_from(self, points: Floats, stands: Sequence[Floats]) -> "VoxelSpace":
         """With the points of one view, and its legs.
 
@@ -170,9 +175,25 @@ class VoxelSpace(Value):
             far: to where they would have [m].
         """
         behind, hidden = (self._behind(points, stand, far) for stand in (source, sensor))
-        blank = blank[self._clear(source, blank, near)]
+        blank = blank[self.clear(source, blank, near)]
         through = self._crossed(source + near * blank, source + far * blank)
         return replace(self, votes=self.votes + _BLANK * (through & ~behind & ~hidden) - behind)
+
+    def clear(self, source: Floats, rays: Floats, length: float) -> Bools:
+        """(N,) along which rays nothing that may be the part's stands so far from their source.
+
+        Args:
+            source: (3,) [m].
+            rays: (N, 3) unit vectors.
+            length: [m].
+        """
+        clear, possible = np.arange(len(rays)), self.possible
+        outside = np.linalg.norm(source) - np.linalg.norm(self.low)  # as far no ray is in the grid
+        for distance in np.arange(0.0, length, _LOOKED * self.edge):
+            if distance < outside:
+                continue
+            clear = clear[~self.at(source + distance * rays[clear], possible).astype(np.bool_)]
+        return np.isin(np.arange(len(rays)), clear)
 
     def contradicted(self, points: Floats) -> float:
         """Share of points (N, 3) [m] in space that is free, all its neighbours too: what moved has such points."""
@@ -184,14 +205,14 @@ class VoxelSpace(Value):
 
         A part, or each body of it, that was hit hangs together; what hangs together with nothing that was hit is space
         that no leg has crossed yet. It goes on `_BOX` and `_STEPS` behind what was measured, and where that encloses
-        space no leg enters it. Before the first point it is the middle of the cylinder, `_LIKELY`.
+        space no leg enters it. Before the first point it is the middle of the cylinder, `_LIKELY`, two voxels at least.
 
         Args:
             whole: however far it is from what was measured: where the part may be at most.
         """
         if not (self.state == OCCUPIED).any():
-            return self._cylinder(_LIKELY * self.radius, _LIKELY * self.height / 2)
-        solid = (self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0))
+            return self._cylinder(*(max(_LIKELY * half, self.edge) for half in (self.radius, self.height / 2)))
+        solid = self.possible
         if not whole:
             about = ndimage.maximum_filter((self.state == OCCUPIED).view(np.uint8), 2 * _BOX + 1)
             solid &= ndimage.binary_dilation(about, iterations=_STEPS)
@@ -276,14 +297,6 @@ class VoxelSpace(Value):
         begin, end = (np.ascontiguousarray(each, dtype=np.float64) for each in (starts, ends))
         cross(begin, end, np.array(self.low), self.edge, self._shape, count)
         return np.asarray(count > 0).reshape(self.state.shape)
-
-    def _clear(self, source: Floats, rays: Floats, length: float) -> Bools:
-        """(N,) along which unit rays (N, 3) from a place (3,) nothing that may be the part's stands so far [m]."""
-        may = (self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0))
-        clear = np.arange(len(rays))
-        for distance in np.arange(0.0, length, _LOOKED * self.edge):
-            clear = clear[~self.at(source + distance * rays[clear], may).astype(np.bool_)]
-        return np.isin(np.arange(len(rays)), clear)
 
     def _behind(self, points: Floats, stand: Floats, far: float) -> Bools:
         """(X, Y, Z) the voxels that points (N, 3) hide from a place (3,), as far as `far` from it [m]."""

@@ -175,7 +175,15 @@ def _execution_killed(stage: Path) -> None:
     (execution / "manifest.json").write_text(json.dumps(manifest))
 
 
-@pytest.mark.parametrize("killed", [pytest.param(_plan_killed, marks=pytest.mark.slow), _execution_killed])
+def _killed_before_the_manifest(stage: Path) -> None:
+    execution = stage / "executions" / "0001"
+    shutil.rmtree(execution)
+    (execution / "scans").mkdir(parents=True)
+
+
+@pytest.mark.parametrize(
+    "killed", [pytest.param(_plan_killed, marks=pytest.mark.slow), _execution_killed, _killed_before_the_manifest]
+)
 def test_the_same_command_goes_on_where_it_was_killed(
     killed: Callable[[Path], None],
     explored: Path,
@@ -195,6 +203,29 @@ def test_the_same_command_goes_on_where_it_was_killed(
     assert done.returncode == 0, done.stderr
     for name in ("explore.json", "report.md", "model.ply", "stages/0002.voxels.npz"):
         assert (again / name).read_bytes() == (explored / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:100])])
+def test_an_earlier_scan_that_is_gone_is_told_before_anything_moves(
+    damage: Callable[[Path], object],
+    explored: Path,
+    tmp_path: Path,
+    part_file: Path,
+    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+) -> None:
+    """Missing or cut in half: no model is made of the rest, no batch is planned for it."""
+    again = tmp_path / "explored"
+    shutil.copytree(explored, again)
+    file = explore_json.read(again / "explore.json")
+    before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1], "truth": None})
+    (again / "explore.json").write_text(json.dumps(before.as_json()))
+    shutil.rmtree(again / "stages" / "0002")
+    damage(again / "stages" / "0001" / "executions" / "0001" / "scans" / "0002.npz")
+    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path)
+    assert done.returncode == 6, done.stderr
+    assert "stages/0001" in done.stderr
+    assert "explore anew" in done.stderr
+    assert not (again / "stages" / "0002").exists()
 
 
 _MEASURED = (*PLACE, "--resolution", "0.5", "--ring", "3", "--batch", "1", "--max-views", "5", "--least-gain", "0.0003")
@@ -349,6 +380,9 @@ def test_other_options_do_not_go_on_there(
         (("--voxel", "0.01"), "choose larger ones"),
         (("--pin", "3"), "leave it away"),
         (("--scene", "line.toml"), "sweeps"),
+        (("--scene", "setups.toml"), "leave [[setup]] away"),
+        (("--require", "0.9"), "--require is for a part that is known"),
+        (("--policy", "two-stage", "--batch", "2"), "--batch is for stepwise"),
     ],
 )
 def test_what_cannot_be_explored_is_refused_before_anything_is_made(
@@ -359,6 +393,7 @@ def test_what_cannot_be_explored_is_refused_before_anything_is_made(
     run_cell: Callable[..., subprocess.CompletedProcess[str]],
 ) -> None:
     """In one sentence, with no folder left behind."""
+    (tmp_path / "setups.toml").write_text('[[setup]]\nname = "up"\nposition_mm = [1100, 400, 100]\n')
     (tmp_path / "line.toml").write_text('[scanner]\ntype = "laser-line"\nsweep_deg = 24.0\nsweep_steps = 5\n')
     done = run_cell("explore", part_file, "--units", "mm", *PLACE, *options, "--out", "new", cwd=tmp_path)
     assert done.returncode == 2, done.stderr
@@ -369,9 +404,10 @@ def test_what_cannot_be_explored_is_refused_before_anything_is_made(
 def test_a_cylinder_that_does_not_hold_the_part_is_told_after_the_ring(
     tmp_path: Path, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    """Points beyond it end the exploration; the scans stay."""
+    """Points beyond it end the exploration; the scans stay. The scanner is one for so small a cylinder."""
+    options = ["100" if word == "250" else word for word in OPTIONS]
     done = run_cell(
-        "explore", part_file, "--units", "mm", *OPTIONS, "--cylinder", "70,70", "--out", "new", cwd=tmp_path
+        "explore", part_file, "--units", "mm", *options, "--cylinder", "70,70", "--out", "new", cwd=tmp_path
     )
     assert done.returncode == 6, done.stderr
     assert "outside the cylinder" in done.stderr

@@ -19,6 +19,8 @@ from cell.explore.state import Paths
 from cell.rays.embree import EmbreeRayCaster
 from cell.run import ply
 from cell.run.explore_json import BELIEVED, MEASURED, SurfaceName
+from cell.scan.options import ScanOptions
+from cell.scan.safety import EVERY
 from cell.scanners.laser_area import LaserArea
 from planner.explore.gain import Record
 from planner.explore.space import OCCUPIED, VoxelSpace
@@ -226,7 +228,8 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     (tmp_path / "stages").mkdir()
     work: Any = SimpleNamespace(paths=Paths(tmp_path), options=SimpleNamespace(least_gain=0.25), name="balls")
     known: Any = SimpleNamespace(space=UNKNOWN, record=Record.empty(), believed=balls)
-    stages = [SimpleNamespace(expected_mm2=1.0, new_mm2=3.0, measured_mm2=7.0, planned_on=BELIEVED)] * 2
+    told = {"expected_mm2": 1.0, "new_mm2": 3.0, "measured_mm2": 7.0, "too_near_mm2": 0.4, "planned_on": BELIEVED}
+    stages = [SimpleNamespace(**told)] * 2
     file, first = SimpleNamespace(stages=stages), SimpleNamespace(stages=[])
     believed: Any = explore._on_believed(work, file, known, Batch(1, worth=3.0))
     assert (believed[0].poses, believed[0].least_gain, believed[0].came) == (None, 0.25, 2.0)
@@ -234,6 +237,18 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     assert believed[0].least_area == pytest.approx(3 * 0.25 * 7e-6)
     assert (believed[1], believed[2].name) == (3, "balls as believed")
     assert not work.paths.measured(3).exists()
+    assert not believed[0].cautious
+    near: Any = SimpleNamespace(stages=[stages[0], SimpleNamespace(**{**told, "too_near_mm2": 0.6})])
+    assert explore._on_believed(work, near, known, Batch(1))[0].cautious  # type: ignore[index]
+
+    def nothing_from_afar(work: Any, asked: Any, number: int, part: Any) -> tuple[Any, ...]:
+        if asked.cautious:
+            raise EnoughError("too far off")
+        return asked, number, part
+
+    with monkeypatch.context() as now:
+        now.setattr(explore, "_stage", nothing_from_afar)
+        assert not explore._on_believed(work, near, known, Batch(1))[0].cautious  # type: ignore[index]
     begun: Any = explore._on_believed(work, first, known, Batch(1))
     assert (begun[0].least_gain, begun[0].came, begun[1]) == (0.0, 1.0, 1)
     on: Any = explore._on_measured(work, file, known, Batch(1, worth=2.0))
@@ -287,3 +302,35 @@ def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:
     assert explore._planned(work, file, known, [Batch(1)], "") == paths.stage(2)
     assert paths.unseen(2).is_file()
     assert paths.measured(2).is_file()
+
+
+@pytest.mark.parametrize("cautious", [False, True])
+def test_who_keeps_off_sees_nothing_through_what_may_begin_before_the_range(
+    cautious: bool, balls: TriangleMesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a stage's casters the occluders' blocks legs through what nobody looked at; without caution it does not."""
+    nothing = EmbreeRayCaster(np.eye(3) + 10, np.array([[0, 1, 2]]))
+    monkeypatch.setattr(stage.steps, "casters_of", lambda surface, cell: [nothing, nothing])
+    job: Any = SimpleNamespace(scene=SimpleNamespace(scanner=SimpleNamespace(range_mm=(150.0, 450.0))))
+    asked = Asked(UNKNOWN, Record.empty(), Batch(1), 0.0, cautious=cautious)
+    part, others = stage._casters(job, asked, None, None)  # type: ignore[arg-type]
+    assert part is nothing
+    stands, middle = np.array([[0.14, 0.0, 0.0], [0.5, 0.0, 0.0]]), np.zeros((2, 3))
+    assert others.blocked(stands, middle).tolist() == [cautious, False]
+
+
+@pytest.mark.parametrize("word", ["explore", "0123abcd", None])
+def test_one_word_releases_every_motion_of_an_exploration(
+    word: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A digest is that of one; points of files come into a folder of their stage, which is made."""
+    given: list[Any] = []
+    monkeypatch.setattr(explore, "executed", lambda folder, options, **_: given.append(options))
+    work: Any = SimpleNamespace(
+        options=ExploreOptions(confirm_motion=word), hidden=None, argv=(), narrator=None, ask=None,
+        scanning=ScanOptions(acquire=f"files:{tmp_path}", points_frame="base", points_units="mm"),
+    )  # fmt: skip
+    explore._executed(work, Path("stages") / "0007")
+    assert given[0].confirm_motion == (EVERY if word == "explore" else word)
+    assert given[0].acquire == f"files:{tmp_path}/0007"
+    assert (tmp_path / "0007").is_dir()

@@ -15,13 +15,14 @@ from cell.explore import belief, specification, stage
 from cell.explore.explore import _came, require_plausible
 from cell.explore.options import ExploreOptions
 from cell.explore.policies import POLICIES, Batch, So
-from cell.explore.prepare import begun, prepared
+from cell.explore.prepare import Eye, begun, prepared
 from cell.explore.state import Known, Paths
 from cell.narrator import Quiet
 from cell.part import mesh_files
 from cell.plan.request import Request
 from cell.run.explore_json import BELIEVED, MEASURED, ExploreFile
 from cell.scan.options import ScanOptions
+from cell.scanners.laser_area import LaserArea
 from cell.scene.options import scene_of
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.scene import Scene
@@ -35,6 +36,14 @@ from planner.viewpoints.viewpoints import looking_at
 
 def _scene(**wishes: float) -> Scene:
     return scene_of(None, {"place": (1100, 400, 100), **wishes}, "mug")
+
+
+def _eye() -> Eye:
+    """Of a scanner with rays a degree apart."""
+    scanner = LaserArea(fov_deg=(30, 30), resolution_deg=(1.0, 1.0), range_mm=(100, 900))
+    rays = np.asarray(scanner.ray_directions())
+    apart = float(np.arccos(rays[0] @ rays[1]))
+    return Eye(np.asarray(scanner.source), np.asarray(scanner.sensor), rays, scanner.grid_shape[1], 0.1, 0.9, apart)
 
 
 def _begun(root: Path) -> ExploreFile:
@@ -77,14 +86,53 @@ def test_points_that_cannot_be_stop_an_exploration(points: Floats, told: str) ->
     space = VoxelSpace.of_cylinder(0.1, 0.1, 0.004, 0.003)
     space = replace(space, state=np.full_like(space.state, FREE))
     with pytest.raises(FileError, match=told):
-        require_plausible(space, Path("stages/0001"), points)
+        require_plausible(space, Path("stages/0001"), [(points, np.eye(4))], _eye())
+
+
+@pytest.mark.parametrize(("away", "told"), [(0.0, False), (0.006, False), (0.02, True), (-0.02, False)])
+def test_a_part_that_was_moved_away_stops_an_exploration(away: float, told: bool) -> None:
+    """A plate is found farther off than it was: no leg enters space that was seen free, but all pass what was known.
+
+    Nearer than it was it hides that, and its points lie in space that was seen free. Two voxels are no move.
+    """
+    eye, T = _eye(), np.diag([1.0, -1.0, -1.0, 1.0])
+    T[2, 3] = 0.4
+
+    def plate(height: float) -> Floats:
+        rays = eye.rays @ T[:3, :3].T
+        points = T[:3, 3] + rays * ((height - T[2, 3]) / rays[:, 2:])
+        return np.asarray(points[np.abs(points[:, :2]).max(axis=1) < 0.05])
+
+    space = VoxelSpace.of_cylinder(0.1, 0.1, 0.004, 0.003).seen_from(plate(0.01), [])
+    views = [(plate(0.01 - away), T)]
+    if not told:
+        require_plausible(space, Path("stages/0002"), views, eye)
+        return
+    assert space.contradicted(views[0][0]) == 0
+    with pytest.raises(FileError, match=r"100.0 % of the known points .* are gone; the part was moved"):
+        require_plausible(space, Path("stages/0002"), views, eye)
+
+
+def test_what_a_view_cannot_see_was_not_moved() -> None:
+    """Known points before the range, beyond an outline or too few say nothing, though rays beside them went past."""
+    eye, T = _eye(), np.diag([1.0, -1.0, -1.0, 1.0])
+    T[2, 3] = 0.4
+    rays = eye.rays @ T[:3, :3].T
+    wall = T[:3, 3] + rays * ((0.0 - T[2, 3]) / rays[:, 2:])
+    before = T[:3, 3] + 0.75 * (wall - T[:3, 3])
+    assert eye.passed(before, wall, T, 0.01) == 1.0
+    assert eye.passed(before, wall, T, 0.2) == 0.0
+    assert eye.passed(T[:3, 3] + 0.2 * (wall - T[:3, 3]), wall, T, 0.01) == 0.0
+    assert eye.passed(before[:99], wall, T, 0.01) == 0.0
+    assert eye.passed(before, wall[::3], T, 0.01) == 0.0
+    assert eye.passed(before[:0], wall, T, 0.01) == eye.passed(before, wall[:0], T, 0.01) == 0.0
 
 
 def test_a_view_of_what_is_not_there_is_no_reason_to_stop() -> None:
     """Once something was hit, a batch without points is one that was believed wrongly, and the voxels take it."""
     space, stand = VoxelSpace.of_cylinder(0.1, 0.1, 0.004, 0.003), np.array([0.3, 0.0, 0.0])
     space, nothing = space.seen_from(np.zeros((1, 3)), [stand]), np.empty((0, 3))
-    require_plausible(space, Path("stages/0002"), nothing)
+    require_plausible(space, Path("stages/0002"), [(nothing, np.eye(4))], _eye())
     after = space.seen_from(nothing, [stand]).judged_from(nothing, stand, stand, np.array([[-1.0, 0, 0]]), 0.1, 0.5)
     assert np.array_equal(after.state, space.state)
     assert after.votes.max() == 2

@@ -37,22 +37,25 @@ def _most(sees: Bools, areas: Floats, count: int) -> float:
 def test_the_fewest_views_for_a_coverage_are_those_of_brute_force(count: int, planned: Path) -> None:
     """What so many measure at most takes so many; a little more takes one more, at least."""
     run = open_finished(planned)
-    sees, areas, _ = _columns(planned)
+    M, (sees, areas, _) = reader.measurability(run), _columns(planned)
     most = _most(sees, areas, count)
-    assert _fewest(run, most - 1e-9) == (count, count)
-    least, found = _fewest(run, most + 1e-6)
+    assert _fewest(run, M, most - 1e-9) == (count, count)
+    least, found = _fewest(run, M, most + 1e-6)
     assert count < least <= found
-    assert _fewest(run, _most(sees, areas, count - 1) + 1e-6 if count > 1 else 1e-6) == (count, count)
+    assert _fewest(run, M, _most(sees, areas, count - 1) + 1e-6 if count > 1 else 1e-6) == (
+        count,
+        count,
+    )
 
 
 def test_more_than_all_that_is_measured_takes_what_all_takes(planned: Path) -> None:
     """Views that stand elsewhere than candidates may measure what none of these does."""
     run = open_finished(planned)
-    sees, areas, _ = _columns(planned)
+    M, (sees, areas, _) = reader.measurability(run), _columns(planned)
     all_of_it = float(areas[sees.any(axis=1)].sum())
     assert all_of_it < 1
-    assert _fewest(run, 1.0) == _fewest(run, all_of_it)
-    assert _fewest(run, all_of_it)[0] >= reader.plan(run).lower_bound
+    assert _fewest(run, M, 1.0) == _fewest(run, M, all_of_it)
+    assert _fewest(run, M, all_of_it)[0] >= reader.plan(run).lower_bound
 
 
 def test_fewer_views_than_the_fewest_measure_no_more_than_was_reached() -> None:

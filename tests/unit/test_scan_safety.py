@@ -89,6 +89,8 @@ def test_a_word_is_an_option_or_a_typed_yes_and_simulation_needs_none() -> None:
     safety.require_confirmed(_Controller(), 0.1, _PLAN, given=_PLAN.shown, ask=None)
     safety.require_confirmed(_Controller(), 0.1, _PLAN, given=_PLAN.digest, ask=None)
     safety.require_confirmed(_Controller(hardware=False), 1.0, _PLAN, given=None, ask=None)
+    for released in (_PLAN, _WAY):  # a batch, and the way that it is gone on with
+        safety.require_confirmed(_Controller(), 0.1, released, given=safety.EVERY, ask=None)
     assert len(questions) == 1
     assert f"along the plan {_PLAN.shown}" in questions[0]
     assert "KR C4" in questions[0]
@@ -153,3 +155,9 @@ def test_a_clock_that_is_not_real_time_wants_a_word() -> None:
         safety.require_time_scale(_Controller(), 20.0)
     emulator.capabilities = replace(emulator.capabilities, hardware=False)
     safety.require_time_scale(emulator, None)
+
+
+def test_every_motion_is_released_by_no_option() -> None:
+    """The word of `cell explore` for all of its batches is none that a user, a file or Python gives to an execution."""
+    with pytest.raises(UsageError, match="--confirm-motion"):
+        read(ScanOptions, {"confirm_motion": safety.EVERY}, flag)

@@ -1,0 +1,98 @@
+"""Legs that cross, before the range begins, what nobody has looked at: the part may begin there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cell.explore.prepare import Eye
+from cell.explore.too_near import BeyondNear, keep_off, too_near
+from cell.rays.embree import EmbreeRayCaster
+from cell.scanners.laser_area import LaserArea
+from planner.explore.gain import LATEST
+from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
+from planner.surface.mesh import TriangleMesh
+from planner.surface.sample import SurfaceSamples
+from planner.values import Floats
+
+TARGET = np.array([[0.0, 0.0, 0.0]])
+
+
+def _wall(x: float) -> EmbreeRayCaster:
+    """A square across the x axis."""
+    y, z = np.array([-1.0, 1.0, 1.0, -1.0]), np.array([-1.0, -1.0, 1.0, 1.0])
+    mesh = TriangleMesh(np.column_stack([np.full(4, x), y, z]), np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32))
+    return EmbreeRayCaster(mesh.vertices, mesh.faces)
+
+
+def _space(state: int = FREE, votes: int = 0) -> VoxelSpace:
+    """Free but for a point in the middle and a block before it, from 60 to 80 mm along x."""
+    space = VoxelSpace.of_cylinder(0.1, 0.1, 0.004, 0.003)
+    x = space.centres(np.ones(space.state.shape, dtype=bool))[:, 0].reshape(space.state.shape)
+    known = np.where((x > 0.06) & (x < 0.08), state, FREE).astype(np.uint8)
+    known[tuple(np.floor((TARGET[0] - space.low) / space.edge).astype(int))] = OCCUPIED
+    return replace(space, state=known, votes=np.full(space.votes.shape, votes, dtype=np.int16))
+
+
+@pytest.mark.parametrize(
+    ("space", "away", "blocked"),
+    [
+        (_space(), 0.2, False),
+        (_space(UNKNOWN), 0.2, True),
+        (_space(UNKNOWN, votes=2), 0.2, False),
+        (_space(UNKNOWN), 0.3, False),
+        (_space(OCCUPIED, votes=2), 0.2, True),
+        (_space(), 0.1, True),
+    ],
+    ids=["free", "nobody looked", "voted down", "farther off", "hit", "the target itself is too near"],
+)
+def test_what_may_be_the_part_lies_no_nearer_than_the_range(space: VoxelSpace, away: float, blocked: bool) -> None:
+    """A scanner that measures from 150 mm on stands so far before the middle."""
+    stand = np.array([[away, 0.0, 0.0]])
+    assert BeyondNear(None, space, 0.15).blocked(stand, TARGET).tolist() == [blocked]
+
+
+@pytest.mark.parametrize(("x", "blocked"), [(0.05, True), (-0.05, False)])
+def test_occluders_block_as_they_do(x: float, blocked: bool) -> None:
+    """All along the leg, and rays meet them where they stand."""
+    caster, stand = BeyondNear(_wall(x), _space(), 0.15), np.array([[0.2, 0.0, 0.0]])
+    assert caster.blocked(stand, TARGET).tolist() == [blocked]
+    along: Floats = np.array([[-1.0, 0.0, 0.0]])
+    assert caster.first_hit(stand, along).distance == pytest.approx([0.2 - x])
+
+
+def _scan(eye: Eye, T: Floats, x: float) -> Floats:
+    """(N, 3) where rays meet a wall across the x axis, if they do so within the range."""
+    rays = eye.rays @ T[:3, :3].T
+    away = (x - T[0, 3]) / rays[:, 0]
+    return np.asarray((T[:3, 3] + rays * away[:, None])[(away >= eye.near) & (away <= eye.far)])
+
+
+@pytest.mark.parametrize(
+    ("wall", "state", "told"),
+    [(0.0, UNKNOWN, 0.0), (0.07, UNKNOWN, 1.0), (0.07, FREE, 0.0), (-0.05, UNKNOWN, 0.0)],
+    ids=["where it was believed", "before the range", "before the range, where others saw nothing", "farther off"],
+)
+def test_what_gave_no_point_was_too_near_where_nobody_had_looked(wall: float, state: int, told: float) -> None:
+    """A scanner 200 mm before a believed surface, its range from 150 mm on; the part stands there or nearer."""
+    scanner = LaserArea(fov_deg=(20, 20), resolution_deg=(1.0, 1.0), range_mm=(150, 450))
+    rays = np.asarray(scanner.ray_directions())
+    apart = float(np.arccos(rays[0] @ rays[1]))
+    eye = Eye(np.asarray(scanner.source), np.asarray(scanner.sensor), rays, scanner.grid_shape[1], 0.15, 0.45, apart)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), [0.2, 0.0, 0.0]
+    y = np.linspace(-0.02, 0.02, 5)
+    points = np.column_stack([np.zeros(5), y, np.zeros(5)])
+    samples = SurfaceSamples(
+        points, np.tile([1.0, 0.0, 0.0], (5, 1)), np.full(5, 0.2), np.zeros(5, dtype=int), np.zeros(5, dtype=int)
+    )
+    found = too_near(samples, np.ones((5, 1), dtype=bool), [(_scan(eye, T, wall), T)], _space(state), eye)
+    assert found == pytest.approx(told)
+
+
+def test_views_keep_off_for_some_batches_after_one_that_stood_too_near() -> None:
+    """More than half of what it was to measure may have been hidden before the range."""
+    assert not keep_off([])
+    assert not keep_off([(0.5, 1.0), (0.0, 0.0)])
+    assert keep_off([(0.6, 1.0), *[(0.0, 1.0)] * (LATEST - 1)])
+    assert not keep_off([(0.6, 1.0), *[(0.0, 1.0)] * LATEST])
