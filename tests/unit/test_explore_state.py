@@ -10,9 +10,9 @@ import pytest
 import trimesh
 from scipy.sparse import csr_array
 
-from cell.errors import FileError
+from cell.errors import FileError, UnreachableError
 from cell.explore import belief, specification, stage
-from cell.explore.explore import _came, require_plausible
+from cell.explore.explore import _came, _finished, _nearness, require_plausible
 from cell.explore.options import ExploreOptions
 from cell.explore.policies import POLICIES, Batch, So
 from cell.explore.prepare import Eye, begun, prepared
@@ -109,6 +109,7 @@ def test_a_part_that_was_moved_away_stops_an_exploration(away: float, told: bool
         require_plausible(space, Path("stages/0002"), views, eye)
         return
     assert space.contradicted(views[0][0]) == 0
+    views.append((plate(0.01), T))  # of a batch one view is enough
     with pytest.raises(FileError, match=r"100.0 % of the known points .* are gone; the part was moved"):
         require_plausible(space, Path("stages/0002"), views, eye)
 
@@ -252,3 +253,31 @@ def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
     for one, other in ((again.space, space), (again.record, record)):
         for name in one.__slots__:
             assert np.array_equal(getattr(one, name), getattr(other, name)), name
+
+
+def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -> None:
+    """The same for a simulated part, however small, as for a real one; without a cylinder by the simulated part."""
+    options, elsewhere = ExploreOptions(cylinder_mm=(400, 300)), ScanOptions(
+        acquire="command:take", points_frame="base", points_units="mm"
+    )  # fmt: skip
+    work, real, own = (
+        prepared(_scene(), asked, scanning, tmp_path, (), Quiet(), None)
+        for asked, scanning in ((options, ScanOptions()), (options, elsewhere), (ExploreOptions(), ScanOptions()))
+    )
+    assert work.scene.scanner == real.scene.scanner != own.scene.scanner
+    assert work.eye.near == real.eye.near > own.eye.near
+
+
+def test_nothing_that_can_be_reached_has_the_exit_code_of_that() -> None:
+    """Where not even a first view can be planned."""
+    given: Any = (None, SimpleNamespace(stages=()), "the arm reaches no view", ())
+    with pytest.raises(UnreachableError, match="nothing can be explored here: the arm reaches no view") as told:
+        _finished(*given)
+    assert told.value.exit_code == 4
+
+
+def test_the_ring_says_nothing_of_standing_too_near() -> None:
+    """It was planned for the cylinder, of which all is unknown."""
+    ring, batch = (SimpleNamespace(too_near_mm2=near, expected_mm2=9.0) for near in (8.0, 1.0))
+    file: Any = SimpleNamespace(stages=[ring, batch])
+    assert _nearness(file) == [(1.0, 9.0)]

@@ -64,8 +64,9 @@ def test_occluders_block_as_they_do(x: float, blocked: bool) -> None:
 def _scan(eye: Eye, T: Floats, x: float) -> Floats:
     """(N, 3) where rays meet a wall across the x axis, if they do so within the range."""
     rays = eye.rays @ T[:3, :3].T
-    away = (x - T[0, 3]) / rays[:, 0]
-    return np.asarray((T[:3, 3] + rays * away[:, None])[(away >= eye.near) & (away <= eye.far)])
+    source = T[:3, :3] @ eye.source + T[:3, 3]
+    away = (x - source[0]) / rays[:, 0]
+    return np.asarray((source + rays * away[:, None])[(away >= eye.near) & (away <= eye.far)])
 
 
 @pytest.mark.parametrize(
@@ -73,21 +74,32 @@ def _scan(eye: Eye, T: Floats, x: float) -> Floats:
     [(0.0, UNKNOWN, 0.0), (0.07, UNKNOWN, 1.0), (0.07, FREE, 0.0), (-0.05, UNKNOWN, 0.0)],
     ids=["where it was believed", "before the range", "before the range, where others saw nothing", "farther off"],
 )
-def test_what_gave_no_point_was_too_near_where_nobody_had_looked(wall: float, state: int, told: float) -> None:
-    """A scanner 200 mm before a believed surface, its range from 150 mm on; the part stands there or nearer."""
+@pytest.mark.parametrize("beside", [0.0, 0.2])
+def test_what_gave_no_point_was_too_near_where_nobody_had_looked(
+    wall: float, state: int, told: float, beside: float
+) -> None:
+    """A source 200 mm before a believed surface, its range from 150 mm on; the part stands there or nearer.
+
+    Rays begin at the source, wherever the scanner's frame is.
+    """
     scanner = LaserArea(fov_deg=(20, 20), resolution_deg=(1.0, 1.0), range_mm=(150, 450))
     rays = np.asarray(scanner.ray_directions())
     apart = float(np.arccos(rays[0] @ rays[1]))
-    eye = Eye(np.asarray(scanner.source), np.asarray(scanner.sensor), rays, scanner.grid_shape[1], 0.15, 0.45, apart)
+    source = np.array([0.0, 0.0, beside])
+    eye = Eye(source, np.asarray(scanner.sensor), rays, scanner.grid_shape[1], 0.15, 0.45, apart)
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), [0.2, 0.0, 0.0]
+    T[:3, :3] = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    T[:3, 3] = np.array([0.2, 0.0, 0.0]) - T[:3, :3] @ source
     y = np.linspace(-0.02, 0.02, 5)
     points = np.column_stack([np.zeros(5), y, np.zeros(5)])
     samples = SurfaceSamples(
         points, np.tile([1.0, 0.0, 0.0], (5, 1)), np.full(5, 0.2), np.zeros(5, dtype=int), np.zeros(5, dtype=int)
     )
-    found = too_near(samples, np.ones((5, 1), dtype=bool), [(_scan(eye, T, wall), T)], _space(state), eye)
-    assert found == pytest.approx(told)
+    view = (_scan(eye, T, wall), T)
+    assert too_near(samples, np.ones((5, 1), dtype=bool), [view], _space(state), eye) == pytest.approx(told)
+    sees = np.zeros((5, 2), dtype=bool)
+    sees[0, 0] = sees[1:3, 1] = True  # two are asked of neither view
+    assert too_near(samples, sees, [view, view], _space(state), eye) == pytest.approx(0.6 * told)
 
 
 def test_views_keep_off_for_some_batches_after_one_that_stood_too_near() -> None:
