@@ -81,11 +81,11 @@ class Eye:
             T: (4, 4) pose of the scanner in that frame [m].
         """
         rays = self.rays @ T[:3, :3].T
-        return np.asarray(rays[~self._beside(rays, self._towards(points, T))])
+        return np.asarray(rays[~self._beside(rays, self.towards(points, T))])
 
     def answered(self, targets: Floats, points: Floats, T: Floats) -> Bools:
         """(M,) whether a point (N, 3) [m] came back beside the ray to each target (M, 3) [m]; `T` as in `blank`."""
-        return self._beside(self._towards(targets, T), self._towards(points, T))
+        return self._beside(self.towards(targets, T), self.towards(points, T))
 
     def passed(self, known: Floats, points: Floats, T: Floats, margin: float) -> float:
         """Share of known points past which a view looked: all rays beside them came back from farther off.
@@ -101,10 +101,10 @@ class Eye:
         """
         if not len(known) or not len(points):
             return 0.0
-        source = self._source(T)
+        source = self.source_at(T)
         near, far = (np.linalg.norm(each - source, axis=1) for each in (known, points))
-        tree = cKDTree(self._towards(points, T))
-        apart, at = map(np.asarray, tree.query(self._towards(known, T), k=_RAYS, distance_upper_bound=2 * self.apart))
+        tree = cKDTree(self.towards(points, T))
+        apart, at = map(np.asarray, tree.query(self.towards(known, T), k=_RAYS, distance_upper_bound=2 * self.apart))
         looked = np.isfinite(apart).all(axis=1) & (near >= self.near)
         past = far[at[looked]].min(axis=1, initial=np.inf) > near[looked] + margin
         return float(past.mean()) if len(past) >= _ENOUGH else 0.0
@@ -118,7 +118,7 @@ class Eye:
             gap: distance [m].
         """
         point_of = np.full(len(self.rays), -1)
-        of = np.asarray(cKDTree(self.rays).query(self._towards(points, T) @ T[:3, :3])[1])
+        of = np.asarray(cKDTree(self.rays).query(self.towards(points, T) @ T[:3, :3])[1])
         point_of[of[::-1]] = np.arange(len(points))[::-1]
         number = np.arange(len(self.rays)).reshape(-1, self.columns)
         one, other = (
@@ -128,18 +128,20 @@ class Eye:
         known = (point_of[one] >= 0) & (point_of[other] >= 0)
         one, other = one[known], other[known]
         begin, end, squarely = points[point_of[one]], points[point_of[other]], self.rays[one] - self.rays[other]
-        length, away = np.linalg.norm(end - begin, axis=1), np.linalg.norm(begin - self._source(T), axis=1)
+        length, away = np.linalg.norm(end - begin, axis=1), np.linalg.norm(begin - self.source_at(T), axis=1)
         kept = (length > gap) & (length <= _JOINED * away * np.linalg.norm(squarely, axis=1))
         begin, end, parts = begin[kept], end[kept], np.ceil(length[kept] / gap).astype(np.int64)
         pair = np.repeat(np.arange(len(parts)), parts - 1)
         step = np.arange(len(pair)) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1
         return np.asarray(begin[pair] + (step / parts[pair])[:, None] * (end - begin)[pair])
 
-    def _source(self, T: Floats) -> Floats:
+    def source_at(self, T: Floats) -> Floats:
+        """(3,) where the rays begin of a scanner that stands at T (4, 4), in its frame [m]."""
         return np.asarray(T[:3, :3] @ self.source + T[:3, 3])
 
-    def _towards(self, points: Floats, T: Floats) -> Floats:
-        legs = points - self._source(T)
+    def towards(self, points: Floats, T: Floats) -> Floats:
+        """(N, 3) unit directions from there to points (N, 3) [m]."""
+        legs = points - self.source_at(T)
         return np.asarray(legs / np.maximum(np.linalg.norm(legs, axis=1, keepdims=True), 1e-12))
 
     def _beside(self, rays: Floats, others: Floats) -> Bools:

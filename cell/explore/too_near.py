@@ -38,10 +38,7 @@ def too_near(
     """
     hidden, answered = np.zeros((2, len(samples)), dtype=np.bool_)
     for (points, T), its in zip(views, sees.T, strict=True):
-        source = T[:3, :3] @ eye.source + T[:3, 3]
-        legs = samples.points - source
-        rays = legs / np.maximum(np.linalg.norm(legs, axis=1, keepdims=True), 1e-12)
-        hidden |= its & ~before.clear(source, rays, eye.near)
+        hidden |= its & ~before.clear(eye.source_at(T), eye.towards(samples.points, T), eye.near)
         answered |= its & eye.answered(samples.points, points, T)
     return float(samples.areas[hidden & ~answered].sum())
 

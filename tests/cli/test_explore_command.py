@@ -163,6 +163,16 @@ def test_no_point_of_the_part_is_in_space_that_counts_as_free(explored: Path, pa
     assert depth.max() < np.sqrt(3) * edge
 
 
+def _stopped_after_the_first(explored: Path, tmp_path: Path) -> Path:
+    """A copy of which explore.json names the first stage alone, as if the second had not come to its end."""
+    again = tmp_path / "explored"
+    shutil.copytree(explored, again)
+    file = explore_json.read(again / "explore.json")
+    before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1], "truth": None})
+    (again / "explore.json").write_text(json.dumps(before.as_json()))
+    return again
+
+
 def _plan_killed(stage: Path) -> None:
     stage.rename(stage.with_name(f"{stage.name}.part"))
 
@@ -192,11 +202,7 @@ def test_the_same_command_goes_on_where_it_was_killed(
     run_cell: Callable[..., subprocess.CompletedProcess[str]],
 ) -> None:
     """A stage that explore.json does not name is made again, to the same bytes, from a killed plan or execution."""
-    again = tmp_path / "explored"
-    shutil.copytree(explored, again)
-    file = explore_json.read(again / "explore.json")
-    before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1], "truth": None})
-    (again / "explore.json").write_text(json.dumps(before.as_json()))
+    again = _stopped_after_the_first(explored, tmp_path)
     killed(again / "stages" / "0002")
     (again / "stages" / "0002.voxels.npz").unlink()
     done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path)
@@ -214,11 +220,7 @@ def test_an_earlier_scan_that_is_gone_is_told_before_anything_moves(
     run_cell: Callable[..., subprocess.CompletedProcess[str]],
 ) -> None:
     """Missing or cut in half: no model is made of the rest, no batch is planned for it."""
-    again = tmp_path / "explored"
-    shutil.copytree(explored, again)
-    file = explore_json.read(again / "explore.json")
-    before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1], "truth": None})
-    (again / "explore.json").write_text(json.dumps(before.as_json()))
+    again = _stopped_after_the_first(explored, tmp_path)
     shutil.rmtree(again / "stages" / "0002")
     damage(again / "stages" / "0001" / "executions" / "0001" / "scans" / "0002.npz")
     done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path)

@@ -119,7 +119,7 @@ def test_a_large_page_is_soon_there(
 ) -> None:
     """1.3 million faces twice, 200 views, a million points: 25 MB, the first frame after 5 s of processor time.
 
-    In the software renderer, on a quiet machine; a busy one takes a third more. What is not drawn is told.
+    In the software renderer; what is not drawn is told.
     """
     rng, ball = np.random.default_rng(0), trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.1)
     mesh = TriangleMesh(ball.vertices, ball.faces.astype(np.int32))
@@ -146,5 +146,5 @@ def test_a_large_page_is_soon_there(
     before = chromium.busy()
     chromium.open(page.as_uri())
     chromium.run(_FIRST_FRAME)
-    assert chromium.busy() - before <= 7.5
+    assert chromium.busy() - before <= 5.0
     assert (chromium.faults(), chromium.asked()) == ([], [])
