@@ -334,3 +334,22 @@ def test_one_word_releases_every_motion_of_an_exploration(
     assert given[0].confirm_motion == (EVERY if word == "explore" else word)
     assert given[0].acquire == f"files:{tmp_path}/0007"
     assert (tmp_path / "0007").is_dir()
+
+
+def test_a_stage_says_what_its_views_stood_too_near_for(balls: TriangleMesh, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Asked of what they were to measure, by their points and poses and what was known before; in mm2."""
+    asked: list[Any] = []
+    monkeypatch.setattr(explore, "open_finished", lambda folder: SimpleNamespace(digest="d"))
+    monkeypatch.setattr(explore.reader, "motion", lambda run: SimpleNamespace(duration=1.5))
+    monkeypatch.setattr(explore, "too_near", lambda *given: asked.append(given) or 3e-6)
+    known: Any = SimpleNamespace(space=UNKNOWN, believed=balls)
+    samples = sample(balls, balls, 5, np.random.default_rng(0))
+    expected: Any = SimpleNamespace(samples=samples, sees=np.ones((5, 1), dtype=bool), surface=1.0, on=BELIEVED)
+    scan: Any = SimpleNamespace(points=balls.vertices, T_reported=np.eye(4))
+    stage_ = explore._stage_of(Path("stages") / "0002", [scan], expected, UNKNOWN, known, None)  # type: ignore[arg-type]
+    assert stage_.too_near_mm2 == pytest.approx(3.0)
+    assert stage_.expected_mm2 == pytest.approx(1e6 * samples.areas.sum(), abs=1e-3)
+    (told,) = asked
+    assert told[0] is samples
+    assert told[2] == [(scan.points, scan.T_reported)]
+    assert told[3] is UNKNOWN
