@@ -7,17 +7,18 @@ what no executed view measures by the scanner's law: strips between points, too 
 Points beside such a strip hide it from the believed surface, and nobody saw where it leads from the measured one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 
 from cell.explore.policies import Batch
-from planner.explore.gain import Record
+from planner.explore.gain import Record, came_in_all
 from planner.explore.space import VoxelSpace
 from planner.measurability.matrix import measured
 from planner.ports import RayCaster, Scanner
-from planner.surface.sample import SurfaceSamples
+from planner.surface.sample import SurfaceSamples, pick_samples
 from planner.values import Floats, Value
 
 
@@ -35,6 +36,8 @@ class Asked(Value):
         cautious: whether views keep so far off that the part, where nobody looked, begins no nearer than the range.
         poses: (V, 4, 4) executed views, explored frame [m], where the measured surface is planned on; None: the
             believed one is.
+        latest: of the last batches, views and the area that they were to measure of the measured surface [m^2]; 0 where
+            a batch was planned on the believed one.
     """
 
     space: VoxelSpace
@@ -45,6 +48,7 @@ class Asked(Value):
     came: float = 1.0
     cautious: bool = False
     poses: Annotated[Floats, "V 4 4"] | None = None
+    latest: Sequence[tuple[int, float]] = ()
 
     @property
     def least_area(self) -> float:
@@ -66,6 +70,29 @@ def wanted(samples: SurfaceSamples, asked: Asked, most: int, scanner: Scanner, c
         return probable(samples, asked, most)
     missed = ~measured(asked.poses[:, None], samples, scanner, (caster,))
     return _kept(samples, missed * samples.areas, most)
+
+
+def came_of(samples: SurfaceSamples, asked: Asked, scanner: Scanner, caster: RayCaster) -> float:
+    """How many times as much as expected the latest batches measured of the measured surface, as it is known now.
+
+    Args:
+        samples: of it.
+        asked: what for.
+        scanner: its law.
+        caster: the surface's.
+    """
+    if asked.poses is None or not any(expected for _, expected in asked.latest):
+        return asked.came
+    known = pick_samples(samples, asked.space.near(samples.points))
+    views = [views for views, _ in asked.latest]
+    before = len(asked.poses) - sum(views)
+    casters, poses = (caster,), asked.poses[:, None]
+    if before:
+        known = pick_samples(known, ~measured(poses[:before], known, scanner, casters))
+    seen = measured(poses[before:], known, scanner, casters, each=True)
+    first = seen & (np.cumsum(seen, axis=1) == 1)
+    new = np.add.reduceat(known.areas @ first, np.cumsum((0, *views[:-1])))
+    return came_in_all([(expected, area) for (_, expected), area in zip(asked.latest, new.tolist(), strict=True)])
 
 
 def probable(samples: SurfaceSamples, asked: Asked, most: int) -> SurfaceSamples:

@@ -29,7 +29,12 @@ _BLOCK = 2  # edges: where a surface need not be tight, blocks of voxels do, wit
 
 def surface_of(space: VoxelSpace, *, whole: bool = False) -> TriangleMesh:
     """The believed surface [m]; `whole` as in `VoxelSpace.believed`."""
-    return _about(space.low, space.edge, space.believed(whole=whole), _TIGHT, _SMOOTH)
+    return surface_about(space, space.believed(whole=whole))
+
+
+def surface_about(space: VoxelSpace, chosen: Bools) -> TriangleMesh:
+    """The tight surface about chosen voxels [m]."""
+    return _about(space.low, space.edge, chosen, _TIGHT, _SMOOTH)
 
 
 def part_of(surface: TriangleMesh, name: str, known: str = "believed") -> Workpiece:

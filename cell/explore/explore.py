@@ -14,6 +14,7 @@ from cell.errors import FileError, UnreachableError
 from cell.explore import belief, report, specification, truth
 from cell.explore.asked import Asked
 from cell.explore.execution import executed
+from cell.explore.measured_surface import continued
 from cell.explore.options import EVERY_BATCH, ExploreOptions
 from cell.explore.policies import POLICIES, Batch, So
 from cell.explore.prepare import Exploring, Eye, begun, prepared
@@ -31,7 +32,7 @@ from cell.scan import lock
 from cell.scan.options import ScanOptions
 from cell.scan.safety import EVERY, Ask
 from cell.scene.scene import Scene
-from planner.explore.gain import came
+from planner.explore.gain import LATEST, came
 from planner.explore.space import OCCUPIED, VoxelSpace
 from planner.surface.sample import SurfaceSamples, pick_samples
 from planner.values import Bools, Floats
@@ -169,12 +170,15 @@ def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch)
         EnoughError: if they describe none.
     """
     number, scans = len(file.stages) + 1, scans_of(work.paths, file.stages)
-    surface = report.surface_of(scans)
+    surface = continued(scans, known.space)
     if surface is None:
         raise EnoughError("the points describe no surface")
     work.paths.measured(number).write_bytes(ply.written(surface))
     poses = np.stack([scan.T_reported for scan in scans])
-    asked = Asked(known.space, known.record, batch, work.options.least_gain, _measured_area(file), poses=poses)
+    latest = tuple((s.views, s.expected_mm2 / 1e6 if s.planned_on == MEASURED else 0.0) for s in file.stages[-LATEST:])
+    asked = Asked(
+        known.space, known.record, batch, work.options.least_gain, _measured_area(file), poses=poses, latest=latest
+    )
     return _stage(work, asked, number, belief.part_of(surface, work.name, MEASURED))
 
 

@@ -50,12 +50,13 @@ _FEW, _ROUGH = 1, 6
 """Views that are taken blindly: what follows view by view is better chosen; a rough model that all else rests on wants
 more."""
 
+_WORTH: Mapping[SurfaceName, float] = MappingProxyType({BELIEVED: 2.0, MEASURED: 0.5})
+"""How many times the least gain a view is asked for on each surface once little is left: the believed one promises more
+than comes late, the measured one less; no other plan takes what it leaves."""
+
 _FINE = (3.0, 3.0, 1.5, 1.0)
 """How many times the least gain a view of each fine plan is asked for: what the first ones leave is better planned for
 once they are executed."""
-
-_LAST = 0.5
-"""The same of the plan on the measured surface, after which none comes that could take what it leaves."""
 
 Policy = Callable[[ExploreOptions, So], Sequence[Batch]]
 """The batches of which the first is taken that is worth its views; none: the exploration ends."""
@@ -69,7 +70,7 @@ def stepwise(options: ExploreOptions, so: So) -> Sequence[Batch]:
     if so.stages == 0:
         return (Batch(_within(so, options.ring or _FEW)),)
     surfaces = (MEASURED, BELIEVED) if so.on == MEASURED else (BELIEVED, MEASURED)
-    return tuple(Batch(_within(so, options.batch), per_second=True, on=on) for on in surfaces)
+    return tuple(Batch(_within(so, options.batch), per_second=True, on=on, worth=_WORTH[on]) for on in surfaces)
 
 
 def two_stage(options: ExploreOptions, so: So) -> Sequence[Batch]:
@@ -86,7 +87,7 @@ def two_stage(options: ExploreOptions, so: So) -> Sequence[Batch]:
     if so.on == MEASURED:
         return ()
     worths = dict.fromkeys(_FINE[so.stages - 1 :])  # one that was worth no view is not asked again
-    return (*(Batch(so.left, worth=worth) for worth in worths), Batch(so.left, on=MEASURED, worth=_LAST))
+    return (*(Batch(so.left, worth=worth) for worth in worths), Batch(so.left, on=MEASURED, worth=_WORTH[MEASURED]))
 
 
 POLICIES: Mapping[str, Policy] = MappingProxyType({"stepwise": stepwise, "two-stage": two_stage})

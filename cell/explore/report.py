@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from cell.reconstruction.cloud import ScanCloud, merge
-from cell.reconstruction.reconstruct import reconstruct
+from cell.explore.measured_surface import surface_of
 from cell.run import ply
 from cell.run.executions import ExecutedScan
 from cell.run.explore_json import ExploreFile, Truth
@@ -14,11 +13,6 @@ from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 MODEL, REPORT, PICTURE = "model.ply", "report.md", "curve.png"
-
-
-def surface_of(scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
-    """The surface of all scans, explored frame [m]; None where the points describe none."""
-    return reconstruct(merge([ScanCloud(scan.points, scan.T_reported[:3, 3]) for scan in scans])).mesh
 
 
 def write_model(folder: Path, scans: Sequence[ExecutedScan]) -> TriangleMesh | None:

@@ -13,7 +13,7 @@ import numpy as np
 from cell import scanners
 from cell.errors import UnreachableError
 from cell.explore import belief
-from cell.explore.asked import Asked, wanted
+from cell.explore.asked import Asked, came_of, wanted
 from cell.explore.moved import with_better
 from cell.explore.reasons import StillOpen, still_open
 from cell.explore.too_near import BeyondNear
@@ -48,6 +48,9 @@ from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_view
 
 DRAWN, ROWS_KEPT, SCOUTS_KEPT = 20_000, 3_000, 1_000
 """Samples of the believed surface that are drawn, of those rows of the matrix at most, and scouts at most."""
+
+DRAWN_MEASURED = 80_000
+"""Samples of the measured surface that are drawn: little of it is wanted."""
 
 SCHEDULE = growth.SCHEDULE[:2]
 """Of growth: what is open now is another tomorrow, so the long search for the last of it is not worth its time."""
@@ -101,7 +104,7 @@ def plan_stage(scene: Scene, believed: Workpiece, asked: Asked, out: Path, narra
 
 def _steps(run: Run, job: Job, asked: Asked) -> int:
     """Steps 2 to 9 and the report."""
-    surface, scouts, candidates = _sample_surface(run, job, asked)
+    surface, scouts, candidates, asked = _sample_surface(run, job, asked)
     cell = steps.compile_cell(run, job, surface, believed=True)
     with run.step("reach and grow") as progress:
         reached = steps.reach_of(job, cell, candidates, progress)
@@ -146,8 +149,10 @@ def _casters(job: Job, asked: Asked, surface: PartSurface, cell: Cell) -> Sequen
     return [casters[0], BeyondNear(casters[1], asked.space, job.scene.scanner.range_mm[0] / 1000)]
 
 
-def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, SurfaceSamples, Viewpoints]:
-    """Planning mesh, rows of the matrix, points that candidates are grown for, and candidates that face the rows.
+def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, SurfaceSamples, Viewpoints, Asked]:
+    """Planning mesh and rows of the matrix, points that candidates are grown for, candidates that face the rows.
+
+    And what is asked, with what came of the latest batches.
 
     Raises:
         EnoughError: if nothing is open.
@@ -160,16 +165,19 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
             planning = decimate(reference, job.settings.faces)
         plan_files.write_meshes(run.folder, reference, planning)
         caster, scanner = EmbreeRayCaster(reference.vertices, reference.faces), limited(job.scene, job.scanner)
+        count = DRAWN if asked.poses is None else DRAWN_MEASURED
+        drawn = [sample(reference, planning, count, run.rng(stream)) for stream in (_ROWS, _SCOUTS)]
         rows, scouts = (
-            wanted(sample(reference, planning, DRAWN, run.rng(stream)), asked, kept, scanner, caster)
-            for stream, kept in ((_ROWS, ROWS_KEPT), (_SCOUTS, SCOUTS_KEPT))
+            wanted(samples, asked, kept, scanner, caster)
+            for samples, kept in zip(drawn, (ROWS_KEPT, SCOUTS_KEPT), strict=True)
         )
         if not len(rows) or not len(scouts):
             raise EnoughError("nothing is open")
+        asked = replace(asked, came=came_of(drawn[0], asked, scanner, caster))
         candidates = first(job.scene, job.settings, job.part, planning)
         if (candidates.face >= 0).all():
             candidates = pick_viewpoints(candidates, np.isin(candidates.face, rows.planning_face))
-        return PartSurface(reference, planning, rows, caster), scouts, candidates
+        return PartSurface(reference, planning, rows, caster), scouts, candidates, asked
 
 
 def _connected(

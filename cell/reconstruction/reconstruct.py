@@ -101,7 +101,9 @@ class Reconstruction(Value):
         return tuple(found)
 
 
-def reconstruct(cloud: PointCloud, *, grid: float | None = None, close: bool = False) -> Reconstruction:
+def reconstruct(
+    cloud: PointCloud, *, grid: float | None = None, close: bool = False, reach: float = 0.0
+) -> Reconstruction:
     """Surface of a cloud.
 
     Two faces of a sheet are kept apart where the sheet is thicker than one grid cell; pass a finer grid for a thinner
@@ -111,6 +113,7 @@ def reconstruct(cloud: PointCloud, *, grid: float | None = None, close: bool = F
         cloud: merged scans with normals, object frame.
         grid: edge of a cell [m]; None takes 1.25 point spacings.
         close: whether to close the holes that remain; the faces that do are marked in `closed`.
+        reach: distance to the nearest datum to which the surface goes on where that is more than `REACH` spacings [m].
 
     Raises:
         PlannerError: if `grid` is not positive.
@@ -129,7 +132,7 @@ def reconstruct(cloud: PointCloud, *, grid: float | None = None, close: bool = F
     if len(kept) < _FEWEST_POINTS or not spacing > 0:
         return nothing(ReconstructionStatus.TOO_FEW_POINTS)
     surface = ImplicitSurface(kept)
-    cut = REACH * spacing
+    cut = max(REACH * spacing, reach)
     volume = _Grid(kept.points, _GRID * spacing if grid is None else grid, cut)
     volume.fill(surface, kept.points)
     found = volume.contour()

@@ -109,6 +109,20 @@ def came(batches: Sequence[tuple[float, float]]) -> float:
     return max(1.0, float(np.median([1.0, *ratios[-LATEST:]])))
 
 
+def came_in_all(batches: Sequence[tuple[float, float]]) -> float:
+    """How many times as much as expected came of all batches and of one more, which is taken to have brought it.
+
+    Args:
+        batches: as in `came`.
+    """
+    asked = [batch for batch in batches if batch[0] > 0]
+    if not asked:
+        return 1.0
+    expected, measured = (sum(batch[side] for batch in asked) for side in (0, 1))
+    one = expected / len(asked)
+    return (measured + one) / (expected + one)
+
+
 def most_per_second(
     measured: "csr_array", areas: Floats, seconds: Floats, usable: Bools, count: int, least: float = 0.0
 ) -> Ints:

@@ -230,6 +230,10 @@ class VoxelSpace(Value):
         """
         return self._beside(self.points, points, normals)
 
+    def near(self, points: Floats) -> Bools:
+        """(N,) which points (N, 3) [m] are at most an edge from a measured one."""
+        return np.isfinite(cKDTree(self.points).query(points, distance_upper_bound=self.edge)[0])
+
     def seen_since(self, before: "VoxelSpace", points: Floats, normals: Floats) -> tuple[Bools, Bools]:
         """(N,) what is seen, and what of it was not `before`, of which this is what followed; `points` as in `seen`."""
         seen, new = self.seen(points, normals), np.zeros(len(points), dtype=np.bool_)

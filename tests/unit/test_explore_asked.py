@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from cell.explore import belief, explore, stage
-from cell.explore.asked import Asked, probable, wanted
+from cell.explore.asked import Asked, came_of, probable, wanted
 from cell.explore.options import ExploreOptions
 from cell.explore.policies import Batch
 from cell.explore.stage import EnoughError
@@ -22,7 +22,7 @@ from cell.run.explore_json import BELIEVED, MEASURED, SurfaceName
 from cell.scan.options import ScanOptions
 from cell.scan.safety import EVERY
 from cell.scanners.laser_area import LaserArea
-from planner.explore.gain import Record
+from planner.explore.gain import Record, came_in_all
 from planner.explore.space import OCCUPIED, VoxelSpace
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
@@ -80,6 +80,28 @@ def test_of_the_measured_surface_is_wanted_what_no_view_measures(balls: Triangle
     for name in ("points", "normals", "areas", "face", "planning_face"):
         assert np.array_equal(getattr(kept, name), getattr(samples, name)[missed]), name
     assert len(wanted(samples, _asked(np.repeat(_poses()[:1], 2, axis=0)), 3000, LAW, caster)) > len(kept)
+
+
+@pytest.mark.parametrize("views", [(1, 1), (2,), (1,)])
+def test_what_came_is_what_the_latest_views_measured_first(views: tuple[int, ...], balls: TriangleMesh) -> None:
+    """Of surface beside a point, and not what a view before them measures: brute force says of which that is so."""
+    samples = sample(balls, balls, 3000, np.random.default_rng(0))
+    caster = EmbreeRayCaster(balls.vertices, balls.faces)
+    space = replace(UNKNOWN, points=samples.points[samples.points[:, 1] > 0])
+    near = np.linalg.norm(samples.points[:, None] - space.points[None], axis=2).min(axis=1) <= UNKNOWN.edge
+    assert 0.4 < near.mean() < 0.8
+    each = np.stack([_measured(samples, T[None], balls, LAW.grazing_max_deg) for T in _poses()])
+    left, firsts = near.copy(), list[float]()
+    for seen in each:
+        firsts.append(float(samples.areas[left & seen].sum()))
+        left &= ~seen
+    latest = [(count, 0.001 * (number + 1)) for number, count in enumerate(views)]
+    asked = replace(_asked(_poses(), space=space), latest=latest)
+    areas = np.split(np.array(firsts[-sum(views) :]), np.cumsum(views)[:-1])
+    batches = [(expected, float(area.sum())) for (_, expected), area in zip(latest, areas, strict=True)]
+    assert came_of(samples, asked, LAW, caster) == pytest.approx(came_in_all(batches))
+    assert came_of(samples, replace(asked, poses=None, came=1.5), LAW, caster) == 1.5
+    assert came_of(samples, replace(asked, latest=[(2, 0.0)]), LAW, caster) == 1.0
 
 
 def test_of_more_samples_than_are_kept_the_area_is_the_same(balls: TriangleMesh) -> None:
@@ -190,7 +212,7 @@ def test_the_next_batches_are_the_policys_within_the_budget(
     scene = SimpleNamespace(plan=plan, scanner=SimpleNamespace(max_spacing_mm=None))
     work: Any = SimpleNamespace(scene=scene, options=ExploreOptions(max_seconds=60.0, batch=3))
     found, told = explore._next(work, SimpleNamespace(stages=stages, views=views))  # type: ignore[arg-type]
-    assert found == tuple(Batch(2, per_second=True, on=each) for each in batches)
+    assert [(batch.views, batch.per_second, batch.on) for batch in found] == [(2, True, each) for each in batches]
     assert told.startswith(ended)
     first, _ = explore._next(work, SimpleNamespace(stages=[], views=0))  # type: ignore[arg-type]
     assert first == (Batch(1),)
@@ -223,12 +245,13 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     """
     scans = [SimpleNamespace(T_reported=T) for T in _poses()]
     monkeypatch.setattr(explore, "scans_of", lambda paths, stages: scans[: len(stages)])
-    monkeypatch.setattr(explore.report, "surface_of", lambda scans: balls)
+    monkeypatch.setattr(explore, "continued", lambda scans, space: balls)
     monkeypatch.setattr(explore, "_stage", lambda work, asked, number, part: (asked, number, part))
     (tmp_path / "stages").mkdir()
     work: Any = SimpleNamespace(paths=Paths(tmp_path), options=SimpleNamespace(least_gain=0.25), name="balls")
     known: Any = SimpleNamespace(space=UNKNOWN, record=Record.empty(), believed=balls)
     told = {"expected_mm2": 1.0, "new_mm2": 3.0, "measured_mm2": 7.0, "too_near_mm2": 0.4, "planned_on": BELIEVED}
+    told["views"] = 1
     stages = [SimpleNamespace(**told)] * 2
     file, first = SimpleNamespace(stages=stages), SimpleNamespace(stages=[])
     believed: Any = explore._on_believed(work, file, known, Batch(1, worth=3.0))
@@ -256,6 +279,11 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     assert (on[0].least_gain, on[0].least_area, on[0].came) == (0.25, pytest.approx(2 * 0.25 * 7e-6), 1.0)
     assert (on[1], on[2].name, on[2].reference) == (3, "balls as measured", balls)
     assert work.paths.measured(3).read_bytes() == ply.written(balls)
+    assert on[0].latest == ((1, 0.0), (1, 0.0))
+    late: Any = SimpleNamespace(
+        stages=[*stages, *(SimpleNamespace(**{**told, "planned_on": MEASURED, "views": 2}),) * 3]
+    )
+    assert explore._on_measured(work, late, known, Batch(1))[0].latest == ((1, 0.0), *((2, 1e-6),) * 3)  # type: ignore[index]
 
 
 def test_what_stays_open_is_of_all_that_the_part_may_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -283,10 +311,10 @@ def test_what_stays_open_is_of_all_that_the_part_may_be(tmp_path: Path, monkeypa
 def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """There is no further view then, and no file."""
     monkeypatch.setattr(explore, "scans_of", lambda paths, stages: ())
-    monkeypatch.setattr(explore.report, "surface_of", lambda scans: None)
+    monkeypatch.setattr(explore, "continued", lambda scans, space: None)
     work: Any = SimpleNamespace(paths=Paths(tmp_path))
     with pytest.raises(EnoughError, match="describe no surface"):
-        explore._on_measured(work, SimpleNamespace(stages=[None]), None, Batch(1))
+        explore._on_measured(work, SimpleNamespace(stages=[None]), SimpleNamespace(space=UNKNOWN), Batch(1))
     assert list(tmp_path.iterdir()) == []
 
 

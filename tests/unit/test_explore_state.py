@@ -156,12 +156,16 @@ def test_limits_hold_in_the_fine_stage_alone() -> None:
 
 
 def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_on() -> None:
-    """Or begins with as many as are asked for; the other surface is tried where the first is worth no view."""
+    """Or begins with as many as are asked for; the other surface is tried where the first is worth no view.
+
+    More is asked of the believed one, which promises too much late, less of the measured one: too little.
+    """
     policy = POLICIES["stepwise"]
     assert policy(ExploreOptions(), So(0, None)) == (Batch(1),)
     assert policy(ExploreOptions(ring=4), So(0, None)) == (Batch(4),)
     assert policy(ExploreOptions(ring=4), So(0, 2)) == (Batch(2),)
-    believed, measured = (Batch(3, per_second=True, on=on) for on in (BELIEVED, MEASURED))
+    believed = Batch(3, per_second=True, on=BELIEVED, worth=2.0)
+    measured = Batch(3, per_second=True, on=MEASURED, worth=0.5)
     assert policy(ExploreOptions(batch=3), So(1, 9)) == (believed, measured)
     assert policy(ExploreOptions(batch=3), So(7, 9, on=MEASURED)) == (measured, believed)
 

@@ -70,6 +70,17 @@ def test_nothing_is_invented_beyond_two_spacings(views: int) -> None:
     assert longest < np.sqrt(3) * 2 * result.grid
 
 
+def test_a_surface_goes_on_as_far_as_it_is_asked_to() -> None:
+    """A ball seen from one side is continued to 8 mm from its last points, along the ball to within a fifth of that."""
+    scan = merge([_ball_scan(VIEWS[0])])
+    short, longer = (_mesh_of(reconstruct(scan, reach=reach)) for reach in (0.0, 0.008))
+    away, off = (cKDTree(scan.points).query(longer.vertices)[0], np.linalg.norm(longer.vertices, axis=1) - RADIUS)
+    assert 0.0075 < away.max() < 0.008
+    assert np.abs(off).max() < 0.0016
+    assert longer.areas.sum() > 1.1 * short.areas.sum()
+    assert cKDTree(scan.points).query(short.vertices)[0].max() < 0.004
+
+
 @pytest.mark.parametrize("noise", [0.0, 50e-6, 300e-6])
 def test_nothing_is_invented_on_a_displaced_ball_with_a_hole_and_noise(noise: float) -> None:
     """Off the origin, with a cap missing and noisy: all of the mesh is within two spacings of the cloud as given."""
