@@ -2,9 +2,9 @@
 
 There are two surfaces. The **believed** one is about all that was not seen free; of it is wanted what has no measured
 point beside it, each area times the probability that a view which should measure it finds something
-(`planner.explore.gain`). The **measured** one is that of all points so far, which is finer than voxels; of it is wanted
-what no executed view measures by the scanner's law: strips between points, too steep for the views that there were.
-Points beside such a strip hide it from the believed surface, and nobody saw where it leads from the measured one.
+(`planner.explore.gain`). The **measured** one is that of all points so far, which is finer than voxels, and where it
+leads (`cell.explore.measured_surface`); of it is wanted what no executed view measures by the scanner's law: strips
+between points, too steep for the views that there were, and walls beyond the last points. Voxels hide both.
 """
 
 from collections.abc import Sequence

@@ -25,7 +25,7 @@ from planner.values import Floats
 _ONWARD = 4.0
 """Edges of a voxel by which the surface is continued. Of 4, 6 and 8 the one with which most is measured of tubes."""
 
-_APART = 0.5
+_APART = 0.35
 """Edges of the cubes of which one point is kept: what is planned on need not be finer than what is sampled of it."""
 
 _GRID = 0.75  # of an edge: what the surface is made with
@@ -41,6 +41,7 @@ def surface_of(scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
 def continued(scans: Sequence[ExecutedScan], space: VoxelSpace) -> TriangleMesh | None:
     """The same of fewer points, and where it leads: what a stage is planned on [m]."""
     apart = _APART * space.edge
+    # Of each scan before the normals are made, which saves most of their time, then of what scans have in common.
     cloud = merge([ScanCloud(scan.points[_apart(scan.points, apart)], scan.T_reported[:3, 3]) for scan in scans])
     first = _apart(cloud.points, apart)
     cloud = PointCloud(cloud.points[first], cloud.normals[first], cloud.scan[first])
@@ -62,14 +63,13 @@ def _lids(cloud: PointCloud, space: VoxelSpace, surface: TriangleMesh) -> tuple[
     """
     believed = space.believed()
     near = ndimage.maximum_filter((space.state == OCCUPIED).view(np.uint8), 2 * int(_ONWARD) + 1)
-    doubtful = believed & near.view(np.bool_) & (space.state == UNKNOWN)
+    doubtful = believed & near.view(np.bool_) & (space.state == UNKNOWN)  # what was hit stays
     field = ImplicitSurface(cloud).evaluate(space.centres(doubtful))
     before = (field.distance > _BEFORE * space.edge) & (field.nearest <= _ONWARD * space.edge)
     believed[doubtful] = ~before
     lids = belief.surface_about(space, believed)
     far = cKDTree(surface.centres).query(lids.centres, distance_upper_bound=_BESIDE * space.edge)[0]
-    alone = ~np.isfinite(far) & ~space.seen(lids.centres, lids.normals)
-    return lids.vertices, lids.faces[alone]
+    return lids.vertices, lids.faces[~np.isfinite(far)]
 
 
 def _apart(points: Floats, sides: float) -> NDArray[np.intp]:

@@ -69,8 +69,9 @@ class ExploreOptions(Table):
         Positive,
         Field(lt=1),
         Option(
-            "Share of the surface measured so far that a batch must be expected to add for each of its views; plans of "
-            "two-stage ask from three times as much to half.",
+            "Share of the surface measured so far that a batch must be expected to add for each of its views: twice as "
+            "much where unseen space hides the surface, half as much where walls go on; two-stage asks from three "
+            "times as much to half.",
             _EXPLORE,
             metavar="SHARE",
         ),

@@ -74,20 +74,21 @@ def stepwise(options: ExploreOptions, so: So) -> Sequence[Batch]:
 
 
 def two_stage(options: ExploreOptions, so: So) -> Sequence[Batch]:
-    """A ring gives a rough model, a set cover on it the fine views, and up to four more those for what stayed open.
+    """A ring gives a rough model, a set cover on it the fine views, and a few more those for what stayed open.
 
     W. R. Scott, "Model-based view planning", Machine Vision and Applications 20 (2009), doi:10.1007/s00138-007-0110-2.
     The fine views measure all of the part anew where sigma or spacing is limited, as rough points need not keep limits.
-    The last is planned on the measured surface.
+    The last are planned on the measured surface.
     """
     if so.stages == 0:
         return (Batch(_within(so, options.ring or _ROUGH), rough=True),)
     if so.limited and so.stages == 1:
         return (Batch(so.left, whole=True),)
-    if so.on == MEASURED:
-        return ()
+    last = Batch(so.left, on=MEASURED, worth=_WORTH[MEASURED])
+    if so.on == MEASURED:  # a tube goes on where its wall was seen
+        return (last,)
     worths = dict.fromkeys(_FINE[so.stages - 1 :])  # one that was worth no view is not asked again
-    return (*(Batch(so.left, worth=worth) for worth in worths), Batch(so.left, on=MEASURED, worth=_WORTH[MEASURED]))
+    return (*(Batch(so.left, worth=worth) for worth in worths), last)
 
 
 POLICIES: Mapping[str, Policy] = MappingProxyType({"stepwise": stepwise, "two-stage": two_stage})

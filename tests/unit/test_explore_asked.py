@@ -1,6 +1,7 @@
 """Which surface a stage of an exploration is planned on, and what of it is wanted."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -330,6 +331,35 @@ def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:
     assert explore._planned(work, file, known, [Batch(1)], "") == paths.stage(2)
     assert paths.unseen(2).is_file()
     assert paths.measured(2).is_file()
+
+
+@pytest.mark.parametrize("on", [BELIEVED, MEASURED])
+def test_more_is_drawn_of_a_measured_surface_and_what_came_is_asked_of_it(
+    on: SurfaceName, balls: TriangleMesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Little of it is wanted; of the believed one what came is known before."""
+    drawn = list[int]()
+
+    def counted(reference: TriangleMesh, planning: TriangleMesh, count: int, rng: np.random.Generator) -> Any:
+        drawn.append(count)
+        return sample(reference, planning, 300, rng)
+
+    monkeypatch.setattr(stage, "sample", counted)
+    monkeypatch.setattr(stage, "limited", lambda scene, scanner: LAW)
+    monkeypatch.setattr(stage, "first", lambda *asked: SimpleNamespace(face=np.array([-1])))
+    monkeypatch.setattr(stage.plan_files, "write_meshes", lambda *meshes: None)
+    streams = np.random.default_rng
+    run: Any = SimpleNamespace(step=lambda name: nullcontext(), folder=None, rng=lambda stream: streams(7))
+    job: Any = SimpleNamespace(
+        part=SimpleNamespace(reference=balls), settings=SimpleNamespace(faces=500), scene=None, scanner=None
+    )
+    state = np.array(UNKNOWN.state)
+    state[20, 20, 20] = OCCUPIED
+    space = replace(UNKNOWN, state=state, points=balls.centres[balls.centres[:, 1] > 0])
+    asked = replace(_asked(_poses()[:2] if on == MEASURED else None, space=space), latest=[(2, 1e-9)], came=1.5)
+    _, _, _, learnt = stage._sample_surface(run, job, asked)
+    assert drawn == [80_000 if on == MEASURED else 20_000] * 2
+    assert learnt.came > 1000 if on == MEASURED else learnt.came == 1.5
 
 
 @pytest.mark.parametrize("cautious", [False, True])

@@ -171,7 +171,7 @@ def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_
 
 
 def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
-    """The later it is; where one that asks much is worth no view, the next is tried, at last the measured surface."""
+    """The later it is; where one that asks much is worth no view the next is tried, then the measured surface."""
     policy = POLICIES["two-stage"]
     much, less, least = (Batch(9, worth=worth) for worth in (3.0, 1.5, 1.0))
     last = Batch(9, on=MEASURED, worth=0.5)
@@ -179,7 +179,7 @@ def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
     every = (much, less, least, last)
     for stages, tried in enumerate((every, every, every[1:], every[2:], every[3:]), start=1):
         assert policy(ExploreOptions(), So(stages, 9)) == tried
-        assert policy(ExploreOptions(), So(stages, 9, on=MEASURED)) == ()
+        assert policy(ExploreOptions(), So(stages, 9, on=MEASURED)) == (last,)
 
 
 def test_what_the_model_misses_of_the_limits() -> None:
