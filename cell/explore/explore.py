@@ -164,7 +164,7 @@ def _on_believed(work: Exploring, file: ExploreFile, known: Known, batch: Batch)
 
 
 def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch) -> Path:
-    """A stage's plan on the surface of all points.
+    """A stage's plan on the surface of all points and where it leads.
 
     Raises:
         EnoughError: if they describe none.

@@ -3,7 +3,7 @@
     explore.json               what was done (`cell.run.explore_json`); a stage that it names is finished
     stages/0001/               run folder of the batch: plan, and its execution
     stages/0001.unseen.ply     what arm and housing kept away from
-    stages/0001.measured.ply   the surface of all points before it, where it was planned on that
+    stages/0001.measured.ply   the surface of all points before it and where it leads, where it was planned on that
     stages/0001.voxels.npz     the voxels after it
     truth/                     in simulation: the plan that knows the model
 
@@ -66,7 +66,7 @@ class Paths:
         return self.root / "stages" / f"{number:04d}.unseen.ply"
 
     def measured(self, number: int) -> Path:
-        """The surface of all points that a stage was planned on; there where it was."""
+        """The surface of all points, and where it leads, that a stage was planned on; there where it was."""
         return self.root / "stages" / f"{number:04d}.measured.ply"
 
     def voxels(self, number: int) -> Path:
