@@ -25,7 +25,7 @@ from planner.values import Floats
 _ONWARD = 4.0
 """Edges of a voxel by which the surface is continued. Of 4, 6 and 8 the one with which most is measured of tubes."""
 
-_APART = 0.35
+_APART = 0.5
 """Edges of the cubes of which one point is kept: what is planned on need not be finer than what is sampled of it."""
 
 _GRID = 0.75  # of an edge: what the surface is made with
@@ -69,7 +69,8 @@ def _lids(cloud: PointCloud, space: VoxelSpace, surface: TriangleMesh) -> tuple[
     believed[doubtful] = ~before
     lids = belief.surface_about(space, believed)
     far = cKDTree(surface.centres).query(lids.centres, distance_upper_bound=_BESIDE * space.edge)[0]
-    return lids.vertices, lids.faces[~np.isfinite(far)]
+    alone = ~np.isfinite(far) & ~space.seen(lids.centres, lids.normals)
+    return lids.vertices, lids.faces[alone]
 
 
 def _apart(points: Floats, sides: float) -> NDArray[np.intp]:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from cell.explore import measured_surface
 from cell.reconstruction.cloud import PointCloud
@@ -60,6 +61,20 @@ def test_the_wall_of_a_tube_goes_on_and_a_lid_stands_where_it_ends() -> None:
     assert not (beside & (z > 0) & (z < SEEN + 2 * EDGE)).any()
 
 
+def test_where_a_point_is_known_no_lid_stands() -> None:
+    """Also of one that the surface leaves out; where none is the lid stands."""
+    scans, space = [_scan(_wall(SEEN), (0.0, 0.0, -0.005))], _looked_into()
+    lid = measured_surface.continued(scans, space)
+    assert lid is not None
+    end = lid.centres[(np.hypot(*lid.centres[:, :2].T) < RADIUS - 2 * EDGE) & (lid.centres[:, 2] < 0.015)]
+    half = end[end[:, 0] > 0]
+    surface = measured_surface.continued(scans, replace(space, points=np.concatenate([space.points, half])))
+    assert surface is not None
+    away = cKDTree(surface.centres)
+    assert away.query(half)[0].min() > 1e-6
+    assert away.query(end[end[:, 0] < -EDGE])[0].max() < 1e-9
+
+
 def test_where_space_was_seen_free_it_does_not_go_on() -> None:
     """A plate in the open ends where its points end, to within two of their distances."""
     space, (x, y) = _space(), np.meshgrid(np.arange(-0.008, 0.008, 0.0004), np.arange(-0.008, 0.008, 0.0004))
@@ -95,8 +110,8 @@ def test_what_it_is_made_of_is_as_fine_as_the_voxels_ask(monkeypatch: pytest.Mon
     scans = [_scan(_wall(SEEN, apart), (0.0, 0.0, -0.005)) for apart in (0.0001, 0.00013)]
     assert measured_surface.continued(scans, _looked_into()) is None
     ((cloud, how),) = asked
-    cubes = np.floor(cloud.points / (0.35 * EDGE))
-    assert len(np.unique(cubes, axis=0)) == len(cloud) > 1000
+    cubes = np.floor(cloud.points / (0.5 * EDGE))
+    assert len(np.unique(cubes, axis=0)) == len(cloud) > 800
     assert how == {"grid": pytest.approx(0.75 * EDGE), "reach": pytest.approx(4 * EDGE)}
 
 
