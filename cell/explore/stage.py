@@ -112,7 +112,8 @@ def _steps(run: Run, job: Job, asked: Asked) -> int:
         scanner = limited(job.scene, job.scanner)
         arm = arm_of(cell.world, cell.kinematics, cell.checker, scanner, casters)
         if job.scene.plan.candidates == GROWN:
-            grown = grow(candidates, reached.reachable, scouts, arm, schedule=SCHEDULE)
+            schedule = growth.SCHEDULE if asked.batch.thorough else SCHEDULE
+            grown = grow(candidates, reached.reachable, scouts, arm, schedule=schedule)
             reached = join_reach([reached, steps.reach_of(job, cell, grown)])
             candidates = join_viewpoints([candidates, grown])
         plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
