@@ -34,6 +34,7 @@ from cell.view.explore_page import explore_page
 from planner.explore.space import FREE, VoxelSpace
 from planner.measurability.matrix import measured
 from planner.surface.closest import NearestSurface
+from planner.viewpoints import growth
 
 PLACE = (
     "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
@@ -80,17 +81,31 @@ def test_views_are_moved_to_where_they_measure_more(
     part_file: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """What is taken is one of them, on file with its pose, its joint angles and the rows that it measures by rays."""
+    """What is taken is one of them, on file with its pose, its joint angles and the rows that it measures by rays.
+
+    They are moved from candidates that are grown briefly, or for as long as by `cell plan` where a batch is thorough.
+    """
     before, better = list[int](), stage_plan.with_better
+    schedules, grow, believed = list[Any](), stage_plan.grow, explore._on_believed
+
+    def counted(*asked: Any, schedule: Any) -> Any:
+        schedules.append(schedule)
+        return grow(*asked, schedule=schedule)
+
+    def thorough_at_last(work: Exploring, file: ExploreFile, known: Any, batch: Any) -> Path:
+        return believed(work, file, known, replace(batch, thorough=len(file.stages) == 2))
 
     def with_better(problem: Problem, *asked: Any) -> Problem:
         before.append(len(problem.candidates))
         return better(problem, *asked)
 
     monkeypatch.setattr(stage_plan, "with_better", with_better)
+    monkeypatch.setattr(stage_plan, "grow", counted)
+    monkeypatch.setattr(explore, "_on_believed", thorough_at_last)
     grown = (*PLACE[:-1], "grown", "--resolution", "0.5", "--max-views", "3")
     done = run_cell("explore", part_file, "--units", "mm", *grown, "--out", "explored", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+    assert schedules[:3] == [growth.SCHEDULE[:2], growth.SCHEDULE[:2], growth.SCHEDULE]
     moved = 0
     for folder, known in zip(("0002", "0003"), before, strict=True):
         run = open_finished(tmp_path / "explored" / "stages" / folder)

@@ -156,9 +156,10 @@ def test_limits_hold_in_the_fine_stage_alone() -> None:
 
 
 def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_on() -> None:
-    """Or begins with as many as are asked for; the other surface is tried where the first is worth no view, then longer.
+    """Or begins with as many as are asked for; the other surface is tried where the first is worth no view.
 
-    More is asked of the believed one, which promises too much late, less of the measured one: too little.
+    More is asked of the believed one, which promises too much late, less of the measured one: too little. At last that
+    one is searched for longer.
     """
     policy = POLICIES["stepwise"]
     assert policy(ExploreOptions(), So(0, None)) == (Batch(1),)
