@@ -70,8 +70,8 @@ class ExploreOptions(Table):
         Field(lt=1),
         Option(
             "Share of the surface measured so far that a batch must be expected to add for each of its views: twice as "
-            "much where unseen space hides the surface, half as much where walls go on; two-stage asks from three "
-            "times as much to half.",
+            "much where unseen space hides the surface, 0.6 of it where walls go on; two-stage asks from three "
+            "times as much to that.",
             _EXPLORE,
             metavar="SHARE",
         ),

@@ -52,7 +52,7 @@ _FEW, _ROUGH = 1, 6
 """Views that are taken blindly: what follows view by view is better chosen; a rough model that all else rests on wants
 more."""
 
-_WORTH: Mapping[SurfaceName, float] = MappingProxyType({BELIEVED: 2.0, MEASURED: 0.5})
+_WORTH: Mapping[SurfaceName, float] = MappingProxyType({BELIEVED: 2.0, MEASURED: 0.6})
 """How many times the least gain a view is asked for on each surface once little is left: the believed one promises more
 than comes late, the measured one less; no other plan takes what it leaves."""
 

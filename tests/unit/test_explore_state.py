@@ -166,7 +166,7 @@ def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_
     assert policy(ExploreOptions(ring=4), So(0, None)) == (Batch(4),)
     assert policy(ExploreOptions(ring=4), So(0, 2)) == (Batch(2),)
     believed = Batch(3, per_second=True, on=BELIEVED, worth=2.0)
-    measured = Batch(3, per_second=True, on=MEASURED, worth=0.5)
+    measured = Batch(3, per_second=True, on=MEASURED, worth=0.6)
     thorough = replace(measured, thorough=True)
     assert policy(ExploreOptions(batch=3), So(1, 9)) == (believed, measured, thorough)
     assert policy(ExploreOptions(batch=3), So(7, 9, on=MEASURED)) == (measured, believed, thorough)
@@ -176,7 +176,7 @@ def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
     """The later it is; where one that asks much is worth no view the next is tried, then the measured surface."""
     policy = POLICIES["two-stage"]
     much, less, least = (Batch(9, worth=worth) for worth in (3.0, 1.5, 1.0))
-    last = Batch(9, on=MEASURED, worth=0.5, thorough=True)
+    last = Batch(9, on=MEASURED, worth=0.6, thorough=True)
     assert policy(ExploreOptions(), So(0, 9)) == (Batch(6, rough=True),)
     every = (much, less, least, last)
     for stages, tried in enumerate((every, every, every[1:], every[2:], every[3:]), start=1):
