@@ -135,7 +135,7 @@ def _planned(work: Exploring, file: ExploreFile, known: Known, batches: Sequence
 
 def stays_open(work: Exploring, file: ExploreFile, known: Known) -> StillOpen | None:
     """What stays open of all that the part may be, and why; None where nothing does."""
-    number, asked = len(file.stages) + 1, Asked(known.space, known.record, Batch(0), 0.0)
+    number, asked = len(file.stages) + 1, Asked(known.space, known.record, Batch(0, thorough=True), 0.0)
     work.paths.clear(number)
     try:
         _stage(work, asked, number, belief.part_of(belief.surface_of(known.space, whole=True), work.name))

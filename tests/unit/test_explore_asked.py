@@ -297,7 +297,7 @@ def test_what_stays_open_is_of_all_that_the_part_may_be(tmp_path: Path, monkeypa
     def stage(work: Any, asked: Any, number: int, part: Any) -> None:
         work.paths.unseen(number).touch()
         whole = belief.surface_of(space, whole=True)
-        assert asked.batch == Batch(0)
+        assert asked.batch == Batch(0, thorough=True)
         assert np.array_equal(part.reference.vertices, whole.vertices)
         assert whole.areas.sum() > 2 * belief.surface_of(space).areas.sum()
         raise EnoughError("", told)  # type: ignore[arg-type]
