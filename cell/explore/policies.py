@@ -36,7 +36,7 @@ class Batch:
         per_second: whether the most per second of standing and moving is wanted; otherwise the most.
         on: the surface that is planned on.
         worth: how many times the least gain each view is asked for.
-        thorough: whether candidates are grown for as long as by `cell plan`: before it ends, and to tell what stays open.
+        thorough: whether candidates are grown for as long as by `cell plan`: before it ends, and to tell why.
     """
 
     views: int | None
