@@ -36,8 +36,8 @@ class Asked(Value):
         cautious: whether views keep so far off that the part, where nobody looked, begins no nearer than the range.
         poses: (V, 4, 4) executed views, explored frame [m], where the measured surface is planned on; None: the
             believed one is.
-        latest: of the last batches, views and the area that they were to measure of the measured surface [m^2]; 0 where
-            a batch was planned on the believed one.
+        latest: of the last batches, in the order of `poses`, views and the area that they were to measure of the
+            measured surface [m^2]; 0 where a batch was planned on the believed one.
     """
 
     space: VoxelSpace
@@ -75,6 +75,8 @@ def wanted(samples: SurfaceSamples, asked: Asked, most: int, scanner: Scanner, c
 def came_of(samples: SurfaceSamples, asked: Asked, scanner: Scanner, caster: RayCaster) -> float:
     """How many times as much as expected the latest batches measured of the measured surface, as it is known now.
 
+    By the law and what the surface itself hides, without occluders; above 0, and below 1 where less came.
+
     Args:
         samples: of it.
         asked: what for.
@@ -91,8 +93,8 @@ def came_of(samples: SurfaceSamples, asked: Asked, scanner: Scanner, caster: Ray
         known = pick_samples(known, ~measured(poses[:before], known, scanner, casters))
     seen = measured(poses[before:], known, scanner, casters, each=True)
     first = seen & (np.cumsum(seen, axis=1) == 1)
-    new = np.add.reduceat(known.areas @ first, np.cumsum((0, *views[:-1])))
-    return came_in_all([(expected, area) for (_, expected), area in zip(asked.latest, new.tolist(), strict=True)])
+    new = [float(areas.sum()) for areas in np.split(known.areas @ first, np.cumsum(views)[:-1])]
+    return came_in_all([(expected, area) for (_, expected), area in zip(asked.latest, new, strict=True)])
 
 
 def probable(samples: SurfaceSamples, asked: Asked, most: int) -> SurfaceSamples:

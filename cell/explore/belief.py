@@ -33,7 +33,7 @@ def surface_of(space: VoxelSpace, *, whole: bool = False) -> TriangleMesh:
 
 
 def surface_about(space: VoxelSpace, chosen: Bools) -> TriangleMesh:
-    """The tight surface about chosen voxels [m]."""
+    """The tight surface about chosen voxels (X, Y, Z) [m]."""
     return _about(space.low, space.edge, chosen, _TIGHT, _SMOOTH)
 
 

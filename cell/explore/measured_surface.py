@@ -39,7 +39,17 @@ def surface_of(scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
 
 
 def continued(scans: Sequence[ExecutedScan], space: VoxelSpace) -> TriangleMesh | None:
-    """The same of fewer points, and where it leads: what a stage is planned on [m]."""
+    """The surface of points that lie half a voxel apart, and where it leads, explored frame [m].
+
+    Sheets thinner than two thirds of a voxel may be missing, or have one side.
+
+    Args:
+        scans: all of them.
+        space: what is known after them; where it is free, or voted down, nothing goes on.
+
+    Returns:
+        What a stage is planned on; None where the points describe no surface.
+    """
     apart = _APART * space.edge
     # Of each scan before the normals are made, which saves most of their time, then of what scans have in common.
     cloud = merge([ScanCloud(scan.points[_apart(scan.points, apart)], scan.T_reported[:3, 3]) for scan in scans])

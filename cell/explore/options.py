@@ -31,7 +31,7 @@ class ExploreOptions(Table):
         Literal["stepwise", "two-stage"],
         Option(
             "How views are chosen after the first ring: stepwise, a batch at a time for what is open; or two-stage, "
-            "all in one plan on the rough model, and up to four more for what stays open.",
+            "all in one plan on the rough model, and a few more for what stays open.",
             _EXPLORE,
         ),
     ] = "stepwise"

@@ -113,7 +113,8 @@ def reconstruct(
         cloud: merged scans with normals, object frame.
         grid: edge of a cell [m]; None takes 1.25 point spacings.
         close: whether to close the holes that remain; the faces that do are marked in `closed`.
-        reach: distance to the nearest datum to which the surface goes on where that is more than `REACH` spacings [m].
+        reach: distance to the nearest datum to which the surface goes on where that is more than `REACH` spacings [m];
+            what lies beyond those is invented, and not marked.
 
     Raises:
         PlannerError: if `grid` is not positive.

@@ -33,7 +33,7 @@ class ExploredStage(JsonTable):
     folder: str = Field(description="its run folder, below this one")
     digest: str = Field(description="of what was driven")
     views: int = Field(description="that were scanned")
-    planned_on: SurfaceName = Field(description="surface about what was not seen free, or that of all points before it")
+    planned_on: SurfaceName = Field(description="surface about what was not seen free, or where all points lead")
     points: int = Field(description="that came back")
     seconds: float = Field(description="of the planned motion, from home to home")
     expected_mm2: float = Field(description="of the surface that it was planned on, what it was to measure first")

@@ -76,7 +76,7 @@ def test_where_a_point_is_known_no_lid_stands() -> None:
 
 
 def test_where_space_was_seen_free_it_does_not_go_on() -> None:
-    """A plate in the open ends where its points end, to within two of their distances."""
+    """A plate in the open ends where its points end, to within a voxel."""
     space, (x, y) = _space(), np.meshgrid(np.arange(-0.008, 0.008, 0.0004), np.arange(-0.008, 0.008, 0.0004))
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.0101)])
     state = np.full(space.state.shape, FREE, np.uint8)
