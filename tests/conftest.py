@@ -24,6 +24,7 @@ from functools import cached_property
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
+from urllib.parse import urlsplit
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by NumPy as it is imported: workers fill the cores already
 
@@ -461,6 +462,11 @@ def turned(
     return made_once("turned", make) / "run"
 
 
+_KEPT_TERMINALS: list[int] = []
+"""Pseudo-terminals of emulators, held to the end of the session: the system gives a freed one's name to the next that
+is opened, and a client that looks for its dead controller would find that of another test."""
+
+
 @dataclass
 class Emulated:
     """A process of `cell emulate`.
@@ -483,6 +489,9 @@ class Emulated:
         ready, _, _ = select.select([stdout], [], [], 60)
         url = stdout.readline().strip() if ready else ""
         assert url, "the emulator did not start"
+        terminal = Path(urlsplit(url).path)
+        if terminal.is_char_device():
+            _KEPT_TERMINALS.append(os.open(terminal, os.O_RDWR | os.O_NOCTTY))
         return url
 
     def entries(self, *events: str) -> list[dict[str, Any]]:
