@@ -83,18 +83,19 @@ def came_of(samples: SurfaceSamples, asked: Asked, scanner: Scanner, caster: Ray
         scanner: its law.
         caster: the surface's.
     """
-    if asked.poses is None or not any(expected for _, expected in asked.latest):
+    if asked.poses is None:
         return asked.came
-    known = pick_samples(samples, asked.space.near(samples.points))
     views = [views for views, _ in asked.latest]
     before = len(asked.poses) - sum(views)
     casters, poses = (caster,), asked.poses[:, None]
+    seen = measured(poses[before:], samples, scanner, casters, each=True)
+    new = np.flatnonzero(seen.any(axis=1))
+    new = new[asked.space.near(samples.points[new])]
     if before:
-        known = pick_samples(known, ~measured(poses[:before], known, scanner, casters))
-    seen = measured(poses[before:], known, scanner, casters, each=True)
-    first = seen & (np.cumsum(seen, axis=1) == 1)
-    new = [float(areas.sum()) for areas in np.split(known.areas @ first, np.cumsum(views)[:-1])]
-    return came_in_all([(expected, area) for (_, expected), area in zip(asked.latest, new, strict=True)])
+        new = new[~measured(poses[:before], pick_samples(samples, new), scanner, casters)]
+    first = seen[new] & (np.cumsum(seen[new], axis=1) == 1)
+    brought = [float(areas.sum()) for areas in np.split(samples.areas[new] @ first, np.cumsum(views)[:-1])]
+    return came_in_all([(expected, area) for (_, expected), area in zip(asked.latest, brought, strict=True)])
 
 
 def probable(samples: SurfaceSamples, asked: Asked, most: int) -> SurfaceSamples:

@@ -170,7 +170,7 @@ def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch)
         EnoughError: if they describe none.
     """
     number, scans = len(file.stages) + 1, scans_of(work.paths, file.stages)
-    surface = continued(scans, known.space)
+    surface = continued(scans, known.space, known.solid)
     if surface is None:
         raise EnoughError("the points describe no surface")
     work.paths.measured(number).write_bytes(ply.written(surface))

@@ -3,24 +3,24 @@
 Voxels fill what is narrower than twice the depth to which a part is believed, a tube or a slot, and hide from the
 planning the walls that lead into it. The surface of all points hides nothing. It is continued a little way beyond its
 border, along its last normals; what lies before it there is no part's. Where that leads on into what nobody saw stands
-what is left of the believed surface, a lid across the tube. All of it is cut off where space was seen free.
+what is left of the believed surface, a lid across the tube; so it does on the side of a sheet that nobody saw, and of
+one that is too thin for the surface. All of it is cut off where space was seen free.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from cell.explore import belief
 from cell.reconstruction.cloud import PointCloud, ScanCloud, merge
-from cell.reconstruction.implicit import ImplicitSurface
-from cell.reconstruction.reconstruct import REACH, reconstruct
+from cell.reconstruction.reconstruct import REACH, ReconstructionStatus, reconstruct
 from cell.run.executions import ExecutedScan
+from planner.explore.cubes import first_in_cubes, first_of_each_side
 from planner.explore.space import OCCUPIED, UNKNOWN, VoxelSpace
 from planner.surface.mesh import TriangleMesh, joined
-from planner.values import Floats
+from planner.values import Bools
 
 _ONWARD = 4.0
 """Edges of a voxel by which the surface is continued. Of 4, 6 and 8 the one with which most is measured of tubes."""
@@ -28,9 +28,16 @@ _ONWARD = 4.0
 _APART = 0.5
 """Edges of the cubes of which one point is kept: what is planned on need not be finer than what is sampled of it."""
 
-_GRID = 0.75  # of an edge: what the surface is made with
+_MOST = 40_000
+"""Cubes: where there would be more, they are larger. A stage's plan is as good, and takes half the time."""
+
+_ELSEWHERE = 0.7
+"""Cosine of the angle between two looks at a cube, of 45 degrees, from which on they may be at two sides of a sheet."""
+
+_GRID = 1.5  # sides of those cubes: what the surface is made with
 _BEFORE = 0.5  # edges before the surface from where on nothing is believed
-_BESIDE = 2.0  # edges about the surface within which no believed one stands beside it
+_BESIDE = 2.0  # edges about the surface within which no believed one stands on the same side
+_FACES = 3  # of the surface next to a believed one that are asked for their side
 
 
 def surface_of(scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
@@ -38,56 +45,80 @@ def surface_of(scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
     return reconstruct(merge([ScanCloud(scan.points, scan.T_reported[:3, 3]) for scan in scans])).mesh
 
 
-def continued(scans: Sequence[ExecutedScan], space: VoxelSpace) -> TriangleMesh | None:
+def continued(scans: Sequence[ExecutedScan], space: VoxelSpace, believed: Bools) -> TriangleMesh | None:
     """The surface of points that lie half a voxel apart, and where it leads, explored frame [m].
-
-    Sheets thinner than two thirds of a voxel may be missing, or have one side.
 
     Args:
         scans: all of them.
         space: what is known after them; where it is free, or voted down, nothing goes on.
+        believed: (X, Y, Z) the voxels that the part is believed to fill.
 
     Returns:
-        What a stage is planned on; None where the points describe no surface.
+        What a stage is planned on; None where there are too few points.
     """
-    apart = _APART * space.edge
-    # Of each scan before the normals are made, which saves most of their time, then of what scans have in common.
-    cloud = merge([ScanCloud(scan.points[_apart(scan.points, apart)], scan.T_reported[:3, 3]) for scan in scans])
-    first = _apart(cloud.points, apart)
-    cloud = PointCloud(cloud.points[first], cloud.normals[first], cloud.scan[first])
-    found = reconstruct(cloud, grid=_GRID * space.edge, reach=_ONWARD * space.edge)
-    if found.mesh is None:
+    cloud, apart = _spread(scans, _APART * space.edge)
+    found = reconstruct(cloud, grid=_GRID * apart, reach=_ONWARD * space.edge)
+    if found.status is ReconstructionStatus.TOO_FEW_POINTS:
         return None
-    middles = found.mesh.centres
-    measured = np.isfinite(cKDTree(cloud.points).query(middles, distance_upper_bound=REACH * found.spacing)[0])
-    kept = measured | space.at(middles, space.possible).astype(np.bool_)
-    surface = TriangleMesh(found.mesh.vertices, found.mesh.faces[kept])
-    vertices, faces, _ = joined([(surface.vertices, surface.faces), _lids(cloud, space, surface)])
+    parts = list[TriangleMesh]()
+    if found.mesh is not None:
+        middles = found.mesh.centres
+        near = cKDTree(found.cloud.points).query(middles, distance_upper_bound=REACH * found.spacing)[0]
+        parts += _some(found.mesh, np.isfinite(near) | space.at(middles, space.possible).astype(np.bool_))
+    lids = belief.surface_about(space, believed & ~_before(found.cloud, space, believed))
+    for surface in tuple(parts):
+        parts += _some(lids, ~_beside(surface, lids, _BESIDE * space.edge))
+    vertices, faces, _ = joined([(each.vertices, each.faces) for each in parts or [lids]])
     return TriangleMesh(vertices, faces.astype(np.int32))
 
 
-def _lids(cloud: PointCloud, space: VoxelSpace, surface: TriangleMesh) -> tuple[Floats, NDArray[np.int32]]:
-    """Vertices [m] and faces of the believed surface where the other one does not lead.
+def _spread(scans: Sequence[ExecutedScan], apart: float) -> tuple[PointCloud, float]:
+    """One point of each cube with such sides [m], two of one that holds two sides of a sheet; and the sides.
 
-    Of what is believed, without what lies before that surface.
+    They are longer where there would be more than `_MOST` cubes.
     """
-    believed = space.believed()
+    points = np.concatenate([scan.points for scan in scans]) if scans else np.empty((0, 3))
+    number = np.repeat(np.arange(len(scans)), [len(scan.points) for scan in scans])
+    sights = np.array([scan.T_reported[:3, 3] for scan in scans]).reshape(-1, 3)[number] - points
+    sights /= np.maximum(np.linalg.norm(sights, axis=1, keepdims=True), 1e-12)
+    # Before the normals are made, which saves most of their time; and after, as sights tell sides less well.
+    kept = first_of_each_side(points, sights, apart, _ELSEWHERE)
+    if (many := len(first_in_cubes(points[kept], apart))) > _MOST:
+        apart *= np.sqrt(many / _MOST)
+        kept = kept[first_of_each_side(points[kept], sights[kept], apart, _ELSEWHERE)]
+    points, number = points[kept], number[kept]
+    cloud = merge([ScanCloud(points[number == each], scan.T_reported[:3, 3]) for each, scan in enumerate(scans)])
+    kept = first_of_each_side(cloud.points, cloud.normals, apart, 0.0)
+    return PointCloud(cloud.points[kept], cloud.normals[kept], cloud.scan[kept]), apart
+
+
+def _before(cloud: PointCloud, space: VoxelSpace, believed: Bools) -> Bools:
+    """(X, Y, Z) the believed voxels before the surface of a cloud and where it is continued; not one that was hit."""
     near = ndimage.maximum_filter((space.state == OCCUPIED).view(np.uint8), 2 * int(_ONWARD) + 1)
-    doubtful = believed & near.view(np.bool_) & (space.state == UNKNOWN)  # what was hit stays
-    field = ImplicitSurface(cloud).evaluate(space.centres(doubtful))
-    before = (field.distance > _BEFORE * space.edge) & (field.nearest <= _ONWARD * space.edge)
-    believed[doubtful] = ~before
-    lids = belief.surface_about(space, believed)
-    far = cKDTree(surface.centres).query(lids.centres, distance_upper_bound=_BESIDE * space.edge)[0]
-    alone = ~np.isfinite(far) & ~space.seen(lids.centres, lids.normals)
-    return lids.vertices, lids.faces[alone]
+    doubtful = believed & near.view(np.bool_) & (space.state == UNKNOWN)
+    centres = space.centres(doubtful)
+    tree, farthest = cKDTree(cloud.points), _ONWARD * space.edge
+    nearest, at = map(np.asarray, tree.query(centres, distance_upper_bound=farthest, workers=2))
+    beside = np.isfinite(nearest)
+    legs, normals = centres[beside] - cloud.points[at[beside]], cloud.normals[at[beside]]
+    beside[beside] = np.einsum("nj,nj->n", legs, normals) > _BEFORE * space.edge
+    before = np.zeros(doubtful.shape, dtype=np.bool_)
+    before[doubtful] = beside
+    return before
 
 
-def _apart(points: Floats, sides: float) -> NDArray[np.intp]:
-    """Of the points (N, 3) [m], those that are the first in a cube with such sides [m]."""
-    if not len(points):
-        return np.empty(0, dtype=np.intp)
-    cubes = np.floor(points / sides).astype(np.int64)
-    cubes -= cubes.min(axis=0)
-    number = np.ravel_multi_index(tuple(cubes.T), tuple(cubes.max(axis=0) + 1))
-    return np.sort(np.unique(number, return_index=True)[1])
+def _beside(surface: TriangleMesh, lids: TriangleMesh, distance: float) -> Bools:
+    """(F,) beside which faces of `lids`, at a distance [m], there is one of the surface that looks to the same side."""
+    _, at = cKDTree(surface.centres).query(lids.centres, _FACES, distance_upper_bound=distance, workers=2)
+    at = np.asarray(at).reshape(-1, _FACES)
+    found = at < len(surface.faces)
+    normals = np.concatenate([surface.normals, np.zeros((1, 3))])[at]
+    return np.asarray((found & (np.einsum("fkj,fj->fk", normals, lids.normals) > 0)).any(axis=1))
+
+
+def _some(mesh: TriangleMesh, chosen: Bools) -> list[TriangleMesh]:
+    """The mesh of the chosen faces; none where there are none, as no mesh is empty."""
+    if not chosen.any():
+        return []
+    used, faces = np.unique(mesh.faces[chosen], return_inverse=True)
+    return [TriangleMesh(mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32))]

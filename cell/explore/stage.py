@@ -40,6 +40,7 @@ from planner.order.tour_search import DEFAULT_BUDGET
 from planner.path.path import CHECKS
 from planner.ports import RayCaster, Scanner
 from planner.reach.reach import Reach, join_reach
+from planner.surface.cluster import clustered
 from planner.surface.decimate import decimate
 from planner.surface.sample import SurfaceSamples, pick_samples, sample
 from planner.values import Ints
@@ -49,8 +50,11 @@ from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_view
 DRAWN, ROWS_KEPT, SCOUTS_KEPT = 20_000, 3_000, 1_000
 """Samples of the believed surface that are drawn, of those rows of the matrix at most, and scouts at most."""
 
-DRAWN_MEASURED = 80_000
-"""Samples of the measured surface that are drawn: little of it is wanted."""
+DRAWN_MEASURED = (60_000, 20_000)
+"""Samples of the measured surface that are drawn for rows and for scouts: little of it is wanted."""
+
+_ROUGH = 10_000
+"""Faces of the copy of the measured surface of which the planning mesh is made."""
 
 SCHEDULE = growth.SCHEDULE[:2]
 """Of growth: what is open now is another tomorrow, so the long search for the last of it is not worth its time."""
@@ -163,11 +167,14 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
         if asked.poses is None:
             planning = decimate(belief.rough(asked.space, whole=asked.batch.views == 0), job.settings.faces)
         else:
-            planning = decimate(reference, job.settings.faces)
+            planning = decimate(clustered(reference, _ROUGH) or reference, job.settings.faces)
         plan_files.write_meshes(run.folder, reference, planning)
         caster, scanner = EmbreeRayCaster(reference.vertices, reference.faces), limited(job.scene, job.scanner)
-        count = DRAWN if asked.poses is None else DRAWN_MEASURED
-        drawn = [sample(reference, planning, count, run.rng(stream)) for stream in (_ROWS, _SCOUTS)]
+        counts = (DRAWN, DRAWN) if asked.poses is None else DRAWN_MEASURED
+        drawn = [
+            sample(reference, planning, count, run.rng(stream))
+            for count, stream in zip(counts, (_ROWS, _SCOUTS), strict=True)
+        ]
         rows, scouts = (
             wanted(samples, asked, kept, scanner, caster)
             for samples, kept in zip(drawn, (ROWS_KEPT, SCOUTS_KEPT), strict=True)

@@ -31,6 +31,7 @@ from cell.run.record import npz, open_finished, understood
 from planner.explore.gain import Record
 from planner.explore.space import VoxelSpace
 from planner.surface.mesh import TriangleMesh
+from planner.values import Bools
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +42,14 @@ class Known:
     record: Record
 
     @cached_property
+    def solid(self) -> Bools:
+        """(X, Y, Z) the voxels that the part is believed to fill."""
+        return self.space.believed()
+
+    @cached_property
     def believed(self) -> TriangleMesh:
-        """The believed surface [m]."""
-        return belief.surface_of(self.space)
+        """The surface about them [m]."""
+        return belief.surface_about(self.space, self.solid)
 
 
 @dataclass(frozen=True, slots=True)

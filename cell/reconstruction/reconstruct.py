@@ -5,7 +5,7 @@ across faces on which the sign changes, until no datum is near. Marching cubes (
 into faces, each vertex is put on the implicit surface, and what is farther than two point spacings from any datum is
 cut away: holes stay holes. Up to that cut the surface does run on past the last data: the border of a sheet whose
 edges no ray met, and the rim of a hole, get a strip of surface up to two spacings wide that was not measured
-and is not marked. Object frame, metres.
+and is not marked. Who asks for more of it (`reach`) gets more. Object frame, metres.
 """
 
 from dataclasses import dataclass
@@ -68,6 +68,7 @@ class Reconstruction(Value):
         noise: how far points typically lie off the plane of their neighbours, one robust sigma [m]; curvature and edges
             are in it; NaN without a grid.
         extent: diagonal of the box round the points [m]; NaN without a grid.
+        cloud: what it was made of, without the outliers.
     """
 
     status: ReconstructionStatus
@@ -78,6 +79,7 @@ class Reconstruction(Value):
     nodes: int
     outliers: int
     holes: int
+    cloud: PointCloud
     noise: float = float("nan")
     extent: float = float("nan")
 
@@ -117,10 +119,12 @@ def reconstruct(
             what lies beyond those is invented, and not marked.
 
     Raises:
-        PlannerError: if `grid` is not positive.
+        PlannerError: if `grid` is not positive, or `reach` is negative.
     """
     if grid is not None and not grid > 0:
         raise PlannerError(f"grid is {grid}; it must be positive (in metres)")
+    if not reach >= 0:
+        raise PlannerError(f"reach is {reach}; it must not be negative (in metres)")
     spacing = point_spacing(cloud.points, cloud.scan)
     kept, noise = cloud, float("nan")
     if len(cloud) >= _FEWEST_POINTS and spacing > 0:
@@ -128,7 +132,7 @@ def reconstruct(
     outliers = len(cloud) - len(kept)
 
     def nothing(status: ReconstructionStatus, step: float = float("nan"), nodes: int = 0) -> Reconstruction:
-        return Reconstruction(status, None, np.empty(0, np.bool_), spacing, step, nodes, outliers, 0)
+        return Reconstruction(status, None, np.empty(0, np.bool_), spacing, step, nodes, outliers, 0, kept)
 
     if len(kept) < _FEWEST_POINTS or not spacing > 0:
         return nothing(ReconstructionStatus.TOO_FEW_POINTS)
@@ -145,8 +149,9 @@ def reconstruct(
     mesh, closed, holes = close_holes(TriangleMesh(vertices, faces), close=close)
     extent = float(np.linalg.norm(np.ptp(kept.points, axis=0)))
     return Reconstruction(
-        ReconstructionStatus.DONE, mesh, closed, spacing, volume.step, volume.nodes, outliers, holes, noise, extent
-    )
+        ReconstructionStatus.DONE, mesh, closed, spacing, volume.step, volume.nodes, outliers, holes, kept, noise,
+        extent,
+    )  # fmt: skip
 
 
 def _sifted(cloud: PointCloud, spacing: float) -> tuple[PointCloud, float]:

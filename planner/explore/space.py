@@ -27,6 +27,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from planner.errors import PlannerError
+from planner.explore.cubes import first_in_cubes
 from planner.explore.gain import Open
 from planner.values import Bools, Floats, Ints, Value
 
@@ -290,8 +291,7 @@ class VoxelSpace(Value):
 
     def _thinned(self, points: Floats) -> Floats:
         """The first of the points (N, 3) [m] in each of small cubes."""
-        cubes = np.floor((points - self.low) / (_APART * self.gap)).astype(np.int64)
-        return points[np.sort(np.unique(cubes, axis=0, return_index=True)[1])]
+        return points[first_in_cubes(points - self.low, _APART * self.gap)]
 
     def _crossed(self, starts: Floats, ends: Floats) -> Bools:
         """(X, Y, Z) the voxels that legs from (N, 3) to (N, 3) cross [m]."""

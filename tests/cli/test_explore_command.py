@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.spatial import cKDTree
 
 from benchmarks.triangle_cell import TriangleCell
@@ -21,17 +20,20 @@ from cell.explore import explore, state
 from cell.explore import stage as stage_plan
 from cell.explore.hidden import Hidden
 from cell.explore.measured_surface import continued
-from cell.explore.prepare import Exploring
+from cell.explore.options import ExploreOptions
+from cell.explore.prepare import Exploring, prepared
 from cell.explore.stage import EnoughError
+from cell.narrator import Quiet
 from cell.part import workpiece
 from cell.plan.problem import Problem
-from cell.run import explore_json, reader
+from cell.run import explore_json, ply, reader
 from cell.run.cell import read_cell, world_of
 from cell.run.explore_json import BELIEVED, MEASURED, ExploreFile
 from cell.run.record import open_finished
+from cell.scan.options import ScanOptions
 from cell.scene.options import scene_of
 from cell.view.explore_page import explore_page
-from planner.explore.space import FREE, VoxelSpace
+from planner.explore.space import FREE
 from planner.measurability.matrix import measured
 from planner.surface.closest import NearestSurface
 from planner.viewpoints import growth
@@ -281,26 +283,24 @@ def on_measured(
     return made_once("explored on measured surfaces", make) / "explored"
 
 
-def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(on_measured: Path) -> None:
+def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(
+    on_measured: Path, part_file: Path
+) -> None:
     """Their part is the surface of all points before them, which is kept; what is believed learns no record of them."""
     file = explore_json.read(on_measured / "explore.json")
     assert [(stage.planned_on, stage.views) for stage in file.stages] == [(BELIEVED, 3), (MEASURED, 1), (MEASURED, 1)]
     paths, first = state.Paths(on_measured), np.load(on_measured / "stages" / "0001.voxels.npz")
     assert not paths.measured(1).exists()
+    scene = scene_of(None, {"place": (1100.0, 400.0, 100.0), "standoff": 250.0, "units": "mm"}, str(part_file))
+    work = prepared(scene, ExploreOptions(), ScanOptions(resolution_deg=0.5), on_measured, (), Quiet(), None)
     for number, stage in enumerate(file.stages[1:], start=2):
         run, scans = open_finished(on_measured / stage.folder), state.scans_of(paths, file.stages[: number - 1])
-        known_before = np.load(paths.voxels(number - 1))
-        unknown = VoxelSpace.of_cylinder(
-            file.cylinder.diameter_mm / 2e3, file.cylinder.height_mm / 1e3, file.voxel_mm / 1e3, 1e-3
-        )
-        state_before = {name: known_before[name] for name in ("state", "votes", "tries", "points", "between")}
-        surface = continued(scans, replace(unknown, **state_before))
+        known_before = paths.known(number - 1, work.unknown)
+        surface = continued(scans, known_before.space, known_before.solid)
         assert surface is not None
-        kept = trimesh.load_mesh(paths.measured(number))
-        assert len(kept.faces) == pytest.approx(len(surface.faces), rel=0.01)  # sizes in explore.json are rounded
-        assert cKDTree(surface.vertices).query(kept.vertices / 1000)[0].max() < 1e-5
-        assert reader.mesh(run, "reference.ply").areas.sum() == pytest.approx(kept.area / 1e6, rel=1e-6)
-        assert cKDTree(surface.vertices).query(reader.mesh(run, "planning.ply").vertices)[0].max() < 0.008
+        assert paths.measured(number).read_bytes() == ply.written(surface)
+        assert reader.mesh(run, "reference.ply").areas.sum() == pytest.approx(surface.areas.sum(), rel=1e-6)
+        assert cKDTree(surface.vertices).query(reader.mesh(run, "planning.ply").vertices)[0].max() < 0.005
         M, plan = reader.measurability(run), reader.plan(run)
         cell = read_cell(run)
         poses = np.stack([scan.T_reported for scan in scans])[:, None]

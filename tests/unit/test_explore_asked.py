@@ -246,11 +246,11 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     """
     scans = [SimpleNamespace(T_reported=T) for T in _poses()]
     monkeypatch.setattr(explore, "scans_of", lambda paths, stages: scans[: len(stages)])
-    monkeypatch.setattr(explore, "continued", lambda scans, space: balls)
+    monkeypatch.setattr(explore, "continued", lambda scans, space, solid: balls)
     monkeypatch.setattr(explore, "_stage", lambda work, asked, number, part: (asked, number, part))
     (tmp_path / "stages").mkdir()
     work: Any = SimpleNamespace(paths=Paths(tmp_path), options=SimpleNamespace(least_gain=0.25), name="balls")
-    known: Any = SimpleNamespace(space=UNKNOWN, record=Record.empty(), believed=balls)
+    known: Any = SimpleNamespace(space=UNKNOWN, record=Record.empty(), solid=None, believed=balls)
     told = {"expected_mm2": 1.0, "new_mm2": 3.0, "measured_mm2": 7.0, "too_near_mm2": 0.4, "planned_on": BELIEVED}
     told["views"] = 1
     stages = [SimpleNamespace(**told)] * 2
@@ -312,10 +312,10 @@ def test_what_stays_open_is_of_all_that_the_part_may_be(tmp_path: Path, monkeypa
 def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """There is no further view then, and no file."""
     monkeypatch.setattr(explore, "scans_of", lambda paths, stages: ())
-    monkeypatch.setattr(explore, "continued", lambda scans, space: None)
+    monkeypatch.setattr(explore, "continued", lambda scans, space, solid: None)
     work: Any = SimpleNamespace(paths=Paths(tmp_path))
     with pytest.raises(EnoughError, match="describe no surface"):
-        explore._on_measured(work, SimpleNamespace(stages=[None]), SimpleNamespace(space=UNKNOWN), Batch(1))
+        explore._on_measured(work, SimpleNamespace(stages=[None]), SimpleNamespace(space=UNKNOWN, solid=None), Batch(1))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -358,7 +358,7 @@ def test_more_is_drawn_of_a_measured_surface_and_what_came_is_asked_of_it(
     space = replace(UNKNOWN, state=state, points=balls.centres[balls.centres[:, 1] > 0])
     asked = replace(_asked(_poses()[:2] if on == MEASURED else None, space=space), latest=[(2, 1e-9)], came=1.5)
     _, _, _, learnt = stage._sample_surface(run, job, asked)
-    assert drawn == [80_000 if on == MEASURED else 20_000] * 2
+    assert drawn == [60_000 if on == MEASURED else 20_000, 20_000]
     assert learnt.came > 1000 if on == MEASURED else learnt.came == 1.5
 
 

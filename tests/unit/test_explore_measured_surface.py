@@ -10,7 +10,9 @@ from scipy.spatial import cKDTree
 
 from cell.explore import measured_surface
 from cell.reconstruction.cloud import PointCloud
+from cell.reconstruction.reconstruct import ReconstructionStatus
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
+from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 EDGE, RADIUS, SEEN = 0.001, 0.005, 0.006
@@ -44,9 +46,26 @@ def _looked_into() -> VoxelSpace:
     return replace(space, state=state, points=points)
 
 
+def _continued(scans: list[Any], space: VoxelSpace) -> TriangleMesh | None:
+    return measured_surface.continued(scans, space, space.believed())
+
+
+def _plate(z: float, side: float = 0.008, apart: float = 0.0004) -> Floats:
+    x, y = np.meshgrid(np.arange(-side, side, apart), np.arange(-side, side, apart))
+    return np.column_stack([x.ravel(), y.ravel(), np.full(x.size, z)])
+
+
+def _in_the_open(points: Floats) -> VoxelSpace:
+    """Free but for where points are."""
+    space = _space()
+    state = np.full(space.state.shape, FREE, np.uint8)
+    state[tuple(np.floor((points - space.low) / EDGE).astype(int).T)] = OCCUPIED
+    return replace(space, state=state, points=points)
+
+
 def test_the_wall_of_a_tube_goes_on_and_a_lid_stands_where_it_ends() -> None:
     """It is continued by four voxels on the same cylinder; behind it the tube is closed, before it nothing is."""
-    surface = measured_surface.continued([_scan(_wall(SEEN), (0.0, 0.0, -0.005))], _looked_into())
+    surface = _continued([_scan(_wall(SEEN), (0.0, 0.0, -0.005))], _looked_into())
     assert surface is not None
     rho, z = np.hypot(*surface.centres[:, :2].T), surface.centres[:, 2]
     wall = (np.abs(rho - RADIUS) < 0.3 * EDGE) & (z > SEEN) & (z < SEEN + 3 * EDGE)
@@ -61,58 +80,98 @@ def test_the_wall_of_a_tube_goes_on_and_a_lid_stands_where_it_ends() -> None:
     assert not (beside & (z > 0) & (z < SEEN + 2 * EDGE)).any()
 
 
-def test_where_a_point_is_known_no_lid_stands() -> None:
-    """Also of one that the surface leaves out; where none is the lid stands."""
-    scans, space = [_scan(_wall(SEEN), (0.0, 0.0, -0.005))], _looked_into()
-    lid = measured_surface.continued(scans, space)
-    assert lid is not None
-    end = lid.centres[(np.hypot(*lid.centres[:, :2].T) < RADIUS - 2 * EDGE) & (lid.centres[:, 2] < 0.015)]
-    half = end[end[:, 0] > 0]
-    surface = measured_surface.continued(scans, replace(space, points=np.concatenate([space.points, half])))
-    assert surface is not None
-    away = cKDTree(surface.centres)
-    assert away.query(half)[0].min() > 1e-6
-    assert away.query(end[end[:, 0] < -EDGE])[0].max() < 1e-9
-
-
 def test_where_space_was_seen_free_it_does_not_go_on() -> None:
     """A plate in the open ends where its points end, to within a voxel."""
-    space, (x, y) = _space(), np.meshgrid(np.arange(-0.008, 0.008, 0.0004), np.arange(-0.008, 0.008, 0.0004))
-    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.0101)])
-    state = np.full(space.state.shape, FREE, np.uint8)
-    state[tuple(np.floor((points - space.low) / EDGE).astype(int).T)] = OCCUPIED
-    plate = measured_surface.continued([_scan(points, (0.0, 0.0, 0.1))], replace(space, state=state, points=points))
+    points = _plate(0.0101)
+    plate = _continued([_scan(points, (0.0, 0.0, 0.1))], _in_the_open(points))
     assert plate is not None
+    above = plate.normals[:, 2] > 0.7
     assert np.abs(plate.centres[:, :2]).max() < 0.008 + EDGE
-    assert plate.areas.sum() == pytest.approx((0.0156 + 4 * 0.0004) ** 2, rel=0.1)
+    assert plate.areas[above].sum() == pytest.approx((0.0156 + 4 * 0.0004) ** 2, rel=0.1)
 
 
-def test_points_that_lie_apart_are_the_first_of_their_cubes() -> None:
-    """One of each cube, on either side of the origin, in their order; of none, none."""
-    wall = _wall(SEEN, 0.0001) - (0.0, 0.0, 0.5 * SEEN)
-    kept = measured_surface._apart(wall, 0.0005)
-    cubes = np.floor(wall / 0.0005)
-    _, first = np.unique(cubes, axis=0, return_index=True)
-    assert kept.tolist() == sorted(first.tolist())
-    assert 0 < len(kept) < len(wall) / 20
-    assert len(measured_surface._apart(np.empty((0, 3)), 0.0005)) == 0
+def test_where_it_was_voted_down_it_does_not_go_on() -> None:
+    """A wall that would be behind the last points is not there where rays went through and did not come back."""
+    space, scans = _looked_into(), [_scan(_wall(SEEN), (0.0, 0.0, -0.005))]
+    voted = replace(space, votes=np.where(space.state == UNKNOWN, 2, 0).astype(np.int16))
+    reaches = []
+    for each in (space, voted):
+        surface = _continued(scans, each)
+        assert surface is not None
+        rho, z = np.hypot(*surface.centres[:, :2].T), surface.centres[:, 2]
+        reaches.append(z[np.abs(rho - RADIUS) < 0.2 * EDGE].max())
+    assert reaches[0] > SEEN + 3 * EDGE
+    assert reaches[1] < SEEN + 1.5 * EDGE
 
 
-def test_what_it_is_made_of_is_as_fine_as_the_voxels_ask(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many scans there are of one place."""
+@pytest.mark.parametrize("thick", [0.0002, 0.0004, 0.0008, 0.0012, 0.002])
+def test_a_sheet_has_two_sides_however_thin(thick: float) -> None:
+    """Of points of both sides there is a face on each, to within two voxels, where the voxels are of one millimetre."""
+    top, below = _plate(0.01 + thick / 2), _plate(0.01 - thick / 2)
+    scans = [_scan(top, (0.0, 0.0, 0.1)), _scan(below, (0.0, 0.0, -0.08))]
+    sheet = _continued(scans, _in_the_open(np.concatenate([top, below])))
+    assert sheet is not None
+    assert np.abs(sheet.centres[:, 2] - 0.01).max() < thick / 2 + 1.5 * EDGE
+    for side in (1, -1):
+        faces = side * sheet.normals[:, 2] > 0.7
+        assert sheet.areas[faces].sum() == pytest.approx(0.016**2, rel=0.2)
+
+
+def test_the_side_of_a_sheet_that_nobody_saw_is_believed() -> None:
+    """It is there to be looked at, though it lies next to the one that was seen."""
+    points = _plate(0.0102)
+    space = _in_the_open(points)
+    sheet = _continued([_scan(points, (0.0, 0.0, 0.1))], space)
+    assert sheet is not None
+    below = sheet.normals[:, 2] < -0.7
+    assert sheet.areas[below].sum() == pytest.approx(0.016**2, rel=0.3)
+    assert not space.seen(sheet.centres[~below], sheet.normals[~below]).all()
+
+
+def test_what_lies_before_a_wall_is_not_believed() -> None:
+    """Of the voxels in a tube those that are half a voxel from its wall, by the cylinder; one that was hit stays."""
+    space, wall = _looked_into(), _wall(SEEN)
+    hit = tuple(np.floor((np.array([0.0015, 0.0, SEEN + 0.0002]) - space.low) / EDGE).astype(int))
+    state = np.array(space.state)
+    state[hit] = OCCUPIED
+    space, believed = replace(space, state=state), np.ones(state.shape, dtype=np.bool_)
+    inward = -wall * (1.0, 1.0, 0.0) / RADIUS
+    cloud = PointCloud(wall, inward, np.zeros(len(wall), dtype=np.int32))
+    before = measured_surface._before(cloud, space, believed)
+    assert not before[hit]
+    assert not before[space.state == FREE].any()
+    centres = space.centres(believed)
+    rho, z = np.hypot(*centres[:, :2].T).reshape(before.shape), centres[:, 2].reshape(before.shape)
+    away = np.asarray(cKDTree(wall).query(centres)[0]).reshape(before.shape)
+    sure = (np.abs(RADIUS - rho - 0.5 * EDGE) > 0.05 * EDGE) & (np.abs(away - 4 * EDGE) > 0.01 * EDGE)
+    sure &= (space.state == UNKNOWN) & (z > 0)
+    expected = (rho < RADIUS - 0.5 * EDGE) & (away < 4 * EDGE)
+    assert np.array_equal(before[sure], expected[sure])
+    assert expected[sure].sum() > 100
+
+
+@pytest.mark.parametrize("most", [400, 40_000])
+def test_what_it_is_made_of_is_as_fine_as_the_voxels_ask(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many scans there are of one place; coarser where there would be too many points."""
     asked = list[tuple[PointCloud, dict[str, float]]]()
 
     def spy(cloud: PointCloud, **how: float) -> Any:
         asked.append((cloud, how))
-        return SimpleNamespace(mesh=None)
+        return SimpleNamespace(mesh=None, status=ReconstructionStatus.TOO_FEW_POINTS)
 
     monkeypatch.setattr(measured_surface, "reconstruct", spy)
     scans = [_scan(_wall(SEEN, apart), (0.0, 0.0, -0.005)) for apart in (0.0001, 0.00013)]
-    assert measured_surface.continued(scans, _looked_into()) is None
+    monkeypatch.setattr(measured_surface, "_MOST", most)
+    assert _continued(scans, _looked_into()) is None
     ((cloud, how),) = asked
-    cubes = np.floor(cloud.points / (0.5 * EDGE))
-    assert len(np.unique(cubes, axis=0)) == len(cloud) > 800
-    assert how == {"grid": pytest.approx(0.75 * EDGE), "reach": pytest.approx(4 * EDGE)}
+    assert how["reach"] == pytest.approx(4 * EDGE)
+    side = how["grid"] / 1.5
+    assert len(np.unique(np.floor(cloud.points / side), axis=0)) == len(cloud) > 300
+    if most > 2000:
+        assert side == pytest.approx(0.5 * EDGE)
+    else:
+        assert side > 0.6 * EDGE
+        assert len(cloud) == pytest.approx(most, rel=0.2)
 
 
 def test_it_is_of_all_scans_with_each_ones_own_side() -> None:
@@ -120,7 +179,7 @@ def test_it_is_of_all_scans_with_each_ones_own_side() -> None:
     wall = _wall(SEEN)
     halves = (wall[wall[:, 0] > 0], wall[wall[:, 0] <= 0])
     stands = ((-0.004, 0.0, -0.005), (0.004, 0.0, -0.005))
-    surface = measured_surface.continued([_scan(*each) for each in zip(halves, stands, strict=True)], _looked_into())
+    surface = _continued([_scan(*each) for each in zip(halves, stands, strict=True)], _looked_into())
     assert surface is not None
     rho, z = np.hypot(*surface.centres[:, :2].T), surface.centres[:, 2]
     seen = (np.abs(rho - RADIUS) < 0.3 * EDGE) & (z > EDGE) & (z < SEEN - EDGE)
@@ -132,4 +191,4 @@ def test_no_points_are_no_surface() -> None:
     """Neither to plan on nor as a model."""
     for scans in ([], [_scan(np.empty((0, 3)), (0.0, 0.0, 1.0))]):
         assert measured_surface.surface_of(scans) is None
-        assert measured_surface.continued(scans, _space()) is None
+        assert _continued(scans, _space()) is None

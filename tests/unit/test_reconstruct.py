@@ -81,6 +81,13 @@ def test_a_surface_goes_on_as_far_as_it_is_asked_to() -> None:
     assert cKDTree(scan.points).query(short.vertices)[0].max() < 0.004
 
 
+@pytest.mark.parametrize("reach", [-0.001, float("nan")])
+def test_it_does_not_go_on_backwards(reach: float) -> None:
+    """A distance below 0, or none, is refused."""
+    with pytest.raises(PlannerError, match="must not be negative"):
+        reconstruct(merge([_ball_scan(VIEWS[0])]), reach=reach)
+
+
 @pytest.mark.parametrize("noise", [0.0, 50e-6, 300e-6])
 def test_nothing_is_invented_on_a_displaced_ball_with_a_hole_and_noise(noise: float) -> None:
     """Off the origin, with a cap missing and noisy: all of the mesh is within two spacings of the cloud as given."""
