@@ -17,12 +17,14 @@ class So:
         left: views that may still be taken; None: as many as it wants.
         limited: whether sigma or spacing is limited.
         on: the surface that the last stage was planned on.
+        grown: whether candidates are grown.
     """
 
     stages: int
     left: int | None
     limited: bool = False
     on: SurfaceName = BELIEVED
+    grown: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,13 +70,14 @@ def stepwise(options: ExploreOptions, so: So) -> Sequence[Batch]:
     """A first view, then the few with the most expected gain per second, planned anew after each batch.
 
     The surface that the stage before was planned on comes first, the other one where that is worth no further view; at
-    last the measured one again with more candidates, as it depends on their luck whether one of few takes a sliver.
+    last the measured one again with more candidates, where they are grown, as it depends on their luck whether one of
+    few takes a sliver.
     """
     if so.stages == 0:
         return (Batch(_within(so, options.ring or _FEW)),)
     surfaces = (MEASURED, BELIEVED) if so.on == MEASURED else (BELIEVED, MEASURED)
     few = [Batch(_within(so, options.batch), per_second=True, on=on, worth=_WORTH[on]) for on in surfaces]
-    return (*few, replace(few[surfaces.index(MEASURED)], thorough=True))
+    return (*few, replace(few[surfaces.index(MEASURED)], thorough=True)) if so.grown else tuple(few)
 
 
 def two_stage(options: ExploreOptions, so: So) -> Sequence[Batch]:

@@ -170,6 +170,7 @@ def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_
     thorough = replace(measured, thorough=True)
     assert policy(ExploreOptions(batch=3), So(1, 9)) == (believed, measured, thorough)
     assert policy(ExploreOptions(batch=3), So(7, 9, on=MEASURED)) == (measured, believed, thorough)
+    assert policy(ExploreOptions(batch=3), So(7, 9, on=MEASURED, grown=False)) == (measured, believed)
 
 
 def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
