@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 
 from cell.explore.policies import Batch
-from planner.explore.gain import Record, came_in_all
+from planner.explore.gain import Record, came
 from planner.explore.space import VoxelSpace
 from planner.measurability.matrix import measured
 from planner.ports import RayCaster, Scanner
@@ -75,7 +75,7 @@ def wanted(samples: SurfaceSamples, asked: Asked, most: int, scanner: Scanner, c
 def came_of(samples: SurfaceSamples, asked: Asked, scanner: Scanner, caster: RayCaster) -> float:
     """How many times as much as expected the latest batches measured of the measured surface, as it is known now.
 
-    By the law and what the surface itself hides, without occluders; above 0, and below 1 where less came.
+    By the law and what the surface itself hides, without occluders; below 1 where less came.
 
     Args:
         samples: of it.
@@ -95,7 +95,7 @@ def came_of(samples: SurfaceSamples, asked: Asked, scanner: Scanner, caster: Ray
         new = new[~measured(poses[:before], pick_samples(samples, new), scanner, casters)]
     first = seen[new] & (np.cumsum(seen[new], axis=1) == 1)
     brought = [float(areas.sum()) for areas in np.split(samples.areas[new] @ first, np.cumsum(views)[:-1])]
-    return came_in_all([(expected, area) for (_, expected), area in zip(asked.latest, brought, strict=True)])
+    return came([(expected, area) for (_, expected), area in zip(asked.latest, brought, strict=True)])
 
 
 def probable(samples: SurfaceSamples, asked: Asked, most: int) -> SurfaceSamples:

@@ -210,8 +210,13 @@ def _measured_area(file: ExploreFile) -> float:
 
 
 def _came(file: ExploreFile) -> float:
-    """How many times as much as expected came; the ring was planned for the cylinder, which is no guess at the part."""
-    return came([(s.expected_mm2, s.new_mm2) for s in file.stages[1:] if s.planned_on == BELIEVED])
+    """How many times as much as expected comes on the believed surface, 1 at least.
+
+    What lies behind an open patch is larger than the patch. Batches that bring too little are in the record of what
+    they looked at; they say nothing of the rest. Nor does the ring, planned for the cylinder: no guess at the part.
+    """
+    batches = [(s.expected_mm2, s.new_mm2) for s in file.stages[1:] if s.planned_on == BELIEVED]
+    return max(1.0, came(batches))
 
 
 def _nearness(file: ExploreFile) -> list[tuple[float, float]]:

@@ -96,31 +96,14 @@ class Record(Value):
 
 
 def came(batches: Sequence[tuple[float, float]]) -> float:
-    """How many times as much as expected comes: the median of the latest batches and 1, and 1 at least.
-
-    What lies behind an open patch is larger than the patch, and what is tried again less likely than what is chosen.
-    Batches that bring too little are in the record of what they looked at; they say nothing of the rest.
+    """How many times as much as expected comes: the median of the latest batches, and of one more that brought it.
 
     Args:
-        batches: area that each was expected to measure, and that it measured of this and of what lies about it [m^2];
-            one of which nothing was expected does not count.
+        batches: area that each was expected to measure, and that it measured [m^2]; one of which nothing was expected
+            does not count.
     """
     ratios = [measured / expected for expected, measured in batches if expected > 0]
-    return max(1.0, float(np.median([1.0, *ratios[-LATEST:]])))
-
-
-def came_in_all(batches: Sequence[tuple[float, float]]) -> float:
-    """How many times as much as expected came of all batches and of one more, which is taken to have brought it.
-
-    Args:
-        batches: as in `came`.
-    """
-    asked = [batch for batch in batches if batch[0] > 0]
-    if not asked:
-        return 1.0
-    expected, measured = (sum(batch[side] for batch in asked) for side in (0, 1))
-    one = expected / len(asked)
-    return (measured + one) / (expected + one)
+    return float(np.median([1.0, *ratios[-LATEST:]]))
 
 
 def most_per_second(

@@ -24,7 +24,7 @@ from cell.run.explore_json import BELIEVED, MEASURED, SurfaceName
 from cell.scan.options import ScanOptions
 from cell.scan.safety import EVERY
 from cell.scanners.laser_area import LaserArea
-from planner.explore.gain import Record, came_in_all
+from planner.explore.gain import Record, came
 from planner.explore.space import OCCUPIED, VoxelSpace
 from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, sample
@@ -101,7 +101,7 @@ def test_what_came_is_what_the_latest_views_measured_first(views: tuple[int, ...
     asked = replace(_asked(_poses(), space=space), latest=latest)
     areas = np.split(np.array(firsts[-sum(views) :]), np.cumsum(views)[:-1])
     batches = [(expected, float(area.sum())) for (_, expected), area in zip(latest, areas, strict=True)]
-    assert came_of(samples, asked, LAW, caster) == pytest.approx(came_in_all(batches))
+    assert came_of(samples, asked, LAW, caster) == pytest.approx(came(batches))
     assert came_of(samples, replace(asked, poses=None, came=1.5), LAW, caster) == 1.5
     assert came_of(samples, replace(asked, latest=[(2, 0.0)]), LAW, caster) == 1.0
 

@@ -244,6 +244,8 @@ def test_what_came_is_held_against_what_was_expected() -> None:
     stages = [SimpleNamespace(expected_mm2=area, new_mm2=new, planned_on=on) for area, new, on in went]
     assert _came(SimpleNamespace(stages=stages)) == 2.0  # median of 1, 2 and 3
     assert _came(SimpleNamespace(stages=stages[:1])) == 1.0
+    little = [stages[0], *[SimpleNamespace(expected_mm2=2.0, new_mm2=0.5, planned_on=BELIEVED)] * 3]
+    assert _came(SimpleNamespace(stages=little)) == 1.0  # is in the record of what they looked at
 
 
 def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
