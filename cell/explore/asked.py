@@ -83,7 +83,7 @@ def came_of(samples: SurfaceSamples, asked: Asked, scanner: Scanner, caster: Ray
         scanner: its law.
         caster: the surface's.
     """
-    if asked.poses is None:
+    if asked.poses is None or not any(expected for _, expected in asked.latest):
         return asked.came
     views = [views for views, _ in asked.latest]
     before = len(asked.poses) - sum(views)

@@ -95,7 +95,7 @@ def _about(low: Floats, edge: float, chosen: Bools, level: float, smooth: float)
     from skimage.measure import marching_cubes  # takes a third of a second to import
 
     distance = ndimage.distance_transform_edt(~chosen)
-    if smooth:
-        distance = ndimage.gaussian_filter(distance, smooth)
+    if smooth and (smoothed := ndimage.gaussian_filter(distance, smooth)).min() < level:  # of lone cells it leaves none
+        distance = smoothed
     vertices, faces, _, _ = marching_cubes(distance.astype(np.float32), level, gradient_direction="descent")
     return TriangleMesh(low + edge * (vertices.astype(np.float64) + 0.5), faces.astype(np.int32))

@@ -2,23 +2,22 @@
 
 Voxels fill what is narrower than twice the depth to which a part is believed, a tube or a slot, and hide from the
 planning the walls that lead into it. The surface of all points hides nothing. It is continued a little way beyond its
-border, along its last normals; what lies before it there is no part's. Where that leads on into what nobody saw stands
-what is left of the believed surface, a lid across the tube; so it does on the side of a sheet that nobody saw, and of
-one that is too thin for the surface. All of it is cut off where space was seen free.
+border, along its last normals; what lies before it there is no part's. Where no face of it looks to the same side
+stands what is left of the believed surface: a lid across a tube, the side of a sheet that nobody saw, or that is too
+thin for the other one to have it. All of it is cut off where space was seen free.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from cell.explore import belief
 from cell.reconstruction.cloud import PointCloud, ScanCloud, merge
 from cell.reconstruction.reconstruct import REACH, ReconstructionStatus, reconstruct
 from cell.run.executions import ExecutedScan
-from planner.explore.cubes import first_in_cubes, first_of_each_side
-from planner.explore.space import OCCUPIED, UNKNOWN, VoxelSpace
+from planner.explore.cubes import first_in_cubes
+from planner.explore.space import UNKNOWN, VoxelSpace
 from planner.surface.mesh import TriangleMesh, joined
 from planner.values import Bools
 
@@ -29,15 +28,13 @@ _APART = 0.5
 """Edges of the cubes of which one point is kept: what is planned on need not be finer than what is sampled of it."""
 
 _MOST = 40_000
-"""Cubes: where there would be more, they are larger. A stage's plan is as good, and takes half the time."""
-
-_ELSEWHERE = 0.7
-"""Cosine of the angle between two looks at a cube, of 45 degrees, from which on they may be at two sides of a sheet."""
+"""Cubes at most: where there would be more they are larger. A stage's plan is as good, and takes half the time."""
 
 _GRID = 1.5  # sides of those cubes: what the surface is made with
-_BEFORE = 0.5  # edges before the surface from where on nothing is believed
-_BESIDE = 2.0  # edges about the surface within which no believed one stands on the same side
-_FACES = 3  # of the surface next to a believed one that are asked for their side
+_AHEAD = 0.5  # edges before the surface from where on nothing is believed
+_BESIDE, _FACES = 2.0, 3
+"""Edges about a face of the believed surface, and how many faces of the other one next to it, of which one looks to the
+same side where the believed one has no place."""
 
 
 def surface_of(scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
@@ -46,7 +43,7 @@ def surface_of(scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
 
 
 def continued(scans: Sequence[ExecutedScan], space: VoxelSpace, believed: Bools) -> TriangleMesh | None:
-    """The surface of points that lie half a voxel apart, and where it leads, explored frame [m].
+    """The surface of points that lie half a voxel apart or more, and where it leads, explored frame [m].
 
     Args:
         scans: all of them.
@@ -56,67 +53,59 @@ def continued(scans: Sequence[ExecutedScan], space: VoxelSpace, believed: Bools)
     Returns:
         What a stage is planned on; None where there are too few points.
     """
-    cloud, apart = _spread(scans, _APART * space.edge)
-    found = reconstruct(cloud, grid=_GRID * apart, reach=_ONWARD * space.edge)
+    points, apart = _thinned(scans, _APART * space.edge)
+    found = reconstruct(merge(points), grid=_GRID * apart, reach=_ONWARD * space.edge)
     if found.status is ReconstructionStatus.TOO_FEW_POINTS:
         return None
     parts = list[TriangleMesh]()
     if found.mesh is not None:
         middles = found.mesh.centres
         near = cKDTree(found.cloud.points).query(middles, distance_upper_bound=REACH * found.spacing)[0]
-        parts += _some(found.mesh, np.isfinite(near) | space.at(middles, space.possible).astype(np.bool_))
-    lids = belief.surface_about(space, believed & ~_before(found.cloud, space, believed))
-    for surface in tuple(parts):
-        parts += _some(lids, ~_beside(surface, lids, _BESIDE * space.edge))
-    vertices, faces, _ = joined([(each.vertices, each.faces) for each in parts or [lids]])
+        parts += _chosen(found.mesh, np.isfinite(near) | space.at(middles, space.possible).astype(np.bool_))
+    lids = belief.surface_about(space, believed & ~_ahead_of(found.cloud, space, believed))
+    parts += _chosen(lids, ~_looks_alike(lids, parts[0], _BESIDE * space.edge)) if parts else [lids]
+    vertices, faces, _ = joined([(each.vertices, each.faces) for each in parts])
     return TriangleMesh(vertices, faces.astype(np.int32))
 
 
-def _spread(scans: Sequence[ExecutedScan], apart: float) -> tuple[PointCloud, float]:
-    """One point of each cube with such sides [m], two of one that holds two sides of a sheet; and the sides.
+def _thinned(scans: Sequence[ExecutedScan], apart: float) -> tuple[list[ScanCloud], float]:
+    """Of all scans the first point of each cube with such sides [m]; and the sides, longer where cubes were too many.
 
-    They are longer where there would be more than `_MOST` cubes.
+    Before the normals are made, which saves most of their time.
     """
     points = np.concatenate([scan.points for scan in scans]) if scans else np.empty((0, 3))
     number = np.repeat(np.arange(len(scans)), [len(scan.points) for scan in scans])
-    sights = np.array([scan.T_reported[:3, 3] for scan in scans]).reshape(-1, 3)[number] - points
-    sights /= np.maximum(np.linalg.norm(sights, axis=1, keepdims=True), 1e-12)
-    # Before the normals are made, which saves most of their time; and after, as sights tell sides less well.
-    kept = first_of_each_side(points, sights, apart, _ELSEWHERE)
-    if (many := len(first_in_cubes(points[kept], apart))) > _MOST:
-        apart *= np.sqrt(many / _MOST)
-        kept = kept[first_of_each_side(points[kept], sights[kept], apart, _ELSEWHERE)]
+    kept = first_in_cubes(points, apart)
+    while len(kept) > _MOST:
+        apart *= np.sqrt(len(kept) / _MOST) + 0.01
+        kept = kept[first_in_cubes(points[kept], apart)]
     points, number = points[kept], number[kept]
-    cloud = merge([ScanCloud(points[number == each], scan.T_reported[:3, 3]) for each, scan in enumerate(scans)])
-    kept = first_of_each_side(cloud.points, cloud.normals, apart, 0.0)
-    return PointCloud(cloud.points[kept], cloud.normals[kept], cloud.scan[kept]), apart
+    clouds = [ScanCloud(points[number == each], scan.T_reported[:3, 3]) for each, scan in enumerate(scans)]
+    return clouds, apart
 
 
-def _before(cloud: PointCloud, space: VoxelSpace, believed: Bools) -> Bools:
+def _ahead_of(cloud: PointCloud, space: VoxelSpace, believed: Bools) -> Bools:
     """(X, Y, Z) the believed voxels before the surface of a cloud and where it is continued; not one that was hit."""
-    near = ndimage.maximum_filter((space.state == OCCUPIED).view(np.uint8), 2 * int(_ONWARD) + 1)
-    doubtful = believed & near.view(np.bool_) & (space.state == UNKNOWN)
+    doubtful = believed & (space.state == UNKNOWN)
     centres = space.centres(doubtful)
     tree, farthest = cKDTree(cloud.points), _ONWARD * space.edge
     nearest, at = map(np.asarray, tree.query(centres, distance_upper_bound=farthest, workers=2))
-    beside = np.isfinite(nearest)
-    legs, normals = centres[beside] - cloud.points[at[beside]], cloud.normals[at[beside]]
-    beside[beside] = np.einsum("nj,nj->n", legs, normals) > _BEFORE * space.edge
-    before = np.zeros(doubtful.shape, dtype=np.bool_)
-    before[doubtful] = beside
-    return before
+    near = np.isfinite(nearest)
+    legs, normals = centres[near] - cloud.points[at[near]], cloud.normals[at[near]]
+    ahead, of_near = np.zeros(doubtful.shape, dtype=np.bool_), np.zeros(len(near), dtype=np.bool_)
+    of_near[near] = np.einsum("nj,nj->n", legs, normals) > _AHEAD * space.edge
+    ahead[doubtful] = of_near
+    return ahead
 
 
-def _beside(surface: TriangleMesh, lids: TriangleMesh, distance: float) -> Bools:
-    """(F,) beside which faces of `lids`, at a distance [m], there is one of the surface that looks to the same side."""
+def _looks_alike(lids: TriangleMesh, surface: TriangleMesh, distance: float) -> Bools:
+    """(F,) which faces of `lids` have one of the surface next to them, at a distance [m], that looks to their side."""
     _, at = cKDTree(surface.centres).query(lids.centres, _FACES, distance_upper_bound=distance, workers=2)
-    at = np.asarray(at).reshape(-1, _FACES)
-    found = at < len(surface.faces)
-    normals = np.concatenate([surface.normals, np.zeros((1, 3))])[at]
-    return np.asarray((found & (np.einsum("fkj,fj->fk", normals, lids.normals) > 0)).any(axis=1))
+    normals = np.concatenate([surface.normals, np.zeros((1, 3))])[np.asarray(at)]  # the last of what is too far
+    return np.asarray((np.einsum("fkj,fj->fk", normals, lids.normals) > 0).any(axis=1))
 
 
-def _some(mesh: TriangleMesh, chosen: Bools) -> list[TriangleMesh]:
+def _chosen(mesh: TriangleMesh, chosen: Bools) -> list[TriangleMesh]:
     """The mesh of the chosen faces; none where there are none, as no mesh is empty."""
     if not chosen.any():
         return []

@@ -53,8 +53,8 @@ DRAWN, ROWS_KEPT, SCOUTS_KEPT = 20_000, 3_000, 1_000
 DRAWN_MEASURED = (60_000, 20_000)
 """Samples of the measured surface that are drawn for rows and for scouts: little of it is wanted."""
 
-_ROUGH = 10_000
-"""Faces of the copy of the measured surface of which the planning mesh is made."""
+_COARSE, _EACH = 10_000, 4
+"""Faces of the copy of the measured surface of which the planning mesh is made, and for each one that is wanted."""
 
 SCHEDULE = growth.SCHEDULE[:2]
 """Of growth: what is open now is another tomorrow, so the long search for the last of it is not worth its time."""
@@ -167,7 +167,8 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
         if asked.poses is None:
             planning = decimate(belief.rough(asked.space, whole=asked.batch.views == 0), job.settings.faces)
         else:
-            planning = decimate(clustered(reference, _ROUGH) or reference, job.settings.faces)
+            coarse = clustered(reference, max(_COARSE, _EACH * job.settings.faces)) or reference
+            planning = decimate(coarse, job.settings.faces)
         plan_files.write_meshes(run.folder, reference, planning)
         caster, scanner = EmbreeRayCaster(reference.vertices, reference.faces), limited(job.scene, job.scanner)
         counts = (DRAWN, DRAWN) if asked.poses is None else DRAWN_MEASURED

@@ -137,7 +137,7 @@ def test_what_lies_before_a_wall_is_not_believed() -> None:
     space, believed = replace(space, state=state), np.ones(state.shape, dtype=np.bool_)
     inward = -wall * (1.0, 1.0, 0.0) / RADIUS
     cloud = PointCloud(wall, inward, np.zeros(len(wall), dtype=np.int32))
-    before = measured_surface._before(cloud, space, believed)
+    before = measured_surface._ahead_of(cloud, space, believed)
     assert not before[hit]
     assert not before[space.state == FREE].any()
     centres = space.centres(believed)
