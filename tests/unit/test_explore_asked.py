@@ -165,6 +165,7 @@ class _Worth:
         ((BELIEVED, MEASURED), (), [BELIEVED, MEASURED], "of believed"),
         ((MEASURED, BELIEVED), (), [MEASURED, BELIEVED], "of believed, 2"),
         ((BELIEVED, BELIEVED, MEASURED), (), [BELIEVED, BELIEVED, MEASURED], "of believed, 2"),
+        ((MEASURED, BELIEVED, MEASURED), (), [MEASURED, BELIEVED, MEASURED], "of believed, 2"),
         ((MEASURED,), (BELIEVED,), [MEASURED], "nothing was tried"),
         ((), (BELIEVED,), [], "nothing was tried"),
     ],
@@ -340,25 +341,29 @@ def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:
     assert paths.measured(2).is_file()
 
 
-@pytest.mark.parametrize("on", [BELIEVED, MEASURED])
+@pytest.mark.parametrize(("on", "faces"), [(BELIEVED, 500), (MEASURED, 500), (MEASURED, 3000)])
 def test_more_is_drawn_of_a_measured_surface_and_what_came_is_asked_of_it(
-    on: SurfaceName, balls: TriangleMesh, monkeypatch: pytest.MonkeyPatch
+    on: SurfaceName, faces: int, balls: TriangleMesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Little of it is wanted; of the believed one what came is known before."""
-    drawn = list[int]()
+    """Little of it is wanted; of the believed one what came is known before. Its planning mesh is of a coarse copy."""
+    drawn, copied = list[int](), list[int]()
+
+    def copy(reference: TriangleMesh, count: int) -> None:
+        copied.append(count)
 
     def counted(reference: TriangleMesh, planning: TriangleMesh, count: int, rng: np.random.Generator) -> Any:
         drawn.append(count)
         return sample(reference, planning, 300, rng)
 
     monkeypatch.setattr(stage, "sample", counted)
+    monkeypatch.setattr(stage, "clustered", copy)
     monkeypatch.setattr(stage, "limited", lambda scene, scanner: LAW)
     monkeypatch.setattr(stage, "first", lambda *asked: SimpleNamespace(face=np.array([-1])))
     monkeypatch.setattr(stage.plan_files, "write_meshes", lambda *meshes: None)
     streams = np.random.default_rng
     run: Any = SimpleNamespace(step=lambda name: nullcontext(), folder=None, rng=lambda stream: streams(7))
     job: Any = SimpleNamespace(
-        part=SimpleNamespace(reference=balls), settings=SimpleNamespace(faces=500), scene=None, scanner=None
+        part=SimpleNamespace(reference=balls), settings=SimpleNamespace(faces=faces), scene=None, scanner=None
     )
     state = np.array(UNKNOWN.state)
     state[20, 20, 20] = OCCUPIED
@@ -366,6 +371,7 @@ def test_more_is_drawn_of_a_measured_surface_and_what_came_is_asked_of_it(
     asked = replace(_asked(_poses()[:2] if on == MEASURED else None, space=space), latest=[(2, 1e-9)], came=1.5)
     _, _, _, learnt = stage._sample_surface(run, job, asked)
     assert drawn == [60_000 if on == MEASURED else 20_000, 20_000]
+    assert copied == ([max(10_000, 4 * faces)] if on == MEASURED else [])
     assert learnt.came > 1000 if on == MEASURED else learnt.came == 1.5
 
 

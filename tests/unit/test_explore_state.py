@@ -248,6 +248,15 @@ def test_what_came_is_held_against_what_was_expected() -> None:
     assert _came(SimpleNamespace(stages=little)) == 1.0  # is in the record of what they looked at
 
 
+def test_what_the_part_is_believed_to_fill_is_the_spaces() -> None:
+    """And the believed surface is about that."""
+    space = VoxelSpace.of_cylinder(0.02, 0.05, 0.002, 0.002).seen_from(np.zeros((1, 3)), [np.array([0.2, 0.0, 0.0])])
+    known = Known(space, Record.empty())
+    assert not np.array_equal(space.believed(), space.possible)
+    assert np.array_equal(known.solid, space.believed())
+    assert np.array_equal(known.believed.vertices, belief.surface_of(space).vertices)
+
+
 def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
     """Every voxel, every point and the record come back as they were."""
     (tmp_path / "stages").mkdir()

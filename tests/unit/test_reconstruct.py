@@ -81,6 +81,16 @@ def test_a_surface_goes_on_as_far_as_it_is_asked_to() -> None:
     assert cKDTree(scan.points).query(short.vertices)[0].max() < 0.004
 
 
+def test_what_it_was_made_of_is_told() -> None:
+    """The cloud without the points that lie alone; all that are usable where they are too few."""
+    ball = [_ball_scan(view) for view in VIEWS]
+    result = reconstruct(merge([*ball, ScanCloud(np.array([[0.0, 0.0, 2 * RADIUS]]), VIEWS[4])]))
+    assert result.outliers == 1
+    assert np.array_equal(result.cloud.points, np.concatenate([scan.points for scan in ball]))
+    few = reconstruct(merge([ScanCloud(ball[0].points[:5], VIEWS[0])]))
+    assert (few.status, len(few.cloud)) == (ReconstructionStatus.TOO_FEW_POINTS, 5)
+
+
 @pytest.mark.parametrize("reach", [-0.001, float("nan")])
 def test_it_does_not_go_on_backwards(reach: float) -> None:
     """A distance below 0, or none, is refused."""
