@@ -76,6 +76,7 @@ def test_the_wall_of_a_tube_goes_on_and_a_lid_stands_where_it_ends() -> None:
     assert z[inside].min() > SEEN - EDGE
     assert z[inside & (rho < EDGE)].min() < SEEN + EDGE  # the axis is too far from the wall for it to say anything
     assert z[inside & (rho > 2 * EDGE)].min() > SEEN + 1.5 * EDGE  # before the wall that goes on nothing is believed
+    assert (inside & (rho > RADIUS - 2.9 * EDGE) & (rho < RADIUS - 2.2 * EDGE)).any()
     beside = (np.abs(rho - RADIUS) > 0.5 * EDGE) & (np.abs(rho - RADIUS) < 1.4 * EDGE)
     assert not (beside & (z > 0) & (z < SEEN + 2 * EDGE)).any()
 
@@ -235,6 +236,18 @@ def test_what_it_is_made_of_is_as_fine_as_the_voxels_ask(most: int, monkeypatch:
     else:
         assert side > 0.6 * EDGE
         assert 0.7 * most < len(cloud) <= most
+
+
+def test_there_are_no_more_points_than_that_where_rays_are_far_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Larger cubes take few points away until they hold several; which scan each is from stays known."""
+    monkeypatch.setattr(measured_surface, "_MOST", 250)
+    scans = [_scan(_wall(SEEN, 0.0008), (0.0, 0.0, -0.005)), _scan(_wall(SEEN, 0.0009), (0.0, 0.0, -0.004))]
+    points, apart = measured_surface._thinned(scans, 0.5 * EDGE)
+    assert 150 < sum(len(each) for each in points) <= 250
+    assert apart > 0.5 * EDGE
+    for kept, scan in zip(points, scans, strict=True):
+        assert {tuple(point) for point in kept.points} < {tuple(point) for point in scan.points}
+        assert np.array_equal(kept.sensor, scan.T_reported[:3, 3])
 
 
 def test_it_is_of_all_scans_with_each_ones_own_side() -> None:
