@@ -6,7 +6,6 @@ the batch is executed on the part that stands there, and its rays change what is
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,6 @@ from cell.explore.state import Known, scans_of
 from cell.explore.too_near import keep_off, too_near
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
-from cell.plan.candidates import GROWN
 from cell.run import ply, reader
 from cell.run.executions import ExecutedScan
 from cell.run.explore_json import BELIEVED, MEASURED, ExploredStage, ExploreFile, OpenReason, SurfaceName
@@ -36,7 +34,6 @@ from cell.scan.safety import EVERY, Ask
 from cell.scene.scene import Scene
 from planner.explore.gain import LATEST, came
 from planner.explore.space import OCCUPIED, VoxelSpace
-from planner.surface.mesh import TriangleMesh
 from planner.surface.sample import SurfaceSamples, pick_samples
 from planner.values import Bools, Floats
 
@@ -114,8 +111,7 @@ def _next(work: Exploring, file: ExploreFile) -> tuple[Sequence[Batch], str]:
     if limit is not None and seconds >= limit:
         return (), f"the {limit:g} s of motion of the budget are used up"
     on = file.stages[-1].planned_on if file.stages else BELIEVED
-    grown = work.scene.plan.candidates == GROWN
-    so = So(len(file.stages), left, specification.asked(work.scene), on, grown)
+    so = So(len(file.stages), left, specification.asked(work.scene), on)
     return POLICIES[work.options.policy](work.options, so), "no batch of the policy is left that is worth its views"
 
 
@@ -127,13 +123,11 @@ def _planned(work: Exploring, file: ExploreFile, known: Known, batches: Sequence
     """
     if (folder := work.paths.stage(len(file.stages) + 1)).is_dir():
         return folder
-    measured = cache(partial(_measured, work, file, known))  # several batches may be planned on it
     for batch in batches:
         work.paths.clear(len(file.stages) + 1)
+        plan = _on_measured if batch.on == MEASURED else _on_believed
         try:
-            if batch.on == BELIEVED:
-                return _on_believed(work, file, known, batch)
-            return _on_measured(work, file, known, batch, *measured())
+            return plan(work, file, known, batch)
         except EnoughError as error:
             ended = str(error) if batch.on == BELIEVED else ended
     raise EnoughError(ended, stays_open(work, file, known))
@@ -141,7 +135,7 @@ def _planned(work: Exploring, file: ExploreFile, known: Known, batches: Sequence
 
 def stays_open(work: Exploring, file: ExploreFile, known: Known) -> StillOpen | None:
     """What stays open of all that the part may be, and why; None where nothing does."""
-    number, asked = len(file.stages) + 1, Asked(known.space, known.record, Batch(0, thorough=True), 0.0)
+    number, asked = len(file.stages) + 1, Asked(known.space, known.record, Batch(0), 0.0)
     work.paths.clear(number)
     try:
         _stage(work, asked, number, belief.part_of(belief.surface_of(known.space, whole=True), work.name))
@@ -169,25 +163,18 @@ def _on_believed(work: Exploring, file: ExploreFile, known: Known, batch: Batch)
     return _stage(work, asked, number, part)
 
 
-def _measured(work: Exploring, file: ExploreFile, known: Known) -> tuple[TriangleMesh, Floats]:
-    """The surface of all points and where it leads, and the poses (V, 4, 4) of all views [m].
+def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch) -> Path:
+    """A stage's plan on the surface of all points and where it leads.
 
     Raises:
-        EnoughError: if the points describe none.
+        EnoughError: if the points describe none, or no batch is worth its views.
     """
-    scans = scans_of(work.paths, file.stages)
+    number, scans = len(file.stages) + 1, scans_of(work.paths, file.stages)
     surface = continued(scans, known.space, known.solid)
     if surface is None:
         raise EnoughError("the points describe no surface")
-    return surface, np.stack([scan.T_reported for scan in scans])
-
-
-def _on_measured(
-    work: Exploring, file: ExploreFile, known: Known, batch: Batch, surface: TriangleMesh, poses: Floats
-) -> Path:
-    """A stage's plan on that surface, after those views."""
-    number = len(file.stages) + 1
     work.paths.measured(number).write_bytes(ply.written(surface))
+    poses = np.stack([scan.T_reported for scan in scans])
     latest = tuple((s.views, s.expected_mm2 / 1e6 if s.planned_on == MEASURED else 0.0) for s in file.stages[-LATEST:])
     asked = Asked(
         known.space, known.record, batch, work.options.least_gain, _measured_area(file), poses=poses, latest=latest

@@ -1,7 +1,7 @@
 """Which batches may come next: one function a policy, all with one signature, in `POLICIES`."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 from cell.explore.options import ExploreOptions
@@ -17,14 +17,12 @@ class So:
         left: views that may still be taken; None: as many as it wants.
         limited: whether sigma or spacing is limited.
         on: the surface that the last stage was planned on.
-        grown: whether candidates are grown.
     """
 
     stages: int
     left: int | None
     limited: bool = False
     on: SurfaceName = BELIEVED
-    grown: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +36,6 @@ class Batch:
         per_second: whether the most per second of standing and moving is wanted; otherwise the most.
         on: the surface that is planned on.
         worth: how many times the least gain each view is asked for.
-        thorough: whether candidates are grown for as long as by `cell plan`: before it ends, and to tell why.
     """
 
     views: int | None
@@ -47,7 +44,6 @@ class Batch:
     per_second: bool = False
     on: SurfaceName = BELIEVED
     worth: float = 1.0
-    thorough: bool = False
 
 
 _FEW, _ROUGH = 1, 6
@@ -69,15 +65,12 @@ Policy = Callable[[ExploreOptions, So], Sequence[Batch]]
 def stepwise(options: ExploreOptions, so: So) -> Sequence[Batch]:
     """A first view, then the few with the most expected gain per second, planned anew after each batch.
 
-    The surface that the stage before was planned on comes first, the other one where that is worth no further view; at
-    last the measured one again with more candidates, where they are grown, as it depends on their luck whether one of
-    few takes a sliver.
+    The surface that the stage before was planned on comes first, the other one where that is worth no further view.
     """
     if so.stages == 0:
         return (Batch(_within(so, options.ring or _FEW)),)
     surfaces = (MEASURED, BELIEVED) if so.on == MEASURED else (BELIEVED, MEASURED)
-    few = [Batch(_within(so, options.batch), per_second=True, on=on, worth=_WORTH[on]) for on in surfaces]
-    return (*few, replace(few[surfaces.index(MEASURED)], thorough=True)) if so.grown else tuple(few)
+    return [Batch(_within(so, options.batch), per_second=True, on=on, worth=_WORTH[on]) for on in surfaces]
 
 
 def two_stage(options: ExploreOptions, so: So) -> Sequence[Batch]:
@@ -91,7 +84,7 @@ def two_stage(options: ExploreOptions, so: So) -> Sequence[Batch]:
         return (Batch(_within(so, options.ring or _ROUGH), rough=True),)
     if so.limited and so.stages == 1:
         return (Batch(so.left, whole=True),)
-    last = Batch(so.left, on=MEASURED, worth=_WORTH[MEASURED], thorough=True)
+    last = Batch(so.left, on=MEASURED, worth=_WORTH[MEASURED])
     if so.on == MEASURED:  # a tube goes on where its wall was seen
         return (last,)
     worths = dict.fromkeys(_FINE[so.stages - 1 :])  # one that was worth no view is not asked again

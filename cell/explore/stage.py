@@ -57,7 +57,9 @@ _COARSE, _EACH = 10_000, 4
 """Faces of the copy of the measured surface of which the planning mesh is made, and for each one that is wanted."""
 
 SCHEDULE = growth.SCHEDULE[:2]
-"""Of growth: what is open now is another tomorrow, so the long search for the last of it is not worth its time."""
+"""Of growth on the believed surface: what is open now is another tomorrow, so the long search for the last of it is not
+worth its time. On the measured one it is luck whether one of few candidates takes a sliver; and reasons are told of all
+that `cell plan` would have."""
 
 _BRIEF = replace(DEFAULT_BUDGET, path_checks=CHECKS // 4, polish=0, guesses=DEFAULT_BUDGET.guesses[:1])
 """Of the motion through the few views of a batch: searching on for a shorter one takes longer than it saves."""
@@ -116,7 +118,7 @@ def _steps(run: Run, job: Job, asked: Asked) -> int:
         scanner = limited(job.scene, job.scanner)
         arm = arm_of(cell.world, cell.kinematics, cell.checker, scanner, casters)
         if job.scene.plan.candidates == GROWN:
-            schedule = growth.SCHEDULE if asked.batch.thorough else SCHEDULE
+            schedule = SCHEDULE if asked.poses is None and asked.batch.views != 0 else growth.SCHEDULE
             grown = grow(candidates, reached.reachable, scouts, arm, schedule=schedule)
             reached = join_reach([reached, steps.reach_of(job, cell, grown)])
             candidates = join_viewpoints([candidates, grown])

@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +84,8 @@ def test_views_are_moved_to_where_they_measure_more(
 ) -> None:  # fmt: skip
     """What is taken is one of them, on file with its pose, its joint angles and the rows that it measures by rays.
 
-    They are moved from candidates that are grown briefly, or for as long as by `cell plan` where a batch is thorough.
+    They are moved from candidates that are grown briefly on the believed surface, on the measured one for as long as by
+    `cell plan`.
     """
     before, better = list[int](), stage_plan.with_better
     schedules, grow, believed = list[Any](), stage_plan.grow, explore._on_believed
@@ -94,8 +94,8 @@ def test_views_are_moved_to_where_they_measure_more(
         schedules.append(schedule)
         return grow(*asked, schedule=schedule)
 
-    def thorough_at_last(work: Exploring, file: ExploreFile, known: Any, batch: Any) -> Path:
-        return believed(work, file, known, replace(batch, thorough=len(file.stages) == 2))
+    def measured_at_last(work: Exploring, file: ExploreFile, known: Any, batch: Any) -> Path:
+        return (explore._on_measured if len(file.stages) == 2 else believed)(work, file, known, batch)
 
     def with_better(problem: Problem, *asked: Any) -> Problem:
         before.append(len(problem.candidates))
@@ -103,7 +103,7 @@ def test_views_are_moved_to_where_they_measure_more(
 
     monkeypatch.setattr(stage_plan, "with_better", with_better)
     monkeypatch.setattr(stage_plan, "grow", counted)
-    monkeypatch.setattr(explore, "_on_believed", thorough_at_last)
+    monkeypatch.setattr(explore, "_on_believed", measured_at_last)
     grown = (*PLACE[:-1], "grown", "--resolution", "0.5", "--max-views", "3")
     done = run_cell("explore", part_file, "--units", "mm", *grown, "--out", "explored", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

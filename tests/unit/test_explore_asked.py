@@ -17,7 +17,6 @@ from cell.explore.options import ExploreOptions
 from cell.explore.policies import Batch
 from cell.explore.stage import EnoughError
 from cell.explore.state import Paths
-from cell.plan.candidates import GROWN
 from cell.rays.embree import EmbreeRayCaster
 from cell.run import ply
 from cell.run.explore_json import BELIEVED, MEASURED, SurfaceName
@@ -165,7 +164,6 @@ class _Worth:
         ((BELIEVED, MEASURED), (), [BELIEVED, MEASURED], "of believed"),
         ((MEASURED, BELIEVED), (), [MEASURED, BELIEVED], "of believed, 2"),
         ((BELIEVED, BELIEVED, MEASURED), (), [BELIEVED, BELIEVED, MEASURED], "of believed, 2"),
-        ((MEASURED, BELIEVED, MEASURED), (), [MEASURED, BELIEVED, MEASURED], "of believed, 2"),
         ((MEASURED,), (BELIEVED,), [MEASURED], "nothing was tried"),
         ((), (BELIEVED,), [], "nothing was tried"),
     ],
@@ -175,9 +173,8 @@ def test_batches_are_tried_in_turn_until_one_is_worth_its_views(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     """Nothing is left of one that was not; where none is, it is the last believed one's reason that counts."""
-    planners, paths, made = _Worth(*worth), Paths(tmp_path), list[Any]()
+    planners, paths = _Worth(*worth), Paths(tmp_path)
     (tmp_path / "stages").mkdir()
-    monkeypatch.setattr(explore, "_measured", lambda *asked: made.append(asked) or ("surface", "poses"))
     monkeypatch.setattr(explore, "_on_believed", planners.on(BELIEVED))
     monkeypatch.setattr(explore, "_on_measured", planners.on(MEASURED))
     monkeypatch.setattr(explore, "stays_open", lambda work, *_: work.paths.clear(2))
@@ -192,14 +189,13 @@ def test_batches_are_tried_in_turn_until_one_is_worth_its_views(
             explore._planned(*given)
         assert list((tmp_path / "stages").iterdir()) == []
     assert planners.asked == asked
-    assert len(made) == (MEASURED in asked)  # however many batches are planned on it
 
 
 @pytest.mark.parametrize(
     ("views", "seconds", "on", "batches", "ended"),
     [
-        (5, 40.0, BELIEVED, (BELIEVED, MEASURED, MEASURED), "no batch of the policy"),
-        (5, 40.0, MEASURED, (MEASURED, BELIEVED, MEASURED), "no batch of the policy"),
+        (5, 40.0, BELIEVED, (BELIEVED, MEASURED), "no batch of the policy"),
+        (5, 40.0, MEASURED, (MEASURED, BELIEVED), "no batch of the policy"),
         (7, 40.0, BELIEVED, (), "the 7 views of the budget are used up"),
         (8, 90.0, BELIEVED, (), "the 7 views of the budget are used up"),
         (5, 60.0, BELIEVED, (), "the 60 s of motion of the budget are used up"),
@@ -213,15 +209,12 @@ def test_the_next_batches_are_the_policys_within_the_budget(
         SimpleNamespace(seconds=seconds / 2, planned_on=BELIEVED),
         SimpleNamespace(seconds=seconds / 2, planned_on=on),
     ]
-    plan = SimpleNamespace(max_views=7, max_sigma_mm=None, candidates=GROWN)
+    plan = SimpleNamespace(max_views=7, max_sigma_mm=None)
     scene = SimpleNamespace(plan=plan, scanner=SimpleNamespace(max_spacing_mm=None))
     work: Any = SimpleNamespace(scene=scene, options=ExploreOptions(max_seconds=60.0, batch=3))
     found, told = explore._next(work, SimpleNamespace(stages=stages, views=views))  # type: ignore[arg-type]
     assert [(batch.views, batch.per_second, batch.on) for batch in found] == [(2, True, each) for each in batches]
     assert told.startswith(ended)
-    plan.candidates = "view-sphere"  # no more of them come of a longer search
-    not_grown, _ = explore._next(work, SimpleNamespace(stages=stages, views=views))  # type: ignore[arg-type]
-    assert not_grown == found[:2]
     first, _ = explore._next(work, SimpleNamespace(stages=[], views=0))  # type: ignore[arg-type]
     assert first == (Batch(1),)
 
@@ -282,7 +275,7 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
         assert not explore._on_believed(work, near, known, Batch(1))[0].cautious  # type: ignore[index]
     begun: Any = explore._on_believed(work, first, known, Batch(1))
     assert (begun[0].least_gain, begun[0].came, begun[1]) == (0.0, 1.0, 1)
-    on: Any = explore._on_measured(work, file, known, Batch(1, worth=2.0), *explore._measured(work, file, known))
+    on: Any = explore._on_measured(work, file, known, Batch(1, worth=2.0))
     assert np.array_equal(on[0].poses, _poses()[:2])
     assert (on[0].least_gain, on[0].least_area, on[0].came) == (0.25, pytest.approx(2 * 0.25 * 7e-6), 1.0)
     assert (on[1], on[2].name, on[2].reference) == (3, "balls as measured", balls)
@@ -291,7 +284,7 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     late: Any = SimpleNamespace(
         stages=[*stages, *(SimpleNamespace(**{**told, "planned_on": MEASURED, "views": 2}),) * 3]
     )
-    after: Any = explore._on_measured(work, late, known, Batch(1), balls, _poses())
+    after: Any = explore._on_measured(work, late, known, Batch(1))
     assert after[0].latest == ((1, 0.0), *((2, 1e-6),) * 3)
 
 
@@ -305,7 +298,7 @@ def test_what_stays_open_is_of_all_that_the_part_may_be(tmp_path: Path, monkeypa
     def stage(work: Any, asked: Any, number: int, part: Any) -> None:
         work.paths.unseen(number).touch()
         whole = belief.surface_of(space, whole=True)
-        assert asked.batch == Batch(0, thorough=True)
+        assert asked.batch == Batch(0)
         assert np.array_equal(part.reference.vertices, whole.vertices)
         assert whole.areas.sum() > 2 * belief.surface_of(space).areas.sum()
         raise EnoughError("", told)  # type: ignore[arg-type]
@@ -323,7 +316,7 @@ def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, mo
     monkeypatch.setattr(explore, "continued", lambda scans, space, solid: None)
     work: Any = SimpleNamespace(paths=Paths(tmp_path))
     with pytest.raises(EnoughError, match="describe no surface"):
-        explore._measured(work, SimpleNamespace(stages=[None]), SimpleNamespace(space=UNKNOWN, solid=None))
+        explore._on_measured(work, SimpleNamespace(stages=[None]), SimpleNamespace(space=UNKNOWN, solid=None), Batch(1))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -149,7 +149,7 @@ def test_limits_hold_in_the_fine_stage_alone() -> None:
     assert rough.plan.model_copy(update={"max_sigma_mm": 0.05}) == scene.plan
     batches = {name: [policy(ExploreOptions(), So(n, None)) for n in (0, 1)] for name, policy in POLICIES.items()}
     said = {name: [[batch.rough for batch in tried] for tried in each] for name, each in batches.items()}
-    assert said == {"stepwise": [[False], [False] * 3], "two-stage": [[True], [False] * 4]}
+    assert said == {"stepwise": [[False], [False] * 2], "two-stage": [[True], [False] * 4]}
     limited = [POLICIES["two-stage"](ExploreOptions(), So(n, 7, limited=True)) for n in (1, 2)]
     assert limited[0] == (Batch(7, whole=True),)
     assert not any(batch.whole for batch in limited[1])
@@ -158,8 +158,7 @@ def test_limits_hold_in_the_fine_stage_alone() -> None:
 def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_on() -> None:
     """Or begins with as many as are asked for; the other surface is tried where the first is worth no view.
 
-    More is asked of the believed one, which promises too much late, less of the measured one: too little. At last that
-    one is searched for longer.
+    More is asked of the believed one, which promises too much late, less of the measured one: too little.
     """
     policy = POLICIES["stepwise"]
     assert policy(ExploreOptions(), So(0, None)) == (Batch(1),)
@@ -167,17 +166,15 @@ def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_
     assert policy(ExploreOptions(ring=4), So(0, 2)) == (Batch(2),)
     believed = Batch(3, per_second=True, on=BELIEVED, worth=2.0)
     measured = Batch(3, per_second=True, on=MEASURED, worth=0.6)
-    thorough = replace(measured, thorough=True)
-    assert policy(ExploreOptions(batch=3), So(1, 9)) == (believed, measured, thorough)
-    assert policy(ExploreOptions(batch=3), So(7, 9, on=MEASURED)) == (measured, believed, thorough)
-    assert policy(ExploreOptions(batch=3), So(7, 9, on=MEASURED, grown=False)) == (measured, believed)
+    assert policy(ExploreOptions(batch=3), So(1, 9)) == [believed, measured]
+    assert policy(ExploreOptions(batch=3), So(7, 9, on=MEASURED)) == [measured, believed]
 
 
 def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
     """The later it is; where one that asks much is worth no view the next is tried, then the measured surface."""
     policy = POLICIES["two-stage"]
     much, less, least = (Batch(9, worth=worth) for worth in (3.0, 1.5, 1.0))
-    last = Batch(9, on=MEASURED, worth=0.6, thorough=True)
+    last = Batch(9, on=MEASURED, worth=0.6)
     assert policy(ExploreOptions(), So(0, 9)) == (Batch(6, rough=True),)
     every = (much, less, least, last)
     for stages, tried in enumerate((every, every, every[1:], every[2:], every[3:]), start=1):
