@@ -38,7 +38,7 @@ class _Ours:
 
     def __call__(self, known: Known) -> Floats | None:
         lab, space = self._lab, self._learned(known)
-        mesh = belief.surface_of(space)
+        mesh = belief.surface_about(space, space.believed())
         planning = decimate(belief.rough(space), lab.settings.faces)
         asked = Asked(space, self._record, Batch(1), 0.0)
         rows, scouts = (

@@ -27,11 +27,6 @@ _BEYOND = 0.37  # of an edge: how far beyond voxels arm and housing keep away fr
 _BLOCK = 2  # edges: where a surface need not be tight, blocks of voxels do, with a quarter of the faces
 
 
-def surface_of(space: VoxelSpace, *, whole: bool = False) -> TriangleMesh:
-    """The believed surface [m]; `whole` as in `VoxelSpace.believed`."""
-    return surface_about(space, space.believed(whole=whole))
-
-
 def surface_about(space: VoxelSpace, chosen: Bools) -> TriangleMesh:
     """The tight surface about chosen voxels (X, Y, Z) [m]."""
     return _about(space.low, space.edge, chosen, _TIGHT, _SMOOTH)
@@ -43,7 +38,10 @@ def part_of(surface: TriangleMesh, name: str, known: str = "believed") -> Workpi
 
 
 def rough(space: VoxelSpace, *, whole: bool = False) -> TriangleMesh:
-    """A surface of few faces about what is believed [m], before which candidates stand; `whole` as in `surface_of`."""
+    """A surface of few faces about what is believed [m], before which candidates stand.
+
+    `whole` as in `VoxelSpace.believed`.
+    """
     return _about(space.low, _BLOCK * space.edge, _blocks(space.believed(whole=whole)), _ROUGH, _SMOOTH)
 
 

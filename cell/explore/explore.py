@@ -81,13 +81,15 @@ def explore(
     with lock.held(work.paths.root):
         known = work.paths.known(len(file.stages), work.unknown)
         if file.status != "finished":
-            scans_of(work.paths, file.stages)  # what is missing is told before anything moves
+            # What is missing is told before anything moves.
+            known = replace(known, scans=scans_of(work.paths, file.stages))
         while file.status != "finished":
             number = len(file.stages) + 1
             try:
                 folder = _planned(work, file, known, *_next(work, file))
             except EnoughError as error:
-                file = _finished(work, file, str(error), () if error.open is None else error.open.by_area())
+                open_still = () if error.open is None else error.open.by_area()
+                file = _finished(work, file, known.scans, str(error), open_still)
                 break
             on = MEASURED if work.paths.measured(number).is_file() else BELIEVED
             scans = _executed(work, folder)
@@ -137,8 +139,9 @@ def stays_open(work: Exploring, file: ExploreFile, known: Known) -> StillOpen | 
     """What stays open of all that the part may be, and why; None where nothing does."""
     number, asked = len(file.stages) + 1, Asked(known.space, known.record, Batch(0), 0.0)
     work.paths.clear(number)
+    whole = known.space.believed(whole=True)
     try:
-        _stage(work, asked, number, belief.part_of(belief.surface_of(known.space, whole=True), work.name))
+        _stage(work, asked, number, belief.part_of(belief.surface_about(known.space, whole), work.name))
     except EnoughError as error:
         work.paths.clear(number)
         return error.open
@@ -169,12 +172,12 @@ def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch)
     Raises:
         EnoughError: if the points describe none, or no batch is worth its views.
     """
-    number, scans = len(file.stages) + 1, scans_of(work.paths, file.stages)
-    surface = continued(scans, known.space, known.solid)
+    number = len(file.stages) + 1
+    surface = continued(known.scans, known.space, known.solid)
     if surface is None:
         raise EnoughError("the points describe no surface")
     work.paths.measured(number).write_bytes(ply.written(surface))
-    poses = np.stack([scan.T_reported for scan in scans])
+    poses = np.stack([scan.T_reported for scan in known.scans])
     latest = tuple((s.views, s.expected_mm2 / 1e6 if s.planned_on == MEASURED else 0.0) for s in file.stages[-LATEST:])
     asked = Asked(
         known.space, known.record, batch, work.options.least_gain, _measured_area(file), poses=poses, latest=latest
@@ -265,13 +268,14 @@ def _learned(known: Known, asked: _Expected, scans: Sequence[ExecutedScan], eye:
         after = after.seen_from(scan.points, [source, sensor]).joined(eye.between(scan.points, T, before.gap))
         after = after.judged_from(scan.points, source, sensor, eye.blank(scan.points, T), eye.near, eye.far)
         found |= asked.sees[:, view] & eye.answered(expected.points, scan.points[before.fresh(scan.points)], T)
+    taken = (*known.scans, *scans)
     if asked.on == MEASURED:  # what lies between points is no news of what is believed
-        return Known(after, known.record)
+        return Known(after, known.record, taken)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part
         of = before.open_at(expected.points, expected.normals)
         record = record.with_stage(of, expected.areas / record.weights(of) / asked.surface, found.astype(np.float64))
-    return Known(after.tried(expected.points[after.open_still(expected.points, expected.normals)]), record)
+    return Known(after.tried(expected.points[after.open_still(expected.points, expected.normals)]), record, taken)
 
 
 def require_plausible(space: VoxelSpace, folder: Path, views: Sequence[tuple[Floats, Floats]], eye: Eye) -> None:
@@ -340,11 +344,12 @@ def _stage_of(
     )
 
 
-def _finished(work: Exploring, file: ExploreFile, ended: str, still_open: tuple[OpenReason, ...]) -> ExploreFile:
+def _finished(
+    work: Exploring, file: ExploreFile, scans: tuple[ExecutedScan, ...], ended: str, still_open: tuple[OpenReason, ...]
+) -> ExploreFile:
     """The model of all scans, the truth in simulation, and the report."""
     if not file.stages:
         raise UnreachableError(f"nothing can be explored here: {ended}; move the part (--place), or change the scanner")
-    scans = scans_of(work.paths, file.stages)
     with work.narrator.stage(LAST_STAGE):
         model = report.write_model(work.paths.root, scans)
     middle = None if model is None else report.middle_of(model, np.asarray(work.scene.placement.position_mm))

@@ -57,12 +57,12 @@ def continued(scans: Sequence[ExecutedScan], space: VoxelSpace, believed: Bools)
     found = reconstruct(merge(points), grid=_GRID * apart, reach=_ONWARD * space.edge)
     if found.status is ReconstructionStatus.TOO_FEW_POINTS:
         return None
-    parts = list[TriangleMesh]()
+    parts, tree = list[TriangleMesh](), cKDTree(found.cloud.points, balanced_tree=False, compact_nodes=False)
     if found.mesh is not None:
         middles = found.mesh.centres
-        near = cKDTree(found.cloud.points).query(middles, distance_upper_bound=REACH * found.spacing)[0]
+        near = tree.query(middles, distance_upper_bound=REACH * found.spacing, workers=2)[0]
         parts += _chosen(found.mesh, np.isfinite(near) | space.at(middles, space.possible).astype(np.bool_))
-    lids = belief.surface_about(space, believed & ~_ahead_of(found.cloud, space, believed))
+    lids = belief.surface_about(space, believed & ~_ahead_of(found.cloud, tree, space, believed))
     parts += _chosen(lids, ~_looks_alike(lids, parts[0], _BESIDE * space.edge)) if parts else [lids]
     vertices, faces, _ = joined([(each.vertices, each.faces) for each in parts])
     return TriangleMesh(vertices, faces.astype(np.int32))
@@ -84,12 +84,14 @@ def _thinned(scans: Sequence[ExecutedScan], apart: float) -> tuple[list[ScanClou
     return clouds, apart
 
 
-def _ahead_of(cloud: PointCloud, space: VoxelSpace, believed: Bools) -> Bools:
-    """(X, Y, Z) the believed voxels before the surface of a cloud and where it is continued; not one that was hit."""
+def _ahead_of(cloud: PointCloud, tree: cKDTree, space: VoxelSpace, believed: Bools) -> Bools:
+    """(X, Y, Z) the believed voxels before the surface of a cloud and where it is continued; not one that was hit.
+
+    `tree` is of its points.
+    """
     doubtful = believed & (space.state == UNKNOWN)
     centres = space.centres(doubtful)
-    tree, farthest = cKDTree(cloud.points), _ONWARD * space.edge
-    nearest, at = map(np.asarray, tree.query(centres, distance_upper_bound=farthest, workers=2))
+    nearest, at = map(np.asarray, tree.query(centres, distance_upper_bound=_ONWARD * space.edge, workers=2))
     near = np.isfinite(nearest)
     legs, normals = centres[near] - cloud.points[at[near]], cloud.normals[at[near]]
     ahead, of_near = np.zeros(doubtful.shape, dtype=np.bool_), np.zeros(len(near), dtype=np.bool_)

@@ -70,7 +70,7 @@ def stepwise(options: ExploreOptions, so: So) -> Sequence[Batch]:
     if so.stages == 0:
         return (Batch(_within(so, options.ring or _FEW)),)
     surfaces = (MEASURED, BELIEVED) if so.on == MEASURED else (BELIEVED, MEASURED)
-    return [Batch(_within(so, options.batch), per_second=True, on=on, worth=_WORTH[on]) for on in surfaces]
+    return tuple(Batch(_within(so, options.batch), per_second=True, on=on, worth=_WORTH[on]) for on in surfaces)
 
 
 def two_stage(options: ExploreOptions, so: So) -> Sequence[Batch]:

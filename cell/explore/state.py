@@ -36,10 +36,17 @@ from planner.values import Bools
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known: the space about the part, and what became of what was open."""
+    """What is known.
+
+    Attributes:
+        space: about the part.
+        record: what became of what was open.
+        scans: all of them, in driving order.
+    """
 
     space: VoxelSpace
     record: Record
+    scans: tuple[ExecutedScan, ...] = ()
 
     @cached_property
     def solid(self) -> Bools:
@@ -137,7 +144,7 @@ class Paths:
         )  # fmt: skip
 
     def known(self, number: int, unknown: VoxelSpace) -> Known:
-        """What was known after a stage; `unknown` is before the first.
+        """What was known after a stage, without the scans; `unknown` is before the first.
 
         Raises:
             FileError: if it is missing or damaged.

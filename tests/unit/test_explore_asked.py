@@ -244,13 +244,12 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
 
     The least gain holds for both, but for the first batch, of which nothing is known.
     """
-    scans = [SimpleNamespace(T_reported=T) for T in _poses()]
-    monkeypatch.setattr(explore, "scans_of", lambda paths, stages: scans[: len(stages)])
+    scans = [SimpleNamespace(T_reported=T) for T in _poses()[:2]]
     monkeypatch.setattr(explore, "continued", lambda scans, space, solid: balls)
     monkeypatch.setattr(explore, "_stage", lambda work, asked, number, part: (asked, number, part))
     (tmp_path / "stages").mkdir()
     work: Any = SimpleNamespace(paths=Paths(tmp_path), options=SimpleNamespace(least_gain=0.25), name="balls")
-    known: Any = SimpleNamespace(space=UNKNOWN, record=Record.empty(), solid=None, believed=balls)
+    known: Any = SimpleNamespace(space=UNKNOWN, record=Record.empty(), scans=scans, solid=None, believed=balls)
     told = {"expected_mm2": 1.0, "new_mm2": 3.0, "measured_mm2": 7.0, "too_near_mm2": 0.4, "planned_on": BELIEVED}
     told["views"] = 1
     stages = [SimpleNamespace(**told)] * 2
@@ -297,10 +296,10 @@ def test_what_stays_open_is_of_all_that_the_part_may_be(tmp_path: Path, monkeypa
 
     def stage(work: Any, asked: Any, number: int, part: Any) -> None:
         work.paths.unseen(number).touch()
-        whole = belief.surface_of(space, whole=True)
+        whole = belief.surface_about(space, space.believed(whole=True))
         assert asked.batch == Batch(0)
         assert np.array_equal(part.reference.vertices, whole.vertices)
-        assert whole.areas.sum() > 2 * belief.surface_of(space).areas.sum()
+        assert whole.areas.sum() > 2 * belief.surface_about(space, space.believed()).areas.sum()
         raise EnoughError("", told)  # type: ignore[arg-type]
 
     monkeypatch.setattr(explore, "_stage", stage)
@@ -312,11 +311,11 @@ def test_what_stays_open_is_of_all_that_the_part_may_be(tmp_path: Path, monkeypa
 
 def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """There is no further view then, and no file."""
-    monkeypatch.setattr(explore, "scans_of", lambda paths, stages: ())
     monkeypatch.setattr(explore, "continued", lambda scans, space, solid: None)
     work: Any = SimpleNamespace(paths=Paths(tmp_path))
+    known: Any = SimpleNamespace(space=UNKNOWN, scans=(), solid=None)
     with pytest.raises(EnoughError, match="describe no surface"):
-        explore._on_measured(work, SimpleNamespace(stages=[None]), SimpleNamespace(space=UNKNOWN, solid=None), Batch(1))
+        explore._on_measured(work, SimpleNamespace(stages=[None]), known, Batch(1))
     assert list(tmp_path.iterdir()) == []
 
 

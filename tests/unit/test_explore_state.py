@@ -166,8 +166,8 @@ def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_
     assert policy(ExploreOptions(ring=4), So(0, 2)) == (Batch(2),)
     believed = Batch(3, per_second=True, on=BELIEVED, worth=2.0)
     measured = Batch(3, per_second=True, on=MEASURED, worth=0.6)
-    assert policy(ExploreOptions(batch=3), So(1, 9)) == [believed, measured]
-    assert policy(ExploreOptions(batch=3), So(7, 9, on=MEASURED)) == [measured, believed]
+    assert policy(ExploreOptions(batch=3), So(1, 9)) == (believed, measured)
+    assert policy(ExploreOptions(batch=3), So(7, 9, on=MEASURED)) == (measured, believed)
 
 
 def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
@@ -251,7 +251,7 @@ def test_what_the_part_is_believed_to_fill_is_the_spaces() -> None:
     known = Known(space, Record.empty())
     assert not np.array_equal(space.believed(), space.possible)
     assert np.array_equal(known.solid, space.believed())
-    assert np.array_equal(known.believed.vertices, belief.surface_of(space).vertices)
+    assert np.array_equal(known.believed.vertices, belief.surface_about(space, space.believed()).vertices)
 
 
 def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
@@ -285,7 +285,7 @@ def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -
 
 def test_nothing_that_can_be_reached_has_the_exit_code_of_that() -> None:
     """Where not even a first view can be planned."""
-    given: Any = (None, SimpleNamespace(stages=()), "the arm reaches no view", ())
+    given: Any = (None, SimpleNamespace(stages=()), (), "the arm reaches no view", ())
     with pytest.raises(UnreachableError, match="nothing can be explored here: the arm reaches no view") as told:
         _finished(*given)
     assert told.value.exit_code == 4

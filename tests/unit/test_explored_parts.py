@@ -167,14 +167,15 @@ def test_a_believed_surface_is_closed_before_and_after() -> None:
     """Marching cubes about voxels within the grid: each edge has two faces, of tight and of rough surfaces."""
     unknown = VoxelSpace.of_cylinder(RADIUS, HEIGHT, EDGE, SPACING)
     for space in (unknown, _explored("ring")):
-        for mesh in (belief.surface_of(space), belief.rough(space)):
+        for mesh in (belief.surface_about(space, space.believed()), belief.rough(space)):
             assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
 
 
 @pytest.mark.parametrize("name", ["ring", "closed box"])
 def test_a_believed_surface_needs_no_repair(name: str) -> None:
     """The checks that a mesh of a file goes through find nothing to turn or drop in it, cavities included."""
-    surface = belief.surface_of(_explored(name))
+    space = _explored(name)
+    surface = belief.surface_about(space, space.believed())
     checked = workpiece.from_arrays(name, surface.vertices, surface.faces, "m").reference
     volumes = [trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume for mesh in (surface, checked)]
     assert volumes[0] > 0
