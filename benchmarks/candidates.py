@@ -33,12 +33,13 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
 from planner import cover
 from planner.cover import Cover
+from planner.geometry.decimation import decimate
+from planner.geometry.sampling import sample
+from planner.kinematics import reach
+from planner.kinematics.reach import Reach, join_reach
 from planner.measurability import coverage
-from planner.measurability.matrix import Measurability, fill, measured, occlude
-from planner.reach import reach
-from planner.reach.reach import Reach, join_reach
-from planner.surface.decimate import decimate
-from planner.surface.sample import sample
+from planner.measurability.matrix import Measurability
+from planner.measurability.visibility import fill, measured, occlude
 from planner.viewpoints import growth
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints

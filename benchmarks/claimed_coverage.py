@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner import cover
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability
 from planner.ports import RayCaster, Scanner
-from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.viewpoints import Viewpoints
 
 

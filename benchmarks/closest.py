@@ -12,9 +12,9 @@ import numpy as np
 
 from cell.part.workpiece import load
 from cell.reconstruction.deviation import area_samples
-from planner.surface.closest import NearestSurface
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.closest import NearestSurface
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 FACES = (5_000, 20_000, 80_000, None)

@@ -133,9 +133,9 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     from cell.scanners.laser_area import LaserArea
     from cell.scene.resolve import resolve
     from cell.scene.scene_file import load_scene
-    from planner.measurability.matrix import fill
-    from planner.surface.decimate import decimate
-    from planner.surface.sample import sample
+    from planner.geometry.decimation import decimate
+    from planner.geometry.sampling import sample
+    from planner.measurability.visibility import fill
 
     tables = {"part": {"name": part}, "placement": {"position_mm": [1200.0, 500.0, 0.0]}, "plan": {"rolls_deg": [0.0]}}
     scene = load_scene(None, tables)

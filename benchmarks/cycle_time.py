@@ -9,7 +9,7 @@ order and connect the same cover, with certified paths and jerk-limited moves, b
   long as the scene's cover has as many views as it had then, which stand beside them;
 - RoboTSP: a tour through the scanner's positions, best joint solutions along it by dynamic programming (Suarez-Ruiz,
   Lembono and Pham 2018, doi:10.1109/ICRA.2018.8460581). Its tour is given 10,000 steps of our own search;
-- now: today's ordering after the exchange of views (`planner.order.equivalent_views`), as `cell plan` runs it.
+- now: today's ordering after the exchange of views (`planner.tour.equivalent_views`), as `cell plan` runs it.
 
 The bounds are on straight moves: before's on the cover's own views, now's on all views that may stand in at the end.
 
@@ -28,14 +28,14 @@ from cell.rays.occluders import caster_of, occluder_triangles
 from cell.scene.scene import Scene
 from cell.study.bench import Bench
 from planner import cover
-from planner.measurability.matrix import Measurability, occlude
-from planner.order import equivalent_views, generalised_tsp
-from planner.order import orderings as order
-from planner.order.moves import Moves
-from planner.order.tour import Tour, plan_motion
-from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget
-from planner.order.visits import Visits
-from planner.reach import reach
+from planner.kinematics import reach
+from planner.measurability.matrix import Measurability
+from planner.measurability.visibility import occlude
+from planner.tour import equivalent_views, generalised_tsp
+from planner.tour import orderings as order
+from planner.tour.tour import Tour, plan_motion
+from planner.tour.tour_search import DEFAULT_BUDGET, MotionBudget
+from planner.tour.visits import Moves, Visits
 
 BEFORE_S = (
     (10, 8.690), (10, 10.254), (27, 22.021), (9, 15.411), (10, 11.494), (9, 7.660), (13, 11.782), (11, 11.627),
@@ -141,7 +141,7 @@ def _covered(number: int) -> tuple[Bench, reach.Reach, Measurability, cover.Cove
 
 
 def task_space(moves: Moves, T_base_scanner: Any, rng: np.random.Generator, **arguments: Any) -> order.Sequence:
-    """RoboTSP's ordering, with the signature of `planner.order.orderings.sequence`."""
+    """RoboTSP's ordering, with the signature of `planner.tour.orderings.sequence`."""
     positions = np.concatenate((arguments["T_base_home"][None, :3, 3], T_base_scanner[:, :3, 3]))
     lengths = np.linalg.norm(positions[:, None] - positions, axis=2)
     problem = generalised_tsp.instance(lengths, np.arange(len(positions) + 1))

@@ -22,8 +22,8 @@ from cell.errors import CellError
 from cell.run import reader as run_reader
 from cell.run.cell import read_cell
 from cell.run.record import open_run
+from planner.geometry.sampling import sample
 from planner.measurability import coverage
-from planner.surface.sample import sample
 from planner.values import Floats, Ints32
 
 LIMIT_MM = 1.5

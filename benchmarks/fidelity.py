@@ -34,8 +34,8 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from cell.world.triangle_distance import BOX
 from cell.world.triangles import TriangleTree
-from planner.reach import reach
-from planner.surface.decimate import decimate
+from planner.geometry.decimation import decimate
+from planner.kinematics import reach
 from planner.values import Floats
 
 FIDELITIES = ("hull", "exact")

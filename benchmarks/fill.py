@@ -26,15 +26,15 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
 from cell.scene.scene_file import load_scene
+from planner.geometry.closest import closest_face
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples, face_features, sample
 from planner.measurability import coverage
-from planner.measurability.matrix import Measurability, fill
+from planner.measurability.matrix import Measurability
+from planner.measurability.visibility import fill
 from planner.ports import RayCaster
-from planner.surface.closest import closest_face
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, face_features, sample
-from planner.viewpoints.viewpoints import Viewpoints
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 RESOLUTIONS_DEG = (4.0, 2.0, 1.0, 0.5)
 SAMPLES_PER_FACE = (1, 2, 4, 8)

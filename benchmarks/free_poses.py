@@ -1,7 +1,7 @@
 """What the robot could measure at all: a free search over poses for each of 10^5 samples, beside the generators.
 
 The oracle of `plan.candidates = "grown"`. Every held-out sample is asked about for itself: poses are drawn over all six
-degrees of freedom (`planner.viewpoints.pointwise`), 2,048 for each sample that none measures, and count where the law
+degrees of freedom (`pose_sampling`), 2,048 for each sample that none measures, and count where the law
 holds, both legs are free of part and occluders, and the arm takes the pose up without collision. A pose that measures
 one sample is asked about the others, so that those need no search of their own. The samples, the order and the poses
 are other than those that candidates are grown with, and no pose is carried over from a neighbour.
@@ -19,13 +19,13 @@ import numpy as np
 from benchmarks.candidates import Bench, parts
 from cell.plan import candidates as generators
 from cell.scene.scene_file import load_scene
+from planner.geometry.sampling import sample
 from planner.measurability import coverage
-from planner.surface.sample import sample
 from planner.values import Bools
 from planner.viewpoints import growth
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.pointwise import drawn, frustum
+from planner.viewpoints.pose_sampling import drawn, frustum
 
 _LIMIT_DEG = 75.0
 _STRETCHES = ((0, 32), (32, 128), (128, 512), (512, 2048))

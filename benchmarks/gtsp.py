@@ -23,9 +23,9 @@ from cell.rays.occluders import caster_of, occluder_triangles
 from cell.scene.scene import Scene
 from cell.study.bench import Bench, placed_at
 from planner import cover
-from planner.measurability.matrix import occlude
-from planner.order import equivalent_views, generalised_tsp, tour_bound
+from planner.measurability.visibility import occlude
 from planner.timing.move_time import move_time
+from planner.tour import bounds, equivalent_views, generalised_tsp
 
 STEPS = (500, 2_000, 10_000, 40_000)
 _SEEDS = 3
@@ -114,8 +114,8 @@ def _searched(
         seconds.append((process_time() - begin) / _SEEDS)
     best = min(min(c) for c in costs) if best is None else best
     begin = process_time()
-    quick = tour_bound.one_tree(problem.cost, problem.first)
-    strong = max(quick, tour_bound.by_walks(problem.cost, problem.first, min(min(c) for c in costs), _BOUND_WORK).value)
+    quick = bounds.one_tree(problem.cost, problem.first)
+    strong = max(quick, bounds.by_walks(problem.cost, problem.first, min(min(c) for c in costs), _BOUND_WORK).value)
     bound_seconds = process_time() - begin
     return [
         {
@@ -141,7 +141,7 @@ def _compile() -> None:
     begin = perf_counter()
     _, start = generalised_tsp.best_nodes(small, np.arange(1, 5))
     cost, _ = generalised_tsp.search(small, start, 0, 10)
-    tour_bound.by_walks(small.cost, small.first, cost, 10_000)
+    bounds.by_walks(small.cost, small.first, cost, 10_000)
     print(f"kernels loaded, or compiled where they were not yet, in {perf_counter() - begin:.1f} s")  # noqa: T201 - told once
 
 

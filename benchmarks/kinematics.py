@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cell.robot.kinematics import BRANCHES, Kr16Kinematics
-from planner.reach.setpoints import setpoints
+from planner.kinematics.setpoints import setpoints
 
 POSES = 100_000
 REPEATS = 7

@@ -30,7 +30,7 @@ from cell.reconstruction.surface_fit import Search, fit
 from cell.run import reader
 from cell.run.cell import RunCell, read_cell
 from cell.run.planned import PlannedRun
-from planner.surface.closest import NearestSurface
+from planner.geometry.closest import NearestSurface
 from planner.values import Floats
 
 _OFF_M, _OFF_DEG, _NOISE_M, _WITHIN_M = 0.02, 5.0, 3e-5, 1e-4

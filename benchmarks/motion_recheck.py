@@ -21,10 +21,10 @@ import numpy as np
 from benchmarks.seeded_scenes import SeededCell, usable
 from benchmarks.triangle_cell import TriangleCell
 from cell.world.clearance import of_motion
-from planner.order.tour import plan_motion
-from planner.order.visits import Visits
 from planner.ports import ARM_AXES
 from planner.timing.motion import Motion, jerk_free_duration, retime
+from planner.tour.tour import plan_motion
+from planner.tour.visits import Visits
 from planner.values import Floats
 
 _STEP = 1e-3  # s

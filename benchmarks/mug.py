@@ -17,12 +17,13 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
 from planner import cover
+from planner.geometry.closest import closest_face
+from planner.geometry.decimation import decimate
+from planner.geometry.sampling import face_features, sample
 from planner.measurability import coverage
-from planner.measurability.matrix import Measurability, fill
-from planner.surface.closest import closest_face
-from planner.surface.decimate import decimate
-from planner.surface.sample import face_features, sample
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.measurability.matrix import Measurability
+from planner.measurability.visibility import fill
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 RESOLUTIONS_DEG = (4.0, 2.0, 1.0, 0.5, 0.25, 0.2)
 STANDOFF = 0.3

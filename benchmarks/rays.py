@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.rays.embree import HAIR, EmbreeRayCaster
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 RAYS = int(os.environ.get("SCAN_CELL_RAYS", "1000000"))
@@ -37,10 +37,10 @@ from cell.scene.resolve import resolve
 from cell.scanners.laser_area import LaserArea
 from cell.scene.scene_file import load_scene
 from cell.part.workpiece import load
-from planner.measurability import matrix
-from planner.surface.decimate import decimate
-from planner.surface.sample import sample
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.measurability import visibility
+from planner.geometry.decimation import decimate
+from planner.geometry.sampling import sample
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 faces, per_face = int(sys.argv[1]), int(sys.argv[2])
 part = load("mseke")
@@ -59,7 +59,7 @@ best = None
 for _ in range(int(sys.argv[3])):
     passed[0] = 0
     start = time.perf_counter()
-    M = matrix.fill(views, features, scanner, caster)
+    M = visibility.fill(views, features, scanner, caster)
     seconds = time.perf_counter() - start
     best = min(best, seconds) if best else seconds
 
@@ -75,7 +75,7 @@ class Timed:
 caster._scene = timed = Timed(caster._scene)
 caster._workers = 1  # one thread, so that Embree's seconds and those of the whole can be divided
 start = time.perf_counter()
-matrix.fill(views, features, scanner, caster)
+visibility.fill(views, features, scanner, caster)
 alone = time.perf_counter() - start
 print(json.dumps({
     "what": f"fill {len(planning.faces)} x {len(views)}, {per_face} per face",

@@ -23,8 +23,8 @@ from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
 from cell.reconstruction.deviation import Deviation, deviation
 from cell.reconstruction.reconstruct import REACH, reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
-from planner.surface.closest import NearestSurface
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.closest import NearestSurface
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 GRIDS = (0.8, 1.25, 2.0, 3.0, 5.0)

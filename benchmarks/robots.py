@@ -30,7 +30,7 @@ from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
 from cell.robot.robot_file import RobotFile
 from cell.world.gap import mesh_of
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 _DRAWS = 10

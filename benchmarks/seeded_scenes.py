@@ -18,12 +18,11 @@ from cell.part.workpiece import Workpiece
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from planner.reach import reach
-from planner.reach.reach import Reach
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.viewpoints.viewpoints import Viewpoints
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.kinematics import reach
+from planner.kinematics.reach import Reach
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 PARTS = ("mseke", "mug", "robinet", "petanque", "humerus", "st-jean")
 

@@ -27,7 +27,7 @@ from cell.setups.fewest import Rows, fewest_setups
 from cell.setups.joint import JointCover, joint_cover
 from planner import cover
 from planner.cover import Problem
-from planner.surface.sample import pick_samples
+from planner.geometry.sampling import pick_samples
 from planner.values import Floats
 from planner.viewpoints.attainable import ASKED, attainable
 from planner.viewpoints.growth import Arm

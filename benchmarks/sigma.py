@@ -19,12 +19,12 @@ from cell.scan.pose_error import Disturbance
 from cell.scanners.laser_area import LaserArea
 from cell.scene.resolve import resolve
 from cell.scene.scene_file import load_scene
-from planner.measurability.matrix import fill
+from planner.geometry.decimation import decimate
+from planner.geometry.sampling import sample
 from planner.measurability.quality import sigma_layer
-from planner.surface.decimate import decimate
-from planner.surface.sample import sample
+from planner.measurability.visibility import fill
 from planner.values import Floats
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 PARTS = ("mseke", "mug", "humerus")
 VIEWS = 5

@@ -14,7 +14,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from cell.world.model import World
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Ints
 
 _SIDES = 96

@@ -8,7 +8,7 @@ from cell.rays.prediction import held_out
 from cell.run.cell import read_cell
 from cell.run.planned import open_run
 from cell.setups.contact import touching
-from planner.measurability.matrix import measured
+from planner.measurability.visibility import measured
 from planner.values import Bools
 
 

@@ -20,8 +20,8 @@ from cell.scanners import baseline_mm
 from cell.scene.resolve import Settings
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
+from planner.kinematics import reach
 from planner.ports import CollisionChecker, Kinematics, Scanner
-from planner.reach import reach
 from planner.timing.move_time import move_time
 from planner.values import Bools, Floats
 from planner.viewpoints.viewpoints import standing_at

@@ -29,17 +29,16 @@ from cell.scan.options import ScanOptions
 from cell.scene.options import scene_of
 from cell.scene.resolve import Settings, resolve
 from planner.explore.space import FREE, VoxelSpace
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples, sample
 from planner.measurability.coverage import added
-from planner.measurability.matrix import measured
+from planner.measurability.visibility import measured
 from planner.ports import RayCaster, Scanner
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, sample
 from planner.values import Bools, Floats
 from planner.viewpoints import growth
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.viewpoints import looking_at
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.viewpoints.viewpoints import looking_at, optimal_scanning_zone
 
 CLEARANCE = 0.01
 """Distance [m] of laser source and sensor from all that was not seen free."""

@@ -18,13 +18,13 @@ from cell.explore.too_near import BeyondNear, keep_off, too_near
 from cell.rays.embree import EmbreeRayCaster
 from planner.explore.gain import Record, most_per_second
 from planner.explore.space import VoxelSpace
-from planner.measurability.matrix import measured
+from planner.geometry.decimation import decimate
+from planner.geometry.sampling import SurfaceSamples, pick_samples, sample
+from planner.measurability.visibility import measured
 from planner.ports import RayCaster
-from planner.surface.decimate import decimate
-from planner.surface.sample import SurfaceSamples, pick_samples, sample
 from planner.values import Floats
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.refine import better
+from planner.viewpoints.refinement import better
 
 
 class _Ours:

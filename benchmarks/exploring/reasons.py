@@ -23,11 +23,11 @@ from cell.run.cell import RunCell, read_cell, world_of
 from cell.run.explore_json import ExploreFile
 from cell.run.record import open_finished
 from cell.world.collision import MujocoCollisionChecker
-from planner.measurability.matrix import measured
-from planner.reach import reach
-from planner.surface.closest import NearestSurface
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
+from planner.geometry.closest import NearestSurface
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
+from planner.kinematics import reach
+from planner.measurability.visibility import measured
 from planner.values import Bools, Floats
 from planner.why.reasons import Reason
 

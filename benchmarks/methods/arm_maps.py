@@ -17,10 +17,10 @@ from cell.robot.kinematics import STRETCH_TOLERANCE, Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
+from planner.kinematics.reach import Verdict
+from planner.kinematics.setpoints import STEPS_PER_DEGREE, setpoints
 from planner.path.certified_edge import certify, quantise
 from planner.path.path import connect
-from planner.reach.reach import Verdict
-from planner.reach.setpoints import STEPS_PER_DEGREE, setpoints
 from planner.values import Floats
 
 _HALF_STEP = np.radians(0.5 / STEPS_PER_DEGREE)

@@ -25,12 +25,12 @@ from cell.study.bench import Bench
 from cell.study.scenes import bench_of
 from planner import cover
 from planner.errors import PlannerError
+from planner.geometry.closest import NearestSurface
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
 from planner.measurability import coverage
-from planner.measurability.matrix import fill, measured
-from planner.surface.closest import NearestSurface
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
+from planner.measurability.visibility import fill, measured
 from planner.viewpoints.viewpoints import Viewpoints
 
 FINEST = 4

@@ -23,15 +23,14 @@ from cell.scanners.laser_area import LaserArea
 from cell.scene import doubts
 from planner import cover
 from planner.cover import CoverStatus
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples, sample
 from planner.measurability import coverage
-from planner.measurability.matrix import fill, measured
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, sample
+from planner.measurability.visibility import fill, measured
 from planner.values import Floats
 from planner.viewpoints.lines_of_sight import Targets, in_view
-from planner.viewpoints.viewpoints import Viewpoints
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 _FACES, _VIEWS = 400, 40  # of the part that is asked about in float64, and about as many views
 _AWAY = np.array([0.8, -0.5, 0.33])  # direction of an offset

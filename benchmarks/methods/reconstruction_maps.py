@@ -17,8 +17,8 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.reconstruct import Reconstruction, reconstruct
-from planner.surface.closest import NearestSurface
-from planner.surface.sample import sample
+from planner.geometry.closest import NearestSurface
+from planner.geometry.sampling import sample
 from planner.values import Floats
 
 _FINEST_DEG = 1.0

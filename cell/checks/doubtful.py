@@ -17,7 +17,7 @@ from cell.rays.occluders import floor_square
 from cell.robot import told
 from cell.scene.fixtures import MeshFixture
 from cell.world.model import World
-from planner.surface.mesh import joined
+from planner.geometry.mesh import joined
 from planner.values import Floats
 
 TOUCHING = 1e-3

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from cell.part.mesh_checks import encloses
 from cell.rays.embree import EmbreeRayCaster
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Ints
 
 FLUSH = 1e-4

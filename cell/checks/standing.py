@@ -6,7 +6,7 @@ from cell.checks.solid import Solid
 from cell.rays.occluders import post, shape_triangles
 from cell.robot.model import bodies
 from cell.world.model import World
-from planner.surface.mesh import joined
+from planner.geometry.mesh import joined
 
 _SIDES = 192  # of a prism around a cylinder: its corners stand off by 0.04 mm at a radius of 300 mm
 OWN = ("post", "pedestal", "floor")

@@ -22,9 +22,9 @@ from cell.rays.prediction import held_out
 from cell.run import reader
 from cell.run.cell import RunCell, read_cell
 from cell.view.looking import write
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability import coverage
-from planner.measurability.matrix import measured
-from planner.surface.sample import SurfaceSamples
+from planner.measurability.visibility import measured
 from planner.values import Bools, Floats
 
 SAME_MM, SAME_DEG = 0.01, 0.01

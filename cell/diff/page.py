@@ -19,8 +19,8 @@ from cell.view.page import Play, Shown, Stage, View, html_of
 from cell.view.palette import BLUE, GREEN, GREY, MEASURED, VERMILION
 from cell.view.pieces import Cell, beside, cell_of_run
 from cell.view.surface import canvas_of, sides
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
 from planner.values import Bools
 
 _NAMES = (("measured by both", MEASURED), ("by neither", GREY), ("lost: by A alone", VERMILION),

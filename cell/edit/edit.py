@@ -36,8 +36,8 @@ from cell.scene.plan_settings import PlanSettings
 from cell.scene.posed import pose
 from cell.scene.scene import Scene
 from planner.cover import CoverStatus
+from planner.kinematics.reach import Reach, Verdict, join_reach
 from planner.ports import ARM_AXES
-from planner.reach.reach import Reach, Verdict, join_reach
 from planner.values import Floats
 
 _ROUNDING = 1e-9  # of shares that were summed in another order

@@ -17,8 +17,8 @@ from cell.plan import steps
 from cell.plan.steps import Cell, Job, Measured, Run
 from cell.rays.matrix import PartSurface
 from cell.run.planned import PlannedRun
-from planner.measurability.candidate_columns import spread_measurability
-from planner.reach.reach import Reach, Verdict
+from planner.kinematics.reach import Reach, Verdict
+from planner.measurability.matrix import spread_measurability
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 

@@ -16,9 +16,9 @@ import numpy as np
 from cell.explore.policies import Batch
 from planner.explore.gain import Record, came
 from planner.explore.space import VoxelSpace
-from planner.measurability.matrix import measured
+from planner.geometry.sampling import SurfaceSamples, pick_samples
+from planner.measurability.visibility import measured
 from planner.ports import RayCaster, Scanner
-from planner.surface.sample import SurfaceSamples, pick_samples
 from planner.values import Floats, Value
 
 

@@ -18,7 +18,7 @@ from cell.run.explore_json import UNSEEN
 from cell.scene.fixtures import MeshFixture
 from cell.scene.scene import Scene
 from planner.explore.space import FREE, VoxelSpace
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Bools, Floats
 
 _TIGHT, _SMOOTH = 0.75, 0.7  # of an edge: the believed surface's distance, and how far the distances are smoothed

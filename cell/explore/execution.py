@@ -15,7 +15,7 @@ from cell.scan.executed_scans import usable
 from cell.scan.options import ScanOptions
 from cell.scan.safety import Ask
 from cell.scan.work import Work
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.timing.motion import Motion
 
 

@@ -7,7 +7,7 @@ from cell.run import ply
 from cell.run.explore_json import ExploreFile
 from cell.run.planned import PlannedRun, open_run
 from cell.run.record import file_bytes
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 
 @dataclass(frozen=True, slots=True)

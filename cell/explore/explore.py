@@ -34,7 +34,7 @@ from cell.scan.safety import EVERY, Ask
 from cell.scene.scene import Scene
 from planner.explore.gain import LATEST, came
 from planner.explore.space import OCCUPIED, VoxelSpace
-from planner.surface.sample import SurfaceSamples, pick_samples
+from planner.geometry.sampling import SurfaceSamples, pick_samples
 from planner.values import Bools, Floats
 
 _FILES = "files:"

@@ -11,7 +11,7 @@ import numpy as np
 from cell.part.workpiece import Workpiece
 from cell.scene.fixtures import CylinderFixture
 from cell.scene.scene import Scene
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 WIDER = 1.05

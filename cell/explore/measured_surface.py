@@ -18,7 +18,7 @@ from cell.reconstruction.reconstruct import REACH, ReconstructionStatus, reconst
 from cell.run.executions import ExecutedScan
 from planner.explore.cubes import first_in_cubes
 from planner.explore.space import UNKNOWN, VoxelSpace
-from planner.surface.mesh import TriangleMesh, joined
+from planner.geometry.mesh import TriangleMesh, joined
 from planner.values import Bools
 
 _ONWARD = 4.0

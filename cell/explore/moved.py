@@ -1,4 +1,4 @@
-"""Candidates moved to where they measure more of what is open (`planner.viewpoints.refine`).
+"""Candidates moved to where they measure more of what is open (`planner.viewpoints.refinement`).
 
 A candidate looks at one patch of what is open, along its normal or however the arm gets there. The view that measures
 most of several is searched for from the best of them: what a view adds grows by a tenth to a quarter. Each is moved as
@@ -11,7 +11,7 @@ from cell.plan.problem import Problem
 from cell.plan.refined import Append
 from planner.values import Ints
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.refine import better
+from planner.viewpoints.refinement import better
 from planner.viewpoints.viewpoints import pick_viewpoints, standing_at
 
 

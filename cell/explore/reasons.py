@@ -8,9 +8,9 @@ import numpy as np
 
 from cell.run.explore_json import OpenReason
 from planner.explore.gain import Open
+from planner.geometry.sampling import SurfaceSamples
+from planner.kinematics.reach import Reach
 from planner.ports import RayCaster, Scanner
-from planner.reach.reach import Reach
-from planner.surface.sample import SurfaceSamples
 from planner.values import Ints, Value
 from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.viewpoints import Viewpoints

@@ -9,7 +9,7 @@ from cell.run.executions import ExecutedScan
 from cell.run.explore_json import ExploreFile, Truth
 from cell.view import coverage_curve, explore_page
 from cell.view.contents import NAME as PAGE
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 MODEL, REPORT, PICTURE = "model.ply", "report.md", "curve.png"

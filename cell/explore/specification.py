@@ -12,10 +12,10 @@ from cell.plan.candidates import limited
 from cell.rays.embree import EmbreeRayCaster
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
-from planner.measurability.matrix import measured
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
+from planner.measurability.visibility import measured
 from planner.ports import Scanner
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
 from planner.values import Floats
 
 _SAMPLES = 10_000

@@ -35,14 +35,13 @@ from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
 from cell.scene.scene import Scene
 from planner.explore.gain import most_per_second
-from planner.measurability.candidate_columns import spread_measurability
-from planner.order.tour_search import DEFAULT_BUDGET
+from planner.geometry.decimation import clustered, decimate
+from planner.geometry.sampling import SurfaceSamples, pick_samples, sample
+from planner.kinematics.reach import Reach, join_reach
+from planner.measurability.matrix import spread_measurability
 from planner.path.path import CHECKS
 from planner.ports import RayCaster, Scanner
-from planner.reach.reach import Reach, join_reach
-from planner.surface.cluster import clustered
-from planner.surface.decimate import decimate
-from planner.surface.sample import SurfaceSamples, pick_samples, sample
+from planner.tour.tour_search import DEFAULT_BUDGET
 from planner.values import Ints
 from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints

@@ -30,7 +30,7 @@ from cell.run.folder import json_text
 from cell.run.record import npz, open_finished, understood
 from planner.explore.gain import Record
 from planner.explore.space import VoxelSpace
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Bools
 
 

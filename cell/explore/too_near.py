@@ -16,8 +16,8 @@ from cell.explore.prepare import Eye
 from cell.rays.embree import EmbreeRayCaster
 from planner.explore.gain import LATEST
 from planner.explore.space import VoxelSpace
+from planner.geometry.sampling import SurfaceSamples
 from planner.ports import Hits, RayCaster
-from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats
 
 _MOST = 0.5

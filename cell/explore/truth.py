@@ -31,7 +31,8 @@ from cell.world.collision import MujocoCollisionChecker
 from planner.cover.problem import Problem
 from planner.cover.selection import solve
 from planner.measurability.coverage import added
-from planner.measurability.matrix import Measurability, measured
+from planner.measurability.matrix import Measurability
+from planner.measurability.visibility import measured
 
 FOLDER = "truth"
 _FEWEST = 12  # stream of randomness of its own, beside those of `cell.explore.stage`

@@ -26,9 +26,9 @@ from cell.proof.proof import prove
 from cell.robot.arm import kinematics_of
 from cell.robot.kinematics import Kr16Kinematics
 from cell.run import reader as run_reader
-from planner.path.sweeps.line import rotation_vectors
+from planner.kinematics.setpoints import STEPS_PER_DEGREE, to_steps
+from planner.path.sweep_line import rotation_vectors
 from planner.ports import ARM_AXES, JointLimits, Kinematics
-from planner.reach.setpoints import STEPS_PER_DEGREE, to_steps
 from planner.timing.motion import Motion
 from planner.values import Floats, Value
 
@@ -236,7 +236,7 @@ def angles_deg(q: Floats) -> list[float]:
 def _sweep(motion: Motion, number: int, T_base_tcp: Floats) -> Sweep:
     """The line of a sweep, its speed told by the times at which its poses are passed.
 
-    The ramps take half a step each, four fifths of it to rise and one to ease (`planner.path.sweeps.line`): a speed of
+    The ramps take half a step each, four fifths of it to rise and one to ease (`planner.path.sweep_line`): a speed of
     a step in the time d needs the acceleration step / (0.8 d^2).
     """
     own = np.flatnonzero(motion.line == number)

@@ -21,7 +21,7 @@ from cell.run.planned import PlannedRun
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
 from planner.errors import PlannerError
-from planner.surface.closest import NearestSurface
+from planner.geometry.closest import NearestSurface
 from planner.values import Floats
 
 _TURNS = (0.3, 1.1, 2.0)  # rad; a part that is the same after these turns about an axis is one of revolution

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import numpy as np
 
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Ints32, Value
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.surface.mesh import joined
+from planner.geometry.mesh import joined
 from planner.values import Floats, Ints
 
 Table = Mapping[str, Any]

@@ -10,7 +10,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.surface.mesh import cross_products, crossed, lengths
+from planner.geometry.mesh import cross_products, crossed, lengths
 from planner.values import Floats, Ints
 
 

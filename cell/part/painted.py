@@ -11,7 +11,7 @@ from cell.errors import FileError
 from cell.part import step
 from cell.part.formats import STEP
 from cell.part.mesh_files import read_bytes
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Bools, Floats
 
 TOLERANCE = 32

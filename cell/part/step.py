@@ -18,7 +18,7 @@ from cell.errors import FileError
 from cell.part import glb
 from cell.part.cad import CadFace, CadModel, SurfaceKind
 from cell.part.mesh_checks import Finding, Kind, Severity, bodies, collapsed, double_areas, neighbours
-from planner.surface.mesh import joined
+from planner.geometry.mesh import joined
 from planner.values import Floats, Ints
 
 DEVIATION_MM = 0.02

@@ -17,7 +17,7 @@ from cell.errors import FileError, UsageError
 from cell.part.cad import CadModel
 from cell.part.formats import STEP, units_of, wrong_units
 from cell.part.mesh_checks import Finding, Kind, Severity, repair
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Value, freeze
 
 __all__ = ["UNITS", "Finding", "Kind", "Severity", "Workpiece", "from_mesh", "load"]

@@ -13,10 +13,9 @@ from cell.plan.problem import Problem
 from cell.plan.refined import Append
 from cell.plan.steps import Cell, Job, Run
 from cell.rays.matrix import PartSurface
-from planner.measurability.candidate_columns import join_measurability
-from planner.measurability.matrix import Measurability
+from planner.kinematics.reach import join_reach
+from planner.measurability.matrix import Measurability, join_measurability
 from planner.ports import Progress, RayCaster, Scanner
-from planner.reach.reach import join_reach
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
 
 

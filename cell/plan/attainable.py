@@ -9,8 +9,8 @@ import numpy as np
 from cell.plan.candidates import arm_of
 from cell.plan.problem import Problem
 from cell.run.report_json import Attainable
+from planner.geometry.sampling import pick_samples
 from planner.measurability.coverage import Coverage
-from planner.surface.sample import pick_samples
 from planner.viewpoints.attainable import ASKED, attainable
 from planner.viewpoints.lines_of_sight import Targets
 

@@ -16,18 +16,16 @@ from cell.scene.regions import limited as with_limits
 from cell.scene.resolve import Settings
 from cell.scene.scene import Scene
 from cell.world.model import World
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
+from planner.kinematics import reach
 from planner.measurability import coverage
 from planner.ports import CollisionChecker, Kinematics, Progress, RayCaster, Scanner
-from planner.reach import reach
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats
 from planner.viewpoints import growth
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.sphere import view_sphere
-from planner.viewpoints.viewpoints import Viewpoints, standing_at
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone, standing_at, view_sphere
 
 GROWN = "grown"
 

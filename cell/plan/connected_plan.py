@@ -10,9 +10,9 @@ from cell.plan.request import Selected
 from planner.cover import Cover
 from planner.measurability.coverage import Coverage
 from planner.measurability.matrix import Measurability
-from planner.order.tour import Tour
-from planner.path.sweeps.path import SweepPath
+from planner.path.sweeps import SweepPath
 from planner.timing.motion import TimedLine
+from planner.tour.tour import Tour
 from planner.values import Bools, Floats, Ints, Value
 
 

@@ -10,8 +10,8 @@ from cell.run.folder import RunFolder
 from cell.run.report_json import Curve, Fewest
 from planner.cover import Problem
 from planner.cover.curve import CoverageCurve, coverage_curve
+from planner.kinematics.reach import Reach
 from planner.measurability.matrix import Measurability
-from planner.reach.reach import Reach
 
 ASKED = (0.9, 0.95, 0.98, 0.99, 0.995, 1.0)
 """Shares of the coverable area for which the fewest views are read off."""

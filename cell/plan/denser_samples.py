@@ -16,12 +16,11 @@ from cell.plan.request import AGAIN_WORK, LOOK_WORK, WORK, Selected
 from cell.plan.view_plan import first_choice
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
+from planner.geometry.sampling import SurfaceSamples, pick_samples, sample
 from planner.measurability import quality
-from planner.measurability.candidate_columns import spread_measurability
-from planner.measurability.matrix import Measurability, fill, measured, occlude
-from planner.measurability.sample_rows import add_rows
+from planner.measurability.matrix import Measurability, add_rows, spread_measurability
+from planner.measurability.visibility import fill, measured, occlude
 from planner.ports import SigmaScanner
-from planner.surface.sample import SurfaceSamples, pick_samples, sample
 from planner.values import Bools
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 

@@ -45,10 +45,10 @@ from cell.scene.scene import Scene
 from cell.world.clearance import MotionClearance
 from cell.world.files import write_mjcf
 from cell.world.model import World
+from planner.geometry.mesh import TriangleMesh
+from planner.kinematics.reach import Reach
 from planner.measurability.matrix import Measurability
 from planner.ports import ARM_AXES
-from planner.reach.reach import Reach
-from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion
 from planner.viewpoints.viewpoints import Viewpoints
 

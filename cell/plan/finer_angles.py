@@ -12,10 +12,10 @@ import numpy as np
 from cell.plan.problem import Problem
 from cell.plan.views import Groups
 from cell.rays.self_shading import OwnArm
-from planner.order.tour import Tour
+from planner.kinematics.rotary_table import ArmOnTable
+from planner.kinematics.setpoints import from_steps, setpoints, to_steps
 from planner.ports import ARM_AXES
-from planner.reach.rotary_table import ArmOnTable
-from planner.reach.setpoints import from_steps, setpoints, to_steps
+from planner.tour.tour import Tour
 from planner.values import Floats
 
 STEPS = (1 / 2, 1 / 4), (1 / 8, 1 / 16)

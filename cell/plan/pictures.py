@@ -12,8 +12,8 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from cell.view.palette import AXES, BETWEEN, BLUE, ORANGE, PURPLE, VERMILION
+from planner.kinematics.reach import Verdict
 from planner.ports import ARM_AXES, axis_name
-from planner.reach.reach import Verdict
 from planner.values import Floats
 
 _VERDICT_COLOURS = {

@@ -33,7 +33,7 @@ from cell.scene.part_regions import with_regions
 from cell.scene.region_limits import require_attainable
 from cell.scene.resolve import resolve
 from cell.scene.scene import Scene
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 log = logging.getLogger(__name__)
 

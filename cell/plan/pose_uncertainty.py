@@ -12,7 +12,9 @@ import numpy as np
 from cell.rays.prediction import Prediction
 from cell.run.plan_json import Promise, RobustSelection
 from cell.scene.plan_settings import PlanSettings
-from planner.measurability.matrix import Measurability, measured
+from planner.geometry.sampling import pick_samples
+from planner.kinematics.reach import Reach
+from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import (
     PoseError,
     ProbabilityLayer,
@@ -20,9 +22,8 @@ from planner.measurability.pose_ensemble import (
     probability_layer,
     times_measured,
 )
+from planner.measurability.visibility import measured
 from planner.ports import Progress, RayCaster, Scanner
-from planner.reach.reach import Reach
-from planner.surface.sample import pick_samples
 from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
 

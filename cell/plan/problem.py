@@ -11,9 +11,9 @@ from cell.plan.request import Request
 from cell.rays.prediction import Prediction
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
+from planner.kinematics.reach import Reach, with_solutions
 from planner.measurability.matrix import Measurability
 from planner.ports import JointLimits, Kinematics
-from planner.reach.reach import Reach, with_solutions
 from planner.values import Floats, Ints
 from planner.viewpoints.viewpoints import Viewpoints
 

@@ -1,4 +1,4 @@
-"""Fewer views by moving the chosen ones (`planner.viewpoints.refine`): poses that were no candidates become some.
+"""Fewer views by moving the chosen ones (`planner.viewpoints.refinement`): poses that were no candidates become some.
 
 The views that were chosen without it are where it begins, and what comes out has fewer of them and measures no less of
 the held-out samples; else nothing is changed. Views that moved are appended to candidates, reach and matrix, so that
@@ -19,7 +19,7 @@ from cell.plan.view_exchange import of_views
 from cell.plan.view_plan import first_choice
 from planner.cover import CoverStatus
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.refine import Standing, fewer
+from planner.viewpoints.refinement import Standing, fewer
 from planner.viewpoints.viewpoints import Viewpoints, standing_at
 
 BEYOND = 0.0005

@@ -13,8 +13,8 @@ from cell.rays.prediction import Prediction
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.regions import RegionWishes
 from planner.cover import Problem
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
-from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats, Ints
 
 _MOST_VIEWS = 2**31 - 1  # more than any plan has; a demand above is not a number of NumPy's any more

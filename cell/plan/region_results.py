@@ -6,9 +6,9 @@ from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.run.report_json import RegionResult
 from cell.scene.regions import RegionWishes
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import pick_samples
 from planner.measurability.quality import best_of_views
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import pick_samples
 from planner.values import Bools, Ints
 from planner.viewpoints.lines_of_sight import Targets
 from planner.why.reasons import OF_VERDICT, Reason

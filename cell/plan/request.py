@@ -20,12 +20,12 @@ from planner import cover
 from planner.cover import Cover, CoverStatus, Overlap, Problem
 from planner.cover.overlap import Connection, connection
 from planner.cover.robust import RobustCover, robust_cover
+from planner.kinematics.reach import Reach
 from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import ProbabilityLayer
-from planner.order.seconds_of_views import least_moves
-from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget
 from planner.ports import JointLimits
-from planner.reach.reach import Reach
+from planner.tour.tour_search import DEFAULT_BUDGET, MotionBudget
+from planner.tour.view_times import least_moves
 from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
 

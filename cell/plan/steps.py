@@ -40,14 +40,13 @@ from cell.world import clearance
 from cell.world.clearance import MotionClearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from planner.measurability import matrix
-from planner.measurability.candidate_columns import spread_measurability
-from planner.measurability.matrix import Measurability
+from planner.geometry.decimation import decimate
+from planner.geometry.sampling import sample
+from planner.kinematics import reach
+from planner.kinematics.reach import Reach, join_reach
+from planner.measurability import visibility
+from planner.measurability.matrix import Measurability, spread_measurability
 from planner.ports import Kinematics, Progress, RayCaster, Scanner
-from planner.reach import reach
-from planner.reach.reach import Reach, join_reach
-from planner.surface.decimate import decimate
-from planner.surface.sample import sample
 from planner.timing.limits import scaled
 from planner.timing.motion import Motion, retime
 from planner.viewpoints import growth
@@ -214,7 +213,7 @@ def columns(
     )
     law = limited(job.scene, job.scanner)
     keeps = law if job.scene.region else job.scanner
-    M = matrix.occlude(M, views, keeps, casters[1], ray_caster=casters[0], progress=progress)
+    M = visibility.occlude(M, views, keeps, casters[1], ray_caster=casters[0], progress=progress)
     if (limit := job.scene.plan.max_sigma_mm) is not None:
         M = limit_sigma(M, views, job.scanner, limit, casters, may_be_empty=may_be_empty)
     return M, law

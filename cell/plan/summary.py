@@ -27,10 +27,10 @@ from cell.run.report_json import (
 )
 from cell.scene.regions import complete
 from cell.world.clearance import MotionClearance
+from planner.geometry.mesh import TriangleMesh
 from planner.measurability import coverage
 from planner.measurability.quality import best_sigma, best_spacing
 from planner.ports import ARM_AXES
-from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion, jerk_free_duration
 
 

@@ -1,7 +1,7 @@
 """Views that sweep: the sweeps that can be driven of each candidate that is asked about, looked at once and kept.
 
 Reach asks whether every pose of a column can be taken up; here it is asked whether the way through all of them can be
-driven on one joint branch (`planner.path.sweeps.motion`). A candidate whose sweep cannot be driven is no view of the
+driven on one joint branch (`planner.path.sweeps`). A candidate whose sweep cannot be driven is no view of the
 plan. Base frame, metres, radians.
 """
 
@@ -15,12 +15,9 @@ from cell.plan.problem import Problem
 from cell.plan.request import Selected
 from cell.plan.views import Driven, Groups, Next
 from planner.measurability.matrix import Measurability
-from planner.order.tour import Tour
-from planner.path.sweeps.line import DEFAULT_SPEED
-from planner.path.sweeps.motion import sweeps_of
-from planner.path.sweeps.passage import Passage
-from planner.path.sweeps.path import Sweeps, passages_of
-from planner.path.sweeps.timing import DrivenSweep
+from planner.path.sweep_line import DEFAULT_SPEED
+from planner.path.sweeps import DrivenSweep, Passage, Sweeps, passages_of, sweeps_of
+from planner.tour.tour import Tour
 
 
 class SweepingViews:

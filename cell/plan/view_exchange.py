@@ -1,4 +1,4 @@
-"""Views exchanged for others that measure as much, between selection and motion (`planner.order.equivalent_views`).
+"""Views exchanged for others that measure as much, between selection and motion (`planner.tour.equivalent_views`).
 
 The cover's views go in; groups of candidates come out, one for each view of the plan. The motion picks one joint
 solution of one member of each group, and what it picked becomes the plan. The number of views and the lower bound on it
@@ -22,10 +22,10 @@ from cell.plan.views import Groups
 from cell.rays.self_shading import OwnArm
 from planner.cover import Cover, CoverStatus
 from planner.measurability.matrix import Measurability
-from planner.order.equivalent_views import Exchange, Matrix, exchange
-from planner.order.generalised_tsp import FULL
-from planner.order.seconds_of_views import moves_in
-from planner.order.tour import Tour
+from planner.tour.equivalent_views import Exchange, Matrix, exchange
+from planner.tour.generalised_tsp import FULL
+from planner.tour.tour import Tour
+from planner.tour.view_times import moves_in
 from planner.values import Floats, Ints
 
 log = logging.getLogger(__name__)

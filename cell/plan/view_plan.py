@@ -21,15 +21,13 @@ from cell.plan.views_at_rest import ViewsAtRest
 from planner.cover import Cover, CoverStatus
 from planner.cover.overlap import Connection
 from planner.measurability.coverage import visible_of
-from planner.order import tour
-from planner.order.generalised_tsp import FULL
-from planner.order.given_order import in_order
-from planner.order.order_overlap import overlapping
-from planner.order.orderings import Ordering, sequence
-from planner.order.seconds_of_views import home_share
-from planner.order.tour import Tour, TourStatus
-from planner.order.visits import Visits
 from planner.ports import Progress
+from planner.tour import tour
+from planner.tour.generalised_tsp import FULL
+from planner.tour.orderings import Ordering, in_order, overlapping, sequence
+from planner.tour.tour import Tour, TourStatus
+from planner.tour.view_times import home_share
+from planner.tour.visits import Visits
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from cell.plan.request import Selected
 from planner.measurability.matrix import Measurability
-from planner.order.tour import Tour
-from planner.path.sweeps.passage import Passage
-from planner.path.sweeps.path import SweepPath
+from planner.path.sweeps import Passage, SweepPath
 from planner.timing.motion import TimedLine
+from planner.tour.tour import Tour
 from planner.values import Bools, Floats, Ints
 
 

@@ -18,7 +18,7 @@ from cell.plan.views import Driven, Groups, Next
 from cell.rays.self_shading import Look, OwnArm, arm_caster, visible_with_arm
 from planner.measurability.coverage import visible_of
 from planner.measurability.matrix import Measurability
-from planner.order.tour import Tour
+from planner.tour.tour import Tour
 
 _AFTER = {Look.CLEAR: Next.DONE, Look.OTHER_SOLUTIONS: Next.CONNECT, Look.LESS_MEASURED: Next.CHOOSE}
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.world.gap import mesh_of
-from planner.reach.rotary_table import RotaryTable
+from planner.kinematics.rotary_table import RotaryTable
 from planner.values import Floats
 
 if TYPE_CHECKING:

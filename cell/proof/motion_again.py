@@ -9,12 +9,11 @@ from cell.proof.artefacts import refuse
 from cell.run.record import RunRecord
 from cell.run.scene_json import ResolvedScene
 from cell.world.model import World
+from planner.kinematics.setpoints import from_steps, to_steps
 from planner.path import indexed
 from planner.path.certified_edge import certify_many
-from planner.path.sweeps.path import SweepPath
-from planner.path.sweeps.timing import DrivenSweep
+from planner.path.sweeps import DrivenSweep, SweepPath
 from planner.ports import ARM_AXES, CollisionChecker, JointLimits, Kinematics
-from planner.reach.setpoints import from_steps, to_steps
 from planner.timing.limits import check_inside
 from planner.timing.motion import Motion, retime
 from planner.values import Floats

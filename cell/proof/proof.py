@@ -26,7 +26,7 @@ from cell.run.scene_json import ResolvedScene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner.errors import PlannerError
-from planner.reach.setpoints import to_steps
+from planner.kinematics.setpoints import to_steps
 from planner.timing.limits import scaled
 from planner.timing.motion import Motion
 from planner.values import Floats

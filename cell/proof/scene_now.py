@@ -30,7 +30,7 @@ from cell.scene.scene import Scene
 from cell.scene.scene_file import load_scene
 from cell.world.rotary_table import rotary_table
 from cell.world.shapes import fixture_mesh
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 _NEAR = 1e-6  # m, and entries of a rotation
 _TABLES = {

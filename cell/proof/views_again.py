@@ -12,11 +12,10 @@ from cell.run.plan_facts import degrees, sweep_of, turned_at
 from cell.run.plan_json import Clearance, PlanFile, PlanView
 from cell.run.record import RunRecord
 from cell.world.model import World
-from planner.path.sweeps.line import DEFAULT_SPEED
-from planner.path.sweeps.motion import sweeps_of
-from planner.path.sweeps.path import SweepPath
+from planner.kinematics.setpoints import to_steps
+from planner.path.sweep_line import DEFAULT_SPEED
+from planner.path.sweeps import SweepPath, sweeps_of
 from planner.ports import ARM_AXES, CollisionChecker, JointLimits, Kinematics
-from planner.reach.setpoints import to_steps
 from planner.timing.motion import Motion
 from planner.values import Floats, Ints
 from planner.viewpoints.viewpoints import Viewpoints

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import CellError
+from planner.geometry.mesh import cross_products
 from planner.ports import Hits
-from planner.surface.mesh import cross_products
 from planner.values import Floats
 
 HAIR = 2e-6

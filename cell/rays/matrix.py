@@ -15,13 +15,13 @@ from cell.rays import matrix_cache as measurability_cache
 from cell.rays.matrix_cache import Hashes
 from cell.scene.resolve import Settings
 from cell.scene.scene import Scene
+from planner.geometry.closest import closest_face
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples, face_features, join_samples, sample
 from planner.measurability import quality
-from planner.measurability.candidate_columns import join_measurability, pick_measurability
-from planner.measurability.matrix import Measurability, fill
+from planner.measurability.matrix import Measurability, join_measurability, pick_measurability
+from planner.measurability.visibility import fill
 from planner.ports import Progress, RayCaster, Scanner, SigmaScanner
-from planner.surface.closest import closest_face
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, face_features, join_samples, sample
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 CACHE_LIMIT_BYTES = 1_000_000_000

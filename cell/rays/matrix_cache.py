@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from cell import caches
 from cell.errors import FileError
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.viewpoints import Viewpoints
 
 FORMAT = 2

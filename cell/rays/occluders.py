@@ -18,9 +18,9 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.robot import model as robot
 from cell.world.gap import mesh_of
 from cell.world.model import World
+from planner.geometry.mesh import TriangleMesh, joined
+from planner.kinematics.rotary_table import RotaryTable
 from planner.ports import ARM_AXES
-from planner.reach.rotary_table import RotaryTable
-from planner.surface.mesh import TriangleMesh, joined
 from planner.values import Floats, Value, readonly
 
 if TYPE_CHECKING:

@@ -6,13 +6,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples, pick_samples, sample
 from planner.measurability import coverage
 from planner.measurability.coverage import Coverage
-from planner.measurability.matrix import measured
-from planner.measurability.remembered import Remembered
+from planner.measurability.visibility import Remembered, measured
 from planner.ports import Progress, RayCaster, Scanner
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, pick_samples, sample
 from planner.values import Bools, Floats
 
 HELD_OUT_STREAM = 1

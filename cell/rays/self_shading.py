@@ -20,9 +20,10 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import arm_triangles, caster_of, standing_beside
 from cell.rays.prediction import Prediction
 from cell.world.model import World
-from planner.measurability.matrix import Measurability, measured
+from planner.kinematics.reach import Reach
+from planner.measurability.matrix import Measurability
+from planner.measurability.visibility import measured
 from planner.ports import RayCaster, Scanner
-from planner.reach.reach import Reach
 from planner.values import Bools, Floats, Ints
 from planner.viewpoints.lines_of_sight import Targets, legs_free
 from planner.viewpoints.viewpoints import Viewpoints

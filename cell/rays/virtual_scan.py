@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import SceneError
+from planner.geometry.mesh import TriangleMesh
 from planner.ports import RayCaster, Rejection, Scanner
-from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Value, freeze
 from planner.viewpoints.lines_of_sight import flat_poses, lift
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cell.reconstruction.cloud import PointCloud
 from cell.run import ply
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 

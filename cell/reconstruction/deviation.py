@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.surface.closest import NearestSurface
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.closest import NearestSurface
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Value
 
 _BINS = 40

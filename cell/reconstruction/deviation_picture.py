@@ -15,7 +15,7 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.reconstruction.deviation import Deviation
 from cell.view import rays
 from cell.view.palette import SIGNED
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 _PIXELS = 560  # along the longer side

@@ -7,7 +7,7 @@ a region of which nothing was measured; the fan may cut through the part where t
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 
 def boundary_loops(mesh: TriangleMesh) -> list[NDArray[np.int32]]:

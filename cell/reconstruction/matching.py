@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from cell.reconstruction.cloud import PointCloud, ScanCloud, estimate_normals, point_spacing
 from cell.reconstruction.freedom import split
-from planner.surface.closest import NearestSurface
+from planner.geometry.closest import NearestSurface
 from planner.values import Floats, Ints
 
 FEWEST = 12

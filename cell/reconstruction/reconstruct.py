@@ -20,7 +20,7 @@ from cell.reconstruction.cloud import PointCloud, point_spacing
 from cell.reconstruction.holes import close_holes
 from cell.reconstruction.implicit import FieldValues, ImplicitSurface
 from planner.errors import PlannerError
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Ints, Value, freeze
 
 REACH = 2.0

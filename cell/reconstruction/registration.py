@@ -19,8 +19,8 @@ from cell.reconstruction.cloud import PointCloud, ScanCloud
 from cell.reconstruction.freedom import FreeMotion, name, shape_of, split
 from cell.reconstruction.matching import FEWEST, JointProblem, Matches, MovingScan
 from planner.errors import PlannerError
-from planner.surface.closest import NearestSurface
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.closest import NearestSurface
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Value
 
 SAMPLES = 2000

@@ -19,7 +19,7 @@ from cell.reconstruction.cloud import ScanCloud
 from cell.reconstruction.freedom import split
 from cell.reconstruction.matching import FEWEST, JointProblem, MovingScan, small_motion
 from cell.reconstruction.rigid import RigidFit, about, covariance_of, moved_basis, screw_of, without_free
-from planner.surface.closest import NearestSurface
+from planner.geometry.closest import NearestSurface
 from planner.values import Floats
 
 _COARSE, _FINE = 300, 20_000  # points of all views together

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.view.palette import LOOKS, look_of
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 if TYPE_CHECKING:

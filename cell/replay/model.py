@@ -24,8 +24,8 @@ from cell.run.record import RunRecord
 from cell.run.scene_json import ResolvedScene
 from cell.view.rays import frustum
 from cell.world.gap import Shapes, is_convex, meshes_of
-from planner.reach.rotary_table import RotaryTable
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
+from planner.kinematics.rotary_table import RotaryTable
 from planner.values import Floats, Value
 
 if TYPE_CHECKING:

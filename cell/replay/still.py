@@ -19,9 +19,9 @@ from cell.view import rays
 from cell.view.cell_picture import best_view, draw_cell, tour_camera
 from cell.view.palette import GREEN, VERMILION
 from cell.view.pieces import Cell, Piece
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
 from planner.ports import Progress
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 _CANDIDATE = 0.05  # m; a candidate viewpoint is a stroke of this length, from its source along its view

@@ -27,9 +27,9 @@ from cell.world import shapes
 from cell.world.model import World, compile_world
 from cell.world.rotary_table import HALF_A_TURN_DEG, on_table
 from cell.world.travel import TravelBound, swing
+from planner.geometry.mesh import TriangleMesh
+from planner.kinematics.rotary_table import RotaryTable
 from planner.ports import ARM_AXES, Kinematics, Scanner
-from planner.reach.rotary_table import RotaryTable
-from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 if TYPE_CHECKING:

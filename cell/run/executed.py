@@ -11,7 +11,7 @@ from cell.run import ply
 from cell.run.execution_json import ExecutedCoverage, ExecutedDeviation, ExecutionReport
 from cell.run.json_table import parsed
 from cell.run.record import RunRecord, artefact, read_manifest, understood
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, readonly
 
 

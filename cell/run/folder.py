@@ -27,7 +27,7 @@ from cell.errors import CellError, FileError
 from cell.run import digest, ply
 from cell.run.manifest_json import Manifest, NamedFile
 from planner.errors import PlannerError
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 SCHEMA, WITH_TABLE = "scan-cell/run/1", "scan-cell/run/2"
 """Versions of the layout: that of every plan whose part stands, and that of one whose part a rotary table turns. They

@@ -16,7 +16,7 @@ from cell.scene.fixtures import BoxFixture, CylinderFixture, Fixture
 from cell.scene.scene import Scene
 from cell.world.model import World
 from cell.world.shapes import TABLE
-from planner.path.sweeps.path import SweepPath
+from planner.path.sweeps import SweepPath
 from planner.ports import ARM_AXES, JointLimits
 from planner.values import Floats
 

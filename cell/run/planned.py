@@ -12,7 +12,7 @@ from cell.run.folder import SCHEMA
 from cell.run.plan_json import Coverage, PlanFile
 from cell.run.record import RunRecord, open_finished
 from cell.run.report_json import Report
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.timing.motion import Motion
 from planner.values import Floats, Ints, readonly
 

@@ -22,11 +22,11 @@ from cell.run.plan_json import PlanFile
 from cell.run.record import RunRecord, arrays, artefact, understood
 from cell.run.report_json import Report
 from cell.run.scene_json import ResolvedScene
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
+from planner.kinematics.reach import Reach
 from planner.measurability.matrix import Measurability
 from planner.ports import JointLimits
-from planner.reach.reach import Reach
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
 from planner.timing.motion import Motion
 from planner.viewpoints.viewpoints import Viewpoints
 

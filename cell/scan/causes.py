@@ -17,7 +17,7 @@ from cell.acquisition.sources import FRAMES
 from cell.part.workpiece import UNITS
 from cell.run.cell import RunCell
 from cell.run.executions import ExecutedScan
-from planner.surface.closest import NearestSurface
+from planner.geometry.closest import NearestSurface
 from planner.values import Floats
 
 _SAMPLES = 200  # points of a view that are asked

@@ -23,7 +23,7 @@ from cell.scan.work import Work
 from drivers.clock import Clock
 from drivers.contract import Driver
 from drivers.errors import DriverError
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.timing.motion import Motion
 
 

@@ -31,7 +31,7 @@ from cell.scan.achieved import Achieved
 from cell.scan.executed_scans import counts_by_reason, source_of
 from cell.scan.merging import Merged
 from cell.scan.pose_error import difference
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 DETERMINED = 5e-5
 """A direction is determined where two standard deviations move the part by less [m]."""

@@ -13,8 +13,8 @@ from cell.reconstruction.rigid import RigidFit
 from cell.reconstruction.surface_fit import Search
 from cell.reconstruction.surface_fit import fit as fitted
 from cell.run.executions import ExecutedScan
+from planner.geometry.closest import NearestSurface
 from planner.ports import Scanner
-from planner.surface.closest import NearestSurface
 from planner.values import Bools, Floats
 
 _NOISE = 5.0  # robust sigma of the distances to the reference, beyond which a point is no noise

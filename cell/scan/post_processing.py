@@ -39,7 +39,7 @@ from cell.view import contents
 from cell.view.contents import NAME
 from cell.view.pictures import part_and_views
 from cell.view.surface import canvas_of
-from planner.surface.closest import NearestSurface
+from planner.geometry.closest import NearestSurface
 from planner.timing.motion import Motion
 
 DEVIATION = 12

@@ -46,7 +46,7 @@ from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
 from drivers.contract import Driver
 from drivers.setpoints import from_rad, to_deg
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.timing.motion import Motion
 
 Outcome = TypeVar("Outcome")

@@ -6,7 +6,7 @@ these lines are interpolated between the reported ones (position linearly, orien
 first and the last one by half a step, as the sweep is driven: `lines_between` of them share each cell equally.
 
 What is approximated: the arm stands where the real one passes; between two reported poses it is taken to be on the line
-through them, from which the planned one is off by less than `planner.path.sweeps.motion.TUBE`. Object frame, metres.
+through them, from which the planned one is off by less than `planner.path.sweeps.TUBE`. Object frame, metres.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from cell.rays import virtual_scan
 from cell.rays.virtual_scan import Scan
 from cell.run.cell import RunCell
 from cell.scan.pose_error import Disturbance
-from planner.path.sweeps.line import rotation_vectors, rotations
+from planner.path.sweep_line import rotation_vectors, rotations
 from planner.values import Floats
 
 LINE_STEP, LINE_ANGLE = 0.001, float(np.radians(0.25))

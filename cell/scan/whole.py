@@ -38,10 +38,10 @@ from cell.scan.whole_page import page
 from cell.setups.contact import touching
 from cell.setups.planned_setups import PlannedSetups
 from cell.setups.shared import apart, shared
+from planner.geometry.closest import NearestSurface
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability import coverage
-from planner.measurability.matrix import measured
-from planner.surface.closest import NearestSurface
-from planner.surface.sample import SurfaceSamples
+from planner.measurability.visibility import measured
 from planner.values import Bools, Floats
 
 FOLDER = "scanned"

@@ -1,4 +1,4 @@
-"""`laser-line`: a triangulation sensor with one laser sheet, swept along a path or turned (planner.viewpoints.sweeps).
+"""`laser-line`: a triangulation sensor with one laser sheet, swept along a path or turned.
 
 The sheet is the plane x = 0 of the scanner frame: the fan opens by `fan_deg` about z within it, along y, and the
 baseline (x) is perpendicular to it, as in real line sensors, where the camera looks at the line from the side. The
@@ -15,7 +15,7 @@ The step is the sweep divided by the number of poses (`sweep_mm` / `sweep_steps`
 that the poses tile the sweep. Every limit is inclusive, with the tolerances of `laser-area`.
 
 Points lie apart along the line by the angle between them, and across it by the way between two lines: the full speed of
-a sweep (`planner.path.sweeps.line`) over `profile_rate_hz`; a slower sweep is denser. With `max_spacing_mm` both are
+a sweep (`planner.path.sweep_line`) over `profile_rate_hz`; a slower sweep is denser. With `max_spacing_mm` both are
 limited, on the surface at that depth and incidence.
 """
 
@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 
 from cell.errors import SceneError
 from cell.scanners.laser_area import SIGMA_ANGLE_MDEG, TOLERANCE, LaserArea, pair, require_attainable
-from planner.path.sweeps.line import DEFAULT_SPEED
+from planner.path.sweep_line import DEFAULT_SPEED
 from planner.ports import Rejection
 from planner.values import Floats, readonly
-from planner.viewpoints.sweeps import straight_poses, turned_poses
+from planner.viewpoints.viewpoints import straight_poses, turned_poses
 
 if TYPE_CHECKING:
     from pydantic import JsonValue

@@ -6,9 +6,9 @@ The numbers are the borders of the maps of docs/internals/stability.md, which re
 import numpy as np
 
 from cell.scene.scene import Scene
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
 from planner.ports import Scanner
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
 
 STEEPEST_GRAZING_DEG = 77.0
 """Surface at more than this to the rays counts as measured up to 90 degrees, but a scan hardly has a point on it."""

@@ -16,10 +16,9 @@ from cell.part.formats import units_of
 from cell.part.workpiece import UNITS, Workpiece
 from cell.scene.regions import Region, complete
 from cell.scene.scene import Scene
-from planner.surface.closest import closest_face
-from planner.surface.cut import cut, faces_within
-from planner.surface.mesh import TriangleMesh
-from planner.surface.remesh import split_long_edges
+from planner.geometry.closest import closest_face
+from planner.geometry.decimation import split_long_edges
+from planner.geometry.mesh import TriangleMesh, cut, faces_within
 from planner.values import Bools, Ints
 
 _FINE = 0.01  # of the diagonal: edges of triangles that another mesh's paint falls on

@@ -6,8 +6,8 @@ import numpy as np
 
 from cell.checks.solid import FLUSH
 from cell.rays.occluders import Occluder, caster_of
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
 from planner.values import Bools
 
 CONTACT = 1e-3

@@ -10,8 +10,8 @@ from cell.errors import UsageError
 from cell.run.cell import RunCell, read_cell
 from cell.run.planned import PlannedRun
 from cell.setups.contact import touching
-from planner.measurability.matrix import measured
-from planner.surface.sample import SurfaceSamples
+from planner.geometry.sampling import SurfaceSamples
+from planner.measurability.visibility import measured
 from planner.values import Bools, Floats
 
 

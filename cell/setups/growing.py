@@ -4,9 +4,9 @@ from cell.plan import steps
 from cell.plan.candidates import GROWN, arm_of, grow, limited
 from cell.plan.steps import Cell, Job
 from cell.rays.matrix import PartSurface
+from planner.geometry.sampling import SurfaceSamples
+from planner.kinematics.reach import Reach, join_reach
 from planner.ports import Progress
-from planner.reach.reach import Reach, join_reach
-from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from cell.run.setups_json import PlannedOpen
 from cell.setups.measured import Setup
-from planner.surface.sample import pick_samples
+from planner.geometry.sampling import pick_samples
 from planner.values import Bools
 from planner.viewpoints.attainable import ASKED, attainable
 from planner.viewpoints.lines_of_sight import Targets

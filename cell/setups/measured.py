@@ -21,11 +21,11 @@ from cell.setups.growing import with_grown
 from cell.setups.offered import Offer
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from planner.measurability.candidate_columns import spread_measurability
-from planner.measurability.matrix import Measurability, measured
-from planner.reach.reach import join_reach
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
+from planner.kinematics.reach import join_reach
+from planner.measurability.matrix import Measurability, spread_measurability
+from planner.measurability.visibility import measured
 from planner.values import Bools, Floats, Ints
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.lines_of_sight import Targets

@@ -1,4 +1,4 @@
-"""Views of several set-ups moved so that fewer do (`planner.viewpoints.refine`): each before the arm of its set-up.
+"""Views of several set-ups moved so that fewer do (`planner.viewpoints.refinement`): each before the arm of its set-up.
 
 As in one plan (`cell.plan.refined`): what each view is needed for is what no other of any set-up measures.
 """
@@ -15,7 +15,7 @@ from cell.setups.measured import Setup
 from planner.measurability.matrix import Measurability
 from planner.values import Floats, Ints
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.refine import Standing, fewer
+from planner.viewpoints.refinement import Standing, fewer
 from planner.viewpoints.viewpoints import standing_at
 
 

@@ -11,7 +11,7 @@ from cell.scene.fixtures import Setup
 from cell.scene.posed import Placement
 from cell.scene.scene import Scene
 from cell.world.model import ON_AXIS, World
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 TURNS_DEG = (0.0, 90.0, 180.0, 270.0)

@@ -33,8 +33,8 @@ from cell.scene.scene import Scene
 from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, measured_by, require_one_part
 from cell.setups.growing import with_grown
-from planner.reach.reach import Reach
-from planner.surface.sample import SurfaceSamples, pick_samples, sample
+from planner.geometry.sampling import SurfaceSamples, pick_samples, sample
+from planner.kinematics.reach import Reach
 from planner.values import Bools
 from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints

@@ -45,9 +45,9 @@ from cell.setups.shared import apart, shared
 from cell.setups.wishes import Asked, require_named
 from cell.words import percent
 from cell.world.model import World
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, sample
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples, sample
 from planner.values import Bools
 from planner.viewpoints import growth
 

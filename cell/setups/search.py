@@ -30,8 +30,8 @@ from cell.setups.wishes import Asked
 from planner.cover import CoverStatus, Problem
 from planner.cover.curve import coverage_curve
 from planner.cover.overlap import Connection
-from planner.measurability.sample_rows import add_rows
-from planner.surface.sample import pick_samples, sample
+from planner.geometry.sampling import pick_samples, sample
+from planner.measurability.matrix import add_rows
 from planner.values import Floats, Ints
 
 _TRIES = 20  # covers in all

@@ -8,8 +8,8 @@ import numpy as np
 from cell.reconstruction.freedom import FreeMotion, of_surface
 from cell.reconstruction.rigid import told
 from cell.run.setups_json import SharedSurface
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
-from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Ints
 
 _TRIED = 200  # views that are asked whether they hold two set-ups together, those that share the largest area first

@@ -18,9 +18,9 @@ from cell.setups.measured import Setup
 from cell.setups.options import SetupOptions, named
 from planner.cover import Problem
 from planner.cover.robust import DEMAND, loads
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import ProbabilityLayer
-from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats
 
 

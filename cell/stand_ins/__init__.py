@@ -17,7 +17,7 @@ import numpy as np
 
 from cell import caches
 from cell.errors import UsageError
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 _log = logging.getLogger(__name__)
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.stand_ins.fields import Field
-from planner.surface.decimate import collapse_edges
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.decimation import collapse_edges
+from planner.geometry.mesh import TriangleMesh
 
 Grid = NDArray[np.float32]
 

@@ -29,15 +29,14 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner import cover
 from planner.cover import Cover, Problem
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
+from planner.kinematics import reach
+from planner.kinematics.reach import Reach
 from planner.measurability import coverage
-from planner.measurability.candidate_columns import pick_measurability
-from planner.measurability.matrix import Measurability
+from planner.measurability.matrix import Measurability, pick_measurability
 from planner.ports import Kinematics, Scanner
-from planner.reach import reach
-from planner.reach.reach import Reach
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
 from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 

@@ -18,14 +18,14 @@ from cell.study.trial import JsonTable
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner import cover
+from planner.kinematics.reach import Reach, join_reach, pick_reach
 from planner.measurability import coverage
-from planner.measurability.candidate_columns import join_measurability, pick_measurability
-from planner.measurability.matrix import Measurability, fill, occlude
-from planner.order.moves import Moves
-from planner.order.orderings import sequence
+from planner.measurability.matrix import Measurability, join_measurability, pick_measurability
+from planner.measurability.visibility import fill, occlude
 from planner.ports import CollisionChecker, RayCaster
-from planner.reach.reach import Reach, join_reach, pick_reach
 from planner.timing.limits import scaled
+from planner.tour.orderings import sequence
+from planner.tour.visits import Moves
 from planner.viewpoints import growth
 from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints, standing_at

@@ -18,7 +18,7 @@ from cell.rays.occluders import shape_triangles
 from cell.view import rays
 from cell.view.palette import BLUE, LOOKS, ORANGE, look_of
 from cell.view.pieces import Cell, Piece, placed
-from planner.surface.mesh import TriangleMesh, joined
+from planner.geometry.mesh import TriangleMesh, joined
 from planner.values import Floats
 
 if TYPE_CHECKING:

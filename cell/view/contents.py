@@ -27,10 +27,10 @@ from cell.view.palette import MEASURED, REASONS
 from cell.view.pictures import group_names, group_numbers
 from cell.view.pieces import Cell, beside, cell_of_run
 from cell.view.surface import Canvas, Surface, canvas_of, sides, surface_of
+from planner.geometry.closest import NearestSurface
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
 from planner.ports import ARM_AXES
-from planner.surface.closest import NearestSurface
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
 from planner.timing.motion import Motion
 from planner.values import Floats, Ints
 

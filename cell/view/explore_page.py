@@ -20,7 +20,7 @@ from cell.view import coverage_curve, rays
 from cell.view.packed import Layer
 from cell.view.page import Play, Shown, Stage, View, html_of, thinned
 from cell.view.pieces import cell_of_run
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 _BESIDE = 2.0  # edges of a voxel from a point of a view to surface that counts as measured by it

@@ -26,8 +26,8 @@ from cell.view import palette
 from cell.view.packed import Layer, packed, packed_mesh, packed_motion, packed_points
 from cell.view.pieces import Cell, Piece, placed
 from cell.view.surface import FACES
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 _OWN_START = "var camera,controls,scene,renderer,tracklight;"  # where trimesh's own viewer begins, behind three.js

@@ -16,7 +16,7 @@ from cell.view.packed import Layer, packed
 from cell.view.page import Play, Shown, Stage, html_of, text, thinned
 from cell.view.palette import REASONS, rgb
 from cell.view.pieces import Arm, Cell
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 _COLOURS = dict(zip(SurfaceKind, ("#d9dee3", *REASONS[1:6]), strict=True))

@@ -22,8 +22,8 @@ from cell.view.palette import LOOKS, Look, look_of
 from cell.view.rays import frustum
 from cell.world.model import World
 from cell.world.shapes import quaternion
+from planner.geometry.mesh import TriangleMesh
 from planner.ports import ARM_AXES
-from planner.surface.mesh import TriangleMesh
 from planner.values import Bools, Floats, Ints, Value
 
 if TYPE_CHECKING:

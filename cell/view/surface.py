@@ -16,14 +16,13 @@ from scipy.spatial import cKDTree
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.view.rays import direction
-from planner.measurability.matrix import measured
+from planner.geometry.closest import closest_face
+from planner.geometry.decimation import clustered, decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.quality import best_of_views
+from planner.measurability.visibility import measured
 from planner.ports import RayCaster, Scanner
-from planner.surface.closest import closest_face
-from planner.surface.cluster import clustered
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats, Ints, Value
 
 _WALL = 0.02  # of the diagonal: two samples that look apart by a right angle count as 1.4 times this far apart

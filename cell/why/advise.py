@@ -22,8 +22,8 @@ from cell.run.record import RunRecord
 from cell.why.turns import TURNS, carried, place_of, turned
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
-from planner.measurability.matrix import measured
-from planner.surface.sample import SurfaceSamples, pick_samples
+from planner.geometry.sampling import SurfaceSamples, pick_samples
+from planner.measurability.visibility import measured
 from planner.values import Floats, Ints
 from planner.viewpoints.attainable import ASKED, attainable
 from planner.viewpoints.growth import Arm

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.view.surface import Canvas, Surface
-from planner.surface.sample import SurfaceSamples
+from planner.geometry.sampling import SurfaceSamples
 from planner.values import Bools, Ints
 from planner.why.reasons import Reason
 from planner.why.what_if import WhatIf

@@ -19,8 +19,8 @@ from cell.why.scanner_changes import ScannerChanges, round_mm
 from cell.why.turns import place_of, turned
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
+from planner.kinematics import reach
 from planner.ports import RayCaster
-from planner.reach import reach
 from planner.values import Floats, Ints
 from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints

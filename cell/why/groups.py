@@ -7,8 +7,8 @@ import numpy as np
 from cell.run.scene_json import ScannerKeys
 from cell.scene.regions import RegionWishes
 from cell.why.answer import Group, Patch
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
 from planner.values import Bools, Floats, Ints
 from planner.why.reasons import Reason
 from planner.why.why import Diagnosis

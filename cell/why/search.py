@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from cell.why.answer import Group, Named
 from cell.why.changes import Changes, ladder_masks
+from planner.geometry.sampling import SurfaceSamples
 from planner.ports import Progress
-from planner.surface.sample import SurfaceSamples
 from planner.values import Floats, Ints
 from planner.viewpoints.lines_of_sight import Targets
 from planner.why import what_if

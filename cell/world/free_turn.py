@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.world.rotary_table import Turner
+from planner.kinematics.rotary_table import RotaryTable
 from planner.ports import ARM_AXES
-from planner.reach.rotary_table import RotaryTable
 from planner.values import Floats
 
 if TYPE_CHECKING:

@@ -28,9 +28,9 @@ from cell.world.gap import Shapes, is_convex, meshes_of
 from cell.world.robot_spec import spec_of
 from cell.world.rotary_table import height_above, on_table, rotary_table
 from cell.world.solid_hull import solid_hull
+from planner.geometry.mesh import TriangleMesh
+from planner.kinematics.rotary_table import RotaryTable
 from planner.ports import ARM_AXES, JointLimits, Kinematics
-from planner.reach.rotary_table import RotaryTable
-from planner.surface.mesh import TriangleMesh
 from planner.values import Floats, Value, readonly
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ class World(Value):
 
     @property
     def kinematics(self) -> Kinematics:
-        """Of the arm; of arm and table as one chain, see `planner.reach.rotary_table`."""
+        """Of the arm; of arm and table as one chain, see `planner.kinematics.rotary_table`."""
         return on_table(kinematics_of(self.model), self.table, self.home, self.scene.table.angles)
 
     def T_base_part(self, q: Floats) -> Floats:

@@ -10,9 +10,9 @@ import numpy as np
 from cell.errors import SceneError
 from cell.scene.posed import pose
 from cell.scene.scene import Scene
+from planner.geometry.mesh import TriangleMesh
+from planner.kinematics.rotary_table import ArmOnTable, RotaryTable
 from planner.ports import ARM_AXES, Kinematics
-from planner.reach.rotary_table import ArmOnTable, RotaryTable
-from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 
 if TYPE_CHECKING:

@@ -35,8 +35,8 @@ from cell.robot import model as robot
 from cell.scene.fixtures import BoxFixture, CylinderFixture, MeshFixture
 from cell.scene.scene import Scene
 from cell.world.solid_hull import solid_hull
-from planner.reach.rotary_table import RotaryTable
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
+from planner.kinematics.rotary_table import RotaryTable
 from planner.values import Floats
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ directions; the grown solid contains the mesh. A hull overstates a hollow part: 
 import numpy as np
 
 from cell.errors import SceneError
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 MIN_THICKNESS = 2e-4  # m; a hundredth of the thinnest clearance that makes sense, and still a solid to the engine

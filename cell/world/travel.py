@@ -31,7 +31,7 @@ import numpy as np
 
 from cell.robot.model import AXES, Followers
 from cell.world.gap import mesh_of
-from planner.reach.rotary_table import RotaryTable
+from planner.kinematics.rotary_table import RotaryTable
 from planner.values import Floats
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cell.world.crossings import crossings
 from cell.world.triangle_distance import HULL, nearest_pair, nearest_triangle, scratch
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 Frames = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]

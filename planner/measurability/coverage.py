@@ -16,10 +16,10 @@ from typing import Annotated
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.measurability.matrix import measured
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
+from planner.measurability.visibility import measured
 from planner.ports import Progress, RayCaster, Scanner
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats, Value
 
 SAMPLES = 100_000

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.measurability.matrix import Measurability, measured
+from planner.geometry.sampling import SurfaceSamples
+from planner.measurability.matrix import Measurability
+from planner.measurability.visibility import measured
 from planner.ports import Progress, RayCaster, Scanner
-from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats, Ints, Ints32, Value, freeze
 from planner.viewpoints.lines_of_sight import Targets, flat_poses, free_pairs, in_view
 from planner.viewpoints.viewpoints import Viewpoints, rotations

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
 from planner.ports import RayCaster, Rejection, Scanner, SigmaScanner
-from planner.surface.sample import SurfaceSamples
 from planner.values import Bools, Floats, Ints32
 from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view, legs_free
 from planner.viewpoints.viewpoints import Viewpoints

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.errors import PlannerError
+from planner.kinematics.setpoints import from_steps, range_in_steps, to_steps
 from planner.ports import CollisionChecker, JointLimits
-from planner.reach.setpoints import from_steps, range_in_steps, to_steps
 from planner.values import Bools, Floats, Ints
 
 STEP = 0.45

@@ -1,6 +1,6 @@
 """What any pose of all measures that the arm takes up, asked of a few surface points: the bound on every plan.
 
-Each point is searched for by itself (`planner.viewpoints.pointwise`): a stretch of the lattice, then poses carried over
+Each point is searched for by itself (`pose_sampling`): a stretch of the lattice, then poses carried over
 from points that have one, then a longer stretch. A point that is not found is not proven out of reach: the share that
 is found is a lower estimate, and rises by 0.1 to 1 point with four times the draws (docs/internals/candidates.md).
 
@@ -17,7 +17,7 @@ import numpy as np
 from planner.values import Bools, Ints, Value
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.pointwise import Aimed, carried, drawn, frustum, seeing
+from planner.viewpoints.pose_sampling import Aimed, carried, drawn, frustum, seeing
 
 ASKED = 1000
 """Points that are asked about at most: a second of processor time at worst."""

@@ -3,7 +3,7 @@
 A generator that looks along normals leaves open what the arm cannot take up, what lies in niches, and what only another
 distance or turn sees. `grow` is given points of the surface (scouts: neither the rows of the matrix nor the points on
 which coverage is judged) and which of them the candidates there are measure. It then goes through `SCHEDULE`: each
-stage asks for poses of open points, drawn from the lattice of `planner.viewpoints.pointwise` or carried over from
+stage asks for poses of open points, drawn from the lattice of `pose_sampling` or carried over from
 neighbours that have some, keeps those that see their point and are taken up, and of these the few that measure the
 largest area of what is open, each point up to `DEPTH` times where it can be, so that the selection has a choice.
 
@@ -19,7 +19,7 @@ import numpy as np
 from planner.ports import Progress, RayCaster, Scanner
 from planner.values import Bools, Floats, Ints
 from planner.viewpoints.lines_of_sight import Targets, in_view_of, legs_free
-from planner.viewpoints.pointwise import Aimed, Frustum, carried, drawn, frustum, seeing
+from planner.viewpoints.pose_sampling import Aimed, Frustum, carried, drawn, frustum, seeing
 
 SCOUTS = 20_000
 """Points of the surface that candidates are grown for; docs/internals/candidates.md charts coverable area over them."""

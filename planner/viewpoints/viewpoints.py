@@ -6,6 +6,27 @@ scanner. The scanner's origin is the laser source, +z the viewing direction, +x 
 Roll turns the scanner about its viewing axis. At roll 0 the baseline is as parallel as possible to the object's z axis
 (to its x axis where the view is along z); a positive roll turns the baseline from scanner +x towards scanner +y, right
 handed about the viewing direction: clockwise for someone who looks along with the scanner. Metres and radians.
+
+The view sphere: viewpoints on a sphere about the part, all looking at its middle (Section 3.4.1).
+
+The optimal scanning zone: a viewpoint in front of every planning face (Section 3.4.2).
+
+Sweeps: a line sensor is moved or turned while it measures, so its viewpoint is a column of K poses.
+
+The laser sheet of a line sensor is the plane x = 0 of the scanner frame: it holds the viewing direction z and the line
+(along y), and stands across the baseline (x), because the triangulation plane (x, z) must be perpendicular to it. A
+sweep therefore advances the sheet along x or turns it about y.
+
+The sweep's length (or angle) is divided into K equal cells, as the rays of a grid are, and a pose stands in the middle
+of each: pose k is at ((k + 0.5) / K - 0.5) x length. A scanner whose line counts as one cell thick,
+
+    |x| <= length / (2 K)          straight
+    |atan2(x, z)| <= angle / (2 K) turned,
+
+tiles the swept volume without gap and without overlap, whatever K is. K only decides from how near to its true place a
+point is judged: at most half a cell away. The sweep is symmetric about the candidate viewpoint that it is made from.
+
+Object frame, metres, radians.
 """
 
 from collections.abc import Sequence
@@ -16,7 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Bools, Floats, Ints32, Value, readonly
 
 _ALONG_Z = 1e-3  # sine below which a view counts as along z: a flat top's normals scatter by less in a float32 mesh
@@ -155,3 +176,128 @@ def _angles(rolls: Sequence[float]) -> Floats:
     if not len(angles) or not np.isfinite(angles).all():
         raise PlannerError("rolls must hold at least one finite angle in radians")
     return angles
+
+
+def view_sphere(
+    centre: ArrayLike, radius: float, step_x: float, step_y: float, rolls: Sequence[float] = (0.0,)
+) -> Viewpoints:
+    """Viewpoints on a sphere about a point, all looking at it.
+
+    The direction out of the centre is +z, turned about x by multiples of `step_x` from -90 to 90 degrees and then about
+    y by multiples of `step_y` below 360 degrees. The poles (on the y axis), which every turn about y leaves where they
+    are, are there once: 15 degree steps give 11 x 24 + 2 = 266 directions.
+
+    Args:
+        centre: (3,) point to look at [m], object frame.
+        radius: of the sphere [m]; it must enclose the part, see `enclosing_radius`.
+        step_x: resolution of the turn about x [rad], in (0, pi].
+        step_y: resolution of the turn about y [rad], in (0, pi].
+        rolls: angles about the viewing axis [rad].
+
+    Raises:
+        PlannerError: if the radius is not positive, a step is outside its range, or there is no roll.
+    """
+    if not (radius > 0 and np.isfinite(radius)):
+        raise PlannerError(f"radius is {radius:g} m; it must be above 0 and finite")
+    for name, step in (("step_x", step_x), ("step_y", step_y)):
+        if not 0 < step <= np.pi:
+            raise PlannerError(f"{name} is {step:g} rad; it must be above 0 and at most pi")
+    n_x = int(np.floor(np.pi / 2 / step_x + 1e-9))
+    n_y = int(np.ceil(2 * np.pi / step_y - 1e-9))
+    about_x, about_y = np.meshgrid(np.arange(-n_x, n_x + 1) * step_x, np.arange(n_y) * step_y, indexing="ij")
+    pole = np.abs(np.cos(about_x)) < 1e-9
+    once = ~pole | (about_y == 0)
+    a, b = about_x[once], about_y[once]
+    outward = np.stack([np.cos(a) * np.sin(b), -np.sin(a), np.cos(a) * np.cos(b)], axis=1)  # Ry(b) Rx(a) e_z
+    middle = np.broadcast_to(readonly("centre", centre, (3,)), outward.shape)
+    return looking_at(middle, outward, np.full(len(outward), -1), [radius], rolls)
+
+
+def optimal_scanning_zone(planning: TriangleMesh, standoffs: Sequence[float], rolls: Sequence[float]) -> Viewpoints:
+    """One viewpoint per planning face, standoff and roll, in this order (the last changes fastest).
+
+    The source stands at the standoff from the face's centre along its normal and looks against the normal. A face
+    without area has no normal and gives no viewpoint.
+
+    Args:
+        planning: the decimated mesh, object frame.
+        standoffs: distances from the face's centre [m], > 0.
+        rolls: angles about the viewing axis [rad].
+
+    Raises:
+        PlannerError: if a standoff is not positive, or there is no standoff or no roll.
+    """
+    face = np.flatnonzero(planning.areas > 0)
+    return looking_at(planning.centres[face], planning.normals[face], face, standoffs, rolls)
+
+
+def straight_poses(length: float, count: int, direction: ArrayLike = (1.0, 0.0, 0.0)) -> Floats:
+    """(K, 4, 4) T_view_scanner [m]: the poses of a straight sweep about a candidate viewpoint at the identity.
+
+    Args:
+        length: of the path [m], > 0.
+        count: K poses.
+        direction: (3,) of the path in the scanner frame, of any length. Default: along the baseline.
+
+    Raises:
+        PlannerError: if an argument is not possible.
+    """
+    if not (np.isfinite(length) and length > 0):
+        raise PlannerError(f"a straight sweep of {length:g} m is not possible; its length must be above 0 and finite")
+    along = np.array(readonly("direction", direction, (3,)))
+    norm = float(np.linalg.norm(along))
+    if not (np.isfinite(norm) and norm > 0):
+        raise PlannerError(f"direction {along.tolist()} has no direction; give three numbers that are not all 0")
+    poses = np.tile(np.eye(4), (_checked(count), 1, 1))
+    poses[:, :3, 3] = (_middles(count) * length)[:, None] * (along / norm)
+    return poses
+
+
+def turned_poses(angle: float, count: int) -> Floats:
+    """(K, 4, 4) T_view_scanner [m]: the poses of a turned sweep about a candidate viewpoint at the identity.
+
+    Args:
+        angle: swept by the sheet [rad], above 0 and below pi; it turns about the scanner's y axis, from -x to +x.
+        count: K poses.
+
+    Raises:
+        PlannerError: if an argument is not possible.
+    """
+    if not 0 < angle < np.pi:
+        raise PlannerError(f"a sweep turned by {angle:g} rad is not possible; the angle must be above 0 and below pi")
+    poses = np.tile(np.eye(4), (_checked(count), 1, 1))
+    turn = _middles(count) * angle
+    poses[:, 0, 0] = poses[:, 2, 2] = np.cos(turn)
+    poses[:, 0, 2], poses[:, 2, 0] = np.sin(turn), -np.sin(turn)
+    return poses
+
+
+def swept(viewpoints: Viewpoints, T_view_scanner: ArrayLike) -> Viewpoints:
+    """Each viewpoint becomes the column of poses viewpoint x T_view_scanner, and stays the middle of its sweep.
+
+    Args:
+        viewpoints: V of one pose each.
+        T_view_scanner: (K, 4, 4) poses in the frame of the viewpoint [m].
+
+    Raises:
+        PlannerError: if a viewpoint has several poses already, or there is no pose.
+    """
+    poses = readonly("T_view_scanner", T_view_scanner, (None, 4, 4))
+    if not len(poses):
+        raise PlannerError("T_view_scanner holds no pose; a sweep needs at least one")
+    if viewpoints.T_object_scanner.shape[1] != 1:
+        raise PlannerError(
+            f"the viewpoints have {viewpoints.T_object_scanner.shape[1]} poses each; a sweep is made from single poses"
+        )
+    return Viewpoints(viewpoints.T_object_scanner @ poses, viewpoints.face, viewpoints.standoff, viewpoints.roll)
+
+
+def _middles(count: int) -> Floats:
+    """(K,) middles of K equal cells of [-0.5, 0.5]."""
+    return (np.arange(count) + 0.5) / count - 0.5
+
+
+def _checked(count: int) -> int:
+    if count < 1:
+        raise PlannerError(f"a sweep of {count} poses is not possible; it needs at least one")
+    return count

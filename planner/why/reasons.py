@@ -1,6 +1,6 @@
 """The reasons for which a surface point stays open, in the order in which conditions are asked (`planner.why.why`)."""
 
-from planner.reach.reach import Verdict
+from planner.kinematics.reach import Verdict
 from planner.worded import Worded
 
 

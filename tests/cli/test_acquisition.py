@@ -26,7 +26,7 @@ from cell.run.record import open_run
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
 from cell.scan.work import ScanOutcome
-from planner.surface.closest import NearestSurface
+from planner.geometry.closest import NearestSurface
 
 PACKAGE = Path(__file__).parents[1] / "third_party_points"
 

@@ -33,8 +33,8 @@ from cell.scan.options import ScanOptions
 from cell.scene.options import scene_of
 from cell.view.explore_page import explore_page
 from planner.explore.space import FREE
-from planner.measurability.matrix import measured
-from planner.surface.closest import NearestSurface
+from planner.geometry.closest import NearestSurface
+from planner.measurability.visibility import measured
 from planner.viewpoints import growth
 
 PLACE = (

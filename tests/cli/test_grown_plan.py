@@ -11,7 +11,7 @@ import pytest
 from cell.run import reader
 from cell.run.cell import read_cell
 from cell.run.record import open_finished
-from planner.measurability.matrix import measured
+from planner.measurability.visibility import measured
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

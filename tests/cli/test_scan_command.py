@@ -26,9 +26,9 @@ from cell.scan import post_processing
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
 from cell.scan.work import ScanOutcome
+from planner.geometry.closest import NearestSurface
+from planner.geometry.mesh import TriangleMesh
 from planner.ports import Rejection
-from planner.surface.closest import NearestSurface
-from planner.surface.mesh import TriangleMesh
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 Start = Callable[..., "subprocess.Popen[str]"]

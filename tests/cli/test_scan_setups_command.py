@@ -24,7 +24,7 @@ from cell.scan.of_setups import scan_setups
 from cell.scan.options import ScanOptions
 from cell.setups.contact import touching
 from cell.setups.planned_setups import PlannedSetups
-from planner.measurability.matrix import measured
+from planner.measurability.visibility import measured
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

@@ -18,8 +18,8 @@ from cell.view.packed import stepped
 from cell.view.page import Play, Shown, Stage, View, html_of
 from cell.view.pieces import cell_of_run
 from cell.view.surface import Surface, canvas_of
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
 
 _LATER = "const later = (ms) => new Promise((done) => setTimeout(done, ms));"
 _TOUCH = f"""(async () => {{ {_LATER}

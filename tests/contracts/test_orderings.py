@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from planner.errors import PlannerError
-from planner.order import generalised_tsp as gtsp
-from planner.order.moves import Moves
-from planner.order.orderings import OrderStatus, sequence
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
+from planner.tour import generalised_tsp as gtsp
+from planner.tour.orderings import OrderStatus, sequence
+from planner.tour.visits import Moves
 
 LIMITS = JointLimits(
     lower=np.full(6, -3.0), upper=np.full(6, 3.0), velocity=np.arange(1.0, 7.0), acceleration=np.arange(2.0, 8.0)

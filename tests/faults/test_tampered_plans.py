@@ -270,7 +270,7 @@ def test_a_via_point_inside_the_part_is_refused_by_the_certificate(
 ) -> None:
     """Times, samples and hashes made anew, the new digest confirmed; a free one passes, under another digest."""
     from cell.robot.kinematics import Kr16Kinematics
-    from planner.reach.setpoints import from_steps, to_steps
+    from planner.kinematics.setpoints import from_steps, to_steps
 
     proven = prove(planned)
     row = int(np.flatnonzero(proven.motion.view >= 0)[0])

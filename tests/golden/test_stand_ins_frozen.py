@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from cell.stand_ins import NAMES, STAND_INS, _make
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 # Area [mm^2], volume [mm^3] and centre of the surface [mm], as first built. Another version of a library may change the
 # bytes, so the figures are compared to 1e-4 and 0.02 mm: a different shape, not a different rounding.

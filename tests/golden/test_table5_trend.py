@@ -7,9 +7,9 @@ from cell.robot.arm import kinematics_of
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
-from planner.reach import reach
-from planner.surface.decimate import decimate
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.geometry.decimation import decimate
+from planner.kinematics import reach
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 
 def test_reachable_counts_fall_as_the_part_moves_away() -> None:

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planner.order import generalised_tsp as gtsp
-from planner.order.moves import Moves
-from planner.order.orderings import sequence
 from planner.ports import JointLimits
+from planner.tour import generalised_tsp as gtsp
+from planner.tour.orderings import sequence
+from planner.tour.visits import Moves
 from planner.values import Floats
 
 LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.ones(6), np.full(6, 2.0))
@@ -46,8 +46,8 @@ def test_exact_search_and_bound_on_directed_costs(seed: int) -> None:
     assert length == pytest.approx(problem.length(tour), abs=1e-12)
     assert sorted(problem.clusters_of(tour).tolist()) == list(range(6))
     assert length == pytest.approx(best, abs=1e-9)
-    assert gtsp.tour_bound.one_tree(problem.either, problem.first) <= best + 1e-9
-    assert gtsp.tour_bound.by_walks(problem.either, problem.first, best, 10**7).value <= best + 1e-9
+    assert gtsp.bounds.one_tree(problem.either, problem.first) <= best + 1e-9
+    assert gtsp.bounds.by_walks(problem.either, problem.first, best, 10**7).value <= best + 1e-9
 
 
 def test_a_one_way_ring_is_found_in_its_direction() -> None:

@@ -7,9 +7,9 @@ from cell.robot import model as robot
 from drivers.limits import Limits
 from drivers.profile import Reference, interpolate
 from drivers.setpoints import from_rad, to_rad
+from planner.kinematics.setpoints import from_steps, to_steps
 from planner.path.certified_edge import quantise
 from planner.ports import JointLimits
-from planner.reach.setpoints import from_steps, to_steps
 from planner.timing.motion import retime
 from planner.timing.move_time import move_time
 

@@ -426,10 +426,9 @@ def _sweeping(
     from cell.export.options import ExportOptions
     from cell.export.program import Told, of_motion
     from cell.robot.kinematics import Kr16Kinematics
-    from planner.path.sweeps.motion import sweeps_of
-    from planner.path.sweeps.timing import DrivenSweep
+    from planner.path.sweeps import DrivenSweep, sweeps_of
     from planner.timing.motion import retime
-    from planner.viewpoints.sweeps import straight_poses, turned_poses
+    from planner.viewpoints.viewpoints import straight_poses, turned_poses
 
     kinematics, mount = Kr16Kinematics.load(), np.eye(4)
     mount[:3, 3] = (0.02, -0.03, 0.12)

@@ -7,8 +7,9 @@ import trimesh
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners import swept
 from cell.scanners.laser_line import LaserLine
-from planner.measurability.matrix import Measurability, fill, measured, occlude
-from planner.surface.sample import SurfaceSamples
+from planner.geometry.sampling import SurfaceSamples
+from planner.measurability.matrix import Measurability
+from planner.measurability.visibility import fill, measured, occlude
 from planner.viewpoints.viewpoints import Viewpoints
 
 HEIGHT = 0.3

@@ -7,10 +7,10 @@ import pytest
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from planner.measurability.matrix import fill, occlude
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
+from planner.measurability.visibility import fill, occlude
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 SCANNER = LaserArea((50, 40), (2, 2), (100, 260), 60, 70, 80)
 

@@ -7,9 +7,9 @@ from scipy.spatial import ConvexHull
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
-from planner.measurability.matrix import measured
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, sample
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples, sample
+from planner.measurability.visibility import measured
 
 RADIUS = 0.1
 

@@ -20,9 +20,9 @@ from cell.scene.scene import Scene
 from cell.world.clearance import of_motion
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
+from planner.geometry.mesh import TriangleMesh
+from planner.kinematics import reach
 from planner.path.path import connect
-from planner.reach import reach
-from planner.surface.mesh import TriangleMesh
 from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
 

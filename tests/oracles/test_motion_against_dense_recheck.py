@@ -5,12 +5,12 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from planner.order.tour import MotionBudget, Tour, TourStatus, plan_motion
-from planner.order.visits import Visits
 from planner.path.certified_edge import STEP
 from planner.ports import JointLimits
 from planner.timing.motion import Motion, retime
 from planner.timing.move_time import move_time
+from planner.tour.tour import MotionBudget, Tour, TourStatus, plan_motion
+from planner.tour.visits import Visits
 
 LIMITS = JointLimits(
     lower=np.radians([-185, -155, -130, -350, -130, -350]),

@@ -7,8 +7,8 @@ import trimesh
 
 from cell.reconstruction.deviation import deviation
 from planner.errors import PlannerError
-from planner.surface.closest import NearestSurface
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.closest import NearestSurface
+from planner.geometry.mesh import TriangleMesh
 
 
 def _mesh(mesh: trimesh.Trimesh) -> TriangleMesh:

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planner.order import generalised_tsp as gtsp
-from planner.order import tour_bound
-from planner.order.moves import Moves
-from planner.order.orderings import OrderStatus, sequence
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
+from planner.tour import bounds
+from planner.tour import generalised_tsp as gtsp
+from planner.tour.orderings import OrderStatus, sequence
+from planner.tour.visits import Moves
 
 LIMITS = JointLimits(
     lower=np.radians([-185, -155, -130, -350, -130, -350]),
@@ -100,9 +100,9 @@ def test_bounds_are_bounds(work: int) -> None:
     for seed in range(6):
         problem = random_problem(200 + seed, seed % 5 + 3, 6)
         optimum = gtsp.exact(problem).cost
-        assert tour_bound.one_tree(problem.cost, problem.first) <= optimum * (1 + 1e-12)
+        assert bounds.one_tree(problem.cost, problem.first) <= optimum * (1 + 1e-12)
         for told in (optimum, 1.3 * optimum):
-            bound = tour_bound.by_walks(problem.cost, problem.first, told, work)
+            bound = bounds.by_walks(problem.cost, problem.first, told, work)
             assert bound.value <= optimum * (1 + 1e-9)
             if bound.tour is not None:
                 assert problem.length(bound.tour) == pytest.approx(optimum, rel=1e-9)
@@ -111,10 +111,10 @@ def test_bounds_are_bounds(work: int) -> None:
 def test_walks_that_could_not_be_raised_are_not_looked_for() -> None:
     """With work for a few evaluations, as of hundreds of clusters, nothing is; with more there is a bound."""
     problem = random_problem(200, 8, 6)
-    price = tour_bound._Ascent(problem.cost, problem.first, 1.0, 0).price
+    price = bounds._Ascent(problem.cost, problem.first, 1.0, 0).price
     best = gtsp.exact(problem).cost
-    assert tour_bound.by_walks(problem.cost, problem.first, best, 9 * price).value == 0.0
-    assert tour_bound.by_walks(problem.cost, problem.first, best, 90 * price).value > 0.0
+    assert bounds.by_walks(problem.cost, problem.first, best, 9 * price).value == 0.0
+    assert bounds.by_walks(problem.cost, problem.first, best, 90 * price).value > 0.0
 
 
 def test_the_walks_prove_the_optimum() -> None:
@@ -122,8 +122,8 @@ def test_the_walks_prove_the_optimum() -> None:
     for seed in range(6):
         problem = random_problem(300 + seed, 8, 6)
         optimum = gtsp.exact(problem).cost
-        assert tour_bound.by_walks(problem.cost, problem.first, optimum, 10**9).value == pytest.approx(optimum)
-        assert tour_bound.one_tree(problem.cost, problem.first) < 0.99 * optimum
+        assert bounds.by_walks(problem.cost, problem.first, optimum, 10**9).value == pytest.approx(optimum)
+        assert bounds.one_tree(problem.cost, problem.first) < 0.99 * optimum
 
 
 def test_a_start_of_several_nodes() -> None:
@@ -142,7 +142,7 @@ def test_a_start_of_several_nodes() -> None:
     assert exact.cost == pytest.approx(best, rel=1e-12)
     start = gtsp.best_nodes(problem, np.arange(1, 6))[1]
     assert gtsp.search(problem, start, 0, 2000)[0] == pytest.approx(best, rel=1e-12)
-    assert tour_bound.by_walks(cost, first, best, 10**8).value == pytest.approx(best)
+    assert bounds.by_walks(cost, first, best, 10**8).value == pytest.approx(best)
 
 
 def test_what_is_too_dear_for_the_exact_search_is_found_and_bounded() -> None:
@@ -164,7 +164,7 @@ def test_bounds_of_whole_numbers_are_whole_and_never_above_the_optimum(seed: int
     first = np.arange(0, 29, 4)
     problem = gtsp.instance(np.rint(np.linalg.norm(places[:, None] - places, axis=2)), first)
     cost, tour = gtsp.best_nodes(problem, np.arange(1, 7))
-    found = gtsp._found(problem, tour, cost, tour_bound.one_tree(problem.cost, first))
+    found = gtsp._found(problem, tour, cost, bounds.one_tree(problem.cost, first))
     assert found.lower_bound == np.floor(found.lower_bound)
     assert found.lower_bound <= gtsp.exact(problem).cost
 

@@ -5,9 +5,9 @@ from itertools import combinations, permutations, product
 import numpy as np
 import pytest
 
-from planner.order.seconds_of_views import home_share, least_moves, moves_in
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
+from planner.tour.view_times import home_share, least_moves, moves_in
 
 RANGE = np.full(6, 3.0)
 # The ratio of velocity to acceleration differs from axis to axis: no axis' times order the others'.

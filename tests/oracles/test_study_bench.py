@@ -16,9 +16,9 @@ from cell.study.comparison import DENSER, fewest_for, most_with
 from cell.study.placement_trial import placement
 from cell.study.scenes import bench_of, scene_of, scene_settings
 from cell.study.tables import not_beaten
+from planner.kinematics import reach
 from planner.measurability import coverage
-from planner.measurability.matrix import occlude
-from planner.reach import reach
+from planner.measurability.visibility import occlude
 
 
 @pytest.fixture(scope="module")

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from cell.robot.kinematics import Kr16Kinematics
-from planner.path.sweeps.motion import TUBE, sweeps_of
-from planner.path.sweeps.path import SweepPath
-from planner.path.sweeps.timing import DrivenSweep
+from planner.path.sweeps import TUBE, DrivenSweep, SweepPath, sweeps_of
 from planner.values import Floats
-from planner.viewpoints.sweeps import straight_poses, turned_poses
+from planner.viewpoints.viewpoints import straight_poses, turned_poses
 
 KINEMATICS = Kr16Kinematics.load()
 LIMITS = KINEMATICS.limits

@@ -19,8 +19,8 @@ from cell.world import triangle_distance as gjk
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
 from cell.world.triangles import TriangleTree
+from planner.geometry.mesh import TriangleMesh
 from planner.path.path import connect
-from planner.surface.mesh import TriangleMesh
 
 REQUEST = fcl.DistanceRequest(gjk_solver_type=fcl.GJKSolverType.GST_INDEP)
 ZERO, UPRIGHT = np.zeros(3), np.eye(3).ravel()

@@ -7,12 +7,12 @@ import trimesh
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
 from planner.ports import Rejection
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 from planner.why import why
 from planner.why.reasons import Reason
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from planner.order import equivalent_views, moves
-from planner.order.equivalent_views import Exchange, Matrix, exchange
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
+from planner.tour import equivalent_views, visits
+from planner.tour.equivalent_views import Exchange, Matrix, exchange
 
 LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.arange(1.0, 7.0), np.arange(2.0, 8.0))
 HOME = np.full(6, 0.25)
@@ -92,7 +92,7 @@ def test_the_joint_solutions_that_are_kept_are_the_best(monkeypatch: pytest.Monk
     monkeypatch.setattr(moves, "_NODES", 10)
     longer = np.random.default_rng(0).random(9)
     for n_views, count in ((2, 5), (100, 4), (1, 9)):
-        assert moves.best_on_tour(longer, n_views).tolist() == sorted(np.argsort(longer)[:count].tolist())
+        assert visits.best_on_tour(longer, n_views).tolist() == sorted(np.argsort(longer)[:count].tolist())
 
 
 def test_pinned_views_stay_and_stand_in_for_nobody() -> None:

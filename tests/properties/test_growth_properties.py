@@ -7,13 +7,12 @@ from cell.part.workpiece import load
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from cell.scanners.laser_line import LaserLine
-from planner.measurability.matrix import measured
-from planner.surface.decimate import decimate
-from planner.surface.sample import sample
+from planner.geometry.decimation import decimate
+from planner.geometry.sampling import sample
+from planner.measurability.visibility import measured
 from planner.viewpoints.growth import Arm, Stage, grow
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.sphere import view_sphere
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.viewpoints.viewpoints import optimal_scanning_zone, view_sphere
 
 
 def _above(T):

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
-from planner.measurability.matrix import fill, measured, occlude
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
+from planner.measurability.visibility import fill, measured, occlude
 from planner.ports import Rejection
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
 from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -222,9 +222,8 @@ def test_the_size_of_bundles_does_not_matter(seed, bundle):
     keys = {"method": "rays", "part": part, "row_of_face": np.arange(len(part.faces)) % len(features)}
     usual = fill(views, features, scanner, caster), fill(views, features, scanner, caster, **keys)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("planner.measurability.matrix.BUNDLE", bundle)
-        patch.setattr("planner.measurability.raygrid.BUNDLE", bundle)
-        patch.setattr("planner.measurability.matrix._OPEN_BUNDLE", bundle)
+        patch.setattr("planner.measurability.visibility.BUNDLE", bundle)
+        patch.setattr("planner.measurability.visibility._OPEN_BUNDLE", bundle)
         other = fill(views, features, scanner, caster), fill(views, features, scanner, caster, **keys)
         predicted = measured(views.T_object_scanner, features, scanner, [caster])
     for a, b in zip(usual, other, strict=True):

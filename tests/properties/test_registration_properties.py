@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from cell.reconstruction.cloud import ScanCloud
 from cell.reconstruction.registration import register
-from planner.surface.closest import NearestSurface
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.closest import NearestSurface
+from planner.geometry.mesh import TriangleMesh
 
 _BOX = trimesh.creation.box((0.06, 0.04, 0.03)).subdivide().subdivide()
 _MODEL = TriangleMesh(_BOX.vertices, _BOX.faces)

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from planner.measurability.matrix import measured
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
 from planner.measurability.quality import Limited
+from planner.measurability.visibility import measured
 from planner.ports import Rejection
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 _ANGLE = st.floats(5, 85)
 _LIMITS = st.fixed_dictionaries({

@@ -5,10 +5,10 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.surface.closest import closest_face
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
+from planner.geometry.closest import closest_face
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
 
 
 @given(st.integers(0, 2**32 - 1))

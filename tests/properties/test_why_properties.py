@@ -25,10 +25,9 @@ from cell.why import files as why_files
 from cell.why.answer import Answer, Group
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
+from planner.kinematics import reach
 from planner.measurability import coverage
-from planner.reach import reach
-from planner.viewpoints.viewpoints import Viewpoints
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 from planner.why.reasons import Reason
 from planner.why.what_if import Kind
 

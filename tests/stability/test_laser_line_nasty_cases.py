@@ -8,12 +8,11 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.scanners import swept
 from cell.scanners.laser_line import LaserLine
 from planner.errors import PlannerError
-from planner.measurability.matrix import fill, occlude
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples, sample
+from planner.measurability.visibility import fill, occlude
 from planner.ports import Rejection
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, sample
-from planner.viewpoints.sphere import view_sphere
-from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.viewpoints import Viewpoints, view_sphere
 
 _MESH = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
 _BALL = TriangleMesh(_MESH.vertices, _MESH.faces.astype(np.int32))

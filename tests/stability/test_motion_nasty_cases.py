@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from planner.errors import PlannerError
-from planner.order.tour import DropReason, MotionBudget, Tour, TourStatus, plan_motion
-from planner.order.visits import Visits
 from planner.path.certified_edge import quantise
 from planner.path.path import PathStatus, connect
 from planner.ports import JointLimits
 from planner.timing.motion import retime
 from planner.timing.move_time import move_time
+from planner.tour.tour import DropReason, MotionBudget, Tour, TourStatus, plan_motion
+from planner.tour.visits import Visits
 
 RANGE = np.radians([185, 150, 150, 350, 130, 350])
 LIMITS = JointLimits(

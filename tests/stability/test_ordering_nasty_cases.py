@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from planner.errors import PlannerError
-from planner.order import generalised_tsp as gtsp
-from planner.order import tour_bound
-from planner.order.moves import Moves
-from planner.order.orderings import OrderStatus, Sequence, sequence
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
+from planner.tour import bounds
+from planner.tour import generalised_tsp as gtsp
+from planner.tour.orderings import OrderStatus, Sequence, sequence
+from planner.tour.visits import Moves
 
 RANGE = np.radians([185, 150, 150, 350, 130, 350])
 LIMITS = JointLimits(
@@ -205,7 +205,7 @@ def test_fewer_clusters_than_a_tour_has_corners(clusters: int) -> None:
     exact = gtsp.exact(problem)
     _, start = gtsp.best_nodes(problem, np.arange(1, clusters))
     assert gtsp.search(problem, start, 0, 100)[0] == pytest.approx(exact.cost)
-    assert tour_bound.one_tree(problem.cost, problem.first) <= exact.cost * (1 + 1e-12)
+    assert bounds.one_tree(problem.cost, problem.first) <= exact.cost * (1 + 1e-12)
 
 
 @pytest.mark.parametrize(

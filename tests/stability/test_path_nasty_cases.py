@@ -10,10 +10,10 @@ from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.scene import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from planner.order.tour import DropReason, plan_motion
-from planner.order.visits import Visits
 from planner.path.certified_edge import STEP, certify, quantise
 from planner.path.path import PathStatus, connect
+from planner.tour.tour import DropReason, plan_motion
+from planner.tour.visits import Visits
 
 BALL = 0.02 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])  # a part that is out of the way
 FORWARD = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0.0]])  # the flange looks along the base's x

@@ -9,7 +9,7 @@ from cell.reconstruction.cloud import ScanCloud
 from cell.reconstruction.freedom import FreeKind
 from cell.reconstruction.registration import RegistrationStatus, register
 from planner.errors import PlannerError
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 SENSOR = np.array([0.0, 0.0, 0.3])
 

@@ -9,7 +9,7 @@ from cell.replay.appearance import VIEW_FACES
 from cell.replay.model import POINTS_SHOWN, dress
 from cell.run import reader as run_reader
 from cell.run.record import open_run
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 _SQUARE = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], dtype=np.float64)
 

@@ -9,8 +9,8 @@ from cell.reconstruction.cloud import ScanCloud, merge
 from cell.reconstruction.reconstruct import ReconstructionStatus, reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
 from cell.scanners.laser_area import LaserArea
+from planner.geometry.mesh import TriangleMesh
 from planner.ports import Rejection
-from planner.surface.mesh import TriangleMesh
 
 PLATE = TriangleMesh(
     np.array([[-0.05, -0.05, 0.0], [0.05, -0.05, 0.0], [0.05, 0.05, 0.0], [-0.05, 0.05, 0.0]]),

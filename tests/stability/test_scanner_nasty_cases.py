@@ -8,10 +8,10 @@ from cell.errors import SceneError
 from cell.rays import virtual_scan
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from planner.measurability.matrix import measured
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
+from planner.measurability.visibility import measured
 from planner.ports import Rejection
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
 
 BACK = np.array([[0.0, 0.0, -1.0]])
 AHEAD = np.array([[0.0, 0.0, 0.3]])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import face_features, sample
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import face_features, sample
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 _SAMPLES = 300
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from cell.robot.kinematics import Kr16Kinematics
-from planner.path.sweeps.motion import sweeps_of
-from planner.path.sweeps.path import SweepRefusal
+from planner.path.sweep_line import SweepRefusal
+from planner.path.sweeps import sweeps_of
 from planner.ports import JointLimits
 from planner.values import Floats
-from planner.viewpoints.sweeps import straight_poses, turned_poses
+from planner.viewpoints.viewpoints import straight_poses, turned_poses
 
 KINEMATICS = Kr16Kinematics.load()
 LIMITS = KINEMATICS.limits

@@ -10,12 +10,12 @@ from cell.plan.attainable import of_plan, sentence
 from cell.rays.embree import EmbreeRayCaster
 from cell.run.report_json import Attainable
 from cell.scanners.laser_area import LaserArea
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.coverage import Coverage
-from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.attainable import _first_taken_up, attainable
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.pointwise import Aimed
+from planner.viewpoints.pose_sampling import Aimed
 
 SCANNER = LaserArea(range_mm=(50, 150), baseline_mm=25, sensor_grazing_max_deg=75)
 

@@ -15,11 +15,10 @@ from cell.run.executions import ExecutedScan
 from cell.scan import causes
 from cell.scan.pose_error import Disturbance
 from cell.scanners.laser_area import LaserArea
-from planner.surface.closest import NearestSurface
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.viewpoints.viewpoints import enclosing_radius
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.geometry.closest import NearestSurface
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.viewpoints.viewpoints import enclosing_radius, optimal_scanning_zone
 
 BUILT_IN = ("mseke", "mug", "robinet", "petanque", "humerus", "st-jean")
 CAUSES = {

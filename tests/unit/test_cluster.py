@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.surface.cluster import _uncancelled, clustered
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.decimation import _uncancelled, clustered, decimate
+from planner.geometry.mesh import TriangleMesh
 
 
 def _mesh(solid: trimesh.Trimesh) -> TriangleMesh:

@@ -7,13 +7,12 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.prediction import Prediction
 from cell.scanners.laser_area import LaserArea
 from planner.errors import PlannerError
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples, sample
 from planner.measurability import coverage
-from planner.measurability import remembered as remembered_views
-from planner.measurability.matrix import measured
-from planner.measurability.remembered import Remembered
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, sample
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.measurability import visibility as remembered_views
+from planner.measurability.visibility import Remembered, measured
+from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 SCANNER = LaserArea(resolution_deg=(1, 1))
 

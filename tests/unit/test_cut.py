@@ -6,8 +6,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner.surface.cut import cut, faces_within
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh, cut, faces_within
 
 
 def ball() -> TriangleMesh:

@@ -6,7 +6,7 @@ import trimesh
 
 from cell.reconstruction.deviation import area_samples, deviation
 from planner.errors import PlannerError
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 BOX = trimesh.creation.box((0.1, 0.1, 0.1))
 REFERENCE = TriangleMesh(BOX.vertices, BOX.faces)

@@ -10,8 +10,8 @@ from cell.reconstruction.cloud import ScanCloud, merge
 from cell.reconstruction.reconstruct import NOISIEST, SPARSEST, reconstruct
 from cell.scene import doubts
 from cell.scene.scene import Scene
-from planner.surface.decimate import decimate
-from planner.surface.sample import sample
+from planner.geometry.decimation import decimate
+from planner.geometry.sampling import sample
 
 
 def test_a_time_step_that_is_too_long_is_told() -> None:

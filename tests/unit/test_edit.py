@@ -14,10 +14,10 @@ from cell.errors import UnreachableError, UsageError
 from cell.robot.frames import kuka_abc_from_pose
 from cell.run import reader
 from cell.scene.option import flag, read
-from planner.order import generalised_tsp as gtsp
-from planner.order.given_order import in_order
-from planner.order.moves import Moves
 from planner.ports import JointLimits
+from planner.tour import generalised_tsp as gtsp
+from planner.tour.orderings import in_order
+from planner.tour.visits import Moves
 
 POSE = (812.0, 430.0, 655.0, 90.0, 0.0, 180.0)
 

@@ -38,8 +38,8 @@ from drivers.errors import FaultError
 from drivers.limits import Limits
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad, to_rad
+from planner.geometry.mesh import TriangleMesh
 from planner.ports import JointLimits, Rejection
-from planner.surface.mesh import TriangleMesh
 from planner.timing.motion import Motion, retime
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))

@@ -25,8 +25,8 @@ from cell.scan.safety import EVERY
 from cell.scanners.laser_area import LaserArea
 from planner.explore.gain import Record, came
 from planner.explore.space import OCCUPIED, VoxelSpace
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, sample
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples, sample
 from planner.values import Bools, Floats
 from planner.viewpoints.viewpoints import looking_at
 

@@ -12,7 +12,7 @@ from cell.explore import belief, measured_surface
 from cell.reconstruction.cloud import PointCloud
 from cell.reconstruction.reconstruct import ReconstructionStatus
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 EDGE, RADIUS, SEEN = 0.001, 0.005, 0.006

@@ -10,9 +10,9 @@ from cell.explore import moved
 from cell.explore.moved import with_better
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from planner.measurability.matrix import measured
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
+from planner.measurability.visibility import measured
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.viewpoints import join_viewpoints, looking_at
 

@@ -7,8 +7,8 @@ from cell.explore.reasons import NOT_TAKEN, SMALL, TRIED, StillOpen, sentence, s
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner.explore.gain import Open
-from planner.reach.reach import Reach, Verdict
-from planner.surface.sample import SurfaceSamples
+from planner.geometry.sampling import SurfaceSamples
+from planner.kinematics.reach import Reach, Verdict
 from planner.viewpoints.viewpoints import looking_at
 from planner.why.reasons import Reason
 

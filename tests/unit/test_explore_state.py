@@ -28,8 +28,8 @@ from cell.scene.plan_settings import PlanSettings
 from cell.scene.scene import Scene
 from planner.explore.gain import Record
 from planner.explore.space import FREE, UNKNOWN, VoxelSpace
-from planner.surface.closest import NearestSurface
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.closest import NearestSurface
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 from planner.viewpoints.viewpoints import looking_at
 

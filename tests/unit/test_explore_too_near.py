@@ -11,8 +11,8 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner.explore.gain import LATEST
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
 from planner.values import Floats
 
 TARGET = np.array([[0.0, 0.0, 0.0]])

@@ -15,7 +15,7 @@ from cell.part import workpiece
 from cell.rays import virtual_scan
 from cell.rays.embree import EmbreeRayCaster
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 from planner.viewpoints.viewpoints import looking_at
 

@@ -8,13 +8,13 @@ from cell.checks.possible import impossible
 from cell.proof.motion_again import require_free
 from cell.scene.scene import Scene
 from cell.world.model import compile_world
-from planner.order.tour import TourStatus, plan_motion
-from planner.order.visits import Visits
 from planner.path import indexed
 from planner.path.certified_edge import quantise, quantise_inside, subdivide
 from planner.path.path import PathStatus, connect, path_time, shorten
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
+from planner.tour.tour import TourStatus, plan_motion
+from planner.tour.visits import Visits
 
 HOME = quantise([2.0, 0, 0, 0, 0, 0, 0])
 LIMITS = JointLimits(

@@ -12,11 +12,10 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, cache_folder, part_matrix
 from cell.scene.resolve import resolve
 from cell.scene.scene_file import load_scene
-from planner.measurability.matrix import fill
-from planner.surface.decimate import decimate
-from planner.surface.sample import face_features, sample
-from planner.viewpoints.viewpoints import pick_viewpoints
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.geometry.decimation import decimate
+from planner.geometry.sampling import face_features, sample
+from planner.measurability.visibility import fill
+from planner.viewpoints.viewpoints import optimal_scanning_zone, pick_viewpoints
 
 
 @pytest.fixture(scope="module")

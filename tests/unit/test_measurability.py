@@ -6,11 +6,11 @@ import pytest
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner.errors import PlannerError
-from planner.measurability.matrix import Measurability, fill, measured, occlude
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples, face_features, pick_samples, sample
-from planner.viewpoints.viewpoints import Viewpoints
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples, face_features, pick_samples, sample
+from planner.measurability.matrix import Measurability
+from planner.measurability.visibility import fill, measured, occlude
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 SCANNER = LaserArea(resolution_deg=(2, 2))
 

@@ -8,9 +8,9 @@ import pytest
 from cell.errors import FileError
 from cell.rays.matrix_cache import FORMAT, column_hashes, load, row_key, save
 from cell.scanners.laser_area import LaserArea
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.viewpoints import Viewpoints
 
 

@@ -5,11 +5,10 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from planner.order import generalised_tsp as gtsp
-from planner.order.moves import Moves
-from planner.order.order_overlap import grown, keeps, overlapping
-from planner.order.orderings import sequence
 from planner.ports import JointLimits
+from planner.tour import generalised_tsp as gtsp
+from planner.tour.orderings import grown, keeps, overlapping, sequence
+from planner.tour.visits import Moves
 
 LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 1.0), np.full(6, 2.0))
 HOME = np.zeros(6)

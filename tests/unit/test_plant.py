@@ -23,7 +23,7 @@ from drivers.profile import Reference, interpolate, resting
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad
 from drivers.sim import SimDriver
-from planner.reach.rotary_table import RotaryTable
+from planner.kinematics.rotary_table import RotaryTable
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 

@@ -7,7 +7,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.scanners.laser_line import LaserLine
 from planner.ports import Rejection
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.pointwise import Frustum, carried, drawn, frustum
+from planner.viewpoints.pose_sampling import Frustum, carried, drawn, frustum
 from planner.viewpoints.viewpoints import looking_at, standing_at
 
 

@@ -6,7 +6,7 @@ from scipy.sparse import csr_array
 
 from cell.scan.pose_error import Disturbance
 from planner.errors import PlannerError
-from planner.measurability.matrix import fill
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.pose_ensemble import (
     PoseError,
     ProbabilityLayer,
@@ -14,8 +14,8 @@ from planner.measurability.pose_ensemble import (
     probability_layer,
     times_measured,
 )
+from planner.measurability.visibility import fill
 from planner.ports import Hits, Rejection
-from planner.surface.sample import SurfaceSamples
 from planner.viewpoints.viewpoints import Viewpoints, rotations
 
 

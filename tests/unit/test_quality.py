@@ -7,13 +7,13 @@ import trimesh
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner.errors import PlannerError
-from planner.measurability.matrix import Measurability, fill, measured
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
+from planner.measurability.matrix import Measurability
 from planner.measurability.quality import Limited, best_sigma, sigma_layer, within
+from planner.measurability.visibility import fill, measured
 from planner.ports import Rejection
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
-from planner.viewpoints.viewpoints import Viewpoints
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 SCANNER = LaserArea(range_mm=(50, 400), baseline_mm=40)
 

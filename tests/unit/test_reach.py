@@ -6,7 +6,7 @@ import pytest
 from cell.robot.frames import pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
-from planner.reach.reach import Reach, Verdict, join_reach, pick_reach, solve, takes_up, with_solutions
+from planner.kinematics.reach import Reach, Verdict, join_reach, pick_reach, solve, takes_up, with_solutions
 from planner.viewpoints.viewpoints import Viewpoints
 
 KINEMATICS = Kr16Kinematics.load()

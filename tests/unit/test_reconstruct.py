@@ -9,7 +9,7 @@ from cell.reconstruction.deviation import area_samples
 from cell.reconstruction.holes import boundary_loops
 from cell.reconstruction.reconstruct import Reconstruction, ReconstructionStatus, reconstruct
 from planner.errors import PlannerError
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 RADIUS = 0.05
 VIEWS = 0.3 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])

@@ -7,15 +7,15 @@ import trimesh
 from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from planner.cover import Problem, solve
-from planner.measurability.matrix import fill, measured
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
+from planner.measurability.visibility import fill, measured
 from planner.ports import Rejection
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
-from planner.viewpoints import growth, refine
+from planner.viewpoints import growth, refinement
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.lines_of_sight import Targets, in_view, in_view_of
-from planner.viewpoints.pointwise import moved
-from planner.viewpoints.refine import Standing, better, fewer
+from planner.viewpoints.pose_sampling import moved
+from planner.viewpoints.refinement import Standing, better, fewer
 from planner.viewpoints.viewpoints import looking_at
 
 STANDOFF = 0.1
@@ -122,7 +122,7 @@ def test_each_round_measures_more(case, monkeypatch):
         T, _ = _better(case, features.areas)
         way = np.linalg.norm(T[:, :3, 3] - views.T_object_scanner[:, :3, 3], axis=1)
         turn = 2 * np.sin(np.sqrt(3) * np.radians(15) / 2)
-        assert way.max() <= STANDOFF * sum(refine.ALONE) * (turn + np.sqrt(3) * 0.15)
+        assert way.max() <= STANDOFF * sum(refinement.ALONE) * (turn + np.sqrt(3) * 0.15)
         rounds.append(float(np.sum(features.areas @ measured(T[:, None], features, *case[1:2], (case[2],), each=True))))
     assert rounds == sorted(rounds)
     assert rounds[0] < rounds[2]

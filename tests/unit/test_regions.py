@@ -22,11 +22,11 @@ from cell.scene.regions import complete, limited, require_no_wishes
 from cell.scene.scene import Scene
 from cell.scene.scene_file import load_scene
 from planner.cover import Problem
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
 from planner.measurability.quality import Limited, Limits
 from planner.ports import Rejection
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
 from tests.step_files import StepFile, bored_block
 
 NO = {"name": "no", "care": "no"}

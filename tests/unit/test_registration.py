@@ -12,8 +12,8 @@ from cell.reconstruction.cloud import ScanCloud, merge
 from cell.reconstruction.reconstruct import reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
 from planner.errors import PlannerError
-from planner.surface.closest import NearestSurface
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.closest import NearestSurface
+from planner.geometry.mesh import TriangleMesh
 
 VIEWS = 0.25 * np.array([[1, 0, 0.2], [-1, 0.1, 0], [0, 1, 0], [0, -1, 0.1], [0.3, 0, 1], [0, 0.2, -1]])
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.surface.remesh import contract_short_edges, split_long_edges, stout
+from planner.geometry.decimation import contract_short_edges, decimate, split_long_edges, stout
+from planner.geometry.mesh import TriangleMesh
 
 
 def needles() -> trimesh.Trimesh:

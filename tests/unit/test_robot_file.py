@@ -30,8 +30,8 @@ from cell.world.gap import Shapes, is_convex, mesh_of
 from cell.world.model import compile_world
 from cell.world.own_pairs import OwnPairs
 from cell.world.travel import TravelBound
+from planner.geometry.mesh import TriangleMesh
 from planner.path.certified_edge import subdivide
-from planner.surface.mesh import TriangleMesh
 
 # Origin in the parent [m] and axis of each joint, and the middle and sides of the box that is its link.
 CHAIN = (

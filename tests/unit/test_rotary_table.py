@@ -22,8 +22,8 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from cell.world.rotary_table import Turner
 from cell.world.travel import swing
+from planner.kinematics.rotary_table import ArmOnTable, RotaryTable
 from planner.path.certified_edge import certify_many
-from planner.reach.rotary_table import ArmOnTable, RotaryTable
 
 BLOCK = trimesh.creation.box((0.2, 0.1, 0.3))
 

@@ -7,9 +7,8 @@ import pytest
 from scipy.sparse import csr_array
 
 from planner.errors import PlannerError
-from planner.measurability.matrix import Measurability
-from planner.measurability.sample_rows import add_rows
-from planner.surface.sample import SurfaceSamples
+from planner.geometry.sampling import SurfaceSamples
+from planner.measurability.matrix import Measurability, add_rows
 
 
 def _matrix(dense, planning_face, area):

@@ -27,7 +27,7 @@ from cell.scene.resolve import resolve
 from cell.scene.scene_file import load_scene
 from cell.world.model import World, compile_world
 from cell.world.travel import TravelBound
-from planner.surface.decimate import decimate
+from planner.geometry.decimation import decimate
 
 SCENE = """
 [placement]

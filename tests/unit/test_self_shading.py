@@ -16,12 +16,12 @@ from cell.robot.arm import kinematics_of
 from cell.scanners.laser_area import LaserArea
 from cell.scene.scene import Scene
 from cell.world.model import World, compile_world
-from planner.measurability.matrix import Measurability, fill
-from planner.reach.reach import Reach, Verdict
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
-from planner.viewpoints.viewpoints import Viewpoints
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
+from planner.kinematics.reach import Reach, Verdict
+from planner.measurability.matrix import Measurability
+from planner.measurability.visibility import fill
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 BALL = trimesh.creation.icosphere(2, 0.05)
 PART = TriangleMesh(BALL.vertices, BALL.faces)

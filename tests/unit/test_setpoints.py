@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from planner.kinematics.setpoints import STEPS_PER_DEGREE, from_steps, setpoints, to_steps
 from planner.ports import JointLimits
-from planner.reach.setpoints import STEPS_PER_DEGREE, from_steps, setpoints, to_steps
 
 LIMITS = JointLimits(
     lower=np.deg2rad([-185.0, -155, -130, -350, -130, -350]),

@@ -30,8 +30,8 @@ from cell.setups.search import Search
 from cell.why import advise
 from cell.world.model import compile_world
 from planner.cover import Problem
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import SurfaceSamples
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
 
 
 def _samples(points: Any, normals: Any) -> SurfaceSamples:

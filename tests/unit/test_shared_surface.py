@@ -6,8 +6,8 @@ import pytest
 from cell.reconstruction.freedom import of_surface
 from cell.run.setups_json import SharedSurface
 from cell.setups.shared import apart, joining, left_free, shared
+from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
-from planner.surface.sample import SurfaceSamples
 from planner.values import Bools
 
 

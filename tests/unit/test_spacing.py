@@ -6,11 +6,11 @@ import pytest
 from cell.errors import SceneError
 from cell.scanners.laser_area import LaserArea
 from cell.scanners.laser_line import LaserLine
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
 from planner.measurability import coverage
 from planner.measurability.quality import best_of_views
 from planner.ports import Rejection
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
 
 AREA = LaserArea(fov_deg=(60, 40), resolution_deg=(0.02, 0.05), range_mm=(1, 2000), grazing_max_deg=90)
 

@@ -9,7 +9,7 @@ import pytest
 from cell import stand_ins
 from cell.errors import UsageError
 from cell.stand_ins import fields, mesher
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 
 def shape(part: stand_ins.StandIn) -> TriangleMesh:

@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from planner.errors import PlannerError
-from planner.surface.decimate import decimate
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import face_features, sample
+from planner.geometry.decimation import decimate
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import face_features, sample
 
 
 def sphere(subdivisions: int = 4, radius: float = 0.1) -> TriangleMesh:

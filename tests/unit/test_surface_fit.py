@@ -10,8 +10,8 @@ from cell.reconstruction.cloud import ScanCloud
 from cell.reconstruction.freedom import FreeKind, shape_of
 from cell.reconstruction.rigid import motion_of, screw_of
 from cell.reconstruction.surface_fit import Search, fit
-from planner.surface.closest import NearestSurface
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.closest import NearestSurface
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
 SENSOR = np.array([0.05, 0.1, 0.28])

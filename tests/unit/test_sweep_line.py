@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from planner.path.sweeps.line import DEFAULT_SPEED, SweepSpeed, line_through, rotation_vectors, rotations
+from planner.path.sweep_line import DEFAULT_SPEED, SweepSpeed, line_through, rotation_vectors, rotations
 from planner.values import Floats
-from planner.viewpoints.sweeps import straight_poses, turned_poses
+from planner.viewpoints.viewpoints import straight_poses, turned_poses
 
 
 def _somewhere(seed: int) -> Floats:

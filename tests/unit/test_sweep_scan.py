@@ -31,13 +31,11 @@ from drivers.contract import Capabilities, Mode, RobotState
 from drivers.errors import FaultError
 from drivers.limits import Limits
 from drivers.setpoints import from_rad
-from planner.path.sweeps.motion import sweeps_of
-from planner.path.sweeps.path import SweepPath
-from planner.path.sweeps.timing import DrivenSweep
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
+from planner.path.sweeps import DrivenSweep, SweepPath, sweeps_of
 from planner.timing.motion import Motion, retime
 from planner.values import Floats
-from planner.viewpoints.sweeps import straight_poses, turned_poses
+from planner.viewpoints.viewpoints import straight_poses, turned_poses
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from planner.errors import PlannerError
-from planner.viewpoints.sphere import view_sphere
-from planner.viewpoints.sweeps import straight_poses, swept, turned_poses
-from planner.viewpoints.viewpoints import Viewpoints
+from planner.viewpoints.viewpoints import Viewpoints, straight_poses, swept, turned_poses, view_sphere
 
 
 def _views() -> Viewpoints:

@@ -5,13 +5,11 @@ import pytest
 
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
-from planner.path.sweeps.motion import sweeps_of
-from planner.path.sweeps.path import SweepPath
-from planner.path.sweeps.timing import DrivenSweep
+from planner.path.sweeps import DrivenSweep, SweepPath, sweeps_of
 from planner.timing.motion import Motion, jerk_free_duration, retime
 from planner.timing.move_time import move_time
 from planner.values import Floats
-from planner.viewpoints.sweeps import straight_poses
+from planner.viewpoints.viewpoints import straight_poses
 
 KINEMATICS = Kr16Kinematics.load()
 LIMITS = KINEMATICS.limits

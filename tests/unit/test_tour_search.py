@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from planner.order import generalised_tsp as gtsp
-from planner.order.orderings import sequence
-from planner.order.roadmap import Edge, Roadmap
-from planner.order.tour_search import _VERY_MANY, MotionBudget, TourSearch
-from planner.order.visits import Visits
 from planner.ports import JointLimits
+from planner.tour import generalised_tsp as gtsp
+from planner.tour.orderings import sequence
+from planner.tour.roadmap import Edge, Roadmap
+from planner.tour.tour_search import _VERY_MANY, MotionBudget, TourSearch
+from planner.tour.visits import Visits
 
 LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 2.0), np.full(6, 4.0))
 

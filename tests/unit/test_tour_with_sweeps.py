@@ -9,16 +9,13 @@ from numpy.typing import NDArray
 
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
-from planner.order.tour import TourStatus, plan_motion
-from planner.order.visits import Visits
-from planner.path.sweeps.motion import sweeps_of
-from planner.path.sweeps.passage import Passage
-from planner.path.sweeps.path import SweepPath, passages_of
-from planner.path.sweeps.timing import DrivenSweep
+from planner.path.sweeps import DrivenSweep, Passage, SweepPath, passages_of, sweeps_of
 from planner.timing.motion import retime
 from planner.timing.move_time import move_time
+from planner.tour.tour import TourStatus, plan_motion
+from planner.tour.visits import Visits
 from planner.values import Floats
-from planner.viewpoints.sweeps import straight_poses
+from planner.viewpoints.viewpoints import straight_poses
 
 KINEMATICS = Kr16Kinematics.load()
 LIMITS = KINEMATICS.limits

@@ -15,10 +15,10 @@ from cell.plan.views import Groups, Next
 from cell.scene.plan_settings import PlanSettings
 from planner import cover
 from planner.cover import CoverStatus
-from planner.order.tour import Tour, TourStatus, plan_motion
-from planner.order.visits import Visits
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
+from planner.tour.tour import Tour, TourStatus, plan_motion
+from planner.tour.visits import Visits
 
 RANGE = np.full(6, 3.0)
 LIMITS = JointLimits(-RANGE, RANGE, np.full(6, 2.0), np.full(6, 4.0))

@@ -21,9 +21,9 @@ from cell.view import contents
 from cell.view.page import Layer, Play, Shown, Stage, View, html_of
 from cell.view.pieces import Piece, cell_of_run
 from cell.view.surface import canvas_of, sides, surface_of
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import sample
 from planner.measurability import coverage
-from planner.surface.mesh import TriangleMesh
-from planner.surface.sample import sample
 
 DataOf = Callable[[str], dict[str, Any]]
 _EVIL = "<script>alert(1)</script>"

@@ -18,7 +18,7 @@ from cell.view import rays
 from cell.view.cell_picture import best_view, draw_cell
 from cell.view.palette import LENGTHS, OPEN, REASONS, SEEN, SIGNED, rgb
 from cell.view.pieces import Cell, Piece, cell_of_run
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 
 _SIZE = (160, 120)
 

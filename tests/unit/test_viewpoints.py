@@ -7,10 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner.errors import PlannerError
-from planner.surface.mesh import TriangleMesh
-from planner.viewpoints.sphere import view_sphere
-from planner.viewpoints.viewpoints import Viewpoints, enclosing_radius
-from planner.viewpoints.zone import optimal_scanning_zone
+from planner.geometry.mesh import TriangleMesh
+from planner.viewpoints.viewpoints import Viewpoints, enclosing_radius, optimal_scanning_zone, view_sphere
 
 
 def ball(subdivisions: int = 2) -> TriangleMesh:

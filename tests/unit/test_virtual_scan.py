@@ -7,8 +7,8 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
 from planner.errors import PlannerError
+from planner.geometry.mesh import TriangleMesh
 from planner.ports import Rejection
-from planner.surface.mesh import TriangleMesh
 
 DOWN = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.3], [0, 0, 0, 1]])  # 300 mm above, looking down
 SCANNER = LaserArea(fov_deg=(60, 40), resolution_deg=(2, 2))

@@ -202,7 +202,7 @@ def test_a_candidate_must_fail_at_something_beyond_measuring() -> None:
 
 def test_the_middle_of_a_sweep_stays_when_it_backs_off_and_rolls() -> None:
     """A sweep of eight poses, turned or straight, moved as a whole: what is made is the sweep of the moved view."""
-    from planner.viewpoints.sweeps import straight_poses, swept, turned_poses
+    from planner.viewpoints.viewpoints import straight_poses, swept, turned_poses
 
     start = np.concatenate([_down(0.01, 0.2).T_object_scanner, _down(-0.02, 0.2, 0.3).T_object_scanner])
     views = Viewpoints(start, np.zeros(2, np.int32), np.full(2, 0.2), np.array([0.0, 0.3]))

@@ -1,6 +1,6 @@
 """The whole motion over a set of views: order, joint solutions and certified paths, from home and back.
 
-The search itself is `planner.order.tour_search`; this file checks its input and puts the legs together.
+The search itself is `planner.tour.tour_search`; this file checks its input and puts the legs together.
 
 A view to which no path is found from any of its joint solutions is dropped and said; the caller may then cover the part
 anew without it.
@@ -12,14 +12,14 @@ from typing import Annotated
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.order.orderings import Ordering, sequence
-from planner.order.roadmap import Roadmap
-from planner.order.tour_search import DEFAULT_BUDGET, MotionBudget, TourSearch
-from planner.order.visits import Visits
 from planner.path.path import is_detour, path_time
-from planner.path.sweeps.passage import Passage
+from planner.path.sweeps import Passage
 from planner.ports import CollisionChecker, JointLimits, Progress
 from planner.timing.limits import check_inside, check_limits
+from planner.tour.orderings import Ordering, sequence
+from planner.tour.roadmap import Roadmap
+from planner.tour.tour_search import DEFAULT_BUDGET, MotionBudget, TourSearch
+from planner.tour.visits import Visits
 from planner.values import Bools, Floats, Ints, Value
 from planner.worded import Worded
 

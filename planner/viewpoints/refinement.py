@@ -5,7 +5,7 @@ is known: what no other chosen view measures. `fewer` leaves out the views that 
 until nothing is missing again: each in turn to where it measures the largest area of what only it measures and of what
 is open, all others staying where they are; then all of them again with other steps. The measured area never falls. A
 pattern search (Kolda, Lewis, Torczon 2003, doi:10.1137/S003614450242889) whose steps are stretches of the lattice of
-`planner.viewpoints.pointwise`: nothing is random, and the work is counted in poses. `better` does the same with views
+`pose_sampling`: nothing is random, and the work is counted in poses. `better` does the same with views
 that are not to stand together. Every pose that is kept measures by the same rules as a candidate and is taken up by the
 arm. Object frame, metres.
 """
@@ -19,7 +19,7 @@ import numpy as np
 from planner.values import Bools, Floats, Ints, Value
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.pointwise import moved
+from planner.viewpoints.pose_sampling import moved
 
 WORK = 8_000
 """Poses that are looked at in all: one to two seconds of processor time."""

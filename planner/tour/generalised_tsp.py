@@ -3,7 +3,7 @@
 Pure combinatorics on a matrix of edge costs. For one order of the clusters the best nodes follow from an exact dynamic
 programme over layers (`best_nodes`). Over orders, `exact` runs the dynamic programme of Held and Karp (1962,
 doi:10.1137/0110015) on subsets of clusters, with nodes as states. Where that is too dear, `search` looks for a good
-tour (`planner.order.ruin_and_recreate`), and `bound` says how good it is, up to a proof (`planner.order.tour_bound`).
+tour (`planner.tour.ruin_and_recreate`), and `bound` says how good it is, up to a proof (`planner.tour.bounds`).
 
 Costs may depend on the direction (a sweep ends elsewhere than it begins); the bounds then hold for the cheaper
 direction of each edge, which no tour undercuts. An edge that cannot be used costs `BLOCKED`, a number that dwarfs every
@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.order import tour_bound
+from planner.tour import bounds
 from planner.values import Floats, Ints, readonly
 
 BLOCKED = 1e7
@@ -165,14 +165,14 @@ def solve(
     if bound_work is None:
         cost, tour = search(problem, tour, int(rng.integers(2**63)), steps, hot)
         return _found(problem, tour, cost, 0.0)
-    quick = min(tour_bound.one_tree(problem.either, problem.first), cost)
+    quick = min(bounds.one_tree(problem.either, problem.first), cost)
     seed, bound = int(rng.integers(2**63)), quick
     # A first part of the search often ends at a tour that the strong bound proves; the rest is only run where not.
     for part in (steps // _FIRST, steps) if bound_work > 0 else (steps,):
         if cost > bound * (1.0 + 1e-9):
             cost, tour = search(problem, tour, seed, part, hot)
         if cost > bound * (1.0 + 1e-9) and bound == quick and bound_work > 0 and cost < BLOCKED:
-            strong = tour_bound.by_walks(problem.either, problem.first, cost, bound_work)
+            strong = bounds.by_walks(problem.either, problem.first, cost, bound_work)
             bound = max(quick, strong.value)
             if strong.tour is not None and problem.length(strong.tour) < cost:
                 tour = strong.tour
@@ -236,9 +236,9 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int, hot: float = _H
     """
     if steps <= 0 or problem.n_clusters < 4:  # three clusters and fewer have one cyclic order, which has its best nodes
         return best_nodes(problem, problem.clusters_of(tour)[1:])
-    from planner.order.ruin_and_recreate import annealed  # importing numba costs 0.3 s, and small tours do without
+    from planner.tour.ruin_and_recreate import annealed  # importing numba costs 0.3 s, and small tours do without
 
-    between = tour_bound.between_clusters(problem.either, problem.first)
+    between = bounds.between_clusters(problem.either, problem.first)
     np.fill_diagonal(between, -1.0)  # each cluster is its own nearest
     near = np.argsort(between, axis=1, kind="stable")
     usable = np.where(between < BLOCKED, between, np.nan)

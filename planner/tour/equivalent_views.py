@@ -21,10 +21,10 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from planner.order import generalised_tsp as gtsp
-from planner.order.moves import best_on_tour, node_offsets, too_many
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
+from planner.tour import generalised_tsp as gtsp
+from planner.tour.visits import best_on_tour, node_offsets, too_many
 from planner.values import Bools, Floats, Ints, Value, freeze, readonly
 
 STAND_INS = 16

@@ -3,7 +3,7 @@
 `one_tree` is quick and weak. It is the bound of Held and Karp (1970, doi:10.1287/opre.18.6.1138) on the clusters: each
 pair of them costs what its cheapest pair of nodes costs, so a tour may change its node between arriving and leaving.
 
-`by_walks` keeps the nodes. It is the shortest closed walk of `planner.order.walk_relaxation` under prizes for visiting
+`by_walks` keeps the nodes. It is the shortest closed walk of `planner.tour.walk_relaxation` under prizes for visiting
 each cluster, raised in rounds: a subgradient ascent in the prizes (Held, Wolfe and Crowder 1974,
 doi:10.1007/BF01580223), with deflected directions (Camerini, Fratta and Maffioli 1975, doi:10.1007/BFb0120697); then
 the clusters that the walk came back to are remembered along the circle (dynamic ng-sets: Roberti and Mingozzi 2014,
@@ -166,7 +166,7 @@ class _Ascent:
 
     def leave_out(self) -> None:
         """Leave out nodes through which every walk, and so every tour, costs more than the tour that is known."""
-        from planner.order import walk_relaxation as walks  # importing numba costs 0.3 s
+        from planner.tour import walk_relaxation as walks  # importing numba costs 0.3 s
 
         through = np.full(len(self.cost), np.inf)
         visits = self.near + self.far - 1
@@ -192,7 +192,7 @@ class _Ascent:
 
     def _index(self) -> None:
         """Number the states after memories or nodes changed."""
-        from planner.order import walk_relaxation as walks  # importing numba costs 0.3 s
+        from planner.tour import walk_relaxation as walks  # importing numba costs 0.3 s
 
         sizes = np.diff(self.first)
         states = sizes << self.count
@@ -208,7 +208,7 @@ class _Ascent:
 
     def _layers(self, prize: Floats, start: int, depth: int) -> Floats:
         """Cost of the cheapest walk from a start to each state, by its number of visits, up to `depth`."""
-        from planner.order import walk_relaxation as walks  # importing numba costs 0.3 s
+        from planner.tour import walk_relaxation as walks  # importing numba costs 0.3 s
 
         value = np.full((depth + 1, self.base[-1]), np.inf)
         walks.layers(self.cost, self.first, prize, start, self.table, self.rows, self.count, self.base, value)
@@ -216,7 +216,7 @@ class _Ascent:
 
     def _shortest(self, prize: Floats) -> tuple[float, Ints]:
         """The bound under these prizes, and the nodes of the walk that gives it."""
-        from planner.order import walk_relaxation as walks  # importing numba costs 0.3 s
+        from planner.tour import walk_relaxation as walks  # importing numba costs 0.3 s
 
         best, walk = np.inf, self.walk
         for start in range(self.first[1]):

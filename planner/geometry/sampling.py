@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.surface.closest import closest_face
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.closest import closest_face
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Ints, Ints32, Value
 
 _GOLDEN = 0.6180339887498949  # the most irrational step: its multiples modulo 1 are the most evenly spread

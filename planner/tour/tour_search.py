@@ -12,13 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from planner.order import generalised_tsp as gtsp
-from planner.order.moves import Moves, best_on_tour, node_offsets, too_many
-from planner.order.orderings import Ordering
-from planner.order.roadmap import Edge, Roadmap
-from planner.order.visits import Visits
 from planner.path.path import CHECKS, is_detour, path_time
 from planner.ports import ARM_AXES, JointLimits, Progress
+from planner.tour import generalised_tsp as gtsp
+from planner.tour.orderings import Ordering
+from planner.tour.roadmap import Edge, Roadmap
+from planner.tour.visits import Moves, Visits, best_on_tour, node_offsets, too_many
 from planner.values import Floats, Ints
 
 
@@ -27,7 +26,7 @@ class MotionBudget:
     """Work that planning a motion may use; no clock is read, so equal input gives an equal motion.
 
     Attributes:
-        orders: tours that one full ordering may look at (`planner.order.orderings.sequence`).
+        orders: tours that one full ordering may look at (`planner.tour.orderings.sequence`).
         bound: edges that the lower bound may look at.
         path_checks: configurations that the search of one detour may check.
         checks: configurations after which detours get only a token search.
@@ -41,7 +40,7 @@ class MotionBudget:
         before_settling: configurations checked under each guess after which the search settles for what it has.
         polish: further searches for each detour of the final tour.
         guesses: what a colliding move is priced at until a detour is searched, one after the other: so many times the
-            straight move's time, and so much more [s] (`planner.order.roadmap`). A high guess finds a good tour with
+            straight move's time, and so much more [s] (`planner.tour.roadmap`). A high guess finds a good tour with
             few searches; a low one after it searches what may still be faster.
     """
 

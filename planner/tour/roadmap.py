@@ -18,13 +18,13 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from planner.order.visits import Visits
+from planner.kinematics.setpoints import to_steps
 from planner.path import indexed
 from planner.path.certified_edge import certify_many, quantise_inside
 from planner.path.path import connect, path_time, shorten
 from planner.ports import CollisionChecker, JointLimits
-from planner.reach.setpoints import to_steps
 from planner.timing.move_time import move_time
+from planner.tour.visits import Visits
 from planner.values import Floats, Ints
 
 Edge = tuple[int, int]

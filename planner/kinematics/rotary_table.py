@@ -13,8 +13,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
+from planner.kinematics.setpoints import from_steps, to_steps
 from planner.ports import ARM_AXES, JointLimits, Kinematics
-from planner.reach.setpoints import from_steps, to_steps
 from planner.values import Floats, Value
 
 

@@ -15,7 +15,7 @@ from typing import Annotated
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.surface.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Ints32, Value
 
 _CREASE_DEG = 30.0  # across edges that turn by more, normals are not interpolated

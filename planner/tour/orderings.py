@@ -2,22 +2,34 @@
 
 The baseline is the usual two steps: a Christofides tour (networkx) through the scanner's positions in task space,
 then the best joint solutions along it. The joint-space ordering starts there and solves order and joint solutions
-together, as the generalised travelling salesman that they are (`planner.order.generalised_tsp`), with the time of the
+together, as the generalised travelling salesman that they are (`planner.tour.generalised_tsp`), with the time of the
 synchronised joint move as cost and home at both ends: exactly where that is affordable, else by search with a lower
 bound.
+
+Visiting orders that are given: only joint solutions are chosen, and the places of views that the order leaves out.
+
+Each view that is left out goes, one after the other, where the tour becomes the fastest with its best joint solutions.
+
+Visiting orders in which each view overlaps an earlier one, so that scans can be registered as they come in.
+
+The fastest order without this wish is taken first. Where it breaks the wish, orders that keep it are grown: from every
+first view, always the view that overlaps an earlier one and comes next in the fastest order; the best of them is then
+improved by moving single views to places that keep the wish. Every order is judged with its best joint solutions. This
+is a heuristic: the lower bound is that of orders without the wish.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence as Numbers
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Annotated, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.order import generalised_tsp as gtsp
-from planner.order import tour_bound
-from planner.order.moves import Moves
-from planner.values import Floats, Ints, Value, readonly
+from planner.tour import bounds
+from planner.tour import generalised_tsp as gtsp
+from planner.tour.visits import Moves
+from planner.values import Bools, Floats, Ints, Value, readonly
 from planner.worded import Worded
 
 _MATCHED = 10  # nearest places with which one of odd degree may be matched; more where these leave one alone
@@ -122,7 +134,7 @@ def _completed(problem: gtsp.Instance, start: Ints) -> Ints:
         raise PlannerError(f"start is no order of the views; it must hold numbers of 0 to {n - 1}, each at most once")
     order = [0, *(start + 1).tolist()]
     if len(missing):
-        between = tour_bound.between_clusters(problem.either, problem.first)
+        between = bounds.between_clusters(problem.either, problem.first)
         for k in missing + 1:
             after = np.roll(order, -1)
             order.insert(1 + int(np.argmin(between[order, k] + between[k, after] - between[order, after])), int(k))
@@ -198,3 +210,113 @@ def _result(problem: gtsp.Instance, moves: Moves, found: gtsp.Found, baseline: I
 def _time(cost: float) -> float:
     """The cost as a time: infinite where a blocked edge is in it."""
     return cost if cost < gtsp.BLOCKED else float("inf")
+
+
+def in_order(given: Numbers[int]) -> Ordering:
+    """An ordering that keeps a given order; without effect where views of it are missing.
+
+    Where a bound is asked for, baseline and bound are those of the free order.
+
+    Args:
+        given: views in visiting order, each at most once.
+    """
+
+    def ordering(moves: Moves, *arguments: Any, **options: Any) -> Sequence:
+        problem = moves.instance()
+        n = problem.n_clusters - 1
+        if n <= max(given, default=-1):
+            return sequence(moves, *arguments, **options)  # the caller says what is missing
+        order = np.array(given, dtype=np.int64)
+        for view in sorted(set(range(n)) - set(given)):
+            trials = [np.insert(order, place, view) for place in range(len(order) + 1)]
+            order = min(trials, key=lambda trial: gtsp.best_nodes(problem, trial + 1)[0])
+        cost, tour = gtsp.best_nodes(problem, order + 1)
+        free = sequence(moves, *arguments, **options) if options.get("bound_work") is not None else None
+        drivable = cost < gtsp.BLOCKED
+        return Sequence(
+            order=order,
+            choice=tour[1:] - problem.first[order + 1],
+            q=moves.q[tour[1:]],
+            duration=cost if drivable else float("inf"),
+            baseline_duration=float("inf") if free is None else free.baseline_duration,
+            lower_bound=0.0 if free is None else free.lower_bound,
+            status=OrderStatus.HEURISTIC if drivable else OrderStatus.NO_TOUR,
+        )
+
+    return ordering
+
+
+Joined = Bools
+"""(n, n) which views overlap."""
+
+_STEPS_PER_TRIAL = 30
+"""Steps of the free search's budget that one trial of an order costs: judging an order takes about as long."""
+
+
+def keeps(joined: Joined, order: Ints) -> bool:
+    """Whether each view of an order but the first overlaps an earlier one."""
+    return all(joined[order[k], order[:k]].any() for k in range(1, len(order)))
+
+
+def grown(joined: Joined, wanted: Ints, first: int) -> Ints | None:
+    """The order from a first view on that keeps the wish and follows another order where it may; None without any.
+
+    Args:
+        joined: which views overlap.
+        wanted: (n,) the order that is followed, cyclically from the first view on.
+        first: view to begin with.
+    """
+    waiting = np.roll(wanted, -int(np.flatnonzero(wanted == first)[0])).tolist()
+    order = [waiting.pop(0)]
+    while waiting:
+        following = next((view for view in waiting if joined[view, order].any()), None)
+        if following is None:
+            return None
+        waiting.remove(following)
+        order.append(following)
+    return np.array(order, dtype=np.int64)
+
+
+def overlapping(joined: Joined) -> Ordering:
+    """An ordering of views that overlap; without effect where some of them are missing.
+
+    Args:
+        joined: (n, n) which views overlap, in the order in which they are numbered.
+    """
+
+    def ordering(moves: Moves, *arguments: Any, **options: Any) -> Sequence:
+        free = sequence(moves, *arguments, **options)
+        if len(free.order) != len(joined) or keeps(joined, free.order):
+            return free
+        problem = moves.instance()
+        both = (free.order, free.order[::-1])
+        starts = [grown(joined, wanted, first) for wanted in both for first in range(len(joined))]
+        kept = [order for order in starts if order is not None]
+        if not kept:
+            return free  # the graph does not hold together; the caller says so
+        (cost, tour), best = min(
+            ((gtsp.best_nodes(problem, order + 1), order) for order in kept), key=lambda j: j[0][0]
+        )
+        trials = options.get("budget", gtsp.STEPS) // _STEPS_PER_TRIAL
+        for view in range(len(joined)):
+            rest = best[best != view]
+            for place in range(len(best)):
+                trial = np.insert(rest, place, view)
+                if trials <= 0 or not keeps(joined, trial):
+                    continue
+                trials -= 1
+                found = gtsp.best_nodes(problem, trial + 1)
+                if found[0] < cost * (1 - 1e-12):
+                    (cost, tour), best = found, trial
+        clusters = problem.clusters_of(tour)[1:]
+        choice = tour[1:] - problem.first[clusters]
+        return replace(
+            free,
+            order=clusters - 1,
+            choice=choice,
+            q=moves.q[tour[1:]],
+            duration=cost if cost < gtsp.BLOCKED else float("inf"),
+            status=OrderStatus.HEURISTIC if cost < gtsp.BLOCKED else OrderStatus.NO_TOUR,
+        )
+
+    return ordering

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
+from planner.kinematics.setpoints import Setpoints, setpoints
 from planner.ports import CollisionChecker, Kinematics, Progress
-from planner.reach.setpoints import Setpoints, setpoints
 from planner.values import Bools, Floats, Ints, Value, freeze, readonly
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.worded import Worded

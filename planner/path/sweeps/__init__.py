@@ -1,1 +1,0 @@
-"""Views that sweep: lines at constant speed, proven free, and the arm's way along them."""
