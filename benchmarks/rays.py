@@ -38,6 +38,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.scene.scene_file import load_scene
 from cell.part.workpiece import load
 from planner.measurability import visibility
+from planner.viewpoints import lines_of_sight
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import sample
 from planner.viewpoints.viewpoints import optimal_scanning_zone
@@ -53,7 +54,7 @@ passed = [0]
 def counting(*arguments):
     passed[0] += len(arguments[3])
     return legs_free(*arguments)
-legs_free, matrix.legs_free = matrix.legs_free, counting
+legs_free, lines_of_sight.legs_free = lines_of_sight.legs_free, counting
 scanner = LaserArea(**settings.scanner)
 best = None
 for _ in range(int(sys.argv[3])):

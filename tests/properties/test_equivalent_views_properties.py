@@ -79,7 +79,7 @@ def test_equal_seeds_give_equal_exchanges() -> None:
 
 def test_where_there_are_too_many_joint_solutions_nothing_is_lost_either(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each view keeps a few: the views measure as much, and the motion is not longer than before."""
-    monkeypatch.setattr(moves, "_NODES", 10)
+    monkeypatch.setattr(visits, "_NODES", 10)
     for seed in range(4):
         case = Case(seed)
         found = case.exchanged()
@@ -89,7 +89,7 @@ def test_where_there_are_too_many_joint_solutions_nothing_is_lost_either(monkeyp
 
 def test_the_joint_solutions_that_are_kept_are_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those that make the tour least longer, by number; never fewer than a few."""
-    monkeypatch.setattr(moves, "_NODES", 10)
+    monkeypatch.setattr(visits, "_NODES", 10)
     longer = np.random.default_rng(0).random(9)
     for n_views, count in ((2, 5), (100, 4), (1, 9)):
         assert visits.best_on_tour(longer, n_views).tolist() == sorted(np.argsort(longer)[:count].tolist())

@@ -114,7 +114,7 @@ def test_what_is_remembered_of_views_is_what_they_measure_when_asked_anew():
 def test_views_asked_long_ago_are_forgotten_and_asked_again(monkeypatch):
     """With room for two views and looks at a few pairs: the same answers; what is known of a set casts no rays."""
     monkeypatch.setattr(remembered_views, "_VIEWS", 2)
-    monkeypatch.setattr(remembered_views, "_BUNDLE", 50)
+    monkeypatch.setattr(remembered_views, "_OPEN_BUNDLE", 50)
     part, draws = _slab(), np.random.default_rng(4)
     samples, caster = sample(part, part, 1500, np.random.default_rng(0)), EmbreeRayCaster(part.vertices, part.faces)
     poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner

@@ -118,7 +118,7 @@ def test_each_round_measures_more(case, monkeypatch):
     features, _, _, views = case
     rounds = []
     for count in (1, 2, 3):
-        monkeypatch.setattr(refine, "ALONE", (1.0, 0.5, 0.25)[:count])
+        monkeypatch.setattr(refinement, "ALONE", (1.0, 0.5, 0.25)[:count])
         T, _ = _better(case, features.areas)
         way = np.linalg.norm(T[:, :3, 3] - views.T_object_scanner[:, :3, 3], axis=1)
         turn = 2 * np.sin(np.sqrt(3) * np.radians(15) / 2)
