@@ -19,9 +19,8 @@ from scipy.spatial import cKDTree
 from benchmarks.cell_process import run_cell
 from benchmarks.parts import parts, place
 from cell.errors import CellError
-from cell.run import reader as run_reader
-from cell.run.cell import read_cell
-from cell.run.record import open_run
+from cell.runs.cell import read_cell
+from cell.runs.run import open_run
 from planner.geometry.sampling import sample
 from planner.measurability import coverage
 from planner.values import Floats, Ints32
@@ -76,7 +75,7 @@ def spacing_of_scans(folder: Path) -> Floats:
     run = open_run(folder)
     cell = read_cell(run)
     samples = sample(cell.reference, cell.planning, _SAMPLES, np.random.default_rng(11))
-    poses = np.stack([view.T_object_poses for view in run_reader.plan(run).views])
+    poses = np.stack([view.T_object_poses for view in run.plan.views])
     visible = coverage.visible(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster)).covered
     best = np.full(_SAMPLES, np.inf)
     for path in sorted((folder / "executions" / "0001" / "scans").glob("*.npz")):

@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from benchmarks.checks import independently_measured
 from cell.diff.difference import Difference
 from cell.rays.prediction import held_out
-from cell.run import ply, reader
-from cell.run.planned import PlannedRun, open_run
+from cell.runs import ply
+from cell.runs.run import Run, open_finished
 
 BORDERLINE = 12
 """Samples that lie on the border of a condition to the last digits: so many may differ for each run."""
@@ -25,9 +25,9 @@ _MOSTLY = 0.5
 def recounted(found: Difference) -> tuple[list[str], float]:
     """What does not hold of a difference, and by how many samples its areas are off at most."""
     folders = Path(found.a), Path(found.b)
-    runs = [open_run(folder if found.kind == "plan" else folder.parent.parent) for folder in folders]
-    reference = reader.mesh(runs[0].record, "reference.ply")
-    samples = held_out(reference, reader.mesh(runs[0].record, "planning.ply"), runs[0].record.seed)
+    runs = [open_finished(folder if found.kind == "plan" else folder.parent.parent) for folder in folders]
+    reference = runs[0].mesh("reference.ply")
+    samples = held_out(reference, runs[0].mesh("planning.ply"), runs[0].seed)
     each = [independently_measured(run.folder, samples.points, samples.normals) for run in runs]
     wrong = [*_views(found, runs, each, samples.areas), *_numbers(found, folders)]
     if found.kind == "plan":
@@ -49,11 +49,11 @@ def recounted(found: Difference) -> tuple[list[str], float]:
 
 
 def _near_points(execution: Path, points: np.ndarray) -> np.ndarray:
-    cloud = ply.places(ply.elements((execution / "cloud.ply").read_bytes())["vertex"])
+    cloud = ply.positions(ply.elements((execution / "cloud.ply").read_bytes())["vertex"])
     return np.asarray(cKDTree(cloud).query(points)[0])
 
 
-def _views(found: Difference, runs: list[PlannedRun], each: list[np.ndarray], areas: np.ndarray) -> list[str]:
+def _views(found: Difference, runs: list[Run], each: list[np.ndarray], areas: np.ndarray) -> list[str]:
     """Each view is on one side once; kept ones stand at one pose; moved ones do mostly the same, others do not."""
     views, wrong = found.views, []
     if found.kind == "plan":

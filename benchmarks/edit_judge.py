@@ -19,9 +19,8 @@ from benchmarks.random_edits import RandomEdit
 from benchmarks.triangle_cell import TriangleCell
 from cell.errors import CellError
 from cell.proof.proof import prove
-from cell.run import reader
-from cell.run.cell import world_of
-from cell.run.planned import PlannedRun
+from cell.runs.cell import world_of
+from cell.runs.run import Run
 from planner.timing.motion import retime
 from planner.values import Floats
 
@@ -51,14 +50,14 @@ class EditJudge:
         run: the plan; its cell, limits and clearance are those of every edit of it.
     """
 
-    def __init__(self, run: PlannedRun) -> None:
-        self._scene = reader.scene(run.record)
-        self._world = world_of(run.record, run.reference)
+    def __init__(self, run: Run) -> None:
+        self._scene = run.scene
+        self._world = world_of(run, run.reference)
         self._triangles = TriangleCell(self._world, run.reference)
         self._limits = np.radians(self._scene.joint_limits_deg)
         self.visible_error = 0.0
 
-    def accepted(self, run: PlannedRun, asked: RandomEdit, made: PlannedRun) -> list[str]:
+    def accepted(self, run: Run, asked: RandomEdit, made: Run) -> list[str]:
         """What does not hold of an edited plan; empty where all does."""
         return [
             *self._views(asked, made), *_kept(run, asked, made), *self._motion(made), *self._coverage(made),
@@ -115,7 +114,7 @@ class EditJudge:
                 return ["the straight move from home is free"]
         return []
 
-    def _views(self, asked: RandomEdit, made: PlannedRun) -> Iterator[str]:
+    def _views(self, asked: RandomEdit, made: Run) -> Iterator[str]:
         """Views are where their joint angles put them, within limits, and where they were asked for."""
         T = np.stack([_ARM.forward(q).as_matrix() for q in made.q]) @ self._scene.T_flange_scanner
         if (wrong := float(np.abs(T - made.T_base_scanner).max())) > 1e-9:
@@ -128,7 +127,7 @@ class EditJudge:
             if not ((apart <= POSE_M) & (turned <= _TURNED)).any():
                 yield f"{name} is {1e6 * apart.min():.0f} um from where it was asked for, or turned"
 
-    def _motion(self, made: PlannedRun) -> Iterator[str]:
+    def _motion(self, made: Run) -> Iterator[str]:
         """No triangle touches another at any millisecond, no limit is exceeded, the clearance is what is said."""
         motion = made.motion
         dense = retime(motion.via_q, motion.segment, motion.view, motion.limits, _STEP_S)
@@ -147,18 +146,18 @@ class EditJudge:
         except CellError as error:
             yield f"would not be driven: {error}"
 
-    def _coverage(self, made: PlannedRun) -> Iterator[str]:
+    def _coverage(self, made: Run) -> Iterator[str]:
         self.visible_error = made.coverage.visible - independent_visible(made.folder, seed=12345)
         if abs(self.visible_error) > VISIBLE:
             yield f"visible coverage is {100 * self.visible_error:+.2f} points off"
 
 
-def _kept(run: PlannedRun, asked: RandomEdit, made: PlannedRun) -> Iterator[str]:
+def _kept(run: Run, asked: RandomEdit, made: Run) -> Iterator[str]:
     """Candidates keep their rows, dropped views are gone, the order is as told."""
-    before, after = reader.candidates(run.record), reader.candidates(made.record)
+    before, after = run.candidates, made.candidates
     if after.T_object_scanner[: len(before)].tobytes() != before.T_object_scanner.tobytes():
         yield "candidates changed"
-    if (reader.reached(made.record).verdict[: len(before)] != reader.reached(run.record).verdict).any():
+    if (made.reach.verdict[: len(before)] != run.reach.verdict).any():
         yield "verdicts changed"
     was, now = run.candidate.tolist(), made.candidate.tolist()
     if gone := [number for number in asked.wishes.get("drop", ()) if was[number - 1] in now]:
@@ -177,9 +176,9 @@ def _kept(run: PlannedRun, asked: RandomEdit, made: PlannedRun) -> Iterator[str]
         yield "the bound is above the number of views"
 
 
-def _repaired(run: PlannedRun, asked: RandomEdit, made: PlannedRun) -> Iterator[str]:
+def _repaired(run: Run, asked: RandomEdit, made: Run) -> Iterator[str]:
     """What the run was asked to cover is covered again, by the fewest added views that HiGHS finds."""
-    M, reached = reader.measurability(made.record), reader.reached(made.record)
+    M, reached = made.measurability, made.reach
     matrix, areas = M.matrix().astype(np.float64), M.features.areas
     banned = {int(run.candidate[number - 1]) for number in asked.wishes.get("drop", ())} - {*made.candidate.tolist()}
     open_to_all = matrix @ reached.reachable > 0
@@ -187,7 +186,7 @@ def _repaired(run: PlannedRun, asked: RandomEdit, made: PlannedRun) -> Iterator[
     has = matrix[:, made.candidate].sum(axis=1) > 0
     if float(areas[has].sum()) < target * (1 - 1e-6):
         yield f"repaired to {100 * areas[has].sum() / areas[open_to_all].sum():.3f} % of coverable, not to the target"
-    known = len(reader.candidates(run.record))
+    known = len(run.candidates)
     asked_for = [view for view in made.candidate.tolist() if view >= known or view in run.candidate]
     asked_for += [view for view in asked.wishes.get("add_candidate", ()) if view not in asked_for]
     added = len(made.candidate) - len(asked_for)

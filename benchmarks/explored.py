@@ -26,10 +26,9 @@ from cell.explore.options import ExploreOptions
 from cell.explore.policies import POLICIES
 from cell.explore.prepare import prepared
 from cell.narrator import Quiet
-from cell.run import reader
-from cell.run.cell import world_of
-from cell.run.explore_json import ExploreFile
-from cell.run.record import open_finished
+from cell.runs.cell import world_of
+from cell.runs.run import open_finished
+from cell.runs.schema import ExploreFile
 from cell.scan.options import ScanOptions
 from cell.scene.option import read
 from cell.scene.options import scene_of
@@ -124,10 +123,10 @@ def _share(by_views: tuple[float, ...], n: int) -> float:
 def _judged(out: Path, file: ExploreFile) -> tuple[int, int]:
     """Configurations along all motions, and those in which triangles meet, the true part in its place."""
     truth = open_finished(out / "truth")
-    part = reader.mesh(truth, "reference.ply")
+    part = truth.mesh("reference.ply")
     judge, checked, found = TriangleCell(world_of(truth, part), part), 0, 0
     for stage in file.stages:
-        q = reader.motion(open_finished(out / stage.folder)).q
+        q = open_finished(out / stage.folder).motion.q
         checked += len(q)
         found += sum(judge.contacts(q).values())
     return checked, found

@@ -33,10 +33,8 @@ import trimesh
 from benchmarks.fuzz import mangled
 from cell.errors import CellError
 from cell.part import workpiece
-from cell.run import reader
-from cell.run.executions import read_scan
-from cell.run.manifest_json import Manifest
-from cell.run.record import RunRecord, read_manifest
+from cell.runs.run import Run, read_manifest, read_scan
+from cell.runs.schema import Manifest
 from cell.scene.scene_file import load_scene
 
 ROOM = 1 << 30
@@ -149,17 +147,15 @@ def kinds(run: Path, scan: Path | None) -> list[Kind]:
 def _read_json(path: Path) -> object:
     if path.name == "manifest.json":
         return read_manifest(path)
-    run = RunRecord(path.parent, Manifest(status="finished"))
-    return {"plan.json": reader.plan, "scene.resolved.json": reader.scene, "report.json": reader.report}[path.name](run)
+    run = Run(path.parent, Manifest(status="finished"))
+    return getattr(run, {"plan.json": "plan", "scene.resolved.json": "scene", "report.json": "report"}[path.name])
 
 
 def _read_npz(path: Path) -> object:
     if path.name == "scan.npz":
         return read_scan(path)
-    run = RunRecord(path.parent, Manifest(status="finished"))
-    return {"motion.npz": reader.motion, "viewpoints.npz": reader.candidates, "reach.npz": reader.reached}[path.name](
-        run
-    )
+    run = Run(path.parent, Manifest(status="finished"))
+    return getattr(run, {"motion.npz": "motion", "viewpoints.npz": "candidates", "reach.npz": "reach"}[path.name])
 
 
 def _judged(kind: Kind, count: int, seed: int) -> Iterator[tuple[str, float, str]]:

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from cell.run.record import open_finished
+from cell.runs.run import open_finished
 
 _PLAN = ("plan", "petanque", "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--seed", "3")
 _TIME_SCALE = "2"

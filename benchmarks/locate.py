@@ -27,9 +27,8 @@ from cell.reconstruction.freedom import FreeKind
 from cell.reconstruction.matching import small_motion
 from cell.reconstruction.rigid import RigidFit, motion_of, screw_of, told
 from cell.reconstruction.surface_fit import Search, fit
-from cell.run import reader
-from cell.run.cell import RunCell, read_cell
-from cell.run.planned import PlannedRun
+from cell.runs.cell import RunCell, read_cell
+from cell.runs.run import Run
 from planner.geometry.closest import NearestSurface
 from planner.values import Floats
 
@@ -54,13 +53,13 @@ def run() -> list[dict[str, Any]]:
     return rows
 
 
-def _row(planned: PlannedRun, count: int) -> dict[str, Any]:
-    cell = read_cell(planned.record)
+def _row(planned: Run, count: int) -> dict[str, Any]:
+    cell = read_cell(planned)
     nearest, centre = NearestSurface(cell.reference), cell.scene.T_object_centre[:3, 3]
     vertices = cell.reference.vertices[np.linspace(0, len(cell.reference.vertices) - 1, _POINTS).astype(np.int64)]
     errors, deviations, open_, wrong, seconds, seen = [], [], [], 0, 0.0, []
     for draw in range(count):
-        T_moved, cloud = scanned(cell, reader.plan(planned.record).views[0].T_object_scanner, centre, draw)
+        T_moved, cloud = scanned(cell, planned.plan.views[0].T_object_scanner, centre, draw)
         seen.append(len(cloud))
         begin = process_time()
         try:

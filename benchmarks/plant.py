@@ -34,8 +34,7 @@ from cell.plant.servo import Settings
 from cell.robot.arm import kinematics_of
 from cell.robot.kinematics import Kr16Kinematics
 from cell.robot.model import load
-from cell.run import reader as run_reader
-from cell.run.record import RunRecord, open_run
+from cell.runs.run import Run, open_run
 from cell.scan import driver as scan_driver
 from cell.scan.legs import legs_of
 from cell.scan.options import ScanOptions
@@ -59,9 +58,9 @@ def run() -> list[dict[str, Any]]:
     return rows + stability()
 
 
-def default_plan(run_record: RunRecord, speed: float) -> dict[str, Any]:
+def default_plan(run_record: Run, speed: float) -> dict[str, Any]:
     """One row: the plan's legs at a speed fraction."""
-    motion, T = run_reader.motion(run_record), run_reader.scene(run_record).T_flange_scanner
+    motion, T = run_record.motion, run_record.scene.T_flange_scanner
     kinematics = kinematics_of(load())
     seconds, stands, trace = np.inf, [], Trace()
     for attempt in range(4):

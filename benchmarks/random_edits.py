@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
-from cell.run import reader
-from cell.run.planned import PlannedRun
+from cell.runs.run import Run
 from planner.values import Floats
 
 _WRONG = 0.08  # share of edits that name what is not there
@@ -39,7 +38,7 @@ class RandomEdit:
         return " ".join(f"--{key.replace('_', '-')}" for key, value in self.wishes.items() if value is not False)
 
 
-def random_edit(rng: np.random.Generator, run: PlannedRun) -> RandomEdit:
+def random_edit(rng: np.random.Generator, run: Run) -> RandomEdit:
     """Views dropped, moved, turned, added, in another order, with and without repair.
 
     Args:
@@ -58,7 +57,7 @@ def random_edit(rng: np.random.Generator, run: PlannedRun) -> RandomEdit:
     if rng.random() < 0.4:
         wishes["turn"] = {numbers[3]: float(np.round(rng.uniform(-180, 180), 1))}
     if rng.random() < 0.3:
-        among = reader.reached(run.record).reachable
+        among = run.reach.reachable
         among = among if rng.random() < _SHARE_REACHABLE else np.ones_like(among)
         others = np.setdiff1d(np.flatnonzero(among), run.candidate)
         wishes["add_candidate"] = [int(rng.choice(others))]
@@ -82,7 +81,7 @@ def _beside(rng: np.random.Generator, T: Floats) -> list[float]:
     return [float(number) for number in np.round(moved, 2)]
 
 
-def _wrong(rng: np.random.Generator, run: PlannedRun) -> RandomEdit:
+def _wrong(rng: np.random.Generator, run: Run) -> RandomEdit:
     """An edit that names what is not there, or a view twice."""
     n, total = len(run.candidate), run.report.verdicts.total
     twice = int(rng.integers(n))
@@ -99,10 +98,10 @@ def _wrong(rng: np.random.Generator, run: PlannedRun) -> RandomEdit:
     return RandomEdit(wishes, wrong=told)
 
 
-def _poses(wishes: dict[str, Any], run: PlannedRun) -> dict[str, Floats]:
+def _poses(wishes: dict[str, Any], run: Run) -> dict[str, Floats]:
     """Where the scanner has to be for the views that an edit names anew."""
-    candidates = reader.candidates(run.record).T_object_scanner[:, 0]
-    T_base_object = reader.scene(run.record).T_base_object
+    candidates = run.candidates.T_object_scanner[:, 0]
+    T_base_object = run.scene.T_base_object
 
     def given(each: list[float]) -> Floats:
         T: Floats = pose_from_kuka_abc(np.array(each[:3]) / 1000, np.radians(each[3:]))

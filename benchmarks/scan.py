@@ -27,8 +27,7 @@ from cell.errors import CellError
 from cell.part.workpiece import load
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.virtual_scan import scan
-from cell.run import reader as run_reader
-from cell.run.record import open_run
+from cell.runs.run import open_run
 from cell.scan import driver as scan_driver
 from cell.scan.execution_folder import EXECUTING
 from cell.scan.legs import legs_of
@@ -89,7 +88,7 @@ def _farthest(execution: Path) -> float:
 
 
 def _controller(plan: Path) -> dict[str, Any]:
-    motion = run_reader.motion(open_run(plan))
+    motion = open_run(plan).motion
     legs = legs_of(motion).legs
     best, simulated = np.inf, 0.0
     for _ in range(5):

@@ -21,7 +21,7 @@ from benchmarks.parts import parts, place
 from cell import api
 from cell.errors import CellError
 from cell.rays.prediction import held_out
-from cell.run.cell import read_cell
+from cell.runs.cell import read_cell
 from cell.setups import plan_setups, search
 from cell.setups.fewest import Rows, fewest_setups
 from cell.setups.joint import JointCover, joint_cover
@@ -119,7 +119,7 @@ def _views_first(wish: Problem, joint: JointCover, poses: Floats) -> tuple[int, 
 
 def _ceiling(folder: Path) -> tuple[float, float]:
     """Share of the surface that some scanner pose measures past the part alone, and its standard error."""
-    record = api.open_run(folder).record
+    record = api.open_run(folder)
     cell = read_cell(record)
     samples = held_out(cell.reference, cell.planning, record.seed)
     some = pick_samples(samples, np.sort(np.random.default_rng(0).permutation(len(samples))[:ASKED]))

@@ -31,8 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.robot import model as robot
-from cell.run import reader
-from cell.run.record import open_run
+from cell.runs.run import open_run
 from drivers.contract import Driver, Fault
 from drivers.errors import (
     DriverError,
@@ -283,7 +282,7 @@ def soak_backend(
     Returns:
         What the client knows, and the controller's journal.
     """
-    limits = KR16 if folder is None else Limits.from_rad(reader.motion(open_run(folder)).limits)
+    limits = KR16 if folder is None else Limits.from_rad(open_run(folder).motion.limits)
     with tempfile.TemporaryDirectory() as kept:
         log = Path(kept) / "moves.jsonl"
         command = [sys.executable, "-m", "cell", "emulate", backend, "--time-scale", str(TIME_SCALE), "--log", str(log)]

@@ -17,8 +17,7 @@ import numpy as np
 from benchmarks.cell_process import run_cell
 from benchmarks.parts import parts, place
 from cell.errors import CellError
-from cell.run import reader
-from cell.run.record import RunRecord, open_run
+from cell.runs.run import Run, open_run
 from planner import cover
 
 
@@ -39,7 +38,7 @@ def _row(name: str, arguments: tuple[str, ...], kept: Path) -> dict[str, Any]:
             runs.append(open_run(out))
         except CellError as error:
             return {"part": name, "said": str(error)[:100]}
-    fixed, turned = (reader.report(each) for each in runs)
+    fixed, turned = (each.report for each in runs)
     can = turned.attainable
     return {
         "part": name,
@@ -57,13 +56,13 @@ def _row(name: str, arguments: tuple[str, ...], kept: Path) -> dict[str, Any]:
     }
 
 
-def _at(record: RunRecord, share: float) -> str:
+def _at(record: Run, share: float) -> str:
     """The fewest views found of a run's candidates that measure a share of the surface, and their bound."""
-    M, areas = reader.measurability(record), reader.measurability(record).features.areas
+    M, areas = record.measurability, record.measurability.features.areas
     coverable = float(areas[np.diff(M.indptr) > 0].sum())
     less = share - coverable / float(areas.sum())
     asked = min(1.0, share * float(areas.sum()) / coverable)
-    wish = cover.Problem(M.matrix(), areas, reader.reached(record).reachable, coverage=asked)
+    wish = cover.Problem(M.matrix(), areas, record.reach.reachable, coverage=asked)
     found = cover.solve(wish, rng=np.random.default_rng(0))
     told = f", which are all: {100 * less:.2f} points less" if less > 0 else ""
     return f"{len(found.views)} ({found.lower_bound}){told}"

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from cell.locate.located import Located
     from cell.locate.options import Locating
     from cell.narrator import Narrator
-    from cell.run.executed import ExecutedRun
-    from cell.run.planned import PlannedRun
+    from cell.runs.run import Execution, Run
     from cell.scan.of_setups import SetupsOutcome
     from cell.scan.options import ScanOptions
     from cell.scan.safety import Ask
@@ -52,7 +51,7 @@ def plan(
     *,
     scene: "str | Path | None" = None,
     out: "str | Path | None" = None,
-    open_of: "Sequence[PlannedRun | str | Path]" = (),
+    open_of: "Sequence[Run | str | Path]" = (),
     use_cache: bool = True,
     progress: "Progress | Narrator | None" = None,
     argv: Sequence[str] = (),
@@ -146,7 +145,7 @@ def plan_setups(
 
 
 def scan(
-    run: "PlannedRun | str | Path",
+    run: "Run | str | Path",
     options: "ScanOptions | None" = None,
     *,
     progress: "Progress | Narrator | None" = None,
@@ -154,7 +153,7 @@ def scan(
     ask: "Ask | None" = None,
     confirm: str | None = None,
     **wishes: object,
-) -> "ExecutedRun":
+) -> "Execution":
     """Execute a plan on a controller, scan at every view, merge, make the surface and measure its deviation.
 
     Args:
@@ -173,7 +172,7 @@ def scan(
     Raises:
         CellError: in one sentence; the execution's folder keeps the scans that were taken.
     """
-    from cell.run.executed import open_execution
+    from cell.runs.run import Execution
     from cell.scan import scan as execution
     from cell.scan.options import ScanOptions
     from cell.scene.option import read
@@ -182,7 +181,7 @@ def scan(
         wishes = {**wishes, "confirm_motion": confirm}
     wanted = read(ScanOptions, wishes) if options is None else options
     outcome = execution.scan(_folder(run), wanted, argv=argv, narrator=_narrator(progress), ask=ask)
-    return open_execution(outcome.folder)
+    return Execution.open(outcome.folder)
 
 
 def scan_setups(
@@ -279,7 +278,7 @@ def explore(
 
 
 def locate(
-    run: "PlannedRun | str | Path",
+    run: "Run | str | Path",
     wanted: "Locating | None" = None,
     *,
     progress: "Progress | Narrator | None" = None,
@@ -301,7 +300,7 @@ def locate(
     """
     from cell.locate.locate import locate as found
     from cell.locate.options import Locating
-    from cell.run.planned import open_run as opened
+    from cell.runs.run import open_finished as opened
     from cell.scene.option import read
 
     planned = opened(Path(run)) if isinstance(run, str | Path) else run
@@ -346,7 +345,7 @@ def open_run(folder: "str | Path") -> "EditableRun":
     return EditableRun.opened(Path(folder))
 
 
-def _folder(run: "PlannedRun | str | Path") -> Path:
+def _folder(run: "Run | str | Path") -> Path:
     return Path(run) if isinstance(run, str | Path) else run.folder
 
 

@@ -39,7 +39,7 @@ from numba.core.dispatcher import Dispatcher
 from cell.plan import attainable, picture_process
 from cell.rays.prediction import held_out
 from cell.reconstruction.deviation import deviation
-from cell.run import digest
+from cell.runs import digest
 from cell.setups import left_open
 from cell.study.bench import Bench
 from cell.view.contents import HALF_PAGE
@@ -419,7 +419,7 @@ def resealed() -> Callable[[Path], str]:
         manifest = json.loads((run / "manifest.json").read_text())
         named = {name: run / name for name in manifest["artefacts"]}
         shas = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in named.items()}
-        manifest |= {"artefacts": shas, "digest": digest.of_plan(shas)}
+        manifest |= {"artefacts": shas, "digest": digest.plan_digest(shas)}
         (run / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
         return str(manifest["digest"])
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from cell.rays.prediction import held_out
-from cell.run.cell import read_cell
-from cell.run.planned import open_run
+from cell.runs.cell import read_cell
+from cell.runs.run import open_finished
 from cell.setups.contact import touching
 from planner.measurability.visibility import measured
 from planner.values import Bools
@@ -14,9 +14,9 @@ from planner.values import Bools
 
 def seen_and_touching(run: Path) -> tuple[Bools, Bools]:
     """(S,) samples that a view measures, with a table each where it is turned back, and (S,) that a support touches."""
-    planned = open_run(run)
-    cell = read_cell(planned.record)
-    samples = held_out(cell.reference, cell.planning, planned.record.seed)
+    planned = open_finished(run)
+    cell = read_cell(planned)
+    samples = held_out(cell.reference, cell.planning, planned.seed)
     poses = np.stack([view.T_object_poses for view in planned.plan.views])
     seen = measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True).any(axis=1)
     return seen, touching(samples, cell.occluders)

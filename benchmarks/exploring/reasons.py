@@ -18,10 +18,9 @@ from cell.explore.explore import stays_open
 from cell.explore.prepare import Exploring
 from cell.explore.reasons import BESIDE, NOT_TAKEN, SMALL, TRIED, StillOpen, closest, sentence
 from cell.rays.prediction import held_out
-from cell.run import reader
-from cell.run.cell import RunCell, read_cell, world_of
-from cell.run.explore_json import ExploreFile
-from cell.run.record import open_finished
+from cell.runs.cell import RunCell, read_cell, world_of
+from cell.runs.run import open_finished
+from cell.runs.schema import ExploreFile
 from cell.world.collision import MujocoCollisionChecker
 from planner.geometry.closest import NearestSurface
 from planner.geometry.mesh import TriangleMesh
@@ -55,7 +54,7 @@ def judged(work: Exploring, file: ExploreFile) -> dict[str, tuple[float, float]]
 def _true(work: Exploring, file: ExploreFile, said: StillOpen) -> Bools:
     """(N,) for which samples the reason is true."""
     run = open_finished(work.paths.root / "truth")
-    cell, part = read_cell(run), reader.mesh(run, "reference.ply")
+    cell, part = read_cell(run), run.mesh("reference.ply")
     assert work.hidden is not None
     to_object = np.asarray(np.linalg.inv(work.hidden.T_explored_object), dtype=np.float64)
     samples = _on_part(said.samples, to_object, part, work.unknown.edge)

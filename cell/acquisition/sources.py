@@ -24,7 +24,7 @@ from planner.values import Floats, Ints, Value, freeze
 if TYPE_CHECKING:
     from pydantic import JsonValue
 
-    from cell.run.cell import RunCell
+    from cell.runs.cell import RunCell
 
 GROUP = "cell.acquisition"
 

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from cell.run.json_table import JsonTable, Transform, Triple
+from cell.runs.schema import JsonTable, Transform, Triple
 
 Quaternion = tuple[float, float, float, float]
 

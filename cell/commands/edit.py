@@ -49,7 +49,7 @@ def edit(
         rows = [*table(made.report), (f"against {run}", sentence(against)), ("run folder", str(made.folder))]
         terminal.pairs(f"Edited view plan of {made.report.part.name}", rows)
         lost = against.surface is not None and against.surface.lost_mm2 > against.surface.gained_mm2
-        alone = planned.asked_alone
+        alone = planned.is_single_setup
         repaired = [("cell", "edit", made.folder, "--repair")] if lost and not wanted.repair and alone else []
         terminal.then(("cell", "scan", made.folder), *repaired, ("cell", "diff", run, made.folder))
     raise typer.Exit(made.exit_code)

@@ -48,7 +48,7 @@ def plan(
     from cell import api
     from cell.commands.terminal import Terminal
     from cell.plan.report import table
-    from cell.run.digest import SHOWN
+    from cell.runs.digest import SHORT_DIGEST
 
     terminal = Terminal(quiet_stdout=as_json)
     if open_of:
@@ -64,7 +64,7 @@ def plan(
     if as_json:
         print_json(run.as_json())
     else:
-        rows = [*table(run.report), ("digest", run.digest[:SHOWN]), ("run folder", str(run.folder))]
+        rows = [*table(run.report), ("digest", run.digest[:SHORT_DIGEST]), ("run folder", str(run.folder))]
         terminal.pairs(f"View plan of {run.report.part.name}", rows)
         terminal.then(
             ("cell", "view", run.folder), ("cell", "scan", run.folder),

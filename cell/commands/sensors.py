@@ -14,7 +14,7 @@ def sensors(
     as_json: AsJson = False,
 ) -> None:
     """List the scanners that a scene may name, what is known of each, and what you have to give."""
-    from cell.run.folder import SCHEMA
+    from cell.runs.folder import SCHEMA
     from cell.scene import sensors as library
 
     if as_json:

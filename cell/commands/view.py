@@ -70,11 +70,11 @@ def view(
 
 def _next(what: Path | None) -> list[tuple[object, ...]]:
     """What can be done with a scene, a run or an execution; of other folders the page itself says it."""
-    from cell.run.executions import FOLDER
+    from cell.runs.run import EXECUTIONS
 
     if what is None or not what.is_dir():
         return [("cell", "plan", *(["--scene", what] if what else []))]
-    if (folder := what.absolute()).parent.name == FOLDER:
+    if (folder := what.absolute()).parent.name == EXECUTIONS:
         return [("cell", "replay", folder.parent.parent, "--execution", folder.name)]
     if not (what / "plan.json").is_file():
         return []

@@ -37,7 +37,7 @@ def why(
 ) -> None:
     """Say why parts of the surface stay open, by area, and the smallest single change that would measure them."""
     from cell.commands.terminal import Terminal, without
-    from cell.run.record import open_run
+    from cell.runs.run import open_run
     from cell.why import files as why_files
     from cell.why.explain import explain
 
@@ -64,7 +64,7 @@ def why(
 
 
 def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
-    from cell.run.record import open_finished  # kept out of the start-up of --help
+    from cell.runs.run import open_finished  # kept out of the start-up of --help
     from cell.why.advise import advise
 
     visible, found = advise(open_finished(run), terminal)

@@ -19,8 +19,7 @@ from cell.diff.side import Side, read_side
 from cell.errors import UsageError
 from cell.narrator import Narrator
 from cell.rays.prediction import held_out
-from cell.run import reader
-from cell.run.cell import RunCell, read_cell
+from cell.runs.cell import RunCell, read_cell
 from cell.view.looking import write
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability import coverage
@@ -56,13 +55,13 @@ def compare(a: Path, b: Path, narrator: Narrator, out: Path | None = None) -> Di
                 f"{plan} is a plan and {execution} an execution; give two plans or two executions (what an execution "
                 "missed of its own plan stands in its report.md)"
             )
-        cells = read_cell(A.run.record), read_cell(B.run.record)
-        parts = {side.run.record.manifest.artefacts.get("reference.ply") for side in (A, B)}
+        cells = read_cell(A.run), read_cell(B.run)
+        parts = {side.run.manifest.artefacts.get("reference.ply") for side in (A, B)}
     same_part = len(parts) == 1
     if out is not None and not same_part:
         raise UsageError(f"--out {out}: the parts of {a} and {b} are not the same mesh, on which gains could be drawn")
     with narrator.stage("what each view measures"):
-        samples = held_out(cells[0].reference, cells[0].planning, A.run.record.seed)
+        samples = held_out(cells[0].reference, cells[0].planning, A.run.seed)
         by_view = [_measured(side, cell, samples) for side, cell in zip((A, B), cells, strict=True)]
         views = _views(A, B, by_view if same_part else None, samples.areas)
         covered = [*map(_covered_by(cells, samples), (A, B), by_view)]
@@ -154,7 +153,7 @@ def _pairs(cost: Floats) -> list[tuple[int, int]]:
 
 def _settings(A: Side, B: Side) -> list[Setting]:
     """Keys of the resolved scenes, and of the executions' settings, that differ."""
-    of_a, of_b = (dict(_flat("", reader.scene(side.run.record).as_json())) for side in (A, B))
+    of_a, of_b = (dict(_flat("", side.run.scene.as_json())) for side in (A, B))
     if A.execution is not None and B.execution is not None:
         of_a |= dict(_flat("scan.", A.execution.report.settings.as_json()))
         of_b |= dict(_flat("scan.", B.execution.report.settings.as_json()))

@@ -2,7 +2,7 @@
 
 from pydantic import Field, JsonValue
 
-from cell.run.json_table import JsonTable, optional
+from cell.runs.schema import JsonTable, optional
 
 
 def shown(value: object) -> str:

@@ -12,8 +12,7 @@ import numpy as np
 
 from cell.diff.difference import Difference, shown
 from cell.diff.side import Side
-from cell.run import reader
-from cell.run.executions import read_execution
+from cell.runs.run import read_execution
 from cell.view.contents import execution_play, named_layer, plan_play
 from cell.view.page import Play, Shown, Stage, View, html_of
 from cell.view.palette import BLUE, GREEN, GREY, MEASURED, VERMILION
@@ -41,8 +40,8 @@ def page(
         b: the same for B.
     """
     A, B = sides_of
-    scene = reader.scene(B.run.record)
-    cell, canvas = cell_of_run(B.run.record, scene), canvas_of(part, samples)
+    scene = B.run.scene
+    cell, canvas = cell_of_run(B.run, scene), canvas_of(part, samples)
     which = np.where(a, np.where(b, 0, 2), np.where(b, 3, 1))
     layer = named_layer("Gained and lost", which, _NAMES, canvas)
     stage = Stage(
@@ -53,8 +52,8 @@ def page(
     if B.execution is None:
         play = plan_play(B.run.report, B.run.plan.views, B.run.motion, scene.T_base_object)
     else:
-        recorded = read_execution(B.run.record, B.folder.name)
-        play = execution_play(B.run.record, recorded, B.execution, cell)
+        recorded = read_execution(B.run, B.folder.name)
+        play = execution_play(B.run, recorded, B.execution, cell)
     views = [*_with_fates(play.views, found), *_of_a_alone(A, found, cell)]
     figures = [(each.name, f"{shown(each.a)} → {shown(each.b)}") for each in found.numbers]
     settings = [(each.key, f"{shown(each.a)} → {shown(each.b)}") for each in found.settings]

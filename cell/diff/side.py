@@ -7,10 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from cell.errors import FileError
-from cell.run.executed import ExecutedRun, open_execution
-from cell.run.executions import FOLDER, read_execution
-from cell.run.planned import PlannedRun, open_run
-from cell.run.record import understood
+from cell.runs.run import EXECUTIONS, Execution, Run, open_finished, read_execution, reading
 from planner.values import Floats, Ints, Value
 
 
@@ -27,8 +24,8 @@ class Side(Value):
     """
 
     folder: Path
-    run: PlannedRun
-    execution: ExecutedRun | None
+    run: Run
+    execution: Execution | None
     number: Annotated[Ints, "n"]
     poses: Annotated[Floats, "n _ 4 4"]
 
@@ -39,16 +36,16 @@ def read_side(folder: Path) -> Side:
     Raises:
         FileError: if an artefact is missing, changed or damaged, or an execution has no scan.
     """
-    if folder.parent.name != FOLDER:
-        run = open_run(folder)
+    if folder.parent.name != EXECUTIONS:
+        run = open_finished(folder)
         poses = np.stack([view.T_object_poses for view in run.plan.views])
         return Side(folder, run, None, np.arange(1, len(poses) + 1), poses)
-    run = open_run(folder.parent.parent)
-    recorded = read_execution(run.record, folder.name)
+    run = open_finished(folder.parent.parent)
+    recorded = read_execution(run, folder.name)
     if not recorded.scans:
         raise FileError(f"{folder} holds no scan that can be read; give another execution")
     number = np.array([scan.stop for scan in recorded.scans])
-    with understood(folder / "scans"):
+    with reading(folder / "scans"):
         poses = np.stack([scan.T_reported_poses for scan in recorded.scans])
     order = np.argsort(number)
-    return Side(folder, run, open_execution(folder), number[order], poses[order])
+    return Side(folder, run, Execution.open(folder), number[order], poses[order])

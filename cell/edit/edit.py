@@ -25,13 +25,12 @@ from cell.plan.candidates import limited
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.of_run import part_of, surface_of
 from cell.plan.problem import PinnedOutError, Problem
-from cell.plan.steps import Cell, Job, Measured, Run
+from cell.plan.steps import Cell, Job, Measured, Session
 from cell.rays.matrix import PartSurface
 from cell.rays.prediction import Prediction
-from cell.run import reader
-from cell.run.planned import PlannedRun
-from cell.run.report_json import Report
-from cell.run.scene_of_run import placed, scene_of_run
+from cell.runs.cell import scene_of_run, with_placement
+from cell.runs.run import Run
+from cell.runs.schema import Report
 from cell.scene.plan_settings import PlanSettings
 from cell.scene.posed import pose
 from cell.scene.scene import Scene
@@ -44,7 +43,7 @@ _ROUNDING = 1e-9  # of shares that were summed in another order
 
 
 def edit(
-    run: PlannedRun, wanted: Edit, *, out: Path | None, argv: Sequence[str], use_cache: bool, narrator: Narrator,
+    run: Run, wanted: Edit, *, out: Path | None, argv: Sequence[str], use_cache: bool, narrator: Narrator,
     T_base_object: Floats | None = None,
 ) -> Path:  # fmt: skip
     """Make a new run of an edited plan.
@@ -71,20 +70,20 @@ def edit(
     if wanted.repair:
         require_repairable(run)
     check(wanted, len(run.candidate), run.report.verdicts.total)
-    resolved, moved = reader.scene(run.record), T_base_object is not None
+    resolved, moved = run.scene, T_base_object is not None
     if wanted.table_angle_deg and resolved.table is None:
         raise UsageError(f"{run.folder} has no rotary table; leave table_angle out")
-    before = Before(run, reader.candidates(run.record), reader.reached(run.record), moved)
-    scene = scene_of_run(run.record)
+    before = Before(run, run.candidates, run.reach, moved)
+    scene = scene_of_run(run)
     if T_base_object is not None:
-        scene = placed(scene, T_base_object, resolved)
+        scene = with_placement(scene, T_base_object, resolved)
     return pipeline.plan(
         scene, part=part_of(run), scene_path=run.folder / "scene.toml", out=out, argv=argv,
         use_cache=use_cache, narrator=narrator, steps_of=partial(_steps, before, wanted),
     )  # fmt: skip
 
 
-def _steps(before: Before, wanted: Edit, run: Run, job: Job) -> int:
+def _steps(before: Before, wanted: Edit, run: Session, job: Job) -> int:
     """The steps of an edit; returns 0, or 3 where the plan stays below a coverage that was asked for."""
     surface = surface_of(before.run, run, job)
     run.drawing.part_ready(run.folder.path)
@@ -107,7 +106,7 @@ def _steps(before: Before, wanted: Edit, run: Run, job: Job) -> int:
         except PinnedOutError as error:
             edited = _without(error, edited, run, leave_out=before.moved and wanted.repair)
     holds, chosen = _bounded(before, edited, problem, chosen)
-    told: dict[str, object] = {"part": before.run.report.part, "of_several": before.run.of_several or None}
+    told: dict[str, object] = {"part": before.run.report.part, "of_several": before.run.is_setup_of_group or None}
     if not holds:
         told["status"] = "edited by hand; how few views would do is not known"
     for view in edited.views:
@@ -117,7 +116,7 @@ def _steps(before: Before, wanted: Edit, run: Run, job: Job) -> int:
     if wanted.repair:
         run.narrator.note(f"repaired by adding candidate {', '.join(added)}" if added else "there is nothing to repair")
     report = pipeline.finish(run, job, surface.planning, problem, chosen, told)
-    if before.run.of_several:
+    if before.run.is_setup_of_group:
         run.narrator.note("coverage was asked of several set-ups: what they measure together now is not known")
         return 0
     return 3 if _below(run.narrator, report, job.scene.plan) else 0
@@ -140,13 +139,15 @@ def _views(before: Before, wanted: Edit, job: Job, cell: Cell, surface: PartSurf
     return edited_views(wanted, before.run.candidate.tolist(), views, T_object_view, standoff)
 
 
-def _measured(before: Before, edited: EditedViews, run: Run, job: Job, surface: PartSurface, cell: Cell) -> Measured:
+def _measured(
+    before: Before, edited: EditedViews, run: Session, job: Job, surface: PartSurface, cell: Cell
+) -> Measured:
     """Candidates, reach and matrix of the run, and further rows for the poses that were no candidates.
 
     Raises:
         UnreachableError: if the arm cannot take a view.
     """
-    candidates, reached, M = before.candidates, before.reached, reader.measurability(before.run.record)
+    candidates, reached, M = before.candidates, before.reached, before.run.measurability
     casters, scanner = steps.casters_of(surface, cell), limited(job.scene, job.scanner)
     if len(edited.appended):
         with run.step("reach of new poses") as progress:
@@ -192,7 +193,7 @@ def _asked(wanted: Edit, edited: EditedViews, job: Job, measured: Measured) -> P
 
 
 def _problem(
-    before: Before, wanted: Edit, edited: EditedViews, run: Run, job: Job, cell: Cell, measured: Measured,
+    before: Before, wanted: Edit, edited: EditedViews, run: Session, job: Job, cell: Cell, measured: Measured,
     prediction: Prediction,
 ) -> Problem:  # fmt: skip
     """What is asked of selection and motion; where views and placement are what they were, so is the order."""
@@ -204,7 +205,7 @@ def _problem(
     return replace(problem, request=replace(problem.request, order=order))
 
 
-def _without(error: PinnedOutError, edited: EditedViews, run: Run, *, leave_out: bool) -> EditedViews:
+def _without(error: PinnedOutError, edited: EditedViews, run: Session, *, leave_out: bool) -> EditedViews:
     """The views without one that no motion leads through.
 
     Raises:
@@ -231,7 +232,7 @@ def _bounded(
     coverable = float(M.features.areas[M.matrix() @ problem.reached.reachable.astype(np.int32) > 0].sum())
     target = said.coverage.target_on_features or 1.0
     holds = not len(edited.appended) and cover.covered_area >= (target - _ROUNDING) * coverable
-    holds &= not set(edited.dropped) & set(reader.scene(before.run.record).plan.pinned)
+    holds &= not set(edited.dropped) & set(before.run.scene.plan.pinned)
     holds &= said.lower_bound > 1 or len(cover.views) == 1
     holds &= said.most_coverage is None and problem.request.goals is None and not before.moved
     bound = min(said.lower_bound, len(cover.views)) if holds else 1

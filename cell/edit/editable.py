@@ -8,13 +8,13 @@ from typing import Self
 from cell.edit.edit import edit
 from cell.edit.options import Edit
 from cell.narrator import Narrator, Quiet
-from cell.run.planned import PlannedRun, open_run
+from cell.runs.run import Run
 from cell.scene.option import read
 from planner.values import Floats
 
 
 @dataclass(frozen=True, eq=False)  # no slots: what is read later is kept
-class EditableRun(PlannedRun):
+class EditableRun(Run):
     """A finished plan; `edited` makes a new one of it."""
 
     @classmethod
@@ -24,8 +24,9 @@ class EditableRun(PlannedRun):
         Raises:
             FileError: if it is missing, damaged, not a run folder, or its plan did not finish.
         """
-        run = open_run(folder)
-        return cls(run.record, run.plan, run.report)
+        run = cls.open_finished(folder)
+        run.plan, run.report  # noqa: B018  # damaged files are reported here
+        return run
 
     def edited(
         self,

@@ -14,9 +14,9 @@ from cell.errors import UnreachableError
 from cell.narrator import Narrator
 from cell.plan import files as plan_files
 from cell.plan import steps
-from cell.plan.steps import Cell, Job, Measured, Run
+from cell.plan.steps import Cell, Job, Measured, Session
 from cell.rays.matrix import PartSurface
-from cell.run.planned import PlannedRun
+from cell.runs.run import Run
 from planner.kinematics.reach import Reach, Verdict
 from planner.measurability.matrix import spread_measurability
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
@@ -33,13 +33,13 @@ class Before:
         moved: whether the part stands elsewhere now.
     """
 
-    run: PlannedRun
+    run: Run
     candidates: Viewpoints
     reached: Reach
     moved: bool
 
 
-def measured_anew(before: Before, run: Run, job: Job, surface: PartSurface, cell: Cell) -> Measured:
+def measured_anew(before: Before, run: Session, job: Job, surface: PartSurface, cell: Cell) -> Measured:
     """Candidates of the run with reach and matrix where the part stands now."""
     views, _ = scanners.unswept(job.scanner, before.candidates)
     with run.step("reach") as progress:
@@ -73,7 +73,7 @@ def still_reached(
     """
     lost = {view: f"{edited.called[view]} ({_why(reached, view)})" for view in _lost(edited, reached)}
     if lost and (not leave_out or len(lost) == len(edited.views)):
-        alone = before.run.asked_alone
+        alone = before.run.is_single_setup
         way = "give repair to leave them out and add the fewest others, or move the part" if alone else "move the part"
         raise UnreachableError(f"where the part stands now the arm cannot take {', '.join(lost.values())}; {way}")
     for sentence in lost.values():

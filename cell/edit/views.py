@@ -11,8 +11,8 @@ import numpy as np
 
 from cell.edit.options import Edit, Pose
 from cell.errors import UsageError
-from cell.run.planned import PlannedRun
-from cell.run.scene_of_run import scene_of_run
+from cell.runs.cell import scene_of_run
+from cell.runs.run import Run
 from cell.scene.posed import pose
 from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, looking_at, pick_viewpoints
@@ -72,13 +72,13 @@ class _Numbering:
         return len(self.all) - 1
 
 
-def require_repairable(run: PlannedRun) -> None:
+def require_repairable(run: Run) -> None:
     """Refuse to repair a plan that was not asked for a coverage of its own.
 
     Raises:
         UsageError: with what to do instead.
     """
-    if scene_of_run(run.record).plan.max_views is not None:
+    if scene_of_run(run).plan.max_views is not None:
         raise UsageError(
             f"{run.folder} was asked for the most coverage with a number of views: there is no coverage to restore; "
             "leave repair out, or plan with a coverage"
@@ -88,7 +88,7 @@ def require_repairable(run: PlannedRun) -> None:
             f"{run.folder} was asked only for what other set-ups leave open, and a repair would ask for the rest as "
             "well; leave repair out, or plan it again with open_of"
         )
-    if run.of_several:
+    if run.is_setup_of_group:
         raise UsageError(
             f"{run.folder} is one of several set-ups, of which coverage was asked together, and a repair would ask "
             "it of this one alone; leave repair out, or plan the set-ups again with the candidates banned"

@@ -11,9 +11,8 @@ from cell.emulate.options import EmulateOptions
 from cell.errors import DriverFailureError, UsageError
 from cell.plant import factory
 from cell.robot import model as robot
-from cell.run import reader as run_reader
-from cell.run.cell import table_of
-from cell.run.record import open_run
+from cell.runs.cell import table_of
+from cell.runs.run import open_run
 from drivers.clock import RealTimeClock
 from drivers.contract import Fault
 from drivers.emulated.endpoint import Endpoint
@@ -112,9 +111,9 @@ def arm_of(run_folder: Path | None, plant: str) -> Arm:
     plants = {"ideal": IdealPlant, **(factory.built_in() if run is None else factory.of_run(run))}
     if plant not in plants:
         raise UsageError(f"--plant {plant} must be one of: {', '.join(plants)}")
-    model = robot.load() if run is None else run_reader.cell_model(run)
+    model = robot.load() if run is None else run.cell_model()
     limits, home = robot.limits(model), robot.home(model)
-    if run is None or (table := table_of(scene := run_reader.scene(run))) is None:
+    if run is None or (table := table_of(scene := run.scene)) is None:
         return Arm(Limits.from_rad(limits), home, plants[plant])
     own = Limits.from_rad(table.limits(limits))
     return Arm(own.endless() if scene.table_is_endless else own, np.append(home, 0.0), plants[plant])

@@ -13,8 +13,8 @@ from scipy import ndimage
 from cell.explore.hidden import Cylinder, with_stand
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
-from cell.run import ply
-from cell.run.explore_json import UNSEEN
+from cell.runs import ply
+from cell.runs.schema import UNSEEN
 from cell.scene.fixtures import MeshFixture
 from cell.scene.scene import Scene
 from planner.explore.space import FREE, VoxelSpace
@@ -47,7 +47,7 @@ def rough(space: VoxelSpace, *, whole: bool = False) -> TriangleMesh:
 
 def write_unseen(space: VoxelSpace, path: Path) -> None:
     """Write what arm and housing keep away from as a mesh file in millimetres."""
-    path.write_bytes(ply.written(enclosing(space, np.asarray(space.state != FREE))))
+    path.write_bytes(ply.mesh_bytes(enclosing(space, np.asarray(space.state != FREE))))
 
 
 def enclosing(space: VoxelSpace, chosen: Bools) -> TriangleMesh:

@@ -6,10 +6,8 @@ from pathlib import Path
 
 from cell.errors import FileError
 from cell.narrator import Narrator
-from cell.run import reader
-from cell.run.cell import RunCell
-from cell.run.executions import FOLDER, ExecutedScan, execution_ids, read_execution
-from cell.run.record import RunRecord, open_finished
+from cell.runs.cell import RunCell
+from cell.runs.run import EXECUTIONS, ExecutedScan, Run, open_finished, read_execution
 from cell.scan import scan
 from cell.scan.executed_scans import usable
 from cell.scan.options import ScanOptions
@@ -44,7 +42,7 @@ def executed(
     """
     run = open_finished(stage)
     _clear_unbegun(run)
-    known = execution_ids(run)
+    known = run.execution_ids
     if known and read_execution(run, known[-1]).manifest.status != "finished":
         scan.resume_and(
             _taken, stage, known[-1], options, argv=argv, narrator=narrator, ask=ask, stands=stands
@@ -54,13 +52,13 @@ def executed(
     return scans_of_stage(run)
 
 
-def scans_of_stage(run: RunRecord) -> tuple[ExecutedScan, ...]:
+def scans_of_stage(run: Run) -> tuple[ExecutedScan, ...]:
     """The scans of a stage that was executed, in driving order.
 
     Raises:
         FileError: if one is missing or damaged.
     """
-    planned = reader.plan(run).views
+    planned = run.plan.views
     scans, left_out = usable(read_execution(run, "latest"), planned)
     if left_out or len(scans) < len(planned):
         why = left_out[0] if left_out else f"{len(planned) - len(scans)} of its {len(planned)} scans are missing"
@@ -68,10 +66,10 @@ def scans_of_stage(run: RunRecord) -> tuple[ExecutedScan, ...]:
     return scans
 
 
-def _clear_unbegun(run: RunRecord) -> None:
+def _clear_unbegun(run: Run) -> None:
     """Take away an execution that was stopped before its manifest was written: nothing was driven in it."""
-    for name in execution_ids(run)[-1:]:
-        folder = run.folder / FOLDER / name
+    for name in run.execution_ids[-1:]:
+        folder = run.folder / EXECUTIONS / name
         left = {path.name for path in folder.rglob("*")} - {"scans"}
         if all(each.startswith("manifest.json.") for each in left):  # what writing it leaves
             shutil.rmtree(folder)
@@ -79,7 +77,7 @@ def _clear_unbegun(run: RunRecord) -> None:
 
 def _taken(work: Work, cell: RunCell, motion: Motion) -> None:
     """Finish an execution that only has to have its scans; nothing is reported, as there is no reference."""
-    folder, planned = work.folder, reader.plan(work.run).views
+    folder, planned = work.folder, work.run.plan.views
     scans, _ = usable(read_execution(work.run, folder.path.name), planned)
     for number in range(1, len(planned) + 1):
         if number in {scan.stop for scan in scans}:

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from cell.run import ply
-from cell.run.explore_json import ExploreFile
-from cell.run.planned import PlannedRun, open_run
-from cell.run.record import file_bytes
+from cell.runs import ply
+from cell.runs.run import Run, file_bytes, open_finished
+from cell.runs.schema import ExploreFile
 from planner.geometry.mesh import TriangleMesh
 
 
@@ -23,9 +22,9 @@ class Exploration:
     file: ExploreFile
 
     @property
-    def stages(self) -> tuple[PlannedRun, ...]:
+    def stages(self) -> tuple[Run, ...]:
         """The plan of each batch, in the explored frame: middle of the cylinder, axes of the base frame."""
-        return tuple(open_run(self.folder / stage.folder) for stage in self.file.stages)
+        return tuple(open_finished(self.folder / stage.folder) for stage in self.file.stages)
 
     @property
     def model(self) -> Path | None:

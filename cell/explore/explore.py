@@ -24,10 +24,9 @@ from cell.explore.state import Known, scans_of
 from cell.explore.too_near import keep_off, too_near
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
-from cell.run import ply, reader
-from cell.run.executions import ExecutedScan
-from cell.run.explore_json import BELIEVED, MEASURED, ExploredStage, ExploreFile, OpenReason, SurfaceName
-from cell.run.record import open_finished
+from cell.runs import ply
+from cell.runs.run import ExecutedScan, open_finished
+from cell.runs.schema import BELIEVED, MEASURED, ExploredStage, ExploreFile, OpenReason, SurfaceName
 from cell.scan import lock
 from cell.scan.options import ScanOptions
 from cell.scan.safety import EVERY, Ask
@@ -176,7 +175,7 @@ def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch)
     surface = continued(known.scans, known.space, known.solid)
     if surface is None:
         raise EnoughError("the points describe no surface")
-    work.paths.measured(number).write_bytes(ply.written(surface))
+    work.paths.measured(number).write_bytes(ply.mesh_bytes(surface))
     poses = np.stack([scan.T_reported for scan in known.scans])
     latest = tuple((s.views, s.expected_mm2 / 1e6 if s.planned_on == MEASURED else 0.0) for s in file.stages[-LATEST:])
     asked = Asked(
@@ -312,12 +311,12 @@ def require_plausible(space: VoxelSpace, folder: Path, views: Sequence[tuple[Flo
 def _expected(folder: Path, before: VoxelSpace, on: SurfaceName) -> _Expected:
     """What of the rows of a stage's matrix its views should have measured."""
     run = open_finished(folder)
-    M, views = reader.measurability(run), reader.plan(run).views
+    M, views = run.measurability, run.plan.views
     sees = M.matrix()[:, [view.id for view in views]].toarray()
     rows = np.asarray(sees.any(axis=1))
     if on == BELIEVED:  # a batch may be asked for what was seen as well
         rows = rows & ~before.seen(M.features.points, M.features.normals)
-    surface = float(reader.mesh(run, "reference.ply").areas.sum())
+    surface = float(run.mesh("reference.ply").areas.sum())
     return _Expected(pick_samples(M.features, rows), sees[rows], surface, on)
 
 
@@ -334,7 +333,7 @@ def _stage_of(
         views=len(scans),
         planned_on=expected.on,
         points=sum(len(scan.points) for scan in scans),
-        seconds=round(reader.motion(run).duration, 6),
+        seconds=round(run.motion.duration, 6),
         expected_mm2=round(1e6 * float(expected.samples.areas.sum()), 3),
         too_near_mm2=round(1e6 * too_near(expected.samples, expected.sees, taken, before, eye), 3),
         surface_mm2=round(1e6 * float(mesh.areas.sum()), 3),

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from cell.explore import belief
 from cell.reconstruction.cloud import PointCloud, ScanCloud, merge
 from cell.reconstruction.reconstruct import REACH, ReconstructionStatus, reconstruct
-from cell.run.executions import ExecutedScan
+from cell.runs.run import ExecutedScan
 from planner.explore.cubes import first_in_cubes
 from planner.explore.space import UNKNOWN, VoxelSpace
 from planner.geometry.mesh import TriangleMesh, joined

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from cell.run.digest import SHOWN
+from cell.runs.digest import SHORT_DIGEST
 from cell.scene.fields import Positive, Table
 from cell.scene.option import Option
 
@@ -92,6 +92,8 @@ class ExploreOptions(Table):
     @field_validator("confirm_motion")
     @classmethod
     def _a_word(cls, given: str | None) -> str | None:
-        if given is not None and not re.fullmatch(f"{EVERY_BATCH}|[0-9a-f]{{{SHOWN},64}}", given.lower()):
-            raise ValueError(f"is {given!r}; it must be {EVERY_BATCH}, or a digest of {SHOWN} characters or more")
+        if given is not None and not re.fullmatch(f"{EVERY_BATCH}|[0-9a-f]{{{SHORT_DIGEST},64}}", given.lower()):
+            raise ValueError(
+                f"is {given!r}; it must be {EVERY_BATCH}, or a digest of {SHORT_DIGEST} characters or more"
+            )
         return None if given is None else given.lower()

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from cell.explore.options import ExploreOptions
-from cell.run.explore_json import BELIEVED, MEASURED, SurfaceName
+from cell.runs.schema import BELIEVED, MEASURED, SurfaceName
 
 
 @dataclass(frozen=True, slots=True)

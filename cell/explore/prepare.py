@@ -17,8 +17,8 @@ from cell.explore.state import Paths, digest_of
 from cell.narrator import Narrator
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
-from cell.run.explore_json import ExploredCylinder, ExploreFile
-from cell.run.folder import SCHEMA
+from cell.runs.folder import SCHEMA
+from cell.runs.schema import ExploredCylinder, ExploreFile
 from cell.scan.options import OF_EACH_TIME, ScanOptions
 from cell.scan.safety import Ask
 from cell.scene import devices

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from cell.run.explore_json import OpenReason
+from cell.runs.schema import OpenReason
 from planner.explore.gain import Open
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics.reach import Reach

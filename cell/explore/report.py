@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cell.explore.measured_surface import surface_of
-from cell.run import ply
-from cell.run.executions import ExecutedScan
-from cell.run.explore_json import ExploreFile, Truth
+from cell.runs import ply
+from cell.runs.run import ExecutedScan
+from cell.runs.schema import ExploreFile, Truth
 from cell.view import coverage_curve, explore_page
 from cell.view.contents import NAME as PAGE
 from planner.geometry.mesh import TriangleMesh
@@ -18,7 +18,7 @@ MODEL, REPORT, PICTURE = "model.ply", "report.md", "curve.png"
 def write_model(folder: Path, scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
     """Write the surface of all scans, and give it."""
     if (mesh := surface_of(scans)) is not None:
-        (folder / MODEL).write_bytes(ply.written(mesh))
+        (folder / MODEL).write_bytes(ply.mesh_bytes(mesh))
     return mesh
 
 

@@ -27,7 +27,7 @@ from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.plan.refined import Append
 from cell.plan.request import seconds_of_views
-from cell.plan.steps import Cell, Job, Measured, Run
+from cell.plan.steps import Cell, Job, Measured, Session
 from cell.plan.summary import Further, plan_report
 from cell.plan.view_plan import choose_and_connect, first_choice
 from cell.rays.embree import EmbreeRayCaster
@@ -98,7 +98,7 @@ def plan_stage(scene: Scene, believed: Workpiece, asked: Asked, out: Path, narra
     own = {"max_views": asked.batch.views or None, "curve": False, "required_visible": 0.0, "solver": "auto"}
     plan = scene.plan.model_copy(update=own)
 
-    def work(run: Run, job: Job) -> int:
+    def work(run: Session, job: Job) -> int:
         return _steps(run, job, asked)
 
     return pipeline.plan(
@@ -107,7 +107,7 @@ def plan_stage(scene: Scene, believed: Workpiece, asked: Asked, out: Path, narra
     )  # fmt: skip
 
 
-def _steps(run: Run, job: Job, asked: Asked) -> int:
+def _steps(run: Session, job: Job, asked: Asked) -> int:
     """Steps 2 to 9 and the report."""
     surface, scouts, candidates, asked = _sample_surface(run, job, asked)
     cell = steps.compile_cell(run, job, surface, believed=True)
@@ -155,7 +155,7 @@ def _casters(job: Job, asked: Asked, surface: PartSurface, cell: Cell) -> Sequen
     return [casters[0], BeyondNear(casters[1], asked.space, job.scene.scanner.range_mm[0] / 1000)]
 
 
-def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, SurfaceSamples, Viewpoints, Asked]:
+def _sample_surface(run: Session, job: Job, asked: Asked) -> tuple[PartSurface, SurfaceSamples, Viewpoints, Asked]:
     """Planning mesh and rows of the matrix, points that candidates are grown for, candidates that face the rows.
 
     And what is asked, with what came of the latest batches.
@@ -191,7 +191,7 @@ def _sample_surface(run: Run, job: Job, asked: Asked) -> tuple[PartSurface, Surf
 
 
 def _connected(
-    run: Run, problem: Problem, surface: PartSurface, asked: Asked, append: Append
+    run: Session, problem: Problem, surface: PartSurface, asked: Asked, append: Append
 ) -> tuple[Problem, ConnectedPlan]:
     """Steps 6 to 8; views that cannot be connected are replaced by those that measure the most."""
     batch = asked.batch
@@ -259,7 +259,7 @@ def _explained(
     return still_open(left, of, candidates, reached, scanner, casters)
 
 
-def _finish(run: Run, job: Job, surface: PartSurface, problem: Problem, chosen: ConnectedPlan) -> None:
+def _finish(run: Session, job: Job, surface: PartSurface, problem: Problem, chosen: ConnectedPlan) -> None:
     """Prove and time the motion, and write what is known of the plan."""
     clearance, motion = steps.prove_and_time(run, problem, chosen)
     with run.step("report"):

@@ -1,6 +1,6 @@
 """An exploration on disk and in memory: what is kept after each stage, and taken up again by the same command.
 
-    explore.json               what was done (`cell.run.explore_json`); a stage that it names is finished
+    explore.json               what was done (`cell.runs.schema`); a stage that it names is finished
     stages/0001/               run folder of the batch: plan, and its execution
     stages/0001.unseen.ply     what arm and housing kept away from
     stages/0001.measured.ply   the surface of all points before it and where it leads, where it was planned on that
@@ -23,11 +23,10 @@ import numpy as np
 from cell.errors import FileError, UsageError
 from cell.explore import belief
 from cell.explore.execution import scans_of_stage
-from cell.run import explore_json
-from cell.run.executions import ExecutedScan
-from cell.run.explore_json import ExploredStage, ExploreFile
-from cell.run.folder import json_text
-from cell.run.record import npz, open_finished, understood
+from cell.runs import schema
+from cell.runs.folder import json_text
+from cell.runs.run import ExecutedScan, npz_arrays, open_finished, reading
+from cell.runs.schema import ExploredStage, ExploreFile
 from planner.explore.gain import Record
 from planner.explore.space import VoxelSpace
 from planner.geometry.mesh import TriangleMesh
@@ -68,7 +67,7 @@ class Paths:
     @property
     def file(self) -> Path:
         """explore.json."""
-        return self.root / explore_json.NAME
+        return self.root / schema.NAME
 
     def stage(self, number: int) -> Path:
         """The run folder of a stage, from 1."""
@@ -94,7 +93,7 @@ class Paths:
             FileError: if the folder cannot be made, or is none of an exploration.
         """
         if self.file.is_file():
-            known = explore_json.read(self.file)
+            known = schema.read(self.file)
             if known.inputs != file.inputs:
                 raise UsageError(
                     f"{self.root} is an exploration with other options, another part or another scene; repeat its own "
@@ -121,7 +120,7 @@ class Paths:
 
     @property
     def _temporary(self) -> Path:
-        return self.file.with_name(f"{explore_json.NAME}.tmp")
+        return self.file.with_name(f"{schema.NAME}.tmp")
 
     def write(self, file: ExploreFile) -> None:
         """Write explore.json: whole or not at all."""
@@ -154,8 +153,8 @@ class Paths:
         path = self.voxels(number)
         if not path.is_file():
             raise FileError(f"{path} is missing; explore anew")
-        stored = npz(path, path.read_bytes())
-        with understood(path):
+        stored = npz_arrays(path, path.read_bytes())
+        with reading(path):
             state, votes, tries = (stored[name] for name in ("state", "votes", "tries"))
             points, between = (stored[name] for name in ("points", "between"))
             space = replace(unknown, state=state, votes=votes, tries=tries, points=points, between=between)

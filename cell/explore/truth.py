@@ -19,12 +19,9 @@ from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import pipeline
 from cell.rays.prediction import held_out
-from cell.run import reader
-from cell.run.cell import read_cell, world_of
-from cell.run.executions import ExecutedScan
-from cell.run.explore_json import BoundAt, Truth
-from cell.run.json_table import JsonTable, parsed
-from cell.run.record import RunRecord, artefact, open_finished
+from cell.runs.cell import read_cell, world_of
+from cell.runs.run import ExecutedScan, Run, open_finished
+from cell.runs.schema import BoundAt, JsonTable, Truth, parsed
 from cell.scene.scene import Scene
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
@@ -86,15 +83,15 @@ def truth_of(truth: Path, hidden: Hidden, explored: Explored) -> Truth:
         explored: what was executed.
     """
     run = open_finished(truth)
-    cell, report = read_cell(run), reader.report(run)
+    cell, report = read_cell(run), run.report
     samples = held_out(cell.reference, cell.planning, run.seed)
     to_object = np.linalg.inv(hidden.T_explored_object)
     poses = np.stack([to_object @ _true_pose(scan) for scan in explored.scans])[:, None]
     seen = measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
     by_views = np.cumsum(added(seen))
     reached = float(by_views[-1])
-    points = parsed(_Curve, artefact(run, "curve.json"), truth / "curve.json").points
-    M = reader.measurability(run)
+    points = parsed(_Curve, run.artefact("curve.json"), truth / "curve.json").points
+    M = run.measurability
     on_rows = measured(poses, M.features, cell.scanner, (cell.part_caster, cell.occluder_caster))
     share = float(M.features.areas[on_rows].sum() / M.features.areas.sum())
     fewest, found = _fewest(run, M, share)
@@ -131,7 +128,7 @@ def _bound(points: Sequence[_Point], reached: float, fewest: int, found: int) ->
     )
 
 
-def _fewest(run: RunRecord, M: Measurability, coverage: float) -> tuple[int, int]:
+def _fewest(run: Run, M: Measurability, coverage: float) -> tuple[int, int]:
     """Views that a plan's candidates need at least for a coverage, or for all that they measure, and that suffice.
 
     Args:
@@ -139,7 +136,7 @@ def _fewest(run: RunRecord, M: Measurability, coverage: float) -> tuple[int, int
         M: its matrix.
         coverage: share of the surface that the matrix' rows stand for.
     """
-    reachable = reader.reached(run).reachable
+    reachable = run.reach.reachable
     matrix, areas = M.matrix(), M.features.areas
     coverable = float(areas[matrix[:, np.flatnonzero(reachable)].sum(axis=1) > 0].sum())
     share = min(coverage * float(areas.sum()) / coverable, 1.0)
@@ -156,10 +153,10 @@ def _true_pose(scan: ExecutedScan) -> np.ndarray[tuple[int, ...], np.dtype[np.fl
 def _nearest(truth: Path, stages: Sequence[Path]) -> tuple[float, str]:
     """Smallest distance [m] of arm or tool to anything in the true cell along the motions of all stages, and what."""
     run = open_finished(truth)
-    checker = MujocoCollisionChecker(world_of(run, reader.mesh(run, "reference.ply")))
+    checker = MujocoCollisionChecker(world_of(run, run.mesh("reference.ply")))
     found: list[tuple[float, str]] = []
     for stage in stages:
-        motion = reader.motion(open_finished(stage))
+        motion = open_finished(stage).motion
         measured_ = clearance.of_motion(checker, motion.via_q, motion.segment, int(motion.segment.max()) + 1)
         found += list(zip(measured_.distance.tolist(), measured_.between, strict=True))
     return min(found)

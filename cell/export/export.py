@@ -13,7 +13,7 @@ from cell.export.krl_names import LONGEST_NAME, check_name
 from cell.export.options import ExportOptions
 from cell.export.program import Program
 from cell.narrator import Narrator
-from cell.run.json_table import JsonTable
+from cell.runs.schema import JsonTable
 from cell.setups.planned_setups import PlannedSetups
 
 FOLDER = "export"

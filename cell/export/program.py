@@ -25,7 +25,6 @@ from cell.proof.files_now import FilesNow
 from cell.proof.proof import prove
 from cell.robot.arm import kinematics_of
 from cell.robot.kinematics import Kr16Kinematics
-from cell.run import reader as run_reader
 from planner.kinematics.setpoints import STEPS_PER_DEGREE, to_steps
 from planner.path.sweep_line import rotation_vectors
 from planner.ports import ARM_AXES, JointLimits, Kinematics
@@ -153,7 +152,7 @@ def load(run_folder: Path, name: str | None, now: FilesNow, narrator: Narrator |
     proven = prove(run_folder)
     scene_now.require_same(proven, now, narrator, wire=False)
     scene = proven.scene
-    clearance, between = run_reader.nearest(proven.run)
+    clearance, between = proven.run.min_clearance
     folder = run_folder.resolve().name
     told = Told(
         name=name if name is not None else name_of(folder, proven.digest),

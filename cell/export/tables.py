@@ -11,7 +11,7 @@ import numpy as np
 
 from cell.export.program import Program, angles_deg
 from cell.robot.frames import kuka_abc_from_pose
-from cell.run.folder import SCHEMA
+from cell.runs.folder import SCHEMA
 from planner.ports import axis_name
 from planner.values import Floats
 

@@ -15,9 +15,8 @@ from cell.reconstruction import surface_fit
 from cell.reconstruction.freedom import FreeKind, FreeMotion
 from cell.reconstruction.rigid import RigidFit, told
 from cell.robot.frames import kuka_abc_from_pose
-from cell.run import reader
-from cell.run.cell import world_of
-from cell.run.planned import PlannedRun
+from cell.runs.cell import world_of
+from cell.runs.run import Run
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
 from planner.errors import PlannerError
@@ -29,7 +28,7 @@ _LOOKED_AT = 2000  # points of the part that stand for all
 _STARTS = 11  # stream of randomness
 
 
-def locate(run: PlannedRun, wanted: Locating, narrator: Narrator) -> Located:
+def locate(run: Run, wanted: Locating, narrator: Narrator) -> Located:
     """Find the placement, judge it, and check the plan's motion with the part there.
 
     Args:
@@ -41,7 +40,7 @@ def locate(run: PlannedRun, wanted: Locating, narrator: Narrator) -> Located:
         UsageError: if what is asked for is not there, or the points cannot say a placement.
         FileError: if a file is missing or damaged, or too few points lie near the part.
     """
-    scene = reader.scene(run.record)
+    scene = run.scene
     nearest, centre = NearestSurface(run.reference), scene.T_object_centre[:3, 3]
     vertices = run.reference.vertices[np.unique(run.reference.faces)]
     length = float(np.sqrt(((vertices - centre) ** 2).sum(axis=1).mean()))
@@ -79,7 +78,7 @@ def locate(run: PlannedRun, wanted: Locating, narrator: Narrator) -> Located:
 
 
 def _fitted(
-    run: PlannedRun, wanted: Locating, nearest: NearestSurface, centre: Floats, length: float, narrator: Narrator
+    run: Run, wanted: Locating, nearest: NearestSurface, centre: Floats, length: float, narrator: Narrator
 ) -> tuple[str, str, tuple[int, ...], RigidFit, tuple[str, ...]]:
     """Method, source, views, fit and doubts: what was measured, fitted as it was asked for."""
     sd = None if wanted.point_sd_mm is None else wanted.point_sd_mm / 1000
@@ -97,7 +96,7 @@ def _fitted(
     clouds = measured.of_execution(run, wanted) if wanted.points is None else measured.of_files(run, wanted)
     search = surface_fit.Search(wanted.search_mm / 1000, float(np.radians(wanted.search_deg)))
     with narrator.stage("fit the points"):
-        rng = np.random.default_rng([run.record.seed, _STARTS])
+        rng = np.random.default_rng([run.seed, _STARTS])
         fit = surface_fit.fit(clouds.clouds, nearest, centre, search, rng)
     doubts = ("the points are simulated: they say where the simulation has the part, not where it stands",)
     return "best fit", clouds.source, clouds.views, fit, doubts if clouds.simulated else ()
@@ -127,17 +126,17 @@ def _precision(fit: RigidFit, T_base_object: Floats, points: Floats) -> Precisio
     )
 
 
-def _checked(run: PlannedRun, T_base_object: Floats) -> CheckedMotion:
+def _checked(run: Run, T_base_object: Floats) -> CheckedMotion:
     """The plan's motion in the cell with the part (and its post) there."""
     motion, problem = run.motion, ""
     limits = motion.limits
     try:
         # Compiled with the part there: a post beside a rotary table's axis swings, and is guarded for it.
-        world = world_of(run.record, run.reference, T_base_object=T_base_object)
+        world = world_of(run, run.reference, T_base_object=T_base_object)
         checker, limits = MujocoCollisionChecker(world), replace(limits, turns_at=world.limits.turns_at)
     except SceneError as error:  # a table does not carry the part there
         problem = str(error)
-        checker = MujocoCollisionChecker(world_of(run.record, run.reference), T_base_object)
+        checker = MujocoCollisionChecker(world_of(run, run.reference), T_base_object)
     try:
         problem = problem or require_free(motion.via_q, checker, limits)
     except PlannerError as error:

@@ -4,7 +4,7 @@ import numpy as np
 from pydantic import Field
 
 from cell.errors import UsageError
-from cell.run.json_table import JsonTable, Transform, Triple
+from cell.runs.schema import JsonTable, Transform, Triple
 
 
 class Precision(JsonTable):

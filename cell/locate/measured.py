@@ -13,8 +13,7 @@ from cell.errors import FileError, UsageError
 from cell.locate.options import Locating
 from cell.part.workpiece import UNITS
 from cell.reconstruction.cloud import ScanCloud
-from cell.run.executions import read_execution
-from cell.run.planned import PlannedRun
+from cell.runs.run import Run, read_execution
 from planner.values import Floats
 
 
@@ -35,7 +34,7 @@ class Clouds:
     simulated: bool = False
 
 
-def of_files(run: PlannedRun, wanted: Locating) -> Clouds:
+def of_files(run: Run, wanted: Locating) -> Clouds:
     """Points of a file, or of a folder's files.
 
     Raises:
@@ -57,13 +56,13 @@ def of_files(run: PlannedRun, wanted: Locating) -> Clouds:
     return Clouds(f"{path} ({wanted.points_frame} frame, {wanted.points_units})", views, clouds)
 
 
-def of_execution(run: PlannedRun, wanted: Locating) -> Clouds:
+def of_execution(run: Run, wanted: Locating) -> Clouds:
     """Scans of an execution.
 
     Raises:
         FileError: if there is no execution, or it has no scan of a view.
     """
-    recorded = read_execution(run.record, wanted.execution or "latest")
+    recorded = read_execution(run, wanted.execution or "latest")
     known = {scan.stop: scan for scan in recorded.scans}
     views = wanted.view or tuple(sorted(known))[:1]
     missing = [view for view in views if view not in known]
@@ -76,7 +75,7 @@ def of_execution(run: PlannedRun, wanted: Locating) -> Clouds:
     return Clouds(f"execution {recorded.folder.name} ({'; '.join(dict.fromkeys(sources))})", views, clouds, simulated)
 
 
-def of_pairs(run: PlannedRun, wanted: Locating, file: str) -> tuple[tuple[str, ...], Floats, Floats]:
+def of_pairs(run: Run, wanted: Locating, file: str) -> tuple[tuple[str, ...], Floats, Floats]:
     """Named points: their names, (N, 3) where they are on the part (object frame), (N, 3) measured (base).
 
     Raises:
@@ -112,7 +111,7 @@ def of_pairs(run: PlannedRun, wanted: Locating, file: str) -> tuple[tuple[str, .
     return tuple(names), table[:, :3], _moved(T_base, table[:, 3:])
 
 
-def _T_object(run: PlannedRun, frame: Frame, number: int) -> Floats:
+def _T_object(run: Run, frame: Frame, number: int) -> Floats:
     """(4, 4) from a frame to the object's where the part was planned [m]; scanner and flange at a view of the plan.
 
     Raises:

@@ -11,7 +11,7 @@ from cell import scanners
 from cell.plan import steps
 from cell.plan.problem import Problem
 from cell.plan.refined import Append
-from cell.plan.steps import Cell, Job, Run
+from cell.plan.steps import Cell, Job, Session
 from cell.rays.matrix import PartSurface
 from planner.kinematics.reach import join_reach
 from planner.measurability.matrix import Measurability, join_measurability
@@ -24,7 +24,7 @@ def _quiet(done: int, total: int) -> None:
 
 
 def appended(
-    run: Run, job: Job, surface: PartSurface, casters: Sequence[RayCaster], known: tuple[Viewpoints, Measurability],
+    run: Session, job: Job, surface: PartSurface, casters: Sequence[RayCaster], known: tuple[Viewpoints, Measurability],
     views: Viewpoints, progress: Progress = _quiet,
 ) -> tuple[Viewpoints, Measurability, Scanner]:  # fmt: skip
     """Candidates and their matrix with further ones behind them, so that every candidate keeps its number.
@@ -37,7 +37,7 @@ def appended(
     return candidates, join_measurability([known[1], more]), scanner
 
 
-def behind(run: Run, job: Job, cell: Cell, surface: PartSurface) -> Append:
+def behind(run: Session, job: Job, cell: Cell, surface: PartSurface) -> Append:
     """Makes candidates of further viewpoints of a problem; the cache keeps no matrix of theirs."""
 
     def append(problem: Problem, views: Viewpoints) -> Problem:

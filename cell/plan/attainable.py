@@ -8,7 +8,7 @@ import numpy as np
 
 from cell.plan.candidates import arm_of
 from cell.plan.problem import Problem
-from cell.run.report_json import Attainable
+from cell.runs.schema import Attainable
 from planner.geometry.sampling import pick_samples
 from planner.measurability.coverage import Coverage
 from planner.viewpoints.attainable import ASKED, attainable

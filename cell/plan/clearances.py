@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cell.run.plan_json import Clearance, SegmentClearance, Tightest
+from cell.runs.schema import Clearance, SegmentClearance, Tightest
 from cell.world.clearance import MotionClearance, moment
 from planner.errors import PlannerError
 from planner.ports import ARM_AXES

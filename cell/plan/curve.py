@@ -6,8 +6,8 @@ import numpy as np
 
 from cell.plan.picture_process import Drawing
 from cell.plan.request import Request, Selected
-from cell.run.folder import RunFolder
-from cell.run.report_json import Curve, Fewest
+from cell.runs.folder import RunFolder
+from cell.runs.schema import Curve, Fewest
 from planner.cover import Problem
 from planner.cover.curve import CoverageCurve, coverage_curve
 from planner.kinematics.reach import Reach

@@ -7,9 +7,8 @@ from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.robot.arm import wrist_places
-from cell.run.folder import RunFolder
-from cell.run.plan_json import PlanFile
-from cell.run.report_json import Report
+from cell.runs.folder import RunFolder
+from cell.runs.schema import PlanFile, Report
 from cell.scene.scene import Picture
 from cell.world.model import World
 from planner.timing.motion import Motion

@@ -14,9 +14,6 @@ from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.report import markdown
 from cell.robot import model as robot
 from cell.robot.mesh_paths import mesh_files
-from cell.run.axes import apart
-from cell.run.folder import RunFolder
-from cell.run.manifest_json import NamedFile
 from cell.run.plan_facts import (
     degrees,
     fixture_file,
@@ -28,9 +25,13 @@ from cell.run.plan_facts import (
     sweep_of,
     turned_at,
 )
-from cell.run.plan_json import PlanFile, PlanView
-from cell.run.report_json import Report
-from cell.run.scene_json import (
+from cell.runs.folder import RunFolder
+from cell.runs.run import split_axes
+from cell.runs.schema import (
+    NamedFile,
+    PlanFile,
+    PlanView,
+    Report,
     ResolvedHousing,
     ResolvedPart,
     ResolvedPlan,
@@ -175,7 +176,7 @@ def write_reach(folder: RunFolder, reached: Reach) -> None:
     folder.write_arrays(
         "reach.npz",
         verdict=reached.verdict,
-        **apart(q=reached.q),
+        **split_axes(q=reached.q),
         offsets=reached.offsets,
         blocker=np.array(reached.blocker, dtype=np.str_),
     )
@@ -203,14 +204,14 @@ def write_motion(folder: RunFolder, motion: Motion, measured: MotionClearance) -
     """`motion.npz`: via points, samples, the limits used and the clearance of each segment."""
     folder.write_arrays(
         "motion.npz",
-        **apart(via_q=motion.via_q),
+        **split_axes(via_q=motion.via_q),
         segment=motion.segment,
         view=motion.view,
         pose=motion.pose,
         line=motion.line,
         via_t=motion.via_t,
         t=motion.t,
-        **apart(q=motion.q, qd=motion.qd, qdd=motion.qdd),
+        **split_axes(q=motion.q, qd=motion.qd, qdd=motion.qdd),
         segment_of_sample=motion.segment_of_sample,
         limit_lower=motion.limits.lower,
         limit_upper=motion.limits.upper,

@@ -3,22 +3,21 @@
 import shutil
 
 from cell.part.workpiece import Workpiece
-from cell.plan.steps import Job, Run
+from cell.plan.steps import Job, Session
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface
-from cell.run import reader
-from cell.run.planned import PlannedRun
+from cell.runs.run import Run
 
 _KEPT = ("reference.ply", "planning.ply")
 
 
-def part_of(before: PlannedRun) -> Workpiece:
+def part_of(before: Run) -> Workpiece:
     """The part of a run."""
-    part = reader.scene(before.record).part
-    return Workpiece(part.name, reader.mesh(before.record, "reference.ply"), part.sha256)
+    part = before.scene.part
+    return Workpiece(part.name, before.mesh("reference.ply"), part.sha256)
 
 
-def surface_of(before: PlannedRun, run: Run, job: Job) -> PartSurface:
+def surface_of(before: Run, run: Session, job: Job) -> PartSurface:
     """Its planning mesh and the rows of its matrix; the files of the meshes are copied into the open run."""
     with run.step("read the plan"):
         for name in _KEPT:
@@ -26,6 +25,6 @@ def surface_of(before: PlannedRun, run: Run, job: Job) -> PartSurface:
             run.folder.adopt(name)
         reference = job.part.reference
         return PartSurface(
-            reference, reader.mesh(before.record, "planning.ply"), reader.measurability(before.record).features,
+            reference, before.mesh("planning.ply"), before.measurability.features,
             EmbreeRayCaster(reference.vertices, reference.faces),
         )  # fmt: skip

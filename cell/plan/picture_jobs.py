@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.rays.prediction import held_out
-from cell.run import reader as run_reader
-from cell.run.cell import scanner_of
-from cell.run.record import open_run
-from cell.run.scene_json import ResolvedScene
+from cell.runs.cell import scanner_of
+from cell.runs.run import open_run
+from cell.runs.schema import ResolvedScene
 from cell.view import pictures, rays
 from cell.view.cell_picture import best_view, draw_cell
 from cell.view.contents import HALF_PAGE, part_of
@@ -46,15 +45,15 @@ def cell_ready(folder: Path) -> None:
 @lru_cache(maxsize=1)
 def _part(folder: Path) -> Canvas:
     run = open_run(folder)
-    reference = run_reader.mesh(run, "reference.ply")
-    return canvas_of(reference, held_out(reference, run_reader.mesh(run, "planning.ply"), run.seed))
+    reference = run.mesh("reference.ply")
+    return canvas_of(reference, held_out(reference, run.mesh("planning.ply"), run.seed))
 
 
 @lru_cache(maxsize=1)
 def _cell(folder: Path) -> tuple[ResolvedScene, Cell, Scanner]:
     """The scene of a run, its cell, and its scanner."""
     run = open_run(folder)
-    scene = run_reader.scene(run)
+    scene = run.scene
     return scene, cell_of_run(run, scene), scanner_of(scene, scene.scanner)
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cell.run.folder import RunFolder
+from cell.runs.folder import RunFolder
 
 _LENGTH = struct.Struct("<q")
 _BY_RAYS = ("part_and_views", "cell_with_arm")  # take as long as all others together

@@ -24,10 +24,10 @@ from cell.plan.appended_candidates import behind
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.drawing import draw_motion, draw_views, finish_drawing
 from cell.plan.problem import Problem
-from cell.plan.steps import Job, Run
+from cell.plan.steps import Job, Session
 from cell.plan.summary import Further, plan_report
-from cell.run.folder import SCHEMA, WITH_TABLE, RunFolder
-from cell.run.report_json import Report
+from cell.runs.folder import SCHEMA, WITH_TABLE, RunFolder
+from cell.runs.schema import Report
 from cell.scene import devices, doubts
 from cell.scene.part_regions import with_regions
 from cell.scene.region_limits import require_attainable
@@ -47,7 +47,7 @@ def plan(
     argv: Sequence[str],
     use_cache: bool,
     narrator: Narrator,
-    steps_of: Callable[[Run, Job], int] | None = None,
+    steps_of: Callable[[Session, Job], int] | None = None,
     drawn: bool = True,
 ) -> Path:
     """Plan and write the run folder.
@@ -86,7 +86,7 @@ def plan(
         inputs = plan_files.input_hashes(scene, part)
         schema = WITH_TABLE if scene.table.enabled else SCHEMA
         folder = RunFolder.create(out, list(argv), scene.plan.seed, inputs, datetime.now(UTC), schema)
-        run = Run(folder, narrator, drawing, scene.plan.seed, use_cache)
+        run = Session(folder, narrator, drawing, scene.plan.seed, use_cache)
         with folder.kept_on_failure(), _logged(folder.path / "run.log"):
             plan_files.write_scene(folder, scene_path)
             folder.named(plan_files.named_files(scene, scene_path))
@@ -101,7 +101,7 @@ def plan(
         return folder.finish(exit_code)
 
 
-def _steps(run: Run, job: Job) -> int:
+def _steps(run: Session, job: Job) -> int:
     """Steps 2 to 9 and the report; returns 0, or 3 where the plan stays below a coverage that was asked for."""
     surface, candidates = steps.sample_surface(run, job)
     cell = steps.compile_cell(run, job, surface)
@@ -115,7 +115,7 @@ def _steps(run: Run, job: Job) -> int:
 
 
 def finish(
-    run: Run,
+    run: Session,
     job: Job,
     planning: TriangleMesh,
     problem: Problem,
@@ -136,7 +136,7 @@ def finish(
     return report
 
 
-def _further(run: Run, problem: Problem, chosen: ConnectedPlan) -> Further:
+def _further(run: Session, problem: Problem, chosen: ConnectedPlan) -> Further:
     """What is worked out beyond the plan itself: what is lost, the promise simulated, the curve."""
     selected, wishes = chosen.selected, problem.request.plan
     if selected.note:

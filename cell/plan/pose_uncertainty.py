@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cell.rays.prediction import Prediction
-from cell.run.plan_json import Promise, RobustSelection
+from cell.runs.schema import Promise, RobustSelection
 from cell.scene.plan_settings import PlanSettings
 from planner.geometry.sampling import pick_samples
 from planner.kinematics.reach import Reach

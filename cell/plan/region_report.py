@@ -2,7 +2,7 @@
 
 import html
 
-from cell.run.report_json import RegionResult, Report
+from cell.runs.schema import RegionResult, Report
 from cell.words import percent
 
 

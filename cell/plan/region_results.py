@@ -4,7 +4,7 @@ import numpy as np
 
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
-from cell.run.report_json import RegionResult
+from cell.runs.schema import RegionResult
 from cell.scene.regions import RegionWishes
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import pick_samples

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from cell.plan import region_report, request_report
 from cell.plan.attainable import sentence
 from cell.plan.clearances import tightest_sentence
-from cell.run.report_json import Report, ReportMotion, ReportSettings
+from cell.runs.schema import Report, ReportMotion, ReportSettings
 from cell.words import listed, percent
 
 _TOLD = 2  # dropped candidates in a terminal

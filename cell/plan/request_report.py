@@ -1,7 +1,6 @@
 """Requests beyond the fewest views, in words with units: rows for terminal and report, sections for the page."""
 
-from cell.run.plan_json import OpenOf, Overlap, Promise
-from cell.run.report_json import Curve, Report
+from cell.runs.schema import Curve, OpenOf, Overlap, Promise, Report
 from cell.words import percent
 
 

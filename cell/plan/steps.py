@@ -29,8 +29,8 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, limit_sigma, part_matrix, surface_features
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.rays.prediction import Prediction, held_out
-from cell.run.folder import RunFolder
-from cell.run.report_json import Attainable
+from cell.runs.folder import RunFolder
+from cell.runs.schema import Attainable
 from cell.scanners import ScannerPlugin
 from cell.scene import doubts
 from cell.scene.regions import complete
@@ -57,7 +57,7 @@ FEATURES, SELECTION, MOTION, ENSEMBLE, EXECUTIONS, CURVE, SCOUTS, _ASKED, FRESH 
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class Session:
     """The open run: where files go, who is told, who draws, and the seed."""
 
     folder: RunFolder
@@ -115,7 +115,7 @@ class Measured:
     casters: Sequence[RayCaster]
 
 
-def sample_surface(run: Run, job: Job) -> tuple[PartSurface, Viewpoints]:
+def sample_surface(run: Session, job: Job) -> tuple[PartSurface, Viewpoints]:
     """Steps 2 and 3: the planning mesh, the rows of the matrix, the generator's candidates."""
     with run.step("decimate and sample"):
         reference = job.part.reference
@@ -133,7 +133,7 @@ def sample_surface(run: Run, job: Job) -> tuple[PartSurface, Viewpoints]:
         return PartSurface(reference, planning, features, caster), candidates
 
 
-def compile_cell(run: Run, job: Job, surface: PartSurface, *, believed: bool = False) -> Cell:
+def compile_cell(run: Session, job: Job, surface: PartSurface, *, believed: bool = False) -> Cell:
     """The cell as MuJoCo checks it; a part that is only `believed` stands inside unseen space, which no other may."""
     with run.step("compile the cell"):
         world = compile_world(
@@ -149,7 +149,7 @@ def compile_cell(run: Run, job: Job, surface: PartSurface, *, believed: bool = F
         return Cell(world, MujocoCollisionChecker(world), world.kinematics)
 
 
-def reach_candidates(run: Run, job: Job, cell: Cell, candidates: Viewpoints) -> Reach:
+def reach_candidates(run: Session, job: Job, cell: Cell, candidates: Viewpoints) -> Reach:
     """Step 4: every branch and turn of every candidate, with a verdict each.
 
     Raises:
@@ -164,7 +164,7 @@ def reach_candidates(run: Run, job: Job, cell: Cell, candidates: Viewpoints) -> 
 
 
 def grow_candidates(
-    run: Run, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
+    run: Session, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
 ) -> tuple[Viewpoints, Reach]:
     """Step 4 again: candidates where none that is reached measures, if the scene's generator grows them.
 
@@ -188,7 +188,7 @@ def grow_candidates(
 
 
 def measure(
-    run: Run, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
+    run: Session, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
 ) -> tuple[Measured, Prediction]:
     """Step 5: the measurability matrix, whose columns are asked where the arm gets to, and the held-out samples."""
     with run.step("measurability") as progress:
@@ -203,7 +203,7 @@ def measure(
 
 
 def columns(
-    run: Run, job: Job, surface: PartSurface, casters: Sequence[RayCaster], views: Viewpoints, progress: Progress,
+    run: Session, job: Job, surface: PartSurface, casters: Sequence[RayCaster], views: Viewpoints, progress: Progress,
     *, may_be_empty: bool = False,
 ) -> tuple[Measurability, Scanner]:  # fmt: skip
     """M of viewpoints past occluders, within the limit on sigma (`limit_sigma`), and the scanner that keeps it."""
@@ -224,14 +224,14 @@ def casters_of(surface: PartSurface, cell: Cell) -> Sequence[RayCaster]:
     return [surface.caster, caster_of(occluder_triangles(cell.world))]
 
 
-def predicted(run: Run, surface: PartSurface, measured: Measured, progress: Progress) -> Prediction:
+def predicted(run: Session, surface: PartSurface, measured: Measured, progress: Progress) -> Prediction:
     """The held-out samples, and what reachable candidates measure of them."""
     poses = measured.candidates.T_object_scanner[measured.reached.reachable]
     samples = held_out(surface.reference, surface.planning, run.seed)
     return Prediction.of(samples, measured.scanner, measured.casters, poses, progress)
 
 
-def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Prediction) -> Problem:
+def ask(run: Session, job: Job, cell: Cell, measured: Measured, prediction: Prediction) -> Problem:
     """What is asked of selection and motion: the wishes with what they need to know."""
     scene, plan = job.scene, job.scene.plan
     layer = None
@@ -251,7 +251,7 @@ def ask(run: Run, job: Job, cell: Cell, measured: Measured, prediction: Predicti
 
 
 def connect(
-    run: Run, problem: Problem, surface: PartSurface, append: Append | None = None
+    run: Session, problem: Problem, surface: PartSurface, append: Append | None = None
 ) -> tuple[Problem, ConnectedPlan]:
     """Steps 6 to 8: the problem with what its promise took, and its views connected; `append` lets views be moved."""
     with run.step("select, order and connect") as progress:
@@ -268,7 +268,7 @@ def connect(
         return problem, chosen
 
 
-def write_changed(run: Run, before: Problem, problem: Problem) -> None:
+def write_changed(run: Session, before: Problem, problem: Problem) -> None:
     """Write again what of a problem's candidates is other than before."""
     if problem.M is not before.M:
         plan_files.write_measurability(run.folder, problem.M)
@@ -278,7 +278,7 @@ def write_changed(run: Run, before: Problem, problem: Problem) -> None:
         plan_files.write_reach(run.folder, problem.reached)
 
 
-def prove_and_time(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[MotionClearance, Motion]:
+def prove_and_time(run: Session, problem: Problem, chosen: ConnectedPlan) -> tuple[MotionClearance, Motion]:
     """Step 9: the motion's clearance along every segment, and its timing."""
     with run.step("measure the clearance") as progress:
         tour = chosen.tour
@@ -291,7 +291,7 @@ def prove_and_time(run: Run, problem: Problem, chosen: ConnectedPlan) -> tuple[M
         return measured, motion
 
 
-def what_is_lost(run: Run, problem: Problem, chosen: ConnectedPlan) -> Attainable:
+def what_is_lost(run: Session, problem: Problem, chosen: ConnectedPlan) -> Attainable:
     """What any pose would measure that the robot takes up here, beside what the plan measures."""
     with run.step("what is lost"):
         return attainable.of_plan(problem, chosen.visible, run.rng(_ASKED))

@@ -12,10 +12,12 @@ from cell.plan.problem import Problem
 from cell.plan.region_results import results_of
 from cell.plan.steps import Job
 from cell.run.plan_facts import degrees
-from cell.run.plan_json import Coverage, Dropped, Promise, Verdicts
-from cell.run.report_json import (
+from cell.runs.schema import (
     Attainable,
+    Coverage,
     Curve,
+    Dropped,
+    Promise,
     RegionResult,
     Report,
     ReportMotion,
@@ -24,6 +26,7 @@ from cell.run.report_json import (
     ReportView,
     Sigma,
     Spacing,
+    Verdicts,
 )
 from cell.scene.regions import complete
 from cell.world.clearance import MotionClearance

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from cell.plan.request import Selected
-from cell.run import plan_json
+from cell.runs import schema
 from cell.scene.plan_settings import PlanSettings
 from planner.cover import Cover
 from planner.cover.overlap import Connection
@@ -23,7 +23,7 @@ def settings(plan: PlanSettings) -> dict[str, JsonValue]:
     return {key: list(value) if isinstance(value, tuple) else value for key, value in asked.items()}
 
 
-def most_coverage_of(selected: Selected, total_area: float) -> plan_json.MostCoverage | None:
+def most_coverage_of(selected: Selected, total_area: float) -> schema.MostCoverage | None:
     """What plan.json and report.json say of the most coverage with a number of views; None where it was not asked for.
 
     Args:
@@ -33,7 +33,7 @@ def most_coverage_of(selected: Selected, total_area: float) -> plan_json.MostCov
     cover = selected.cover
     if cover.max_views is None:
         return None
-    return plan_json.MostCoverage(
+    return schema.MostCoverage(
         max_views=cover.max_views,
         covered=cover.covered_area / total_area,
         upper_bound=cover.upper_area / total_area,
@@ -41,7 +41,7 @@ def most_coverage_of(selected: Selected, total_area: float) -> plan_json.MostCov
     )
 
 
-def overlap_of(selected: Selected, order: NDArray[np.int64], total_area: float) -> plan_json.Overlap | None:
+def overlap_of(selected: Selected, order: NDArray[np.int64], total_area: float) -> schema.Overlap | None:
     """What they say of overlap; None where it was not asked for.
 
     Args:
@@ -53,20 +53,20 @@ def overlap_of(selected: Selected, order: NDArray[np.int64], total_area: float) 
     if not isinstance(answer, Connection):
         return None
     without = selected.cover.unconnected_views or 0
-    return plan_json.Overlap(
+    return schema.Overlap(
         connected=answer.connected,
         extra_views=len(selected.cover.views) - without,
         views_without=without,
         # The first of all overlaps none before it and does not count.
         without_earlier=sum(not answer.joined[order[k], order[:k]].any() for k in range(1, len(order))),
         parts=[
-            plan_json.OverlapPart(views=(answer.part == k).sum(), covered=area / total_area)
+            schema.OverlapPart(views=(answer.part == k).sum(), covered=area / total_area)
             for k, area in enumerate(answer.part_area)
         ],
     )
 
 
-def robust_of(selected: Selected, total_area: float) -> plan_json.RobustSelection | None:
+def robust_of(selected: Selected, total_area: float) -> schema.RobustSelection | None:
     """What they say of the selection under pose errors; None where poses count as exact.
 
     Args:
@@ -76,7 +76,7 @@ def robust_of(selected: Selected, total_area: float) -> plan_json.RobustSelectio
     answer = selected.answer
     if not isinstance(answer, RobustCover):
         return None
-    return plan_json.RobustSelection(
+    return schema.RobustSelection(
         alpha=answer.alpha,
         members=answer.members,
         views_needed=views_for_promise(answer.alpha, answer.members),
@@ -85,14 +85,14 @@ def robust_of(selected: Selected, total_area: float) -> plan_json.RobustSelectio
     )
 
 
-def multiplicity_of(selected: Selected) -> plan_json.Multiplicity | None:
+def multiplicity_of(selected: Selected) -> schema.Multiplicity | None:
     """What they say of samples measured several times; None where once is enough."""
     cover = selected.cover
     if cover.demand == 1:
         return None
-    return plan_json.Multiplicity(views_per_sample=cover.demand, samples_with_fewer_candidates=len(cover.short_rows))
+    return schema.Multiplicity(views_per_sample=cover.demand, samples_with_fewer_candidates=len(cover.short_rows))
 
 
-def cost_of(cover: Cover) -> plan_json.Cost | None:
+def cost_of(cover: Cover) -> schema.Cost | None:
     """What they say of seconds; None where the number of views counts."""
-    return None if cover.price is None else plan_json.Cost(seconds=cover.cost, bound_seconds=cover.cost_bound)
+    return None if cover.price is None else schema.Cost(seconds=cover.cost, bound_seconds=cover.cost_bound)

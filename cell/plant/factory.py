@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from cell.run import reader as run_reader
-from cell.run.cell import table_of
-from cell.run.record import RunRecord
+from cell.runs.cell import table_of
+from cell.runs.run import Run
 from drivers.errors import DriverError
 from drivers.plant import Plant, PlantFactory
 from planner.values import Floats
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from cell.plant.servo import Settings
 
 
-def of_run(run: RunRecord, observer: Observer | None = None) -> Mapping[str, PlantFactory]:
+def of_run(run: Run, observer: Observer | None = None) -> Mapping[str, PlantFactory]:
     """The plants of an execution: the arm carries the tool that the plan was checked with.
 
     Args:
@@ -33,7 +32,7 @@ def of_run(run: RunRecord, observer: Observer | None = None) -> Mapping[str, Pla
         from cell.plant.mujoco_plant import MujocoPlant
         from cell.robot import model as robot
 
-        scene, model = run_reader.scene(run), run_reader.cell_model(run)
+        scene, model = run.scene, run.cell_model()
         mounted, table = scene.robot, table_of(scene)
         if mounted is not None and mounted.model != robot.KR16:
             raise DriverError(

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import NoReturn
 
 from cell.errors import FileError
-from cell.run import digest
-from cell.run.record import RunRecord, artefact
+from cell.runs import digest
+from cell.runs.run import Run
 
 
 def refuse(path: Path, what: str) -> NoReturn:
@@ -18,7 +18,7 @@ def refuse(path: Path, what: str) -> NoReturn:
     raise FileError(f"{path} {what}; nothing of it is driven or exported: a run folder is never edited, plan again")
 
 
-def whole(run: RunRecord) -> str:
+def whole(run: Run) -> str:
     """The digest of a plan of which every file that drives is there and is what it was.
 
     Raises:
@@ -31,12 +31,12 @@ def whole(run: RunRecord) -> str:
             f"{manifest} has no digest of what drives: the plan is of an earlier version, or the manifest was changed; "
             "it can be read and replayed, but is never driven: plan again"
         )
-    for name in digest.driving(run.manifest.artefacts):
+    for name in digest.driving_artefacts(run.manifest.artefacts):
         if name not in run.manifest.artefacts:
             refuse(manifest, f"has no sha256 of {name}")
-        artefact(run, name)
-    if digest.of_plan(run.manifest.artefacts) != run.digest:
-        refuse(manifest, f"has the digest {run.digest[: digest.SHOWN]}, and its files have another")
+        run.artefact(name)
+    if digest.plan_digest(run.manifest.artefacts) != run.digest:
+        refuse(manifest, f"has the digest {run.digest[: digest.SHORT_DIGEST]}, and its files have another")
     return run.digest
 
 

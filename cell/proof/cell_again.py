@@ -13,12 +13,10 @@ import numpy as np
 from cell.proof.artefacts import refuse
 from cell.proof.compare import difference
 from cell.robot import model as robot
-from cell.run import reader
-from cell.run.cell import world_of
 from cell.run.plan_facts import limits_deg, resolved_table, standing_fixtures
-from cell.run.record import RunRecord, understood
-from cell.run.scene_json import ResolvedScene
-from cell.run.scene_of_run import scene_of_run
+from cell.runs.cell import scene_of_run, world_of
+from cell.runs.run import Run, reading
+from cell.runs.schema import ResolvedScene
 from cell.world.model import World
 from cell.world.shapes import quaternion
 from planner.ports import ARM_AXES
@@ -31,16 +29,16 @@ _NEAR = 1e-8  # m, and of a quaternion's entries
 _DIRECTIONS = np.random.default_rng(0).standard_normal((64, 3))  # in which hulls are compared
 
 
-def compiled(run: RunRecord, resolved: ResolvedScene) -> World:
+def compiled(run: Run, resolved: ResolvedScene) -> World:
     """The cell of a run, compiled again and found to be the one that was checked.
 
     Raises:
         FileError: if the run's files do not describe one and the same cell.
     """
     path = run.folder / "scene.resolved.json"
-    with understood(path):
+    with reading(path):
         scene = scene_of_run(run)
-        world = world_of(run, reader.mesh(run, "reference.ply"))
+        world = world_of(run, run.mesh("reference.ply"))
         occluding = {fixture.name: fixture.occludes for fixture in resolved.fixtures}
         standing = [
             each.model_copy(update={"occludes": occluding.get(each.name, True)})
@@ -62,7 +60,7 @@ def compiled(run: RunRecord, resolved: ResolvedScene) -> World:
         fastest = np.asarray(limits_deg(robot.limits(world.model))["joint_velocity_limits_deg_s"])
         if (np.asarray(resolved.joint_velocity_limits_deg_s) > fastest + 1e-6).any():
             refuse(path, "has joint_velocity_limits_deg_s above those of the robot model")
-    if what := _other_shape(reader.cell_model(run), world):
+    if what := _other_shape(run.cell_model(), world):
         refuse(
             run.folder / "cell.xml", f"is not the cell of scene.resolved.json with this version's robot model: {what}"
         )

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from pydantic import JsonValue
 
-from cell.run.json_table import JsonTable
+from cell.runs.schema import JsonTable
 
 _NEAR = 1e-7
 """Numbers that differ by less, absolutely or relatively, are one: 0.1 um, and far below what a file rounds to."""

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from cell.proof.artefacts import refuse
-from cell.run.record import RunRecord
-from cell.run.scene_json import ResolvedScene
+from cell.runs.run import Run
+from cell.runs.schema import ResolvedScene
 from cell.world.model import World
 from planner.kinematics.setpoints import from_steps, to_steps
 from planner.path import indexed
@@ -42,7 +42,7 @@ def limits_of(resolved: ResolvedScene, world: World) -> JointLimits:
 
 
 def require_timed(
-    run: RunRecord,
+    run: Run,
     motion: Motion,
     limits: JointLimits,
     sweeps: Sequence[tuple[int, SweepPath]],

@@ -19,10 +19,8 @@ from pathlib import Path
 from cell.errors import FileError
 from cell.proof import cell_again, motion_again, views_again
 from cell.proof.artefacts import refuse, whole
-from cell.run import reader
-from cell.run.plan_json import PlanFile
-from cell.run.record import RunRecord, arrays, open_finished, understood
-from cell.run.scene_json import ResolvedScene
+from cell.runs.run import Run, open_finished, reading
+from cell.runs.schema import PlanFile, ResolvedScene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner.errors import PlannerError
@@ -46,7 +44,7 @@ class Proven:
         checker: of collision in it.
     """
 
-    run: RunRecord
+    run: Run
     digest: str
     scene: ResolvedScene
     plan: PlanFile
@@ -79,8 +77,8 @@ def prove(folder: Path) -> Proven:
     """
     run = open_finished(folder)
     digest = whole(run)
-    resolved, plan, motion = reader.scene(run), reader.plan(run), reader.motion(run)
-    stored, candidates = arrays(run, "motion.npz"), reader.candidates(run)
+    resolved, plan, motion = run.scene, run.plan, run.motion
+    stored, candidates = run.arrays("motion.npz"), run.candidates
     _require_manifest(run, resolved)
     if not len(plan.views) or len(motion.via_q) < 2:
         refuse(run.folder / "motion.npz", "holds no motion: it visits no view")
@@ -91,7 +89,7 @@ def prove(folder: Path) -> Proven:
     if resolved.plan.collision != world.collision:
         refuse(run.folder / "scene.resolved.json", "contradicts itself at plan.collision")
     kinematics, checker = world.kinematics, MujocoCollisionChecker(world)
-    with understood(run.folder / "motion.npz"):
+    with reading(run.folder / "motion.npz"):
         views_again.require_same_views(run, plan, motion, candidates, world, kinematics)
         views_again.require_same_clearance(run, plan, motion, stored, world.collision)
         full = motion_again.limits_of(resolved, world)
@@ -106,7 +104,7 @@ def prove(folder: Path) -> Proven:
     return Proven(run, digest, resolved, plan, motion, world, checker)
 
 
-def _require_manifest(run: RunRecord, resolved: ResolvedScene) -> None:
+def _require_manifest(run: Run, resolved: ResolvedScene) -> None:
     """What the manifest and the settings say twice."""
     said = run.manifest.inputs.get("part"), run.manifest.seed
     if said != (resolved.part.sha256, resolved.plan.seed):

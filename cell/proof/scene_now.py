@@ -21,9 +21,7 @@ from cell.proof.artefacts import sha256_of
 from cell.proof.files_now import MISSING, FilesNow
 from cell.proof.proof import Proven
 from cell.robot.model import KR16
-from cell.run import reader
-from cell.run.record import artefact
-from cell.run.scene_of_run import scene_of_run
+from cell.runs.cell import scene_of_run
 from cell.scene import devices
 from cell.scene.fixtures import Fixture, MeshFixture
 from cell.scene.scene import Scene
@@ -117,16 +115,14 @@ def _part(proven: Proven, source: str) -> Iterator[tuple[str, str]]:
     except CellError as error:
         yield "part", str(error)
         return
-    if part.sha256 != proven.scene.part.sha256 and not _same_mesh(
-        part.reference, reader.mesh(proven.run, "reference.ply")
-    ):
+    if part.sha256 != proven.scene.part.sha256 and not _same_mesh(part.reference, proven.run.mesh("reference.ply")):
         yield "part", f"the part {source} has another surface than the one that was planned for"
 
 
 def _changed_tables(proven: Proven, path: Path) -> set[str] | None:
     """Tables of a scene file that differ from those of the file that was planned with; None: not known."""
     try:
-        then = tomllib.loads(artefact(proven.run, "scene.toml").decode())
+        then = tomllib.loads(proven.run.artefact("scene.toml").decode())
         now = tomllib.loads(path.read_text(encoding="utf-8"))
     except (ValueError, OSError, RecursionError, FileError):
         return None

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from cell.proof.artefacts import refuse
 from cell.proof.compare import difference
 from cell.run.plan_facts import degrees, sweep_of, turned_at
-from cell.run.plan_json import Clearance, PlanFile, PlanView
-from cell.run.record import RunRecord
+from cell.runs.run import Run
+from cell.runs.schema import Clearance, PlanFile, PlanView
 from cell.world.model import World
 from planner.kinematics.setpoints import to_steps
 from planner.path.sweep_line import DEFAULT_SPEED
@@ -24,7 +24,7 @@ _OFF = 5e-5  # of a candidate from the pose of its rounded set-points: m, and en
 
 
 def require_same_views(
-    run: RunRecord, plan: PlanFile, motion: Motion, candidates: Viewpoints, world: World, kinematics: Kinematics
+    run: Run, plan: PlanFile, motion: Motion, candidates: Viewpoints, world: World, kinematics: Kinematics
 ) -> None:
     """The motion visits the views of plan.json, one after the other, at the set-points and poses that stand there.
 
@@ -91,7 +91,7 @@ def _line_end(motion: Motion, row: int) -> int:
 
 
 def sweeps_again(
-    run: RunRecord,
+    run: Run,
     plan: PlanFile,
     motion: Motion,
     candidates: Viewpoints,
@@ -144,7 +144,7 @@ def sweeps_again(
 
 
 def require_same_clearance(
-    run: RunRecord, plan: PlanFile, motion: Motion, stored: Mapping[str, NDArray[Any]], collision: str
+    run: Run, plan: PlanFile, motion: Motion, stored: Mapping[str, NDArray[Any]], collision: str
 ) -> None:
     """plan.json and motion.npz say the same of the clearance.
 

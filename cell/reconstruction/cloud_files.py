@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.reconstruction.cloud import PointCloud
-from cell.run import ply
+from cell.runs import ply
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
@@ -30,7 +30,7 @@ def cloud_ply(cloud: PointCloud, stop: NDArray[np.int32], sigma: Floats, source:
     views = {"view": stop.astype("<i4"), "scalar_view": stop.astype("<f4")}
     more = normals | views | {"scalar_sigma_mm": (sigma * 1000.0).astype("<f4")}
     comments = ["object frame, millimetres; view: from 1 in visiting order", f"points: {_line(source)}"]
-    return ply.file(comments, {"vertex": ply.points(cloud.points, more)})
+    return ply.file_pieces(comments, {"vertex": ply.point_rows(cloud.points, more)})
 
 
 def mesh_ply(mesh: TriangleMesh, closed: NDArray[np.bool_], deviation: Floats, source: str) -> Iterator[bytes]:
@@ -45,10 +45,10 @@ def mesh_ply(mesh: TriangleMesh, closed: NDArray[np.bool_], deviation: Floats, s
     Returns:
         The file, piece by piece.
     """
-    vertices = ply.points(mesh.vertices, {"scalar_deviation_mm": (deviation * 1000.0).astype("<f4")})
-    faces = ply.triangles(mesh.faces, {"closed": closed.astype(np.uint8)})
+    vertices = ply.point_rows(mesh.vertices, {"scalar_deviation_mm": (deviation * 1000.0).astype("<f4")})
+    faces = ply.triangle_rows(mesh.faces, {"closed": closed.astype(np.uint8)})
     comments = ["object frame, millimetres; closed 1: not measured", f"points: {_line(source)}"]
-    return ply.file(comments, {"vertex": vertices, "face": faces})
+    return ply.file_pieces(comments, {"vertex": vertices, "face": faces})
 
 
 def _line(text: str) -> str:

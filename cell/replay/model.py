@@ -18,10 +18,9 @@ from cell.errors import FileError
 from cell.replay.appearance import add_mesh, light, of_robot, paint, part_pieces, show_surface
 from cell.robot import model as robot
 from cell.robot import told
-from cell.run import reader as run_reader
-from cell.run.cell import table_of
-from cell.run.record import RunRecord
-from cell.run.scene_json import ResolvedScene
+from cell.runs.cell import table_of
+from cell.runs.run import Run
+from cell.runs.schema import ResolvedScene
 from cell.view.rays import frustum
 from cell.world.gap import Shapes, is_convex, meshes_of
 from planner.geometry.mesh import TriangleMesh
@@ -77,7 +76,7 @@ class Theatre(Value):
 
 
 def dress(
-    run: RunRecord,
+    run: Run,
     scene: ResolvedScene,
     reference: TriangleMesh,
     clouds: Sequence[Floats] = (),
@@ -93,7 +92,7 @@ def dress(
     Raises:
         FileError: if cell.xml is missing, changed, or is no model of this robot.
     """
-    spec = run_reader.cell_spec(run)
+    spec = run.cell_spec()
     missing = [name for name in ("object", "housing", "link_6") if spec.body(name) is None]
     if missing or spec.geom("part") is None:
         raise FileError(
@@ -109,7 +108,7 @@ def dress(
     radius = reference.diagonal / 2
     show_surface(spec, "surface", reference, part_pieces(spec))
     exact = [fixture for fixture in scene.fixtures if fixture.collision == "exact"]
-    checked = {fixture.name: run_reader.mesh(run, fixture.file) for fixture in exact if fixture.file is not None}
+    checked = {fixture.name: run.mesh(fixture.file) for fixture in exact if fixture.file is not None}
     for name, mesh in checked.items():
         show_surface(spec, f"{name}_surface", mesh, [spec.geom(name)])
     if scene.plan.collision == "exact":
@@ -119,7 +118,7 @@ def dress(
     for number, points in enumerate(clouds):
         if len(points):
             add_mesh(spec, f"cloud_{number}", specks(points, 0.010 * radius))
-    with run_reader.compiles(run):
+    with run.compiling():
         model = spec.compile()
     links = {name: mesh for name, mesh in meshes_of(model).items() if name in entities and entities[name] != "part"}
     hollow = [*checked, *(name for name, mesh in links.items() if not is_convex(mesh))]

@@ -17,11 +17,9 @@ from cell.replay.options import ReplayOptions
 from cell.replay.show import Show
 from cell.replay.still import Still, require_empty, write_frames, write_picture
 from cell.replay.tightest_moment import of_plan
-from cell.run import reader as run_reader
-from cell.run import timeline as replay_timeline
-from cell.run.executions import read_execution
-from cell.run.record import RunRecord, open_run
-from cell.run.timeline import Timeline
+from cell.runs import timeline as replay_timeline
+from cell.runs.run import Run, open_run, read_execution
+from cell.runs.timeline import Timeline
 from cell.view.cell_picture import tour_camera
 from cell.view.pieces import cell_of_run
 
@@ -76,7 +74,7 @@ def replay(
     return "; ".join(made)
 
 
-def load_show(run: RunRecord, execution: str | None, narrator: Narrator) -> Show:
+def load_show(run: Run, execution: str | None, narrator: Narrator) -> Show:
     """What there is to show of a run.
 
     Args:
@@ -89,17 +87,17 @@ def load_show(run: RunRecord, execution: str | None, narrator: Narrator) -> Show
     """
     if not run.has("cell.xml"):
         raise FileError(
-            f"{run.folder} has no cell.xml, so there is no cell to show: the run {run.ended}; mend that and plan again"
+            f"{run.folder} has no cell.xml, so there is no cell to show: the run {run.ending}; mend that and plan again"
         )
-    if not run.finished:
-        narrator.note(f"this run {run.ended}; it is shown as far as it got")
-    scene = run_reader.scene(run)
+    if not run.is_finished:
+        narrator.note(f"this run {run.ending}; it is shown as far as it got")
+    scene = run.scene
     recorded = read_execution(run, execution) if execution is not None else None
     if recorded is not None and not recorded.scans:
         narrator.note(f"{recorded.folder} holds no scan that can be read")
     clouds = [scan.points for scan in recorded.scans] if recorded is not None else []
-    theatre = dress(run, scene, run_reader.mesh(run, "reference.ply"), clouds)
-    planned = run_reader.motion(run) if run.has("motion.npz") else None
+    theatre = dress(run, scene, run.mesh("reference.ply"), clouds)
+    planned = run.motion if run.has("motion.npz") else None
     if recorded is not None:
         timeline = replay_timeline.of_execution(recorded, planned, theatre.home)
     elif planned is not None:
@@ -111,10 +109,10 @@ def load_show(run: RunRecord, execution: str | None, narrator: Narrator) -> Show
     if timeline.stops or planned is not None or not run.has("viewpoints.npz"):
         closest = None
         if recorded is None and planned is not None and run.has("plan.json"):
-            closest = of_plan(run_reader.plan(run), timeline)
+            closest = of_plan(run.plan, timeline)
         return Show(theatre, timeline, closest=closest)
-    candidates = run_reader.candidates(run)
-    reachable = run_reader.reached(run).reachable if run.has("reach.npz") else None
+    candidates = run.candidates
+    reachable = run.reach.reachable if run.has("reach.npz") else None
     narrator.note(
         f"it has no motion: the arm stands at home beside {len(candidates)} candidate viewpoints"
         + ("" if reachable is None else f", {int(np.count_nonzero(reachable))} of them reachable (green)")
@@ -122,10 +120,10 @@ def load_show(run: RunRecord, execution: str | None, narrator: Narrator) -> Show
     return Show(theatre, timeline, theatre.T_base_object @ candidates.T_object_scanner[:, 0], reachable)
 
 
-def _still(run: RunRecord, show: Show, execution: str | None) -> Still:
+def _still(run: Run, show: Show, execution: str | None) -> Still:
     """What a still is drawn of."""
     scans = () if execution is None else read_execution(run, execution).scans
-    cell, part = cell_of_run(run, run_reader.scene(run)), run_reader.mesh(run, "reference.ply")
+    cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
     return Still(show, cell, part, [scan.points for scan in scans])
 
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from cell.replay import overlays
-from cell.run.plan_json import PlanFile
-from cell.run.timeline import Timeline
+from cell.runs.schema import PlanFile
+from cell.runs.timeline import Timeline
 from cell.view import rays
 from planner.values import Floats, Value
 

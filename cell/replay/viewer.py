@@ -16,7 +16,7 @@ import numpy as np
 
 from cell.errors import UsageError
 from cell.replay.show import Show, show_what_is_seen
-from cell.run.timeline import Timeline
+from cell.runs.timeline import Timeline
 from cell.view import rays
 from planner.values import Floats
 

@@ -10,8 +10,7 @@ from typing import Literal, TypedDict
 import numpy as np
 
 from cell.robot.model import KR16
-from cell.run.plan_json import Sweep
-from cell.run.scene_json import ResolvedRobot, ResolvedTable, StandingFixture
+from cell.runs.schema import ResolvedRobot, ResolvedTable, StandingFixture, Sweep
 from cell.scene.fixtures import BoxFixture, CylinderFixture, Fixture
 from cell.scene.scene import Scene
 from cell.world.model import World

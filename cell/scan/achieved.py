@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.rays.prediction import held_out
-from cell.run.cell import RunCell, scanner_of
-from cell.run.executions import ExecutedScan
-from cell.run.plan_json import PlanFile
+from cell.runs.cell import RunCell, scanner_of
+from cell.runs.run import ExecutedScan
+from cell.runs.schema import PlanFile
 from cell.scan.merging import Merged, executed_poses
 from cell.view.contents import of_views
 from cell.view.surface import Surface

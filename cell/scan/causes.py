@@ -15,8 +15,8 @@ from scipy.optimize import linear_sum_assignment
 from cell.acquisition import SIMULATED
 from cell.acquisition.sources import FRAMES
 from cell.part.workpiece import UNITS
-from cell.run.cell import RunCell
-from cell.run.executions import ExecutedScan
+from cell.runs.cell import RunCell
+from cell.runs.run import ExecutedScan
 from planner.geometry.closest import NearestSurface
 from planner.values import Floats
 

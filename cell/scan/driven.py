@@ -13,8 +13,8 @@ from cell.acquisition.sources import Acquisition
 from cell.errors import DriverFailureError
 from cell.narrator import Narrator
 from cell.rays.embree import EmbreeRayCaster
-from cell.run.axes import apart
-from cell.run.cell import RunCell
+from cell.runs.cell import RunCell
+from cell.runs.run import split_axes
 from cell.scan import execute
 from cell.scan.execution_folder import EXECUTING, MOTION, ExecutionFolder
 from cell.scan.legs import Legs
@@ -101,7 +101,7 @@ def write_motion(folder: ExecutionFolder, motion: Motion) -> None:
             name: getattr(motion, name)
             for name in ("via_q", "segment", "view", "via_t", "t", "q", "qd", "qdd", "segment_of_sample")
         }
-        | apart(via_q=motion.via_q, q=motion.q, qd=motion.qd, qdd=motion.qdd),
+        | split_axes(via_q=motion.via_q, q=motion.q, qd=motion.qd, qdd=motion.qdd),
         pose=motion.pose,
         line=motion.line,
         **{f"limit_{name}": getattr(motion.limits, name) for name in _LIMITS},

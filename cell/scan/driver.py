@@ -7,7 +7,7 @@ from urllib.parse import parse_qsl, urlsplit
 import numpy as np
 
 from cell.errors import DriverFailureError, UsageError
-from cell.run.cell import RunCell
+from cell.runs.cell import RunCell
 from cell.scan.options import ScanOptions
 from drivers.clock import Clock, RealTimeClock, SimulatedClock
 from drivers.contract import Driver

@@ -17,8 +17,8 @@ from pydantic import JsonValue
 from cell import signals
 from cell.acquisition.sources import Acquisition, View
 from cell.errors import DriverFailureError, FileError
-from cell.run.axes import apart
-from cell.run.cell import RunCell
+from cell.runs.cell import RunCell
+from cell.runs.run import split_axes
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.legs import AT_START, Leg, Legs
 from cell.scan.whole_turns import WholeTurnsOff
@@ -156,7 +156,7 @@ def scan_and_write(
         view=np.array(leg.view),
         source=np.array(acquisition.source),
         frame=np.array(acquired.frame),
-        **apart(q_commanded=commanded[view.middle], q_reported=reported[view.middle]),
+        **split_axes(q_commanded=commanded[view.middle], q_reported=reported[view.middle]),
         T_object_scanner=view.T_object_scanner[view.middle],
         points=points,
         **acquired.kept,

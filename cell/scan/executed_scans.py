@@ -4,9 +4,8 @@ import hashlib
 from collections.abc import Sequence
 
 from cell.errors import FileError
-from cell.run.executions import ExecutedScan, RecordedExecution
-from cell.run.plan_json import PlanView
-from cell.run.record import file_bytes
+from cell.runs.run import ExecutedScan, RecordedExecution, file_bytes
+from cell.runs.schema import PlanView
 from planner.ports import Rejection
 
 

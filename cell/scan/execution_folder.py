@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from cell.errors import FileError
-from cell.run import process
-from cell.run.executions import FOLDER
-from cell.run.folder import SCHEMA, RunFolder, json_text, versions
-from cell.run.manifest_json import Manifest, Resumed
-from cell.run.record import RunRecord
+from cell.runs import folder as process
+from cell.runs.folder import SCHEMA, RunFolder, json_text, versions
+from cell.runs.run import EXECUTIONS, Run
+from cell.runs.schema import Manifest, Resumed
 
 EVENTS = "events.jsonl"
 MOTION = "motion.npz"
@@ -38,7 +37,7 @@ class ExecutionFolder(RunFolder):
     @classmethod
     def make(
         cls,
-        run: RunRecord,
+        run: Run,
         argv: list[str],
         seed: int,
         options: Mapping[str, JsonValue],
@@ -58,7 +57,7 @@ class ExecutionFolder(RunFolder):
         Raises:
             FileError: if it cannot be made.
         """
-        root = run.folder / FOLDER
+        root = run.folder / EXECUTIONS
         try:
             root.mkdir(exist_ok=True)
             while True:
@@ -79,7 +78,7 @@ class ExecutionFolder(RunFolder):
         folder = cls(
             path,
             path,
-            process.begun_here(
+            process.with_process(
                 Manifest(
                     schema=SCHEMA,
                     status="running",
@@ -118,7 +117,7 @@ class ExecutionFolder(RunFolder):
         again = Resumed(at=now, argv=tuple(argv), driver=driver, after=self.manifest.status or "", **way)
         outdated = [name for name in self._artefacts if not name.startswith("scans/") and name != MOTION]
         kept = {name: sha for name, sha in sorted(self._artefacts.items()) if name not in outdated}
-        self.manifest = process.begun_here(self.manifest.without("exit_code", "reason"))
+        self.manifest = process.with_process(self.manifest.without("exit_code", "reason"))
         self.note(status="running", resumed=(*self.manifest.resumed, again), artefacts=kept)
         for name in outdated:  # a report of what was there before; the manifest no longer promises it
             self.remove(name)
@@ -166,7 +165,7 @@ class ExecutionFolder(RunFolder):
         self._artefacts.pop(name, None)
 
     def _close(self, status: str, exit_code: int | None) -> None:
-        self.manifest = self.manifest.without(*process.KEYS)  # they are for while it is written
+        self.manifest = self.manifest.without(*process.PROCESS_KEYS)  # they are for while it is written
         RunFolder._close(self, status, exit_code)
 
     def _write_manifest(self) -> None:

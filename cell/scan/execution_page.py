@@ -3,7 +3,7 @@
 import html
 
 from cell.acquisition import SIMULATED
-from cell.run.execution_json import ExecutedRegion, ExecutionReport
+from cell.runs.schema import ExecutedRegion, ExecutionReport
 from cell.words import percent
 
 _COARSE = 0.02  # of the part's diagonal: a surface that reaches farther from its points is called interpolated

@@ -9,8 +9,9 @@ from cell.reconstruction.deviation import Deviation
 from cell.reconstruction.reconstruct import REACH, Reconstruction
 from cell.reconstruction.registration import Registration
 from cell.reconstruction.rigid import told
-from cell.run.cell import RunCell
-from cell.run.execution_json import (
+from cell.runs.cell import RunCell
+from cell.runs.run import ExecutedScan
+from cell.runs.schema import (
     ExecutedCloud,
     ExecutedCoverage,
     ExecutedDeviation,
@@ -23,10 +24,9 @@ from cell.run.execution_json import (
     ExecutedSurface,
     ExecutedView,
     ExecutionReport,
+    PlanFile,
     SurfaceDeviation,
 )
-from cell.run.executions import ExecutedScan
-from cell.run.plan_json import PlanFile
 from cell.scan.achieved import Achieved
 from cell.scan.executed_scans import counts_by_reason, source_of
 from cell.scan.merging import Merged

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from cell.errors import FileError
-from cell.run.executions import FOLDER
+from cell.runs.run import EXECUTIONS
 
 try:
     import fcntl
@@ -48,7 +48,7 @@ def held(execution: Path) -> Iterator[None]:
 
 def folder_of(run: Path, execution: str) -> Path:
     """Where an execution of a run is, by its id or "latest"; it may not exist."""
-    root = run / FOLDER
+    root = run / EXECUTIONS
     if execution == "latest" and root.is_dir():
         execution = max((path.name for path in root.iterdir() if path.name.isdecimal()), key=int, default=execution)
     return root / execution

@@ -12,7 +12,7 @@ from cell.reconstruction.registration import Registration, register
 from cell.reconstruction.rigid import RigidFit
 from cell.reconstruction.surface_fit import Search
 from cell.reconstruction.surface_fit import fit as fitted
-from cell.run.executions import ExecutedScan
+from cell.runs.run import ExecutedScan
 from planner.geometry.closest import NearestSurface
 from planner.ports import Scanner
 from planner.values import Bools, Floats

@@ -11,10 +11,8 @@ from pathlib import Path
 from cell.acquisition import SIMULATED
 from cell.errors import FileError, UsageError
 from cell.narrator import Narrator
-from cell.run.executions import execution_ids, read_execution
-from cell.run.reader import scene
-from cell.run.record import open_finished
-from cell.run.setups_json import ScannedSetups
+from cell.runs.run import open_finished, read_execution
+from cell.runs.schema import ScannedSetups
 from cell.scan import driver as scan_driver
 from cell.scan import safety, whole
 from cell.scan.options import ScanOptions
@@ -148,7 +146,7 @@ def _begun(folder: Path, execution: str, given: ScanOptions | None) -> ScanOptio
 def _stopped(folder: Path) -> str | None:
     """The latest execution of all views of a run, if it did not finish."""
     run = open_finished(folder)
-    for name in reversed(execution_ids(run)):
+    for name in reversed(run.execution_ids):
         manifest = read_execution(run, name).manifest
         if manifest.options.get("view") is None:
             return None if manifest.status == "finished" else name
@@ -175,7 +173,7 @@ def _lies(planned: PlannedSetups, number: int) -> str:
         )
     offer = planned.file.offered[chosen.offered]
     xyz, abc = (listed(values) for values in (offer.placement_mm, offer.placement_abc_deg))
-    turned = "" if scene(run).table is None else ", the rotary table at 0"
+    turned = "" if run.scene.table is None else ", the rotary table at 0"
     return (
         f"set-up {number} of {len(planned.folders)}: the part lies {offer.name}, its centre at {xyz} mm, "
         f"A, B, C {abc} deg{turned}"

@@ -9,7 +9,7 @@ from pydantic import Field, JsonValue, ValidationError, field_validator, model_v
 
 from cell.acquisition import SIMULATED
 from cell.proof.files_now import FilesNow
-from cell.run.digest import SHOWN
+from cell.runs.digest import SHORT_DIGEST
 from cell.scene.fields import NotNegative, Positive, Units
 from cell.scene.option import Option
 from cell.scene.problems import sentences
@@ -137,8 +137,10 @@ class ScanOptions(FilesNow):
     @field_validator("confirm_motion")
     @classmethod
     def _a_digest(cls, given: str | None) -> str | None:
-        if given is not None and not re.fullmatch(f"[0-9a-f]{{{SHOWN},64}}", given.lower()):
-            raise ValueError(f"is {given!r}; it must be a digest as cell plan prints it, {SHOWN} characters or more")
+        if given is not None and not re.fullmatch(f"[0-9a-f]{{{SHORT_DIGEST},64}}", given.lower()):
+            raise ValueError(
+                f"is {given!r}; it must be a digest as cell plan prints it, {SHORT_DIGEST} characters or more"
+            )
         return None if given is None else given.lower()
 
     @property

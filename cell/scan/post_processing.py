@@ -16,15 +16,10 @@ from cell.reconstruction import cloud_files
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.reconstruct import reconstruct
 from cell.reconstruction.surface_fit import Search
-from cell.run import process
-from cell.run import reader as run_reader
-from cell.run.cell import RunCell, read_cell
-from cell.run.executed import ExecutedRun
-from cell.run.execution_json import ExecutedMotion, ExecutionReport
-from cell.run.executions import ExecutedScan, RecordedExecution, read_execution
-from cell.run.manifest_json import Manifest
-from cell.run.plan_json import PlanFile
-from cell.run.record import RunRecord, open_finished, understood
+from cell.runs import folder as process
+from cell.runs.cell import RunCell, read_cell
+from cell.runs.run import ExecutedScan, Execution, RecordedExecution, open_finished, read_execution, reading
+from cell.runs.schema import ExecutedMotion, ExecutionReport, Manifest, PlanFile
 from cell.scan import causes, execution_page
 from cell.scan.achieved import achieved
 from cell.scan.executed_scans import scan_name, source_of, usable
@@ -63,7 +58,7 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
     run = open_finished(run_folder)
     recorded = read_execution(run, execution)
     ended = recorded.manifest.status or "running"
-    if ended == "running" and process.lives(recorded.manifest):
+    if ended == "running" and process.is_running(recorded.manifest):
         raise FileError(
             f"execution {recorded.folder.name} is still running (process {recorded.manifest.pid}); wait until it "
             "ends, or stop it with Ctrl-C"
@@ -76,7 +71,7 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
     cell = read_cell(run, options_of(recorded).resolution_deg)
     # The status tells how the execution ended, not how its report did.
     status, exit_code = ("incomplete" if ended == "running" else ended), folder.manifest.exit_code
-    summary = results(Work(run, folder, narrator), cell, run_reader.motion(run), recorded)
+    summary = results(Work(run, folder, narrator), cell, run.motion, recorded)
     for sentence in summary.left_out:
         narrator.note(sentence)
     if summary.missing_views:
@@ -97,7 +92,7 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
     seed = run.seed if manifest.seed is None else manifest.seed
 
     with work.step("merge"):
-        plan = run_reader.plan(run)
+        plan = run.plan
         scans, left_out = usable(recorded, plan.views)
         _adopt(folder, scans)
         nearest = NearestSurface(cell.reference)
@@ -142,7 +137,7 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
 
 def options_of(recorded: RecordedExecution) -> ScanOptions:
     """What the execution was asked for; the defaults where its manifest does not say it."""
-    with understood(recorded.folder / "manifest.json"):
+    with reading(recorded.folder / "manifest.json"):
         return ScanOptions.begun(recorded.manifest.options)
 
 
@@ -161,7 +156,7 @@ def _draw(
     scans, reached = found.scans, found.achieved
     canvas = canvas_of(cell.reference, reached.surface.samples)
     used = replace(recorded, scans=tuple(scan for scan in recorded.scans if scan.name in _names(scans)))
-    done = ExecutedRun(RunRecord(folder.path, Manifest()), summary)  # its manifest is not written yet
+    done = Execution(folder.path, Manifest(), summary)  # its manifest is not written yet
     folder.write_text(NAME, contents.execution_page(run, used, done, (canvas, reached.surface)))
     if not scans:
         folder.remove("views.png")

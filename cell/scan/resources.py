@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import FileError, UsageError
-from cell.run.cell import RunCell
+from cell.runs.cell import RunCell
 from cell.scan.legs import Legs
 from cell.scan.sweep_scan import lines_between
 

@@ -18,11 +18,9 @@ from cell.narrator import Narrator
 from cell.plant import factory
 from cell.proof import scene_now
 from cell.proof.proof import prove
-from cell.run import process
-from cell.run.cell import RunCell, read_cell
-from cell.run.executions import RecordedExecution, read_execution
-from cell.run.reader import nearest
-from cell.run.record import RunRecord, read_manifest, understood
+from cell.runs import folder as process
+from cell.runs.cell import RunCell, read_cell
+from cell.runs.run import RecordedExecution, Run, read_execution, read_manifest, reading
 from cell.scan import driver as scan_driver
 from cell.scan import execute, lock, resources, safety
 from cell.scan.driven import (
@@ -109,7 +107,7 @@ def execute_and(
     seed = options.seed if options.seed is not None else run.seed
     driver, clock = scan_driver.prepare(options, motion, cell, factory.of_run(run), narrator.note)
     kept = options.kept() | {"scanner": cell.scanner_keys.as_json()}
-    if doubt := part_may_be_near(options, cell, nearest(run)[0]):
+    if doubt := part_may_be_near(options, cell, run.min_clearance[0]):
         narrator.note(doubt)
     acquisition_of(kept, cell, seed, run.folder, narrator)  # what cannot be asked of it leaves no execution behind
     if options.acquire == SIMULATED:
@@ -198,7 +196,7 @@ def _resumed(
         raise UsageError(f"execution {recorded.folder.name} is finished and whole; there is nothing to resume")
     for sentence in left_out:
         narrator.note(sentence)
-    if doubt := part_may_be_near(settled, cell, nearest(run)[0]):
+    if doubt := part_may_be_near(settled, cell, run.min_clearance[0]):
         narrator.note(doubt)
     driver, clock = scan_driver.prepare(settled, motion, cell, factory.of_run(run), narrator.note)
     if settled.acquire == SIMULATED:
@@ -226,18 +224,18 @@ def _resumed(
         return then(work, cell, motion)
 
 
-def resumable(run: RunRecord, recorded: RecordedExecution) -> ScanOptions:
+def resumable(run: Run, recorded: RecordedExecution) -> ScanOptions:
     """The options that an execution was begun with, if it can be gone on with.
 
     Raises:
         FileError: if it runs, or its manifest is damaged, or it is of another plan.
     """
     name, manifest = recorded.folder.name, read_manifest(recorded.folder / "manifest.json")
-    if process.lives(manifest):
+    if process.is_running(manifest):
         raise FileError(f"execution {name} is still running (process {manifest.pid}); stop it with Ctrl-C first")
     if manifest.digest != run.digest:
         raise FileError(f"execution {name} is not of the plan that is in {run.folder} now; scan anew")
-    with understood(recorded.folder / "manifest.json"):
+    with reading(recorded.folder / "manifest.json"):
         return ScanOptions.begun(manifest.options)
 
 

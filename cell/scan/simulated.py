@@ -7,7 +7,7 @@ import numpy as np
 from cell.acquisition import SIMULATED
 from cell.acquisition.sources import Acquired, Context, View
 from cell.errors import UsageError
-from cell.run.cell import RunCell
+from cell.runs.cell import RunCell
 from cell.scan.options import ScanOptions
 from cell.scan.pose_error import Disturbance
 from cell.scan.sweep_scan import scan_of

@@ -15,7 +15,7 @@ import numpy as np
 
 from cell.rays import virtual_scan
 from cell.rays.virtual_scan import Scan
-from cell.run.cell import RunCell
+from cell.runs.cell import RunCell
 from cell.scan.pose_error import Disturbance
 from planner.path.sweep_line import rotation_vectors, rotations
 from planner.values import Floats

@@ -2,7 +2,7 @@
 
 A way of its own is what is driven where that is not the plan's motion as a whole: to one view and back (`--view`), or
 from where the arm stands to where an execution goes on (`--resume`, home with it). It passes the check of the plan's
-segments before its first move; see `cell.run.digest` for what its digest covers.
+segments before its first move; see `cell.runs.digest` for what its digest covers.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.proof.proof import Proven
-from cell.run import digest
+from cell.runs import digest
 from cell.scan.legs import Legs
 from drivers.setpoints import from_rad
 
@@ -32,7 +32,7 @@ class Released:
     @property
     def shown(self) -> str:
         """The first characters of the digest."""
-        return self.digest[: digest.SHOWN]
+        return self.digest[: digest.SHORT_DIGEST]
 
 
 def of_plan(proven: Proven) -> Released:
@@ -60,4 +60,4 @@ def of_legs(proven: Proven, legs: Legs, what: str) -> Released:
         for row, set_points in enumerate(leg.set_points.tolist()):
             taken = [leg.stop, leg.pose if leg.stop else -1] if row == last else [0, -1]
             rows.append([number, *taken, *set_points])
-    return Released(what, digest.of_way(proven.digest, rows), own=True)
+    return Released(what, digest.path_digest(proven.digest, rows), own=True)

@@ -22,13 +22,10 @@ from cell.reconstruction.deviation import deviation
 from cell.reconstruction.reconstruct import reconstruct
 from cell.reconstruction.registration import Registration, register
 from cell.reconstruction.surface_fit import Search
-from cell.run import reader as run_reader
-from cell.run.cell import RunCell, read_cell
-from cell.run.executions import ExecutedScan, execution_ids, read_execution
-from cell.run.folder import RunFolder
-from cell.run.plan_json import PlanFile
-from cell.run.record import RunRecord, open_finished
-from cell.run.setups_json import OpenShares, ScannedSetup, ScannedSetups
+from cell.runs.cell import RunCell, read_cell
+from cell.runs.folder import RunFolder
+from cell.runs.run import ExecutedScan, Run, open_finished, read_execution
+from cell.runs.schema import OpenShares, PlanFile, ScannedSetup, ScannedSetups
 from cell.scan import causes
 from cell.scan.executed_scans import source_of, usable
 from cell.scan.execution_summary import deviation_of, place_of, registration_of, surface_of
@@ -67,7 +64,7 @@ class _Body:
 
     number: int
     execution: str
-    run: RunRecord
+    run: Run
     cell: RunCell
     plan: PlanFile
     scans: Sequence[ExecutedScan]
@@ -110,7 +107,7 @@ def finished_execution(folder: Path) -> str | None:
         FileError: if the set-up has no finished plan.
     """
     run = open_finished(folder)
-    for name in reversed(execution_ids(run)):
+    for name in reversed(run.execution_ids):
         manifest = read_execution(run, name).manifest
         whole = manifest.status == "finished" and manifest.options.get("view") is None
         if whole and manifest.digest == run.digest:
@@ -150,7 +147,7 @@ def report(planned: PlannedSetups, argv: Sequence[str], narrator: Narrator) -> S
 def _body(number: int, folder: Path, name: str, narrator: Narrator) -> _Body:
     """Read and merge one set-up."""
     run = open_finished(folder)
-    recorded, plan = read_execution(run, name), run_reader.plan(run)
+    recorded, plan = read_execution(run, name), run.plan
     options = options_of(recorded)
     cell = read_cell(run, options.resolution_deg)
     scans, left_out = usable(recorded, plan.views)
@@ -242,7 +239,7 @@ def _open(planned: PlannedSetups, seen: Sequence[Bools], samples: SurfaceSamples
     to_come, lost, touched = np.zeros_like(left), np.zeros_like(left), np.ones_like(left)
     for number, folder in enumerate(planned.folders, start=1):
         run = open_finished(folder)
-        cell, plan = read_cell(run), run_reader.plan(run)
+        cell, plan = read_cell(run), run.plan
         touches = touching(samples, cell.occluders)
         would = _seen(cell, [view.T_object_poses for view in plan.views], samples) & ~touches
         touched &= touches

@@ -1,6 +1,6 @@
 """What is said of the scans of several set-ups: the page, and the rows of a terminal."""
 
-from cell.run.setups_json import ScannedSetups
+from cell.runs.schema import ScannedSetups
 from cell.setups.report import shared_surface
 from cell.words import percent
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.narrator import Narrator
-from cell.run.scene_json import ResolvedScene
+from cell.runs.schema import ResolvedScene
 from cell.scan.legs import AT_START
 from drivers.contract import Capabilities, Driver, RobotState
 from drivers.setpoints import PER_DEGREE, SetPoints, frozen

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cell.narrator import Narrator
-from cell.run.execution_json import ExecutionReport
-from cell.run.record import RunRecord
+from cell.runs.run import Run
+from cell.runs.schema import ExecutionReport
 from cell.scan.execution_folder import ExecutionFolder
 from planner.ports import Progress
 
@@ -32,7 +32,7 @@ class ScanOutcome:
 class Work:
     """What is worked on, and who is told."""
 
-    run: RunRecord
+    run: Run
     folder: ExecutionFolder
     narrator: Narrator
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from cell.errors import UsageError
-from cell.run.planned import PlannedRun
-from cell.run.scene_of_run import scene_of_run
+from cell.runs.cell import scene_of_run
+from cell.runs.run import Run
 from cell.scene.option import Spell
 from cell.scene.options import scene_of, spelled, tables
 from cell.scene.scene import Scene
@@ -18,7 +18,7 @@ _FREE = ("placement.position_mm", "placement.abc_deg", "plan.coverage", "plan.re
 
 
 def scene_beside(
-    run: PlannedRun, path: Path | None, wishes: Mapping[str, object], part: object = None, spell: Spell = str
+    run: Run, path: Path | None, wishes: Mapping[str, object], part: object = None, spell: Spell = str
 ) -> Scene:
     """The scene of a set-up that goes on from a run.
 
@@ -38,7 +38,7 @@ def scene_beside(
     asked = tables(wishes, spell=spell)
     names = spelled(asked, spell)
     given = [f"{table}.{key}" for table, keys in asked.items() for key in keys]
-    if run.record.has("report.json") and run.report.settings.fill != "aimed":
+    if run.has("report.json") and run.report.settings.fill != "aimed":
         raise UsageError(
             f"{run.folder} was planned with {spell('fill')} rays, whose rows are faces of the planning mesh; plan it "
             f"with {spell('fill')} aimed to go on from it"
@@ -48,7 +48,7 @@ def scene_beside(
         if shared or (path is None and key not in _FREE):
             why = "is that of the run" if shared else "is the run's; give a scene file for another cell"
             raise UsageError(f"{names.get(key, key)} beside {spell('open_of')} {why}: leave it out")
-    then = scene_of_run(run.record)
+    then = scene_of_run(run)
     if then.region:
         raise UsageError(f"{run.folder} has regions, which further set-ups do not know yet; plan it without them")
     if path is not None:

@@ -7,8 +7,8 @@ from typing import Self
 import numpy as np
 
 from cell.errors import UsageError
-from cell.run.cell import RunCell, read_cell
-from cell.run.planned import PlannedRun
+from cell.runs.cell import RunCell, read_cell
+from cell.runs.run import Run
 from cell.setups.contact import touching
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.visibility import measured
@@ -25,18 +25,18 @@ class EarlierSetup:
         T_object_poses: (n, K, 4, 4) its views as they are executed [m].
     """
 
-    run: PlannedRun
+    run: Run
     cell: RunCell
     T_object_poses: Floats
 
     @classmethod
-    def of(cls, run: PlannedRun) -> Self:
+    def of(cls, run: Run) -> Self:
         """Read a finished plan.
 
         Raises:
             FileError: if an artefact is missing, changed or damaged.
         """
-        return cls(run, read_cell(run.record), np.stack([view.T_object_poses for view in run.plan.views]))
+        return cls(run, read_cell(run), np.stack([view.T_object_poses for view in run.plan.views]))
 
     def measures(self, samples: SurfaceSamples) -> Bools:
         """(S,) samples that a view measures and that touch no support."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cell.run.setups_json import PlannedOpen
+from cell.runs.schema import PlannedOpen
 from cell.setups.measured import Setup
 from planner.geometry.sampling import pick_samples
 from planner.values import Bools

@@ -11,7 +11,7 @@ from cell.errors import SceneError
 from cell.plan import denser_samples, steps
 from cell.plan.appended_candidates import appended
 from cell.plan.candidates import arm_of
-from cell.plan.steps import Cell, Job, Measured, Run
+from cell.plan.steps import Cell, Job, Measured, Session
 from cell.rays.matrix import PartSurface
 from cell.rays.occluders import Occluder, occluder_triangles
 from cell.rays.prediction import Prediction
@@ -67,7 +67,7 @@ class Setup:
         return seen & ~touching(samples, self.supports)
 
     def with_views(
-        self, run: Run, surface: PartSurface, M: Measurability, views: Viewpoints
+        self, run: Session, surface: PartSurface, M: Measurability, views: Viewpoints
     ) -> "tuple[Setup, Measurability]":
         """With further candidates behind the others, and the matrix of all of them over the rows of M.
 
@@ -119,7 +119,7 @@ class _PartArm(Arm):
 
 
 def measured_setup(
-    run: Run,
+    run: Session,
     job: Job,
     surface: PartSurface,
     world: World,

@@ -9,7 +9,7 @@ import numpy as np
 
 from cell.plan.candidates import GROWN
 from cell.plan.refined import BEYOND
-from cell.plan.steps import Run
+from cell.plan.steps import Session
 from cell.rays.matrix import PartSurface
 from cell.setups.measured import Setup
 from planner.measurability.matrix import Measurability
@@ -28,7 +28,7 @@ def movable(setups: Mapping[int, Setup]) -> bool:
 
 
 def with_fewer(
-    run: Run,
+    run: Session,
     surface: PartSurface,
     setups: Mapping[int, Setup],
     M: Mapping[int, Measurability],

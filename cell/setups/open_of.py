@@ -22,13 +22,12 @@ from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.of_run import part_of, surface_of
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
-from cell.plan.steps import Cell, Job, Run
+from cell.plan.steps import Cell, Job, Session
 from cell.rays.matrix import PartSurface
 from cell.rays.occluders import Occluder, occluder_triangles
-from cell.run import reader
-from cell.run.plan_json import OpenOf
-from cell.run.planned import PlannedRun
-from cell.run.scene_of_run import scene_of_run
+from cell.runs.cell import scene_of_run
+from cell.runs.run import Run
+from cell.runs.schema import OpenOf
 from cell.scene.scene import Scene
 from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, measured_by, require_one_part
@@ -60,7 +59,7 @@ class _Open:
 
 
 def plan_open(
-    runs: Sequence[PlannedRun],
+    runs: Sequence[Run],
     scene: Scene,
     *,
     scene_path: Path | None,
@@ -92,15 +91,15 @@ def plan_open(
         setups = [EarlierSetup.of(run) for run in runs]
         require_one_part(setups)
     first = runs[0]
-    plan = scene.plan.model_copy(update={"seed": first.record.seed})
-    scene = scene.model_copy(update={"part": scene_of_run(first.record).part, "plan": plan})
+    plan = scene.plan.model_copy(update={"seed": first.seed})
+    scene = scene.model_copy(update={"part": scene_of_run(first).part, "plan": plan})
     return pipeline.plan(
         scene, part=part_of(first), scene_path=scene_path or first.folder / "scene.toml", out=out, argv=argv,
         use_cache=use_cache, narrator=narrator, steps_of=partial(_steps, setups),
     )  # fmt: skip
 
 
-def _steps(setups: Sequence[EarlierSetup], run: Run, job: Job) -> int:
+def _steps(setups: Sequence[EarlierSetup], run: Session, job: Job) -> int:
     """Steps 2 to 9 on what is open; returns 0, or 3 where the plan stays below a coverage that was asked for."""
     surface = surface_of(setups[0].run, run, job)
     run.drawing.part_ready(run.folder.path)
@@ -143,7 +142,7 @@ def _require_another(setups: Sequence[EarlierSetup], cell: Cell) -> None:
             )
 
 
-def _candidates(left: _Open, run: Run, job: Job, surface: PartSurface, cell: Cell) -> tuple[Viewpoints, Reach]:
+def _candidates(left: _Open, run: Session, job: Job, surface: PartSurface, cell: Cell) -> tuple[Viewpoints, Reach]:
     """The first run's candidates, reached where the part lies now, and more for what is open.
 
     Raises:
@@ -153,7 +152,7 @@ def _candidates(left: _Open, run: Run, job: Job, surface: PartSurface, cell: Cel
         scouts = sample(surface.reference, surface.planning, growth.SCOUTS, run.rng(steps.SCOUTS))
         scouts = pick_samples(scouts, left.asks(scouts))
         first = left.setups[0]
-        shared, _ = scanners.unswept(first.cell.scanner, reader.candidates(first.run.record))
+        shared, _ = scanners.unswept(first.cell.scanner, first.run.candidates)
         candidates, reached = with_grown(job, surface, cell, shared, scouts, progress)
     plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
     plan_files.write_reach(run.folder, reached)

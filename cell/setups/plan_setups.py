@@ -20,11 +20,11 @@ from cell.plan import candidates, pipeline, steps
 from cell.plan import files as plan_files
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
-from cell.plan.steps import Job, Run
+from cell.plan.steps import Job, Session
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.matrix import PartSurface, surface_features
-from cell.run.planned import open_run
-from cell.run.setups_json import (
+from cell.runs.run import open_finished
+from cell.runs.schema import (
     ChosenSetup,
     OfferedSetup,
     SetupsCoverage,
@@ -97,7 +97,7 @@ def plan_setups(
     )  # fmt: skip
 
 
-def _steps(options: SetupOptions, scene_path: Path | None, narrator: Narrator, run: Run, job: Job) -> int:
+def _steps(options: SetupOptions, scene_path: Path | None, narrator: Narrator, run: Session, job: Job) -> int:
     """All of it, into the open folder; returns 0, or 3 where a coverage that was asked for is missed."""
     usual = 0 if job.scene.setup else PROPOSED
     surface, offers, tried = _offered(run, job, usual if options.offer is None else options.offer)
@@ -149,7 +149,7 @@ def _steps(options: SetupOptions, scene_path: Path | None, narrator: Narrator, r
     return 3 if missed or file.coverage.visible < job.scene.plan.required_visible else 0
 
 
-def _offered(run: Run, job: Job, most: int) -> tuple[PartSurface, list[Offer], list[Setup | str]]:
+def _offered(run: Session, job: Job, most: int) -> tuple[PartSurface, list[Offer], list[Setup | str]]:
     """The rows that all set-ups share, what is offered, and each as it was measured, or why it cannot be."""
     with run.step("decimate and sample"):
         reference = job.part.reference
@@ -206,7 +206,7 @@ def _distinct(offers: list[Offer]) -> list[Offer]:
     return kept
 
 
-def _write(surface: PartSurface, problem: Problem, chosen: ConnectedPlan, run: Run, job: Job) -> int:
+def _write(surface: PartSurface, problem: Problem, chosen: ConnectedPlan, run: Session, job: Job) -> int:
     """The run folder of one set-up, of what is known already."""
     with run.step("write the plan"):
         plan_files.write_meshes(run.folder, surface.reference, surface.planning)
@@ -223,13 +223,13 @@ def _write(surface: PartSurface, problem: Problem, chosen: ConnectedPlan, run: R
 
 
 def _file(
-    run: Run, job: Job, asked: Asked, setups: Mapping[int, Setup], found: JointCover, offers: list[Offer],
+    run: Session, job: Job, asked: Asked, setups: Mapping[int, Setup], found: JointCover, offers: list[Offer],
     tried: list[Setup | str], used: list[tuple[int, Bools]],
 ) -> SetupsFile:  # fmt: skip
     """What setups.json says."""
     chosen, seen = [], np.zeros_like(used[0][1])
     for number, (row, visible) in enumerate(used, start=1):
-        plan = open_run(run.folder.path / "setups" / str(number))
+        plan = open_finished(run.folder.path / "setups" / str(number))
         adds = float((visible & ~seen).mean())
         seen = seen | visible
         chosen.append(

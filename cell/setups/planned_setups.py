@@ -7,9 +7,7 @@ from typing import Self
 from pydantic import JsonValue
 
 from cell.errors import FileError
-from cell.run.json_table import parsed
-from cell.run.manifest_json import Manifest
-from cell.run.setups_json import SetupsFile
+from cell.runs.schema import Manifest, SetupsFile, parsed
 
 
 @dataclass(frozen=True, slots=True)

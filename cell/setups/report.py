@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cell.plan.request_report import coverage_over_views
-from cell.run.setups_json import PlannedOpen, SetupsFile, SharedSurface
+from cell.runs.schema import PlannedOpen, SetupsFile, SharedSurface
 from cell.setups.joint import JointCover
 from cell.words import listed, percent
 from planner.values import Floats

@@ -17,10 +17,10 @@ from cell.plan import denser_samples, steps
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import PinnedOutError
 from cell.plan.problem import Problem as PlanProblem
-from cell.plan.steps import Run
+from cell.plan.steps import Session
 from cell.plan.view_plan import choose_and_connect, first_choice
 from cell.rays.matrix import PartSurface
-from cell.run.report_json import Curve
+from cell.runs.schema import Curve
 from cell.setups.joint import JointCover, joint_cover, views_first
 from cell.setups.measured import Setup
 from cell.setups.moved import movable, with_fewer
@@ -53,7 +53,7 @@ class Search:
         asked: of all of them together.
     """
 
-    def __init__(self, run: Run, surface: PartSurface, setups: Mapping[int, Setup], asked: Asked) -> None:
+    def __init__(self, run: Session, surface: PartSurface, setups: Mapping[int, Setup], asked: Asked) -> None:
         self._run, self._surface, self._asked = run, surface, asked.about(run, setups)
         self._setups = dict(setups)
         self._M = {row: setup.measured.M for row, setup in setups.items()}  # as the arms leave it

@@ -7,7 +7,7 @@ import numpy as np
 
 from cell.reconstruction.freedom import FreeMotion, of_surface
 from cell.reconstruction.rigid import told
-from cell.run.setups_json import SharedSurface
+from cell.runs.schema import SharedSurface
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
 from planner.values import Bools, Ints

@@ -11,7 +11,7 @@ from cell.plan import steps
 from cell.plan.pose_uncertainty import pose_error
 from cell.plan.region_goals import RegionGoals
 from cell.plan.request import Request
-from cell.plan.steps import Run
+from cell.plan.steps import Session
 from cell.scene.regions import complete
 from cell.scene.scene import Scene
 from cell.setups.measured import Setup
@@ -77,7 +77,7 @@ class Asked:
             )
         return cls(Request(scene.plan, goals=goals), own)
 
-    def about(self, run: Run, setups: Mapping[int, Setup]) -> "Asked":
+    def about(self, run: Session, setups: Mapping[int, Setup]) -> "Asked":
         """With what the wishes need to know of the set-ups: seconds of views, probabilities under pose errors."""
         seconds, layers = dict[int, Floats](), dict[int, ProbabilityLayer]()
         for row, setup in setups.items():

@@ -12,14 +12,10 @@ import numpy as np
 
 from cell.rays.prediction import held_out
 from cell.robot.frames import kuka_abc_from_pose
-from cell.run import reader as run_reader
-from cell.run import timeline as timelines
-from cell.run.cell import RunCell, read_cell
-from cell.run.executed import ExecutedRun
-from cell.run.executions import RecordedExecution
-from cell.run.plan_json import PlanView
-from cell.run.record import RunRecord
-from cell.run.report_json import Report
+from cell.runs import timeline as timelines
+from cell.runs.cell import RunCell, read_cell
+from cell.runs.run import Execution, RecordedExecution, Run
+from cell.runs.schema import PlanView, Report
 from cell.scene.regions import RegionWishes
 from cell.view.packed import POINTS, Layer, stepped
 from cell.view.page import Play, Shown, Stage, View, html_of, thinned
@@ -46,22 +42,22 @@ _OF_VIEWS = {
 }
 
 
-def run_page(run: RunRecord) -> str:
+def run_page(run: Run) -> str:
     """The page of a plan; a run that did not finish is shown as far as it got: the cell, the arm at home."""
-    scene, title = run_reader.scene(run), "View plan of {}"
+    scene, title = run.scene, "View plan of {}"
     cell = cell_of_run(run, scene)
-    if not run.finished:
-        part = Shown("part", thinned(run_reader.mesh(run, "reference.ply")))
+    if not run.is_finished:
+        part = Shown("part", thinned(run.mesh("reference.ply")))
         stage = Stage(title.format(scene.part.name), cell, [part])
-        return html_of(stage, Play(problems=[f"this run {run.ended}"], inside=0))
-    plan = run_reader.plan(run)
+        return html_of(stage, Play(problems=[f"this run {run.ending}"], inside=0))
+    plan = run.plan
     canvas, surface = measured(run, read_cell(run), [view.T_object_poses for view in plan.views])
     cell = beside(cell, canvas.mesh, canvas.aside)
     stage = Stage(f"View plan of {scene.part.name}", cell, [part_of(canvas, surface, regions=scene.regions)])
-    return html_of(stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run), scene.T_base_object))
+    return html_of(stage, plan_play(run.report, plan.views, run.motion, scene.T_base_object))
 
 
-def why_page(run: RunRecord, canvas: Canvas, surface: Surface, groups: Sequence[tuple[Ints, str]]) -> str:
+def why_page(run: Run, canvas: Canvas, surface: Surface, groups: Sequence[tuple[Ints, str]]) -> str:
     """The page of `cell why`: the plan's, the part coloured by the reasons why it stays open.
 
     Args:
@@ -70,16 +66,14 @@ def why_page(run: RunRecord, canvas: Canvas, surface: Surface, groups: Sequence[
         surface: what the plan measures of it.
         groups: rows of the surface's samples that stay open for a reason, and its name; largest first.
     """
-    scene, plan = run_reader.scene(run), run_reader.plan(run)
+    scene, plan = run.scene, run.plan
     number = group_numbers(len(surface.samples), [rows for rows, _ in groups])
     named = [("measured", MEASURED), *zip(group_names([name for _, name in groups]), REASONS, strict=False)]
     why = named_layer("Why it stays open", number, named, canvas)
     part, cell = part_of(canvas, surface, [why], scene.regions), cell_of_run(run, scene)
     toward = sides(canvas, number > 0, 1)[0]
     stage = Stage(f"Why {scene.part.name} stays open", beside(cell, canvas.mesh, canvas.aside), [part], toward)
-    return html_of(
-        stage, plan_play(run_reader.report(run), plan.views, run_reader.motion(run), scene.T_base_object, inside=1)
-    )
+    return html_of(stage, plan_play(run.report, plan.views, run.motion, scene.T_base_object, inside=1))
 
 
 def named_layer(title: str, which: Ints, named: Iterable[tuple[str, str]], canvas: Canvas) -> Layer:
@@ -97,7 +91,7 @@ def named_layer(title: str, which: Ints, named: Iterable[tuple[str, str]], canva
 
 
 def execution_page(
-    run: RunRecord, recorded: RecordedExecution, done: ExecutedRun, known: tuple[Canvas, Surface] | None = None
+    run: Run, recorded: RecordedExecution, done: Execution, known: tuple[Canvas, Surface] | None = None
 ) -> str:
     """The page of an execution: what it measured, by how much that deviates, its points, the arm as it was reported.
 
@@ -107,7 +101,7 @@ def execution_page(
         done: the report on them.
         known: the part, and what the scans measure of it, in their order; None measures it.
     """
-    scene = run_reader.scene(run)
+    scene = run.scene
     cell = cell_of_run(run, scene)
     if known is None:
         poses = [scan.poses for scan in recorded.scans]
@@ -115,14 +109,14 @@ def execution_page(
         known = measured(run, read_cell(run, grid[0] if grid else None), poses)
     shown = [part_of(*known, regions=scene.regions)]
     if done.mesh is not None:
-        shown.append(_deviating(done.mesh, run_reader.mesh(run, "reference.ply"), done))
+        shown.append(_deviating(done.mesh, run.mesh("reference.ply"), done))
     points = done.points if recorded.scans else None
     play = replace(execution_play(run, recorded, done, cell), cloud=points)
     cell = beside(cell, known[0].mesh, known[0].aside)
     return html_of(Stage(f"Scan of {scene.part.name}, points: {done.report.source}", cell, shown), play)
 
 
-def measured(run: RunRecord, cell: RunCell, poses: Sequence[Floats]) -> tuple[Canvas, Surface]:
+def measured(run: Run, cell: RunCell, poses: Sequence[Floats]) -> tuple[Canvas, Surface]:
     """The part, and what some views measure of its held-out samples.
 
     Args:
@@ -189,7 +183,7 @@ def plan_play(
             *(("E1", f"{angle:g} deg") for angle in view.e_deg or ()),
             ("roll", f"{view.roll_deg:g} deg"),
             ("clearance", _mm(own.clearance_on_the_way_mm) + " on the way"),
-        ], _commands(number, view.T_base_scanner, alone=report.alone))
+        ], _commands(number, view.T_base_scanner, alone=report.is_single_setup))
         for number, (view, own) in enumerate(zip(views, report.views, strict=True), start=1)
     ]  # fmt: skip
     coverage, moves = report.coverage, report.motion
@@ -222,9 +216,9 @@ def _commands(number: int, T_base_scanner: Floats, *, alone: bool) -> list[str]:
     return [f"cell replay RUN --view {number}", *(f"cell edit RUN {edit}" for edit in edits)]
 
 
-def execution_play(run: RunRecord, recorded: RecordedExecution, done: ExecutedRun, cell: Cell) -> Play:
+def execution_play(run: Run, recorded: RecordedExecution, done: Execution, cell: Cell) -> Play:
     """Scans, motion and numbers of an execution."""
-    planned = run_reader.motion(run) if run.has("motion.npz") else None
+    planned = run.motion if run.has("motion.npz") else None
     timeline = timelines.of_execution(recorded, planned, cell.arm.home, rest=0.0)
     report, deviation = done.report, done.report.deviation
     of_stop = {view.stop: view for view in report.views}
@@ -256,13 +250,13 @@ def execution_play(run: RunRecord, recorded: RecordedExecution, done: ExecutedRu
     return Play(said, (timeline.t, timeline.q), rows=rows, notes=notes, next=then, inside=2)
 
 
-def _deviating(mesh: TriangleMesh, reference: TriangleMesh, done: ExecutedRun) -> Shown:
+def _deviating(mesh: TriangleMesh, reference: TriangleMesh, done: Execution) -> Shown:
     """The measured surface by its distance from the part."""
     small = thinned(mesh)
     values = 1000 * NearestSurface(reference).signed(small.vertices)
     note = "outside the part is positive"
     if small is mesh:
-        values[np.setdiff1d(mesh.faces[done.closed], mesh.faces[~done.closed])] = np.nan
+        values[np.setdiff1d(mesh.faces[done.is_closed_hole], mesh.faces[~done.is_closed_hole])] = np.nan
     else:
         note += f"; {_thinned(len(small.faces), len(mesh.faces), 'faces')}, those that close holes not marked"
     told = done.report.deviation

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.run.explore_json import ExploreFile, Truth
+from cell.runs.schema import ExploreFile, Truth
 from cell.view.palette import BETWEEN, BLUE, ORANGE, VERMILION
 
 if TYPE_CHECKING:

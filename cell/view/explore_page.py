@@ -10,12 +10,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cell.errors import FileError
-from cell.run import ply
-from cell.run import reader as run_reader
-from cell.run import timeline as timelines
-from cell.run.executions import ExecutedScan, read_execution
-from cell.run.explore_json import NAME, UNSEEN, ExploreFile, read
-from cell.run.record import RunRecord, file_bytes, open_finished
+from cell.runs import ply
+from cell.runs import timeline as timelines
+from cell.runs.run import ExecutedScan, Run, file_bytes, open_finished, read_execution
+from cell.runs.schema import NAME, UNSEEN, ExploreFile, read
 from cell.view import coverage_curve, rays
 from cell.view.packed import Layer
 from cell.view.page import Play, Shown, Stage, View, html_of, thinned
@@ -42,7 +40,7 @@ def explore_page(folder: Path, file: ExploreFile | None = None) -> str:
         raise FileError(f"{folder} has no finished batch yet; the command that began it goes on there")
     runs = [open_finished(folder / stage.folder) for stage in file.stages]
     scans = [scan for run in runs for scan in read_execution(run, "latest").scans]
-    cell = cell_of_run(runs[-1], run_reader.scene(runs[-1]))
+    cell = cell_of_run(runs[-1], runs[-1].scene)
     cell = replace(cell, pieces=tuple(piece for piece in cell.pieces if piece.name != UNSEEN))
     surfaces = []
     if file.model:
@@ -56,16 +54,14 @@ def explore_page(folder: Path, file: ExploreFile | None = None) -> str:
     return html_of(Stage(f"Exploration of {file.part}", cell, surfaces, rays.direction(*_SIDE)), play)
 
 
-def _views(
-    file: ExploreFile, runs: list[RunRecord], scans: list[ExecutedScan]
-) -> tuple[list[View], tuple[Floats, Floats]]:
+def _views(file: ExploreFile, runs: list[Run], scans: list[ExecutedScan]) -> tuple[list[View], tuple[Floats, Floats]]:
     """The views of all batches in order, and the motions of the batches one after the other."""
     said: list[View] = []
     times, angles, begin = [], [], 0.0
     brought = dict(_brought(file))
     for batch, run in enumerate(runs, start=1):
-        timeline = timelines.of_plan(run_reader.motion(run), rest=0.0)
-        planned = {view.id: view for view in run_reader.plan(run).views}
+        timeline = timelines.of_plan(run.motion, rest=0.0)
+        planned = {view.id: view for view in run.plan.views}
         for stop in timeline.stops:
             number = len(said) + 1
             rows = [("view", f"{number}, batch {batch}"), ("points", f"{len(scans[number - 1].points):,}")]

@@ -14,11 +14,9 @@ from cell import caches, scanners
 from cell.checks.check import checked, compiled
 from cell.errors import CellError, FileError, UsageError
 from cell.narrator import Narrator
-from cell.run.executed import open_execution
-from cell.run.executions import FOLDER, read_execution
-from cell.run.explore_json import NAME as EXPLORATION
-from cell.run.record import open_run
-from cell.run.scene_json import ScannerKeys
+from cell.runs.run import EXECUTIONS, Execution, open_run, read_execution
+from cell.runs.schema import NAME as EXPLORATION
+from cell.runs.schema import ScannerKeys
 from cell.scene.scene import Scene
 from cell.scene.scene_file import load_scene
 from cell.view.contents import NAME, execution_page, run_page
@@ -51,9 +49,9 @@ def page_of(what: Path | None, out: Path | None, narrator: Narrator) -> Path:
             text = explore_page(what)
         elif what is None or not what.is_dir():
             text = html_of(*scene_page(load_scene(what)))
-        elif what.absolute().parent.name == FOLDER:
+        elif what.absolute().parent.name == EXECUTIONS:
             run = open_run(what.absolute().parent.parent)
-            text = execution_page(run, read_execution(run, what.absolute().name), open_execution(what))
+            text = execution_page(run, read_execution(run, what.absolute().name), Execution.open(what))
         else:
             text = run_page(open_run(what))
         return write(text, out)

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from cell.rays.occluders import shape_triangles, standing_triangles
 from cell.robot import model as robot
 from cell.robot.model import FLANGE
-from cell.run import reader as run_reader
-from cell.run.record import RunRecord, understood
-from cell.run.scene_json import ResolvedScene, ScannerKeys
+from cell.runs.run import Run, reading
+from cell.runs.schema import ResolvedScene, ScannerKeys
 from cell.view.palette import LOOKS, Look, look_of
 from cell.view.rays import frustum
 from cell.world.model import World
@@ -117,7 +116,7 @@ class Cell:
         return turned
 
 
-def cell_of_run(run: RunRecord, scene: ResolvedScene) -> Cell:
+def cell_of_run(run: Run, scene: ResolvedScene) -> Cell:
     """The cell of a run, from its `cell.xml` and fixture files.
 
     Raises:
@@ -125,10 +124,10 @@ def cell_of_run(run: RunRecord, scene: ResolvedScene) -> Cell:
     """
     import mujoco
 
-    model = run_reader.cell_model(run)
+    model = run.cell_model()
     data, T = mujoco.MjData(model), scene.T_base_object
-    meshes = {each.name: run_reader.mesh(run, each.file) for each in scene.fixtures if each.file is not None}
-    with understood(run.folder / "cell.xml"):
+    meshes = {each.name: run.mesh(each.file) for each in scene.fixtures if each.file is not None}
+    with reading(run.folder / "cell.xml"):
         data.mocap_quat[model.body("object").mocapid] = quaternion(T[:3, :3])
         data.qpos[:] = robot.Followers.of(model).qpos(np.radians(scene.home_deg))
         mujoco.mj_kinematics(model, data)

@@ -9,7 +9,7 @@ from typing import Self
 from pydantic import JsonValue, model_validator
 
 from cell.errors import FileError
-from cell.run.json_table import JsonTable, parsed
+from cell.runs.schema import JsonTable, parsed
 from cell.view.page import filled, head, text
 
 

@@ -16,9 +16,8 @@ from cell.narrator import Narrator
 from cell.plan.candidates import arm_of
 from cell.rays.occluders import caster_of, occluder_triangles
 from cell.rays.prediction import held_out
-from cell.run import reader as run_reader
-from cell.run.cell import read_cell, world_of
-from cell.run.record import RunRecord
+from cell.runs.cell import read_cell, world_of
+from cell.runs.run import Run
 from cell.why.turns import TURNS, carried, place_of, turned
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
@@ -59,13 +58,13 @@ class Advice:
         }  # fmt: skip
 
 
-def advise(run: RunRecord, narrator: Narrator) -> tuple[float, list[Advice]]:
+def advise(run: Run, narrator: Narrator) -> tuple[float, list[Advice]]:
     """What the plan measures of the surface, and what to try: second set-ups, then the best of other places."""
     with narrator.stage("read the run"):
-        cell, plan = read_cell(run), run_reader.plan(run)
+        cell, plan = read_cell(run), run.plan
         world = world_of(run, cell.reference)
         samples = held_out(cell.reference, cell.planning, run.seed)
-        views = run_reader.candidates(run).T_object_scanner[[view.id for view in plan.views]]
+        views = run.candidates.T_object_scanner[[view.id for view in plan.views]]
         seen = measured(views, samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
     rng = np.random.default_rng([run.seed, _STREAM])
     visible = float(seen.mean())
@@ -115,17 +114,17 @@ def _elsewhere(world: World) -> Iterator[tuple[str, Floats]]:
                 yield f"another place, moved by {x:g}, {y:g}, {up:g} mm", T
 
 
-def open_of(run: RunRecord, T_base_centre: Floats) -> str:
+def open_of(run: Run, T_base_centre: Floats) -> str:
     """The command that plans a further set-up for what a run leaves open, or all set-ups of a folder together."""
     runs = [run.folder]
-    if run.of_several:
+    if run.is_in_setups_folder:
         numbers = sorted(int(path.name) for path in run.folder.parent.iterdir() if path.name.isdecimal())
         runs = [run.folder.parent / str(number) for number in numbers]
     named = [word for folder in runs for word in ("--open-of", str(folder))]
     return shlex.join(["cell", "plan", *named, "--place", place_of(T_base_centre)])
 
 
-def elsewhere(run: RunRecord, T_base_centre: Floats) -> str:
+def elsewhere(run: Run, T_base_centre: Floats) -> str:
     """The run's own command line at another placement; the option alone where `cell edit` or Python began it."""
     place = place_of(T_base_centre)
     words = list(run.manifest.argv)

@@ -14,7 +14,7 @@ import numpy as np
 
 from cell.plan.candidates import GROWN
 from cell.rays.occluders import caster_of, occluder_triangles
-from cell.run.cell import RunCell
+from cell.runs.cell import RunCell
 from cell.why.scanner_changes import ScannerChanges, round_mm
 from cell.why.turns import place_of, turned
 from cell.world.collision import MujocoCollisionChecker

@@ -17,11 +17,9 @@ from cell.errors import UsageError
 from cell.narrator import Narrator
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.prediction import held_out
-from cell.run import reader as run_reader
-from cell.run.cell import read_cell, taken_as_triangles, world_of
-from cell.run.plan_json import PlanFile, PlanView
-from cell.run.record import RunRecord, open_finished, understood
-from cell.run.why_json import WhyReport
+from cell.runs.cell import collision_note, read_cell, world_of
+from cell.runs.run import Run, open_finished, reading
+from cell.runs.schema import PlanFile, PlanView, WhyReport
 from cell.view.contents import of_views
 from cell.view.surface import canvas_of
 from cell.why import files as why_files
@@ -70,14 +68,14 @@ def explain(run_folder: Path, narrator: Narrator, *, samples: int | None = None)
     return WhyOutcome(folder, summary)
 
 
-def answer_of(run: RunRecord, narrator: Narrator, count: int) -> Answer:
+def answer_of(run: Run, narrator: Narrator, count: int) -> Answer:
     """The whole on one screen."""
     with narrator.stage("read the run"):
-        cell, plan = read_cell(run), run_reader.plan(run)
-        candidates = _as_executed(run_reader.candidates(run), plan.views)
+        cell, plan = read_cell(run), run.plan
+        candidates = _as_executed(run.candidates, plan.views)
         fails, blockers = _failing(run, plan, len(candidates))
         world = world_of(run, cell.reference)
-        for sentence in taken_as_triangles(cell.scene):
+        for sentence in collision_note(cell.scene):
             narrator.note(sentence)
         scanner, part_caster, occluder_caster = cell.scanner, cell.part_caster, cell.occluder_caster
     with narrator.stage("what stays open"):
@@ -115,12 +113,12 @@ def _as_executed(candidates: Viewpoints, views: Sequence[PlanView]) -> Viewpoint
     return Viewpoints(T, candidates.face, candidates.standoff, candidates.roll)
 
 
-def _failing(run: RunRecord, plan: PlanFile, count: int) -> tuple[NDArray[np.uint8], list[str]]:
+def _failing(run: Run, plan: PlanFile, count: int) -> tuple[NDArray[np.uint8], list[str]]:
     """At what each candidate fails even for a point that it would measure, and what is in its way."""
-    reached = run_reader.reached(run)
+    reached = run.reach
     fails = np.array([OF_VERDICT[verdict] for verdict in OF_VERDICT], dtype=np.uint8)[reached.verdict]
     blockers = list(reached.blocker)
-    with understood(run.folder / "plan.json"):
+    with reading(run.folder / "plan.json"):
         if len(fails) != count:
             raise ValueError(f"reach.npz has {len(fails)} verdicts and viewpoints.npz {count} candidates")
         for view in plan.dropped:

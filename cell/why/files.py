@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import FileError
-from cell.run.folder import SCHEMA, json_text
-from cell.run.record import RunRecord
-from cell.run.why_json import NamedChange, OpenPatch, OpenSamples, TriedChange, WhyReport
+from cell.runs.folder import SCHEMA, json_text
+from cell.runs.run import Run
+from cell.runs.schema import NamedChange, OpenPatch, OpenSamples, TriedChange, WhyReport
 from cell.view import contents
 from cell.why import picture
 from cell.why.answer import Answer, Group, Named, Patch
@@ -24,7 +24,7 @@ _CHANGES = 2  # named in a row of the table
 _ROWS = 12  # of the table; the rest is one line, and in why.json
 
 
-def report_of(answer: Answer, run: RunRecord) -> WhyReport:
+def report_of(answer: Answer, run: Run) -> WhyReport:
     """The content of why.json."""
     return WhyReport(
         part=answer.part_name,
@@ -48,7 +48,7 @@ def report_of(answer: Answer, run: RunRecord) -> WhyReport:
     )
 
 
-def write(run: RunRecord, answer: Answer, report: WhyReport) -> Path:
+def write(run: Run, answer: Answer, report: WhyReport) -> Path:
     """Write the files; returns their folder.
 
     Raises:

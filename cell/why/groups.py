@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from cell.run.scene_json import ScannerKeys
+from cell.runs.schema import ScannerKeys
 from cell.scene.regions import RegionWishes
 from cell.why.answer import Group, Patch
 from planner.geometry.mesh import TriangleMesh

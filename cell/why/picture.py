@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.run import ply
+from cell.runs import ply
 from cell.view import pictures
 from cell.view.palette import MEASURED, REASONS, rgb
 from cell.why.answer import Answer
@@ -27,8 +27,8 @@ def points(answer: Answer) -> bytes:
     more = {"red": colours[:, 0], "green": colours[:, 1], "blue": colours[:, 2]}
     more |= {"reason": reason, "group": at, "gained": gained}
     legend = [f"group {code}: {group.title}" for code, group in enumerate(answer.groups, 1)]
-    element = ply.points(answer.samples.points, more)
-    return b"".join(ply.file(["object frame, millimetres", *legend], {"vertex": element}))
+    element = ply.point_rows(answer.samples.points, more)
+    return b"".join(ply.file_pieces(["object frame, millimetres", *legend], {"vertex": element}))
 
 
 def draw(path: Path, answer: Answer) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell import scanners
-from cell.run.cell import RunCell
+from cell.runs.cell import RunCell
 from cell.scene.regions import limited
 from planner.measurability.quality import Limited
 from planner.ports import RayCaster, Scanner

@@ -19,10 +19,8 @@ from cell.acquisition.files import Files
 from cell.acquisition.sources import Acquired, Context, View
 from cell.commands.terminal import Terminal
 from cell.errors import FileError, UsageError
-from cell.run import ply
-from cell.run import reader as run_reader
-from cell.run.executions import read_scan
-from cell.run.record import open_run
+from cell.runs import ply
+from cell.runs.run import open_run, read_scan
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
 from cell.scan.work import ScanOutcome
@@ -46,7 +44,7 @@ def scan(run: Path, **options: Any) -> ScanOutcome:
 
 def frames(run: Path, stored: Any) -> dict[str, np.ndarray]:
     """(4, 4) from the object frame to each other, at the reported pose of a scan."""
-    scene = run_reader.scene(open_run(run))
+    scene = open_run(run).scene
     T_scanner_object = np.linalg.inv(stored["T_object_scanner"])
     return {
         "scanner": T_scanner_object,
@@ -189,9 +187,9 @@ def test_noise_outliers_and_a_missing_view(run: Path, tmp_path: Path) -> None:
     assert ours.doubts == ()
     assert ours.registration.left_as_reported == theirs.registration.left_as_reported == 0
     assert ours.registration.rms_after_mm == pytest.approx(theirs.registration.rms_after_mm, rel=0.25)
-    points = ply.places(ply.elements((outcome.folder / "cloud.ply").read_bytes())["vertex"])
-    clean = ply.places(ply.elements((simulated.folder / "cloud.ply").read_bytes())["vertex"])
-    reference = run_reader.mesh(open_run(run), "reference.ply")
+    points = ply.positions(ply.elements((outcome.folder / "cloud.ply").read_bytes())["vertex"])
+    clean = ply.positions(ply.elements((simulated.folder / "cloud.ply").read_bytes())["vertex"])
+    reference = open_run(run).mesh("reference.ply")
     off = NearestSurface(reference).closest(points).distance
     assert (off > 0.3e-3).mean() < 1e-3
     assert len(points) > 0.97 * len(clean)

@@ -22,8 +22,7 @@ from cell.plant import factory
 from cell.plant.mujoco_plant import MujocoPlant
 from cell.robot import model as robot
 from cell.robot.kinematics import Kr16Kinematics
-from cell.run import reader as run_reader
-from cell.run.record import open_run
+from cell.runs.run import open_run
 from cell.scan import execute
 from cell.scan.legs import legs_of
 from drivers.limits import Limits
@@ -91,7 +90,7 @@ def test_its_emulator_has_its_limits_and_its_plan_is_driven_there(
 
 def test_a_plan_that_exceeds_a_controllers_limits_is_refused_before_anything_moves(other: Path) -> None:
     """One sentence with the move, the axis, the angle and the range."""
-    motion = run_reader.motion(open_run(other))
+    motion = open_run(other).motion
     axis = int(np.argmax(motion.via_q.max(axis=0) - motion.via_q[0]))
     farthest, narrow = motion.via_q[:, axis].max(), motion.limits.upper.copy()
     narrow[axis] = farthest - np.radians(0.1)
@@ -138,7 +137,7 @@ def test_only_an_arm_with_kukas_axes_is_written_in_krl(other: Path) -> None:
 
         inverse = _kuka.inverse  # never asked
 
-    motion, told = run_reader.motion(open_run(other)), Told("name", "part", "run", "digest", 1.0, 1.0, np.nan, "")
+    motion, told = open_run(other).motion, Told("name", "part", "run", "digest", 1.0, 1.0, np.nan, "")
     program = of_motion(motion, Mirrored(), np.eye(4), np.eye(4), told)
     with pytest.raises(UsageError, match=r"axes are not KUKA's.*--format csv or json"):
         krl.source(program, KrlOptions(20, 30, ExportOptions()))

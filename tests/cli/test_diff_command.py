@@ -13,9 +13,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from cell.rays.prediction import held_out
-from cell.run import ply, reader
-from cell.run.cell import read_cell
-from cell.run.planned import open_run
+from cell.runs import ply
+from cell.runs.cell import read_cell
+from cell.runs.run import open_finished
 from planner.measurability import coverage
 
 Cell = Callable[..., Any]
@@ -28,7 +28,7 @@ def other(
     """The small part planned again with one view's candidate banned and a slower arm."""
 
     def make(folder: Path) -> None:
-        banned = open_run(planned).plan.views[1].id
+        banned = open_finished(planned).plan.views[1].id
         options = (*small_plan, "--ban", banned, "--speed", "0.5", "--out", "run", "--json")
         done = run_cell("plan", part_file, "--units", "mm", *options, cwd=folder)
         assert done.returncode == 0, done.stderr
@@ -57,7 +57,7 @@ def test_settings_views_and_areas_of_two_plans(
     """The changed settings and no others; each view once on each side; areas and page as counted from the artefacts."""
     said = json.loads(run_cell("diff", planned, other, "--json", cwd=tmp_path).stdout)
     assert {each["key"] for each in said["settings"]} == {"speed_scaling", "plan.banned"}
-    a, b = open_run(planned), open_run(other)
+    a, b = open_finished(planned), open_finished(other)
     views = said["views"]
     moved = [(each["a"], each["b"]) for each in views["moved"]]
     assert sorted([i for i, _ in (*views["kept"], *moved)] + views["lost"]) == list(range(1, len(a.plan.views) + 1))
@@ -65,8 +65,8 @@ def test_settings_views_and_areas_of_two_plans(
     assert 2 not in [i for i, _ in views["kept"]]
     for i, j in views["kept"]:
         assert np.allclose(a.T_object_scanner[i - 1], b.T_object_scanner[j - 1], atol=2e-4)
-    cell = read_cell(a.record)
-    samples = held_out(cell.reference, cell.planning, a.record.seed)
+    cell = read_cell(a)
+    samples = held_out(cell.reference, cell.planning, a.seed)
     seen = [
         coverage.visible(
             run.T_object_scanner[:, None], samples, cell.scanner, (cell.part_caster, cell.occluder_caster)
@@ -111,12 +111,12 @@ def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell
     said = json.loads(run_cell("diff", whole, one, "--json", cwd=tmp_path).stdout)
     assert ("scan.view", None, 1) in [(each["key"], each["a"], each["b"]) for each in said["settings"]]
     assert said["views"]["kept"] == [[1, 1]]
-    run = open_run(executed)
-    reference, planning = (reader.mesh(run.record, name) for name in ("reference.ply", "planning.ply"))
-    samples = held_out(reference, planning, run.record.seed)
+    run = open_finished(executed)
+    reference, planning = (run.mesh(name) for name in ("reference.ply", "planning.ply"))
+    samples = held_out(reference, planning, run.seed)
     near = []
     for folder in (whole, one):
-        points = ply.places(ply.elements((folder / "cloud.ply").read_bytes())["vertex"])
+        points = ply.positions(ply.elements((folder / "cloud.ply").read_bytes())["vertex"])
         distance, _ = cKDTree(points).query(samples.points)
         near.append(distance <= coverage.sampling_radius(reference))
     assert said["surface"]["lost_mm2"] == pytest.approx(1e6 * samples.areas[near[0] & ~near[1]].sum(), abs=1e-3)

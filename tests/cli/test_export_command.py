@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cell.export import export
-from cell.run.record import open_finished
+from cell.runs.run import open_finished
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.run import reader
-from cell.run.cell import read_cell
-from cell.run.record import open_finished
+from cell.runs.cell import read_cell
+from cell.runs.run import open_finished
 from planner.measurability.visibility import measured
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -64,10 +63,10 @@ def test_views_that_moved_are_candidates_like_others(
     done = run_cell(*grown, "--coverage", "0.97", "--no-cache", "--out", "run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     moved, others = open_finished(tmp_path / "run"), open_finished(run)
-    known, views = len(reader.candidates(others)), reader.candidates(moved)
+    known, views = len(others.candidates), moved.candidates
     assert len(views) > known
-    np.testing.assert_array_equal(views.T_object_scanner[:known], reader.candidates(others).T_object_scanner)
-    T, M, reached = views.T_object_scanner[known:], reader.measurability(moved), reader.reached(moved)
+    np.testing.assert_array_equal(views.T_object_scanner[:known], others.candidates.T_object_scanner)
+    T, M, reached = views.T_object_scanner[known:], moved.measurability, moved.reach
     cell = read_cell(moved)
     found = measured(T, M.features, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
     np.testing.assert_array_equal(M.matrix().tocsc()[:, np.arange(known, len(views))].toarray(), found)

@@ -13,23 +13,22 @@ from cell.errors import FileError, UsageError
 from cell.proof.proof import prove
 from cell.rays import virtual_scan
 from cell.reconstruction.rigid import motion_of
-from cell.run import reader
-from cell.run.cell import read_cell
-from cell.run.planned import PlannedRun
+from cell.runs.cell import read_cell
+from cell.runs.run import Run
 from planner.values import Floats
 
-Run = Callable[..., Any]
+Command = Callable[..., Any]
 
 
-def _set_down(run: PlannedRun, mm: tuple[float, float, float], deg: tuple[float, float, float]) -> Floats:
+def _set_down(run: Run, mm: tuple[float, float, float], deg: tuple[float, float, float]) -> Floats:
     """T_base_object of a part that was set down off its place, turned about its centre; axes of base."""
-    centre = (run.T_base_object @ reader.scene(run.record).T_object_centre)[:3, 3]
+    centre = (run.T_base_object @ run.scene.T_object_centre)[:3, 3]
     return motion_of(np.concatenate([np.array(mm) / 1000, np.radians(deg)]), centre) @ run.T_base_object
 
 
-def _scanned(run: PlannedRun, T_base_object: Floats, view: int) -> Floats:
+def _scanned(run: Run, T_base_object: Floats, view: int) -> Floats:
     """(P, 3) what a scanner at a planned view sees of the part there: scanner frame [m], noise of 0.03 mm."""
-    cell = read_cell(run.record)
+    cell = read_cell(run)
     T = np.linalg.inv(T_base_object) @ run.T_base_scanner[view - 1]
     seen = virtual_scan.scan(cell.scanner, T, cell.part_caster, cell.reference)
     back = np.linalg.inv(T)
@@ -38,7 +37,7 @@ def _scanned(run: PlannedRun, T_base_object: Floats, view: int) -> Floats:
     return np.asarray(points + rays * np.random.default_rng(view).normal(0, 3e-5, (len(points), 1)))
 
 
-def test_one_scan_finds_the_part_and_the_plan_is_taken_there(run_cell: Run, planned: Path, tmp_path: Path) -> None:
+def test_one_scan_finds_the_part_and_the_plan_is_taken_there(run_cell: Command, planned: Path, tmp_path: Path) -> None:
     """To 0.05 mm from 15 mm and 4 deg off; the new plan has the same views on the part, is proven, and is scanned."""
     run = open_run(planned)
     T = _set_down(run, (-9.0, 12.0, 2.0), (1.0, -2.0, 3.4))
@@ -101,7 +100,7 @@ def test_a_part_in_the_way_of_the_motion_is_told(planned: Path, tmp_path: Path) 
     """Set down where the scanner is at its first view: the checked motion does not keep its clearance."""
     run = open_run(planned)
     T = run.T_base_object.copy()
-    centre = (T @ reader.scene(run.record).T_object_centre)[:3, 3]
+    centre = (T @ run.scene.T_object_centre)[:3, 3]
     T[:3, 3] += run.T_base_scanner[0, :3, 3] - centre
     nominal = run.reference.vertices[[0, 40, 90, 200]]
     rows = [
@@ -145,7 +144,7 @@ def test_what_cannot_be_asked(wishes: dict[str, Any], told: str, planned: Path) 
         locate(planned, **wishes)
 
 
-def test_what_is_open_is_not_planned_with(run_cell: Run, planned: Path, tmp_path: Path) -> None:
+def test_what_is_open_is_not_planned_with(run_cell: Command, planned: Path, tmp_path: Path) -> None:
     """Pairs on one line leave a turn open: exit code 2 and no run, unless it is taken to stand as planned."""
     run = open_run(planned)
     nominal = np.array([0.02, 0.0, 0.03]) + np.linspace(0, 0.04, 3)[:, None] * [0, 0, 1]

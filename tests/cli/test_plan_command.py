@@ -252,7 +252,7 @@ def test_a_full_disk_is_said_and_nothing_finished_is_lost(tmp_path: Path) -> Non
     from datetime import UTC, datetime
 
     from cell.errors import FileError
-    from cell.run.folder import RunFolder
+    from cell.runs.folder import RunFolder
 
     folder = RunFolder.create(tmp_path / "run", [], 0, {}, datetime.now(UTC))
     folder.write_text("first.txt", "finished")

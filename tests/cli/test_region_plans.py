@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.run.cell import read_cell
-from cell.run.reader import candidates, measurability, plan
-from cell.run.record import open_run
+from cell.runs.cell import read_cell
+from cell.runs.run import open_run
 
 Run = Callable[..., CompletedProcess[str]]
 
@@ -79,14 +78,14 @@ def test_each_region_gets_what_it_asks_for(regions: Path) -> None:
     assert side["visible_of_coverable"] >= 0.5
     assert top["visible_of_coverable"] >= 0.9
     run = open_run(regions / "run")
-    M, chosen = measurability(run), [view.id for view in plan(run).views]
+    M, chosen = run.measurability, [view.id for view in run.plan.views]
     loads = np.asarray(M.matrix().astype(int)[:, chosen].sum(axis=1)).ravel()
     available = np.asarray(M.matrix().sum(axis=1)).ravel()
     of_top = (M.features.region == 0) & (available > 0)
     enough = (loads >= np.minimum(2, available))[of_top]
     assert M.features.areas[of_top][enough].sum() >= 0.9 * M.features.areas[of_top].sum() * (1 - 1e-9)
     law = read_cell(run).scanner.spacing
-    poses, points, normals = candidates(run).T_object_scanner[:, 0], M.features.points, M.features.normals
+    poses, points, normals = run.candidates.T_object_scanner[:, 0], M.features.points, M.features.normals
     for row in np.flatnonzero(M.features.region == 0)[::25]:
         for view in M.indices[M.indptr[row] : M.indptr[row + 1]]:
             R, t = poses[view, :3, :3], poses[view, :3, 3]

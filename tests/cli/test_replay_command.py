@@ -23,8 +23,7 @@ from cell.replay.options import ReplayOptions
 from cell.replay.replay import load_show, replay
 from cell.replay.show import Show, show_what_is_seen
 from cell.replay.viewer import place
-from cell.run import reader as run_reader
-from cell.run.record import open_run
+from cell.runs.run import open_run
 from cell.view.cell_picture import tour_camera
 from cell.view.pieces import cell_of_run
 from planner.values import Floats
@@ -60,7 +59,7 @@ class OffScreen:
 def _beside(planned: Path, show: Show) -> mujoco.MjvCamera:
     """Where the viewer's eye is first."""
     run = open_run(planned)
-    cell, part = cell_of_run(run, run_reader.scene(run)), run_reader.mesh(run, "reference.ply")
+    cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
     half = np.tan(np.radians(show.theatre.model.vis.global_.fovy) / 2)
     poses = [show.timeline.at(stop.begin) for stop in show.timeline.stops]
     camera = mujoco.MjvCamera()
@@ -120,7 +119,7 @@ def test_the_part_is_where_the_plan_says(planned: Path, show: Show, screen: OffS
     camera.distance = 0.45
     numbers = _geoms(screen, show.data, camera)
     part = numbers == show.theatre.model.geom("surface").id
-    reference = run_reader.mesh(open_run(planned), "reference.ply").vertices
+    reference = open_run(planned).mesh("reference.ply").vertices
     centre = (reference.min(axis=0) + reference.max(axis=0)) / 2
     fovy = show.theatre.model.vis.global_.fovy
     pixels = _project(camera, fovy, reference - centre + _PLACED_AT)
@@ -142,7 +141,7 @@ def test_the_arm_is_where_the_plan_says_and_moves(planned: Path, show: Show, scr
     fovy, housing = model.vis.global_.fovy, model.geom("housing").id
     resolved = json.loads((planned / "scene.resolved.json").read_text())
     T_flange_housing = np.array(resolved["housing"]["T_flange_housing"])
-    views = run_reader.plan(open_run(planned)).views
+    views = open_run(planned).plan.views
     seen, pictures = 0, []
     for stop, view in zip(show.timeline.stops, views, strict=True):
         show.pose(stop.begin)
@@ -262,8 +261,8 @@ def test_an_execution_shows_its_points(
     scans = folder / "executions" / "0001" / "scans"
     scans.mkdir(parents=True)
     run = open_run(folder)
-    points = run_reader.mesh(run, "reference.ply").vertices
-    for number, view in enumerate(run_reader.plan(run).views[:3], start=1):
+    points = run.mesh("reference.ply").vertices
+    for number, view in enumerate(run.plan.views[:3], start=1):
         np.savez_compressed(
             scans / f"{number:04d}.npz", stop=number, view=view.id, q_commanded=view.q, q_reported=view.q + 1e-3,
             T_object_scanner=view.T_object_scanner, source="files", points=points,
@@ -272,9 +271,7 @@ def test_an_execution_shows_its_points(
     executed = load_show(run, "latest", Terminal())
     assert "0003.npz is damaged or cut short" in capsys.readouterr().err
     assert len(executed.timeline.stops) == 2
-    np.testing.assert_allclose(
-        executed.timeline.at(executed.timeline.stops[1].begin), run_reader.plan(run).views[1].q + 1e-3
-    )
+    np.testing.assert_allclose(executed.timeline.at(executed.timeline.stops[1].begin), run.plan.views[1].q + 1e-3)
     camera = _beside(planned, show)
     drawn = OffScreen(executed.theatre.model)
     executed.pose(0.0)

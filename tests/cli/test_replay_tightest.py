@@ -18,8 +18,7 @@ from cell.replay.show import Show
 from cell.replay.still import Still, write_picture
 from cell.replay.tightest_moment import near_camera
 from cell.replay.viewer import Player
-from cell.run import reader as run_reader
-from cell.run.record import open_run
+from cell.runs.run import open_run
 from cell.view.pieces import cell_of_run
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -63,7 +62,7 @@ def test_both_points_and_the_line_are_in_the_picture(planned: Path, show: Show, 
     """From near by, they stand in the middle of it; without them the picture is another one there only."""
     closest, run = show.closest, open_run(planned)
     assert closest is not None
-    cell, part = cell_of_run(run, run_reader.scene(run)), run_reader.mesh(run, "reference.ply")
+    cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
     show.pose(closest.time)
     camera = near_camera(show.theatre.model, show.data, closest, _SIZE)
     columns, rows, far = camera.project(closest.points).T
@@ -80,7 +79,7 @@ def test_a_picture_of_another_moment_does_not_have_the_pair(planned: Path, show:
     """With the arm elsewhere it would hang in the air: the tour is the same picture with and without."""
     assert show.closest is not None
     run = open_run(planned)
-    cell, part = cell_of_run(run, run_reader.scene(run)), run_reader.mesh(run, "reference.ply")
+    cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
     away = max((stop.begin for stop in show.timeline.stops), key=lambda t: abs(t - show.closest.time))
     pictures = {}
     for moment in (away, show.closest.time):

@@ -25,10 +25,8 @@ from cell.proof.proof import prove
 from cell.proof.scene_now import require_same
 from cell.replay.replay import load_show
 from cell.robot.frames import kuka_abc_from_pose
-from cell.run.cell import read_cell, world_of
-from cell.run.executions import read_execution
-from cell.run.reader import measurability, mesh, motion, reached, scene
-from cell.run.record import open_run
+from cell.runs.cell import read_cell, world_of
+from cell.runs.run import open_run, read_execution
 from cell.scene.options import scene_of
 from cell.study.placement_trial import placement
 from cell.study.scenes import scene_settings
@@ -64,12 +62,12 @@ def test_files_hold_the_angle_beside_the_arm(turned: Path) -> None:
         seen = np.array(view["T_base_object"]) @ np.array(view["T_object_scanner"])
         np.testing.assert_allclose(view["T_base_scanner"], seen, atol=1e-12)
     assert len({tuple(view["e_deg"]) for view in plan["views"]}) > 1
-    assert reached(open_run(turned)).q.shape[1] == 7
+    assert open_run(turned).reach.q.shape[1] == 7
 
 
 def test_views_are_taken_between_the_angles_that_were_looked_at(turned: Path) -> None:
     """Some at no multiple of 10 deg, each at its candidate's pose in the part's frame, and a solution of its reach."""
-    plan, found = _json(turned / "plan.json"), reached(open_run(turned))
+    plan, found = _json(turned / "plan.json"), open_run(turned).reach
     candidates = np.load(turned / "viewpoints.npz")["T_object_scanner"].reshape(-1, 4, 4)
     for view in plan["views"]:
         np.testing.assert_allclose(view["T_object_scanner"], candidates[view["id"]], atol=2e-5)
@@ -89,7 +87,7 @@ def test_a_plan_without_a_table_has_nothing_of_it(planned: Path) -> None:
 
 def test_the_slowest_of_seven_axes_sets_the_time(turned: Path) -> None:
     """Every move takes as long as all seven limits need, the table's among them for at least one."""
-    done = motion(open_run(turned))
+    done = open_run(turned).motion
     times = move_time(done.via_q[:-1], done.via_q[1:], done.limits)
     assert done.duration == pytest.approx(times.sum())
     lower, upper = done.limits.lower, done.limits.upper
@@ -158,7 +156,7 @@ def test_it_goes_on_from_where_the_table_stands(turned: Path, run_cell: RunCell,
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     (copy / "executions" / "0001" / "scans" / "0001.npz").unlink()
-    home = motion(open_run(copy)).via_q[0]
+    home = open_run(copy).motion.via_q[0]
     start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(home[:6]), 60.0])
     done = run_cell("scan", copy, "--resume", "0001", "--driver", f"sim://?start={start}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -176,7 +174,7 @@ def test_an_endless_table_is_driven_from_the_turn_on_which_it_stands(
     """Whole turns are told, sent with every angle, and appear in no scan: what is measured is the same."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
-    start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(motion(open_run(copy)).via_q[0, :6]), 360.0 * turns])
+    start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(open_run(copy).motion.via_q[0, :6]), 360.0 * turns])
     done = run_cell("scan", copy, "--resolution", "1", "--driver", f"sim://?start={start}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert f"{turns:+d} whole turns from the plan's angles" in done.stderr
@@ -251,7 +249,7 @@ def test_as_much_as_without_a_table_takes_never_more_views(planned: Path, turned
     The samples are the same; `--max-views` gives what a table adds with as many views.
     """
     runs = [open_run(folder) for folder in (planned, turned)]
-    matrices, usable = [measurability(run) for run in runs], [reached(run).reachable for run in runs]
+    matrices, usable = [run.measurability for run in runs], [run.reach.reachable for run in runs]
     areas = matrices[0].features.areas
     np.testing.assert_array_equal(areas, matrices[1].features.areas)
     coverable = [float(areas[np.diff(M.indptr) > 0].sum()) for M in matrices]
@@ -322,7 +320,7 @@ def test_the_place_at_angle_0_is_found_from_points_of_a_turned_part(turned: Path
 def test_a_part_that_is_located_beside_the_axis_swings_its_post(turned: Path) -> None:
     """On the axis a post turns in place; beside it, it is guarded against the pedestal, and the table stays."""
     run = open_run(turned)
-    reference, T = mesh(run, "reference.ply"), np.array(scene(run).T_base_object)
+    reference, T = run.mesh("reference.ply"), np.array(run.scene.T_base_object)
     planned = world_of(run, reference)
     T[0, 3] += 0.004
     there = world_of(run, reference, T_base_object=T)
@@ -338,7 +336,7 @@ def test_a_located_part_is_kept_clear_of_while_an_indexed_table_turns(
 ) -> None:
     """The motion is held to the manner of the table, which its file does not say."""
     run = EditableRun.opened(turned)
-    world = world_of(run.record, run.reference)
+    world = world_of(run, run.reference)
     indexed = dataclasses.replace(world, limits=dataclasses.replace(world.limits, turns_at=world.home))
     found = []
     for each in (world, indexed):
@@ -371,7 +369,7 @@ def test_a_place_is_judged_with_the_table_under_the_part(part_file: Path) -> Non
 
 def test_an_exported_program_drives_the_table_as_e1(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
     """Every PTP has the seven angles of its via point, and the arm stands only where E1 does too; so do the tables."""
-    via = np.degrees(motion(open_run(turned)).via_q).round(4)
+    via = np.degrees(open_run(turned).motion.via_q).round(4)
     done = run_cell("export", turned, "--out", tmp_path / "krl", "--name", "TURNED", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     text = (tmp_path / "krl" / "TURNED.src").read_text(encoding="ascii")
@@ -393,7 +391,7 @@ def test_seven_axes_travel_on_a_wire(
     """An emulated controller of the run's arm and table, two turns on, measures what the simulated one did."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
-    axes = from_rad([*motion(open_run(copy)).via_q[0, :6], 4 * np.pi]).tolist()
+    axes = from_rad([*open_run(copy).motion.via_q[0, :6], 4 * np.pi]).tolist()
     stood = {"schema": SCHEMA, "axes": axes, "boot": 1, "ended_in_order": True}
     (tmp_path / "arm.json").write_text(json.dumps(stood))
     before = SimpleNamespace(log=tmp_path / "moves.jsonl")
@@ -429,7 +427,7 @@ def test_an_indexed_table_is_planned_proven_and_gone_on_with(
     done = run_cell("plan", part_file, "--units", "mm", *small_plan, *scene, "--out", "run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     run = tmp_path / "run"
-    via = motion(open_run(run)).via_q
+    via = open_run(run).motion.via_q
     moved = np.diff(via, axis=0) != 0
     assert not (moved[:, :6].any(axis=1) & moved[:, 6]).any()
     assert moved[:, 6].any()

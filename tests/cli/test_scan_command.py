@@ -18,10 +18,10 @@ import trimesh
 
 from cell.commands.terminal import Terminal
 from cell.errors import DriverFailureError, FileError
-from cell.run import ply, process
-from cell.run.executions import execution_ids, read_execution, read_scan
-from cell.run.manifest_json import Manifest
-from cell.run.record import RunRecord, open_run
+from cell.runs import folder as process
+from cell.runs import ply
+from cell.runs.run import Run, open_run, read_execution, read_scan
+from cell.runs.schema import Manifest
 from cell.scan import post_processing
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
@@ -30,7 +30,7 @@ from planner.geometry.closest import NearestSurface
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import Rejection
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
+Command = Callable[..., subprocess.CompletedProcess[str]]
 Start = Callable[..., "subprocess.Popen[str]"]
 
 CONTRACT = {
@@ -74,7 +74,7 @@ def _rewrite(path: Path, **changed: Any) -> None:
     np.savez_compressed(path, **{**content, **changed})
 
 
-def test_help_teaches_with_examples(tmp_path: Path, run_cell: Run) -> None:
+def test_help_teaches_with_examples(tmp_path: Path, run_cell: Command) -> None:
     """`cell scan --help` has commands that can be copied and the exit codes."""
     done = run_cell("scan", "--help", cwd=tmp_path)
     assert done.returncode == 0
@@ -368,7 +368,7 @@ def test_an_execution_that_still_runs_is_not_reported_and_that_of_a_dead_process
     path = copied / "executions" / "0001" / "manifest.json"
     manifest = json.loads(path.read_text())
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    here = process.begun_here(Manifest())
+    here = process.with_process(Manifest())
     entries = Manifest(pid=child.pid, pid_began=process._stat(child.pid)[1], machine=here.machine)
     for living in (here, entries):
         path.write_text(json.dumps({**manifest, **living.as_json()}))
@@ -376,9 +376,9 @@ def test_an_execution_that_still_runs_is_not_reported_and_that_of_a_dead_process
         with pytest.raises(FileError, match=f"still running .process {living.pid}"):
             _remake(copied)
         assert path.read_bytes() == before
-    assert not process.lives(here.but(machine=f"{here.machine}-other"))
+    assert not process.is_running(here.but(machine=f"{here.machine}-other"))
     child.communicate()
-    assert not process.lives(entries)
+    assert not process.is_running(entries)
     assert _remake(copied).complete
 
 
@@ -425,8 +425,8 @@ def test_executions_are_those_with_a_number_in_order_of_it(tmp_path: Path) -> No
     for name in ("9999", "10000", "0002", "notes", "0001.bak"):
         (tmp_path / "executions" / name).mkdir(parents=True)
     (tmp_path / "executions" / "20000").write_text("")
-    run = RunRecord(tmp_path, Manifest())
-    assert execution_ids(run) == ["0002", "9999", "10000"]
+    run = Run(tmp_path, Manifest())
+    assert run.execution_ids == ["0002", "9999", "10000"]
     assert read_execution(run, "latest").folder.name == "10000"
 
 
@@ -446,7 +446,7 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_a_stopped_execution_keeps_its_scans_and_is_reported(
-    how: signal.Signals, planned: Path, tmp_path: Path, run_cell: Run, start_cell: Start
+    how: signal.Signals, planned: Path, tmp_path: Path, run_cell: Command, start_cell: Start
 ) -> None:
     """In real time, stopped after the first scan: status and exit code tell, --report makes do with what is there."""
     run = tmp_path / "run"
@@ -503,7 +503,7 @@ def test_bad_input_gets_one_sentence_and_its_code(
     words: str,
     executed: Path,
     tmp_path: Path,
-    run_cell: Run,
+    run_cell: Command,
 ) -> None:
     """No traceback; the sentence names what is wrong, and the exit code is the documented one."""
     (tmp_path / "run").symlink_to(executed)

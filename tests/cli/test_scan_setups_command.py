@@ -17,8 +17,8 @@ from cell.api import scan_setups as scan_all
 from cell.errors import UsageError
 from cell.narrator import Quiet
 from cell.rays.prediction import held_out
-from cell.run.cell import read_cell
-from cell.run.record import open_run
+from cell.runs.cell import read_cell
+from cell.runs.run import open_run
 from cell.scan.driven import part_may_be_near
 from cell.scan.of_setups import scan_setups
 from cell.scan.options import ScanOptions

@@ -15,8 +15,7 @@ from cell.plant import servo
 from cell.plant.servo import Settings
 from cell.robot.arm import kinematics_of
 from cell.robot.model import load
-from cell.run import reader as run_reader
-from cell.run.record import open_run
+from cell.runs.run import open_run
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
 
@@ -46,7 +45,7 @@ def scans(run: Path, execution: str) -> list[dict[str, Any]]:
 def test_every_scan_is_taken_from_the_pose_that_the_controller_reports(scanned: Path) -> None:
     """The reported axes are near the commanded ones but not they; poses and points are of the reported ones."""
     record = open_run(scanned)
-    scene = run_reader.scene(record)
+    scene = record.scene
     T_base_object, T_flange_scanner = scene.T_base_object, scene.T_flange_scanner
     kinematics = kinematics_of(load())
     ideal = scans(scanned, "0003")
@@ -85,11 +84,11 @@ def test_the_report_tells_the_time_that_the_arm_took(scanned: Path) -> None:
 
 def test_replay_shows_the_reported_stops(scanned: Path) -> None:
     """The timeline of the execution rests at the reported axes."""
-    from cell.run.executions import read_execution
-    from cell.run.timeline import of_execution
+    from cell.runs.run import read_execution
+    from cell.runs.timeline import of_execution
 
     record = open_run(scanned)
-    motion = run_reader.motion(record)
+    motion = record.motion
     recorded = read_execution(record, "0001")
     timeline = of_execution(recorded, motion, motion.via_q[0])
     for scan in scans(scanned, "0001"):

@@ -12,8 +12,7 @@ import pytest
 import trimesh
 
 from cell.api import open_run, plan_setups
-from cell.run import reader
-from cell.run.cell import read_cell
+from cell.runs.cell import read_cell
 from cell.setups.measured import Setup
 from cell.setups.plan_setups import left_out
 from tests.seen_samples import seen_samples
@@ -144,7 +143,7 @@ def test_given_set_ups_are_planned_each_among_its_own_fixtures(part_file: Path, 
     assert "the set-up 'stuck' is left out: " in done.stderr
     for setup in said["chosen"]:
         run = open_run(tmp_path / "made" / setup["folder"])
-        names = [fixture.name for fixture in read_cell(run.record).scene.fixtures if not fixture.built_in]
+        names = [fixture.name for fixture in read_cell(run).scene.fixtures if not fixture.built_in]
         assert names == (["vise"] if setup["offered"] == 1 else [])
     done = run_cell("plan", "--scene", "cell.toml", "--out", "run", cwd=tmp_path)
     assert done.returncode == 2
@@ -172,7 +171,7 @@ def test_wishes_are_asked_of_all_set_ups_together(part_file: Path, tmp_path: Pat
     for setup, folder in zip(made.file.chosen, made.folders, strict=True):
         run = open_run(folder)
         taken[setup.offered] = {view.id for view in run.plan.views}
-        M = reader.measurability(run.record)
+        M = run.measurability
         twice = twice + np.asarray(M.matrix().tocsc()[:, sorted(taken[setup.offered])].sum(axis=1)).ravel()
     assert 12 in taken[2]
     assert 4 not in taken.get(0, set()) | taken.get(1, set())
@@ -192,7 +191,7 @@ def test_the_curve_is_of_the_set_ups_that_are_used_and_each_is_visited_in_order(
     matrices = {}
     for setup, folder in zip(made.file.chosen, made.folders, strict=True):
         run = open_run(folder)
-        M = reader.measurability(run.record)
+        M = run.measurability
         matrices[str(setup.offered)], areas = M.matrix().tocsc(), M.features.areas
         assert json.loads((folder / "report.json").read_text())["overlap"]["without_earlier"] == 0
     said = json.loads((tmp_path / "made" / "curve.json").read_text())
@@ -251,8 +250,8 @@ def test_faces_may_be_the_rows(part_file: Path, run_cell: Cell, tmp_path: Path) 
     assert done.returncode == 0, done.stderr
     run = open_run(tmp_path / "made" / "setups" / "1")
     assert run.report.settings.fill == "rays"
-    planning = reader.mesh(run.record, "planning.ply")
-    assert len(reader.measurability(run.record).features) == len(planning.faces)
+    planning = run.mesh("planning.ply")
+    assert len(run.measurability.features) == len(planning.faces)
 
 
 def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cell.proof.proof import prove
-from cell.run.setups_json import SetupsFile
+from cell.runs.schema import SetupsFile
 from cell.setups.planned_setups import PlannedSetups
 from tests.seen_samples import seen_samples
 

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.run import reader as run_reader
-from cell.run.cell import read_cell
-from cell.run.record import open_run
+from cell.runs.cell import read_cell
+from cell.runs.run import open_run
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -53,7 +52,7 @@ def test_the_scan_of_a_limited_plan_takes_nothing_above_the_limit(limited: dict[
     assert sum(view["rays"]["too_uncertain"] for view in report["views"]) > 0
     run = open_run(folder)
     scene = read_cell(run, 2.0)
-    for stop, view in enumerate(run_reader.plan(run).views, start=1):
+    for stop, view in enumerate(run.plan.views, start=1):
         with np.load(folder / "executions" / "0001" / "scans" / f"{stop:04d}.npz") as scan:
             T, points, face = scan["T_object_scanner_true"], scan["points"], scan["face"]
         corners = scene.reference.vertices[scene.reference.faces[face]]

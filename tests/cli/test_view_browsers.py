@@ -11,8 +11,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from cell.run import reader
-from cell.run.record import open_run
+from cell.runs.run import open_run
 from cell.view.contents import part_of
 from cell.view.packed import stepped
 from cell.view.page import Play, Shown, Stage, View, html_of
@@ -131,7 +130,7 @@ def test_a_large_page_is_soon_there(
     part = part_of(canvas, Surface(samples, samples.normals @ away.T > 0.5, layers))
     surface = Shown("surface", canvas.mesh, [stepped(canvas.mesh.vertices[:, 0], "Deviation", "signed", (-1, 1), "")])
     run = open_run(planned)
-    cell = cell_of_run(run, reader.scene(run))
+    cell = cell_of_run(run, run.scene)
     poses = np.tile(np.eye(4), (views, 1, 1))
     poses[:, :3, 3] = 0.4 * away
     said = [View(str(k), cell.T_base_object @ T, 0.1 * k, [("view", str(k))]) for k, T in enumerate(poses, 1)]

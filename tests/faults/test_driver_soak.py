@@ -10,8 +10,7 @@ import pytest
 
 from benchmarks.soak import EVERY_FAULT, PATIENCE, Soak, drive, judge
 from cell.robot import model as robot
-from cell.run import reader
-from cell.run.record import open_run
+from cell.runs.run import open_run
 from drivers.limits import Limits
 from drivers.registry import Context, open_driver
 
@@ -25,7 +24,7 @@ def test_a_reduced_soak_over_real_processes(
 ) -> None:
     """A few moves with 2 % of every fault over each wire at once; of the arm, and of arm and rotary table."""
     run = () if axes == 6 else ("--run", str(request.getfixturevalue("turned")))
-    limits = KR16 if axes == 6 else Limits.from_rad(reader.motion(open_run(Path(run[1]))).limits)
+    limits = KR16 if axes == 6 else Limits.from_rad(open_run(Path(run[1])).motion.limits)
     faults = EVERY_FAULT.replace("=0.01", "=0.02")
     running = [emulate(name, "--time-scale", "40", "--faults", faults, "--seed", "3", *run)
                for name in ("serial", "modbus", "modbus-rtu")]  # fmt: skip

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cell.run import explore_json
+from cell.runs import schema
 
 OPTIONS = (
     "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
@@ -33,9 +33,9 @@ def test_every_batch_waits_for_a_word(
     assert refused.returncode == 2, refused.stderr
     moved = len(emulated.entries("move"))
     assert moved > 0
-    known = explore_json.read(out / "explore.json")
+    known = schema.read(out / "explore.json")
     assert [stage.digest[:8] for stage in known.stages] == [first[1]]
     done = run_cell(*command, "--confirm-motion", "explore", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert len(emulated.entries("move")) > moved
-    assert explore_json.read(out / "explore.json").views == 2
+    assert schema.read(out / "explore.json").views == 2

@@ -17,7 +17,7 @@ import pytest
 from benchmarks import fuzz_inputs
 from cell.errors import CellError, FileError, SceneError
 from cell.part import workpiece
-from cell.run.record import npz
+from cell.runs.run import npz_arrays
 from cell.scene.scene_file import load_scene
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -221,6 +221,6 @@ def test_what_a_file_holds_bounds_what_is_allocated(made: Callable[[], bytes]) -
     content = made()
     began, before = process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(CellError, match="is damaged or cut short"):
-        npz(Path("q.npz"), content)
+        npz_arrays(Path("q.npz"), content)
     assert process_time() - began < 1
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KB

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from cell.errors import UsageError
-from cell.run.record import open_finished
+from cell.runs.run import open_finished
 from cell.scan.options import ScanOptions
 from cell.scan.scan import resume
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.run.record import open_finished
+from cell.runs.run import open_finished
 from cell.scan import lock
 
 SIGNALS = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP"}

@@ -186,7 +186,7 @@ def judged(run: Path, changes: list[Callable[[], Change]], resealed: Reseal) -> 
 
 def _digest_anew(path: Path) -> None:
     """The digest that a changed manifest would have, unless the change was of the digest itself."""
-    from cell.run import digest
+    from cell.runs import digest
 
     manifest = json.loads(path.read_text())
     shas = manifest.get("artefacts")
@@ -196,7 +196,7 @@ def _digest_anew(path: Path) -> None:
         and isinstance(shas, dict)
     ):
         try:
-            manifest["digest"] = digest.of_plan(shas)
+            manifest["digest"] = digest.plan_digest(shas)
         except KeyError:
             return
         path.write_text(json.dumps(manifest))
@@ -245,12 +245,11 @@ def test_every_field_changed_alone_is_refused_or_changes_nothing(
 
 def _with_via(run: Path, q: np.ndarray, row: int) -> None:
     """The motion with a via point put in, timed anew, so that everything but the certificate agrees."""
-    from cell.run import reader
-    from cell.run.record import open_finished
+    from cell.runs.run import open_finished
     from planner.timing.motion import retime
 
     record = open_finished(run)
-    motion = reader.motion(record)
+    motion = record.motion
     with np.load(run / "motion.npz") as stored:
         arrays = dict(stored)
 

@@ -14,8 +14,7 @@ from cell.commands.terminal import Terminal
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import occluder_triangles
 from cell.robot.arm import kinematics_of
-from cell.run import reader as run_reader
-from cell.run.record import RunRecord, artefact, open_run
+from cell.runs.run import Run, open_run
 from cell.scanners.laser_area import LaserArea
 from cell.scene.scene import Scene
 from cell.scene.scene_file import load_scene
@@ -62,13 +61,13 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory, run_cell: Callable) -> 
 
 
 @pytest.fixture(scope="module")
-def run(run_folder: Path) -> RunRecord:
+def run(run_folder: Path) -> Run:
     """The opened run."""
     return open_run(run_folder)
 
 
 @pytest.fixture(scope="module")
-def answer(run: RunRecord) -> Answer:
+def answer(run: Run) -> Answer:
     """What is said about it."""
     return why.answer_of(run, Terminal(quiet_stdout=True), _SAMPLES)
 
@@ -122,22 +121,22 @@ def test_sides_out_of_reach_and_views_that_were_not_needed_are_told_apart(answer
     assert answer.share(waiting.rows) > 0.02
 
 
-def test_reasons_complete_the_plan_to_the_whole_surface(answer: Answer, run: RunRecord) -> None:
+def test_reasons_complete_the_plan_to_the_whole_surface(answer: Answer, run: Run) -> None:
     """Every sample is measured or in exactly one group and patch; the plan's own figure is met to sampling error."""
     count = answer.covered.astype(int)
     for group in answer.groups:
         count[group.rows] += 1
         np.testing.assert_array_equal(np.sort(np.concatenate([p.rows for p in group.patches])), group.rows)
     assert (count == 1).all()
-    planned = run_reader.plan(run).coverage.visible
+    planned = run.plan.coverage.visible
     assert abs(answer.covered.mean() - planned) < 4 * np.sqrt(planned * (1 - planned) / _SAMPLES)
 
 
 class _Cell:
     """The scene made anew by the public functions, with a change in it."""
 
-    def __init__(self, run: RunRecord, scene: Scene) -> None:
-        self.reference, self.planning = run_reader.mesh(run, "reference.ply"), run_reader.mesh(run, "planning.ply")
+    def __init__(self, run: Run, scene: Scene) -> None:
+        self.reference, self.planning = run.mesh("reference.ply"), run.mesh("planning.ply")
         self.world: World = compile_world(scene, self.reference.vertices, baseline_mm=62.5)
         part = EmbreeRayCaster(self.reference.vertices, self.reference.faces)
         self.casters = [part, *(EmbreeRayCaster(o.vertices, o.faces) for o in occluder_triangles(self.world))]
@@ -151,13 +150,13 @@ class _Cell:
 
 
 def test_every_change_that_is_named_measures_what_it_claims_when_it_is_made(
-    answer: Answer, run: RunRecord, run_folder: Path
+    answer: Answer, run: Run, run_folder: Path
 ) -> None:
     """Settings are taken from the words that are printed, the scene is built from its file, the arm asked again."""
     path = run_folder.parent / "scene.toml"
     place = [float(value) for value in _PLACE.split(",")]
-    views = run_reader.candidates(run)
-    limits = dict(run_reader.scene(run).scanner.own)
+    views = run.candidates
+    limits = dict(run.scene.scanner.own)
     seen = set()
     for group in answer.groups:
         changes = [*((named, group.rows) for named in group.named)]
@@ -179,7 +178,7 @@ def test_every_change_that_is_named_measures_what_it_claims_when_it_is_made(
                     numbers = [float(value) for value in change.setting.split()[1].split(",")]
                     standoffs = [n / 1000 for n in numbers] if change.kind is Kind.STANDOFF else [0.25]
                     rolls = np.radians(numbers if change.kind is Kind.ROLL else [0, 90]).tolist()
-                    candidates = optimal_scanning_zone(run_reader.mesh(run, "planning.ply"), standoffs, rolls)
+                    candidates = optimal_scanning_zone(run.mesh("planning.ply"), standoffs, rolls)
                 case Kind.VIEW:
                     chosen = [int(n) for n in re.findall(r"\d+", change.sentence.split("candidate")[1])]
                     candidates = Viewpoints(*(getattr(views, name)[chosen] for name in _FIELDS))
@@ -201,7 +200,7 @@ _FIELDS = ("T_object_scanner", "face", "standoff", "roll")
 
 @pytest.mark.usefixtures("drawn_pictures")
 def test_the_files_repeat_and_the_plan_stays_as_it_is(
-    run_folder: Path, run: RunRecord, data_of: Callable[[str], dict[str, Any]]
+    run_folder: Path, run: Run, data_of: Callable[[str], dict[str, Any]]
 ) -> None:
     """Asked twice: the same bytes in why/, the page's first colours with the shares of why.json; the plan untouched."""
     contents = []
@@ -217,7 +216,7 @@ def test_the_files_repeat_and_the_plan_stays_as_it_is(
     assert [name for name, _ in layer["named"]] == [f"{name} ({100 * share:.2f}\u00a0%)" for name, share in told]
     assert [colour for _, colour in layer["named"]] == [MEASURED, *REASONS[: len(groups)]]
     for name in run.manifest.artefacts:
-        artefact(run, name)
+        run.artefact(name)
 
 
 def test_points_carry_reason_group_and_gain(run_folder: Path) -> None:

@@ -7,8 +7,7 @@ import pytest
 
 from cell.replay.appearance import VIEW_FACES
 from cell.replay.model import POINTS_SHOWN, dress
-from cell.run import reader as run_reader
-from cell.run.record import open_run
+from cell.runs.run import open_run
 from planner.geometry.mesh import TriangleMesh
 
 _SQUARE = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], dtype=np.float64)
@@ -35,7 +34,7 @@ def _grid(n: int) -> TriangleMesh:
 def test_any_part_is_shown(planned: Path, reference: TriangleMesh) -> None:
     """The surface has the part's faces, or at most VIEW_FACES of them, and takes no part in contacts."""
     run = open_run(planned)
-    theatre = dress(run, run_reader.scene(run), reference)
+    theatre = dress(run, run.scene, reference)
     surface = theatre.model.geom("surface")
     faces = int(theatre.model.mesh_facenum[surface.dataid[0]])
     assert faces == len(reference.faces) or 0.5 * VIEW_FACES < faces <= VIEW_FACES
@@ -47,7 +46,7 @@ def test_any_cloud_is_shown(planned: Path, count: int) -> None:
     """A scan without points has no mesh; else each point, thinned to POINTS_SHOWN, has its eight faces."""
     run = open_run(planned)
     points = np.zeros((count, 3)) if count == 2 else np.random.default_rng(0).normal(size=(count, 3)) * 0.05
-    theatre = dress(run, run_reader.scene(run), run_reader.mesh(run, "reference.ply"), [points])
+    theatre = dress(run, run.scene, run.mesh("reference.ply"), [points])
     if count == 0:
         assert theatre.cloud_mesh == (-1,)
     else:

@@ -12,7 +12,7 @@ import trimesh
 from cell.api import explore, open_run, plan, scan
 from cell.edit.editable import EditableRun
 from cell.errors import FileError, SceneError, UsageError
-from cell.run.planned import PlannedRun
+from cell.runs.run import Run
 from cell.scene.scene_file import load_scene
 
 _QUICK = {"place": (1100, 400, 100), "standoff": 200, "faces": 40, "samples": 2, "seed": 3, "coverage": 1}
@@ -42,7 +42,7 @@ def test_importing_it_imports_nothing_heavy() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_a_plan_is_a_value_of_arrays(planned: PlannedRun) -> None:
+def test_a_plan_is_a_value_of_arrays(planned: Run) -> None:
     """Shapes agree with the number of views, poses with each other, and the bound is not above the views."""
     n = len(planned.candidate)
     assert planned.q.shape == (n, 6)
@@ -56,7 +56,7 @@ def test_a_plan_is_a_value_of_arrays(planned: PlannedRun) -> None:
     assert not planned.q.flags.writeable
 
 
-def test_a_run_opened_again_is_the_same_value(planned: PlannedRun) -> None:
+def test_a_run_opened_again_is_the_same_value(planned: Run) -> None:
     """`open_run` reads back what `plan` returned."""
     again = open_run(str(planned.folder))
     assert again.report == planned.report
@@ -65,7 +65,7 @@ def test_a_run_opened_again_is_the_same_value(planned: PlannedRun) -> None:
 
 
 def test_a_mesh_in_memory_is_planned_as_its_file(
-    planned: PlannedRun, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    planned: Run, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """A file of the same part gives the same views, a checked scene the same as its wishes; nothing is printed."""
     file = tmp_path / "ball.ply"
@@ -93,7 +93,7 @@ def test_a_plan_of_a_mesh_in_memory_can_be_edited(planned: EditableRun, tmp_path
     assert edited.candidate.tolist() == planned.candidate.tolist()[1:]
 
 
-def test_an_execution_is_a_value_too(planned: PlannedRun) -> None:
+def test_an_execution_is_a_value_too(planned: Run) -> None:
     """Mesh, points and deviation of a perfect scan: on the ball."""
     told: list[tuple[str, int, int]] = []
     execution = scan(planned, resolution=1.0, progress=lambda *words: told.append(words))
@@ -143,7 +143,7 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names: dict[str, object] = {}
     exec(page.split("```python\n")[1].split("```")[0], names)
     run = names["run"]
-    assert isinstance(run, PlannedRun)
+    assert isinstance(run, Run)
     assert run.folder == Path("trial")
 
 

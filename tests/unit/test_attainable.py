@@ -8,7 +8,7 @@ import trimesh
 
 from cell.plan.attainable import of_plan, sentence
 from cell.rays.embree import EmbreeRayCaster
-from cell.run.report_json import Attainable
+from cell.runs.schema import Attainable
 from cell.scanners.laser_area import LaserArea
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.coverage import Coverage

@@ -11,7 +11,7 @@ from cell.part import workpiece
 from cell.rays import virtual_scan
 from cell.rays.embree import EmbreeRayCaster
 from cell.robot.frames import pose_from_kuka_abc
-from cell.run.executions import ExecutedScan
+from cell.runs.run import ExecutedScan
 from cell.scan import causes
 from cell.scan.pose_error import Disturbance
 from cell.scanners.laser_area import LaserArea

@@ -12,7 +12,6 @@ from cell.api import open_run
 from cell.edit.options import Edit, Move, Pose, Turn
 from cell.errors import UnreachableError, UsageError
 from cell.robot.frames import kuka_abc_from_pose
-from cell.run import reader
 from cell.scene.option import flag, read
 from planner.ports import JointLimits
 from planner.tour import generalised_tsp as gtsp
@@ -103,13 +102,13 @@ def test_an_edit_that_changes_nothing_changes_nothing(
         assert (same.folder / name).read_bytes() == (planned / name).read_bytes(), name
     assert same.candidate.tolist() == run.candidate.tolist()
     assert same.coverage == run.coverage
-    assert reader.scene(same.record).as_json() == reader.scene(run.record).as_json()
+    assert same.scene.as_json() == run.scene.as_json()
 
 
 def test_a_view_that_collides_is_refused_with_what_it_collides_with(planned: Path, tmp_path: Path) -> None:
     """A scanner in the part: the verdict, between what, and which view."""
     run = open_run(planned)
-    reached = reader.reached(run.record)
+    reached = run.reach
     assert reached.reachable[run.candidate[0]]
     deeper = run.T_base_scanner[0, :3, 3] + 0.26 * run.T_base_scanner[0, :3, 2]
     a, b, c = np.degrees(kuka_abc_from_pose(run.T_base_scanner[0])[1])

@@ -17,12 +17,10 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
 from cell.robot.model import load
-from cell.run.cell import RunCell
-from cell.run.executions import read_scan
-from cell.run.folder import SCHEMA
-from cell.run.manifest_json import Manifest
-from cell.run.record import RunRecord
-from cell.run.scene_json import ScannerKeys
+from cell.runs.cell import RunCell
+from cell.runs.folder import SCHEMA
+from cell.runs.run import Run, read_scan
+from cell.runs.schema import Manifest, ScannerKeys
 from cell.scan import driver as scan_driver
 from cell.scan import execute
 from cell.scan.execution_folder import ExecutionFolder
@@ -87,7 +85,7 @@ def _scene() -> RunCell:
 @pytest.fixture
 def folder(tmp_path: Path) -> ExecutionFolder:
     """A fresh execution of an empty run folder."""
-    run = RunRecord(tmp_path, Manifest(schema=SCHEMA))
+    run = Run(tmp_path, Manifest(schema=SCHEMA))
     return ExecutionFolder.make(run, ["scan"], 5, {}, datetime(2024, 1, 2, tzinfo=UTC))
 
 
@@ -230,7 +228,7 @@ def test_without_errors_points_lie_on_the_part_on_their_rays(folder: ExecutionFo
 
 def test_a_view_has_its_own_disturbance_whatever_else_is_scanned(tmp_path: Path) -> None:
     """View 2 alone gives the bytes that it gives within the whole execution, noise and pose error included."""
-    run = RunRecord(tmp_path, Manifest(schema=SCHEMA))
+    run = Run(tmp_path, Manifest(schema=SCHEMA))
     files = []
     for stop in (None, 2):
         folder = ExecutionFolder.make(run, [], 5, {}, datetime(2024, 1, 2, tzinfo=UTC))
@@ -306,7 +304,7 @@ def test_the_clock_of_events_is_the_controllers_own() -> None:
 
 def test_executions_are_numbered_and_never_overwritten(tmp_path: Path) -> None:
     """Numbers go on after the highest one, whatever else stands in the folder."""
-    run = RunRecord(tmp_path, Manifest(schema=SCHEMA))
+    run = Run(tmp_path, Manifest(schema=SCHEMA))
     (tmp_path / "executions" / "0041").mkdir(parents=True)
     (tmp_path / "executions" / "notes").mkdir()
     made = [ExecutionFolder.make(run, [], 0, {}, datetime(2024, 1, 2, tzinfo=UTC)).path.name for _ in range(2)]

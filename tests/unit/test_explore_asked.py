@@ -18,8 +18,8 @@ from cell.explore.policies import Batch
 from cell.explore.stage import EnoughError
 from cell.explore.state import Paths
 from cell.rays.embree import EmbreeRayCaster
-from cell.run import ply
-from cell.run.explore_json import BELIEVED, MEASURED, SurfaceName
+from cell.runs import ply
+from cell.runs.schema import BELIEVED, MEASURED, SurfaceName
 from cell.scan.options import ScanOptions
 from cell.scan.safety import EVERY
 from cell.scanners.laser_area import LaserArea
@@ -278,7 +278,7 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     assert np.array_equal(on[0].poses, _poses()[:2])
     assert (on[0].least_gain, on[0].least_area, on[0].came) == (0.25, pytest.approx(2 * 0.25 * 7e-6), 1.0)
     assert (on[1], on[2].name, on[2].reference) == (3, "balls as measured", balls)
-    assert work.paths.measured(3).read_bytes() == ply.written(balls)
+    assert work.paths.measured(3).read_bytes() == ply.mesh_bytes(balls)
     assert on[0].latest == ((1, 0.0), (1, 0.0))
     late: Any = SimpleNamespace(
         stages=[*stages, *(SimpleNamespace(**{**told, "planned_on": MEASURED, "views": 2}),) * 3]
@@ -402,8 +402,10 @@ def test_one_word_releases_every_motion_of_an_exploration(
 def test_a_stage_says_what_its_views_stood_too_near_for(balls: TriangleMesh, monkeypatch: pytest.MonkeyPatch) -> None:
     """Asked of what they were to measure, by their points and poses and what was known before; in mm2."""
     asked: list[Any] = []
-    monkeypatch.setattr(explore, "open_finished", lambda folder: SimpleNamespace(digest="d"))
-    monkeypatch.setattr(explore.reader, "motion", lambda run: SimpleNamespace(duration=1.5))
+    monkeypatch.setattr(
+        explore, "open_finished", lambda folder: SimpleNamespace(digest="d", motion=SimpleNamespace(duration=1.5))
+    )
+
     monkeypatch.setattr(explore, "too_near", lambda *given: asked.append(given) or 3e-6)
     known: Any = SimpleNamespace(space=UNKNOWN, believed=balls)
     samples = sample(balls, balls, 5, np.random.default_rng(0))

@@ -20,7 +20,7 @@ from cell.explore.state import Known, Paths
 from cell.narrator import Quiet
 from cell.part import mesh_files
 from cell.plan.request import Request
-from cell.run.explore_json import BELIEVED, MEASURED, ExploreFile
+from cell.runs.schema import BELIEVED, MEASURED, ExploreFile
 from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
 from cell.scene.options import scene_of

@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 
 from cell.explore.truth import _bound, _fewest, _Point
-from cell.run import reader
-from cell.run.explore_json import BoundAt, Truth
-from cell.run.record import open_finished
+from cell.runs.run import open_finished
+from cell.runs.schema import BoundAt, Truth
 from planner.values import Bools, Floats
 
 
 def _columns(planned: Path) -> tuple[Bools, Floats, float]:
     """(S, V) what reachable candidates measure, without those of which another measures as much and more; areas."""
     run = open_finished(planned)
-    M = reader.measurability(run)
-    sees = M.matrix().toarray()[:, reader.reached(run).reachable]
+    M = run.measurability
+    sees = M.matrix().toarray()[:, run.reach.reachable]
     total = float(M.features.areas.sum())
     more = np.array([
         [(~one | other).all() and ((one != other).any() or i > j) for j, other in enumerate(sees.T)]
@@ -37,7 +36,7 @@ def _most(sees: Bools, areas: Floats, count: int) -> float:
 def test_the_fewest_views_for_a_coverage_are_those_of_brute_force(count: int, planned: Path) -> None:
     """What so many measure at most takes so many; a little more takes one more, at least."""
     run = open_finished(planned)
-    M, (sees, areas, _) = reader.measurability(run), _columns(planned)
+    M, (sees, areas, _) = run.measurability, _columns(planned)
     most = _most(sees, areas, count)
     assert _fewest(run, M, most - 1e-9) == (count, count)
     least, found = _fewest(run, M, most + 1e-6)
@@ -51,11 +50,11 @@ def test_the_fewest_views_for_a_coverage_are_those_of_brute_force(count: int, pl
 def test_more_than_all_that_is_measured_takes_what_all_takes(planned: Path) -> None:
     """Views that stand elsewhere than candidates may measure what none of these does."""
     run = open_finished(planned)
-    M, (sees, areas, _) = reader.measurability(run), _columns(planned)
+    M, (sees, areas, _) = run.measurability, _columns(planned)
     all_of_it = float(areas[sees.any(axis=1)].sum())
     assert all_of_it < 1
     assert _fewest(run, M, 1.0) == _fewest(run, M, all_of_it)
-    assert _fewest(run, M, all_of_it)[0] >= reader.plan(run).lower_bound
+    assert _fewest(run, M, all_of_it)[0] >= run.plan.lower_bound
 
 
 def test_fewer_views_than_the_fewest_measure_no_more_than_was_reached() -> None:

@@ -12,9 +12,8 @@ from cell.errors import SceneError
 from cell.rays.occluders import occluder_triangles, standing_beside
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
-from cell.run.cell import table_of
-from cell.run.scene_json import ResolvedScene, ResolvedTable
-from cell.run.scene_of_run import placed
+from cell.runs.cell import table_of, with_placement
+from cell.runs.schema import ResolvedScene, ResolvedTable
 from cell.scene.options import scene_of
 from cell.scene.posed import pose
 from cell.scene.scene import Scene
@@ -382,7 +381,7 @@ def test_a_run_keeps_how_far_its_table_turns_and_its_part_elsewhere_where_it_sta
         assert table is not None
         np.testing.assert_allclose(np.degrees([table.lower, table.upper]), limits)
     resolved = ResolvedScene.model_construct(table=said, T_object_centre=np.eye(4))
-    there = placed(
+    there = with_placement(
         Scene.model_validate({"table": {"enabled": True}}), pose((900.0, 0.0, 0.0), (0.0, 0.0, 0.0)), resolved
     )
     assert there.placement.position_mm == (900.0, 0.0, 0.0)

@@ -16,11 +16,9 @@ from cell.part import workpiece
 from cell.plan import files as plan_files
 from cell.rays.occluders import occluder_triangles
 from cell.replay.model import dress
-from cell.run import reader as run_reader
-from cell.run.cell import read_cell, taken_as_triangles, world_of
-from cell.run.folder import RunFolder
-from cell.run.record import RunRecord, open_run
-from cell.run.scene_of_run import scene_of_run
+from cell.runs.cell import collision_note, read_cell, scene_of_run, world_of
+from cell.runs.folder import RunFolder
+from cell.runs.run import Run, open_run
 from cell.scanners.laser_area import LaserArea
 from cell.scene.devices import by_part
 from cell.scene.resolve import resolve
@@ -68,12 +66,12 @@ abc_deg = [0, 90, 0]
 @pytest.fixture(scope="module")
 def written(
     tmp_path_factory: pytest.TempPathFactory, part_file: Path, blob: Callable[[int], trimesh.Trimesh]
-) -> tuple[RunRecord, World]:
+) -> tuple[Run, World]:
     """A run folder that holds what an execution reads of the cell, with every kind of fixture; and the plan's world."""
     return _written(tmp_path_factory.mktemp("scene"), part_file, {})
 
 
-def _written(home: Path, part_file: Path, plan: dict[str, object]) -> tuple[RunRecord, World]:
+def _written(home: Path, part_file: Path, plan: dict[str, object]) -> tuple[Run, World]:
     trimesh.creation.annulus(20, 40, 60).export(home / "horn.stl")
     (home / "scene.toml").write_text(SCENE)
     scene = load_scene(home / "scene.toml", {"part": {"path": str(part_file), "units": "mm"}, "plan": plan})
@@ -87,7 +85,7 @@ def _written(home: Path, part_file: Path, plan: dict[str, object]) -> tuple[RunR
     return open_run(folder.finish(0)), world
 
 
-def test_what_occludes_is_what_occluded_the_plan(written: tuple[RunRecord, World]) -> None:
+def test_what_occludes_is_what_occluded_the_plan(written: tuple[Run, World]) -> None:
     """Bit for bit: post, pedestal, floor, box on the part, mast; a mesh to the last bit; not what is of glass."""
     run, world = written
     planned, found = occluder_triangles(world), read_cell(run).occluders
@@ -99,7 +97,7 @@ def test_what_occludes_is_what_occluded_the_plan(written: tuple[RunRecord, World
         np.testing.assert_allclose(piece.vertices, theirs.vertices, rtol=0, atol=1e-15 if piece.name == "horn" else 0)
 
 
-def test_scanner_and_poses_are_the_plans(written: tuple[RunRecord, World]) -> None:
+def test_scanner_and_poses_are_the_plans(written: tuple[Run, World]) -> None:
     """Same law, and the pose at a configuration is forward kinematics through mount and placement."""
     run, world = written
     scene = read_cell(run)
@@ -115,7 +113,7 @@ def test_scanner_and_poses_are_the_plans(written: tuple[RunRecord, World]) -> No
     np.testing.assert_allclose(scene.scanner_pose(q), wanted, atol=1e-9)
 
 
-def test_the_resolution_can_be_another(written: tuple[RunRecord, World]) -> None:
+def test_the_resolution_can_be_another(written: tuple[Run, World]) -> None:
     """The grid follows; a resolution that leaves no ray is refused by the option's name."""
     run, _ = written
     assert read_cell(run, 3.0).scanner.grid_shape == (20, 20)
@@ -127,10 +125,10 @@ def test_a_plan_of_at_most_so_many_views_is_read_back(tmp_path: Path, part_file:
     """Beside `max_views` a scene has no coverage, though the settled plan says one."""
     run, _ = _written(tmp_path, part_file, {"max_views": 3})
     plan = scene_of_run(run).plan
-    assert (plan.max_views, plan.coverage) == (3, run_reader.scene(run).plan.coverage)
+    assert (plan.max_views, plan.coverage) == (3, run.scene.plan.coverage)
 
 
-def test_a_changed_cell_is_refused(written: tuple[RunRecord, World], tmp_path: Path) -> None:
+def test_a_changed_cell_is_refused(written: tuple[Run, World], tmp_path: Path) -> None:
     """An edited cell.xml is not what was checked."""
     copy = tmp_path / "run"
     shutil.copytree(written[0].folder, copy)
@@ -140,7 +138,7 @@ def test_a_changed_cell_is_refused(written: tuple[RunRecord, World], tmp_path: P
         read_cell(open_run(copy))
 
 
-def _as_earlier(run: RunRecord, to: Path, collision: str) -> RunRecord:
+def _as_earlier(run: Run, to: Path, collision: str) -> Run:
     """A copy as written by a version that took mesh fixtures as their hulls."""
     copy = Path(shutil.copytree(run.folder, to))
     resolved = json.loads((copy / "scene.resolved.json").read_text())
@@ -163,28 +161,28 @@ def _as_earlier(run: RunRecord, to: Path, collision: str) -> RunRecord:
     ],
 )
 def test_a_run_of_an_earlier_version_is_compiled_with_triangles_and_that_is_said(
-    written: tuple[RunRecord, World], tmp_path: Path, collision: str, triangles: set[str], said: str | None
+    written: tuple[Run, World], tmp_path: Path, collision: str, triangles: set[str], said: str | None
 ) -> None:
     """Convex pieces and hulls of mesh fixtures are gone; a run by hulls stays one. Replay judges as it was checked."""
     earlier = _as_earlier(written[0], tmp_path / "run", collision)
-    part, scene = run_reader.mesh(earlier, "reference.ply"), run_reader.scene(earlier)
+    part, scene = earlier.mesh("reference.ply"), earlier.scene
     again = world_of(earlier, part)
     assert {again.entities[geom] for geom in again.shapes.trees} == triangles
-    assert (said is None) == (taken_as_triangles(scene) == [])
-    assert all(said in sentence for sentence in taken_as_triangles(scene) if said)
+    assert (said is None) == (collision_note(scene) == [])
+    assert all(said in sentence for sentence in collision_note(scene) if said)
     theatre = dress(earlier, scene, part)
     assert {theatre.entities[geom] for geom in theatre.shapes.trees} == ({"part"} if collision == "exact" else set())
     assert "horn_surface" not in theatre.entities
 
 
-def test_a_mesh_fixture_is_compiled_again_and_shown_as_its_triangles(written: tuple[RunRecord, World]) -> None:
+def test_a_mesh_fixture_is_compiled_again_and_shown_as_its_triangles(written: tuple[Run, World]) -> None:
     """And judged by these, in the frame of the body that it is attached to."""
     run, world = written
-    part, scene = run_reader.mesh(run, "reference.ply"), run_reader.scene(run)
+    part, scene = run.mesh("reference.ply"), run.scene
     again = world_of(run, part)
     assert {world.entities[geom] for geom in world.shapes.trees} == {"horn"}  # compiled from the part's vertices alone
     assert {again.entities[geom] for geom in again.shapes.trees} == {"part", "horn"}
-    assert taken_as_triangles(scene) == []
+    assert collision_note(scene) == []
     theatre = dress(run, scene, part)
     assert {theatre.entities[geom] for geom in theatre.shapes.trees} == {"part", "horn"}
     assert theatre.model.geom("horn_surface").bodyid == theatre.model.geom("horn").bodyid
@@ -202,7 +200,7 @@ def _extent(model: mujoco.MjModel, name: str) -> np.ndarray:
     return np.stack([placed.min(axis=0), placed.max(axis=0)])
 
 
-def test_how_far_an_arm_is_off_is_that_of_the_cell_that_was_checked(written: tuple[RunRecord, World]) -> None:
+def test_how_far_an_arm_is_off_is_that_of_the_cell_that_was_checked(written: tuple[Run, World]) -> None:
     """Bit for bit, although cell.xml opens with the robot at home."""
     run, world = written
     rng = np.random.default_rng(0)

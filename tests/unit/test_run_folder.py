@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cell.errors import FileError
-from cell.run.folder import RunFolder, json_text
+from cell.runs.folder import RunFolder, json_text
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 

@@ -10,14 +10,17 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from cell.run.execution_json import ExecutionReport
-from cell.run.explore_json import ExploreFile
-from cell.run.manifest_json import Manifest
-from cell.run.plan_json import PlanFile
-from cell.run.report_json import Report
-from cell.run.scene_json import ResolvedScene
-from cell.run.setups_json import ScannedSetups, SetupsFile
-from cell.run.why_json import WhyReport
+from cell.runs.schema import (
+    ExecutionReport,
+    ExploreFile,
+    Manifest,
+    PlanFile,
+    Report,
+    ResolvedScene,
+    ScannedSetups,
+    SetupsFile,
+    WhyReport,
+)
 from cell.scene.plan_settings import PlanKeys
 
 TABLE = Path(__file__).parents[2] / "docs" / "internals" / "run_folder_keys.csv"

@@ -10,9 +10,7 @@ import pytest
 import trimesh
 
 from cell.errors import FileError
-from cell.run import reader as run_reader
-from cell.run.executions import execution_ids, read_execution, read_scan
-from cell.run.record import open_run
+from cell.runs.run import open_run, read_execution, read_scan
 
 Blob = Callable[[int], trimesh.Trimesh]
 
@@ -31,11 +29,11 @@ def _manifest(folder: Path, **changes: object) -> None:
 def test_the_parts_agree_with_each_other(planned: Path) -> None:
     """Views, motion, candidates and reach of one run tell of the same poses."""
     run = open_run(planned)
-    views, motion = run_reader.plan(run).views, run_reader.motion(run)
-    candidates, reached = run_reader.candidates(run), run_reader.reached(run)
-    assert run.finished
+    views, motion = run.plan.views, run.motion
+    candidates, reached = run.candidates, run.reach
+    assert run.is_finished
     assert [view.id for view in views] == motion.view[motion.view >= 0].tolist()
-    T_base_object = run_reader.scene(run).T_base_object
+    T_base_object = run.scene.T_base_object
     for view, q in zip(views, motion.via_q[motion.view >= 0], strict=True):
         np.testing.assert_allclose(view.q, q, atol=1e-12)
         assert np.isclose(reached.q_of(view.id), view.q, atol=1e-9).all(axis=1).any()
@@ -45,7 +43,7 @@ def test_the_parts_agree_with_each_other(planned: Path) -> None:
 
 def test_the_reference_is_the_part_that_was_given(planned: Path, blob: Blob) -> None:
     """Area and bounds of reference.ply are those of the part, in metres (the part came through float32 STL)."""
-    reference, part = run_reader.mesh(open_run(planned), "reference.ply"), blob(4)
+    reference, part = open_run(planned).mesh("reference.ply"), blob(4)
     assert len(reference.faces) == len(part.faces)
     np.testing.assert_allclose(reference.vertices.min(axis=0), part.vertices.min(axis=0) / 1000, atol=1e-8)
     read = trimesh.Trimesh(reference.vertices, reference.faces, process=False)
@@ -61,11 +59,11 @@ def test_wrong_folders_are_told_apart(tmp_path: Path, copy: Path) -> None:
     (tmp_path / "gone.part").mkdir()
     sentences = {
         tmp_path
-        / "nothing": "does not exist; give the folder that cell plan made; run folders beside it: copy, foreign",
+        / "nothing": "does not exist; give the folder that cell plan made; run folders next to it: copy, foreign",
         tmp_path / "gone": "gone.part does: a run that did not finish",
         copy / "cell.xml": "is a file",
         empty: "has no manifest.json",
-        foreign: "is not a run folder: its manifest.json is not of the schema",
+        foreign: "is not a run folder: its manifest.json does not have the schema",
     }
     for folder, sentence in sentences.items():
         with pytest.raises(FileError, match=r"^[^\n]+$") as caught:
@@ -86,10 +84,10 @@ def test_a_changed_artefact_is_refused(copy: Path) -> None:
     content[len(content) // 2] ^= 1
     (copy / "reference.ply").write_bytes(content)
     with pytest.raises(FileError, match="changed or damaged"):
-        run_reader.mesh(run, "reference.ply")
+        run.mesh("reference.ply")
     (copy / "plan.json").write_text((copy / "plan.json").read_text().replace("0", "1", 1))
     with pytest.raises(FileError, match="changed or damaged"):
-        run_reader.plan(run)
+        run.plan  # noqa: B018
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.3, 0.9])
@@ -98,13 +96,13 @@ def test_a_cut_file_without_a_sha256_is_damaged(copy: Path, kept: float) -> None
     _manifest(copy, artefacts={}, status="running", stage="reach")
     run = open_run(copy)
     readers = {
-        "reference.ply": lambda: run_reader.mesh(run, "reference.ply"),
-        "motion.npz": lambda: run_reader.motion(run),
-        "plan.json": lambda: run_reader.plan(run),
-        "reach.npz": lambda: run_reader.reached(run),
-        "viewpoints.npz": lambda: run_reader.candidates(run),
-        "scene.resolved.json": lambda: run_reader.scene(run),
-        "cell.xml": lambda: run_reader.cell_model(run),
+        "reference.ply": lambda: run.mesh("reference.ply"),
+        "motion.npz": lambda: run.motion,
+        "plan.json": lambda: run.plan,
+        "reach.npz": lambda: run.reach,
+        "viewpoints.npz": lambda: run.candidates,
+        "scene.resolved.json": lambda: run.scene,
+        "cell.xml": lambda: run.cell_model(),
     }
     for name, read in readers.items():
         content = (copy / name).read_bytes()
@@ -117,10 +115,10 @@ def test_what_a_failed_run_lacks_is_told_with_its_stage(copy: Path) -> None:
     """The sentence names the stage and the reason, not the missing file alone."""
     (copy / "motion.npz").unlink()
     with pytest.raises(FileError, match="although the run finished"):
-        run_reader.motion(open_run(copy))
+        open_run(copy).motion  # noqa: B018
     _manifest(copy, status="failed", stage="reach", reason="none is reachable; move the part")
     with pytest.raises(FileError, match="failed in the stage 'reach': none is reachable; plan again"):
-        run_reader.motion(open_run(copy))
+        open_run(copy).motion  # noqa: B018
 
 
 def test_executions_are_read_up_to_what_is_whole(copy: Path) -> None:
@@ -144,7 +142,7 @@ def test_executions_are_read_up_to_what_is_whole(copy: Path) -> None:
     (scans / "0002.npz").write_bytes((scans / "0002.npz").read_bytes()[:200])
     np.savez_compressed(scans / "0003.npz", **whole | {"view": 3, "points": np.full((3, 3), np.nan)})
     np.savez_compressed(scans / "0005.npz", points=np.ones((1, 3)))
-    assert execution_ids(run) == ["0001"]
+    assert run.execution_ids == ["0001"]
     read = read_execution(run, "latest")
     assert [scan.view for scan in read.scans] == [1, 4]
     assert read.motion is None

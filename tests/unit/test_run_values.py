@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 
 from cell.errors import FileError
-from cell.run.folder import SCHEMA, json_text
-from cell.run.json_table import JsonTable, parsed
-from cell.run.plan_json import PlanFile
-from cell.run.report_json import Report, ReportSettings
-from cell.run.scene_json import ResolvedScene, ScannerKeys
+from cell.runs.folder import SCHEMA, json_text
+from cell.runs.schema import JsonTable, PlanFile, Report, ReportSettings, ResolvedScene, ScannerKeys, parsed
 
 FILES = {"plan.json": PlanFile, "report.json": Report, "scene.resolved.json": ResolvedScene}
 

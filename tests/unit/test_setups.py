@@ -15,8 +15,8 @@ from scipy.sparse import csr_array
 from cell.api import open_run
 from cell.errors import SceneError, UsageError
 from cell.rays.occluders import Occluder
-from cell.run.manifest_json import Manifest
-from cell.run.record import RunRecord
+from cell.runs.run import Run
+from cell.runs.schema import Manifest
 from cell.scene.option import flag
 from cell.scene.scene import Scene
 from cell.setups import plan_setups, search
@@ -187,7 +187,7 @@ def test_advice_is_a_command_that_can_be_pasted(tmp_path: Path) -> None:
     T[:3, 3] = 1.2, 0.5, 0
     for number in ("1", "2"):
         (tmp_path / "setups" / number).mkdir(parents=True)
-    one = RunRecord(tmp_path / "setups" / "1", Manifest(argv=("setups", "mug", "--place", "1,2,3", "--most", "2")))
+    one = Run(tmp_path / "setups" / "1", Manifest(argv=("setups", "mug", "--place", "1,2,3", "--most", "2")))
     alone = "cell plan --open-of {} --place 1200,500,0,0,0,0"
     assert advise.open_of(one, T) == alone.format(one.folder)
     (tmp_path / "setups.json").touch()
@@ -201,7 +201,7 @@ def test_the_command_for_a_further_set_up_names_those_there_are(tmp_path: Path) 
     for name in ("1", "2", "10", "11.part", ".DS_Store"):
         (tmp_path / "setups" / name).mkdir(parents=True)
     (tmp_path / "setups.json").write_text("{}")
-    run = RunRecord(tmp_path / "setups" / "2", Manifest())
+    run = Run(tmp_path / "setups" / "2", Manifest())
     words = advise.open_of(run, np.eye(4)).split()
     named = [Path(word).name for before, word in pairwise(words) if before == "--open-of"]
     assert named == ["1", "2", "10"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cell.reconstruction.freedom import of_surface
-from cell.run.setups_json import SharedSurface
+from cell.runs.schema import SharedSurface
 from cell.setups.shared import apart, joining, left_free, shared
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability

@@ -12,12 +12,10 @@ from cell.rays.embree import EmbreeRayCaster
 from cell.robot import model as robot
 from cell.robot.kinematics import Kr16Kinematics
 from cell.robot.model import load
-from cell.run.cell import RunCell
-from cell.run.executions import read_scan
-from cell.run.folder import SCHEMA
-from cell.run.manifest_json import Manifest
-from cell.run.record import RunRecord
-from cell.run.scene_json import ScannerKeys
+from cell.runs.cell import RunCell
+from cell.runs.folder import SCHEMA
+from cell.runs.run import Run, read_scan
+from cell.runs.schema import Manifest, ScannerKeys
 from cell.scan import execute
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.legs import legs_of
@@ -103,7 +101,7 @@ class _Driver:
 
 
 def _folder(tmp_path: Path) -> ExecutionFolder:
-    run = RunRecord(tmp_path, Manifest(schema=SCHEMA))
+    run = Run(tmp_path, Manifest(schema=SCHEMA))
     return ExecutionFolder.make(run, ["scan"], 5, {}, datetime(2024, 1, 2, tzinfo=UTC))
 
 

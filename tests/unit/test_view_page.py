@@ -13,9 +13,8 @@ import pytest
 from cell.plan.report import markdown
 from cell.robot.arm import kinematics_of
 from cell.robot.frames import pose_from_kuka_abc
-from cell.run import reader as run_reader
-from cell.run.cell import read_cell
-from cell.run.record import RunRecord, open_run
+from cell.runs.cell import read_cell
+from cell.runs.run import Run, open_run
 from cell.scanners.laser_area import LaserArea
 from cell.view import contents
 from cell.view.page import Layer, Play, Shown, Stage, View, html_of
@@ -30,7 +29,7 @@ _EVIL = "<script>alert(1)</script>"
 
 
 @pytest.fixture(scope="module")
-def run(planned: Path) -> RunRecord:
+def run(planned: Path) -> Run:
     """The finished plan."""
     return open_run(planned)
 
@@ -61,9 +60,9 @@ def test_nothing_comes_from_outside(page: str) -> None:
     assert not re.search(r"https?:|fetch\(|XMLHttp|WebSocket|innerHTML|document\.write", own)
 
 
-def test_the_page_shows_the_plan(page: str, run: RunRecord, data_of: DataOf) -> None:
+def test_the_page_shows_the_plan(page: str, run: Run, data_of: DataOf) -> None:
     """Views, motion and part are those of the run's files, to the last step of their quantisation."""
-    data, plan, motion = data_of(page), run_reader.plan(run), run_reader.motion(run)
+    data, plan, motion = data_of(page), run.plan, run.motion
     assert [view["number"] for view in data["views"]] == [str(k + 1) for k in range(len(plan.views))]
     for shown, view in zip(data["views"], plan.views, strict=True):
         np.testing.assert_allclose(shown["T_base_scanner"], view.T_base_scanner, atol=1e-8)
@@ -77,13 +76,13 @@ def test_the_page_shows_the_plan(page: str, run: RunRecord, data_of: DataOf) -> 
     assert t[-1] == pytest.approx(motion.duration, abs=1e-4)
     np.testing.assert_allclose(q[[0, -1]], motion.q[[0, -1]], atol=1e-6)
     (part,) = data["surfaces"]
-    reference = run_reader.mesh(run, "reference.ply").vertices
+    reference = run.mesh("reference.ply").vertices
     drawn = places(part["mesh"]["vertices"])
     np.testing.assert_allclose([drawn.min(0), drawn.max(0)], [reference.min(0), reference.max(0)], atol=1e-3)
     assert unpacked(part["mesh"]["faces"]).max() < len(drawn)
 
 
-def test_the_colours_count_what_the_views_measure(page: str, run: RunRecord, data_of: DataOf) -> None:
+def test_the_colours_count_what_the_views_measure(page: str, run: Run, data_of: DataOf) -> None:
     """By vertices that stand for area alike, the share that some view measures is the plan's visible coverage."""
     data = data_of(page)
     layer = data["surfaces"][0]["layers"][0]
@@ -95,27 +94,27 @@ def test_the_colours_count_what_the_views_measure(page: str, run: RunRecord, dat
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     seen = (counts > 0)[unpacked(mesh["faces"]).reshape(-1, 3)].mean(axis=1)
     share = float(np.sum(seen * areas) / areas.sum())
-    assert share == pytest.approx(run_reader.plan(run).coverage.visible, abs=0.02)
+    assert share == pytest.approx(run.plan.coverage.visible, abs=0.02)
 
 
-def test_the_arm_of_the_page_is_the_planned_one(run: RunRecord) -> None:
+def test_the_arm_of_the_page_is_the_planned_one(run: Run) -> None:
     """Its chain puts the scanner where the closed-form kinematics and the mount do, at random angles."""
-    scene = run_reader.scene(run)
+    scene = run.scene
     arm = cell_of_run(run, scene).arm
-    kinematics = kinematics_of(run_reader.cell_model(run))
+    kinematics = kinematics_of(run.cell_model())
     for q in np.random.default_rng(0).uniform(-1.5, 1.5, (20, 6)):
         expected = kinematics.forward(q[None])[0] @ scene.T_flange_scanner
         np.testing.assert_allclose(arm.links(q)[-1] @ arm.T_link_scanner, expected, atol=1e-9)
 
 
-def test_the_same_run_gives_the_same_bytes(run: RunRecord) -> None:
+def test_the_same_run_gives_the_same_bytes(run: Run) -> None:
     """Drawn twice from the folder."""
     assert contents.run_page(run) == contents.run_page(run)
 
 
-def test_a_name_is_text_everywhere(run: RunRecord, data_of: DataOf) -> None:
+def test_a_name_is_text_everywhere(run: Run, data_of: DataOf) -> None:
     """Part, fixture, view, number, sentence and command that look like markup never leave their string."""
-    cell = cell_of_run(run, run_reader.scene(run))
+    cell = cell_of_run(run, run.scene)
     mesh = TriangleMesh(np.eye(3), np.array([[0, 1, 2]]))
     cell = replace(cell, pieces=(*cell.pieces, Piece(_EVIL, 0, mesh.vertices, np.array(mesh.faces), np.ones(3))))
     layer = Layer(_EVIL, "named", np.zeros(3, dtype=np.uint8), _EVIL, named=[(_EVIL, "#000000")])
@@ -127,7 +126,7 @@ def test_a_name_is_text_everywhere(run: RunRecord, data_of: DataOf) -> None:
     assert _EVIL not in made
     assert made.lower().count("<script") == made.lower().count("</script") == 4
     data = data_of(made)
-    report = run_reader.report(run)
+    report = run.report
     told = report.model_copy(update={"part": report.part.model_copy(update={"name": _EVIL})})
     assert "<script" not in markdown(told)
     assert data["title"] == data["pieces"][-1]["name"] == data["surfaces"][0]["layers"][0]["named"][0][0] == _EVIL
@@ -171,7 +170,7 @@ def test_spacing_is_that_of_neighbouring_rays() -> None:
     assert np.median(surface.layers["spacing"]) == pytest.approx(1000 * np.linalg.norm(meets), rel=0.02)
 
 
-def test_a_few_large_faces_can_have_many_colours(run: RunRecord) -> None:
+def test_a_few_large_faces_can_have_many_colours(run: Run) -> None:
     """A cube of twelve faces, of which a half is measured: the drawn mesh shows the half."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * 0.1
     faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
@@ -187,9 +186,9 @@ def test_a_few_large_faces_can_have_many_colours(run: RunRecord) -> None:
     assert sides(canvas, below, 1)[0][2] < 0
 
 
-def test_what_is_seen_is_visible_coverage(run: RunRecord) -> None:
+def test_what_is_seen_is_visible_coverage(run: Run) -> None:
     """The share of samples that some view measures is the definition's, sample by sample."""
-    cell, plan = read_cell(run), run_reader.plan(run)
+    cell, plan = read_cell(run), run.plan
     poses = [view.T_object_poses for view in plan.views]
     _, surface = contents.measured(run, cell, poses)
     casters = (cell.part_caster, cell.occluder_caster)

@@ -12,8 +12,7 @@ from cell.errors import UsageError
 from cell.plan import picture_jobs
 from cell.rays.embree import EmbreeRayCaster
 from cell.rays.occluders import box
-from cell.run import reader as run_reader
-from cell.run.record import open_run
+from cell.runs.run import open_run
 from cell.view import rays
 from cell.view.cell_picture import best_view, draw_cell
 from cell.view.palette import LENGTHS, OPEN, REASONS, SEEN, SIGNED, rgb
@@ -77,8 +76,8 @@ def test_labels_keep_apart() -> None:
 def shown(planned: Path) -> tuple[Cell, TriangleMesh, np.ndarray, np.ndarray]:
     """The planned cell, its part, joint angles at a view, all views."""
     run = open_run(planned)
-    cell, part = cell_of_run(run, run_reader.scene(run)), run_reader.mesh(run, "reference.ply")
-    views = run_reader.plan(run).views
+    cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
+    views = run.plan.views
     poses = np.stack([view.T_base_scanner for view in views])
     return cell, part, views[best_view(cell, part, poses)].q, poses
 
@@ -112,7 +111,7 @@ def test_a_wall_in_front_is_glass(shown: tuple[Cell, TriangleMesh, np.ndarray, n
 def test_the_report_s_picture_is_seen_as_asked(planned: Path, tmp_path: Path) -> None:
     """Without the robot there is no orange of it; a name that this cell has not is passed over; another camera."""
     shutil.copytree(planned, tmp_path / "run")
-    views = run_reader.plan(open_run(planned)).views
+    views = open_run(planned).plan.views
     q, poses = np.stack([view.q for view in views]), np.stack([view.T_base_scanner for view in views])
 
     def picture(camera: tuple[float, ...], *hide: str) -> np.ndarray:

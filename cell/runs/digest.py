@@ -18,29 +18,29 @@ single spaces between. So it says which plan the way belongs to as well.
 import hashlib
 from collections.abc import Iterable, Mapping
 
-ALWAYS = ("cell.xml", "motion.npz", "plan.json", "reference.ply", "scene.resolved.json", "viewpoints.npz")
+DRIVING_ARTEFACTS = ("cell.xml", "motion.npz", "plan.json", "reference.ply", "scene.resolved.json", "viewpoints.npz")
 """Artefacts that every motion rests on: the cell, the way, the views, the part, the settings, the candidates."""
 
-SHOWN = 8
+SHORT_DIGEST = 8
 """Characters of a digest that are shown, and asked for at least."""
 
 
-def driving(artefacts: Iterable[str]) -> list[str]:
+def driving_artefacts(artefacts: Iterable[str]) -> list[str]:
     """Names of the artefacts that the motion rests on, sorted: `ALWAYS`, triangles of mesh fixtures, a robot's file."""
     fixtures = (name for name in artefacts if name.startswith("fixture_") and name.endswith(".ply"))
-    return sorted({*ALWAYS, *fixtures, *(name for name in artefacts if name == "robot.xml")})
+    return sorted({*DRIVING_ARTEFACTS, *fixtures, *(name for name in artefacts if name == "robot.xml")})
 
 
-def of_plan(artefacts: Mapping[str, str]) -> str:
+def plan_digest(artefacts: Mapping[str, str]) -> str:
     """The digest of a plan.
 
     Raises:
         KeyError: if one that drives is missing.
     """
-    return _sha256(f"{artefacts[name]}  {name}" for name in driving(artefacts))
+    return _sha256(f"{artefacts[name]}  {name}" for name in driving_artefacts(artefacts))
 
 
-def of_way(plan: str, points: Iterable[Iterable[int]]) -> str:
+def path_digest(plan: str, points: Iterable[Iterable[int]]) -> str:
     """The digest of a way of its own.
 
     Args:

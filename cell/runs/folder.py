@@ -8,6 +8,7 @@ Nothing is pickled. The layout is described in docs/internals/run_folder.md and 
 import errno
 import hashlib
 import json
+import os
 import platform
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -24,8 +25,8 @@ from pydantic import JsonValue
 
 from cell import signals
 from cell.errors import CellError, FileError
-from cell.run import digest, ply
-from cell.run.manifest_json import Manifest, NamedFile
+from cell.runs import digest, ply
+from cell.runs.schema import Manifest, NamedFile
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 
@@ -160,7 +161,7 @@ class RunFolder:
 
     def write_mesh(self, name: str, mesh: TriangleMesh) -> None:
         """Write a mesh as binary PLY in millimetres, with the region of each face where it has such."""
-        self._write(name, ply.written(mesh))
+        self._write(name, ply.mesh_bytes(mesh))
 
     def adopt(self, name: str) -> None:
         """Record the sha256 of an artefact that another function has written into the folder."""
@@ -174,7 +175,7 @@ class RunFolder:
 
     def seal(self) -> None:
         """Put the digest of all that drives into the manifest; whatever it covers is written."""
-        self.manifest = self.manifest.but(digest=digest.of_plan(self._artefacts))
+        self.manifest = self.manifest.but(digest=digest.plan_digest(self._artefacts))
 
     def finish(self, exit_code: int | None, status: str = "finished") -> Path:
         """Complete the manifest and rename the folder to its final name.
@@ -259,3 +260,40 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[name] = "not installed"
     return found
+
+
+PROCESS_KEYS = ("pid", "pid_began", "machine")
+"""Entries of a manifest while it is written."""
+
+
+def with_process(manifest: Manifest) -> Manifest:
+    """The manifest with the entries of the process that asks."""
+    pid = os.getpid()
+    return manifest.but(pid=pid, pid_began=_stat(pid)[1], machine=platform.node())
+
+
+def is_running(manifest: Manifest) -> bool:
+    """Whether the process of a manifest runs on this machine; False where that cannot be found out.
+
+    Numbers of processes are used again, so where the system tells when a process began (Linux), that must agree too.
+    """
+    pid = manifest.pid
+    if os.name != "posix" or pid is None or pid <= 0 or manifest.machine != platform.node():
+        return False  # on other systems signal 0 is no question
+    try:
+        os.kill(pid, 0)
+    except PermissionError:
+        pass  # somebody else's, but it lives
+    except (OSError, OverflowError):
+        return False
+    state, began = _stat(pid)
+    return state != "Z" and began == manifest.pid_began
+
+
+def _stat(pid: int) -> tuple[str, int | None]:
+    """State of a process and its beginning in ticks since the machine's start; ("", None) where nothing tells it."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return fields[0], int(fields[19])
+    except (OSError, ValueError, IndexError):
+        return "", None

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
-from cell.run.executions import ExecutedScan, RecordedExecution
+from cell.runs.run import ExecutedScan, RecordedExecution
 from planner.timing.motion import Motion
 from planner.values import Floats, Value
 

@@ -26,25 +26,25 @@ def mesh(content: bytes) -> TriangleMesh:
     read = elements(content)
     faces = read["face"]
     region = faces["region"] if faces.dtype.names and "region" in faces.dtype.names else None
-    return TriangleMesh(places(read["vertex"]), faces["vertex_indices"], region)
+    return TriangleMesh(positions(read["vertex"]), faces["vertex_indices"], region)
 
 
-def written(mesh: TriangleMesh) -> bytes:
+def mesh_bytes(mesh: TriangleMesh) -> bytes:
     """A mesh [m] as a file in millimetres, with the region of each face where it has such.
 
     Vertices are doubles, so that the file holds exactly what was used; trimesh's writer would round to float32.
     """
     regions = {} if mesh.region is None else {"region": mesh.region.astype("<i4")}
-    face = triangles(mesh.faces, regions)
-    return b"".join(file(["object frame, millimetres"], {"vertex": points(mesh.vertices, {}), "face": face}))
+    face = triangle_rows(mesh.faces, regions)
+    return b"".join(file_pieces(["object frame, millimetres"], {"vertex": point_rows(mesh.vertices, {}), "face": face}))
 
 
-def points(places: Floats, more: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
+def point_rows(places: Floats, more: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
     """Places (N, 3) [m] as an element in millimetres, and further columns (N,) of the types that the file gets."""
     return _element({axis: places[:, i] * 1000.0 for i, axis in enumerate("xyz")} | dict(more))
 
 
-def triangles(faces: NDArray[np.int32], more: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
+def triangle_rows(faces: NDArray[np.int32], more: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
     """Faces (F, 3) as an element, and further columns (F,)."""
     corners = {_CORNERS: np.full(len(faces), 3, dtype=np.uint8), "vertex_indices": faces.astype("<i4")}
     return _element(corners | dict(more))
@@ -59,7 +59,7 @@ def _element(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
     return rows
 
 
-def file(comments: Sequence[str], elements: Mapping[str, NDArray[np.void]]) -> Iterator[bytes]:
+def file_pieces(comments: Sequence[str], elements: Mapping[str, NDArray[np.void]]) -> Iterator[bytes]:
     """A file of elements by name, piece by piece; comments are of ASCII, one line each."""
     header = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
     for element, rows in elements.items():
@@ -73,7 +73,7 @@ def file(comments: Sequence[str], elements: Mapping[str, NDArray[np.void]]) -> I
         yield rows.tobytes()
 
 
-def places(vertices: NDArray[np.void]) -> Floats:
+def positions(vertices: NDArray[np.void]) -> Floats:
     """(N, 3) x, y and z of an element in millimetres [m]."""
     return np.stack([vertices[axis] for axis in "xyz"], axis=1) / 1000.0
 

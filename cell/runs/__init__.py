@@ -1,0 +1,1 @@
+"""The run folder: written, opened, read into values, verified."""
