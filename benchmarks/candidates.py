@@ -21,16 +21,16 @@ import trimesh
 from benchmarks.parts import meshes
 from cell.part import workpiece
 from cell.plan import candidates as generators
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.matrix import surface_features
-from cell.rays.occluders import occluder_triangles
 from cell.robot.arm import kinematics_of
 from cell.scanners.laser_area import LaserArea
-from cell.scene.resolve import resolve
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
+from cell.scene.settle import resolve
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
+from cell.world.embree import EmbreeRayCaster
+from cell.world.measurability import surface_features
 from cell.world.model import compile_world
+from cell.world.occluders import occluder_triangles
 from planner import cover
 from planner.cover import Cover
 from planner.geometry.decimation import decimate

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.part import workpiece
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 

@@ -128,11 +128,11 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     """Matrix, candidates, scanner, caster and 5,000 other samples of a built-in part at its defaults."""
     from cell.part import workpiece
     from cell.plan import candidates
-    from cell.rays.embree import EmbreeRayCaster
-    from cell.rays.matrix import surface_features
     from cell.scanners.laser_area import LaserArea
-    from cell.scene.resolve import resolve
-    from cell.scene.scene_file import load_scene
+    from cell.scene.file import load_scene
+    from cell.scene.settle import resolve
+    from cell.world.embree import EmbreeRayCaster
+    from cell.world.measurability import surface_features
     from planner.geometry.decimation import decimate
     from planner.geometry.sampling import sample
     from planner.measurability.visibility import fill

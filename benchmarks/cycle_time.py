@@ -24,9 +24,9 @@ import numpy as np
 
 from benchmarks.seeded_scenes import content
 from cell.errors import SceneError
-from cell.rays.occluders import caster_of, occluder_triangles
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.study.bench import Bench
+from cell.world.occluders import caster_of, occluder_triangles
 from planner import cover
 from planner.kinematics import reach
 from planner.measurability.matrix import Measurability

@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 
 from benchmarks.checks import independently_measured
 from cell.diff.difference import Difference
-from cell.rays.prediction import held_out
 from cell.runs import ply
 from cell.runs.run import Run, open_finished
+from cell.world.prediction import held_out
 
 BORDERLINE = 12
 """Samples that lie on the border of a condition to the last digits: so many may differ for each run."""

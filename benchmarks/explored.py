@@ -30,8 +30,8 @@ from cell.runs.cell import world_of
 from cell.runs.run import open_finished
 from cell.runs.schema import ExploreFile
 from cell.scan.options import ScanOptions
-from cell.scene.option import read
-from cell.scene.options import scene_of
+from cell.scene.file import scene_of
+from cell.scene.options import read
 from planner.ports import Progress
 
 _AFTER = (5, 10, 15)  # views

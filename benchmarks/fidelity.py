@@ -26,15 +26,14 @@ from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import first
 from cell.robot.arm import kinematics_of
-from cell.scene.resolve import resolve
-from cell.scene.scene import Scene
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
+from cell.scene.model import Scene
+from cell.scene.settle import resolve
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from cell.world.triangle_distance import BOX
-from cell.world.triangles import TriangleTree
 from planner.geometry.decimation import decimate
+from planner.geometry.distance import BOX, TriangleTree
 from planner.kinematics import reach
 from planner.values import Floats
 

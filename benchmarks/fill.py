@@ -22,10 +22,10 @@ from benchmarks.best_of import best_of
 from benchmarks.claimed_coverage import claim
 from cell import stand_ins
 from cell.part.workpiece import load
-from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from cell.scene.resolve import resolve
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
+from cell.scene.settle import resolve
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.closest import closest_face
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh

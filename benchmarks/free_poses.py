@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.candidates import Bench, parts
 from cell.plan import candidates as generators
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
 from planner.geometry.sampling import sample
 from planner.measurability import coverage
 from planner.values import Bools

@@ -35,7 +35,7 @@ from cell.errors import CellError
 from cell.part import workpiece
 from cell.runs.run import Run, read_manifest, read_scan
 from cell.runs.schema import Manifest
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
 
 ROOM = 1 << 30
 """Bytes that reading a file may take."""

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks import gtsplib
-from cell.rays.occluders import caster_of, occluder_triangles
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.study.bench import Bench, placed_at
+from cell.world.occluders import caster_of, occluder_triangles
 from planner import cover
 from planner.measurability.visibility import occlude
 from planner.timing.move_time import move_time

@@ -21,7 +21,6 @@ from benchmarks.edits import no_pictures
 from benchmarks.parts import parts, place
 from cell.api import plan
 from cell.errors import CellError
-from cell.rays import virtual_scan
 from cell.reconstruction.cloud import ScanCloud
 from cell.reconstruction.freedom import FreeKind
 from cell.reconstruction.matching import small_motion
@@ -29,6 +28,7 @@ from cell.reconstruction.rigid import RigidFit, motion_of, screw_of, told
 from cell.reconstruction.surface_fit import Search, fit
 from cell.runs.cell import RunCell, read_cell
 from cell.runs.run import Run
+from cell.world import virtual_scan
 from planner.geometry.closest import NearestSurface
 from planner.values import Floats
 

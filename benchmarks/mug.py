@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from cell.part import workpiece
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
+from cell.world.virtual_scan import scan
 from planner import cover
 from planner.geometry.closest import closest_face
 from planner.geometry.decimation import decimate

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.rays.embree import HAIR, EmbreeRayCaster
+from cell.world.embree import HAIR, EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
@@ -31,8 +31,8 @@ _MARGIN = 1e-6  # of the part's size
 _FILL = """
 import json, resource, sys, time
 import numpy as np
-import cell.rays.embree
-from cell.rays.embree import EmbreeRayCaster
+import cell.world.embree
+from cell.world.embree import EmbreeRayCaster
 from cell.scene.resolve import resolve
 from cell.scanners.laser_area import LaserArea
 from cell.scene.scene_file import load_scene

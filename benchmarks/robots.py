@@ -23,13 +23,13 @@ import numpy as np
 import trimesh
 
 from benchmarks.cell_process import run_cell
-from cell.checks.robot import report
 from cell.errors import CellError
 from cell.part import workpiece
 from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
 from cell.robot.robot_file import RobotFile
-from cell.world.gap import mesh_of
+from cell.world.robot_report import report
+from cell.world.shapes import mesh_of
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 

@@ -25,14 +25,14 @@ from benchmarks.checks import independent_visible
 from benchmarks.parts import parts, place
 from cell.errors import CellError
 from cell.part.workpiece import load
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.virtual_scan import scan
 from cell.runs.run import open_run
 from cell.scan import driver as scan_driver
 from cell.scan.execution_folder import EXECUTING
 from cell.scan.legs import legs_of
 from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
+from cell.world.virtual_scan import scan
 
 RESOLUTION_DEG = "0.25"
 POSE_ERROR = "0.5,0.1"

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.checks.possible import require_possible
 from cell.errors import SceneError
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.world.checks import require_possible
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.geometry.decimation import decimate

@@ -20,11 +20,11 @@ import numpy as np
 from benchmarks.parts import parts, place
 from cell import api
 from cell.errors import CellError
-from cell.rays.prediction import held_out
 from cell.runs.cell import read_cell
 from cell.setups import plan_setups, search
 from cell.setups.fewest import Rows, fewest_setups
 from cell.setups.joint import JointCover, joint_cover
+from cell.world.prediction import held_out
 from planner import cover
 from planner.cover import Problem
 from planner.geometry.sampling import pick_samples

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from cell.part.workpiece import load
-from cell.rays import virtual_scan
-from cell.rays.embree import EmbreeRayCaster
 from cell.scan.pose_error import Disturbance
 from cell.scanners.laser_area import LaserArea
-from cell.scene.resolve import resolve
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
+from cell.scene.settle import resolve
+from cell.world import virtual_scan
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import sample
 from planner.measurability.quality import sigma_layer

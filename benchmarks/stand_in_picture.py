@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cell.rays.embree import EmbreeRayCaster
 from cell.stand_ins import STAND_INS, build
+from cell.world.embree import EmbreeRayCaster
 
 # Where the viewer stands (object frame), what is up, and the pixels' share of the diagonal.
 VIEWS = {

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from cell.scan.of_setups import SetupsOutcome
     from cell.scan.options import ScanOptions
     from cell.scan.safety import Ask
-    from cell.scene.scene import Scene
+    from cell.scene.model import Scene
     from cell.setups.options import SetupOptions
     from cell.setups.planned_setups import PlannedSetups
 
@@ -85,7 +85,7 @@ def plan(
     scene_path = None if scene is None else Path(scene)
     where, narrator = None if out is None else Path(out), _narrator(progress)
     if open_of:
-        from cell.scene.scene import Scene
+        from cell.scene.model import Scene
         from cell.setups.beside import scene_beside
         from cell.setups.open_of import plan_open
 
@@ -129,7 +129,7 @@ def plan_setups(
         CellError: in one sentence; the folder keeps what was finished.
     """
     from cell.plan.asked import scene_and_part
-    from cell.scene.option import offers, read
+    from cell.scene.options import offers, read
     from cell.setups.options import SetupOptions
     from cell.setups.plan_setups import plan_setups as planned
     from cell.setups.planned_setups import PlannedSetups
@@ -175,7 +175,7 @@ def scan(
     from cell.runs.run import Execution
     from cell.scan import scan as execution
     from cell.scan.options import ScanOptions
-    from cell.scene.option import read
+    from cell.scene.options import read
 
     if confirm is not None:
         wishes = {**wishes, "confirm_motion": confirm}
@@ -218,7 +218,7 @@ def scan_setups(
     """
     from cell.scan.of_setups import scan_setups as scanned
     from cell.scan.options import ScanOptions
-    from cell.scene.option import read
+    from cell.scene.options import read
 
     if confirm is not None:
         wishes = {**wishes, "confirm_motion": confirm}
@@ -264,7 +264,7 @@ def explore(
     from cell.explore.options import OF_SCAN, ExploreOptions
     from cell.plan.asked import scene_and_part
     from cell.scan.options import ScanOptions
-    from cell.scene.option import offers, read
+    from cell.scene.options import offers, read
 
     own, of_scan = (
         {name: wishes.pop(name) for name in names if name in wishes} for names in (offers(ExploreOptions), OF_SCAN)
@@ -301,7 +301,7 @@ def locate(
     from cell.locate.locate import locate as found
     from cell.locate.options import Locating
     from cell.runs.run import open_finished as opened
-    from cell.scene.option import read
+    from cell.scene.options import read
 
     planned = opened(Path(run)) if isinstance(run, str | Path) else run
     return found(planned, read(Locating, wishes) if wanted is None else wanted, _narrator(progress))
@@ -327,7 +327,7 @@ def hand_eye(
     """
     from cell.calibrate.calibrate import hand_eye as found
     from cell.calibrate.options import HandEye
-    from cell.scene.option import read
+    from cell.scene.options import read
 
     return found(
         [Path(file) for file in files], read(HandEye, wishes) if wanted is None else wanted, _narrator(progress)

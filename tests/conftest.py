@@ -37,7 +37,6 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 from cell.plan import attainable, picture_process
-from cell.rays.prediction import held_out
 from cell.reconstruction.deviation import deviation
 from cell.runs import digest
 from cell.setups import left_open
@@ -45,6 +44,7 @@ from cell.study.bench import Bench
 from cell.view.contents import HALF_PAGE
 from cell.why import advise
 from cell.world import clearance
+from cell.world.prediction import held_out
 from planner.cover.curve import coverage_curve
 from planner.measurability import coverage
 

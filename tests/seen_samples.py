@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.rays.prediction import held_out
 from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
 from cell.setups.contact import touching
+from cell.world.prediction import held_out
 from planner.measurability.visibility import measured
 from planner.values import Bools
 

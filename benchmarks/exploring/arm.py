@@ -17,7 +17,7 @@ from cell.explore.prepare import Exploring
 from cell.robot.arm import kinematics_of
 from cell.robot.model import home
 from cell.scanners import baseline_mm
-from cell.scene.resolve import Settings
+from cell.scene.settle import Settings
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.kinematics import reach

@@ -22,12 +22,12 @@ from cell.explore.options import ExploreOptions
 from cell.explore.prepare import Eye, prepared
 from cell.narrator import Quiet
 from cell.part import workpiece
-from cell.rays import virtual_scan
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.prediction import held_out
 from cell.scan.options import ScanOptions
-from cell.scene.options import scene_of
-from cell.scene.resolve import Settings, resolve
+from cell.scene.file import scene_of
+from cell.scene.settle import Settings, resolve
+from cell.world import virtual_scan
+from cell.world.embree import EmbreeRayCaster
+from cell.world.prediction import held_out
 from planner.explore.space import FREE, VoxelSpace
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh

@@ -15,7 +15,7 @@ from cell.explore.asked import Asked, probable
 from cell.explore.policies import Batch
 from cell.explore.stage import DRAWN, ROWS_KEPT, SCHEDULE, SCOUTS_KEPT, STARTS
 from cell.explore.too_near import BeyondNear, keep_off, too_near
-from cell.rays.embree import EmbreeRayCaster
+from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import Record, most_per_second
 from planner.explore.space import VoxelSpace
 from planner.geometry.decimation import decimate

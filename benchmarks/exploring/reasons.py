@@ -17,11 +17,11 @@ from cell.explore import state
 from cell.explore.explore import stays_open
 from cell.explore.prepare import Exploring
 from cell.explore.reasons import BESIDE, NOT_TAKEN, SMALL, TRIED, StillOpen, closest, sentence
-from cell.rays.prediction import held_out
 from cell.runs.cell import RunCell, read_cell, world_of
 from cell.runs.run import open_finished
 from cell.runs.schema import ExploreFile
 from cell.world.collision import MujocoCollisionChecker
+from cell.world.prediction import held_out
 from planner.geometry.closest import NearestSurface
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples

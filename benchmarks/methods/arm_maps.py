@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.methods.stability_map import Map, MapPoint
 from cell.robot import model as robot
 from cell.robot.kinematics import STRETCH_TOLERANCE, Kr16Kinematics
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.kinematics.reach import Verdict

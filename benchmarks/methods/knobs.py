@@ -19,8 +19,7 @@ from cell.plan.candidates import first
 from cell.reconstruction.cloud import ScanCloud, merge
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.reconstruct import Reconstruction, reconstruct
-from cell.scene.plan_settings import PlanSettings
-from cell.scene.scene import Scanner
+from cell.scene.model import PlanSettings, Scanner
 from cell.study.bench import Bench
 from cell.study.scenes import bench_of
 from planner import cover

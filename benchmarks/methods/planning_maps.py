@@ -17,10 +17,10 @@ from cell import stand_ins
 from cell.errors import FileError
 from cell.part import workpiece
 from cell.part.workpiece import FARTHEST_SIZES, PLAUSIBLE_M
-from cell.rays import virtual_scan
-from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
-from cell.scene import doubts
+from cell.scene import validation
+from cell.world import virtual_scan
+from cell.world.embree import EmbreeRayCaster
 from planner import cover
 from planner.cover import CoverStatus
 from planner.geometry.decimation import decimate
@@ -162,7 +162,7 @@ def grazing(line: str, angle_deg: float, count: int) -> MapPoint:
         near, _ = cKDTree(points).query(samples.points)
         found = np.asarray(near <= 0.01 * _PART_M)
     return MapPoint(
-        float(predicted.mean()), 100 * float((predicted & ~found).mean()), doubts.grazing(angle_deg),
+        float(predicted.mean()), 100 * float((predicted & ~found).mean()), validation.grazing(angle_deg),
         {"scan points": len(points)},
     )  # fmt: skip
 
@@ -191,7 +191,7 @@ def _measured_by(line: str, faces: int, samples: int) -> tuple[float, int, int, 
         cover.Problem(M.matrix(), features.areas), rng=np.random.default_rng(0), solver="greedy", budget=0
     )
     visible = coverage.visible(views.T_object_scanner[plan.views], judged, scanner, (caster,)).fraction
-    return visible, len(plan.views), len(planning.faces), doubts.off_mesh(features, planning)
+    return visible, len(plan.views), len(planning.faces), validation.off_mesh(features, planning)
 
 
 def decimation(line: str, faces: float, samples: int) -> MapPoint:
@@ -199,7 +199,7 @@ def decimation(line: str, faces: float, samples: int) -> MapPoint:
     fine, *_ = _measured_by(line, _FINE, samples)
     visible, views, came_out, off = _measured_by(line, round(faces), samples)
     return MapPoint(
-        min(visible / fine, 1.0), 100 * off, doubts.planning_mesh(off, came_out),
+        min(visible / fine, 1.0), 100 * off, validation.planning_mesh(off, came_out),
         {"faces": came_out, "views": views, "visible %": 100 * visible},
     )  # fmt: skip
 
@@ -246,12 +246,12 @@ MAPS = {
         "predicted, and no point of the scan within 1 % of the part's diagonal [points]", 1.0,
         (0.0, 30.0, 45.0, 60.0, 70.0, 75.0, 77.0, 78.0, 79.0, 80.0, 82.0, 84.0, 86.0, 88.0, 89.0, 89.9),
         (45.0, 75.0, 89.0), grazing, (4000, 500), lines=("0.25 deg", "0.05 deg"), quick_lines=1,
-        borders=(None, doubts.STEEPEST_GRAZING_DEG), scale="linear",
+        borders=(None, validation.STEEPEST_GRAZING_DEG), scale="linear",
     ),
     "decimation": Map(
         "A plan from fewer and fewer planning faces, judged on the part itself", "faces of the planning mesh",
         "measured, of what the plan of 1000 faces measures",
-        "a twentieth of the part is farther off the mesh [% of the diagonal]", 100 * doubts.COARSEST_MESH,
+        "a twentieth of the part is farther off the mesh [% of the diagonal]", 100 * validation.COARSEST_MESH,
         (700.0, 500.0, 350.0, 250.0, 150.0, 100.0, 50.0, 12.0), (500.0, 50.0), decimation, (10_000, 1000),
         lines=(_BUMPY, "mseke", "robinet"), quick_lines=1, judged_by_error=True, enough=0.98,
         towards_small=True,

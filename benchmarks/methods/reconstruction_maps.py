@@ -13,10 +13,10 @@ from benchmarks.eight_scans import eight_scans, noisy
 from benchmarks.methods.bumpy_body import body
 from benchmarks.methods.stability_map import Map, MapPoint
 from cell.part.workpiece import Workpiece
-from cell.rays.embree import EmbreeRayCaster
 from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.reconstruct import Reconstruction, reconstruct
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.closest import NearestSurface
 from planner.geometry.sampling import sample
 from planner.values import Floats

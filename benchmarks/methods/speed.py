@@ -16,7 +16,7 @@ from benchmarks.methods.speed_charts import by_knob, label, pictures
 from cell.commands.options import SceneFile, from_fields
 from cell.commands.study import conducted, scene_maker
 from cell.errors import UsageError
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.study.options import StudyRun
 from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study

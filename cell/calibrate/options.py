@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import model_validator
 
 from cell.scene.fields import Positive, Table, Units
-from cell.scene.option import Option
+from cell.scene.options import Option
 
 _POSE_SD = Option(
     "Standard deviation of the flange's pose along and about each axis. Their ratio weights the residuals.",

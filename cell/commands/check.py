@@ -6,10 +6,9 @@ from typing import Annotated
 import typer
 
 from cell.commands.options import AsJson, Wishes, from_fields, print_json
-from cell.scene.option import flag, offers
-from cell.scene.options import scene_of
-from cell.scene.posed import PART
-from cell.scene.scene import Scene
+from cell.scene.file import scene_of
+from cell.scene.model import PART, Scene
+from cell.scene.options import flag, offers
 
 EPILOG = "Examples:\n\ncell check my_cell.toml\n\ncell check my_cell.toml --part part.stl --units mm --place 1200,500,0"
 
@@ -27,8 +26,8 @@ def check(
     as_json: AsJson = False,
 ) -> None:
     """Compile a scene, list contacts at home and the cell's numbers, and say what is wrong."""
-    from cell.checks.check import check_scene
     from cell.commands.terminal import Terminal
+    from cell.world.checks import check_scene
 
     result = check_scene(scene_of(scene, wishes, part, flag))
     if as_json:

@@ -9,8 +9,8 @@ import typer
 from cell.commands.options import AsJson, OfScene, Part, SceneFile, Wishes, from_fields, print_json
 from cell.explore.options import OF_SCAN, ExploreOptions
 from cell.scan.options import ScanOptions
-from cell.scene.option import flag, offers, read
-from cell.scene.options import scene_of
+from cell.scene.file import scene_of
+from cell.scene.options import flag, offers, read
 
 EPILOG = (
     "Examples:\n\n"

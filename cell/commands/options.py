@@ -1,4 +1,4 @@
-"""A command's options made from the fields of models (`cell.scene.option`), and those that several commands share."""
+"""A command's options made from the fields of models (`cell.scene.options`), and those that several commands share."""
 
 import functools
 import inspect
@@ -11,10 +11,9 @@ from typing import Annotated, Any, get_origin
 import typer
 from pydantic import BaseModel
 
-from cell.scene.option import Offer, flag, offers, read
-from cell.scene.options import BUILT_IN
-from cell.scene.posed import PART
-from cell.scene.scene import Scene
+from cell.scene.file import BUILT_IN
+from cell.scene.model import PART, Scene
+from cell.scene.options import Offer, flag, offers, read
 
 Part = Annotated[
     str | None,

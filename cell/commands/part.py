@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from cell.commands.options import AsJson, Wishes, from_fields, print_json
-from cell.scene.option import offers
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.scene.options import offers
 
 EPILOG = (
     "Examples:\n\n"

@@ -5,9 +5,9 @@ from typing import Annotated
 
 from cell.commands.options import AsJson, Part, SceneFile, Wishes, from_fields, print_json
 from cell.commands.study import plan_words, tell
-from cell.scene.option import flag, offers
-from cell.scene.options import scene_of
-from cell.scene.scene import Scene
+from cell.scene.file import scene_of
+from cell.scene.model import Scene
+from cell.scene.options import flag, offers
 from cell.study.options import PlaceRange, StudyRun
 
 EPILOG = (

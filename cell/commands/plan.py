@@ -7,9 +7,9 @@ from typing import Annotated
 import typer
 
 from cell.commands.options import AsJson, NoCache, OfScene, Part, RunToMake, SceneFile, from_fields, print_json
-from cell.scene.option import flag
-from cell.scene.options import scene_of
-from cell.scene.posed import PART
+from cell.scene.file import scene_of
+from cell.scene.model import PART
+from cell.scene.options import flag
 
 EPILOG = (
     "Examples:\n\n"

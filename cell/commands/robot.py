@@ -30,8 +30,8 @@ def robot(
     as_json: AsJson = False,
 ) -> None:
     """Say what is recognised of a robot's file: its axes, lengths, limits, what is missing, which links touch."""
-    from cell.checks.robot import report
     from cell.commands.terminal import Terminal
+    from cell.world.robot_report import report
 
     packages = {}
     for text in package or []:

@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from cell.commands.options import AsJson, NoCache, Part, RunToMake, SceneFile, Wishes, from_fields, print_json
-from cell.scene.option import flag, offers
-from cell.scene.options import scene_of
-from cell.scene.scene import Scene
+from cell.scene.file import scene_of
+from cell.scene.model import Scene
+from cell.scene.options import flag, offers
 from cell.setups.options import SetupOptions
 
 EPILOG = (

@@ -9,10 +9,9 @@ import typer
 
 from cell.commands.options import AsJson, OfPart, Part, SceneFile, Wishes, from_fields, print_json
 from cell.errors import UsageError
-from cell.scene.option import flag
-from cell.scene.options import spelled, tables
-from cell.scene.scene import Scene
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene, spelled, tables
+from cell.scene.model import Scene
+from cell.scene.options import flag
 from cell.study.options import ScannerNumber, StudyRun
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from cell.scene.fields import NotNegative, Table
-from cell.scene.option import Option
+from cell.scene.options import Option
 
 _SEARCH = "Search"
 

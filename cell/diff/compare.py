@@ -18,9 +18,9 @@ from cell.diff.page import page
 from cell.diff.side import Side, read_side
 from cell.errors import UsageError
 from cell.narrator import Narrator
-from cell.rays.prediction import held_out
 from cell.runs.cell import RunCell, read_cell
 from cell.view.looking import write
+from cell.world.prediction import held_out
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability import coverage
 from planner.measurability.visibility import measured

@@ -26,14 +26,12 @@ from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.of_run import part_of, surface_of
 from cell.plan.problem import PinnedOutError, Problem
 from cell.plan.steps import Cell, Job, Measured, Session
-from cell.rays.matrix import PartSurface
-from cell.rays.prediction import Prediction
 from cell.runs.cell import scene_of_run, with_placement
 from cell.runs.run import Run
 from cell.runs.schema import Report
-from cell.scene.plan_settings import PlanSettings
-from cell.scene.posed import pose
-from cell.scene.scene import Scene
+from cell.scene.model import PlanSettings, Scene, pose
+from cell.world.measurability import PartSurface
+from cell.world.prediction import Prediction
 from planner.cover import CoverStatus
 from planner.kinematics.reach import Reach, Verdict, join_reach
 from planner.ports import ARM_AXES

@@ -9,7 +9,7 @@ from cell.edit.edit import edit
 from cell.edit.options import Edit
 from cell.narrator import Narrator, Quiet
 from cell.runs.run import Run
-from cell.scene.option import read
+from cell.scene.options import read
 from planner.values import Floats
 
 

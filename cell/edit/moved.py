@@ -15,8 +15,8 @@ from cell.narrator import Narrator
 from cell.plan import files as plan_files
 from cell.plan import steps
 from cell.plan.steps import Cell, Job, Measured, Session
-from cell.rays.matrix import PartSurface
 from cell.runs.run import Run
+from cell.world.measurability import PartSurface
 from planner.kinematics.reach import Reach, Verdict
 from planner.measurability.matrix import spread_measurability
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints

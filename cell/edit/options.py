@@ -7,7 +7,7 @@ from typing import Annotated, Any, NamedTuple, Self
 from pydantic import Field, model_validator
 
 from cell.scene.fields import Table
-from cell.scene.option import Option
+from cell.scene.options import Option
 
 _VIEWS, _MOTION = "Views", "Order"
 _POSE_FORM = "x,y,z,a,b,c of the scanner in base (mm and deg, KUKA ABC)"

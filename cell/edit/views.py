@@ -13,7 +13,7 @@ from cell.edit.options import Edit, Pose
 from cell.errors import UsageError
 from cell.runs.cell import scene_of_run
 from cell.runs.run import Run
-from cell.scene.posed import pose
+from cell.scene.model import pose
 from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, looking_at, pick_viewpoints
 

@@ -6,7 +6,7 @@ from typing import Annotated
 from pydantic import Field
 
 from cell.scene.fields import Table
-from cell.scene.option import Option
+from cell.scene.options import Option
 
 _LINE, _FAULTS = "The line", "What goes wrong"
 

@@ -15,8 +15,7 @@ from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.runs import ply
 from cell.runs.schema import UNSEEN
-from cell.scene.fixtures import MeshFixture
-from cell.scene.scene import Scene
+from cell.scene.model import MeshFixture, Scene
 from planner.explore.space import FREE, VoxelSpace
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Bools, Floats

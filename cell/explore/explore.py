@@ -30,7 +30,7 @@ from cell.runs.schema import BELIEVED, MEASURED, ExploredStage, ExploreFile, Ope
 from cell.scan import lock
 from cell.scan.options import ScanOptions
 from cell.scan.safety import EVERY, Ask
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from planner.explore.gain import LATEST, came
 from planner.explore.space import OCCUPIED, VoxelSpace
 from planner.geometry.sampling import SurfaceSamples, pick_samples

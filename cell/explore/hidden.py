@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.part.workpiece import Workpiece
-from cell.scene.fixtures import CylinderFixture
-from cell.scene.scene import Scene
+from cell.scene.model import CylinderFixture, Scene
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 

@@ -7,7 +7,7 @@ from pydantic import Field, field_validator
 
 from cell.runs.digest import SHORT_DIGEST
 from cell.scene.fields import Positive, Table
-from cell.scene.option import Option
+from cell.scene.options import Option
 
 _EXPLORE = "Exploration"
 EVERY_BATCH = "explore"

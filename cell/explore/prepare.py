@@ -21,9 +21,9 @@ from cell.runs.folder import SCHEMA
 from cell.runs.schema import ExploredCylinder, ExploreFile
 from cell.scan.options import OF_EACH_TIME, ScanOptions
 from cell.scan.safety import Ask
-from cell.scene import devices
-from cell.scene.resolve import Settings, resolve
-from cell.scene.scene import Scene
+from cell.scene import settle
+from cell.scene.model import Scene
+from cell.scene.settle import Settings, resolve
 from planner.errors import PlannerError
 from planner.explore.space import VoxelSpace
 from planner.ports import Scanner
@@ -217,7 +217,7 @@ def prepared(
             "nobody knows how large the part is; give --cylinder DIAMETER,HEIGHT in mm, about --place, that holds it"
         )
     known = _as_workpiece(cylinder) if part is None or cylinder.given else part
-    settled = devices.by_part(scene, known)
+    settled = settle.by_part(scene, known)
     settings = resolve(settled, known)
     scanner = scanners.make(settled.scanner.type, settings.scanner)
     if getattr(scanner, "T_view_scanner", np.eye(4)[None]).shape[0] > 1:

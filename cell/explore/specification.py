@@ -9,9 +9,9 @@ import numpy as np
 from cell import scanners
 from cell.part import workpiece
 from cell.plan.candidates import limited
-from cell.rays.embree import EmbreeRayCaster
-from cell.scene.resolve import resolve
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.scene.settle import resolve
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import sample
 from planner.measurability.visibility import measured

@@ -30,10 +30,10 @@ from cell.plan.request import seconds_of_views
 from cell.plan.steps import Cell, Job, Measured, Session
 from cell.plan.summary import Further, plan_report
 from cell.plan.view_plan import choose_and_connect, first_choice
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.matrix import PartSurface
-from cell.rays.prediction import Prediction
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.world.embree import EmbreeRayCaster
+from cell.world.measurability import PartSurface
+from cell.world.prediction import Prediction
 from planner.explore.gain import most_per_second
 from planner.geometry.decimation import clustered, decimate
 from planner.geometry.sampling import SurfaceSamples, pick_samples, sample

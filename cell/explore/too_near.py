@@ -13,7 +13,7 @@ import numpy as np
 
 from cell.explore import belief
 from cell.explore.prepare import Eye
-from cell.rays.embree import EmbreeRayCaster
+from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import LATEST
 from planner.explore.space import VoxelSpace
 from planner.geometry.sampling import SurfaceSamples

@@ -18,13 +18,13 @@ from cell.explore.hidden import Hidden
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import pipeline
-from cell.rays.prediction import held_out
 from cell.runs.cell import read_cell, world_of
 from cell.runs.run import ExecutedScan, Run, open_finished
 from cell.runs.schema import BoundAt, JsonTable, Truth, parsed
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
+from cell.world.prediction import held_out
 from planner.cover.problem import Problem
 from planner.cover.selection import solve
 from planner.measurability.coverage import added

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from cell.proof.files_now import FilesNow
-from cell.scene.option import Option
+from cell.scene.options import Option
 
 _KRL = "KRL"
 _Signal = Annotated[int, Field(ge=1, le=4096)]  # of $IN and $OUT on a KR C4

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from cell.scene.fields import Positive, Table, Units
-from cell.scene.option import Option
+from cell.scene.options import Option
 
 _MEASURED, _FIT = "Measured points (one of them)", "Fit"
 _SEARCH = Option(

@@ -12,7 +12,7 @@ from cell.plan import steps
 from cell.plan.problem import Problem
 from cell.plan.refined import Append
 from cell.plan.steps import Cell, Job, Session
-from cell.rays.matrix import PartSurface
+from cell.world.measurability import PartSurface
 from planner.kinematics.reach import join_reach
 from planner.measurability.matrix import Measurability, join_measurability
 from planner.ports import Progress, RayCaster, Scanner

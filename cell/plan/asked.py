@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from cell.errors import UsageError
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
-from cell.scene.options import BUILT_IN, scene_of
-from cell.scene.scene import Scene
+from cell.scene.file import BUILT_IN, scene_of
+from cell.scene.model import Scene
 
 if TYPE_CHECKING:
     import trimesh
@@ -23,7 +23,7 @@ def scene_and_part(
     Args:
         part: mesh file or built-in part by name, a mesh in memory, a whole scene, or None for the scene's.
         path: scene file; None is the built-in scene.
-        wishes: by the names of `cell.scene.option.offers(Scene)`; the unit of a mesh in memory is taken out.
+        wishes: by the names of `cell.scene.options.offers(Scene)`; the unit of a mesh in memory is taken out.
 
     Raises:
         UsageError: if there are wishes beside a whole scene.

@@ -11,10 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from cell.part.workpiece import Workpiece
-from cell.scene.regions import complete
+from cell.scene.model import Scene, complete
 from cell.scene.regions import limited as with_limits
-from cell.scene.resolve import Settings
-from cell.scene.scene import Scene
+from cell.scene.settle import Settings
 from cell.world.model import World
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples

@@ -14,8 +14,8 @@ import numpy as np
 from cell.plan.problem import Problem
 from cell.plan.request import AGAIN_WORK, LOOK_WORK, WORK, Selected
 from cell.plan.view_plan import first_choice
-from cell.rays.matrix import PartSurface
-from cell.rays.prediction import Prediction
+from cell.world.measurability import PartSurface
+from cell.world.prediction import Prediction
 from planner.geometry.sampling import SurfaceSamples, pick_samples, sample
 from planner.measurability import quality
 from planner.measurability.matrix import Measurability, add_rows, spread_measurability

@@ -9,7 +9,7 @@ from cell.plan.problem import Problem
 from cell.robot.arm import wrist_places
 from cell.runs.folder import RunFolder
 from cell.runs.schema import PlanFile, Report
-from cell.scene.scene import Picture
+from cell.scene.model import Picture
 from cell.world.model import World
 from planner.timing.motion import Motion
 from planner.values import Floats

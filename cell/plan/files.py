@@ -39,10 +39,8 @@ from cell.runs.schema import (
     ResolvedScene,
     ScannerKeys,
 )
-from cell.scene.fixtures import MeshFixture
-from cell.scene.regions import complete
-from cell.scene.resolve import Settings
-from cell.scene.scene import Scene
+from cell.scene.model import MeshFixture, Scene, complete
+from cell.scene.settle import Settings
 from cell.world.clearance import MotionClearance
 from cell.world.files import write_mjcf
 from cell.world.model import World

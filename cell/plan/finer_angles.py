@@ -11,7 +11,7 @@ import numpy as np
 
 from cell.plan.problem import Problem
 from cell.plan.views import Groups
-from cell.rays.self_shading import OwnArm
+from cell.world.self_occlusion import OwnArm
 from planner.kinematics.rotary_table import ArmOnTable
 from planner.kinematics.setpoints import from_steps, setpoints, to_steps
 from planner.ports import ARM_AXES

@@ -4,9 +4,9 @@ import shutil
 
 from cell.part.workpiece import Workpiece
 from cell.plan.steps import Job, Session
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.matrix import PartSurface
 from cell.runs.run import Run
+from cell.world.embree import EmbreeRayCaster
+from cell.world.measurability import PartSurface
 
 _KEPT = ("reference.ply", "planning.ply")
 

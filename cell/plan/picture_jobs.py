@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.rays.prediction import held_out
 from cell.runs.cell import scanner_of
 from cell.runs.run import open_run
 from cell.runs.schema import ResolvedScene
@@ -21,6 +20,7 @@ from cell.view.contents import HALF_PAGE, part_of
 from cell.view.page import Stage, first_half, three
 from cell.view.pieces import Cell, beside, cell_of_run
 from cell.view.surface import Canvas, canvas_of, surface_of
+from cell.world.prediction import held_out
 from planner.ports import Scanner
 from planner.values import Bools, Floats
 

@@ -28,11 +28,11 @@ from cell.plan.steps import Job, Session
 from cell.plan.summary import Further, plan_report
 from cell.runs.folder import SCHEMA, WITH_TABLE, RunFolder
 from cell.runs.schema import Report
-from cell.scene import devices, doubts
-from cell.scene.part_regions import with_regions
-from cell.scene.region_limits import require_attainable
-from cell.scene.resolve import resolve
-from cell.scene.scene import Scene
+from cell.scene import settle, validation
+from cell.scene.model import Scene
+from cell.scene.regions import with_regions
+from cell.scene.settle import resolve
+from cell.scene.validation import require_attainable
 from planner.geometry.mesh import TriangleMesh
 
 log = logging.getLogger(__name__)
@@ -78,10 +78,10 @@ def plan(
         with narrator.stage("load the part"):
             part = workpiece.load(scene.part.source, scene.part.units) if part is None else part
             part = with_regions(part, scene)
-        doubtful = (*doubts.of_scene(scene), *devices.notes(scene, part))
+        doubtful = (*validation.of_scene(scene), *settle.notes(scene, part))
         for sentence in (*(finding.sentence for finding in part.findings), *doubtful):
             narrator.note(sentence)
-        scene = devices.by_part(scene, part)
+        scene = settle.by_part(scene, part)
         settings = resolve(scene, part)
         inputs = plan_files.input_hashes(scene, part)
         schema = WITH_TABLE if scene.table.enabled else SCHEMA

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cell.rays.prediction import Prediction
 from cell.runs.schema import Promise, RobustSelection
-from cell.scene.plan_settings import PlanSettings
+from cell.scene.model import PlanSettings
+from cell.world.prediction import Prediction
 from planner.geometry.sampling import pick_samples
 from planner.kinematics.reach import Reach
 from planner.measurability.matrix import Measurability

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from cell.errors import UnreachableError
 from cell.plan.request import Request
-from cell.rays.prediction import Prediction
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
+from cell.world.prediction import Prediction
 from planner.kinematics.reach import Reach, with_solutions
 from planner.measurability.matrix import Measurability
 from planner.ports import JointLimits, Kinematics

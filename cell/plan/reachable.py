@@ -3,7 +3,7 @@
 from cell.errors import SceneError, UnreachableError
 from cell.part.mesh_checks import Kind
 from cell.part.workpiece import Workpiece
-from cell.scene.plan_settings import PlanSettings
+from cell.scene.model import PlanSettings
 from planner.kinematics.reach import Reach, Verdict
 
 _ONE_SIDED = (Kind.OPEN, Kind.FLAT)

@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.errors import UnreachableError
-from cell.rays.prediction import Prediction
-from cell.scene.plan_settings import PlanSettings
-from cell.scene.regions import RegionWishes
+from cell.scene.model import PlanSettings, RegionWishes
+from cell.world.prediction import Prediction
 from planner.cover import Problem
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability

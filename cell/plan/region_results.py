@@ -5,7 +5,7 @@ import numpy as np
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.runs.schema import RegionResult
-from cell.scene.regions import RegionWishes
+from cell.scene.model import RegionWishes
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import pick_samples
 from planner.measurability.quality import best_of_views

@@ -5,7 +5,7 @@
     overlap      the fewest views whose scans hang together
     promise      the fewest views that measure a sample with probability 1 - alpha although poses are off
 
-`planner.cover` answers each; which wishes go together is checked where the scene is read (`cell.scene.plan_settings`).
+`planner.cover` answers each; which wishes go together is checked where the scene is read (`cell.scene.model`).
 """
 
 from collections.abc import Callable
@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cell.plan.region_goals import RegionGoals
-from cell.rays.prediction import Prediction
-from cell.scene.plan_settings import PlanSettings
+from cell.scene.model import PlanSettings
+from cell.world.prediction import Prediction
 from planner import cover
 from planner.cover import Cover, CoverStatus, Overlap, Problem
 from planner.cover.overlap import Connection, connection

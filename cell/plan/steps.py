@@ -8,8 +8,6 @@ from functools import partial
 import numpy as np
 
 from cell import scanners
-from cell.checks.doubtful import doubtful
-from cell.checks.possible import require_possible
 from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import attainable, denser_samples, pose_uncertainty
@@ -25,21 +23,21 @@ from cell.plan.refined import Append, connected, movable, with_fewer
 from cell.plan.region_goals import RegionGoals, require_measurable
 from cell.plan.request import Request
 from cell.plan.view_plan import choose_and_connect
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.matrix import PartSurface, limit_sigma, part_matrix, surface_features
-from cell.rays.occluders import caster_of, occluder_triangles
-from cell.rays.prediction import Prediction, held_out
 from cell.runs.folder import RunFolder
 from cell.runs.schema import Attainable
 from cell.scanners import ScannerPlugin
-from cell.scene import doubts
-from cell.scene.regions import complete
-from cell.scene.resolve import Settings
-from cell.scene.scene import Scene
+from cell.scene import validation
+from cell.scene.model import Scene, complete
+from cell.scene.settle import Settings
 from cell.world import clearance
+from cell.world.checks import doubtful, require_possible
 from cell.world.clearance import MotionClearance
 from cell.world.collision import MujocoCollisionChecker
+from cell.world.embree import EmbreeRayCaster
+from cell.world.measurability import PartSurface, limit_sigma, part_matrix, surface_features
 from cell.world.model import World, compile_world
+from cell.world.occluders import caster_of, occluder_triangles
+from cell.world.prediction import Prediction, held_out
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import sample
 from planner.kinematics import reach
@@ -122,11 +120,11 @@ def sample_surface(run: Session, job: Job) -> tuple[PartSurface, Viewpoints]:
         planning = decimate(reference, job.settings.faces)
         plan_files.write_meshes(run.folder, reference, planning)
         run.drawing.part_ready(run.folder.path)
-        if other := doubts.other_count(len(planning.faces), job.settings.faces):
+        if other := validation.other_count(len(planning.faces), job.settings.faces):
             run.narrator.note(other)
         candidates = first(job.scene, job.settings, job.part, planning)
         features = surface_features(job.scene, reference, planning, run.rng(FEATURES))
-        if doubt := doubts.planning_mesh(doubts.off_mesh(features, planning), len(planning.faces)):
+        if doubt := validation.planning_mesh(validation.off_mesh(features, planning), len(planning.faces)):
             run.narrator.note(doubt)
         plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
         caster = EmbreeRayCaster(reference.vertices, reference.faces)
@@ -142,7 +140,7 @@ def compile_cell(run: Session, job: Job, surface: PartSurface, *, believed: bool
         )  # fmt: skip
         if not believed:
             require_possible(world)
-            for sentence in (*doubtful(world), *doubts.of_scanner(job.scanner)):
+            for sentence in (*doubtful(world), *validation.of_scanner(job.scanner)):
                 run.narrator.note(sentence)
         described, faces = scanners.described(job.scene.scanner.type, job.scanner), len(surface.planning.faces)
         plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)

@@ -28,7 +28,7 @@ from cell.runs.schema import (
     Spacing,
     Verdicts,
 )
-from cell.scene.regions import complete
+from cell.scene.model import complete
 from cell.world.clearance import MotionClearance
 from planner.geometry.mesh import TriangleMesh
 from planner.measurability import coverage

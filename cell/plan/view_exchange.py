@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cell.plan.problem import Problem
 from cell.plan.request import LEAST_COST, WORK, Selected, select
 from cell.plan.views import Groups
-from cell.rays.self_shading import OwnArm
+from cell.world.self_occlusion import OwnArm
 from planner.cover import Cover, CoverStatus
 from planner.measurability.matrix import Measurability
 from planner.tour.equivalent_views import Exchange, Matrix, exchange

@@ -2,7 +2,7 @@
 
 Arm, bracket and housing hide as well, differently at every configuration: a view that its own arm shades is taken with
 other joint solutions; where all of them do it, views are chosen again with what they leave of the view
-(`cell.rays.self_shading`). Views are exchanged for others that measure as much and make the motion shorter
+(`cell.world.self_occlusion`). Views are exchanged for others that measure as much and make the motion shorter
 (`cell.plan.view_exchange`).
 """
 
@@ -15,7 +15,7 @@ from cell.plan import finer_angles, view_exchange
 from cell.plan.problem import Problem
 from cell.plan.request import Selected
 from cell.plan.views import Driven, Groups, Next
-from cell.rays.self_shading import Look, OwnArm, arm_caster, visible_with_arm
+from cell.world.self_occlusion import Look, OwnArm, arm_caster, visible_with_arm
 from planner.measurability.coverage import visible_of
 from planner.measurability.matrix import Measurability
 from planner.tour.tour import Tour

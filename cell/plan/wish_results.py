@@ -6,7 +6,7 @@ from pydantic import JsonValue
 
 from cell.plan.request import Selected
 from cell.runs import schema
-from cell.scene.plan_settings import PlanSettings
+from cell.scene.model import PlanSettings
 from planner.cover import Cover
 from planner.cover.overlap import Connection
 from planner.cover.robust import RobustCover, views_for_promise

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.world.gap import mesh_of
+from cell.world.shapes import mesh_of
 from planner.kinematics.rotary_table import RotaryTable
 from planner.values import Floats
 

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field
 
 from cell.scene.fields import Table
-from cell.scene.option import Option
+from cell.scene.options import Option
 
 MISSING = "missing"
 """Accepts files that are gone."""

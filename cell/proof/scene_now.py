@@ -22,12 +22,11 @@ from cell.proof.files_now import MISSING, FilesNow
 from cell.proof.proof import Proven
 from cell.robot.model import KR16
 from cell.runs.cell import scene_of_run
-from cell.scene import devices
-from cell.scene.fixtures import Fixture, MeshFixture
-from cell.scene.scene import Scene
-from cell.scene.scene_file import load_scene
-from cell.world.rotary_table import rotary_table
+from cell.scene import settle
+from cell.scene.file import load_scene
+from cell.scene.model import Fixture, MeshFixture, Scene
 from cell.world.shapes import fixture_mesh
+from cell.world.table import rotary_table
 from planner.geometry.mesh import TriangleMesh
 
 _NEAR = 1e-6  # m, and entries of a rotation
@@ -180,7 +179,7 @@ def _scanner_as_planned(now: Scene, due: Scene) -> Scene:
                 update={key: getattr(planned, key) for key in keys if getattr(own, key) is None}
             )
         return now.model_copy(update=update)
-    return devices.settled(now.model_copy(update={"plan": due.plan}), due.part.name, 0.0)
+    return settle.settled(now.model_copy(update={"plan": due.plan}), due.part.name, 0.0)
 
 
 def _housing(scene: Scene) -> list[float]:

@@ -11,10 +11,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 
-from cell.rays.embree import EmbreeRayCaster
 from cell.reconstruction.deviation import Deviation
 from cell.view import rays
 from cell.view.palette import SIGNED
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 

@@ -22,7 +22,8 @@ from cell.runs.cell import table_of
 from cell.runs.run import Run
 from cell.runs.schema import ResolvedScene
 from cell.view.rays import frustum
-from cell.world.gap import Shapes, is_convex, meshes_of
+from cell.world.shapes import Shapes, meshes_of
+from planner.geometry.hull import is_convex
 from planner.geometry.mesh import TriangleMesh
 from planner.kinematics.rotary_table import RotaryTable
 from planner.values import Floats, Value

@@ -7,7 +7,7 @@ from typing import Annotated, Self
 from pydantic import Field, field_validator, model_validator
 
 from cell.scene.fields import Table
-from cell.scene.option import Option
+from cell.scene.options import Option
 
 _Elevation = Annotated[float, Field(ge=-89, le=89)]
 _Pixels = Annotated[int, Field(ge=64, le=4096)]

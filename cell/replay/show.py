@@ -11,7 +11,7 @@ from cell.replay.model import Theatre
 from cell.replay.tightest_moment import Closest, add_closest
 from cell.robot import model as robot
 from cell.runs.timeline import Timeline
-from cell.world.rotary_table import Turner
+from cell.world.table import Turner
 from planner.ports import ARM_AXES
 from planner.values import Floats, readonly
 

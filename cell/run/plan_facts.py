@@ -11,8 +11,7 @@ import numpy as np
 
 from cell.robot.model import KR16
 from cell.runs.schema import ResolvedRobot, ResolvedTable, StandingFixture, Sweep
-from cell.scene.fixtures import BoxFixture, CylinderFixture, Fixture
-from cell.scene.scene import Scene
+from cell.scene.model import BoxFixture, CylinderFixture, Fixture, Scene
 from cell.world.model import World
 from cell.world.shapes import TABLE
 from planner.path.sweeps import SweepPath

@@ -16,20 +16,18 @@ import numpy as np
 
 from cell import scanners
 from cell.errors import SceneError, UsageError
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.occluders import Occluder, beside_table, caster_of, standing_triangles
 from cell.robot.frames import kuka_abc_from_pose
 from cell.robot.model import KR16
 from cell.runs.run import Run, reading
 from cell.runs.schema import ResolvedScene, ScannerKeys, StandingFixture
-from cell.scene.options import BUILT_IN
-from cell.scene.plan_settings import PlanKeys
-from cell.scene.posed import Placement
-from cell.scene.regions import Region, limited
-from cell.scene.scene import Scene
+from cell.scene.file import BUILT_IN
+from cell.scene.model import Placement, PlanKeys, Region, Scene
+from cell.scene.regions import limited
 from cell.world import shapes
+from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World, compile_world
-from cell.world.rotary_table import HALF_A_TURN_DEG, on_table
+from cell.world.occluders import Occluder, beside_table, caster_of, standing_triangles
+from cell.world.table import HALF_A_TURN_DEG, on_table
 from cell.world.travel import TravelBound, swing
 from planner.geometry.mesh import TriangleMesh
 from planner.kinematics.rotary_table import RotaryTable

@@ -24,9 +24,8 @@ from pydantic import (
 )
 
 from cell.errors import FileError
-from cell.scene.plan_settings import PlanKeys
-from cell.scene.problems import sentences
-from cell.scene.regions import RegionWishes
+from cell.scene.fields import sentences
+from cell.scene.model import PlanKeys, RegionWishes
 from planner.values import Floats, readonly
 
 

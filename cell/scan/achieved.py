@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cell.rays.prediction import held_out
 from cell.runs.cell import RunCell, scanner_of
 from cell.runs.run import ExecutedScan
 from cell.runs.schema import PlanFile
 from cell.scan.merging import Merged, executed_poses
 from cell.view.contents import of_views
 from cell.view.surface import Surface
+from cell.world.prediction import held_out
 from planner.measurability import coverage
 from planner.measurability.quality import best_spacing
 from planner.values import Bools, Floats

@@ -12,7 +12,6 @@ from cell.acquisition import SIMULATED, sources
 from cell.acquisition.sources import Acquisition
 from cell.errors import DriverFailureError
 from cell.narrator import Narrator
-from cell.rays.embree import EmbreeRayCaster
 from cell.runs.cell import RunCell
 from cell.runs.run import split_axes
 from cell.scan import execute
@@ -20,6 +19,7 @@ from cell.scan.execution_folder import EXECUTING, MOTION, ExecutionFolder
 from cell.scan.legs import Legs
 from cell.scan.options import ScanOptions
 from cell.scan.work import Work
+from cell.world.embree import EmbreeRayCaster
 from drivers.clock import Clock
 from drivers.contract import Driver
 from drivers.errors import DriverError

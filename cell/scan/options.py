@@ -10,9 +10,8 @@ from pydantic import Field, JsonValue, ValidationError, field_validator, model_v
 from cell.acquisition import SIMULATED
 from cell.proof.files_now import FilesNow
 from cell.runs.digest import SHORT_DIGEST
-from cell.scene.fields import NotNegative, Positive, Units
-from cell.scene.option import Option
-from cell.scene.problems import sentences
+from cell.scene.fields import NotNegative, Positive, Units, sentences
+from cell.scene.options import Option
 from planner.errors import PlannerError
 
 _ERRORS, STEEL = "Errors of the execution", "Real controllers"

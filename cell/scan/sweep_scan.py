@@ -13,10 +13,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cell.rays import virtual_scan
-from cell.rays.virtual_scan import Scan
 from cell.runs.cell import RunCell
 from cell.scan.pose_error import Disturbance
+from cell.world import virtual_scan
+from cell.world.virtual_scan import Scan
 from planner.path.sweep_line import rotation_vectors, rotations
 from planner.values import Floats
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from cell.errors import FileError
 from cell.narrator import Narrator
-from cell.rays.prediction import held_out
 from cell.reconstruction import cloud_files
 from cell.reconstruction.cloud import PointCloud
 from cell.reconstruction.deviation import deviation
@@ -35,6 +34,7 @@ from cell.scan.whole_page import page
 from cell.setups.contact import touching
 from cell.setups.planned_setups import PlannedSetups
 from cell.setups.shared import apart, shared
+from cell.world.prediction import held_out
 from planner.geometry.closest import NearestSurface
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability import coverage

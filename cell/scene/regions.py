@@ -1,169 +1,161 @@
-"""The scene's `[[region]]` tables: parts of the surface by CAD face, kind, box or colour, and what is asked of each.
+"""The regions of a scene on its part: which region each triangle of the reference belongs to.
 
-A face of the part belongs to the first region that selects it. A region that selects by nothing is the rest.
+A box cuts the triangles that its sides cross, and paint on another mesh splits large ones, so that a triangle belongs
+to one region as a whole. The surface stays what it was. Object frame, metres.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import cast
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+import numpy as np
 
 from cell.errors import SceneError
-from cell.scene.fields import NotNegative, Positive, Share, Table, Units
-from cell.scene.plan_settings import PlanSettings
+from cell.part import painted
+from cell.part.cad import CadModel
+from cell.part.formats import units_of
+from cell.part.workpiece import UNITS, Workpiece
+from cell.scene.model import Region, RegionWishes, Scene, complete
+from planner.geometry.closest import closest_face
+from planner.geometry.decimation import split_long_edges
+from planner.geometry.mesh import TriangleMesh, cut, faces_within
+from planner.measurability.quality import Limited, Limits
+from planner.ports import Scanner, SigmaScanner
+from planner.values import Bools, Ints
 
-if TYPE_CHECKING:
-    from planner.ports import Scanner, SigmaScanner
-
-REST = "the rest"
-"""Name of what no region selects."""
-
-_SELECTORS = ("faces", "kind", "diameter_below_mm", "diameter_above_mm", "box_mm", "colour", "painted")
-_WISHES = ("coverage", "max_sigma_mm", "max_spacing_mm", "views", "weight")
-
-
-class RegionWishes(Table):
-    """What is asked of a region; None takes what the plan asks."""
-
-    name: Annotated[str, Field(min_length=1, max_length=60, description="of its own")]
-    care: Annotated[Literal["yes", "no"], Field(description="no: it only stands in the way")] = "yes"
-    coverage: Annotated[
-        Share | None, Field(description="share of what is coverable of it; without one it counts with the others")
-    ] = None
-    max_sigma_mm: Annotated[Positive | None, Field(description="standard deviation of a point at most")] = None
-    max_spacing_mm: Annotated[Positive | None, Field(description="distance of neighbouring points at most")] = None
-    views: Annotated[int | None, Field(ge=1, description="views that each of its samples is measured from")] = None
-    weight: Annotated[Positive, Field(description="of its area beside the others'")] = 1.0
-
-    @property
-    def cared(self) -> bool:
-        """Whether it counts at all."""
-        return self.care == "yes"
+_FINE = 0.01  # of the diagonal: edges of triangles that another mesh's paint falls on
+_SPLITS = 12  # halvings: of a side as long as the diagonal they leave less than that
 
 
-class Region(RegionWishes):
-    """A region as the scene file describes it; what it selects by must all hold."""
-
-    faces: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(strict=False, min_length=1)] | None = None
-    kind: Literal["plane", "cylinder", "cone", "sphere", "torus", "other"] | None = None
-    diameter_below_mm: Positive | None = None
-    diameter_above_mm: NotNegative | None = None
-    box_mm: Annotated[tuple[float, float, float, float, float, float], Field(strict=False)] | None = None
-    colour: Annotated[str, Field(pattern=r"^#[0-9A-Fa-f]{6}$")] | None = None
-    painted: str | None = None
-    painted_units: Units | None = None
-
-    @property
-    def selects(self) -> bool:
-        """Whether it selects by anything; otherwise it is the rest."""
-        return any(getattr(self, key) is not None for key in _SELECTORS)
-
-    @field_validator("name")
-    @classmethod
-    def _one_line(cls, name: str) -> str:
-        if not name.isprintable() or "|" in name or name != name.strip():
-            raise ValueError(
-                f"is {name!r}; it stands in tables: one line without '|', and no blank at its beginning or end"
-            )
-        return name
-
-    @field_validator("box_mm")
-    @classmethod
-    def _low_and_high(cls, box: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if box is not None and not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
-            raise ValueError(f"is {list(box)}; it must be x, y, z of its lowest and then of its highest corner")
-        return box
-
-    @field_validator("painted")
-    @classmethod
-    def _found(cls, painted: str | None, info: ValidationInfo) -> str | None:
-        if painted is None:
-            return None
-        path = Path((info.context or {}).get("folder", Path.cwd())) / Path(painted).expanduser()
-        if not path.is_file():
-            raise ValueError(f"is '{painted}', and there is no file {path}; give a coloured mesh")
-        return str(path)
-
-    @model_validator(mode="after")
-    def _possible(self) -> "Region":
-        asked = [key for key in _WISHES if key in self.model_fields_set and getattr(self, key) is not None]
-        if not self.cared and asked:
-            raise ValueError(f".care is 'no', and region.{asked[0]} asks for something; give one of them")
-        if self.painted is not None and self.colour is None:
-            raise ValueError(".painted needs region.colour, the colour that marks the region in it, as '#rrggbb'")
-        if self.painted is not None and self.painted_units is None:
-            from cell.part.formats import units_of
-
-            if units_of(self.painted) is None:
-                raise ValueError(".painted needs region.painted_units: mm, cm, m, um or in")
-        below, above = self.diameter_below_mm, self.diameter_above_mm
-        if below is not None and above is not None and not above < below:
-            raise ValueError(f".diameter_above_mm is {above:g}, which is not below region.diameter_below_mm, {below:g}")
-        return self
-
-
-def contradiction(regions: Sequence[Region]) -> str:
-    """What is wrong with regions together, as what the key `region` is; "" for nothing."""
-    names = [region.name for region in regions]
-    if twice := next((name for name in names if names.count(name) > 1), ""):
-        return f"holds the name '{twice}' more than once; every region needs its own"
-    for region in regions[:-1]:
-        if not region.selects:
-            return f"holds '{region.name}', which selects by nothing and so takes all the rest; put it last"
-    if regions and REST in names and regions[-1].selects:
-        return f"holds the name '{REST}', which is that of what no region selects; choose another"
-    if regions and not any(region.cared for region in regions) and not regions[-1].selects:
-        return 'cares for nothing; leave out care = "no" where something has to be measured'
-    return ""
-
-
-def beside_plan(regions: Sequence[Region], plan: PlanSettings) -> str:
-    """What regions ask that does not go with the plan's wishes, as what the key `region` is; "" for nothing."""
-    if plan.fill == "rays":
-        return "needs aimed samples; choose plan.fill = 'aimed'"
-    special = {
-        "max_views": plan.max_views is not None,
-        "overlap": plan.overlap_mm2 is not None or plan.overlap_share is not None,
-        "pose_sd": plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0,
-    }
-    asked = next((key for key, is_asked in special.items() if is_asked), "")
-    for region in regions:
-        for key in ("coverage", "views", "weight"):
-            if asked and key in region.model_fields_set and (asked, key) != ("max_views", "weight"):
-                return f"'{region.name}' asks for {key}, and plan.{asked} is another question; ask one of them"
-    return ""
-
-
-def require_no_wishes(regions: Sequence[Region]) -> None:
-    """Refuse regions that ask for more than to be cared for, or not: studies know no more.
+def with_regions(part: Workpiece, scene: Scene) -> Workpiece:
+    """The part with the region of each of its triangles; itself where the scene has none, or it has them already.
 
     Raises:
-        SceneError: with the region and the key.
+        SceneError: if a region selects nothing, or by what the part has not.
+        FileError: if a painted mesh cannot be read.
     """
-    for region in regions:
-        for key in _WISHES:
-            if key in region.model_fields_set:
-                raise SceneError(
-                    f"the region '{region.name}' asks for {key}, and studies know of regions only what they care for; "
-                    "leave it out"
-                )
+    if not scene.region or part.reference.region is not None:
+        return part
+    regions = complete(scene.region)
+    part = _cut(part, regions)
+    number = np.full(len(part.reference.faces), len(regions), dtype=np.int32)
+    free = np.ones(len(number), dtype=np.bool_)
+    for k, region in enumerate(regions):
+        own = free & (_selected(region, part, scene) if region.selects else True)
+        if region.selects and not own.any():
+            raise SceneError(_nothing(region, part, free))
+        number[own] = k if region.cared else -1
+        free &= ~own
+    if not (number >= 0).any():
+        raise SceneError("the regions care for nothing of the part; leave out care = 'no' where something is measured")
+    return replace(part, reference=replace(part.reference, region=number))
 
 
-def complete(regions: Sequence[Region]) -> tuple[Region, ...]:
-    """The regions with the rest, where none of them is that; none where the scene has none."""
-    rest = () if not regions or not regions[-1].selects else (Region(name=REST),)
-    return (*regions, *rest)
+def areas_of(part: Workpiece, scene: Scene) -> dict[str, float]:
+    """Area [mm^2] of each region that somebody cares for, by name; the rest only where there is any."""
+    if (number := part.reference.region) is None:
+        return {}
+    regions = complete(scene.region)
+    areas = 1e6 * np.bincount(number[number >= 0], part.reference.areas[number >= 0], len(regions))
+    return {region.name: round(float(area), 3) for region, area in zip(regions, areas, strict=True) if area > 0}
 
 
-def limited(scanner: "Scanner", max_sigma_mm: float | None, regions: Sequence[RegionWishes]) -> "Scanner":
+def _cut(part: Workpiece, regions: tuple[Region, ...]) -> Workpiece:
+    """The part with triangles that no side of a box crosses, and small ones where another mesh is painted."""
+    mesh, parent = part.reference, np.arange(len(part.reference.faces))
+    for box in (region.box_mm for region in regions if region.box_mm is not None):
+        for k, at in enumerate(box):
+            mesh, own = cut(mesh, k % 3, at / 1000)
+            parent = parent[own]
+    if any(region.painted is not None for region in regions):
+        mesh, own = _fine(mesh)
+        parent = parent[own]
+    cad = part.cad and replace(part.cad, of_triangle=part.cad.of_triangle[parent])
+    return replace(part, reference=mesh, cad=cad)
+
+
+def _fine(mesh: TriangleMesh) -> tuple[TriangleMesh, Ints]:
+    """The mesh with short edges, and the triangle that each of its triangles is a piece of."""
+    vertices, faces = mesh.vertices, mesh.faces
+    for _ in range(_SPLITS * 2):
+        before = len(faces)
+        vertices, faces = split_long_edges(vertices, faces, _FINE * mesh.diagonal)
+        if len(faces) == before:
+            break
+    fine = TriangleMesh(vertices, faces)
+    return fine, closest_face(fine.centres, fine.normals, mesh).astype(np.int64)
+
+
+def _selected(region: Region, part: Workpiece, scene: Scene) -> Bools:
+    """(F,) triangles that a region selects: all that it selects by holds."""
+    mesh = part.reference
+    found = np.ones(len(mesh.faces), dtype=np.bool_)
+    if any(key is not None for key in (region.faces, region.kind, region.diameter_above_mm, region.diameter_below_mm)):
+        if part.cad is None:
+            raise SceneError(
+                f"the region '{region.name}' selects CAD faces, and {part.name} is a mesh, which has none; give the "
+                "part as STEP, or select by a box or a colour"
+            )
+        found &= _by_face(region, part.cad)[part.cad.of_triangle]
+    if region.box_mm is not None:
+        low, high = np.array(region.box_mm).reshape(2, 3) / 1000
+        within = np.zeros(len(found), dtype=np.bool_)
+        within[faces_within(mesh, low, high)] = True
+        found &= within
+    if region.colour is not None:
+        found &= _by_colour(region, region.colour, mesh, scene)
+    return found
+
+
+def _by_face(region: Region, cad: CadModel) -> Bools:
+    """(N,) CAD faces by number, kind and diameter."""
+    found = np.ones(len(cad.faces), dtype=np.bool_)
+    if region.faces is not None:
+        numbers = [face.number for face in cad.faces]
+        if missing := [number for number in region.faces if number not in numbers]:
+            raise SceneError(
+                f"the region '{region.name}' names face {missing[0]}, which the part has not; cell part lists "
+                f"{numbers[0]} to {numbers[-1]}"
+            )
+        found &= np.isin(numbers, region.faces)
+    if region.kind is not None:
+        found &= np.array([face.kind == region.kind for face in cad.faces])
+    diameter = np.array([np.nan if face.radius is None else 2000 * face.radius for face in cad.faces])
+    if region.diameter_below_mm is not None:
+        found &= diameter < region.diameter_below_mm
+    if region.diameter_above_mm is not None:
+        found &= diameter > region.diameter_above_mm
+    return np.asarray(found)
+
+
+def _by_colour(region: Region, colour: str, mesh: TriangleMesh, scene: Scene) -> Bools:
+    """(F,) triangles whose middle has a colour on the painted mesh: the part's own file where no other is named."""
+    source = region.painted or scene.part.path
+    if source is None:
+        raise SceneError(
+            f"the region '{region.name}' selects by colour, and {scene.part.name} is no file that has any; give "
+            "region.painted, a coloured mesh of it"
+        )
+    units = (scene.part.units if region.painted is None else region.painted_units) or units_of(source)
+    assert units is not None, "the scene asks for it"
+    canvas, colours = painted.read(Path(source), UNITS[units])
+    return painted.close(colours, colour)[closest_face(mesh.centres, mesh.normals, canvas)]
+
+
+def _nothing(region: Region, part: Workpiece, free: Bools) -> str:
+    """Why a region has no triangle."""
+    why = "all that it selects belongs to regions before it" if not free.all() else "nothing of the part is that"
+    bounds = ", ".join(f"{value:g}" for value in (1000 * part.bounds).round(3).ravel() + 0.0)
+    return f"the region '{region.name}' is empty: {why}; the part reaches from {bounds} mm (lowest, highest corner)"
+
+
+def limited(scanner: Scanner, max_sigma_mm: float | None, regions: Sequence[RegionWishes]) -> Scanner:
     """The scanner's law with the limits that a plan sets: its own on sigma, and those of its regions by their numbers.
 
     Raises:
         SceneError: if the scanner does not know what is limited.
     """
-    from planner.measurability.quality import Limited, Limits
-
     inf = float("inf")
     own = tuple(Limits((each.max_sigma_mm or inf) / 1000, (each.max_spacing_mm or inf) / 1000) for each in regions)
     if all(each == Limits() for each in own):
@@ -177,4 +169,4 @@ def limited(scanner: "Scanner", max_sigma_mm: float | None, regions: Sequence[Re
                     f"the region '{region.name}' has {key}, but the scanner {type(scanner).__name__} does not know its "
                     f"{what}; leave the limit out, or choose another scanner"
                 )
-    return Limited(cast("SigmaScanner", scanner), (max_sigma_mm or inf) / 1000, own)
+    return Limited(cast(SigmaScanner, scanner), (max_sigma_mm or inf) / 1000, own)

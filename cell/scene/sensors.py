@@ -19,8 +19,7 @@ from typing import Annotated, Self
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from cell.errors import FileError, SceneError
-from cell.scene.fields import Positive, Table
-from cell.scene.problems import did_you_mean, sentences
+from cell.scene.fields import Positive, Table, did_you_mean, sentences
 
 _AREA = {"range_mm": "range", "baseline_mm": "baseline"}
 REQUIRED = {"laser-line": {"fan_deg": "fan", **_AREA}, "laser-area": _AREA}

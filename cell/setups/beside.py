@@ -6,9 +6,9 @@ from pathlib import Path
 from cell.errors import UsageError
 from cell.runs.cell import scene_of_run
 from cell.runs.run import Run
-from cell.scene.option import Spell
-from cell.scene.options import scene_of, spelled, tables
-from cell.scene.scene import Scene
+from cell.scene.file import scene_of, spelled, tables
+from cell.scene.model import Scene
+from cell.scene.options import Spell
 
 _SAMPLES = ("seed", "faces", "percent_kept", "samples_per_face", "fill")
 """Of `[plan]`, what says which samples there are: those of the run."""
@@ -25,7 +25,7 @@ def scene_beside(
     Args:
         run: a finished plan.
         path: scene file with the cell of this set-up; None takes the run's cell.
-        wishes: by the names of `cell.scene.option.offers(Scene)`.
+        wishes: by the names of `cell.scene.options.offers(Scene)`.
         part: must be None: the part is the run's.
         spell: how the user writes the name of a wish.
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cell.checks.solid import FLUSH
-from cell.rays.occluders import Occluder, caster_of
+from cell.world.occluders import Occluder, caster_of
+from cell.world.solids import FLUSH
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.values import Bools

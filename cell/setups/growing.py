@@ -3,7 +3,7 @@
 from cell.plan import steps
 from cell.plan.candidates import GROWN, arm_of, grow, limited
 from cell.plan.steps import Cell, Job
-from cell.rays.matrix import PartSurface
+from cell.world.measurability import PartSurface
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics.reach import Reach, join_reach
 from planner.ports import Progress

@@ -6,21 +6,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell import scanners
-from cell.checks.possible import impossible
 from cell.errors import SceneError
 from cell.plan import denser_samples, steps
 from cell.plan.appended_candidates import appended
 from cell.plan.candidates import arm_of
 from cell.plan.steps import Cell, Job, Measured, Session
-from cell.rays.matrix import PartSurface
-from cell.rays.occluders import Occluder, occluder_triangles
-from cell.rays.prediction import Prediction
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.setups.contact import touching
 from cell.setups.growing import with_grown
 from cell.setups.offered import Offer
+from cell.world.checks import impossible
 from cell.world.collision import MujocoCollisionChecker
+from cell.world.measurability import PartSurface
 from cell.world.model import World, compile_world
+from cell.world.occluders import Occluder, occluder_triangles
+from cell.world.prediction import Prediction
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics.reach import join_reach

@@ -10,8 +10,8 @@ import numpy as np
 from cell.plan.candidates import GROWN
 from cell.plan.refined import BEYOND
 from cell.plan.steps import Session
-from cell.rays.matrix import PartSurface
 from cell.setups.measured import Setup
+from cell.world.measurability import PartSurface
 from planner.measurability.matrix import Measurability
 from planner.values import Floats, Ints
 from planner.viewpoints.lines_of_sight import Targets

@@ -7,9 +7,7 @@ import numpy as np
 
 from cell.errors import SceneError
 from cell.robot.frames import kuka_abc_from_pose
-from cell.scene.fixtures import Setup
-from cell.scene.posed import Placement
-from cell.scene.scene import Scene
+from cell.scene.model import Placement, Scene, Setup
 from cell.world.model import ON_AXIS, World
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats

@@ -23,15 +23,15 @@ from cell.plan.of_run import part_of, surface_of
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
 from cell.plan.steps import Cell, Job, Session
-from cell.rays.matrix import PartSurface
-from cell.rays.occluders import Occluder, occluder_triangles
 from cell.runs.cell import scene_of_run
 from cell.runs.run import Run
 from cell.runs.schema import OpenOf
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, measured_by, require_one_part
 from cell.setups.growing import with_grown
+from cell.world.measurability import PartSurface
+from cell.world.occluders import Occluder, occluder_triangles
 from planner.geometry.sampling import SurfaceSamples, pick_samples, sample
 from planner.kinematics.reach import Reach
 from planner.values import Bools

@@ -7,8 +7,8 @@ from pydantic import Field
 
 from cell.errors import UsageError
 from cell.scene.fields import Positive, Table
-from cell.scene.option import Option
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.scene.options import Option
 
 _PANEL = "Set-ups"
 

@@ -21,8 +21,6 @@ from cell.plan import files as plan_files
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.plan.steps import Job, Session
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.matrix import PartSurface, surface_features
 from cell.runs.run import open_finished
 from cell.runs.schema import (
     ChosenSetup,
@@ -32,8 +30,7 @@ from cell.runs.schema import (
     SetupsRegion,
     ViewsFirst,
 )
-from cell.scene.regions import complete
-from cell.scene.scene import Scene
+from cell.scene.model import Scene, complete
 from cell.setups.joint import JointCover
 from cell.setups.left_open import left_open
 from cell.setups.measured import Setup, compiled_world, measured_setup
@@ -44,6 +41,8 @@ from cell.setups.search import Search
 from cell.setups.shared import apart, shared
 from cell.setups.wishes import Asked, require_named
 from cell.words import percent
+from cell.world.embree import EmbreeRayCaster
+from cell.world.measurability import PartSurface, surface_features
 from cell.world.model import World
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh

@@ -19,7 +19,6 @@ from cell.plan.problem import PinnedOutError
 from cell.plan.problem import Problem as PlanProblem
 from cell.plan.steps import Session
 from cell.plan.view_plan import choose_and_connect, first_choice
-from cell.rays.matrix import PartSurface
 from cell.runs.schema import Curve
 from cell.setups.joint import JointCover, joint_cover, views_first
 from cell.setups.measured import Setup
@@ -27,6 +26,7 @@ from cell.setups.moved import movable, with_fewer
 from cell.setups.options import named
 from cell.setups.shared import joining
 from cell.setups.wishes import Asked
+from cell.world.measurability import PartSurface
 from planner.cover import CoverStatus, Problem
 from planner.cover.curve import coverage_curve
 from planner.cover.overlap import Connection

@@ -12,8 +12,7 @@ from cell.plan.pose_uncertainty import pose_error
 from cell.plan.region_goals import RegionGoals
 from cell.plan.request import Request
 from cell.plan.steps import Session
-from cell.scene.regions import complete
-from cell.scene.scene import Scene
+from cell.scene.model import Scene, complete
 from cell.setups.measured import Setup
 from cell.setups.options import SetupOptions, named
 from planner.cover import Problem

@@ -12,21 +12,20 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cell import scanners
-from cell.checks.possible import require_possible
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import first
-from cell.rays import virtual_scan
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.matrix import PartSurface, part_matrix, surface_features
-from cell.rays.prediction import held_out
-from cell.scene import devices
-from cell.scene.part_regions import with_regions
-from cell.scene.regions import require_no_wishes
-from cell.scene.resolve import Settings, resolve
-from cell.scene.scene import Scene
+from cell.scene import settle
+from cell.scene.model import Scene, require_no_wishes
+from cell.scene.regions import with_regions
+from cell.scene.settle import Settings, resolve
+from cell.world import virtual_scan
+from cell.world.checks import require_possible
 from cell.world.collision import MujocoCollisionChecker
+from cell.world.embree import EmbreeRayCaster
+from cell.world.measurability import PartSurface, part_matrix, surface_features
 from cell.world.model import World, compile_world
+from cell.world.prediction import held_out
 from planner import cover
 from planner.cover import Cover, Problem
 from planner.geometry.decimation import decimate
@@ -84,7 +83,7 @@ class Bench:
     def __init__(self, scene: Scene, *, samples: int = coverage.SAMPLES) -> None:
         require_no_wishes(scene.region)
         self.part: Workpiece = with_regions(workpiece.load(scene.part.source, scene.part.units), scene)
-        self.scene = scene = devices.by_part(scene, self.part)
+        self.scene = scene = settle.by_part(scene, self.part)
         settings = resolve(scene, self.part)
         self.scanner: Scanner = scanners.make(scene.scanner.type, settings.scanner)
         self.settings: Settings = replace(settings, scanner=scanners.settled(settings.scanner, self.scanner))

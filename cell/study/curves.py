@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cell.scene import sensors
-from cell.scene.options import Tables
-from cell.scene.scene import Scene
+from cell.scene.file import Tables
+from cell.scene.model import Scene
 from cell.study.plan_command import options
 from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from cell.scene.fields import Table
-from cell.scene.option import Option
+from cell.scene.options import Option
 
 Span = Annotated[tuple[float, float], Field(strict=False)]
 

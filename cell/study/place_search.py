@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from scipy.stats import qmc
 
 from cell.errors import UnreachableError
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.study.options import PlaceRange
 from cell.study.placement_map import AXES, place_option, row_of, time_of
 from cell.study.placement_trial import COVERAGE_ONLY, WHOLE, placement

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.study.placement_trial import WHOLE, placement
 from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study

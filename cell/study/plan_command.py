@@ -4,8 +4,8 @@ import json
 import shlex
 from collections.abc import Mapping
 
-from cell.scene.option import flag, offers
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.scene.options import flag, offers
 
 
 def options(asked: Mapping[str, Mapping[str, object]]) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cell.errors import FileError
 from cell.robot.model import KR16
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.study.bench import Bench
 from cell.study.trial import JsonTable
 

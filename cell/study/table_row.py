@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from functools import lru_cache
 from time import perf_counter
 
-from cell.scene.options import Tables
-from cell.scene.scene_file import load_scene
+from cell.scene.file import Tables, load_scene
 from cell.study.bench import Bench, Mask, placed_at
 from cell.study.comparison import fewest_for, most_with
 from cell.study.trial import JsonTable

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
-from cell.scene.plan_settings import PlanSettings
+from cell.scene.model import PlanSettings
 from cell.study import plan_command, table_row
 from cell.study.comparison import DENSER
 from cell.study.paper import PaperRow, tables

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from cell.errors import UsageError
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.occluders import shape_triangles
 from cell.view import rays
 from cell.view.palette import BLUE, LOOKS, ORANGE, look_of
 from cell.view.pieces import Cell, Piece, placed
+from cell.world.embree import EmbreeRayCaster
+from cell.world.occluders import shape_triangles
 from planner.geometry.mesh import TriangleMesh, joined
 from planner.values import Floats
 

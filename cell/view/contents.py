@@ -10,19 +10,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from cell.rays.prediction import held_out
 from cell.robot.frames import kuka_abc_from_pose
 from cell.runs import timeline as timelines
 from cell.runs.cell import RunCell, read_cell
 from cell.runs.run import Execution, RecordedExecution, Run
 from cell.runs.schema import PlanView, Report
-from cell.scene.regions import RegionWishes
+from cell.scene.model import RegionWishes
 from cell.view.packed import POINTS, Layer, stepped
 from cell.view.page import Play, Shown, Stage, View, html_of, thinned
 from cell.view.palette import MEASURED, REASONS
 from cell.view.pictures import group_names, group_numbers
 from cell.view.pieces import Cell, beside, cell_of_run
 from cell.view.surface import Canvas, Surface, canvas_of, sides, surface_of
+from cell.world.prediction import held_out
 from planner.geometry.closest import NearestSurface
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples

@@ -11,19 +11,19 @@ from dataclasses import replace
 from pathlib import Path
 
 from cell import caches, scanners
-from cell.checks.check import checked, compiled
 from cell.errors import CellError, FileError, UsageError
 from cell.narrator import Narrator
 from cell.runs.run import EXECUTIONS, Execution, open_run, read_execution
 from cell.runs.schema import NAME as EXPLORATION
 from cell.runs.schema import ScannerKeys
-from cell.scene.scene import Scene
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
+from cell.scene.model import Scene
 from cell.view.contents import NAME, execution_page, run_page
 from cell.view.explore_page import explore_page
 from cell.view.page import Play, Shown, Stage, html_of, thinned
 from cell.view.pieces import cell_of_world
 from cell.view.study_page import study_page
+from cell.world.checks import checked, compiled
 
 _LOOK_S = 0.3  # between two looks at a file that is watched
 _WITHOUT_PART = "the page shows the last scene that could be read"

@@ -10,12 +10,12 @@ from PIL import Image
 
 from cell.part.cad import CadFace, CadModel, SurfaceKind
 from cell.part.workpiece import Workpiece
-from cell.rays.embree import EmbreeRayCaster
 from cell.view import rays
 from cell.view.packed import Layer, packed
 from cell.view.page import Play, Shown, Stage, html_of, text, thinned
 from cell.view.palette import REASONS, rgb
 from cell.view.pieces import Arm, Cell
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.rays.occluders import shape_triangles, standing_triangles
 from cell.robot import model as robot
 from cell.robot.model import FLANGE
 from cell.runs.run import Run, reading
@@ -20,6 +19,7 @@ from cell.runs.schema import ResolvedScene, ScannerKeys
 from cell.view.palette import LOOKS, Look, look_of
 from cell.view.rays import frustum
 from cell.world.model import World
+from cell.world.occluders import shape_triangles, standing_triangles
 from cell.world.shapes import quaternion
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import ARM_AXES

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cell.rays.embree import EmbreeRayCaster
 from cell.view.rays import direction
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.closest import closest_face
 from planner.geometry.decimation import clustered, decimate
 from planner.geometry.mesh import TriangleMesh

@@ -14,13 +14,13 @@ from pydantic import JsonValue
 
 from cell.narrator import Narrator
 from cell.plan.candidates import arm_of
-from cell.rays.occluders import caster_of, occluder_triangles
-from cell.rays.prediction import held_out
 from cell.runs.cell import read_cell, world_of
 from cell.runs.run import Run
 from cell.why.turns import TURNS, carried, place_of, turned
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
+from cell.world.occluders import caster_of, occluder_triangles
+from cell.world.prediction import held_out
 from planner.geometry.sampling import SurfaceSamples, pick_samples
 from planner.measurability.visibility import measured
 from planner.values import Floats, Ints

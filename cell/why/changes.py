@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from cell.plan.candidates import GROWN
-from cell.rays.occluders import caster_of, occluder_triangles
 from cell.runs.cell import RunCell
 from cell.why.scanner_changes import ScannerChanges, round_mm
 from cell.why.turns import place_of, turned
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
+from cell.world.occluders import caster_of, occluder_triangles
 from planner.kinematics import reach
 from planner.ports import RayCaster
 from planner.values import Floats, Ints

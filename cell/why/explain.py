@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from cell.errors import UsageError
 from cell.narrator import Narrator
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.prediction import held_out
 from cell.runs.cell import collision_note, read_cell, world_of
 from cell.runs.run import Run, open_finished, reading
 from cell.runs.schema import PlanFile, PlanView, WhyReport
@@ -27,6 +25,8 @@ from cell.why.answer import Answer
 from cell.why.changes import Changes
 from cell.why.groups import grouped
 from cell.why.search import search
+from cell.world.embree import EmbreeRayCaster
+from cell.world.prediction import held_out
 from planner.measurability import coverage
 from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.viewpoints import Viewpoints

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from cell.runs.schema import ScannerKeys
-from cell.scene.regions import RegionWishes
+from cell.scene.model import RegionWishes
 from cell.why.answer import Group, Patch
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples

@@ -8,10 +8,10 @@ MuJoCo's box-box routine finds every overlap, but overlooks 1 in 200 pairs that 
 edge.
 
 Where the part is to be taken as its triangles (`plan.collision = "exact"`), its hull is in both models and only finds
-the pairs to look at; the distance from the triangles decides (`cell.world.triangles`).
+the pairs to look at; the distance from the triangles decides (`planner.geometry.distance`).
 
 What a rotary table turns and what stands have no joint, and `mj_collision` leaves such pairs out: they are looked at
-one by one, once for each angle (`cell.world.free_turn`).
+one by one, once for each angle (`cell.world.table`).
 
 So `free`, `contacts` and `distance` agree, and depend on the configuration alone.
 """
@@ -23,9 +23,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cell.world.free_turn import FreeTurn
 from cell.world.model import World
-from cell.world.rotary_table import Turner
+from cell.world.table import FreeTurn, Turner
 from cell.world.travel import TravelBound, swing
 from planner.errors import PlannerError
 from planner.ports import ARM_AXES

@@ -18,16 +18,14 @@ from cell.errors import SceneError
 from cell.robot import joint_limits, told
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
-from cell.scene import devices
-from cell.scene.posed import Placement
-from cell.scene.scene import Scene
-from cell.world import guarded, wrist
+from cell.scene import settle
+from cell.scene.model import Placement, Scene
+from cell.world import self_collision
 from cell.world import shapes as cell_shapes
-from cell.world.free_turn import FreeTurn
-from cell.world.gap import Shapes, is_convex, meshes_of
 from cell.world.robot_spec import spec_of
-from cell.world.rotary_table import height_above, on_table, rotary_table
-from cell.world.solid_hull import solid_hull
+from cell.world.shapes import Shapes, meshes_of
+from cell.world.table import FreeTurn, height_above, on_table, rotary_table
+from planner.geometry.hull import is_convex
 from planner.geometry.mesh import TriangleMesh
 from planner.kinematics.rotary_table import RotaryTable
 from planner.ports import ARM_AXES, JointLimits, Kinematics
@@ -201,7 +199,7 @@ def compile_world(
     part_faces: ArrayLike | None = None,
     baseline_mm: float | None = None,
 ) -> World:
-    """Build and compile the model of a scene; whether the scene can be, `cell.checks.possible` judges.
+    """Build and compile the model of a scene; whether the scene can be, `cell.world.checks` judges.
 
     Args:
         scene: what stands in the cell.
@@ -214,7 +212,7 @@ def compile_world(
     """
     vertices = np.asarray(part_vertices, dtype=np.float64)
     scene, baseline_mm = _with_device(scene, vertices, baseline_mm)
-    hull = solid_hull(vertices)
+    hull = cell_shapes.collision_hull(vertices, "part")
     part = {} if part_faces is None else {"part": TriangleMesh(vertices, np.asarray(part_faces, dtype=np.int32))}
     T_object_centre = np.eye(4)
     T_object_centre[:3, 3] = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
@@ -230,7 +228,7 @@ def compile_world(
     clearance, arm = scene.clearance_mm / 1000.0, _compiled(spec)
     hollow = [name for name, mesh in _links(arm, entities).items() if not is_convex(mesh)]
     shapes = Shapes(arm, _links(arm, entities), hollow)
-    wrist.settle_pairs(spec, arm, shapes, clearance, by_hand=scene.robot.model == robot.KR16)
+    self_collision.settle_pairs(spec, arm, shapes, clearance, by_hand=scene.robot.model == robot.KR16)
     T_base_object = scene.placement.T @ np.linalg.inv(T_object_centre)
     table = rotary_table(scene, T_base_object, hull)
     fixture_meshes = _add_what_stands(spec, scene, hull, T_base_object, table)
@@ -266,11 +264,11 @@ def compile_world(
             collision=scene.plan.collision if part else "hull",
             shapes=Shapes(model, {**_links(model, entities), **exact}, [*exact, *hollow]),
             nearer={pair: clearance - keep for pair, keep in near.items()},
-            finer=guarded.finer(model, clearance, near),
+            finer=self_collision.finer(model, clearance, near),
             followers=robot.Followers.of(model),
             fixture_meshes=fixture_meshes,
             entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
-            pairs=guarded.pairs(model),
+            pairs=self_collision.pairs(model),
         )
     )
 
@@ -291,7 +289,7 @@ def _stopped_by_what_stands(world: World) -> World:
 def _with_device(scene: Scene, vertices: Floats, baseline_mm: float | None) -> tuple[Scene, float]:
     """The scene with its scanner settled, and the baseline [mm]: what the scene says goes before all others."""
     given_mm = scene.scanner.baseline_mm
-    scene = devices.settled(scene, scene.part.name, 1000 * float(np.ptp(vertices, axis=0).max()))
+    scene = settle.settled(scene, scene.part.name, 1000 * float(np.ptp(vertices, axis=0).max()))
     baseline = next((each for each in (given_mm, baseline_mm, scene.scanner.baseline_mm) if each is not None), None)
     if baseline is None:
         raise SceneError("the scanner's baseline is not known here; set scanner.baseline_mm")

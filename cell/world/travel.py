@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.robot.model import AXES, Followers
-from cell.world.gap import mesh_of
+from cell.world.shapes import mesh_of
 from planner.kinematics.rotary_table import RotaryTable
 from planner.values import Floats
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.hand_eye import _ball, _flange, _mount, corners
 from cell.robot.frames import kuka_abc_from_pose
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
 
 Run = Callable[..., Any]
 

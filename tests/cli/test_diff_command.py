@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from cell.rays.prediction import held_out
 from cell.runs import ply
 from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
+from cell.world.prediction import held_out
 from planner.measurability import coverage
 
 Cell = Callable[..., Any]

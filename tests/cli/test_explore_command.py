@@ -30,7 +30,7 @@ from cell.runs.cell import read_cell, world_of
 from cell.runs.run import open_finished
 from cell.runs.schema import BELIEVED, MEASURED, ExploreFile
 from cell.scan.options import ScanOptions
-from cell.scene.options import scene_of
+from cell.scene.file import scene_of
 from cell.view.explore_page import explore_page
 from planner.explore.space import FREE
 from planner.geometry.closest import NearestSurface

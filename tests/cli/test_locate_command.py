@@ -11,10 +11,10 @@ import pytest
 from cell.api import locate, open_run
 from cell.errors import FileError, UsageError
 from cell.proof.proof import prove
-from cell.rays import virtual_scan
 from cell.reconstruction.rigid import motion_of
 from cell.runs.cell import read_cell
 from cell.runs.run import Run
+from cell.world import virtual_scan
 from planner.values import Floats
 
 Command = Callable[..., Any]

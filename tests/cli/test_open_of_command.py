@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cell.api import open_run
-from cell.rays.prediction import held_out
 from cell.setups.earlier import EarlierSetup, measured_by
+from cell.world.prediction import held_out
 from tests.seen_samples import seen_and_touching
 
 Cell = Callable[..., Any]

@@ -27,7 +27,7 @@ from cell.replay.replay import load_show
 from cell.robot.frames import kuka_abc_from_pose
 from cell.runs.cell import read_cell, world_of
 from cell.runs.run import open_run, read_execution
-from cell.scene.options import scene_of
+from cell.scene.file import scene_of
 from cell.study.placement_trial import placement
 from cell.study.scenes import scene_settings
 from cell.world.model import World

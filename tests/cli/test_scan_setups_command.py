@@ -16,7 +16,6 @@ import pytest
 from cell.api import scan_setups as scan_all
 from cell.errors import UsageError
 from cell.narrator import Quiet
-from cell.rays.prediction import held_out
 from cell.runs.cell import read_cell
 from cell.runs.run import open_run
 from cell.scan.driven import part_may_be_near
@@ -24,6 +23,7 @@ from cell.scan.of_setups import scan_setups
 from cell.scan.options import ScanOptions
 from cell.setups.contact import touching
 from cell.setups.planned_setups import PlannedSetups
+from cell.world.prediction import held_out
 from planner.measurability.visibility import measured
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

@@ -18,7 +18,7 @@ from benchmarks import fuzz_inputs
 from cell.errors import CellError, FileError, SceneError
 from cell.part import workpiece
 from cell.runs.run import npz_arrays
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from cell.errors import UsageError
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
 from cell.study import run as study_run
 from cell.study.placement_trial import COVERAGE_ONLY, placement
 from cell.study.run import Told

@@ -4,7 +4,7 @@ import numpy as np
 
 from cell.part import workpiece
 from cell.robot.arm import kinematics_of
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
 from planner.geometry.decimation import decimate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.world.clearance import TOLERANCE, of_motion, tightest_at
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.world.model import World, compile_world

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.scene.posed import pose
-from cell.scene.scene import Scene
+from cell.scene.model import Scene, pose
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 

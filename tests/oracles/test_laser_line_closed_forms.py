@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.rays.embree import EmbreeRayCaster
 from cell.scanners import swept
 from cell.scanners.laser_line import LaserLine
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import fill, measured, occlude

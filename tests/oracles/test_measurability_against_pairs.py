@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import sample
 from planner.measurability.visibility import fill, occlude

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
+from cell.world.virtual_scan import scan
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, sample
 from planner.measurability.visibility import measured

@@ -13,10 +13,10 @@ import pytest
 import trimesh
 
 from benchmarks.triangle_cell import TriangleCell
-from cell.checks.possible import impossible
 from cell.robot.arm import kinematics_of
 from cell.robot.frames import pose_from_kuka_abc
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.world.checks import impossible
 from cell.world.clearance import of_motion
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world

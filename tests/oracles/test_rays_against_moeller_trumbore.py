@@ -6,7 +6,7 @@ Oracle: T. Moeller, B. Trumbore, Fast, Minimum Storage Ray-Triangle Intersection
 import numpy as np
 import pytest
 
-from cell.rays.embree import HAIR, EmbreeRayCaster
+from cell.world.embree import HAIR, EmbreeRayCaster
 
 
 def _bumpy_sphere(n=8, seed=0):

@@ -8,14 +8,14 @@ import pytest
 import trimesh
 
 from cell.errors import FileError
-from cell.rays import virtual_scan
-from cell.rays.occluders import caster_of, occluder_triangles
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
 from cell.study.bench import Bench
 from cell.study.comparison import DENSER, fewest_for, most_with
 from cell.study.placement_trial import placement
 from cell.study.scenes import bench_of, scene_of, scene_settings
 from cell.study.tables import not_beaten
+from cell.world import virtual_scan
+from cell.world.occluders import caster_of, occluder_triangles
 from planner.kinematics import reach
 from planner.measurability import coverage
 from planner.measurability.visibility import occlude

@@ -14,11 +14,11 @@ import pytest
 import trimesh
 
 from cell.robot.arm import kinematics_of
-from cell.scene.scene import Scene
-from cell.world import triangle_distance as gjk
+from cell.scene.model import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
-from cell.world.triangles import TriangleTree
+from planner.geometry import distance as gjk
+from planner.geometry.distance import TriangleTree
 from planner.geometry.mesh import TriangleMesh
 from planner.path.path import connect
 

@@ -7,8 +7,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cell.scene.posed import pose
-from cell.scene.scene import Scene
+from cell.scene.model import Scene, pose
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 

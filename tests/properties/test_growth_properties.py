@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cell.part.workpiece import load
-from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
 from cell.scanners.laser_line import LaserLine
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import sample
 from planner.measurability.visibility import measured

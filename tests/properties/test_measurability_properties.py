@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
+from cell.world.virtual_scan import scan
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import sample
 from planner.measurability.visibility import fill, measured, occlude

@@ -6,8 +6,8 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import sample
 from planner.measurability.quality import Limited

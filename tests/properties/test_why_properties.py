@@ -11,19 +11,19 @@ import pytest
 import trimesh
 
 from cell.commands.terminal import Terminal
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.occluders import occluder_triangles
 from cell.robot.arm import kinematics_of
 from cell.runs.run import Run, open_run
 from cell.scanners.laser_area import LaserArea
-from cell.scene.scene import Scene
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
+from cell.scene.model import Scene
 from cell.view.palette import MEASURED, REASONS
 from cell.why import explain as why
 from cell.why import files as why_files
 from cell.why.answer import Answer, Group
 from cell.world.collision import MujocoCollisionChecker
+from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World, compile_world
+from cell.world.occluders import occluder_triangles
 from planner.kinematics import reach
 from planner.measurability import coverage
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.checks.possible import impossible
 from cell.errors import SceneError
 from cell.replay.overlays import touches
 from cell.robot.arm import kinematics_of
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.world.checks import impossible
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.gap import Shapes
 from cell.world.model import World, compile_world
+from cell.world.shapes import Shapes
 
 FIDELITIES = ("hull", "exact")
 PLACE_MM = (1100.0, 0.0, -100.0)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.rays.embree import EmbreeRayCaster
 from cell.scanners import swept
 from cell.scanners.laser_line import LaserLine
+from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, sample

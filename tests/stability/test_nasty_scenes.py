@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.checks.possible import require_possible
 from cell.errors import CellError, SceneError
-from cell.scene.scene import Scene
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
+from cell.scene.model import Scene
+from cell.world.checks import require_possible
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
-from cell.world.solid_hull import MIN_THICKNESS, solid_hull
+from cell.world.shapes import collision_hull
+from planner.geometry.hull import MIN_THICKNESS, solid_hull
 
 RNG = np.random.default_rng(0)
 BALL = np.array(trimesh.creation.icosphere(3, 0.1).vertices)
@@ -82,7 +83,7 @@ def test_a_part_of_five_metres_at_the_default_place_is_refused() -> None:
 def test_what_is_no_part_is_one_sentence(vertices: np.ndarray) -> None:
     """No vertices, or vertices that are no numbers."""
     with pytest.raises(SceneError, match="no finite vertices"):
-        solid_hull(vertices)
+        collision_hull(vertices, "part")
 
 
 @pytest.mark.parametrize("depth_mm", [-0.001, 0.0, 0.001, 30.0])

@@ -7,7 +7,7 @@ import pytest
 
 from cell.robot.arm import kinematics_of
 from cell.robot.kinematics import Kr16Kinematics
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.path.certified_edge import STEP, certify, quantise

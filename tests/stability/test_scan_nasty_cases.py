@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.virtual_scan import Scan, scan
 from cell.reconstruction.cloud import ScanCloud, merge
 from cell.reconstruction.reconstruct import ReconstructionStatus, reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
+from cell.world.virtual_scan import Scan, scan
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import Rejection
 

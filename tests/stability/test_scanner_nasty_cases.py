@@ -5,9 +5,9 @@ import pytest
 import trimesh
 
 from cell.errors import SceneError
-from cell.rays import virtual_scan
-from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
+from cell.world import virtual_scan
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.visibility import measured

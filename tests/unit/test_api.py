@@ -13,7 +13,7 @@ from cell.api import explore, open_run, plan, scan
 from cell.edit.editable import EditableRun
 from cell.errors import FileError, SceneError, UsageError
 from cell.runs.run import Run
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
 
 _QUICK = {"place": (1100, 400, 100), "standoff": 200, "faces": 40, "samples": 2, "seed": 3, "coverage": 1}
 _QUICK |= {"candidates": "optimal-scanning-zone"}

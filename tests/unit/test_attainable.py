@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from cell.plan.attainable import of_plan, sentence
-from cell.rays.embree import EmbreeRayCaster
 from cell.runs.schema import Attainable
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.coverage import Coverage
 from planner.viewpoints.attainable import _first_taken_up, attainable

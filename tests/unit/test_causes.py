@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from cell.part import workpiece
-from cell.rays import virtual_scan
-from cell.rays.embree import EmbreeRayCaster
 from cell.robot.frames import pose_from_kuka_abc
 from cell.runs.run import ExecutedScan
 from cell.scan import causes
 from cell.scan.pose_error import Disturbance
 from cell.scanners.laser_area import LaserArea
+from cell.world import virtual_scan
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.closest import NearestSurface
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from cell.checks.check import check_scene
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.world.checks import check_scene
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_a_part_out_of_reach_is_said(ball: dict, x: float, beyond: bool) -> None
 def test_a_missing_mesh_of_a_fixture_is_the_loader_s_problem(tmp_path: Path) -> None:
     """A fixture's file is looked for when the scene is read, with its key."""
     from cell.errors import SceneError
-    from cell.scene.scene_file import load_scene
+    from cell.scene.file import load_scene
 
     path = tmp_path / "scene.toml"
     path.write_text("[[fixtures]]\nname='vice'\nshape='mesh'\npath='vice.stl'\nunits='mm'\n")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.errors import PlannerError

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.prediction import Prediction
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
+from cell.world.prediction import Prediction
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, sample

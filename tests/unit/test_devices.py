@@ -7,9 +7,9 @@ import trimesh
 
 from cell.errors import SceneError
 from cell.part.workpiece import Workpiece, from_mesh
-from cell.scene import devices
-from cell.scene.resolve import resolve
-from cell.scene.scene import Scene
+from cell.scene import settle
+from cell.scene.model import Scene
+from cell.scene.settle import resolve
 
 SMALL, MEDIUM, LARGE = (f"generic-area-{size}" for size in ("small", "medium", "large"))
 HARDWARE = {
@@ -41,10 +41,10 @@ def _hardware(scene: Scene) -> tuple[object, ...]:
 def test_a_users_part_has_the_device_of_its_longest_side(longest_mm: float, device: str) -> None:
     """To 30 and to 100 mm, both included; the note says the device, the side and the rule."""
     part = _box(longest_mm)
-    scene = devices.by_part(_scene(), part)
+    scene = settle.by_part(_scene(), part)
     assert scene.scanner.sensor == device
     assert _hardware(scene) == HARDWARE[device]
-    (note,) = devices.notes(_scene(), part)
+    (note,) = settle.notes(_scene(), part)
     assert note.startswith(f"the scanner is {device}, by the part's longest side of {longest_mm:.4g} mm: to 30 mm")
 
 
@@ -55,31 +55,31 @@ def test_a_users_part_has_the_device_of_its_longest_side(longest_mm: float, devi
 )  # fmt: skip
 def test_a_built_in_part_has_its_own_device(name: str, device: str) -> None:
     """Whatever its size; nothing need be said."""
-    scene = devices.by_part(_scene(mine=False, part={"name": name}), _box(1.0, name))
+    scene = settle.by_part(_scene(mine=False, part={"name": name}), _box(1.0, name))
     assert scene.scanner.sensor == device
-    assert not devices.notes(_scene(mine=False, part={"name": name}), _box(1.0, name))
+    assert not settle.notes(_scene(mine=False, part={"name": name}), _box(1.0, name))
 
 
 def test_a_mesh_in_memory_is_a_users_part() -> None:
     """The scene names a built-in part then, and the part has another name."""
-    assert devices.by_part(_scene(mine=False), _box(20.0)).scanner.sensor == SMALL
-    assert devices.notes(_scene(mine=False), _box(20.0))
+    assert settle.by_part(_scene(mine=False), _box(20.0)).scanner.sensor == SMALL
+    assert settle.notes(_scene(mine=False), _box(20.0))
 
 
 def test_a_name_decides_and_keys_of_the_scene_go_before_the_devices() -> None:
     """Each key by itself; what is named needs no rule told."""
     named = _scene(scanner={"sensor": MEDIUM, "baseline_mm": 30.0}, housing={"bracket_diameter_mm": 0.0})
-    scene = devices.by_part(named, _box(500.0))
+    scene = settle.by_part(named, _box(500.0))
     assert _hardware(scene) == (HARDWARE[MEDIUM][0], 30.0, HARDWARE[MEDIUM][2])
     assert scene.housing.bracket_diameter_mm == 0.0
-    assert not devices.notes(named, _box(500.0))
+    assert not settle.notes(named, _box(500.0))
 
 
 @pytest.mark.parametrize("scanner", [{}, {"sensor": "paper"}, {"sensor": "gocator-2340", "baseline_mm": 100.0}])
 def test_a_settled_scene_is_settled_already(scanner: dict[str, Any]) -> None:
     """Settling it again changes nothing, for another part neither."""
-    scene = devices.by_part(_scene(scanner=scanner), _box(60.0))
-    assert devices.settled(scene, "another", 5.0) == scene
+    scene = settle.by_part(_scene(scanner=scanner), _box(60.0))
+    assert settle.settled(scene, "another", 5.0) == scene
 
 
 def test_a_standoff_changes_no_device() -> None:
@@ -103,7 +103,7 @@ def test_without_a_standoff_the_papers_scanner_stands_where_the_device_would() -
 def test_a_real_sensor_without_a_stated_body_says_whose_collides() -> None:
     """The large device's; with a housing of the scene's own nothing is said."""
     scanner = {"sensor": "gocator-2340", "baseline_mm": 100.0}
-    assert _hardware(devices.by_part(_scene(scanner=scanner), _box(60.0)))[2] == HARDWARE[LARGE][2]
-    (note,) = devices.notes(_scene(scanner=scanner), _box(60.0))
+    assert _hardware(settle.by_part(_scene(scanner=scanner), _box(60.0)))[2] == HARDWARE[LARGE][2]
+    (note,) = settle.notes(_scene(scanner=scanner), _box(60.0))
     assert "its body is not stated" in note
-    assert not devices.notes(_scene(scanner=scanner, housing={"size_mm": [49, 75, 197]}), _box(60.0))
+    assert not settle.notes(_scene(scanner=scanner, housing={"size_mm": [49, 75, 197]}), _box(60.0))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cell.errors import CellError
-from cell.rays.embree import HAIR, EmbreeRayCaster
+from cell.world.embree import HAIR, EmbreeRayCaster
 
 SQUARE = (
     np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]),

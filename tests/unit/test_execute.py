@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from cell.errors import DriverFailureError, FileError, UsageError
-from cell.rays.embree import EmbreeRayCaster
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
 from cell.robot.model import load
@@ -29,6 +28,7 @@ from cell.scan.options import ScanOptions
 from cell.scan.pose_error import Disturbance
 from cell.scan.simulated import Simulated
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
 from cell.world.travel import TravelBound
 from drivers.clock import SimulatedClock
 from drivers.contract import Capabilities, Mode, RobotState

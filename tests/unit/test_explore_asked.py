@@ -17,12 +17,12 @@ from cell.explore.options import ExploreOptions
 from cell.explore.policies import Batch
 from cell.explore.stage import EnoughError
 from cell.explore.state import Paths
-from cell.rays.embree import EmbreeRayCaster
 from cell.runs import ply
 from cell.runs.schema import BELIEVED, MEASURED, SurfaceName
 from cell.scan.options import ScanOptions
 from cell.scan.safety import EVERY
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import Record, came
 from planner.explore.space import OCCUPIED, VoxelSpace
 from planner.geometry.mesh import TriangleMesh

@@ -11,7 +11,7 @@ from cell.explore.prepare import Eye, prepared
 from cell.narrator import Quiet
 from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
-from cell.scene.options import scene_of
+from cell.scene.file import scene_of
 from planner.values import Floats
 
 STEP = np.radians(0.5)

@@ -8,8 +8,8 @@ import trimesh
 
 from cell.explore import moved
 from cell.explore.moved import with_better
-from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import sample
 from planner.measurability.visibility import measured

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cell.explore.reasons import NOT_TAKEN, SMALL, TRIED, StillOpen, sentence, still_open
-from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import Open
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics.reach import Reach, Verdict

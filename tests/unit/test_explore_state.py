@@ -23,9 +23,8 @@ from cell.plan.request import Request
 from cell.runs.schema import BELIEVED, MEASURED, ExploreFile
 from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
-from cell.scene.options import scene_of
-from cell.scene.plan_settings import PlanSettings
-from cell.scene.scene import Scene
+from cell.scene.file import scene_of
+from cell.scene.model import PlanSettings, Scene
 from planner.explore.gain import Record
 from planner.explore.space import FREE, UNKNOWN, VoxelSpace
 from planner.geometry.closest import NearestSurface

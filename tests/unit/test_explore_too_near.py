@@ -7,8 +7,8 @@ import pytest
 
 from cell.explore.prepare import Eye
 from cell.explore.too_near import BeyondNear, keep_off, too_near
-from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import LATEST
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.geometry.mesh import TriangleMesh

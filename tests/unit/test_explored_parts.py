@@ -12,8 +12,8 @@ from cell import scanners
 from cell.explore import belief
 from cell.explore.prepare import Eye
 from cell.part import workpiece
-from cell.rays import virtual_scan
-from cell.rays.embree import EmbreeRayCaster
+from cell.world import virtual_scan
+from cell.world.embree import EmbreeRayCaster
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.checks.possible import impossible
 from cell.proof.motion_again import require_free
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.world.checks import impossible
 from cell.world.model import compile_world
 from planner.path import indexed
 from planner.path.certified_edge import quantise, quantise_inside, subdivide

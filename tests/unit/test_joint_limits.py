@@ -8,7 +8,7 @@ import pytest
 from cell.errors import SceneError
 from cell.robot import joint_limits
 from cell.robot import model as robot
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
 
 MODEL = robot.limits(robot.load())
 

@@ -11,7 +11,7 @@ from benchmarks.methods.knobs import KNOBS, samples
 from benchmarks.methods.speed import ELSEWHERE, chosen, pictures, sentences, speed_study
 from cell.errors import UsageError
 from cell.narrator import Quiet
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
 from cell.study.bench import Bench
 from cell.study.study import conduct
 from cell.study.trial import Outcome, Trial

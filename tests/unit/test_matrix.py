@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from cell.part.workpiece import load
-from cell.rays import matrix
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.matrix import PartSurface, cache_folder, part_matrix
-from cell.scene.resolve import resolve
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
+from cell.scene.settle import resolve
+from cell.world import measurability
+from cell.world.embree import EmbreeRayCaster
+from cell.world.measurability import PartSurface, cache_folder, part_matrix
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import face_features, sample
 from planner.measurability.visibility import fill
@@ -39,7 +39,7 @@ def asked(part, part_file, tmp_path, monkeypatch):
         calculated.append(len(views))
         return fill(views, *args, **keys)
 
-    monkeypatch.setattr("cell.rays.matrix.fill", counted)
+    monkeypatch.setattr("cell.world.measurability.fill", counted)
 
     def ask(views, *, method="aimed", **keys):
         tables = {"plan": {"fill": method}, "scanner": {"resolution_deg": [1.0, 1.0]}}
@@ -74,7 +74,7 @@ def test_only_new_columns_are_calculated(asked, method):
 
 def test_a_file_does_not_grow_without_end(asked, monkeypatch):
     """Beyond a multiple of what one run asks for, the file is begun anew with what is asked for now."""
-    monkeypatch.setattr(matrix, "_KEPT", 2)
+    monkeypatch.setattr(measurability, "_KEPT", 2)
     for start in (0, 10, 20, 30):
         asked(pick_viewpoints(asked.views, np.arange(start, start + 10)))
     (path,) = cache_folder().iterdir()
@@ -95,9 +95,9 @@ def test_the_cache_forgets_what_was_written_longest_ago(tmp_path: Path) -> None:
         path = tmp_path / f"{name}.npz"
         path.write_bytes(b"x" * 100)
         os.utime(path, (1e9 - age, 1e9 - age))
-    matrix.forget_oldest(tmp_path, 300)
+    measurability.forget_oldest(tmp_path, 300)
     assert len(list(tmp_path.iterdir())) == 3
-    matrix.forget_oldest(tmp_path, 250)
+    measurability.forget_oldest(tmp_path, 250)
     assert {path.stem for path in tmp_path.iterdir()} == {"new", "middle"}
-    matrix.forget_oldest(tmp_path, 10)
+    measurability.forget_oldest(tmp_path, 10)
     assert {path.stem for path in tmp_path.iterdir()} == {"new"}

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, face_features, pick_samples, sample

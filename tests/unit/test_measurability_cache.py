@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cell.errors import FileError
-from cell.rays.matrix_cache import FORMAT, column_hashes, load, row_key, save
 from cell.scanners.laser_area import LaserArea
+from cell.world.measurability import FORMAT, column_hashes, load, row_key, save
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
@@ -187,7 +187,7 @@ def test_an_interrupted_write_keeps_the_old_file(tmp_path, parts, matrix, monkey
         stream.write(b"PK half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("cell.rays.matrix_cache.np.savez", full)
+    monkeypatch.setattr("cell.world.measurability.np.savez", full)
     with pytest.raises(FileError, match="No space left"):
         save(path, matrix, key, column_hashes(parts[2]))
     assert load(path, key).measurability is not None

@@ -7,7 +7,7 @@ import pytest
 from cell.errors import FileError
 from cell.plan.files import named_files
 from cell.robot.mesh_paths import mesh_files
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
 
 URDF = """<robot name="r"><link name="a">
   <visual><geometry><mesh filename="seen.stl"/></geometry></visual>

@@ -23,10 +23,9 @@ from cell.export.options import ExportOptions
 from cell.locate.options import Locating
 from cell.replay.options import ReplayOptions
 from cell.scan.options import ScanOptions
-from cell.scene.option import flag, offers, read
-from cell.scene.options import scene_of, tables
-from cell.scene.plan_settings import PlanSettings
-from cell.scene.scene import Scene
+from cell.scene.file import scene_of, tables
+from cell.scene.model import PlanSettings, Scene
+from cell.scene.options import flag, offers, read
 from cell.study.options import PlaceRange, StudyRun
 
 FILE_ONLY = {

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from cell.checks.own_view import hidden_share
-from cell.checks.possible import require_possible
 from cell.errors import SceneError
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.world.checks import hidden_share, require_possible
 from cell.world.model import compile_world
 
 PART = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)])

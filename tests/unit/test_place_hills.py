@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
 from cell.study.bench import Bench
 from cell.study.place_search import _best_and_others, _hills
 

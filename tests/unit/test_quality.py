@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.rays.embree import EmbreeRayCaster
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import sample

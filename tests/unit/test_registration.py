@@ -7,10 +7,10 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from cell.rays.embree import EmbreeRayCaster
 from cell.reconstruction.cloud import ScanCloud, merge
 from cell.reconstruction.reconstruct import reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
+from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
 from planner.geometry.closest import NearestSurface
 from planner.geometry.mesh import TriangleMesh

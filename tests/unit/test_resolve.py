@@ -6,8 +6,8 @@ import trimesh
 
 from cell.errors import SceneError
 from cell.part.workpiece import Workpiece, from_mesh
-from cell.scene.resolve import resolve
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.scene.settle import resolve
 
 TABLE = {
     "mseke": (930, 300.0, 75.0),

@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.checks.doubtful import doubtful
-from cell.checks.robot import report
 from cell.errors import CellError
 from cell.replay.overlays import touches
 from cell.robot import model as robot
@@ -22,14 +20,16 @@ from cell.robot import robot_file, told
 from cell.robot.arm import kinematics_of
 from cell.robot.normalised import normalised
 from cell.robot.robot_file import what_mujoco_says
-from cell.scene.scene import Scene
-from cell.world import apart, own_pairs, robot_spec
-from cell.world.apart import keeps_apart
+from cell.scene.model import Scene
+from cell.world import robot_spec, self_collision
+from cell.world.checks import doubtful
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.gap import Shapes, is_convex, mesh_of
 from cell.world.model import compile_world
-from cell.world.own_pairs import OwnPairs
+from cell.world.robot_report import report
+from cell.world.self_collision import OwnPairs, keeps_apart
+from cell.world.shapes import Shapes, mesh_of
 from cell.world.travel import TravelBound
+from planner.geometry.hull import is_convex
 from planner.geometry.mesh import TriangleMesh
 from planner.path.certified_edge import subdivide
 
@@ -78,7 +78,7 @@ SLIDES = LEVER.replace('type="continuous"', 'type="prismatic"').replace(
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(own_pairs, "POSES", 200)
+    monkeypatch.setattr(self_collision, "POSES", 200)
 
 
 def written(folder: Path, text: str) -> Path:
@@ -209,7 +209,7 @@ def test_no_way_between_two_links_is_longer_than_what_a_proof_takes_for_it(tmp_p
     rng = np.random.default_rng(3)
     for names in pairs:
         one, other = (model.body(name).id for name in names)
-        axes, moved = apart.ways(model, one, other)
+        axes, moved = self_collision.ways(model, one, other)
         shape = int(model.body_geomadr[one]), int(model.body_geomadr[other])
         for _ in range(200):
             q = rng.uniform(-2.8, 2.8, (1, 6)).repeat(2, axis=0)

@@ -6,20 +6,18 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from cell.checks.doubtful import doubtful
-from cell.checks.possible import impossible
 from cell.errors import SceneError
-from cell.rays.occluders import occluder_triangles, standing_beside
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
 from cell.runs.cell import table_of, with_placement
 from cell.runs.schema import ResolvedScene, ResolvedTable
-from cell.scene.options import scene_of
-from cell.scene.posed import pose
-from cell.scene.scene import Scene
+from cell.scene.file import scene_of
+from cell.scene.model import Scene, pose
+from cell.world.checks import doubtful, impossible
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from cell.world.rotary_table import Turner
+from cell.world.occluders import occluder_triangles, standing_beside
+from cell.world.table import Turner
 from cell.world.travel import swing
 from planner.kinematics.rotary_table import ArmOnTable, RotaryTable
 from planner.path.certified_edge import certify_many

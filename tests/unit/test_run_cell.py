@@ -14,16 +14,15 @@ import trimesh
 from cell.errors import FileError, UsageError
 from cell.part import workpiece
 from cell.plan import files as plan_files
-from cell.rays.occluders import occluder_triangles
 from cell.replay.model import dress
 from cell.runs.cell import collision_note, read_cell, scene_of_run, world_of
 from cell.runs.folder import RunFolder
 from cell.runs.run import Run, open_run
 from cell.scanners.laser_area import LaserArea
-from cell.scene.devices import by_part
-from cell.scene.resolve import resolve
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
+from cell.scene.settle import by_part, resolve
 from cell.world.model import World, compile_world
+from cell.world.occluders import occluder_triangles
 from cell.world.travel import TravelBound
 from planner.geometry.decimation import decimate
 

@@ -21,7 +21,7 @@ from cell.runs.schema import (
     SetupsFile,
     WhyReport,
 )
-from cell.scene.plan_settings import PlanKeys
+from cell.scene.model import PlanKeys
 
 TABLE = Path(__file__).parents[2] / "docs" / "internals" / "run_folder_keys.csv"
 FILES = {

@@ -10,7 +10,7 @@ from cell.robot import model as robot
 from cell.scan import safety
 from cell.scan.options import ScanOptions
 from cell.scan.way import Released
-from cell.scene.option import flag, read
+from cell.scene.options import flag, read
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.limits import Limits
 from drivers.setpoints import from_rad

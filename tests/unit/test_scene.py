@@ -10,13 +10,9 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from cell.errors import SceneError
 from cell.robot.model import model_file
-from cell.scene.devices import settled
-from cell.scene.fixtures import BoxFixture, CylinderFixture, MeshFixture, Setup
-from cell.scene.plan_settings import PlanSettings
-from cell.scene.posed import pose
-from cell.scene.regions import Region
-from cell.scene.scene import Scene
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
+from cell.scene.model import BoxFixture, CylinderFixture, MeshFixture, PlanSettings, Region, Scene, Setup, pose
+from cell.scene.settle import settled
 
 
 def _load(tmp_path: Path, text: str, **options: dict) -> Scene:

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.checks.doubtful import doubtful
-from cell.checks.possible import impossible
-from cell.checks.solid import Solid, way_out
 from cell.part import workpiece
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.world.checks import doubtful, impossible
 from cell.world.model import World, compile_world
+from cell.world.solids import Solid, way_out
 
 ON_TABLE = [1200.0, 500.0, 0.0]  # the part's middle; it is 100 mm high
 NO_POST = {"post": {"enabled": False}}

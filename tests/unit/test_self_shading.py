@@ -8,14 +8,14 @@ import trimesh
 
 from cell.plan import view_plan
 from cell.plan.views_at_rest import ViewsAtRest
-from cell.rays import self_shading
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.occluders import Occluder, arm_triangles, box
-from cell.rays.self_shading import SHADED_SHARE, Look, OwnArm, visible_with_arm
 from cell.robot.arm import kinematics_of
 from cell.scanners.laser_area import LaserArea
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.world import self_occlusion
+from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World, compile_world
+from cell.world.occluders import Occluder, arm_triangles, box
+from cell.world.self_occlusion import SHADED_SHARE, Look, OwnArm, visible_with_arm
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import sample
 from planner.kinematics.reach import Reach, Verdict
@@ -130,7 +130,7 @@ def test_another_joint_solution_is_taken_before_anything_is_given_up(monkeypatch
     def fake(_world: World, q: np.ndarray, _ends: object = None) -> list[Occluder]:
         return [Occluder("link_4", wall if q[3] > 0 else wall + 50.0, faces)]
 
-    monkeypatch.setattr(self_shading, "arm_triangles", fake)
+    monkeypatch.setattr(self_occlusion, "arm_triangles", fake)
     solutions = reached.q_of(view)
     good = solutions[:, 3] <= 0
     assert 0 < good.sum() < len(solutions)
@@ -156,7 +156,7 @@ def test_shade_on_what_another_view_measures_is_no_loss(monkeypatch: pytest.Monk
     wall = (block + np.array([0, 0, 0.2])) @ T[:3, :3].T + T[:3, 3]
     shaded = {q[0].tobytes()}
     monkeypatch.setattr(
-        self_shading, "arm_triangles",
+        self_occlusion, "arm_triangles",
         lambda _w, at, _e=None: [Occluder("link_5", wall + (0.0 if at.tobytes() in shaded else 50.0), faces)],
     )  # fmt: skip
     arm = OwnArm(M, both, twice, world, SCANNER)
@@ -171,13 +171,15 @@ def test_shade_on_what_another_view_measures_is_no_loss(monkeypatch: pytest.Monk
 
 def test_coverage_with_the_arm_is_never_more(monkeypatch: pytest.MonkeyPatch):
     """And equal where the arm is away."""
-    from cell.rays.prediction import Prediction
+    from cell.world.prediction import Prediction
 
     world = _world(mount=SIDEWAYS, housing={"bracket_diameter_mm": 0.0, "size_mm": [100.0, 60.0, 40.0]})
     M, reached, views = _cell(world)
     caster = EmbreeRayCaster(PART.vertices, PART.faces)
     prediction = Prediction.of(M.features, SCANNER, [caster], views.T_object_scanner[:6])
-    arms = [self_shading.arm_caster(world, reached.q_of(v)[0], views.T_object_scanner[v, 0], SCANNER) for v in range(6)]
+    arms = [
+        self_occlusion.arm_caster(world, reached.q_of(v)[0], views.T_object_scanner[v, 0], SCANNER) for v in range(6)
+    ]
     assert any(arm is not None for arm in arms)
     visible = prediction.coverable.covered
     with_arm = visible_with_arm(prediction, views.T_object_scanner[:6], arms, visible)

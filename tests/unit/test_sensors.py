@@ -8,10 +8,9 @@ import pytest
 from cell.errors import FileError, SceneError
 from cell.part.workpiece import load as load_part
 from cell.scene import sensors
-from cell.scene.resolve import resolve
-from cell.scene.scanner_table import keys_of
-from cell.scene.scene import Scene
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
+from cell.scene.model import Scene, keys_of
+from cell.scene.settle import resolve
 
 
 def _problems(**scanner) -> list[str]:

@@ -14,11 +14,10 @@ from scipy.sparse import csr_array
 
 from cell.api import open_run
 from cell.errors import SceneError, UsageError
-from cell.rays.occluders import Occluder
 from cell.runs.run import Run
 from cell.runs.schema import Manifest
-from cell.scene.option import flag
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
+from cell.scene.options import flag
 from cell.setups import plan_setups, search
 from cell.setups.beside import scene_beside
 from cell.setups.contact import touching
@@ -29,6 +28,7 @@ from cell.setups.offered import proposed, with_table_kept
 from cell.setups.search import Search
 from cell.why import advise
 from cell.world.model import compile_world
+from cell.world.occluders import Occluder
 from planner.cover import Problem
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples

@@ -14,7 +14,7 @@ from cell.part.described import volume
 from cell.part.mesh_checks import Kind
 from cell.part.step import DEVIATION_MM, cad_face
 from cell.part.workpiece import Workpiece, load
-from cell.scene.scene_file import load_scene
+from cell.scene.file import load_scene
 from tests.step_files import BLOCK_VOLUME, StepFile, bored_block
 
 needs_cascadio = pytest.mark.skipif(

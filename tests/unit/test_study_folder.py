@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from cell.commands.terminal import Terminal
 from cell.errors import FileError
-from cell.scene.options import tables
+from cell.scene.file import tables
 from cell.study import study as studies
 from cell.study import table_row
 from cell.study.curves import KNOBS

@@ -3,7 +3,7 @@
 import pytest
 
 from cell.errors import UsageError
-from cell.scene.option import flag, read
+from cell.scene.options import flag, read
 from cell.study.options import PlaceRange
 from cell.study.ranges import pairs, values
 

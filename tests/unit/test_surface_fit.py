@@ -5,11 +5,11 @@ import pytest
 import trimesh
 
 from cell.errors import FileError
-from cell.rays.embree import EmbreeRayCaster
 from cell.reconstruction.cloud import ScanCloud
 from cell.reconstruction.freedom import FreeKind, shape_of
 from cell.reconstruction.rigid import motion_of, screw_of
 from cell.reconstruction.surface_fit import Search, fit
+from cell.world.embree import EmbreeRayCaster
 from planner.geometry.closest import NearestSurface
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cell.rays.embree import EmbreeRayCaster
 from cell.robot import model as robot
 from cell.robot.kinematics import Kr16Kinematics
 from cell.robot.model import load
@@ -23,6 +22,7 @@ from cell.scan.pose_error import Disturbance
 from cell.scan.simulated import Simulated
 from cell.scan.sweep_scan import line_poses, lines_between
 from cell.scanners.laser_line import LaserLine
+from cell.world.embree import EmbreeRayCaster
 from cell.world.travel import TravelBound
 from drivers.clock import SimulatedClock
 from drivers.contract import Capabilities, Mode, RobotState

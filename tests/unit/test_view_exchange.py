@@ -12,7 +12,7 @@ from cell.plan import view_exchange, view_plan
 from cell.plan.request import Request
 from cell.plan.view_exchange import _taken_back, settled, shorter
 from cell.plan.views import Groups, Next
-from cell.scene.plan_settings import PlanSettings
+from cell.scene.model import PlanSettings
 from planner import cover
 from planner.cover import CoverStatus
 from planner.ports import JointLimits

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 
 from cell.plan import denser_samples
 from cell.plan.request import LOOK_WORK, Request, Selected, select
-from cell.scene.plan_settings import PlanSettings
+from cell.scene.model import PlanSettings
 
 
 def covered(asked: float, share_of_view: list[float]) -> tuple[int, float]:

@@ -10,13 +10,13 @@ from PIL import Image
 
 from cell.errors import UsageError
 from cell.plan import picture_jobs
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.occluders import box
 from cell.runs.run import open_run
 from cell.view import rays
 from cell.view.cell_picture import best_view, draw_cell
 from cell.view.palette import LENGTHS, OPEN, REASONS, SEEN, SIGNED, rgb
 from cell.view.pieces import Cell, Piece, cell_of_run
+from cell.world.embree import EmbreeRayCaster
+from cell.world.occluders import box
 from planner.geometry.mesh import TriangleMesh
 
 _SIZE = (160, 120)

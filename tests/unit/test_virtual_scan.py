@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.virtual_scan import scan
 from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
+from cell.world.virtual_scan import scan
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import Rejection

@@ -13,7 +13,7 @@ import trimesh
 
 from cell.errors import CellError, FileError, UsageError
 from cell.part.workpiece import UNITS, Kind, Severity, Workpiece, from_mesh, load
-from cell.scene.scene import Scene
+from cell.scene.model import Scene
 
 
 def body() -> trimesh.Trimesh:

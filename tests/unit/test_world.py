@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.checks.possible import require_possible
 from cell.errors import SceneError
-from cell.rays.occluders import Occluder, arm_triangles, occluder_triangles
 from cell.robot import model as robot
-from cell.scene.posed import pose
-from cell.scene.scene import Scene
+from cell.scene.model import Scene, pose
+from cell.world.checks import require_possible
 from cell.world.files import write_mjcf
 from cell.world.model import World, compile_world
+from cell.world.occluders import Occluder, arm_triangles, occluder_triangles
 from cell.world.shapes import prepare_robot
 
 OFFSET = np.array([3.0, -2.0, 1.0])  # the object frame's origin is far from the part

@@ -17,16 +17,17 @@ from cell.robot.fit import fit
 from cell.robot.model import AXES
 from cell.robot.normalised import ACCELERATION_TIME, JERK_TIME
 from cell.words import listed
-from cell.world.gap import meshes_of
-from cell.world.own_pairs import POSES, OwnPairs
 from cell.world.robot_spec import JOINED, from_file, in_our_form, stamp
-from cell.world.triangles import is_closed
+from cell.world.self_collision import POSES, OwnPairs
+from cell.world.shapes import meshes_of
 from planner.errors import PlannerError
+from planner.geometry.distance import is_closed
 
 if TYPE_CHECKING:
     import mujoco
 
     from cell.robot.robot_file import RobotFile
+
 
 _GUESSED_DEG_S = (90.0,) * 6  # shown nowhere: lets an arm without speeds be looked at
 

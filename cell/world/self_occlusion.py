@@ -16,10 +16,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.rays.embree import EmbreeRayCaster
-from cell.rays.occluders import arm_triangles, caster_of, standing_beside
-from cell.rays.prediction import Prediction
+from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World
+from cell.world.occluders import arm_triangles, caster_of, standing_beside
+from cell.world.prediction import Prediction
 from planner.kinematics.reach import Reach
 from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import measured

@@ -6,7 +6,7 @@ directions; the grown solid contains the mesh. A hull overstates a hollow part: 
 
 import numpy as np
 
-from cell.errors import SceneError
+from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
@@ -24,19 +24,21 @@ def solid_hull(vertices: Floats, name: str = "part") -> TriangleMesh:
         The hull in the same frame, faces outward, only vertices that the hull has.
 
     Raises:
-        SceneError: if a coordinate is not finite, or the points have no hull even when grown.
+        PlannerError: if a coordinate is not finite, or the points have no hull even when grown.
     """
     from scipy.spatial import ConvexHull, QhullError
 
     points = np.asarray(vertices, dtype=np.float64)
     if points.ndim != 2 or points.shape[1:] != (3,) or not len(points) or not np.isfinite(points).all():
-        raise SceneError(f"the {name} has no finite vertices (shape {points.shape}); give a mesh with triangles in it")
+        raise PlannerError(
+            f"the {name} has no finite vertices (shape {points.shape}); give a mesh with triangles in it"
+        )
     middle = (points.min(axis=0) + points.max(axis=0)) / 2  # a hull far from the origin would lose digits
     try:
         local = _thickened(points - middle)
         hull = ConvexHull(local)
     except (QhullError, np.linalg.LinAlgError) as error:
-        raise SceneError(f"the {name} has no convex hull; check its scale and units") from error
+        raise PlannerError(f"the {name} has no convex hull; check its scale and units") from error
     corners = local[hull.simplices]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     inward = np.einsum("fj,fj->f", normals, hull.equations[:, :3]) < 0
@@ -53,3 +55,21 @@ def _thickened(points: Floats) -> Floats:
         if np.ptp(points @ axis) < MIN_THICKNESS:
             points = np.concatenate([points - axis * MIN_THICKNESS / 2, points + axis * MIN_THICKNESS / 2])
     return points
+
+
+CONVEX = 1e-3
+"""How deep a face may lie under a mesh's hull so that the hull stands for it [m]."""
+
+
+def is_convex(mesh: TriangleMesh) -> bool:
+    """Whether no face's middle or corner lies deeper than `CONVEX` under the mesh's convex hull."""
+    from scipy.spatial import ConvexHull, QhullError  # kept out of the start-up
+
+    try:
+        planes = np.unique(ConvexHull(mesh.vertices).equations, axis=0)
+    except QhullError:
+        return False
+    corners = mesh.vertices[mesh.faces]
+    looked_at = np.concatenate([corners.mean(axis=1), *(corners[:, [i, i - 1]].mean(axis=1) for i in range(3))])
+    depth = -(looked_at @ planes[:, :3].T + planes[:, 3]).max(axis=1)
+    return bool(depth.max() <= CONVEX)

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cell.rays.embree import EmbreeRayCaster
 from cell.robot import model as robot
-from cell.world.gap import mesh_of
+from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World
+from cell.world.shapes import mesh_of
 from planner.geometry.mesh import TriangleMesh, joined
 from planner.kinematics.rotary_table import RotaryTable
 from planner.ports import ARM_AXES
@@ -25,6 +25,7 @@ from planner.values import Floats, Value, readonly
 
 if TYPE_CHECKING:
     import mujoco
+
 
 _SIDES = 48  # of a prism around a cylinder: its corners stand off by 0.2 % of the radius
 _FLOOR_HALF = 10.0  # m

@@ -1,1 +1,0 @@
-"""What is wrong with a scene, and what is doubtful: `cell check`, and what `cell plan` refuses."""

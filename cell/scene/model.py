@@ -1,0 +1,1062 @@
+"""A pose as a matrix or with a quaternion, as calibrations give it; the scene says poses in mm and KUKA's ABC.
+
+Poses of a scene file: position and KUKA's angles, the mount in three forms, the placement by centre or origin.
+
+What stands in the cell beside robot and part: the `[[fixtures]]` of a scene, of a set-up (`[[setup]]`) only then.
+
+The `[table]` of a scene: a rotary table that turns the part (docs/table.md).
+
+The `[robot]` of a scene: which arm it is, where it stands and how fast it may go.
+
+The scene's `[plan]` table: how to plan, what is wished beyond the fewest views, and which wishes go together.
+
+The scene's `[[region]]` tables: parts of the surface by CAD face, kind, box or colour, and what is asked of each.
+
+A face of the part belongs to the first region that selects it. A region that selects by nothing is the rest.
+
+The keys of the scene's `[scanner]` table: those of the plug-in that `type` names, and of a sensor of the library.
+
+A plug-in declares its keys by the arguments of its class; another type's key is an error with a hint. A sensor of the
+library sets its type and what is known of it; keys of the scene go before the sensor's.
+
+The scene file: what stands in the cell, what the scanner is and how to plan; TOML in, one frozen `Scene` out.
+
+Every key carries its unit (`_mm`, `_deg`); poses are x, y, z and KUKA's A, B, C. A key whose value is None takes the
+scanner's default (range, baseline, housing: `cell.scene.settle`), the part's (planning faces) or follows from another
+key (the standoff from the range, the housing's place from the baseline). `models/scene.toml` is the built-in scene with
+every key explained; `Scene()` equals it.
+"""
+
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
+
+from pydantic import (
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import ErrorDetails, InitErrorDetails
+
+from cell.errors import SceneError
+from cell.part.formats import units_of, wrong_units
+from cell.scene import sensors
+from cell.scene.fields import (
+    AxisLimits,
+    Four,
+    Fov,
+    Grazing,
+    JerkLimits,
+    NotNegative,
+    Positive,
+    Share,
+    Table,
+    Triple,
+    Units,
+    did_you_mean,
+    existing_file,
+)
+from cell.scene.options import Option
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+_NEAR = 1e-3
+"""How far a rotation may be from one: the rounding of numbers with four decimals. It is made one exactly."""
+
+
+def require_one_form(
+    quaternion: Sequence[float] | None, matrix_mm: Sequence[Sequence[float]] | None, given: Collection[str]
+) -> None:
+    """Refuse a pose that is said in two ways, or that is none.
+
+    Args:
+        quaternion: (w, x, y, z), or None.
+        matrix_mm: four rows of four, or None.
+        given: keys that the table has.
+
+    Raises:
+        ValueError: as pydantic takes it, with the key.
+    """
+    import numpy as np  # kept out of the start-up
+
+    said = {"quaternion": ("abc_deg",), "matrix_mm": ("position_mm", "abc_deg", "quaternion")}
+    for key, value in (("matrix_mm", matrix_mm), ("quaternion", quaternion)):
+        if value is not None and (beside := [other for other in said[key] if other in given]):
+            raise ValueError(f".{key} is given beside {beside[0]}; say the pose in one way")
+    if quaternion is not None and abs(float(np.linalg.norm(quaternion)) - 1) > _NEAR:
+        raise ValueError(f".quaternion has the length {np.linalg.norm(quaternion):.4g}; it must be 1 (w, x, y, z)")
+    if matrix_mm is None:
+        return
+    T = np.array(matrix_mm)
+    R = T[:3, :3]
+    if np.abs(T[3] - [0, 0, 0, 1]).max() > 0:
+        raise ValueError(
+            ".matrix_mm has another last row than 0, 0, 0, 1; give four rows of a transform, positions in mm"
+        )
+    if np.abs(R @ R.T - np.eye(3)).max() > _NEAR or np.linalg.det(R) < 0:
+        raise ValueError(".matrix_mm holds no rotation (rows at right angles, of length 1, right-handed)")
+
+
+def of_matrix(matrix_mm: Sequence[Sequence[float]]) -> "NDArray[np.float64]":
+    """(4, 4) [m] of four rows of four whose last column is a position [mm]."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    given = np.array(matrix_mm, dtype=np.float64)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_matrix(given[:3, :3]).as_matrix(), given[:3, 3] / 1000
+    return T
+
+
+def of_quaternion(position_mm: Sequence[float], quaternion: Sequence[float]) -> "NDArray[np.float64]":
+    """(4, 4) [m] of a position [mm] and (w, x, y, z)."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    w, x, y, z = quaternion
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_quat([x, y, z, w]).as_matrix(), np.array(position_mm) / 1000
+    return T
+
+
+PART = "Part and place"
+"""Heading of the options of part and placement."""
+
+_PLACE = Option(
+    "Where the part's centre stands in the robot's base frame (mm) and how it is turned (deg, KUKA ABC).",
+    PART,
+    name="place",
+    metavar="X,Y,Z[,A,B,C]",
+    form="x,y,z or x,y,z,A,B,C (mm and deg)",
+    examples=("1200,500,0",),
+    counts=(3, 6),
+)
+
+_PLACE_ORIGIN = Option(
+    "In place of --place: where the origin of the part's file stands in base (mm), and how it is turned (deg).", PART,
+    name="place_origin", metavar="X,Y,Z[,A,B,C]", form="x,y,z or x,y,z,A,B,C (mm and deg)", examples=("1200,500,-80",),
+    counts=(3, 6),
+)  # fmt: skip
+
+
+class Posed(Table):
+    """A pose: position x, y, z and angles A, B, C (R = Rz(A) Ry(B) Rx(C))."""
+
+    position_mm: Triple = (0.0, 0.0, 0.0)
+    abc_deg: Triple = (0.0, 0.0, 0.0)
+
+    @property
+    def T(self) -> "NDArray[np.float64]":  # the field's name for a transform
+        """(4, 4) the pose as a transform [m]."""
+        return pose(self.position_mm, self.abc_deg)
+
+
+def pose(position_mm: tuple[float, float, float], abc_deg: tuple[float, float, float]) -> "NDArray[np.float64]":
+    """(4, 4) transform [m] of a position [mm] and KUKA's angles A, B, C [deg]."""
+    import numpy as np
+
+    from cell.robot.frames import pose_from_kuka_abc
+
+    return pose_from_kuka_abc(np.array(position_mm) / 1000.0, np.deg2rad(abc_deg))
+
+
+class Mount(Posed):
+    """The scanner frame (origin at the laser source, +z viewing direction, +x to the sensor) in the flange frame.
+
+    The turn may be given as `quaternion` (w, x, y, z) in place of `abc_deg`, the whole as `matrix_mm`, four rows of
+    four whose last column is the position.
+    """
+
+    position_mm: Triple = (0.0, 0.0, 120.0)
+    quaternion: Four | None = None
+    matrix_mm: Annotated[tuple[Four, Four, Four, Four], Field(strict=False)] | None = None
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        if self.quaternion is not None or self.matrix_mm is not None:
+            require_one_form(self.quaternion, self.matrix_mm, self.model_fields_set)
+        return self
+
+    @property
+    def T(self) -> "NDArray[np.float64]":  # the field's name for a transform
+        """(4, 4) the mount as a transform [m]."""
+        if self.matrix_mm is not None:
+            return of_matrix(self.matrix_mm)
+        return super().T if self.quaternion is None else of_quaternion(self.position_mm, self.quaternion)
+
+
+class Placement(Table):
+    """Where the middle of the part's bounding box stands in the robot's base frame, or the origin of its file."""
+
+    position_mm: Annotated[Triple, _PLACE] = (1200.0, 500.0, 0.0)
+    origin_mm: Annotated[Triple | None, _PLACE_ORIGIN] = None
+    abc_deg: Annotated[Triple, _PLACE, _PLACE_ORIGIN] = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _one_point(self) -> Self:
+        if {"position_mm", "origin_mm"} <= self.model_fields_set and self.origin_mm is not None:
+            raise ValueError(
+                ".origin_mm is given beside position_mm; give where the file's origin or the centre stands"
+            )
+        return self
+
+    @classmethod
+    def at(cls, T_base_centre: "NDArray[np.float64]") -> Self:
+        """The placement with the part's centre at a pose (4, 4) [m], its numbers without the dust of the conversion."""
+        import numpy as np
+
+        from cell.robot.frames import kuka_abc_from_pose
+
+        position, abc = kuka_abc_from_pose(T_base_centre)
+        numbers = (1000 * position).round(9) + 0.0, np.degrees(abc).round(9) + 0.0
+        return cls(position_mm=tuple(numbers[0].tolist()), abc_deg=tuple(numbers[1].tolist()))
+
+    @property
+    def T(self) -> "NDArray[np.float64]":  # the field's name for a transform
+        """(4, 4) the part's centre in base [m]; only of a placement by the centre (`by_centre`)."""
+        assert self.origin_mm is None, "the placement is not settled"
+        return pose(self.position_mm, self.abc_deg)
+
+    def by_centre(self, T_object_centre: "NDArray[np.float64]") -> "Placement":
+        """The same placement said by the part's centre, (4, 4) in the object frame [m]."""
+        if self.origin_mm is None:
+            return self
+        middle = (1000 * (pose(self.origin_mm, self.abc_deg) @ T_object_centre)[:3, 3]).round(9) + 0.0
+        return Placement(position_mm=tuple(middle.tolist()), abc_deg=self.abc_deg)
+
+
+RESERVED_NAMES = (
+    *("base", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6"),
+    *("bracket", "housing", "part", "object", "post", "pedestal", "floor", "world"),
+)
+
+
+class NamedFixture(Posed):
+    """What every fixture has."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", max_length=100)]  # it names a file
+    attached_to: Literal["base", "object"] = "base"
+    occludes: bool = True
+
+    @field_validator("name")
+    @classmethod
+    def _not_reserved(cls, name: str) -> str:
+        if name in RESERVED_NAMES:
+            raise ValueError(f"is '{name}', which the cell uses itself; choose another name")
+        return name
+
+
+class BoxFixture(NamedFixture):
+    """A box, `position_mm` at its middle."""
+
+    shape: Literal["box"]
+    size_mm: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)]
+
+
+class CylinderFixture(NamedFixture):
+    """An upright cylinder (axis z), `position_mm` at its middle; size is diameter and height."""
+
+    shape: Literal["cylinder"]
+    size_mm: Annotated[tuple[Positive, Positive], Field(strict=False)]
+
+
+class MeshFixture(NamedFixture):
+    """A mesh file: its true triangles occlude, and collide unless `plan.collision` is "hull"."""
+
+    shape: Literal["mesh"]
+    path: str
+    units: Units
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_its_format(cls, table: Any) -> Any:
+        own = units_of(str(table.get("path"))) if isinstance(table, dict) else None
+        return {"units": own, **table} if own is not None else table
+
+    @field_validator("path")
+    @classmethod
+    def _found(cls, path: str, info: ValidationInfo) -> str:
+        return existing_file(path, info)
+
+
+Fixture = Annotated[BoxFixture | CylinderFixture | MeshFixture, Field(discriminator="shape")]
+
+
+class Post(Table):
+    """The round post on which the part stands, from the floor to the height of the part's lowest point."""
+
+    enabled: bool = True
+    diameter_mm: Positive = 40.0
+
+
+class Setup(Posed):
+    """A pose of the part that `cell setups` may use: where its centre stands, and what stands about it only then."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", max_length=100)]
+    position_mm: Triple
+    fixtures: Annotated[tuple[Fixture, ...], Field(strict=False)] = ()
+    post: Post | None = None
+
+
+class Turntable(Table):
+    """The rotary table on which the post stands: it turns part, post and the part's fixtures about its z.
+
+    `position_mm` is the middle of its face, `abc_deg` the turn of its frame, 0 where the axis is upright. Without a
+    position the axis goes through the part's centre, the face `post_mm` below what of the part is lowest along it; else
+    the post is as long as the part stands above the face. A table of the scene file is there unless it says `enabled =
+    false`. Without limits it is endless, and used half a turn to either side of 0, where motions begin and end. It
+    moves together with the arm, or is indexed: it turns only while the arm stands still, clear of all that it turns at
+    any angle.
+    """
+
+    enabled: Annotated[
+        bool, Option("Turn the part on the scene's rotary table, or on the default one.", PART, name="table")
+    ] = False
+    position_mm: Triple | None = None
+    abc_deg: Triple = (0.0, 0.0, 0.0)
+    diameter_mm: Positive = 400.0
+    height_mm: Positive = 250.0
+    post_mm: Positive = 300.0
+    swing_mm: Positive = 1000.0
+    limits_deg: Annotated[tuple[float, float], Field(strict=False)] | None = None
+    velocity_deg_s: Positive = 120.0
+    acceleration_deg_s2: Positive = 240.0
+    jerk_deg_s3: Positive = 2400.0
+    moves: Literal["synchronised", "indexed"] = "synchronised"
+    angles: Annotated[int, Field(ge=1, le=360)] = 36
+
+    @model_validator(mode="before")
+    @classmethod
+    def _there(cls, table: Any) -> Any:
+        return {"enabled": True, **table} if isinstance(table, dict) and table else table
+
+    @field_validator("limits_deg")
+    @classmethod
+    def _about_home(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
+        if limits is not None and not limits[0] <= 0.0 <= limits[1]:
+            raise ValueError(
+                f"is {list(limits)}; it must be [min, max] with 0, where motions begin and end, in between"
+            )
+        return limits
+
+
+HARDWARE = "Robot and scanner"
+"""Heading of the options of robot and scanner."""
+
+
+class Base(Posed):
+    """Where the robot's base stands in the frame of the cell, whose z is up."""
+
+
+class Robot(Table):
+    """The arm and what it stands on.
+
+    With `base` None the cell's frame is the robot's base. The pedestal stands between the floor, which lies
+    `pedestal_height_mm` below the cell's origin, and a base that is upright; under any other there is none.
+    """
+
+    model: str = "kr16"
+    base_link: str | None = None
+    flange_link: str | None = None
+    packages: dict[str, str] | None = None
+    base: Base | None = None
+    home_deg: Annotated[tuple[float, float, float, float, float, float], Field(strict=False)] | None = None
+    pedestal_height_mm: NotNegative = 600.0
+    pedestal_size_mm: Annotated[tuple[Positive, Positive], Field(strict=False)] = (600.0, 600.0)
+    speed_scaling: Annotated[
+        Share, Option("Override: share of the axis speeds.", HARDWARE, name="speed", metavar="SHARE")
+    ] = 1.0
+    acceleration_scaling: Share = 1.0
+    velocity_deg_s: Annotated[AxisLimits, Field(strict=False)] | None = None
+    acceleration_deg_s2: Annotated[AxisLimits, Field(strict=False)] | None = None
+    jerk_deg_s3: Annotated[JerkLimits, Field(strict=False)] | None = None
+
+    @field_validator("model")
+    @classmethod
+    def _known(cls, model: str, info: ValidationInfo) -> str:
+        return model if model == "kr16" else existing_file(model, info, "a URDF or an MJCF, or kr16")
+
+    @field_validator("packages")
+    @classmethod
+    def _folders(cls, packages: dict[str, str] | None, info: ValidationInfo) -> dict[str, str] | None:
+        folder = Path((info.context or {}).get("folder", Path.cwd()))
+        return packages and {name: str(folder / Path(path).expanduser()) for name, path in packages.items()}
+
+    @property
+    def settled_home_deg(self) -> tuple[float, ...]:
+        """The home in a settled scene (`cell.world.model`) [deg]."""
+        assert self.home_deg is not None, "the scene is not settled"
+        return self.home_deg
+
+    @property
+    def T_base(self) -> "NDArray[np.float64]":
+        """(4, 4) the robot's base in the cell's frame [m]."""
+        return (self.base or Base()).T
+
+    @property
+    def pedestal_mm(self) -> tuple[Triple, Triple] | None:
+        """Sides and middle of the pedestal in the cell's frame [mm]; None: the robot stands on none."""
+        x, y, z = (0.0, 0.0, 0.0) if self.base is None else self.base.position_mm
+        height = self.pedestal_height_mm + z
+        if height <= 0 or not self.T_base[2, 2] > 1 - 1e-9:
+            return None
+        return (*self.pedestal_size_mm, height), (x, y, z - height / 2)
+
+
+_VIEWS, _WISHES = "Views", "Wishes beyond the fewest views (docs/coverage_requests.md)"
+_Candidates = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(strict=False)]
+_PIN, _BAN = (
+    Option(told, _WISHES, name, metavar="ID[,ID...]", form="candidates by their numbers", examples=("12,40",))
+    for name, told in (("pin", "Candidates that the plan must take."), ("ban", "Candidates that it must not take."))
+)
+_OVERLAP = Option(
+    "All scans hang together: views are joined where they share so much of what the smaller one measures, or such an "
+    "area.",
+    _WISHES,
+    metavar="SHARE%|AREAmm2",
+    form="a share of the smaller view or an area",
+    examples=("20%", "500mm2"),
+)
+_POSE_SD = Option(
+    "Standard deviations of executed poses: samples count only where the plan measures them with probability "
+    "1 - alpha.",
+    _WISHES,
+    metavar="MMmm,DEGdeg",
+    form="standard deviations of position and orientation with their units",
+    examples=("0.5mm,0.1deg",),
+)
+
+
+class PlanKeys(Table):
+    """The keys of the table; None takes the part's default."""
+
+    candidates: Annotated[
+        Literal["grown", "optimal-scanning-zone", "view-sphere"],
+        Option("Which viewpoints are looked at: one per face and others where these fail; or the paper's.", _VIEWS),
+    ] = "grown"
+    view_sphere_step_deg: Annotated[
+        tuple[Annotated[float, Field(gt=0, le=180)], Annotated[float, Field(gt=0, le=180)]], Field(strict=False)
+    ] = (15.0, 15.0)
+    standoffs_mm: Annotated[
+        Annotated[tuple[Positive, ...], Field(strict=False, min_length=1)] | None,
+        Option("Distances from surface to laser source. Default: the middle of the range.", _VIEWS, name="standoff"),
+    ] = None
+    rolls_deg: Annotated[
+        tuple[float, ...],
+        Field(strict=False, min_length=1),
+        Option("Rolls about the viewing axis.", _VIEWS, name="roll"),
+    ] = (0.0, 90.0)
+    faces: Annotated[
+        int | None,
+        Field(ge=4),
+        Option("Faces of the planning mesh (one candidate normal each). Default: the part's.", _VIEWS),
+    ] = None
+    percent_kept: Annotated[
+        float | None,
+        Field(gt=0, le=100),
+        Option("In place of --faces: percentage of the faces that is KEPT.", _VIEWS, "percent", metavar="PERCENT"),
+    ] = None
+    samples_per_face: Annotated[
+        int, Field(ge=1), Option("Surface samples per planning face (fill aimed).", _VIEWS, name="samples")
+    ] = 4
+    fill: Annotated[Literal["aimed", "rays"], Option("How the measurability matrix is filled.", _VIEWS)] = "aimed"
+    solver: Annotated[
+        Literal["auto", "greedy", "meta-raps", "local-search", "exact"],
+        Option("How the views are chosen; auto proves the fewest where it can.", _VIEWS),
+    ] = "auto"
+    coverage: Annotated[
+        Share, Option("Share of the coverable area that the plan must measure.", _VIEWS, metavar="SHARE")
+    ] = 0.99
+    required_visible: Annotated[
+        float,
+        Field(ge=0, le=1),
+        Option(
+            "Exit with code 3 when the predicted visible coverage of the WHOLE surface is below this share.",
+            _VIEWS,
+            name="require",
+            also="require_total",
+            metavar="SHARE",
+        ),
+    ] = 0.0
+    max_sigma_mm: Annotated[
+        Positive | None,
+        Option("Count a point as measured only if its expected standard deviation is at most this.", _VIEWS),
+    ] = None
+    collision: Annotated[
+        Literal["hull", "exact"],
+        Option("What part and mesh fixtures are to arm and scanner: their hulls, or exactly their triangles.", _VIEWS),
+    ] = "exact"
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1), Option("Seed of every random choice.", _VIEWS)] = 0
+    max_views: Annotated[
+        int | None, Field(ge=1), Option("The most coverage that at most so many views give.", _WISHES)
+    ] = None
+    multiplicity: Annotated[
+        int, Field(ge=1), Option("Measure each sample from so many views.", _WISHES, also="k_fold")
+    ] = 1
+    pinned: Annotated[_Candidates, _PIN] = ()
+    banned: Annotated[_Candidates, _BAN] = ()
+    cost: Annotated[
+        Literal["views", "time"],
+        Option("What a view costs: 1, or time (scan, settling and an estimated move, in seconds).", _WISHES),
+    ] = "views"
+    scan_s: NotNegative = 2.0
+    settle_s: NotNegative = 0.5
+    overlap_mm2: Annotated[Positive | None, _OVERLAP] = None
+    overlap_share: Annotated[Share | None, _OVERLAP] = None
+    overlap_in_order: Annotated[bool, Option("Each view overlaps an earlier one.", _WISHES)] = False
+    pose_sd_mm: Annotated[NotNegative, _POSE_SD] = 0.0
+    pose_sd_deg: Annotated[NotNegative, _POSE_SD] = 0.0
+    alpha: Annotated[
+        float,
+        Field(gt=0, lt=1),
+        Option("Probability with which such a sample may be missed.", _WISHES, metavar="SHARE"),
+    ] = 0.05
+    ensemble: Annotated[int, Field(ge=1, le=10_000)] = 32
+    curve: Annotated[bool, Option("Also coverage over the number of views, bounded.", _WISHES)] = False
+
+
+_OF_THE_CHOICE = ("max_views", "multiplicity", "cost", "overlap_mm2", "overlap_share", "overlap_in_order", "pose_sd_mm",
+                  "pose_sd_deg", "curve", "solver")  # fmt: skip
+"""Wishes that the choice of views answers."""
+
+
+_OF_THE_ORDER = ("overlap_mm2", "overlap_share", "overlap_in_order")
+
+
+class PlanSettings(PlanKeys):
+    """How to plan: the keys, and that they go together."""
+
+    def plain(self) -> Self:
+        """Without the wishes that the choice of views answers: it is made elsewhere."""
+        return self.model_copy(update={key: PlanKeys.model_fields[key].default for key in _OF_THE_CHOICE})
+
+    def of_views(self, views: Sequence[int], candidates: int) -> Self:
+        """What a plan of these views is asked, and of no others of so many candidates."""
+        others = tuple(sorted(set(range(candidates)).difference(views)))
+        return self.plain().model_copy(update={"coverage": 1.0, "pinned": tuple(views), "banned": others})
+
+    def ordered_as(self, other: Self) -> Self:
+        """With the overlap of other settings where the order of visits is to keep it."""
+        if not other.overlap_in_order:
+            return self
+        return self.model_copy(update={key: getattr(other, key) for key in _OF_THE_ORDER})
+
+    @field_validator("percent_kept")
+    @classmethod
+    def _one_size(cls, percent: float | None, info: ValidationInfo) -> float | None:
+        if percent is not None and info.data.get("faces") is not None:
+            raise ValueError("and plan.faces both set the size of the planning mesh; give one of them")
+        return percent
+
+    @model_validator(mode="after")
+    def _one_question(self) -> Self:
+        if problem := _contradiction(self):
+            raise ValueError(f".{problem}")
+        return self
+
+
+def _contradiction(plan: PlanSettings) -> str:
+    """The first contradiction among the wishes as what a key is ("and plan.x ..."), with the key first; "" for none."""
+    overlap = "overlap_mm2" if plan.overlap_mm2 is not None else "overlap_share"
+    overlaps = plan.overlap_mm2 is not None or plan.overlap_share is not None
+    errs = plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0
+    if plan.overlap_mm2 is not None and plan.overlap_share is not None:
+        return "overlap_mm2 and plan.overlap_share both say what an overlap is; give one of them"
+    if both := sorted(set(plan.pinned) & set(plan.banned)):
+        return f"pinned and plan.banned both name candidate {both[0]}; take it out of one of them"
+    special = {
+        "max_views": plan.max_views is not None,
+        "multiplicity": plan.multiplicity > 1,
+        overlap: overlaps,
+        "pose_sd_mm" if plan.pose_sd_mm > 0 else "pose_sd_deg": errs,
+        "cost": plan.cost == "time",
+    }
+    asked = [key for key, is_asked in special.items() if is_asked]
+    if len(asked) > 1 and asked != ["multiplicity", "cost"]:
+        return f"{asked[0]} and plan.{asked[1]} are different questions to the selection; ask one of them"
+    if plan.max_views is not None and plan.coverage < 1 and "coverage" in plan.model_fields_set:
+        return "max_views and plan.coverage both set how long the plan is; give one of them"
+    if plan.max_views is not None and len(plan.pinned) > plan.max_views:
+        return f"max_views is {plan.max_views} and {len(plan.pinned)} views are pinned; allow more or pin fewer"
+    if asked and asked[0] not in ("multiplicity", "cost") and plan.solver != "auto":
+        return f"solver is '{plan.solver}', and plan.{asked[0]} has a search of its own; leave the solver 'auto'"
+    if plan.overlap_in_order and not overlaps:
+        return "overlap_in_order needs an overlap; give plan.overlap_mm2 or plan.overlap_share"
+    if errs and plan.fill == "rays":
+        return "pose_sd_mm and pose_sd_deg need aimed samples; choose plan.fill = 'aimed'"
+    return ""
+
+
+REST = "the rest"
+"""Name of what no region selects."""
+
+_SELECTORS = ("faces", "kind", "diameter_below_mm", "diameter_above_mm", "box_mm", "colour", "painted")
+_REGION_TARGETS = ("coverage", "max_sigma_mm", "max_spacing_mm", "views", "weight")
+
+
+class RegionWishes(Table):
+    """What is asked of a region; None takes what the plan asks."""
+
+    name: Annotated[str, Field(min_length=1, max_length=60, description="of its own")]
+    care: Annotated[Literal["yes", "no"], Field(description="no: it only stands in the way")] = "yes"
+    coverage: Annotated[
+        Share | None, Field(description="share of what is coverable of it; without one it counts with the others")
+    ] = None
+    max_sigma_mm: Annotated[Positive | None, Field(description="standard deviation of a point at most")] = None
+    max_spacing_mm: Annotated[Positive | None, Field(description="distance of neighbouring points at most")] = None
+    views: Annotated[int | None, Field(ge=1, description="views that each of its samples is measured from")] = None
+    weight: Annotated[Positive, Field(description="of its area beside the others'")] = 1.0
+
+    @property
+    def cared(self) -> bool:
+        """Whether it counts at all."""
+        return self.care == "yes"
+
+
+class Region(RegionWishes):
+    """A region as the scene file describes it; what it selects by must all hold."""
+
+    faces: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(strict=False, min_length=1)] | None = None
+    kind: Literal["plane", "cylinder", "cone", "sphere", "torus", "other"] | None = None
+    diameter_below_mm: Positive | None = None
+    diameter_above_mm: NotNegative | None = None
+    box_mm: Annotated[tuple[float, float, float, float, float, float], Field(strict=False)] | None = None
+    colour: Annotated[str, Field(pattern=r"^#[0-9A-Fa-f]{6}$")] | None = None
+    painted: str | None = None
+    painted_units: Units | None = None
+
+    @property
+    def selects(self) -> bool:
+        """Whether it selects by anything; otherwise it is the rest."""
+        return any(getattr(self, key) is not None for key in _SELECTORS)
+
+    @field_validator("name")
+    @classmethod
+    def _one_line(cls, name: str) -> str:
+        if not name.isprintable() or "|" in name or name != name.strip():
+            raise ValueError(
+                f"is {name!r}; it stands in tables: one line without '|', and no blank at its beginning or end"
+            )
+        return name
+
+    @field_validator("box_mm")
+    @classmethod
+    def _low_and_high(cls, box: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if box is not None and not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
+            raise ValueError(f"is {list(box)}; it must be x, y, z of its lowest and then of its highest corner")
+        return box
+
+    @field_validator("painted")
+    @classmethod
+    def _found(cls, painted: str | None, info: ValidationInfo) -> str | None:
+        if painted is None:
+            return None
+        path = Path((info.context or {}).get("folder", Path.cwd())) / Path(painted).expanduser()
+        if not path.is_file():
+            raise ValueError(f"is '{painted}', and there is no file {path}; give a coloured mesh")
+        return str(path)
+
+    @model_validator(mode="after")
+    def _possible(self) -> "Region":
+        asked = [key for key in _REGION_TARGETS if key in self.model_fields_set and getattr(self, key) is not None]
+        if not self.cared and asked:
+            raise ValueError(f".care is 'no', and region.{asked[0]} asks for something; give one of them")
+        if self.painted is not None and self.colour is None:
+            raise ValueError(".painted needs region.colour, the colour that marks the region in it, as '#rrggbb'")
+        if self.painted is not None and self.painted_units is None:
+            from cell.part.formats import units_of
+
+            if units_of(self.painted) is None:
+                raise ValueError(".painted needs region.painted_units: mm, cm, m, um or in")
+        below, above = self.diameter_below_mm, self.diameter_above_mm
+        if below is not None and above is not None and not above < below:
+            raise ValueError(f".diameter_above_mm is {above:g}, which is not below region.diameter_below_mm, {below:g}")
+        return self
+
+
+def contradiction(regions: Sequence[Region]) -> str:
+    """What is wrong with regions together, as what the key `region` is; "" for nothing."""
+    names = [region.name for region in regions]
+    if twice := next((name for name in names if names.count(name) > 1), ""):
+        return f"holds the name '{twice}' more than once; every region needs its own"
+    for region in regions[:-1]:
+        if not region.selects:
+            return f"holds '{region.name}', which selects by nothing and so takes all the rest; put it last"
+    if regions and REST in names and regions[-1].selects:
+        return f"holds the name '{REST}', which is that of what no region selects; choose another"
+    if regions and not any(region.cared for region in regions) and not regions[-1].selects:
+        return 'cares for nothing; leave out care = "no" where something has to be measured'
+    return ""
+
+
+def beside_plan(regions: Sequence[Region], plan: PlanSettings) -> str:
+    """What regions ask that does not go with the plan's wishes, as what the key `region` is; "" for nothing."""
+    if plan.fill == "rays":
+        return "needs aimed samples; choose plan.fill = 'aimed'"
+    special = {
+        "max_views": plan.max_views is not None,
+        "overlap": plan.overlap_mm2 is not None or plan.overlap_share is not None,
+        "pose_sd": plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0,
+    }
+    asked = next((key for key, is_asked in special.items() if is_asked), "")
+    for region in regions:
+        for key in ("coverage", "views", "weight"):
+            if asked and key in region.model_fields_set and (asked, key) != ("max_views", "weight"):
+                return f"'{region.name}' asks for {key}, and plan.{asked} is another question; ask one of them"
+    return ""
+
+
+def require_no_wishes(regions: Sequence[Region]) -> None:
+    """Refuse regions that ask for more than to be cared for, or not: studies know no more.
+
+    Raises:
+        SceneError: with the region and the key.
+    """
+    for region in regions:
+        for key in _REGION_TARGETS:
+            if key in region.model_fields_set:
+                raise SceneError(
+                    f"the region '{region.name}' asks for {key}, and studies know of regions only what they care for; "
+                    "leave it out"
+                )
+
+
+def complete(regions: Sequence[Region]) -> tuple[Region, ...]:
+    """The regions with the rest, where none of them is that; none where the scene has none."""
+    rest = () if not regions or not regions[-1].selects else (Region(name=REST),)
+    return (*regions, *rest)
+
+
+OF_EVERY_TYPE = ("type", "sensor")
+OF_RAY_GRIDS = "planning_resolution_deg"
+"""Stands for `resolution_deg` where the matrix is filled by scanning: a key of every type that has a resolution."""
+
+T = TypeVar("T")
+
+
+def validated(table: Any, validate: Callable[[Any], T], default_type: str) -> T:
+    """The `[scanner]` table as pydantic's `validate` makes it, after the keys are checked and a sensor is put in.
+
+    Args:
+        table: what stands in the scene.
+        validate: takes the table without the keys that are wrong here.
+        default_type: the type of a table that names none.
+
+    Raises:
+        ValidationError: with all problems at once.
+    """
+    from cell import scanners  # loads numpy
+
+    if not isinstance(table, dict):
+        return validate(table)
+    content = {key: value for key, value in table.items() if value is not None}
+    problems = _put_sensor_in(content)
+    kind = content.get("type", default_type)
+    if kind in scanners.names():
+        problems += _foreign_keys(content, kind)
+    result: T | None = None
+    try:
+        result = validate(content)
+    except ValidationError as error:
+        problems += [_again(detail) for detail in error.errors()]
+    if problems or result is None:
+        raise ValidationError.from_exception_data("Scanner", problems)
+    return result
+
+
+def keys_of(kind: str) -> tuple[str, ...] | None:
+    """Valid keys of a type's table; None where its class takes any.
+
+    Raises:
+        SceneError: if the plug-in cannot be imported; the message names its distribution.
+    """
+    from cell import scanners
+
+    own = scanners.keys(kind)
+    if own is None:
+        return None
+    return (*OF_EVERY_TYPE, *own, *((OF_RAY_GRIDS,) if "resolution_deg" in own else ()))
+
+
+def _put_sensor_in(content: dict[str, object]) -> list[InitErrorDetails]:
+    """Fill in what the sensor's file states; returns what is wrong."""
+    name = content.get("sensor")
+    if not isinstance(name, str):
+        return []
+    try:
+        sensor = sensors.load(name)
+    except SceneError:
+        known = sensors.names()
+        return [_problem("sensor", name, f"is '{name}'; {did_you_mean(name, known)}valid are: {', '.join(known)}")]
+    if content.get("type", sensor.type) != sensor.type:
+        return [
+            _problem("type", content["type"], f"is '{content['type']}', and {name} is a {sensor.type}; leave type out")
+        ]
+    for key, value in {"type": sensor.type, **sensor.keys}.items():
+        content.setdefault(key, value)
+    needed = dict(sensor.not_stated)
+    if sensor.type == "laser-line" and {"max_spacing_mm", "profile_rate_hz"} & set(content):
+        needed |= sensors.OF_DENSITY
+    return [
+        _problem("sensor", name, f"{name} does not state its {word}; set scanner.{key}")
+        for key, word in needed.items()
+        if key not in content
+    ]
+
+
+def _foreign_keys(content: dict[str, object], kind: str) -> list[InitErrorDetails]:
+    """Take out the keys that the type does not have; returns a problem for each."""
+    known = keys_of(kind)
+    problems = []
+    for key in [key for key in content if known is not None and key not in known]:
+        hint = did_you_mean(key, known or ())
+        text = f"is an unknown key of {kind}; {hint}valid are: {', '.join(known or ())}"
+        problems.append(_problem(key, content.pop(key), text))
+    return problems
+
+
+def _problem(key: str, value: object, text: str) -> InitErrorDetails:
+    return {"type": "value_error", "loc": (key,), "input": value, "ctx": {"error": ValueError(text)}}
+
+
+def _again(detail: ErrorDetails) -> InitErrorDetails:
+    """An error of pydantic's in the form in which it can be raised once more."""
+    kept: InitErrorDetails = {"type": detail["type"], "loc": detail["loc"], "input": detail["input"]}
+    if "ctx" in detail:
+        kept["ctx"] = detail["ctx"]
+    return kept
+
+
+_SHOWN = ("robot", "scanner", "post", "pedestal", "floor")
+
+_REPORT = "Output"
+
+
+class Scanner(Table):
+    """The scanner's law; the keys are those of the plug-in that `type` names, a foreign one's own keys among them."""
+
+    model_config = ConfigDict(extra="allow")  # `_keys_of_its_type` refuses what the plug-in does not know
+
+    type: str = "laser-area"
+    sensor: Annotated[
+        str | None, Option("A scanner by name, see cell sensors. Default: the part's device.", HARDWARE)
+    ] = None
+    fov_deg: Annotated[tuple[Fov, Fov], Field(strict=False)] = (60.0, 60.0)
+    resolution_deg: Annotated[tuple[Positive, Positive], Field(strict=False)] = (0.25, 0.25)
+    planning_resolution_deg: Positive = 1.0
+    range_mm: Annotated[tuple[NotNegative, Positive], Field(strict=False)] | None = None
+    baseline_mm: Annotated[
+        NotNegative | None, Option("From laser source to sensor. Default: the scanner's.", HARDWARE)
+    ] = None
+    grazing_max_deg: Grazing = 75.0
+    sensor_grazing_max_deg: Grazing = 75.0
+    sensor_fov_deg: Annotated[tuple[Fov, Fov], Field(strict=False)] | None = None
+    sensor_tilt_deg: Annotated[float, Field(gt=-90, lt=90)] | None = None
+    depth_of_field_mm: Annotated[tuple[NotNegative, Positive], Field(strict=False)] | None = None
+    sigma_angle_mdeg: NotNegative = 1.5
+    fan_deg: Fov = 28.0
+    sweep_mm: Positive | None = None
+    sweep_deg: Fov | None = None
+    sweep_steps: Annotated[int, Field(ge=1)] = 8
+    line_points: Annotated[int, Field(ge=1)] = 640
+    profile_rate_hz: Positive | None = None
+    max_spacing_mm: Annotated[
+        Positive | None,
+        Option("Count a point as measured only if its neighbours in the scan lie at most so far away.", HARDWARE),
+    ] = None
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _keys_of_its_type(cls, table: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+
+        return validated(table, handler, cls.model_fields["type"].default)
+
+    @field_validator("type")
+    @classmethod
+    def _installed(cls, name: str) -> str:
+        from cell import scanners
+        from cell.scene.fields import did_you_mean
+
+        known = scanners.names()
+        if name not in known:
+            raise ValueError(f"is '{name}'; {did_you_mean(name, known)}installed are: {', '.join(known) or 'none'}")
+        return name
+
+    @field_validator("range_mm", "depth_of_field_mm")
+    @classmethod
+    def _ordered(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
+        if limits is not None and not limits[0] < limits[1]:
+            raise ValueError(f"is {list(limits)}; it must be [min, max] with min < max")
+        return limits
+
+    @property
+    def opening_deg(self) -> tuple[float, float]:
+        """Angles across and along a line [deg], for outlines and pictures: the field of view, or the thin fan."""
+        from cell import scanners
+
+        known = scanners.keys(self.type) or ()
+        return (0.5, self.fan_deg) if "fan_deg" in known and "fov_deg" not in known else self.fov_deg
+
+
+class Housing(Table):
+    """The scanner's body, a box, and the bracket between it and the flange.
+
+    With `position_mm` None the box is centred over the baseline (x) and the viewing axis (y), and its front face lies
+    in the plane of the source, so that no ray starts inside it.
+    """
+
+    size_mm: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)] | None = None
+    position_mm: Triple | None = None
+    abc_deg: Triple = (0.0, 0.0, 0.0)
+    bracket_diameter_mm: NotNegative | None = None
+
+    @property
+    def sides_mm(self) -> Triple:
+        """Its size in a settled scene (`cell.scene.settle`)."""
+        assert self.size_mm is not None, "the scene is not settled"
+        return self.size_mm
+
+    @property
+    def bracket_mm(self) -> float:
+        """The bracket's diameter in a settled scene."""
+        assert self.bracket_diameter_mm is not None, "the scene is not settled"
+        return self.bracket_diameter_mm
+
+    def T_scanner_housing(self, baseline_mm: float) -> "NDArray[np.float64]":
+        """(4, 4) the middle of the box in the scanner frame [m]."""
+        return pose(self.position_mm or (baseline_mm / 2, 0.0, -self.sides_mm[2] / 2), self.abc_deg)
+
+
+class Part(Table):
+    """The part: a built-in one by `name`, or a file and its units, where the file does not say them itself."""
+
+    name: Literal["mseke", "mug", "robinet", "petanque", "humerus", "st-jean"] = "mseke"
+    path: str | None = None
+    units: Annotated[
+        Units | None,
+        Field(validate_default=True),
+        Option("Unit of the mesh file. Never guessed.", PART),
+    ] = None
+
+    @field_validator("path")
+    @classmethod
+    def _found(cls, path: str | None, info: ValidationInfo) -> str | None:
+        return None if path is None else existing_file(path, info)
+
+    @field_validator("units")
+    @classmethod
+    def _given_for_a_file(cls, units: str | None, info: ValidationInfo) -> str | None:
+        path = info.data.get("path", "given, but wrong")
+        if path is not None and (why := wrong_units(path, units)):
+            raise ValueError(f"is given for {path}, which {why}")
+        if path is not None and units is None:
+            if (own := units_of(path)) is not None:
+                return own
+            raise ValueError("is missing; say what the file's numbers are in: mm, cm, m, um or in")
+        if path is None and units is not None:
+            raise ValueError("is given for a built-in part, which has its own size; leave it out, or give part.path")
+        return units
+
+    @property
+    def source(self) -> str:
+        """What to load: the file's path, or the built-in part's name."""
+        return self.path if self.path is not None else self.name
+
+
+class Picture(Table):
+    """How the report shows the cell (cell.png); nothing that is planned depends on it."""
+
+    camera_deg: Annotated[
+        tuple[float, float] | None,
+        Field(strict=False),
+        Option(
+            "Camera of the report's picture of the cell: azimuth and elevation as seen from the part, deg. Default: "
+            "beside part and arm.", _REPORT, metavar="AZ,EL", form="azimuth,elevation (deg)",
+            examples=("-60,20",), counts=(2,),
+        ),
+    ] = None  # fmt: skip
+    hide: Annotated[
+        tuple[str, ...],
+        Field(strict=False),
+        Option(
+            "What that picture leaves out: fixtures, robot, scanner, post, pedestal or floor.", _REPORT,
+            metavar="NAME[,NAME...]", made=lambda texts: [each for text in texts for each in text.split(",")],
+        ),
+    ] = ()  # fmt: skip
+
+
+class Scene(Table):
+    """A whole scene; `Scene()` is the built-in one."""
+
+    clearance_mm: NotNegative = 10.0
+    arrival_mm: Positive | None = None
+    robot: Robot = Field(default_factory=Robot)
+    scanner: Scanner = Field(default_factory=Scanner)
+    mount: Mount = Field(default_factory=Mount)
+    housing: Housing = Field(default_factory=Housing)
+    part: Part = Field(default_factory=Part)
+    placement: Placement = Field(default_factory=Placement)
+    post: Post = Field(default_factory=Post)
+    table: Turntable = Field(default_factory=Turntable)
+    fixtures: Annotated[tuple[Fixture, ...], Field(strict=False)] = ()
+    plan: PlanSettings = Field(default_factory=PlanSettings)
+    region: Annotated[tuple[Region, ...], Field(strict=False)] = ()
+    setup: Annotated[tuple[Setup, ...], Field(strict=False)] = ()
+    picture: Picture = Field(default_factory=Picture)
+
+    def require_fixed_part(self, what: str) -> None:
+        """Refuse a rotary table where it is not known yet.
+
+        Raises:
+            SceneError: naming what does not know it.
+        """
+        if self.table.enabled:
+            raise SceneError(f"{what} cannot have a rotary table yet; leave --table and [table] out")
+
+    @field_validator("fixtures")
+    @classmethod
+    def _distinct(cls, fixtures: tuple[NamedFixture, ...]) -> tuple[NamedFixture, ...]:
+        names = [fixture.name for fixture in fixtures]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"hold the name '{twice[0]}' more than once; every fixture needs its own name")
+        return fixtures
+
+    @field_validator("region")
+    @classmethod
+    def _go_together(cls, regions: tuple[Region, ...], info: ValidationInfo) -> tuple[Region, ...]:
+        plan = info.data.get("plan")
+        if problem := contradiction(regions) or (plan and regions and beside_plan(regions, plan)):
+            raise ValueError(problem)
+        return regions
+
+    @field_validator("setup")
+    @classmethod
+    def _differ(cls, setups: tuple[Setup, ...], info: ValidationInfo) -> tuple[Setup, ...]:
+        shared = [fixture.name for fixture in info.data.get("fixtures", ())]
+        for number, setup in enumerate(setups):
+            names = [*shared, *(fixture.name for fixture in setup.fixtures)]
+            if twice := sorted({name for name in names if names.count(name) > 1}):
+                raise ValueError(f"'{setup.name}' has the fixture '{twice[0]}' more than once; each needs its own name")
+            for other in setups[:number]:
+                if other.name == setup.name:
+                    raise ValueError(f" has the name '{setup.name}' more than once; each set-up needs its own")
+                if other.model_copy(update={"name": setup.name}) == setup:
+                    raise ValueError(f"s '{other.name}' and '{setup.name}' are equal; leave one of them out")
+        return setups
+
+    @field_validator("picture")
+    @classmethod
+    def _hides_what_is_there(cls, picture: Picture, info: ValidationInfo) -> Picture:
+        known = [*_SHOWN, *(fixture.name for fixture in info.data.get("fixtures", ()))]
+        for name in picture.hide:
+            if name not in known:
+                raise ValueError(f".hide names '{name}', which is nothing of this cell; it has: {', '.join(known)}")
+        return picture
