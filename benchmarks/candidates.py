@@ -34,7 +34,7 @@ from cell.world.occluders import occluder_triangles
 from planner import cover
 from planner.cover import Cover
 from planner.geometry.decimation import decimate
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.kinematics import reach
 from planner.kinematics.reach import Reach, join_reach
 from planner.measurability import coverage
@@ -118,7 +118,7 @@ class Bench:
         reference = self.part.reference
         self.planning = decimate(reference, self.settings.faces)
         self.features = surface_features(scene, reference, self.planning, np.random.default_rng([0, 0]))
-        self.held_out = sample(reference, self.planning, coverage.SAMPLES, np.random.default_rng([0, 1]))
+        self.held_out = draw_samples(reference, self.planning, coverage.SAMPLES, np.random.default_rng([0, 1]))
         self.scanner = LaserArea(**self.settings.scanner)
         self.world = compile_world(
             scene, reference.vertices, part_faces=reference.faces, baseline_mm=self.settings.scanner["baseline_mm"]
@@ -158,7 +158,7 @@ class Bench:
         views = self.views(generator)
         reached = self.reach_of(views)
         if generator == generators.GROWN:
-            scouts = sample(self.part.reference, self.planning, growth.SCOUTS, np.random.default_rng([0, 7]))
+            scouts = draw_samples(self.part.reference, self.planning, growth.SCOUTS, np.random.default_rng([0, 7]))
             added = generators.grow(views, reached.reachable, scouts, self.arm())
             views, reached = join_viewpoints([views, added]), join_reach([reached, self.reach_of(added)])
         M = self.measure(views)

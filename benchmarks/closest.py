@@ -12,7 +12,7 @@ import numpy as np
 
 from cell.part.workpiece import load
 from cell.reconstruction.deviation import area_samples
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
@@ -37,10 +37,10 @@ def run() -> list[dict[str, Any]]:
 
 def _row(mesh: TriangleMesh, what: str, points: Floats) -> dict[str, Any]:
     start, busy = perf_counter(), process_time()
-    closest = NearestSurface(mesh).closest(points)
+    closest = ClosestPointQuery(mesh).closest(points)
     took = {"seconds": perf_counter() - start, "processor s": process_time() - busy}
     start, busy = perf_counter(), process_time()
-    signed = NearestSurface(mesh).signed(points)
+    signed = ClosestPointQuery(mesh).signed_distance(points)
     took |= {"signed s": perf_counter() - start, "signed processor s": process_time() - busy}
     judged = np.linspace(0, len(points) - 1, JUDGED).astype(int)
     distance, inside = np.array([_brute(mesh.vertices[mesh.faces] - points[i]) for i in judged]).T

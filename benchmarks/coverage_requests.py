@@ -134,7 +134,7 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     from cell.world.embree import EmbreeRayCaster
     from cell.world.measurability import surface_features
     from planner.geometry.decimation import decimate
-    from planner.geometry.sampling import sample
+    from planner.geometry.sampling import draw_samples
     from planner.measurability.visibility import fill
 
     tables = {"part": {"name": part}, "placement": {"position_mm": [1200.0, 500.0, 0.0]}, "plan": {"rolls_deg": [0.0]}}
@@ -146,5 +146,5 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     features = surface_features(scene, loaded.reference, planning, np.random.default_rng(0))
     scanner = LaserArea(**settings.scanner)
     caster = EmbreeRayCaster(loaded.reference.vertices, loaded.reference.faces)
-    samples = sample(loaded.reference, planning, 5_000, np.random.default_rng(1))
+    samples = draw_samples(loaded.reference, planning, 5_000, np.random.default_rng(1))
     return fill(views, features, scanner, caster), views, scanner, caster, samples

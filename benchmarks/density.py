@@ -21,7 +21,7 @@ from benchmarks.parts import parts, place
 from cell.errors import CellError
 from cell.runs.cell import read_cell
 from cell.runs.run import open_run
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability import coverage
 from planner.values import Floats, Ints32
 
@@ -74,7 +74,7 @@ def spacing_of_scans(folder: Path) -> Floats:
     """
     run = open_run(folder)
     cell = read_cell(run)
-    samples = sample(cell.reference, cell.planning, _SAMPLES, np.random.default_rng(11))
+    samples = draw_samples(cell.reference, cell.planning, _SAMPLES, np.random.default_rng(11))
     poses = np.stack([view.T_object_poses for view in run.plan.views])
     visible = coverage.visible(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster)).covered
     best = np.full(_SAMPLES, np.inf)

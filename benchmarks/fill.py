@@ -26,10 +26,10 @@ from cell.scanners.laser_area import LaserArea
 from cell.scene.file import load_scene
 from cell.scene.settle import resolve
 from cell.world.embree import EmbreeRayCaster
-from planner.geometry.closest import closest_face
+from planner.geometry.closest import closest_facing_faces
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, face_features, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples, samples_at_face_centres
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import fill
@@ -133,9 +133,9 @@ def _part(name: str, *, large: bool = False) -> list[dict[str, Any]]:
     views = optimal_scanning_zone(planning, settings.standoffs, (0.0,) if large else settings.rolls)
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
     rng = np.random.default_rng(0)
-    held_out = sample(reference, planning, coverage.SAMPLES, rng)
-    row_of_face = closest_face(reference.centres, reference.normals, planning)
-    faces = face_features(reference, planning)
+    held_out = draw_samples(reference, planning, coverage.SAMPLES, rng)
+    row_of_face = closest_facing_faces(reference.centres, reference.normals, planning)
+    faces = samples_at_face_centres(reference, planning)
 
     def rays(step: float) -> Measurability:
         scanner = LaserArea(**{**settings.scanner, "resolution_deg": (step, step)})
@@ -151,7 +151,7 @@ def _part(name: str, *, large: bool = False) -> list[dict[str, Any]]:
     for step in (1.0,) if large else RESOLUTIONS_DEG:
         works.append((f"rays {step:g}°", lambda step=step: rays(step)))  # type: ignore[misc]
     for count in (1,) if large else SAMPLES_PER_FACE:
-        features = sample(reference, planning, count * len(planning.faces), rng)
+        features = draw_samples(reference, planning, count * len(planning.faces), rng)
         works.append((f"aimed {count}/face", lambda features=features: aimed(features)))  # type: ignore[misc]
     label = f"{name} {len(planning.faces)} x {len(views)}" if large else name
     rows = [_row(label, method, work, views, held_out, scanner, caster, reference) for method, work in works]

@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.candidates import Bench, parts
 from cell.plan import candidates as generators
 from cell.scene.file import load_scene
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability import coverage
 from planner.values import Bools
 from planner.viewpoints import growth
@@ -50,7 +50,7 @@ def _part(bench: Bench) -> dict[str, Any]:
     zone = generators.first(scene, bench.settings, bench.part, bench.planning)
     usable = bench.reach_of(zone).reachable
     start = process_time()
-    scouts = sample(bench.part.reference, bench.planning, growth.SCOUTS, np.random.default_rng([0, 7]))
+    scouts = draw_samples(bench.part.reference, bench.planning, growth.SCOUTS, np.random.default_rng([0, 7]))
     added = generators.grow(zone, usable, scouts, arm)
     seconds = process_time() - start
     first, second = zone.T_object_scanner[usable], added.T_object_scanner

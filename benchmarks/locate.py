@@ -29,7 +29,7 @@ from cell.reconstruction.surface_fit import Search, fit
 from cell.runs.cell import RunCell, read_cell
 from cell.runs.run import Run
 from cell.world import virtual_scan
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.values import Floats
 
 _OFF_M, _OFF_DEG, _NOISE_M, _WITHIN_M = 0.02, 5.0, 3e-5, 1e-4
@@ -55,7 +55,7 @@ def run() -> list[dict[str, Any]]:
 
 def _row(planned: Run, count: int) -> dict[str, Any]:
     cell = read_cell(planned)
-    nearest, centre = NearestSurface(cell.reference), cell.scene.T_object_centre[:3, 3]
+    nearest, centre = ClosestPointQuery(cell.reference), cell.scene.T_object_centre[:3, 3]
     vertices = cell.reference.vertices[np.linspace(0, len(cell.reference.vertices) - 1, _POINTS).astype(np.int64)]
     errors, deviations, open_, wrong, seconds, seen = [], [], [], 0, 0.0, []
     for draw in range(count):

@@ -17,9 +17,9 @@ from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from cell.world.virtual_scan import scan
 from planner import cover
-from planner.geometry.closest import closest_face
+from planner.geometry.closest import closest_facing_faces
 from planner.geometry.decimation import decimate
-from planner.geometry.sampling import face_features, sample
+from planner.geometry.sampling import draw_samples, samples_at_face_centres
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import fill
@@ -41,10 +41,10 @@ def run() -> list[dict[str, Any]]:
     views = optimal_scanning_zone(planning, (STANDOFF,), (0.0,))
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
     rng = np.random.default_rng(0)
-    features = sample(reference, planning, _SAMPLES_PER_FACE * len(planning.faces), rng)
-    held_out = sample(reference, planning, coverage.SAMPLES, rng)
-    row_of_face = closest_face(reference.centres, reference.normals, planning)
-    rows = face_features(reference, planning)
+    features = draw_samples(reference, planning, _SAMPLES_PER_FACE * len(planning.faces), rng)
+    held_out = draw_samples(reference, planning, coverage.SAMPLES, rng)
+    row_of_face = closest_facing_faces(reference.centres, reference.normals, planning)
+    rows = samples_at_face_centres(reference, planning)
 
     def judged(name: str, step: float, M: Measurability, seconds: float) -> dict[str, Any]:
         scanner = _scanner(step)

@@ -23,7 +23,7 @@ from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
 from cell.reconstruction.deviation import Deviation, deviation
 from cell.reconstruction.reconstruct import REACH, reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
@@ -39,7 +39,7 @@ DEPTH = 8
 def run() -> list[dict[str, Any]]:
     """One row per grid and noise, one per noise by Poisson where Open3D is installed, then one per pose error."""
     part = load("mseke")
-    nearest = NearestSurface(part.reference)
+    nearest = ClosestPointQuery(part.reference)
     return _mesh_rows(part, nearest) + _registration_rows(part, nearest)
 
 
@@ -100,7 +100,7 @@ def _draw_registration(axis: Any, line: list[dict[str, Any]]) -> None:
     )
 
 
-def _mesh_rows(part: Workpiece, nearest: NearestSurface) -> list[dict[str, Any]]:
+def _mesh_rows(part: Workpiece, nearest: ClosestPointQuery) -> list[dict[str, Any]]:
     rows = []
     exact = eight_scans(part, resolution_deg=0.165)
     for noise in NOISES_UM:
@@ -122,7 +122,7 @@ def _mesh_rows(part: Workpiece, nearest: NearestSurface) -> list[dict[str, Any]]
     return rows
 
 
-def _errors(mesh: TriangleMesh, nearest: NearestSurface) -> dict[str, Any]:
+def _errors(mesh: TriangleMesh, nearest: ClosestPointQuery) -> dict[str, Any]:
     measured: Deviation = deviation(mesh, nearest, np.random.default_rng(0))
     return {
         "rms um": measured.rms * 1e6,
@@ -150,7 +150,7 @@ def _poisson(scans: list[ScanCloud], cut: float) -> tuple[TriangleMesh, float]:
     return mesh, 1.1 * float(np.ptp(np.asarray(cloud.points), axis=0).max()) / 2**DEPTH
 
 
-def _registration_rows(part: Workpiece, nearest: NearestSurface) -> list[dict[str, Any]]:
+def _registration_rows(part: Workpiece, nearest: ClosestPointQuery) -> list[dict[str, Any]]:
     rows = []
     scans = noisy(eight_scans(part, resolution_deg=0.5), 30e-6)
     for millimetres, degrees in POSE_ERRORS:
@@ -187,7 +187,7 @@ def _disturbed(cloud: ScanCloud, shift: Floats, turn_deg: Floats) -> ScanCloud:
     return cloud.moved(T)
 
 
-def _rms(scans: list[ScanCloud], nearest: NearestSurface) -> float:
+def _rms(scans: list[ScanCloud], nearest: ClosestPointQuery) -> float:
     """Root mean square distance of all points to the reference [m]."""
     distance = nearest.closest(np.concatenate([cloud.points for cloud in scans])).distance
     return float(np.sqrt(np.mean(distance**2)))

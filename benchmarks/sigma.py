@@ -20,7 +20,7 @@ from cell.scene.settle import resolve
 from cell.world import virtual_scan
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.decimation import decimate
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability.quality import sigma_layer
 from planner.measurability.visibility import fill
 from planner.values import Floats
@@ -98,7 +98,7 @@ def _row(name: str) -> dict[str, Any]:
         incidence = np.degrees(np.arccos(np.clip(-(turned * rays).sum(axis=1), -1, 1)))
         found.append((sigma, noise.std(axis=0), _light(scanner, local, turned, rng), incidence))
     model, seen, light, incidence = (np.concatenate(column) for column in zip(*found, strict=True))
-    features = sample(part.reference, planning, 4 * len(planning.faces), rng)
+    features = draw_samples(part.reference, planning, 4 * len(planning.faces), rng)
     start = time.perf_counter()
     M = fill(views, features, scanner, caster)
     filled = time.perf_counter()

@@ -31,7 +31,7 @@ from cell.world.prediction import held_out
 from planner.explore.space import FREE, VoxelSpace
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.measurability.coverage import added
 from planner.measurability.visibility import measured
 from planner.ports import RayCaster, Scanner
@@ -169,7 +169,7 @@ class Lab:
         planning = decimate(self.part, min(self.settings.faces, len(self.part.faces)))
         space = replace(self.unknown, state=np.full_like(self.unknown.state, FREE))
         free = self.free(space.seen_from(self.samples.points, []))
-        scouts = sample(self.part, planning, growth.SCOUTS, np.random.default_rng(0))
+        scouts = draw_samples(self.part, planning, growth.SCOUTS, np.random.default_rng(0))
         casters = (self.caster,)
         poses, _ = self.candidates(planning, scouts, casters, free)
         seen = measured(poses[:, None], self.samples, self.scanner, casters)

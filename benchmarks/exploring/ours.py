@@ -19,7 +19,7 @@ from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import Record, most_per_second
 from planner.explore.space import VoxelSpace
 from planner.geometry.decimation import decimate
-from planner.geometry.sampling import SurfaceSamples, pick_samples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.measurability.visibility import measured
 from planner.ports import RayCaster
 from planner.values import Floats
@@ -42,7 +42,7 @@ class _Ours:
         planning = decimate(belief.rough(space), lab.settings.faces)
         asked = Asked(space, self._record, Batch(1), 0.0)
         rows, scouts = (
-            probable(sample(mesh, planning, DRAWN, self._rng), asked, kept) for kept in (ROWS_KEPT, SCOUTS_KEPT)
+            probable(draw_samples(mesh, planning, DRAWN, self._rng), asked, kept) for kept in (ROWS_KEPT, SCOUTS_KEPT)
         )
         if not len(rows) or not len(scouts):
             return None

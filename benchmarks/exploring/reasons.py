@@ -22,7 +22,7 @@ from cell.runs.run import open_finished
 from cell.runs.schema import ExploreFile
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.prediction import held_out
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics import reach
@@ -79,7 +79,7 @@ def _on_part(believed: SurfaceSamples, to_object: Floats, part: TriangleMesh, ed
     """Samples in the object frame, those that lie within a voxel's edge of the true part on its surface."""
     points = believed.points @ to_object[:3, :3].T + to_object[:3, 3]
     normals = believed.normals @ to_object[:3, :3].T
-    found = NearestSurface(part).closest(points)
+    found = ClosestPointQuery(part).closest(points)
     there = found.distance <= edge
     points = np.where(there[:, None], found.point, points)
     normals = np.where(there[:, None], part.normals[found.face], normals)

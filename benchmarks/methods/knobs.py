@@ -24,10 +24,10 @@ from cell.study.bench import Bench
 from cell.study.scenes import bench_of
 from planner import cover
 from planner.errors import PlannerError
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability import coverage
 from planner.measurability.visibility import fill, measured
 from planner.viewpoints.viewpoints import Viewpoints
@@ -108,7 +108,7 @@ def decimation(bench: Bench, share: float, repeats: int) -> KnobResult:
         candidates = first(bench.scene, bench.settings, bench.part, planning)
         rng = np.random.default_rng([bench.scene.plan.seed, _FEATURES])
         count = bench.scene.plan.samples_per_face * len(planning.faces)
-        features = sample(bench.part.reference, planning, count, rng)
+        features = draw_samples(bench.part.reference, planning, count, rng)
         M = fill(candidates, features, bench.scanner, bench.caster)
         rng = np.random.default_rng([bench.scene.plan.seed, _SELECTION])
         return candidates, cover.solve(cover.Problem(M.matrix(), features.areas), rng=rng)
@@ -123,7 +123,7 @@ def samples(bench: Bench, per_face: int, repeats: int) -> KnobResult:
     """Aimed samples per face: how far the matrix's claim for its plan is from the truth."""
     planning, candidates = bench.planning, bench.zone
     rng = np.random.default_rng([bench.scene.plan.seed, _FEATURES])
-    features = sample(bench.part.reference, planning, per_face * len(planning.faces), rng)
+    features = draw_samples(bench.part.reference, planning, per_face * len(planning.faces), rng)
     M, seconds = best_of(lambda: fill(candidates, features, bench.scanner, bench.caster), repeats)
     found = claim(M, candidates, bench.samples, bench.scanner, bench.caster)
     return KnobResult(abs(found.error_points), seconds, {"views": found.views, "visible %": 100 * found.visible})
@@ -160,8 +160,8 @@ def _most(bench: Bench) -> float:
 
 
 @lru_cache(maxsize=2)
-def _nearest(bench: Bench) -> NearestSurface:
-    return NearestSurface(bench.part.reference)
+def _nearest(bench: Bench) -> ClosestPointQuery:
+    return ClosestPointQuery(bench.part.reference)
 
 
 KNOBS: Mapping[str, Knob] = {

@@ -25,7 +25,7 @@ from planner import cover
 from planner.cover import CoverStatus
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.measurability import coverage
 from planner.measurability.visibility import fill, measured
 from planner.values import Floats
@@ -50,7 +50,7 @@ def _question(size: float, count: int) -> tuple[LaserArea, SurfaceSamples, Viewp
     part = _part()
     mesh = TriangleMesh(part.vertices * size, part.faces)
     scanner = LaserArea(range_mm=(200 * size, 3000 * size), baseline_mm=250 * size)
-    features = sample(mesh, mesh, count, np.random.default_rng(0))
+    features = draw_samples(mesh, mesh, count, np.random.default_rng(0))
     return scanner, features, optimal_scanning_zone(decimate(mesh, _VIEWS), [1.0 * size], [0.3])
 
 
@@ -154,7 +154,7 @@ def grazing(line: str, angle_deg: float, count: int) -> MapPoint:
     caster = EmbreeRayCaster(plate.vertices, plate.faces)
     step = float(line.removesuffix(" deg"))
     scanner = LaserArea(resolution_deg=(step, step), grazing_max_deg=90.0)
-    samples = sample(plate, plate, count, np.random.default_rng(0))
+    samples = draw_samples(plate, plate, count, np.random.default_rng(0))
     predicted = measured(np.eye(4)[None, None], samples, scanner, [caster])
     points = virtual_scan.scan(scanner, np.eye(4), caster, plate).points
     found = np.zeros(count, dtype=np.bool_)
@@ -175,7 +175,7 @@ _STANDOFF_M, _ROLLS = 0.3, (0.0, np.pi / 2)
 def _asked(line: str, samples: int) -> tuple[TriangleMesh, EmbreeRayCaster, SurfaceSamples]:
     """A part, rays on it, and samples to judge with."""
     mesh = body(5).reference if line == _BUMPY else stand_ins.build(line)
-    judged = sample(mesh, mesh, samples, np.random.default_rng(1))
+    judged = draw_samples(mesh, mesh, samples, np.random.default_rng(1))
     return mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), judged
 
 
@@ -185,7 +185,7 @@ def _measured_by(line: str, faces: int, samples: int) -> tuple[float, int, int, 
     mesh, caster, judged = _asked(line, samples)
     planning, scanner = decimate(mesh, faces), LaserArea()
     views = optimal_scanning_zone(planning, [_STANDOFF_M], _ROLLS)
-    features = sample(mesh, planning, 4 * len(planning.faces), np.random.default_rng(0))
+    features = draw_samples(mesh, planning, 4 * len(planning.faces), np.random.default_rng(0))
     M = fill(views, features, scanner, caster)
     plan = cover.solve(
         cover.Problem(M.matrix(), features.areas), rng=np.random.default_rng(0), solver="greedy", budget=0

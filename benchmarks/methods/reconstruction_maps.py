@@ -17,8 +17,8 @@ from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.reconstruct import Reconstruction, reconstruct
 from cell.world.embree import EmbreeRayCaster
-from planner.geometry.closest import NearestSurface
-from planner.geometry.sampling import sample
+from planner.geometry.closest import ClosestPointQuery
+from planner.geometry.sampling import draw_samples
 from planner.values import Floats
 
 _FINEST_DEG = 1.0
@@ -31,8 +31,8 @@ def _part() -> Workpiece:
 
 
 @lru_cache(maxsize=1)
-def _nearest() -> NearestSurface:
-    return NearestSurface(_part().reference)
+def _nearest() -> ClosestPointQuery:
+    return ClosestPointQuery(_part().reference)
 
 
 @lru_cache(maxsize=8)
@@ -48,7 +48,7 @@ def _diagonal() -> float:
 def _in_sight(count: int) -> Floats:
     """(n, 3) samples of the part that a source of the eight scans sees."""
     reference = _part().reference
-    samples = sample(reference, reference, count, np.random.default_rng(0))
+    samples = draw_samples(reference, reference, count, np.random.default_rng(0))
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
     seen = np.zeros(count, dtype=np.bool_)
     lifted = samples.points + 1e-6 * _diagonal() * samples.normals
@@ -65,7 +65,7 @@ def _judged(result: Reconstruction, count: int) -> MapPoint:
     if result.mesh is None:
         return MapPoint(0.0, None, says, spacing)
     places = _in_sight(count)
-    near = NearestSurface(result.mesh).closest(places).distance <= _NEAR * _diagonal()
+    near = ClosestPointQuery(result.mesh).closest(places).distance <= _NEAR * _diagonal()
     off = deviation(result.mesh, _nearest(), np.random.default_rng(0), count=count)
     return MapPoint(
         float(near.mean()), 100 * off.rms / _diagonal(), says,

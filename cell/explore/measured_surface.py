@@ -18,7 +18,7 @@ from cell.reconstruction.reconstruct import REACH, ReconstructionStatus, reconst
 from cell.runs.run import ExecutedScan
 from planner.explore.cubes import first_in_cubes
 from planner.explore.space import UNKNOWN, VoxelSpace
-from planner.geometry.mesh import TriangleMesh, joined
+from planner.geometry.mesh import TriangleMesh, concatenate_meshes
 from planner.values import Bools
 
 _ONWARD = 4.0
@@ -64,7 +64,7 @@ def continued(scans: Sequence[ExecutedScan], space: VoxelSpace, believed: Bools)
         parts += _chosen(found.mesh, np.isfinite(near) | space.at(middles, space.possible).astype(np.bool_))
     lids = belief.surface_about(space, believed & ~_ahead_of(found.cloud, tree, space, believed))
     parts += _chosen(lids, ~_looks_alike(lids, parts[0], _BESIDE * space.edge)) if parts else [lids]
-    vertices, faces, _ = joined([(each.vertices, each.faces) for each in parts])
+    vertices, faces, _ = concatenate_meshes([(each.vertices, each.faces) for each in parts])
     return TriangleMesh(vertices, faces.astype(np.int32))
 
 

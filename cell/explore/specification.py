@@ -13,7 +13,7 @@ from cell.scene.model import Scene
 from cell.scene.settle import resolve
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability.visibility import measured
 from planner.ports import Scanner
 from planner.values import Floats
@@ -40,7 +40,7 @@ def missed(scene: Scene, model: TriangleMesh, poses: Floats) -> float:
         model: explored frame [m].
         poses: (V, 4, 4) T_explored_scanner of the executed views [m].
     """
-    samples = sample(model, model, _SAMPLES, np.random.default_rng(scene.plan.seed))
+    samples = draw_samples(model, model, _SAMPLES, np.random.default_rng(scene.plan.seed))
     casters = (EmbreeRayCaster(model.vertices, model.faces),)
     at_all, within = (measured(poses[:, None], samples, _law(each, model), casters) for each in (without(scene), scene))
     total = float(samples.areas[at_all].sum())

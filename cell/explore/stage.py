@@ -35,8 +35,8 @@ from cell.world.embree import EmbreeRayCaster
 from cell.world.measurability import PartSurface
 from cell.world.prediction import Prediction
 from planner.explore.gain import most_per_second
-from planner.geometry.decimation import clustered, decimate
-from planner.geometry.sampling import SurfaceSamples, pick_samples, sample
+from planner.geometry.decimation import cluster_vertices, decimate
+from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.kinematics.reach import Reach, join_reach
 from planner.measurability.matrix import spread_measurability
 from planner.path.path import CHECKS
@@ -168,13 +168,13 @@ def _sample_surface(run: Session, job: Job, asked: Asked) -> tuple[PartSurface, 
         if asked.poses is None:
             planning = decimate(belief.rough(asked.space, whole=asked.batch.views == 0), job.settings.faces)
         else:
-            coarse = clustered(reference, max(_COARSE, _EACH * job.settings.faces)) or reference
+            coarse = cluster_vertices(reference, max(_COARSE, _EACH * job.settings.faces)) or reference
             planning = decimate(coarse, job.settings.faces)
         plan_files.write_meshes(run.folder, reference, planning)
         caster, scanner = EmbreeRayCaster(reference.vertices, reference.faces), limited(job.scene, job.scanner)
         counts = (DRAWN, DRAWN) if asked.poses is None else DRAWN_MEASURED
         drawn = [
-            sample(reference, planning, count, run.rng(stream))
+            draw_samples(reference, planning, count, run.rng(stream))
             for count, stream in zip(counts, (_ROWS, _SCOUTS), strict=True)
         ]
         rows, scouts = (

@@ -20,7 +20,7 @@ from cell.runs.run import Run
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
 from planner.errors import PlannerError
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.values import Floats
 
 _TURNS = (0.3, 1.1, 2.0)  # rad; a part that is the same after these turns about an axis is one of revolution
@@ -41,7 +41,7 @@ def locate(run: Run, wanted: Locating, narrator: Narrator) -> Located:
         FileError: if a file is missing or damaged, or too few points lie near the part.
     """
     scene = run.scene
-    nearest, centre = NearestSurface(run.reference), scene.T_object_centre[:3, 3]
+    nearest, centre = ClosestPointQuery(run.reference), scene.T_object_centre[:3, 3]
     vertices = run.reference.vertices[np.unique(run.reference.faces)]
     length = float(np.sqrt(((vertices - centre) ** 2).sum(axis=1).mean()))
     shown = vertices[np.linspace(0, len(vertices) - 1, _LOOKED_AT).astype(np.int64)]
@@ -78,7 +78,7 @@ def locate(run: Run, wanted: Locating, narrator: Narrator) -> Located:
 
 
 def _fitted(
-    run: Run, wanted: Locating, nearest: NearestSurface, centre: Floats, length: float, narrator: Narrator
+    run: Run, wanted: Locating, nearest: ClosestPointQuery, centre: Floats, length: float, narrator: Narrator
 ) -> tuple[str, str, tuple[int, ...], RigidFit, tuple[str, ...]]:
     """Method, source, views, fit and doubts: what was measured, fitted as it was asked for."""
     sd = None if wanted.point_sd_mm is None else wanted.point_sd_mm / 1000
@@ -102,7 +102,7 @@ def _fitted(
     return "best fit", clouds.source, clouds.views, fit, doubts if clouds.simulated else ()
 
 
-def _leaves_the_part(motion: FreeMotion, points: Floats, nearest: NearestSurface, within: float) -> bool:
+def _leaves_the_part(motion: FreeMotion, points: Floats, nearest: ClosestPointQuery, within: float) -> bool:
     """Whether a part is the same after a motion: a turn about its own axis."""
     if motion.kind is not FreeKind.ROTATION:
         return False

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.geometry.mesh import joined
+from planner.geometry.mesh import concatenate_meshes
 from planner.values import Floats, Ints
 
 Table = Mapping[str, Any]
@@ -63,7 +63,7 @@ def triangles(content: bytes) -> tuple[Floats, Ints]:
     Raises:
         BrokenGlbError: in words, if it is broken, or uses what is not supported.
     """
-    return joined((primitive.vertices, primitive.faces) for primitive in primitives(content))[:2]
+    return concatenate_meshes((primitive.vertices, primitive.faces) for primitive in primitives(content))[:2]
 
 
 def primitives(content: bytes) -> Iterator[Primitive]:

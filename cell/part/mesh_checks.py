@@ -10,7 +10,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.geometry.mesh import cross_products, crossed, lengths
+from planner.geometry.mesh import cross_rows, face_cross_products, row_norms
 from planner.values import Floats, Ints
 
 
@@ -213,7 +213,7 @@ def _body_volumes(vertices: Floats, faces: Ints, body: Ints, n_bodies: int) -> F
     middle = (np.stack(sums, axis=1) / counts[:, None])[body]
     for corners in (a, b, c):
         corners -= middle
-    six = np.einsum("fj,fj->f", a, crossed(b, c))
+    six = np.einsum("fj,fj->f", a, cross_rows(b, c))
     return np.bincount(body, weights=six, minlength=n_bodies) / 6
 
 
@@ -269,7 +269,7 @@ def _first_of_equals(faces: Ints) -> Ints:
 
 def double_areas(vertices: Floats, faces: Ints) -> Floats:
     """(F,) twice the area of each face."""
-    doubled: Floats = lengths(cross_products(vertices, faces))
+    doubled: Floats = row_norms(face_cross_products(vertices, faces))
     return doubled
 
 

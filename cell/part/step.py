@@ -18,7 +18,7 @@ from cell.errors import FileError
 from cell.part import glb
 from cell.part.cad import CadFace, CadModel, SurfaceKind
 from cell.part.mesh_checks import Finding, Kind, Severity, bodies, collapsed, double_areas, neighbours
-from planner.geometry.mesh import joined
+from planner.geometry.mesh import concatenate_meshes
 from planner.values import Floats, Ints
 
 DEVIATION_MM = 0.02
@@ -86,7 +86,7 @@ def coloured(source: str, content: bytes) -> tuple[Floats, Ints, Floats]:
     linear = np.array([each.colour or (np.nan,) * 3 for each in surfaces]).reshape(-1, 3)
     # IEC 61966-2-1: what a STEP file and a screen count in.
     counted = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    vertices, faces, of_face = joined((each.vertices, each.faces) for each in surfaces)
+    vertices, faces, of_face = concatenate_meshes((each.vertices, each.faces) for each in surfaces)
     return vertices, faces, counted[of_face]
 
 
@@ -201,7 +201,7 @@ def _solids(found: list[_Body]) -> Solids:
     some = any(body.solid.any() for body in found)
     kept = [(body, body.solid if some else np.ones(len(body.faces), dtype=np.bool_)) for body in found]
     left_out = sum(float(double_areas(body.vertices, body.faces[~own]).sum()) / 2 for body, own in kept)
-    vertices, faces, _ = joined((body.vertices, body.faces[own]) for body, own in kept)
+    vertices, faces, _ = concatenate_meshes((body.vertices, body.faces[own]) for body, own in kept)
     every: list[CadFace] = []
     index: list[Ints] = [np.zeros(0, np.int64)]
     for body, own in kept:

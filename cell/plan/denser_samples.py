@@ -16,7 +16,7 @@ from cell.plan.request import AGAIN_WORK, LOOK_WORK, WORK, Selected
 from cell.plan.view_plan import first_choice
 from cell.world.measurability import PartSurface
 from cell.world.prediction import Prediction
-from planner.geometry.sampling import SurfaceSamples, pick_samples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.measurability import quality
 from planner.measurability.matrix import Measurability, add_rows, spread_measurability
 from planner.measurability.visibility import fill, measured, occlude
@@ -60,7 +60,7 @@ def chosen_where_kept(
                 break
         if not left:  # what is raised and bounded from here on has to have been looked at on the same samples
             break
-        pool = sample(surface.reference, surface.planning, FRESH, fresh)
+        pool = draw_samples(surface.reference, surface.planning, FRESH, fresh)
         pool = pool if known.asks is None else pick_samples(pool, known.asks(pool))
         added = _needed(problem, selected, pool)
         if not added.any():

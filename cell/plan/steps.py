@@ -39,7 +39,7 @@ from cell.world.model import World, compile_world
 from cell.world.occluders import caster_of, occluder_triangles
 from cell.world.prediction import Prediction, held_out
 from planner.geometry.decimation import decimate
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.kinematics import reach
 from planner.kinematics.reach import Reach, join_reach
 from planner.measurability import visibility
@@ -173,7 +173,7 @@ def grow_candidates(
     if job.scene.plan.candidates != GROWN:
         return candidates, reached
     with run.step("grow the candidates") as progress:
-        scouts = sample(surface.reference, surface.planning, growth.SCOUTS, run.rng(SCOUTS))
+        scouts = draw_samples(surface.reference, surface.planning, growth.SCOUTS, run.rng(SCOUTS))
         casters = casters_of(surface, cell)
         arm = arm_of(cell.world, cell.kinematics, cell.checker, limited(job.scene, job.scanner), casters)
         grown = grow(candidates, reached.reachable, scouts, arm, progress)

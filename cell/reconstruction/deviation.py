@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Value
 
@@ -49,7 +49,7 @@ class Deviation(Value):
 
 def deviation(
     mesh: TriangleMesh,
-    reference: TriangleMesh | NearestSurface,
+    reference: TriangleMesh | ClosestPointQuery,
     rng: np.random.Generator,
     *,
     closed: NDArray[np.bool_] | None = None,
@@ -67,13 +67,13 @@ def deviation(
     Raises:
         PlannerError: if `count` is not positive or the measured or the closing faces have no area.
     """
-    nearest = reference if isinstance(reference, NearestSurface) else NearestSurface(reference)
+    nearest = reference if isinstance(reference, ClosestPointQuery) else ClosestPointQuery(reference)
     surfaces, counts = [mesh], [count]
     if closed is not None and closed.any():
         surfaces = [TriangleMesh(mesh.vertices, mesh.faces[chosen]) for chosen in (~closed, closed)]
         counts = [count, -(-count // 10)]
     samples = [area_samples(surface, n, rng) for surface, n in zip(surfaces, counts, strict=True)]
-    signed = nearest.signed(np.concatenate([mesh.vertices, *samples]))
+    signed = nearest.signed_distance(np.concatenate([mesh.vertices, *samples]))
     at_vertices, *over_area = np.split(signed, np.cumsum([len(mesh.vertices), *counts])[:-1])
     parts = [_numbers(surface, at_vertices, at) for surface, at in zip(surfaces, over_area, strict=True)]
     return replace(parts[0], closed=parts[1]) if len(parts) > 1 else parts[0]

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from cell.reconstruction.cloud import PointCloud, ScanCloud, estimate_normals, point_spacing
 from cell.reconstruction.freedom import split
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.values import Floats, Ints
 
 FEWEST = 12
@@ -107,7 +107,7 @@ class JointProblem:
     """
 
     def __init__(
-        self, scans: Sequence[MovingScan], model: NearestSurface | None, reach: float, *, overlap: bool
+        self, scans: Sequence[MovingScan], model: ClosestPointQuery | None, reach: float, *, overlap: bool
     ) -> None:
         self.scans = scans
         self._model = model

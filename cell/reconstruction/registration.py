@@ -19,7 +19,7 @@ from cell.reconstruction.cloud import PointCloud, ScanCloud
 from cell.reconstruction.freedom import FreeMotion, name, shape_of, split
 from cell.reconstruction.matching import FEWEST, JointProblem, Matches, MovingScan
 from planner.errors import PlannerError
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Value
 
@@ -110,7 +110,7 @@ class Registration:
 
 def register(
     scans: Sequence[ScanCloud | PointCloud],
-    model: TriangleMesh | NearestSurface | None,
+    model: TriangleMesh | ClosestPointQuery | None,
     *,
     reach: float | None = None,
     samples: int = SAMPLES,
@@ -131,7 +131,7 @@ def register(
     """
     if samples < 1 or iterations < 1 or (reach is not None and not reach > 0):
         raise PlannerError(f"samples {samples}, iterations {iterations} and reach {reach} must be positive")
-    nearest = NearestSurface(model) if isinstance(model, TriangleMesh) else model
+    nearest = ClosestPointQuery(model) if isinstance(model, TriangleMesh) else model
     clouds = [scan.points for scan in scans if len(scan)]
     extent = nearest.mesh.vertices if nearest else np.concatenate(clouds) if clouds else np.zeros((1, 3))
     diagonal = float(np.linalg.norm(np.ptp(extent, axis=0)))

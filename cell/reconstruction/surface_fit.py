@@ -19,7 +19,7 @@ from cell.reconstruction.cloud import ScanCloud
 from cell.reconstruction.freedom import split
 from cell.reconstruction.matching import FEWEST, JointProblem, MovingScan, small_motion
 from cell.reconstruction.rigid import RigidFit, about, covariance_of, moved_basis, screw_of, without_free
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.values import Floats
 
 _COARSE, _FINE = 300, 20_000  # points of all views together
@@ -51,7 +51,7 @@ class Search:
 
 def fit(
     views: Sequence[ScanCloud],
-    nearest: NearestSurface,
+    nearest: ClosestPointQuery,
     centre: Floats,
     search: Search,
     rng: np.random.Generator,
@@ -115,7 +115,7 @@ class _Body:
     """
 
     def __init__(
-        self, views: Sequence[MovingScan], nearest: NearestSurface, reach: float, centre: Floats, length: float
+        self, views: Sequence[MovingScan], nearest: ClosestPointQuery, reach: float, centre: Floats, length: float
     ) -> None:
         """Nothing is moved yet.
 
@@ -220,7 +220,7 @@ class _Body:
         return (np.linalg.svd(free)[0][:, count:] if count else np.eye(6)), free
 
 
-def _within(cloud: ScanCloud, nearest: NearestSurface, reach: float) -> ScanCloud:
+def _within(cloud: ScanCloud, nearest: ClosestPointQuery, reach: float) -> ScanCloud:
     """The points that may be of the part."""
     return ScanCloud(cloud.points[nearest.closest(cloud.points).distance <= reach], cloud.sensor)
 

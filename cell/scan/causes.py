@@ -17,7 +17,7 @@ from cell.acquisition.sources import FRAMES
 from cell.part.workpiece import UNITS
 from cell.runs.cell import RunCell
 from cell.runs.run import ExecutedScan
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.values import Floats
 
 _SAMPLES = 200  # points of a view that are asked
@@ -31,7 +31,7 @@ Guess = tuple[str, Sequence[Floats]]
 """A sentence, and the points of each view as they would be."""
 
 
-def doubts(scans: Sequence[ExecutedScan], cell: RunCell, nearest: NearestSurface, units: str | None) -> list[str]:
+def doubts(scans: Sequence[ExecutedScan], cell: RunCell, nearest: ClosestPointQuery, units: str | None) -> list[str]:
     """What is wrong with points that are not simulated, a sentence each; none where all is well.
 
     Args:
@@ -68,7 +68,7 @@ def doubts(scans: Sequence[ExecutedScan], cell: RunCell, nearest: NearestSurface
     return said or _outside(given, scans, cell)
 
 
-def _left(views: Sequence[Floats], nearest: NearestSurface, diagonal: float) -> Floats:
+def _left(views: Sequence[Floats], nearest: ClosestPointQuery, diagonal: float) -> Floats:
     """(n,) median distance of each view's points from the reference [m], a diagonal at most."""
     distance = nearest.closest(np.concatenate(views)).distance.reshape(len(views), -1)
     return np.minimum(np.median(distance, axis=1), diagonal)
@@ -114,7 +114,7 @@ def _guesses(
 
 
 def _swapped(
-    given: Sequence[Floats], scans: Sequence[ExecutedScan], nearest: NearestSurface, diagonal: float
+    given: Sequence[Floats], scans: Sequence[ExecutedScan], nearest: ClosestPointQuery, diagonal: float
 ) -> list[tuple[float, str]]:
     """What is left where the points of views are exchanged as fits best; only frames that travel can tell."""
     if len(scans) < 2 or scans[0].frame not in ("scanner", "flange"):

@@ -13,7 +13,7 @@ from cell.reconstruction.rigid import RigidFit
 from cell.reconstruction.surface_fit import Search
 from cell.reconstruction.surface_fit import fit as fitted
 from cell.runs.run import ExecutedScan
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.ports import Scanner
 from planner.values import Bools, Floats
 
@@ -50,7 +50,7 @@ class Merged:
 
 
 def merged(
-    scans: Sequence[ExecutedScan], nearest: NearestSurface, *, registered: bool, search: Search | None = None,
+    scans: Sequence[ExecutedScan], nearest: ClosestPointQuery, *, registered: bool, search: Search | None = None,
     rng: np.random.Generator | None = None,
 ) -> Merged:  # fmt: skip
     """Bring the scans into the object frame by their reported poses, and register them if asked.
@@ -114,7 +114,7 @@ def sigma_of(merged: Merged, scans: Sequence[ExecutedScan], scanner: Scanner) ->
     return sigma
 
 
-def _outliers(nearest: NearestSurface, cloud: PointCloud) -> Bools:
+def _outliers(nearest: ClosestPointQuery, cloud: PointCloud) -> Bools:
     """(N,) points that are off the reference by more than noise takes them, and that no neighbour bears out.
 
     A dent is borne out: the points beside it, not far away, are as far off. Simulated points meet the reference.
@@ -122,7 +122,7 @@ def _outliers(nearest: NearestSurface, cloud: PointCloud) -> Bools:
     from scipy.spatial import cKDTree  # takes a tenth of a second, which simulated scans need not wait for
 
     points = cloud.points
-    off = nearest.signed(points)
+    off = nearest.signed_distance(points)
     limit = max(_NOISE * 1.4826 * float(np.median(np.abs(off))), _EXACT)
     count = min(_NEIGHBOURS + 1, len(points))
     distance, index = (np.reshape(each, (len(points), count)) for each in cKDTree(points).query(points, count))
@@ -131,7 +131,7 @@ def _outliers(nearest: NearestSurface, cloud: PointCloud) -> Bools:
     return np.asarray((np.abs(off) > limit) & (alone | (np.abs(off - usual) > limit)))
 
 
-def _rms_to(nearest: NearestSurface, clouds: Sequence[ScanCloud]) -> float:
+def _rms_to(nearest: ClosestPointQuery, clouds: Sequence[ScanCloud]) -> float:
     points = np.concatenate([np.empty((0, 3)), *(cloud.points for cloud in clouds)])
     if not len(points):
         return float("nan")

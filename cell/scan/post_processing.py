@@ -34,7 +34,7 @@ from cell.view import contents
 from cell.view.contents import NAME
 from cell.view.pictures import part_and_views
 from cell.view.surface import canvas_of
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.timing.motion import Motion
 
 DEVIATION = 12
@@ -95,7 +95,7 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
         plan = run.plan
         scans, left_out = usable(recorded, plan.views)
         _adopt(folder, scans)
-        nearest = NearestSurface(cell.reference)
+        nearest = ClosestPointQuery(cell.reference)
         doubts = causes.doubts(scans, cell, nearest, options.points_units)
         for doubt in doubts:
             work.narrator.note(doubt)

@@ -35,7 +35,7 @@ from cell.setups.contact import touching
 from cell.setups.planned_setups import PlannedSetups
 from cell.setups.shared import apart, shared
 from cell.world.prediction import held_out
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability import coverage
 from planner.measurability.visibility import measured
@@ -132,7 +132,7 @@ def report(planned: PlannedSetups, argv: Sequence[str], narrator: Narrator) -> S
         raise FileError(f"no set-up of {planned.folder} is scanned; begin with cell scan {planned.folder} --setup 1")
     with narrator.stage("merge the set-ups"):
         bodies = [_body(number, planned.folders[number - 1], name, narrator) for number, name in names.items() if name]
-        nearest = NearestSurface(bodies[0].cell.reference)
+        nearest = ClosestPointQuery(bodies[0].cell.reference)
         bodies, registration = _registered(bodies, nearest)
     target = planned.folder / FOLDER
     for path in (target, target.with_name(FOLDER + ".part")):
@@ -153,7 +153,7 @@ def _body(number: int, folder: Path, name: str, narrator: Narrator) -> _Body:
     scans, left_out = usable(recorded, plan.views)
     for sentence in left_out:
         narrator.note(f"set-up {number}: {sentence}")
-    nearest = NearestSurface(cell.reference)
+    nearest = ClosestPointQuery(cell.reference)
     search = None if options.search is None else Search(*options.search)
     if search is None and any(scan.T_true is None for scan in scans):
         search = Search()  # nobody sets a part down to a tenth of a millimetre
@@ -162,7 +162,7 @@ def _body(number: int, folder: Path, name: str, narrator: Narrator) -> _Body:
     return _Body(number, name, run, cell, plan, scans, cloud, causes.doubts(scans, cell, nearest, options.points_units))
 
 
-def _registered(bodies: list[_Body], nearest: NearestSurface) -> tuple[list[_Body], Registration | None]:
+def _registered(bodies: list[_Body], nearest: ClosestPointQuery) -> tuple[list[_Body], Registration | None]:
     """All bodies moved together, where one of them was looked for: onto the reference, and onto each other."""
     if len(bodies) < 2 or all(body.merged.fit is None for body in bodies):
         return bodies, None
@@ -172,7 +172,7 @@ def _registered(bodies: list[_Body], nearest: NearestSurface) -> tuple[list[_Bod
 
 def _written(
     folder: RunFolder, planned: PlannedSetups, bodies: list[_Body], registration: Registration | None,
-    nearest: NearestSurface, narrator: Narrator,
+    nearest: ClosestPointQuery, narrator: Narrator,
 ) -> ScannedSetups:  # fmt: skip
     """Cloud, surface, deviation, report, into the open folder."""
     from cell.reconstruction import deviation_picture  # matplotlib

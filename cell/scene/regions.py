@@ -17,9 +17,9 @@ from cell.part.cad import CadModel
 from cell.part.formats import units_of
 from cell.part.workpiece import UNITS, Workpiece
 from cell.scene.model import Region, RegionWishes, Scene, complete
-from planner.geometry.closest import closest_face
+from planner.geometry.closest import closest_facing_faces
 from planner.geometry.decimation import split_long_edges
-from planner.geometry.mesh import TriangleMesh, cut, faces_within
+from planner.geometry.mesh import TriangleMesh, cut_at_plane, faces_in_box
 from planner.measurability.quality import Limited, Limits
 from planner.ports import Scanner, SigmaScanner
 from planner.values import Bools, Ints
@@ -66,7 +66,7 @@ def _cut(part: Workpiece, regions: tuple[Region, ...]) -> Workpiece:
     mesh, parent = part.reference, np.arange(len(part.reference.faces))
     for box in (region.box_mm for region in regions if region.box_mm is not None):
         for k, at in enumerate(box):
-            mesh, own = cut(mesh, k % 3, at / 1000)
+            mesh, own = cut_at_plane(mesh, k % 3, at / 1000)
             parent = parent[own]
     if any(region.painted is not None for region in regions):
         mesh, own = _fine(mesh)
@@ -84,7 +84,7 @@ def _fine(mesh: TriangleMesh) -> tuple[TriangleMesh, Ints]:
         if len(faces) == before:
             break
     fine = TriangleMesh(vertices, faces)
-    return fine, closest_face(fine.centres, fine.normals, mesh).astype(np.int64)
+    return fine, closest_facing_faces(fine.centres, fine.normals, mesh).astype(np.int64)
 
 
 def _selected(region: Region, part: Workpiece, scene: Scene) -> Bools:
@@ -101,7 +101,7 @@ def _selected(region: Region, part: Workpiece, scene: Scene) -> Bools:
     if region.box_mm is not None:
         low, high = np.array(region.box_mm).reshape(2, 3) / 1000
         within = np.zeros(len(found), dtype=np.bool_)
-        within[faces_within(mesh, low, high)] = True
+        within[faces_in_box(mesh, low, high)] = True
         found &= within
     if region.colour is not None:
         found &= _by_colour(region, region.colour, mesh, scene)
@@ -140,7 +140,7 @@ def _by_colour(region: Region, colour: str, mesh: TriangleMesh, scene: Scene) ->
     units = (scene.part.units if region.painted is None else region.painted_units) or units_of(source)
     assert units is not None, "the scene asks for it"
     canvas, colours = painted.read(Path(source), UNITS[units])
-    return painted.close(colours, colour)[closest_face(mesh.centres, mesh.normals, canvas)]
+    return painted.close(colours, colour)[closest_facing_faces(mesh.centres, mesh.normals, canvas)]
 
 
 def _nothing(region: Region, part: Workpiece, free: Bools) -> str:

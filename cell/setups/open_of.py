@@ -32,7 +32,7 @@ from cell.setups.earlier import EarlierSetup, measured_by, require_one_part
 from cell.setups.growing import with_grown
 from cell.world.measurability import PartSurface
 from cell.world.occluders import Occluder, occluder_triangles
-from planner.geometry.sampling import SurfaceSamples, pick_samples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.kinematics.reach import Reach
 from planner.values import Bools
 from planner.viewpoints import growth
@@ -149,7 +149,7 @@ def _candidates(left: _Open, run: Session, job: Job, surface: PartSurface, cell:
         UnreachableError: if the arm reaches none.
     """
     with run.step("reach and grow the candidates") as progress:
-        scouts = sample(surface.reference, surface.planning, growth.SCOUTS, run.rng(steps.SCOUTS))
+        scouts = draw_samples(surface.reference, surface.planning, growth.SCOUTS, run.rng(steps.SCOUTS))
         scouts = pick_samples(scouts, left.asks(scouts))
         first = left.setups[0]
         shared, _ = scanners.unswept(first.cell.scanner, first.run.candidates)

@@ -46,7 +46,7 @@ from cell.world.measurability import PartSurface, surface_features
 from cell.world.model import World
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.values import Bools
 from planner.viewpoints import growth
 
@@ -156,7 +156,7 @@ def _offered(run: Session, job: Job, most: int) -> tuple[PartSurface, list[Offer
         shared = candidates.first(job.scene, job.settings, job.part, planning)
         features = surface_features(job.scene, reference, planning, run.rng(steps.FEATURES))
         surface = PartSurface(reference, planning, features, EmbreeRayCaster(reference.vertices, reference.faces))
-        scouts = sample(reference, planning, growth.SCOUTS, run.rng(steps.SCOUTS))
+        scouts = draw_samples(reference, planning, growth.SCOUTS, run.rng(steps.SCOUTS))
         poses = given(job.scene)
         # Where none is proposed, the scene's own placement is none of those that are offered.
         placed = [job.scene] if most else [job.scene.model_copy(update={"placement": each.placement}) for each in poses]

@@ -30,7 +30,7 @@ from cell.world.measurability import PartSurface
 from planner.cover import CoverStatus, Problem
 from planner.cover.curve import coverage_curve
 from planner.cover.overlap import Connection
-from planner.geometry.sampling import pick_samples, sample
+from planner.geometry.sampling import draw_samples, pick_samples
 from planner.measurability.matrix import add_rows
 from planner.values import Floats, Ints
 
@@ -241,7 +241,7 @@ class Search:
         """
         if self._asked.request.plan.fill != "aimed":
             return False
-        fresh = sample(self._surface.reference, self._surface.planning, denser_samples.FRESH, self._fresh)
+        fresh = draw_samples(self._surface.reference, self._surface.planning, denser_samples.FRESH, self._fresh)
         seen = [self._setups[row].measures(T, fresh) for row, T in poses.items()]
         left = pick_samples(fresh, ~np.logical_or.reduce(seen))
         if not len(left):

@@ -18,7 +18,7 @@ from cell.view.palette import BLUE, LOOKS, ORANGE, look_of
 from cell.view.pieces import Cell, Piece, placed
 from cell.world.embree import EmbreeRayCaster
 from cell.world.occluders import shape_triangles
-from planner.geometry.mesh import TriangleMesh, joined
+from planner.geometry.mesh import TriangleMesh, concatenate_meshes
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -230,7 +230,7 @@ def _distance(camera: rays.Camera, pieces: Sequence[Piece]) -> NDArray[np.float6
 
 def _joined(pieces: Sequence[Piece]) -> tuple[TriangleMesh, NDArray[np.int64]]:
     """The pieces as one mesh, and the piece of each of its faces."""
-    vertices, faces, of_face = joined((piece.vertices, piece.faces) for piece in pieces)
+    vertices, faces, of_face = concatenate_meshes((piece.vertices, piece.faces) for piece in pieces)
     return TriangleMesh(vertices, faces.astype(np.int32)), of_face
 
 

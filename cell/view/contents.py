@@ -23,7 +23,7 @@ from cell.view.pictures import group_names, group_numbers
 from cell.view.pieces import Cell, beside, cell_of_run
 from cell.view.surface import Canvas, Surface, canvas_of, sides, surface_of
 from cell.world.prediction import held_out
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.ports import ARM_AXES
@@ -253,7 +253,7 @@ def execution_play(run: Run, recorded: RecordedExecution, done: Execution, cell:
 def _deviating(mesh: TriangleMesh, reference: TriangleMesh, done: Execution) -> Shown:
     """The measured surface by its distance from the part."""
     small = thinned(mesh)
-    values = 1000 * NearestSurface(reference).signed(small.vertices)
+    values = 1000 * ClosestPointQuery(reference).signed_distance(small.vertices)
     note = "outside the part is positive"
     if small is mesh:
         values[np.setdiff1d(mesh.faces[done.is_closed_hole], mesh.faces[~done.is_closed_hole])] = np.nan

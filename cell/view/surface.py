@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 
 from cell.view.rays import direction
 from cell.world.embree import EmbreeRayCaster
-from planner.geometry.closest import closest_face
-from planner.geometry.decimation import clustered, decimate
+from planner.geometry.closest import closest_facing_faces
+from planner.geometry.decimation import cluster_vertices, decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.quality import best_of_views
@@ -82,7 +82,7 @@ def canvas_of(reference: TriangleMesh, samples: SurfaceSamples) -> Canvas:
         samples: of it.
     """
     count = len(reference.faces)
-    mesh = clustered(reference, FACES) or decimate(reference, FACES if count > FACES else max(count, _FINE))
+    mesh = cluster_vertices(reference, FACES) or decimate(reference, FACES if count > FACES else max(count, _FINE))
     weight = _WALL * reference.diagonal
     tree = cKDTree(np.hstack([samples.points, weight * samples.normals]), balanced_tree=False, compact_nodes=False)
     normals = mesh.normals
@@ -91,7 +91,7 @@ def canvas_of(reference: TriangleMesh, samples: SurfaceSamples) -> Canvas:
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
     aside = None
     if reference.region is not None:
-        aside = reference.region[closest_face(mesh.centres, normals, reference)] < 0
+        aside = reference.region[closest_facing_faces(mesh.centres, normals, reference)] < 0
     return Canvas(mesh, normals, caster, samples, np.asarray(own, dtype=np.int64), note, aside)
 
 

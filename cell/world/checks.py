@@ -44,7 +44,7 @@ from cell.world.model import World, compile_world
 from cell.world.occluders import Occluder, caster_of, floor_square, shape_triangles
 from cell.world.shapes import TABLE
 from cell.world.solids import OWN, Solid, arm, inside, robot, standing, touches, way_out
-from planner.geometry.mesh import joined
+from planner.geometry.mesh import concatenate_meshes
 from planner.path import indexed
 from planner.ports import ARM_AXES
 from planner.values import Floats
@@ -517,7 +517,7 @@ class _Rests:
     def __init__(self, solid: Solid, others: list[Solid], floor: float, grid: int = _GRID) -> None:
         self._solid, self._names = solid, [*(other.name for other in others), "floor"]
         ground = Solid("floor", *floor_square(floor))
-        vertices, faces, self._of_face = joined((each.vertices, each.faces) for each in (*others, ground))
+        vertices, faces, self._of_face = concatenate_meshes((each.vertices, each.faces) for each in (*others, ground))
         below = EmbreeRayCaster(vertices, faces)
         size = solid.high - solid.low
         self._step = float(max(size[:2].max(), 1e-6)) / grid

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import CellError
-from planner.geometry.mesh import cross_products
+from planner.geometry.mesh import face_cross_products
 from planner.ports import Hits
 from planner.values import Floats
 
@@ -80,7 +80,7 @@ class EmbreeRayCaster:
         self._half_diagonal = float(np.linalg.norm(high - low)) / 2
         centred = np.where(np.isfinite(vertices), vertices - self._middle, 0.0)  # a vertex that no face uses may be NaN
         corner = np.take(centred, indices[:, 0], axis=0)
-        self._normals: Floats = cross_products(centred, indices)
+        self._normals: Floats = face_cross_products(centred, indices)
         self._offsets: Floats = np.einsum("ij,ij->i", self._normals, corner)
         self._scene = _build(centred.astype(np.float32), indices.astype(np.int32))
         self._workers = max(

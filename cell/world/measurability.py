@@ -26,9 +26,9 @@ from cell.errors import FileError, SceneError
 from cell.narrator import Narrator
 from cell.scene.model import Scene
 from cell.scene.settle import Settings
-from planner.geometry.closest import closest_face
+from planner.geometry.closest import closest_facing_faces
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, face_features, join_samples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples, join_samples, samples_at_face_centres
 from planner.measurability import quality
 from planner.measurability.matrix import Measurability, join_measurability, pick_measurability
 from planner.measurability.visibility import fill
@@ -242,15 +242,15 @@ def surface_features(
     Regions have them as dense as a part without regions, and at least `REGION_ROWS`, each for less area then.
     """
     if scene.plan.fill == "rays":
-        return face_features(reference, planning)
+        return samples_at_face_centres(reference, planning)
     count = scene.plan.samples_per_face * len(planning.faces)
     if (region := reference.region) is None:
-        return sample(reference, planning, count, rng)
+        return draw_samples(reference, planning, count, rng)
     areas = np.bincount(region[region >= 0], weights=reference.areas[region >= 0])
     each = np.maximum(np.rint(count * areas / reference.areas.sum()), REGION_ROWS).astype(np.int64)
     return join_samples(
         [
-            sample(replace(reference, region=np.where(region == k, region, -1)), planning, int(each[k]), rng)
+            draw_samples(replace(reference, region=np.where(region == k, region, -1)), planning, int(each[k]), rng)
             for k in np.flatnonzero(areas > 0)
         ]
     )
@@ -287,7 +287,7 @@ def part_matrix(
     parameters.pop("sigma_angle_mdeg", None)  # M is of the conditions alone; a limit on sigma is applied to it
     row_of_face = None
     if method == "rays":
-        row_of_face = closest_face(reference.centres, reference.normals, planning)
+        row_of_face = closest_facing_faces(reference.centres, reference.normals, planning)
     elif "max_spacing_mm" not in parameters:
         parameters.pop("resolution_deg", None)  # an aimed leg belongs to no grid
     key = row_key(reference, features, parameters, method, row_of_face)

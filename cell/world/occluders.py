@@ -18,7 +18,7 @@ from cell.robot import model as robot
 from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World
 from cell.world.shapes import mesh_of
-from planner.geometry.mesh import TriangleMesh, joined
+from planner.geometry.mesh import TriangleMesh, concatenate_meshes
 from planner.kinematics.rotary_table import RotaryTable
 from planner.ports import ARM_AXES
 from planner.values import Floats, Value, readonly
@@ -155,7 +155,7 @@ def caster_of(pieces: Sequence[Occluder], T: NDArray[np.floating[Any]] | None = 
         pieces: in one frame.
         T: (4, 4) from their frame to that of the rays [m]; None leaves them where they are.
     """
-    vertices, faces, _ = joined((piece.vertices, piece.faces) for piece in pieces)
+    vertices, faces, _ = concatenate_meshes((piece.vertices, piece.faces) for piece in pieces)
     if T is not None:
         vertices = vertices @ T[:3, :3].T + T[:3, 3]
     return EmbreeRayCaster(vertices, faces.astype(np.int32))

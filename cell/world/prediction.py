@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, pick_samples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.measurability import coverage
 from planner.measurability.coverage import Coverage
 from planner.measurability.visibility import Remembered, measured
@@ -29,7 +29,7 @@ def held_out(
         seed: the plan's.
         count: how many; the definition of coverage has 100,000.
     """
-    return sample(reference, planning, count, np.random.default_rng([seed, HELD_OUT_STREAM]))
+    return draw_samples(reference, planning, count, np.random.default_rng([seed, HELD_OUT_STREAM]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

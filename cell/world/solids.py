@@ -22,7 +22,7 @@ from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World
 from cell.world.occluders import post, shape_triangles
 from planner.geometry.decimation import decimate
-from planner.geometry.mesh import TriangleMesh, joined
+from planner.geometry.mesh import TriangleMesh, concatenate_meshes
 from planner.values import Floats, Ints
 
 FLUSH = 1e-4
@@ -307,7 +307,7 @@ def standing(world: World) -> dict[str, Solid]:
             sides = {} if name in of_robot else {"sides": _SIDES}
             pieces = [shape_triangles(world.model, data, geom, **sides) for geom in geoms]
             axes = data.geom_xmat[geoms[0]].reshape(3, 3).T if len(geoms) == 1 else None
-            found[name] = Solid(name, *joined(pieces)[:2], axes)
+            found[name] = Solid(name, *concatenate_meshes(pieces)[:2], axes)
     return found
 
 
@@ -319,4 +319,4 @@ def arm(world: World) -> tuple[str, ...]:
 def robot(world: World, solids: dict[str, Solid]) -> Solid:
     """Base, arm, bracket and housing as one."""
     pieces = [(solids[name].vertices, solids[name].faces) for name in arm(world) if name in solids]
-    return Solid("robot", *joined(pieces)[:2])
+    return Solid("robot", *concatenate_meshes(pieces)[:2])

@@ -1,1 +1,1 @@
-"""The part's surface: triangle mesh, its decimated copy, samples that stand for it, closest points."""
+"""Geometry of the part: triangle mesh, decimated copy, surface samples, closest points, rigid motions."""

@@ -24,7 +24,7 @@ from cell.runs.run import open_run, read_scan
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
 from cell.scan.work import ScanOutcome
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 
 PACKAGE = Path(__file__).parents[1] / "third_party_points"
 
@@ -190,7 +190,7 @@ def test_noise_outliers_and_a_missing_view(run: Path, tmp_path: Path) -> None:
     points = ply.positions(ply.elements((outcome.folder / "cloud.ply").read_bytes())["vertex"])
     clean = ply.positions(ply.elements((simulated.folder / "cloud.ply").read_bytes())["vertex"])
     reference = open_run(run).mesh("reference.ply")
-    off = NearestSurface(reference).closest(points).distance
+    off = ClosestPointQuery(reference).closest(points).distance
     assert (off > 0.3e-3).mean() < 1e-3
     assert len(points) > 0.97 * len(clean)
     assert ours.cloud.outliers > 0.9 * sum(len(each) for each in stray)

@@ -33,7 +33,7 @@ from cell.scan.options import ScanOptions
 from cell.scene.file import scene_of
 from cell.view.explore_page import explore_page
 from planner.explore.space import FREE
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.measurability.visibility import measured
 from planner.viewpoints import growth
 
@@ -178,7 +178,7 @@ def test_no_point_of_the_part_is_in_space_that_counts_as_free(explored: Path, pa
     edge = file.voxel_mm / 1000
     low = -edge * np.array(stored["state"].shape) / 2
     centres = low + edge * (np.argwhere(stored["state"] == FREE) + 0.5)
-    depth = -NearestSurface(mesh).signed(centres)
+    depth = -ClosestPointQuery(mesh).signed_distance(centres)
     assert depth.max() < np.sqrt(3) * edge
 
 

@@ -26,7 +26,7 @@ from cell.scan import post_processing
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
 from cell.scan.work import ScanOutcome
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import Rejection
 
@@ -169,8 +169,8 @@ def test_cloud_and_mesh_are_readable_and_say_what_the_report_says(executed: Path
     off = ply.elements((folder / "mesh.ply").read_bytes())["vertex"]["scalar_deviation_mm"]
     assert report["deviation"]["rms_mm"] < 0.5
     reference = trimesh.load(executed / "reference.ply")
-    near = NearestSurface(TriangleMesh(np.array(reference.vertices), np.array(reference.faces, dtype=np.int32)))
-    np.testing.assert_allclose(off, near.signed(np.array(mesh.vertices)), atol=1e-4)
+    near = ClosestPointQuery(TriangleMesh(np.array(reference.vertices), np.array(reference.faces, dtype=np.int32)))
+    np.testing.assert_allclose(off, near.signed_distance(np.array(mesh.vertices)), atol=1e-4)
     assert np.abs(mesh.bounds - reference.bounds).max() < 5.0
 
 

@@ -18,7 +18,7 @@ from cell.view.page import Play, Shown, Stage, View, html_of
 from cell.view.pieces import cell_of_run
 from cell.view.surface import Surface, canvas_of
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 
 _LATER = "const later = (ms) => new Promise((done) => setTimeout(done, ms));"
 _TOUCH = f"""(async () => {{ {_LATER}
@@ -122,7 +122,7 @@ def test_a_large_page_is_soon_there(
     """
     rng, ball = np.random.default_rng(0), trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.1)
     mesh = TriangleMesh(ball.vertices, ball.faces.astype(np.int32))
-    samples = sample(mesh, mesh, 20_000, rng)
+    samples = draw_samples(mesh, mesh, 20_000, rng)
     away = rng.normal(size=(views, 3))
     away /= np.linalg.norm(away, axis=1, keepdims=True)
     layers = {name: rng.random(len(samples)) for name in ("sigma", "spacing")}

@@ -8,7 +8,7 @@ import pytest
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability.visibility import fill, occlude
 from planner.viewpoints.viewpoints import optimal_scanning_zone
 
@@ -82,7 +82,7 @@ def test_every_entry_equals_the_pair_asked_alone(occluded):
     )
     bar = _box((0.02, 0.3, 0.02), (-0.08, 0, 0.1))
     caster = EmbreeRayCaster(part.vertices, part.faces)
-    features = sample(part, part, 150, np.random.default_rng(5))
+    features = draw_samples(part, part, 150, np.random.default_rng(5))
     views = optimal_scanning_zone(part, [0.17], [0.3, 1.2])
     matrix = fill(views, features, SCANNER, caster)
     sets = [tuple(part.vertices[part.faces[:, corner]] for corner in range(3))]

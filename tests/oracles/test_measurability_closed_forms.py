@@ -8,7 +8,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from cell.world.virtual_scan import scan
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.measurability.visibility import measured
 
 RADIUS = 0.1
@@ -37,7 +37,7 @@ def _sphere(count):
 def sphere():
     """8000 vertices, its caster and 40,000 samples."""
     mesh = _sphere(8000)
-    return mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), sample(mesh, mesh, 40_000, np.random.default_rng(0))
+    return mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), draw_samples(mesh, mesh, 40_000, np.random.default_rng(0))
 
 
 def _looking_down_from(height, x=0.0):

@@ -7,7 +7,7 @@ import trimesh
 
 from cell.reconstruction.deviation import deviation
 from planner.errors import PlannerError
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 
 
@@ -77,7 +77,7 @@ def test_distance_equals_brute_force(name: str) -> None:
             [mesh.vertices.mean(axis=0), low, 20 * high],
         ]
     )
-    closest = NearestSurface(mesh).closest(points)
+    closest = ClosestPointQuery(mesh).closest(points)
     np.testing.assert_allclose(closest.distance, _brute(points, mesh), rtol=0, atol=1e-9 * size)
     np.testing.assert_allclose(np.linalg.norm(points - closest.point, axis=1), closest.distance, atol=1e-12 * size)
     for point, face in zip(closest.point, mesh.faces[closest.face], strict=True):
@@ -97,7 +97,7 @@ def test_where_thousands_of_faces_are_about_as_near_the_distance_is_exact() -> N
         points = np.concatenate(
             [axis, axis + 1e-3 * away, [mesh.vertices.mean(axis=0)], 5 * away, mesh.vertices[:40], edges]
         )
-        found = NearestSurface(mesh).closest(points)
+        found = ClosestPointQuery(mesh).closest(points)
         np.testing.assert_allclose(found.distance, _brute(points, mesh), rtol=1e-13, atol=1e-12)
 
 
@@ -119,18 +119,18 @@ def test_distance_equals_fcl() -> None:
         )
         for point in points
     ]
-    distance = NearestSurface(_mesh(torus)).closest(points).distance
+    distance = ClosestPointQuery(_mesh(torus)).closest(points).distance
     np.testing.assert_allclose(np.array(found) + radius, distance, atol=2e-6)
 
 
 def test_sign_on_a_closed_mesh_is_inside_or_outside() -> None:
     """Also where an edge or a corner of a box is closest, the sign tells inside from outside (closed form)."""
     half = np.array([0.05, 0.1, 0.025])
-    nearest = NearestSurface(_mesh(MESHES["box of 12 faces"]))
+    nearest = ClosestPointQuery(_mesh(MESHES["box of 12 faces"]))
     points = np.random.default_rng(3).uniform(-2, 2, (3000, 3)) * half
     beyond = np.abs(points) - half
     exact = np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0)
-    np.testing.assert_allclose(nearest.signed(points), exact, atol=1e-12)
+    np.testing.assert_allclose(nearest.signed_distance(points), exact, atol=1e-12)
 
 
 def test_faces_without_area_change_no_sign() -> None:
@@ -139,10 +139,10 @@ def test_faces_without_area_change_no_sign() -> None:
     first, second, _ = ball.faces[:300].T
     lines, dots = np.stack([first, second, first], axis=1), np.stack([second] * 3, axis=1)
     mesh = TriangleMesh(ball.vertices, np.concatenate([lines, ball.faces, dots]))
-    nearest = NearestSurface(mesh)
+    nearest = ClosestPointQuery(mesh)
     for factor in (0.99, 1.01):
         points = factor * mesh.vertices
-        assert (np.sign(nearest.signed(points)) == np.sign(factor - 1)).all()
+        assert (np.sign(nearest.signed_distance(points)) == np.sign(factor - 1)).all()
         assert (nearest.closest(points).face // 300 > 0).all()
         assert (nearest.closest(points).face < 300 + len(ball.faces)).all()
 
@@ -152,7 +152,7 @@ def test_normals_are_smooth_but_for_creases() -> None:
     ball, box = _mesh(trimesh.creation.icosphere(4, 0.1)), _mesh(MESHES["box of 12 faces"])
     rng = np.random.default_rng(5)
     for mesh, tolerance in ((ball, np.radians(1.0)), (box, 1e-12)):
-        nearest = NearestSurface(mesh)
+        nearest = ClosestPointQuery(mesh)
         closest = nearest.closest(mesh.vertices.max(axis=0) * rng.uniform(-1.2, 1.2, (2000, 3)))
         radial = closest.point / np.linalg.norm(closest.point, axis=1, keepdims=True)
         expected = radial if mesh is ball else mesh.normals[closest.face]
@@ -162,9 +162,9 @@ def test_normals_are_smooth_but_for_creases() -> None:
 def test_what_has_no_distance_is_refused() -> None:
     """A point that is not finite, and a mesh without area, are named."""
     with pytest.raises(PlannerError, match="points contains infinity or NaN"):
-        NearestSurface(_mesh(MESHES["ball"])).closest(np.array([[0.0, np.nan, 0.0]]))
+        ClosestPointQuery(_mesh(MESHES["ball"])).closest(np.array([[0.0, np.nan, 0.0]]))
     with pytest.raises(PlannerError, match="no face of the mesh has an area"):
-        NearestSurface(TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]]))
+        ClosestPointQuery(TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]]))
 
 
 def test_deviation_of_a_grown_ball_is_its_growth() -> None:

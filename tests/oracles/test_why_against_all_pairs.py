@@ -9,7 +9,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.ports import Rejection
 from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.viewpoints import optimal_scanning_zone
@@ -22,7 +22,7 @@ def test_every_reason_is_that_of_the_pair_that_comes_farthest(blob: Callable[[in
     mesh = blob(3)
     part = TriangleMesh(mesh.vertices / 1000, mesh.faces.astype(np.int32))
     planning = decimate(part, 24)
-    samples = sample(part, planning, 150, np.random.default_rng(4))
+    samples = draw_samples(part, planning, 150, np.random.default_rng(4))
     views = optimal_scanning_zone(planning, [0.15], [0.0, 1.2])
     # The range is short enough and the angles small enough that every condition is the last one of some sample.
     scanner = LaserArea(range_mm=(120, 156), fov_deg=(24, 18), baseline_mm=60, grazing_max_deg=40)

@@ -8,7 +8,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.scanners.laser_line import LaserLine
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.decimation import decimate
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability.visibility import measured
 from planner.viewpoints.growth import Arm, Stage, grow
 from planner.viewpoints.lines_of_sight import Targets
@@ -25,7 +25,7 @@ def mug():
     """The Mug, coarse, with 1,500 scouts."""
     part = load("mug")
     planning = decimate(part.reference, 120)
-    scouts = sample(part.reference, planning, 1500, np.random.default_rng(0))
+    scouts = draw_samples(part.reference, planning, 1500, np.random.default_rng(0))
     return part, planning, scouts, EmbreeRayCaster(part.reference.vertices, part.reference.faces)
 
 

@@ -11,7 +11,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from cell.world.virtual_scan import scan
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability.visibility import fill, measured, occlude
 from planner.ports import Rejection
 from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view
@@ -79,7 +79,7 @@ def _scanner(**keys):
 def _scene(seed, K=1):
     rng = np.random.default_rng(seed)
     part = _part(rng)
-    return rng, part, _caster(part), sample(part, part, 200, rng), _views(rng, K=K)
+    return rng, part, _caster(part), draw_samples(part, part, 200, rng), _views(rng, K=K)
 
 
 @few
@@ -204,7 +204,7 @@ def test_the_ray_grid_sets_exactly_the_rows_that_its_scans_hit(seed):
     rng, part, caster, _, views = _scene(seed)
     scanner = _scanner()
     row_of_face = rng.integers(-1, 9, len(part.faces))
-    features = sample(part, part, 9, rng)
+    features = draw_samples(part, part, 9, rng)
     expected = np.zeros((9, len(views)), dtype=bool)
     for j, T in enumerate(views.T_object_scanner[:, 0]):
         rows = row_of_face[scan(scanner, T, caster, part).face]
@@ -271,7 +271,7 @@ def test_more_samples_never_change_the_truth_beyond_their_error(seed):
     shares = []
     counts = (300, 3000, 30_000)
     for count in counts:
-        samples = sample(part, part, count, rng)
+        samples = draw_samples(part, part, count, rng)
         shares.append(measured(views.T_object_scanner[:4], samples, scanner, [caster]).mean())
     truth = shares[-1]
     assert 0 < truth < 1

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from cell.reconstruction.cloud import ScanCloud
 from cell.reconstruction.registration import register
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 
 _BOX = trimesh.creation.box((0.06, 0.04, 0.03)).subdivide().subdivide()
@@ -34,9 +34,9 @@ def test_distances_do_not_change_with_the_frame(drawn: tuple[int, float, float])
     """Signed distances of points stay the same when mesh and points move together."""
     T = _pose(drawn)
     points = np.random.default_rng(0).uniform(-0.06, 0.06, (200, 3))
-    here, there = NearestSurface(_MODEL), NearestSurface(_placed(_MODEL, T))
+    here, there = ClosestPointQuery(_MODEL), ClosestPointQuery(_placed(_MODEL, T))
     moved = points @ T[:3, :3].T + T[:3, 3]
-    np.testing.assert_allclose(there.signed(moved), here.signed(points), atol=1e-12)
+    np.testing.assert_allclose(there.signed_distance(moved), here.signed_distance(points), atol=1e-12)
 
 
 @settings(max_examples=settings.default.max_examples // 4)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability.quality import Limited
 from planner.measurability.visibility import measured
 from planner.ports import Rejection
@@ -88,7 +88,7 @@ def test_an_arm_in_the_way_never_adds_a_sample_and_hides_only_its_own_view():
     ball = trimesh.creation.icosphere(2, 0.05)
     part = TriangleMesh(ball.vertices, ball.faces)
     caster = EmbreeRayCaster(part.vertices, part.faces)
-    samples = sample(part, part, 2000, np.random.default_rng(0))
+    samples = draw_samples(part, part, 2000, np.random.default_rng(0))
     views = optimal_scanning_zone(TriangleMesh(part.vertices, part.faces[::40]), (0.2,), (0.0,))
     scanner = LaserArea(range_mm=(50, 400), baseline_mm=40)
     rng = np.random.default_rng(4)

@@ -5,10 +5,10 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.geometry.closest import closest_face
+from planner.geometry.closest import closest_facing_faces
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -20,9 +20,9 @@ def test_the_closest_face_is_the_closest_that_looks_the_same_way(seed: int) -> N
     radius = 1 + 0.3 * np.sin(ball.vertices @ rng.normal(size=3) * 3 + rng.random())
     mesh = TriangleMesh(ball.vertices * radius[:, None] * rng.uniform(0.3, 1, 3), ball.faces)
     planning = decimate(mesh, 250)
-    samples = sample(mesh, planning, 400, rng)
+    samples = draw_samples(mesh, planning, 400, rng)
     triangles, count = planning.vertices[planning.faces], len(planning.faces)
-    chosen = closest_face(samples.points, samples.normals, planning)
+    chosen = closest_facing_faces(samples.points, samples.normals, planning)
     points = np.repeat(samples.points, count, axis=0)
     feet = trimesh.triangles.closest_point(np.tile(triangles, (400, 1, 1)), points)
     distance = np.linalg.norm(feet - points, axis=1).reshape(400, count)
@@ -38,7 +38,7 @@ def test_samples_lie_on_their_faces_and_share_the_area(count: int, seed: int) ->
     """Each sample lies on its reference face, carries that face's normal and an equal part of the whole area."""
     body = trimesh.creation.capsule(height=1.0, radius=0.2, count=(12, 12))
     mesh = TriangleMesh(body.vertices, body.faces)
-    samples = sample(mesh, mesh, count, np.random.default_rng(seed))
+    samples = draw_samples(mesh, mesh, count, np.random.default_rng(seed))
     assert len(samples) == count
     feet = trimesh.triangles.closest_point(mesh.vertices[mesh.faces[samples.face]], samples.points)
     assert np.abs(feet - samples.points).max() < 1e-12
@@ -57,7 +57,7 @@ def test_stratified_samples_estimate_an_area_better_than_independent_ones(seed: 
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)
     height = rng.uniform(-0.8, 0.8)
-    samples = sample(mesh, decimate(mesh, 100), 4000, rng)
+    samples = draw_samples(mesh, decimate(mesh, 100), 4000, rng)
     share = (samples.points @ direction > height).mean()
     truth = (1 - height) / 2  # Archimedes: a cap's area is proportional to its height
     assert abs(share - truth) < np.sqrt(truth * (1 - truth) / 4000)

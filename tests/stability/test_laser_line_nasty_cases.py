@@ -9,7 +9,7 @@ from cell.scanners.laser_line import LaserLine
 from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.measurability.visibility import fill, occlude
 from planner.ports import Rejection
 from planner.viewpoints.viewpoints import Viewpoints, view_sphere
@@ -19,7 +19,7 @@ _BALL = TriangleMesh(_MESH.vertices, _MESH.faces.astype(np.int32))
 
 
 def _ball() -> tuple[SurfaceSamples, EmbreeRayCaster]:
-    samples = sample(_BALL, _BALL, 400, np.random.default_rng(1))
+    samples = draw_samples(_BALL, _BALL, 400, np.random.default_rng(1))
     return samples, EmbreeRayCaster(_BALL.vertices, _BALL.faces)
 
 

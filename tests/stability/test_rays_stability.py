@@ -7,7 +7,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from cell.world.virtual_scan import scan
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.measurability.visibility import fill, measured
 from planner.ports import Rejection
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
@@ -70,7 +70,7 @@ def test_a_thin_wall_is_opaque_and_its_front_is_seen(thickness):
     """Down to 2 um on a part of 0.3 m: the front is measured from the front, the back from the back only."""
     wall = _box((0.3, 0.3, thickness))
     caster = _caster(wall)
-    features = sample(wall, wall, 2000, np.random.default_rng(0))
+    features = draw_samples(wall, wall, 2000, np.random.default_rng(0))
     inner = np.abs(features.normals[:, 2]) > 0.9
     for side in (1, -1):
         seen = measured(_pose([0.02, 0.01, 0.3 * side], [0, 0, 0])[None, None], features, WIDE, [caster])
@@ -98,7 +98,7 @@ def test_faces_without_area_and_faces_that_repeat_change_nothing():
     clean = _box((0.1, 0.1, 0.1))
     vertices = np.vstack([clean.vertices, clean.vertices[0], (clean.vertices[0] + clean.vertices[1]) / 2])
     dirty = TriangleMesh(vertices, np.vstack([clean.faces, clean.faces, [[0, 0, 1], [0, 8, 0], [0, 9, 1]]]))
-    features = sample(clean, clean, 500, np.random.default_rng(0))
+    features = draw_samples(clean, clean, 500, np.random.default_rng(0))
     views = optimal_scanning_zone(clean, [0.3], [0.4])
     scanner = LaserArea(resolution_deg=(2, 2))
     a = fill(views, features, scanner, _caster(clean))
@@ -115,7 +115,7 @@ def test_a_part_far_from_the_origin_is_measured_like_one_at_the_origin(distance)
     shift = np.array([distance, -0.7 * distance, 0.3 * distance])
     part = _box((0.1, 0.08, 0.06))
     far = TriangleMesh(part.vertices + shift, part.faces)
-    features = sample(part, part, 500, np.random.default_rng(0))
+    features = draw_samples(part, part, 500, np.random.default_rng(0))
     moved = SurfaceSamples(features.points + shift, features.normals, features.areas, features.face, features.face)
     views = optimal_scanning_zone(part, [0.2], [0.1])
     T = np.array(views.T_object_scanner)
@@ -137,7 +137,7 @@ def test_a_part_of_9_mm_and_one_of_5_m_are_measured_alike(size):
 
     def matrix(scale):
         part = _box(np.array([1.0, 0.8, 0.6]) * scale)
-        features = sample(part, part, 500, np.random.default_rng(0))
+        features = draw_samples(part, part, 500, np.random.default_rng(0))
         views = optimal_scanning_zone(part, [2.0 * scale], [0.1])
         scanner = LaserArea((60, 60), (1, 1), (1000 * scale, 3000 * scale), 500 * scale)
         return fill(views, features, scanner, _caster(part)).matrix().toarray()
@@ -171,7 +171,7 @@ def test_a_scanner_of_one_ray_measures_the_point_ahead():
 def test_a_source_inside_the_part_measures_nothing():
     """Seen from within, every face is seen from behind."""
     part = _box((0.4, 0.4, 0.4))
-    features = sample(part, part, 500, np.random.default_rng(0))
+    features = draw_samples(part, part, 500, np.random.default_rng(0))
     T = _pose([0.01, 0, -0.1], [0, 0, 0.2])
     assert not measured(T[None, None], features, WIDE, [_caster(part)]).any()
     assert scan(WIDE, T, _caster(part), part).counts()[Rejection.MEASURED] == 0
@@ -206,7 +206,7 @@ def test_a_grazing_limit_of_0_keeps_head_on_points_only():
 def test_a_grazing_limit_of_90_keeps_everything_in_front_and_nothing_behind():
     """A hair above the plane all of it is measured, a hair below nothing."""
     plate = _grid_plate(10, 0.2)
-    features = sample(plate, plate, 500, np.random.default_rng(0))
+    features = draw_samples(plate, plate, 500, np.random.default_rng(0))
     for height, seen in ((1e-3, True), (-1e-3, False)):
         T = _pose([-0.3, 0.0, height], [0, 0, height])
         found = measured(T[None, None], features, ONE_EYE, [_caster(plate)])

@@ -8,7 +8,7 @@ import trimesh
 
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import face_features, sample
+from planner.geometry.sampling import draw_samples, samples_at_face_centres
 from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 _SAMPLES = 300
@@ -124,7 +124,7 @@ def test_promises_hold_on_nasty_meshes(case: Callable[[], trimesh.Trimesh], face
     assert (planning.vertices > low - 0.1 * extent).all()
     assert (planning.vertices < high + 0.1 * extent).all()
 
-    samples = sample(reference, planning, _SAMPLES, np.random.default_rng(1))
+    samples = draw_samples(reference, planning, _SAMPLES, np.random.default_rng(1))
     distance = _distance(samples.points, reference.vertices[reference.faces[samples.face]], extent)
     assert distance.max() < 1e-9 * (extent + np.abs(reference.vertices).max())
     assert samples.areas.sum() == pytest.approx(body.area, rel=1e-9)
@@ -138,7 +138,7 @@ def test_promises_hold_on_nasty_meshes(case: Callable[[], trimesh.Trimesh], face
     comparable = np.isfinite(nearest)
     assert (chosen[comparable] - nearest[comparable] < 0.05 * extent).all()
 
-    features = face_features(reference, planning)
+    features = samples_at_face_centres(reference, planning)
     assert ((features.face >= 0) & (features.face < len(reference.faces))).all()
     viewpoints = optimal_scanning_zone(planning, [3 * extent], [0.0, 1.0])
     R = viewpoints.T_object_scanner[:, 0, :3, :3]

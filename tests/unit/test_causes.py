@@ -15,7 +15,7 @@ from cell.scan.pose_error import Disturbance
 from cell.scanners.laser_area import LaserArea
 from cell.world import virtual_scan
 from cell.world.embree import EmbreeRayCaster
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.viewpoints.viewpoints import enclosing_radius, optimal_scanning_zone
@@ -31,7 +31,7 @@ CAUSES = {
 T_FLANGE_SCANNER = pose_from_kuka_abc(np.array([0.0, 0.0, 0.12]), np.zeros(3))
 
 
-def scans_of(part: workpiece.Workpiece, views: int = 8) -> tuple[list[ExecutedScan], Any, NearestSurface]:
+def scans_of(part: workpiece.Workpiece, views: int = 8) -> tuple[list[ExecutedScan], Any, ClosestPointQuery]:
     """Scans with noise of 0.03 mm and pose errors of 0.5 mm and 0.1 deg; what `causes` asks of a cell."""
     mesh = TriangleMesh(part.reference.vertices, part.reference.faces)
     standoff = max(0.03, 1.5 * enclosing_radius(mesh, part.centre))
@@ -61,7 +61,7 @@ def scans_of(part: workpiece.Workpiece, views: int = 8) -> tuple[list[ExecutedSc
     cell = SimpleNamespace(
         reference=mesh, scene=scene, scanner_keys=SimpleNamespace(own=keys), in_base=lambda q, T: T
     )  # fmt: skip
-    return scans, cell, NearestSurface(mesh)
+    return scans, cell, ClosestPointQuery(mesh)
 
 
 def spoilt(scans: list[ExecutedScan], cause: str) -> list[ExecutedScan]:

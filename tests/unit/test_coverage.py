@@ -8,7 +8,7 @@ from cell.world.embree import EmbreeRayCaster
 from cell.world.prediction import Prediction
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.measurability import coverage
 from planner.measurability import visibility as remembered_views
 from planner.measurability.visibility import Remembered, measured
@@ -75,7 +75,7 @@ def test_visible_coverage_of_a_slab():
     """Views from above measure the top; views from above and from the side all but the bottom."""
     slab = _slab()
     caster = EmbreeRayCaster(slab.vertices, slab.faces)
-    samples = sample(slab, slab, 5000, np.random.default_rng(0))
+    samples = draw_samples(slab, slab, 5000, np.random.default_rng(0))
     candidates = optimal_scanning_zone(slab, [0.3], [0.0]).T_object_scanner
     above = candidates[candidates[:, 0, 2, 3] > 0.2]
     plan = coverage.visible(above, samples, SCANNER, [caster])
@@ -88,7 +88,10 @@ def test_visible_coverage_of_a_slab():
 def test_coverable_is_what_any_candidate_measures_asked_alone():
     """In whatever order candidates are asked, and whatever samples are left by then."""
     part = _slab()
-    samples, caster = sample(part, part, 3000, np.random.default_rng(0)), EmbreeRayCaster(part.vertices, part.faces)
+    samples, caster = (
+        draw_samples(part, part, 3000, np.random.default_rng(0)),
+        EmbreeRayCaster(part.vertices, part.faces),
+    )
     poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
     alone = [coverage.visible(pose[None], samples, SCANNER, [caster]).covered for pose in poses]
     found = Prediction.of(samples, SCANNER, [caster], poses).coverable.covered
@@ -100,7 +103,10 @@ def test_coverable_is_what_any_candidate_measures_asked_alone():
 def test_what_is_remembered_of_views_is_what_they_measure_when_asked_anew():
     """Of sets that share views, in any order, with one pose a view and with three."""
     part, draws = _slab(), np.random.default_rng(3)
-    samples, caster = sample(part, part, 3000, np.random.default_rng(0)), EmbreeRayCaster(part.vertices, part.faces)
+    samples, caster = (
+        draw_samples(part, part, 3000, np.random.default_rng(0)),
+        EmbreeRayCaster(part.vertices, part.faces),
+    )
     poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
     for views in (poses, np.stack([poses[k : k + 3, 0] for k in range(len(poses) - 2)])):
         remembered = Remembered(samples, SCANNER, [caster])
@@ -116,7 +122,10 @@ def test_views_asked_long_ago_are_forgotten_and_asked_again(monkeypatch):
     monkeypatch.setattr(remembered_views, "_VIEWS", 2)
     monkeypatch.setattr(remembered_views, "_OPEN_BUNDLE", 50)
     part, draws = _slab(), np.random.default_rng(4)
-    samples, caster = sample(part, part, 1500, np.random.default_rng(0)), EmbreeRayCaster(part.vertices, part.faces)
+    samples, caster = (
+        draw_samples(part, part, 1500, np.random.default_rng(0)),
+        EmbreeRayCaster(part.vertices, part.faces),
+    )
     poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
     remembered = Remembered(samples, SCANNER, [caster])
     for count in (1, 4, 4, 2):

@@ -11,7 +11,7 @@ from cell.reconstruction.reconstruct import NOISIEST, SPARSEST, reconstruct
 from cell.scene import validation
 from cell.scene.model import Scene
 from planner.geometry.decimation import decimate
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 
 
 def test_a_time_step_that_is_too_long_is_told() -> None:
@@ -45,7 +45,7 @@ def test_a_coarse_planning_mesh_is_told_and_a_fine_one_is_not() -> None:
     off = {}
     for faces in (12, 150, 600):
         planning = decimate(part, faces)
-        off[faces] = validation.off_mesh(sample(part, planning, 2000, np.random.default_rng(0)), planning)
+        off[faces] = validation.off_mesh(draw_samples(part, planning, 2000, np.random.default_rng(0)), planning)
     assert off[12] > off[150] > off[600]
     assert validation.planning_mesh(off[600], 600) == ""
     assert "of 12 faces is coarse" in validation.planning_mesh(off[12], 12)

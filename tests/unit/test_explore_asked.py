@@ -26,7 +26,7 @@ from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import Record, came
 from planner.explore.space import OCCUPIED, VoxelSpace
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.values import Bools, Floats
 from planner.viewpoints.viewpoints import looking_at
 
@@ -73,7 +73,7 @@ def _asked(poses: Floats | None, whole: bool = False, space: VoxelSpace = UNKNOW
 
 def test_of_the_measured_surface_is_wanted_what_no_view_measures(balls: TriangleMesh) -> None:
     """Each such sample with the area that it has, in their order; brute force says which. Believed weights are none."""
-    samples = sample(balls, balls, 3000, np.random.default_rng(0))
+    samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
     kept = wanted(samples, _asked(_poses()), 3000, LAW, caster)
     missed = ~_measured(samples, _poses(), balls, LAW.grazing_max_deg)
@@ -86,7 +86,7 @@ def test_of_the_measured_surface_is_wanted_what_no_view_measures(balls: Triangle
 @pytest.mark.parametrize("views", [(1, 1), (2,), (1,)])
 def test_what_came_is_what_the_latest_views_measured_first(views: tuple[int, ...], balls: TriangleMesh) -> None:
     """Of surface beside a point, and not what a view before them measures: brute force says of which that is so."""
-    samples = sample(balls, balls, 3000, np.random.default_rng(0))
+    samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
     space = replace(UNKNOWN, points=samples.points[samples.points[:, 1] > 0])
     near = np.linalg.norm(samples.points[:, None] - space.points[None], axis=2).min(axis=1) <= UNKNOWN.edge
@@ -107,7 +107,7 @@ def test_what_came_is_what_the_latest_views_measured_first(views: tuple[int, ...
 
 def test_of_more_samples_than_are_kept_the_area_is_the_same(balls: TriangleMesh) -> None:
     """At most so many stay, of those that are wanted, and they stand for all of it."""
-    samples = sample(balls, balls, 3000, np.random.default_rng(0))
+    samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
     every, few = (wanted(samples, _asked(_poses()), most, LAW, caster) for most in (3000, 100))
     assert 90 < len(few) <= 100 < len(every)
@@ -118,7 +118,7 @@ def test_of_more_samples_than_are_kept_the_area_is_the_same(balls: TriangleMesh)
 @pytest.mark.parametrize("whole", [False, True])
 def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls: TriangleMesh) -> None:
     """Area times probability, whatever was executed; of what was seen nothing, or all where the whole is asked for."""
-    samples = sample(balls, balls, 3000, np.random.default_rng(0))
+    samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     right = samples.points[:, 0] > 0
     space = replace(UNKNOWN, points=samples.points[right])
     asked = _asked(None, whole, space)
@@ -345,7 +345,7 @@ def test_more_is_drawn_of_a_measured_surface_and_what_came_is_asked_of_it(
 
     def counted(reference: TriangleMesh, planning: TriangleMesh, count: int, rng: np.random.Generator) -> Any:
         drawn.append(count)
-        return sample(reference, planning, 300, rng)
+        return draw_samples(reference, planning, 300, rng)
 
     monkeypatch.setattr(stage, "sample", counted)
     monkeypatch.setattr(stage, "clustered", copy)
@@ -408,7 +408,7 @@ def test_a_stage_says_what_its_views_stood_too_near_for(balls: TriangleMesh, mon
 
     monkeypatch.setattr(explore, "too_near", lambda *given: asked.append(given) or 3e-6)
     known: Any = SimpleNamespace(space=UNKNOWN, believed=balls)
-    samples = sample(balls, balls, 5, np.random.default_rng(0))
+    samples = draw_samples(balls, balls, 5, np.random.default_rng(0))
     expected: Any = SimpleNamespace(samples=samples, sees=np.ones((5, 1), dtype=bool), surface=1.0, on=BELIEVED)
     scan: Any = SimpleNamespace(points=balls.vertices, T_reported=np.eye(4))
     stage_ = explore._stage_of(Path("stages") / "0002", [scan], expected, UNKNOWN, known, None)  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ from cell.explore.moved import with_better
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability.visibility import measured
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.viewpoints import join_viewpoints, looking_at
@@ -29,7 +29,7 @@ def problem(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     outward = np.random.default_rng(2).normal(size=(12, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     candidates = looking_at(0.03 * outward, outward, np.arange(12), [0.1], [0.0])
-    scouts = sample(mesh, mesh, 300, np.random.default_rng(1))
+    scouts = draw_samples(mesh, mesh, 300, np.random.default_rng(1))
     arm = Arm(scanner, casters, lambda T: np.ones(len(T), dtype=bool), np.eye(4)[None])
     monkeypatch.setattr(moved, "arm_of", lambda *_: arm)
     prediction = SimpleNamespace(samples=scouts, scanner=scanner, casters=casters)

@@ -27,7 +27,7 @@ from cell.scene.file import scene_of
 from cell.scene.model import PlanSettings, Scene
 from planner.explore.gain import Record
 from planner.explore.space import FREE, UNKNOWN, VoxelSpace
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 from planner.viewpoints.viewpoints import looking_at
@@ -211,7 +211,7 @@ def test_what_the_arm_keeps_away_from_holds_every_voxel_that_is_not_free(share: 
     around = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3) * space.edge
     corners = (space.centres(space.state != FREE)[:, None] + around).reshape(-1, 3)
     mesh = TriangleMesh(vertices / 1000, faces.astype(np.int32))
-    assert NearestSurface(mesh).signed(corners).max() < 0
+    assert ClosestPointQuery(mesh).signed_distance(corners).max() < 0
     assert np.abs(mesh.vertices).max(axis=0) == pytest.approx(np.abs(corners).max(axis=0), abs=3 * space.edge)
 
 

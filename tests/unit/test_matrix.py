@@ -13,7 +13,7 @@ from cell.world import measurability
 from cell.world.embree import EmbreeRayCaster
 from cell.world.measurability import PartSurface, cache_folder, part_matrix
 from planner.geometry.decimation import decimate
-from planner.geometry.sampling import face_features, sample
+from planner.geometry.sampling import draw_samples, samples_at_face_centres
 from planner.measurability.visibility import fill
 from planner.viewpoints.viewpoints import optimal_scanning_zone, pick_viewpoints
 
@@ -31,7 +31,7 @@ def asked(part, part_file, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     part, planning = part
     reference = part.reference
-    features = sample(reference, planning, 120, np.random.default_rng(0))
+    features = draw_samples(reference, planning, 120, np.random.default_rng(0))
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
     calculated = []
 
@@ -44,7 +44,7 @@ def asked(part, part_file, tmp_path, monkeypatch):
     def ask(views, *, method="aimed", **keys):
         tables = {"plan": {"fill": method}, "scanner": {"resolution_deg": [1.0, 1.0]}}
         scene = load_scene(None, {"part": {"path": str(part_file), "units": "mm"}, **tables})
-        rows = features if method == "aimed" else face_features(reference, planning)
+        rows = features if method == "aimed" else samples_at_face_centres(reference, planning)
         calculated.clear()
         M = part_matrix(scene, resolve(scene, part), PartSurface(reference, planning, rows, caster), views, **keys)
         return M, sum(calculated)

@@ -7,7 +7,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import SurfaceSamples, face_features, pick_samples, sample
+from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples, samples_at_face_centres
 from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import fill, measured, occlude
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
@@ -34,7 +34,7 @@ def _views(poses):
 def cube():
     """A cube of 100 mm with 600 samples and a viewpoint above each of its 12 triangles, twice (two rolls)."""
     mesh = _box(0.1)
-    features = sample(mesh, mesh, 600, np.random.default_rng(0))
+    features = draw_samples(mesh, mesh, 600, np.random.default_rng(0))
     return mesh, _caster(mesh), features, optimal_scanning_zone(mesh, [0.3], [0.0, np.pi / 2])
 
 
@@ -51,9 +51,9 @@ def test_a_cube_s_side_is_measured_from_in_front_of_it_and_from_nowhere_else(cub
 def test_the_ray_grid_sets_the_rows_of_the_faces_that_it_hits(cube):
     """The paper's fill of the same cube: each view measures its own side's two faces."""
     mesh, caster, _, views = cube
-    result = fill(views, face_features(mesh, mesh), SCANNER, caster, method="rays", part=mesh)
+    result = fill(views, samples_at_face_centres(mesh, mesh), SCANNER, caster, method="rays", part=mesh)
     side_of_view = -views.T_object_scanner[:, 0, :3, 2]
-    normals = face_features(mesh, mesh).normals
+    normals = samples_at_face_centres(mesh, mesh).normals
     assert (result.matrix().toarray() == (normals @ side_of_view.T > 0.99)).all()
 
 
@@ -62,7 +62,7 @@ def test_faces_map_to_rows_and_minus_one_to_none(cube):
     mesh, caster, _, views = cube
     rows = np.repeat(np.arange(6), 2)
     rows[rows == 3] = -1
-    features = face_features(mesh, mesh)
+    features = samples_at_face_centres(mesh, mesh)
     picked = pick_samples(features, np.arange(0, len(features), 2))
     result = fill(views, picked, SCANNER, caster, method="rays", part=mesh, row_of_face=rows)
     assert np.diff(result.indptr).tolist() == [4, 4, 4, 0, 4, 4]
@@ -73,7 +73,7 @@ def test_a_column_of_several_poses_measures_what_any_of_them_measures(cube):
     mesh, caster, features, views = cube
     T = views.T_object_scanner
     pairs = _views(np.concatenate([T[:12], T[12:]], axis=1))
-    for method, rows in (("aimed", features), ("rays", face_features(mesh, mesh))):
+    for method, rows in (("aimed", features), ("rays", samples_at_face_centres(mesh, mesh))):
         keys = {"method": method, "part": mesh}
         single = fill(views, rows, SCANNER, caster, **keys).matrix().toarray()
         double = fill(pairs, rows, SCANNER, caster, **keys).matrix().toarray()

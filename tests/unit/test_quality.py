@@ -8,7 +8,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability.matrix import Measurability
 from planner.measurability.quality import Limited, best_sigma, sigma_layer, within
 from planner.measurability.visibility import fill, measured
@@ -47,7 +47,7 @@ def _views(part: TriangleMesh, poses: int) -> Viewpoints:
 def test_every_entry_has_the_sigma_of_its_best_measuring_pose(part, caster, poses):
     """Entry by entry: the smallest `scanner.sigma` over the poses that `measured` says see the feature."""
     views = _views(part, poses)
-    features = sample(part, part, 300, np.random.default_rng(0))
+    features = draw_samples(part, part, 300, np.random.default_rng(0))
     M = sigma_layer(fill(views, features, SCANNER, caster), views, SCANNER, casters=(caster,))
     assert M.sigma is not None
     assert M.sigma.dtype == np.float32
@@ -67,7 +67,7 @@ def test_every_entry_has_the_sigma_of_its_best_measuring_pose(part, caster, pose
 def test_the_limit_keeps_exactly_the_entries_below_it_and_grows_with_it(part, caster):
     """`within` is the entry-wise comparison; a larger limit never loses an entry; an infinite one keeps all."""
     views = _views(part, 1)
-    features = sample(part, part, 300, np.random.default_rng(0))
+    features = draw_samples(part, part, 300, np.random.default_rng(0))
     M = sigma_layer(fill(views, features, SCANNER, caster), views, SCANNER)
     dense = np.full(M.shape, np.inf)
     dense[np.repeat(np.arange(300), np.diff(M.indptr)), M.indices] = M.sigma
@@ -84,7 +84,7 @@ def test_the_limit_keeps_exactly_the_entries_below_it_and_grows_with_it(part, ca
 def test_layer_and_limited_scanner_agree(part, caster):
     """Filling with the scanner that keeps the limit gives the matrix that the limit on the layer gives."""
     views = _views(part, 1)
-    features = sample(part, part, 300, np.random.default_rng(0))
+    features = draw_samples(part, part, 300, np.random.default_rng(0))
     M = sigma_layer(fill(views, features, SCANNER, caster), views, SCANNER)
     limit = float(np.median(M.sigma)) * (1 + 1e-6)  # off any entry's own value: the layer is rounded to float32
     direct = fill(views, features, Limited(SCANNER, limit), caster)
@@ -95,7 +95,7 @@ def test_layer_and_limited_scanner_agree(part, caster):
 def test_a_plan_gives_each_feature_its_best_chosen_view(part, caster):
     """The minimum over chosen columns; NaN where none measures."""
     views = _views(part, 1)
-    features = sample(part, part, 300, np.random.default_rng(0))
+    features = draw_samples(part, part, 300, np.random.default_rng(0))
     M = sigma_layer(fill(views, features, SCANNER, caster), views, SCANNER)
     dense = np.full(M.shape, np.nan)
     dense[np.repeat(np.arange(300), np.diff(M.indptr)), M.indices] = M.sigma
@@ -124,7 +124,7 @@ def test_what_cannot_be_is_refused(part, caster):
         pass
 
     views = _views(part, 1)
-    features = sample(part, part, 10, np.random.default_rng(0))
+    features = draw_samples(part, part, 10, np.random.default_rng(0))
     M = fill(views, features, SCANNER, caster)
     few = Viewpoints(views.T_object_scanner[:3], views.face[:3], views.standoff[:3], views.roll[:3])
     for work, words in [

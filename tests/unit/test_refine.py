@@ -8,7 +8,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.cover import Problem, solve
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability.visibility import fill, measured
 from planner.ports import Rejection
 from planner.viewpoints import growth, refinement
@@ -26,7 +26,7 @@ def case():
     """A ball of 60 mm, 300 samples, 40 candidates that look at its centre, and a cover of 98 % of it."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.03)
     mesh = TriangleMesh(ball.vertices, ball.faces)
-    features = sample(mesh, mesh, 300, np.random.default_rng(1))
+    features = draw_samples(mesh, mesh, 300, np.random.default_rng(1))
     scanner = LaserArea(fov_deg=(40, 40), range_mm=(50, 150), baseline_mm=20, sensor_grazing_max_deg=75)
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
     outward = np.random.default_rng(2).normal(size=(40, 3))

@@ -23,7 +23,7 @@ from cell.world.prediction import held_out
 from planner.cover import Problem
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability.quality import Limited, Limits
 from planner.ports import Rejection
 from tests.step_files import StepFile, bored_block
@@ -145,7 +145,7 @@ def test_a_part_without_regions_is_itself(box: Path) -> None:
     """Nothing is tagged, cut or copied."""
     part = load(box, "mm")
     assert with_regions(part, scene_with(box, [], "mm")) is part
-    assert sample(part.reference, part.reference, 10, np.random.default_rng(0)).region is None
+    assert draw_samples(part.reference, part.reference, 10, np.random.default_rng(0)).region is None
 
 
 @needs_cascadio
@@ -263,7 +263,7 @@ def test_regions_become_demands_weights_and_parts(box: Path) -> None:
     assert goals.part.tolist() == [1, 0, 0]
     assert not goals.plain
     part = with_regions(load(box, "mm"), scene)
-    rows = sample(part.reference, part.reference, 300, np.random.default_rng(0))
+    rows = draw_samples(part.reference, part.reference, 300, np.random.default_rng(0))
     wish = goals.applied(Problem(np.ones((300, 2), bool), rows.areas), rows)
     assert (wish.demand == np.array([1, 3, 1])[rows.region]).all()
     assert (wish.part == np.array([1, 0, 0])[rows.region]).all()
@@ -285,5 +285,5 @@ def test_studies_refuse_what_they_do_not_know(box: Path) -> None:
 def test_a_mesh_without_a_face_that_counts_is_refused() -> None:
     """It could not be sampled."""
     mesh = trimesh.creation.box((1, 1, 1))
-    with pytest.raises(ValueError, match="somebody cares for"):
+    with pytest.raises(ValueError, match="must belong to a region"):
         TriangleMesh(mesh.vertices, mesh.faces, np.full(12, -1))

@@ -12,7 +12,7 @@ from cell.reconstruction.reconstruct import reconstruct
 from cell.reconstruction.registration import RegistrationStatus, register
 from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
-from planner.geometry.closest import NearestSurface
+from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 
 VIEWS = 0.25 * np.array([[1, 0, 0.2], [-1, 0.1, 0], [0, 1, 0], [0, -1, 0.1], [0.3, 0, 1], [0, 0.2, -1]])
@@ -37,9 +37,9 @@ def scans(head: TriangleMesh) -> list[ScanCloud]:
 
 
 @pytest.fixture(scope="module")
-def nearest(head: TriangleMesh) -> NearestSurface:
+def nearest(head: TriangleMesh) -> ClosestPointQuery:
     """Closest points on the head."""
-    return NearestSurface(head)
+    return ClosestPointQuery(head)
 
 
 def _scan(caster: EmbreeRayCaster, sensor: np.ndarray, rng: np.random.Generator) -> ScanCloud:
@@ -68,13 +68,13 @@ def _disturbed(scans: Sequence[ScanCloud], mm: float, deg: float, seed: int) -> 
     return [_moved(s, rng.normal(0, mm * 1e-3, 3), rng.normal(0, np.radians(deg), 3)) for s in scans]
 
 
-def _rms(scans: Sequence[ScanCloud], nearest: NearestSurface) -> float:
+def _rms(scans: Sequence[ScanCloud], nearest: ClosestPointQuery) -> float:
     return float(np.sqrt(np.mean(nearest.closest(np.concatenate([s.points for s in scans])).distance ** 2)))
 
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_pose_error_is_reduced_at_least_four_times(
-    scans: list[ScanCloud], head: TriangleMesh, nearest: NearestSurface, seed: int
+    scans: list[ScanCloud], head: TriangleMesh, nearest: ClosestPointQuery, seed: int
 ) -> None:
     """0.5 mm and 0.1 degree (one sigma): the merged cloud's rms against the reference falls 4 times, to its noise."""
     disturbed = _disturbed(scans, 0.5, 0.1, seed)
@@ -99,7 +99,7 @@ def test_the_correction_undoes_the_error(scans: list[ScanCloud], head: TriangleM
         assert np.linalg.norm(back - true.points, axis=1).max() < 20e-6
 
 
-def test_without_a_model_the_scans_come_together(scans: list[ScanCloud], nearest: NearestSurface) -> None:
+def test_without_a_model_the_scans_come_together(scans: list[ScanCloud], nearest: ClosestPointQuery) -> None:
     """Scans matched only to each other are right but for one motion of all together, whose mean is kept small."""
     disturbed = _disturbed(scans, 0.5, 0.1, 5)
     result = register(disturbed, None)
@@ -117,7 +117,7 @@ def test_without_a_model_the_scans_come_together(scans: list[ScanCloud], nearest
 
 
 def test_registered_scans_give_a_better_mesh(
-    scans: list[ScanCloud], head: TriangleMesh, nearest: NearestSurface
+    scans: list[ScanCloud], head: TriangleMesh, nearest: ClosestPointQuery
 ) -> None:
     """The mesh of the registered cloud deviates four times less than that of the disturbed one."""
     disturbed = _disturbed(scans, 0.5, 0.1, 6)

@@ -17,7 +17,7 @@ from cell.world.model import World, compile_world
 from cell.world.occluders import Occluder, arm_triangles, box
 from cell.world.self_occlusion import SHADED_SHARE, Look, OwnArm, visible_with_arm
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.kinematics.reach import Reach, Verdict
 from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import fill
@@ -47,7 +47,7 @@ def _cell(world: World) -> tuple[Measurability, Reach, Viewpoints]:
     offsets = np.concatenate([[0], np.cumsum([len(q) for q in solutions])])
     verdict = np.full(len(views), Verdict.REACHABLE, dtype=np.uint8)
     reached = Reach(verdict, np.concatenate(solutions), offsets, ("",) * len(views))
-    features = sample(PART, PART, 800, np.random.default_rng(0))
+    features = draw_samples(PART, PART, 800, np.random.default_rng(0))
     return fill(views, features, SCANNER, EmbreeRayCaster(PART.vertices, PART.faces)), reached, views
 
 

@@ -7,7 +7,7 @@ from cell.errors import SceneError
 from cell.scanners.laser_area import LaserArea
 from cell.scanners.laser_line import LaserLine
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability import coverage
 from planner.measurability.quality import best_of_views
 from planner.ports import Rejection
@@ -151,7 +151,7 @@ def test_of_several_views_the_densest_that_measures_counts() -> None:
     """Two views of a plate, each of a half and both of the middle, at 200 and 300 mm."""
     square = 0.05 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     plate = TriangleMesh(square, np.array([[0, 1, 2], [0, 2, 3]]))
-    samples = sample(plate, plate, 400, np.random.default_rng(0))
+    samples = draw_samples(plate, plate, 400, np.random.default_rng(0))
     near, far = (np.diag([1.0, -1.0, -1.0, 1.0]) for _ in range(2))
     near[2, 3], far[2, 3] = 0.2, 0.3
     seen = np.stack([samples.points[:, 0] < 0.01, samples.points[:, 0] > -0.01], axis=1)
@@ -169,7 +169,7 @@ def test_dense_coverage_against_all_pairs() -> None:
     rng = np.random.default_rng(5)
     square = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]])
     plate = TriangleMesh(square, np.array([[0, 1, 2], [0, 2, 3]]))
-    samples = sample(plate, plate, 500, rng)
+    samples = draw_samples(plate, plate, 500, rng)
     points = np.concatenate([rng.uniform(0, 0.1, (200, 2)), np.zeros((200, 1))], axis=1)
     spacing = rng.uniform(0.001, 0.005, 500)
     spacing[:20] = np.nan

@@ -21,7 +21,7 @@ from cell.view.page import Layer, Play, Shown, Stage, View, html_of
 from cell.view.pieces import Piece, cell_of_run
 from cell.view.surface import canvas_of, sides, surface_of
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.sampling import sample
+from planner.geometry.sampling import draw_samples
 from planner.measurability import coverage
 
 DataOf = Callable[[str], dict[str, Any]]
@@ -161,7 +161,7 @@ def test_spacing_is_that_of_neighbouring_rays() -> None:
     along = np.array([0.0, 1.0, 0.0])
     square = 1e-3 * np.array([across + along, along - across, -across - along, across - along])
     mesh = TriangleMesh(square, np.array([[0, 1, 2], [0, 2, 3]]))
-    samples = sample(mesh, mesh, 50, np.random.default_rng(0))
+    samples = draw_samples(mesh, mesh, 50, np.random.default_rng(0))
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = distance
     surface = surface_of(samples, T[None, None], Law(), (Free(),))  # type: ignore[arg-type] # toys
@@ -176,7 +176,7 @@ def test_a_few_large_faces_can_have_many_colours(run: Run) -> None:
     faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
                       [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
     cube = TriangleMesh(corners, faces)
-    canvas = canvas_of(cube, sample(cube, cube, 5000, np.random.default_rng(0)))
+    canvas = canvas_of(cube, draw_samples(cube, cube, 5000, np.random.default_rng(0)))
     half = canvas.samples.points[:, 0] < 0.05
     assert len(canvas.mesh.faces) > 1000
     centres = canvas.mesh.vertices[canvas.mesh.faces].mean(axis=1)

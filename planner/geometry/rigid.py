@@ -1,0 +1,47 @@
+"""Rotations and rigid motions: rotation vectors, angles, inverse.
+
+scipy's `Rotation` goes through quaternions and rounds differently; these formulas keep the bytes of stored runs.
+"""
+
+import numpy as np
+
+from planner.values import Floats
+
+
+def rotation_matrices(vectors: Floats) -> Floats:
+    """Return (n, 3, 3) rotations about vectors (n, 3) by their lengths [rad] (Rodrigues' formula)."""
+    angle = np.linalg.norm(vectors, axis=1)
+    axis = vectors / np.where(angle > 0, angle, 1.0)[:, None]
+    K = np.zeros((len(vectors), 3, 3))
+    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    K -= K.transpose(0, 2, 1)
+    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    return np.asarray(np.eye(3) + sine * K + (1.0 - cosine) * (K @ K))
+
+
+def rotation_vectors(R: Floats) -> Floats:
+    """Return (n, 3) rotation vectors [rad] of (n, 3, 3) rotations by less than pi."""
+    sine = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
+    length = np.linalg.norm(sine, axis=1)
+    angle = np.arctan2(length, 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0))
+    factor = np.where(length > 0.0, angle / np.where(length > 0.0, length, 1.0), 1.0)
+    return np.asarray(sine * factor[:, None])
+
+
+def rotation_angle(R: Floats) -> float:
+    """Return the angle [rad] of a rotation (3, 3), from sine and cosine: the arc cosine loses half the digits at 0."""
+    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    return float(np.arctan2(np.linalg.norm(axis), np.trace(R) - 1))
+
+
+def angle_between(a: Floats, b: Floats) -> Floats:
+    """Return (...) angles [rad] between unit vectors (..., 3)."""
+    return np.asarray(np.arccos(np.clip((a * b).sum(axis=-1), -1.0, 1.0)))
+
+
+def inverse_rigid(T: Floats) -> Floats:
+    """Return the inverse (4, 4) of a rigid transform."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = T[:3, :3].T
+    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return inverse

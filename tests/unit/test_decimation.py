@@ -1,0 +1,248 @@
+"""Decimation: the planning mesh has the wanted count and keeps the shape; its three methods one by one."""
+
+import threading
+
+import numpy as np
+import pytest
+import trimesh
+
+from planner.errors import PlannerError
+from planner.geometry.decimation import (
+    _cancel_opposite,
+    cluster_vertices,
+    contract_short_edges,
+    decimate,
+    remesh,
+    split_long_edges,
+)
+from planner.geometry.mesh import TriangleMesh
+
+
+def sphere(subdivisions: int = 4, radius: float = 0.1) -> TriangleMesh:
+    """An icosphere [m]."""
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    return TriangleMesh(ball.vertices, ball.faces)
+
+
+def box(x: float = 0.1, y: float = 0.2, z: float = 0.3) -> TriangleMesh:
+    """A box of twelve faces about the origin [m]."""
+    body = trimesh.creation.box(extents=(x, y, z))
+    return TriangleMesh(body.vertices, body.faces)
+
+
+def with_zero_area_faces(mesh: TriangleMesh) -> TriangleMesh:
+    """The mesh with a degenerate face before, between and after its own."""
+    first, *_, last = mesh.faces
+    slivers = [[first[0], first[0], first[1]], [last[0], last[1], last[1]], [last[2], last[2], last[2]]]
+    half = len(mesh.faces) // 2
+    return TriangleMesh(
+        mesh.vertices, np.vstack([[slivers[0]], mesh.faces[:half], [slivers[1]], mesh.faces[half:], [slivers[2]]])
+    )
+
+
+def test_decimation_hits_the_count_and_keeps_the_shape() -> None:
+    """A sphere of 5120 faces becomes a closed one of exactly 930 within 1 % of its volume, outward, manifold."""
+    fine = sphere()
+    coarse = decimate(fine, 930)
+    assert len(coarse.faces) == 930
+    result = trimesh.Trimesh(coarse.vertices, coarse.faces, process=False)
+    assert result.is_watertight
+    assert result.is_winding_consistent
+    assert result.volume == pytest.approx(4 / 3 * np.pi * 0.1**3, rel=0.01)
+
+
+def test_decimation_does_not_depend_on_the_unit() -> None:
+    """A part in metres and the same numbers a thousand times larger or shifted give the same faces."""
+    fine = sphere(3)
+    coarse = decimate(fine, 300)
+    larger = decimate(TriangleMesh(fine.vertices * 1024, fine.faces), 300)  # a power of two, so exactly
+    assert (larger.faces == coarse.faces).all()
+    assert larger.vertices == pytest.approx(coarse.vertices * 1024, rel=1e-12, abs=1e-12)
+
+
+def test_decimation_of_a_mesh_that_is_coarse_already_only_cleans_it() -> None:
+    """Asked for more faces than there are, the mesh comes back without its degenerate and repeated faces."""
+    dirty = with_zero_area_faces(box())
+    repeated = TriangleMesh(dirty.vertices, np.vstack([dirty.faces, dirty.faces[5:7, [1, 2, 0]]]))
+    clean = decimate(repeated, 12)
+    assert len(clean.faces) == 12
+    assert clean.areas.sum() == pytest.approx(box().areas.sum(), rel=1e-12)
+    assert trimesh.Trimesh(clean.vertices, clean.faces, process=False).is_watertight
+
+
+def test_decimation_from_several_threads_is_that_from_one() -> None:
+    """The library keeps its mesh in globals; our lock makes concurrent calls give what single ones give."""
+    meshes = [sphere(3, radius) for radius in (0.1, 0.2, 0.3, 0.4)]
+    alone = [decimate(mesh, 200) for mesh in meshes]
+    together: list[TriangleMesh | None] = [None] * 4
+
+    def work(i: int) -> None:
+        for _ in range(5):
+            together[i] = decimate(meshes[i], 200)
+
+    threads = [threading.Thread(target=work, args=(i,)) for i in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for one, other in zip(alone, together, strict=True):
+        assert other is not None
+        assert one.vertices.tobytes() == other.vertices.tobytes()
+
+
+def test_decimation_to_no_faces_is_refused() -> None:
+    """A count below 1 is an error of the caller."""
+    with pytest.raises(PlannerError, match="at least 1"):
+        decimate(box(), 0)
+
+
+def test_a_mesh_of_few_large_faces_is_split_on_its_surface() -> None:
+    """A box of 12 triangles asked for 1000 gives about so many, all on the box, with its area and closed."""
+    mesh = box()
+    planning = decimate(mesh, 1000)
+    assert 500 < len(planning.faces) < 1500
+    assert planning.areas.sum() == pytest.approx(mesh.areas.sum(), rel=1e-12)
+    assert trimesh.Trimesh(planning.vertices, planning.faces, process=False).is_watertight
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    centres = planning.centres
+    assert (np.isclose(centres, low, atol=1e-12) | np.isclose(centres, high, atol=1e-12)).any(axis=1).all()
+
+
+def test_a_ball_stays_a_ball():
+    """About as many faces as wanted, closed, outward, and nowhere farther off than half a cell's diagonal."""
+    ball = trimesh.creation.icosphere(subdivisions=6, radius=0.05)
+    copy = cluster_vertices(TriangleMesh(ball.vertices, ball.faces), 8000)
+    assert 5000 < len(copy.faces) < 10_000
+    made = trimesh.Trimesh(copy.vertices, copy.faces, process=False)
+    assert made.is_watertight
+    assert made.volume == pytest.approx(ball.volume, rel=0.01)
+    side = np.sqrt(3 * ball.area / 8000)
+    assert np.abs(np.linalg.norm(copy.vertices, axis=1) - 0.05).max() < side * np.sqrt(3) / 2
+
+
+def test_no_copy_of_few_faces_or_thin_walls():
+    """A sheet thinner than a cell would lose both its sides; a mesh with few faces has nothing to gain."""
+    sheet = trimesh.creation.box((0.1, 0.1, 1e-4))
+    for _ in range(7):
+        sheet = sheet.subdivide()
+    assert cluster_vertices(TriangleMesh(sheet.vertices, sheet.faces), 2000) is None
+    assert cluster_vertices(sphere(), 5000) is None
+
+
+def test_faces_that_lie_on_each_other_cancel_by_winding():
+    """A fold vanishes; of three sheets, two of them one way, one is left that way, whichever comes first."""
+    one, other = [0, 1, 2], [2, 1, 0]
+    rest = [4, 3, 5]
+    for on_each_other, left in (([one, other], None), ([one, one, other], one), ([other, one, one], one)):
+        kept = _cancel_opposite(np.array([*on_each_other, rest], dtype=np.int32), 6).tolist()
+        assert kept == ([] if left is None else [left]) + [[3, 5, 4]]
+
+
+def test_a_mesh_of_very_many_faces_is_decimated_to_the_count():
+    """Through the copy: the count is met, the volume kept."""
+    ball = trimesh.creation.icosphere(subdivisions=8, radius=0.05)
+    copy = decimate(TriangleMesh(ball.vertices, ball.faces), 900)
+    assert abs(len(copy.faces) - 900) <= 20
+    assert trimesh.Trimesh(copy.vertices, copy.faces).volume == pytest.approx(ball.volume, rel=0.02)
+
+
+def needles() -> trimesh.Trimesh:
+    """A CAD cylinder: 400 needles from end to end and 400 about the centre of each lid."""
+    return trimesh.creation.cylinder(radius=0.03, height=0.25, sections=400)
+
+
+def closed_ball() -> trimesh.Trimesh:
+    """A ball of 5120 faces."""
+    return trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+
+
+def as_mesh(vertices: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
+    """For measuring."""
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+@pytest.mark.parametrize("limit", [0.2, 0.05, 0.02])
+def test_splitting_changes_no_surface(limit: float) -> None:
+    """Area, volume, closedness and winding stay; every pass shortens, in the end below the limit."""
+    body = needles()
+    vertices, faces = np.array(body.vertices), np.array(body.faces, np.int32)
+    for _ in range(30):
+        before = len(faces)
+        vertices, faces = split_long_edges(vertices, faces, limit)
+        if len(faces) == before:
+            break
+    result = as_mesh(vertices, faces)
+    assert result.edges_unique_length.max() <= limit
+    assert result.is_watertight
+    assert result.is_winding_consistent
+    assert result.area == pytest.approx(body.area, rel=1e-9)
+    assert result.volume == pytest.approx(body.volume, rel=1e-9)
+    assert (vertices[: len(body.vertices)] == body.vertices).all()
+
+
+@pytest.mark.parametrize("limit", [0.002, 0.01, 0.02])
+def test_contracting_keeps_the_topology(limit: float) -> None:
+    """A ball stays a closed ball of one body, its genus and outward winding unchanged, and is coarser."""
+    body = closed_ball()
+    vertices, faces = contract_short_edges(np.array(body.vertices), np.array(body.faces, np.int32), limit)
+    result = as_mesh(vertices, faces)
+    assert result.is_watertight
+    assert result.is_winding_consistent
+    assert len(np.unique(faces)) - len(faces) // 2 == 2
+    assert result.volume == pytest.approx(body.volume, rel=0.08)  # chords of 0.02 m and more in a ball of 0.1 m
+    shorter = body.edges_unique_length.min() < limit
+    assert (len(faces) < len(body.faces)) == shorter
+
+
+def test_contracting_keeps_corners() -> None:
+    """On a finely meshed box all eight corners stay, and little is cut off between them."""
+    body = trimesh.creation.box(extents=(0.1, 0.1, 0.1))
+    for _ in range(4):
+        body = body.subdivide()
+    vertices, faces = contract_short_edges(np.array(body.vertices), np.array(body.faces, np.int32), 0.02)
+    result = as_mesh(vertices, faces)
+    assert len(faces) < 0.5 * len(body.faces)
+    assert (np.abs(vertices[np.unique(faces)]).min(axis=1) == 0.05).sum() == 8
+    assert result.volume == pytest.approx(1e-3, rel=0.03)
+
+
+def test_a_torus_keeps_its_hole() -> None:
+    """The genus survives contraction to edges near the tube's radius."""
+    body = trimesh.creation.torus(0.1, 0.02, major_sections=120, minor_sections=40)
+    vertices, faces = contract_short_edges(np.array(body.vertices), np.array(body.faces, np.int32), 0.015)
+    assert len(np.unique(faces)) - len(faces) // 2 == 0
+    assert len(faces) < len(body.faces) / 4
+    assert as_mesh(vertices, faces).is_watertight
+
+
+def test_needles_become_stout() -> None:
+    """Of the cylinder's needles (a hundredth as wide as long) none is left, and the shape is kept."""
+    body = needles()
+    vertices, faces = remesh(np.array(body.vertices), np.array(body.faces, np.int32), 0.01)
+    corners = vertices[faces]
+    sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    width = 2 * area / sides.max(axis=1)
+    assert np.median(width / sides.max(axis=1)) > 0.3
+    assert as_mesh(vertices, faces).volume == pytest.approx(body.volume, rel=0.03)
+
+
+@pytest.mark.parametrize("face_count", [100, 300, 930])
+@pytest.mark.parametrize(
+    "body",
+    [needles(), trimesh.creation.annulus(0.02, 0.05, 0.1, sections=600)],
+    ids=["cylinder", "tube"],
+)
+def test_a_cad_mesh_of_needles_reaches_its_count(body: trimesh.Trimesh, face_count: int) -> None:
+    """Where the collapse alone gets stuck at the start, the planning mesh has the count that was asked for."""
+    planning = decimate(TriangleMesh(body.vertices, body.faces), face_count)
+    assert abs(len(planning.faces) - face_count) <= 2 + 0.02 * face_count
+    result = as_mesh(planning.vertices, planning.faces)
+    assert result.area == pytest.approx(body.area, rel=0.03)
+    assert result.is_winding_consistent
+
+
+def test_the_result_is_the_same_every_time() -> None:
+    """Ties are broken by a fixed seed."""
+    body = TriangleMesh(needles().vertices, needles().faces)
+    assert decimate(body, 200).vertices.tobytes() == decimate(body, 200).vertices.tobytes()
