@@ -31,8 +31,8 @@ from benchmarks.random_edits import random_edit
 from cell.api import open_run, plan, scan
 from cell.diff.compare import compare
 from cell.errors import CellError
-from cell.narrator import Quiet
 from cell.plan.picture_process import Drawing
+from cell.session import LoggedProgress
 from cell.view.contents import HALF_PAGE
 
 _FULL_PAIRS, _EXECUTIONS = 30, 4
@@ -95,10 +95,12 @@ def _judged(home: Path, judge: EditJudge, number: int, count: int) -> dict[str, 
         if number < min(_EXECUTIONS, count // 8):
             sides.append((_execution(before.folder), _execution(out)))
         for a, b in sides:
-            found = compare(a, b, Quiet())
+            found = compare(a, b, LoggedProgress())
             wrong, samples = recounted(found)
             findings += [f"diff: {each}" for each in wrong]
-            findings += [f"{each} differs from itself" for each in (a, b) if not compare(each, each, Quiet()).empty]
+            findings += [
+                f"{each} differs from itself" for each in (a, b) if not compare(each, each, LoggedProgress()).empty
+            ]
         pairs = len(sides)
     shutil.rmtree(home / "last", ignore_errors=True)
     out.rename(home / "last")

@@ -25,13 +25,13 @@ from cell.explore.explore import LAST_STAGE, explore
 from cell.explore.options import ExploreOptions
 from cell.explore.policies import POLICIES
 from cell.explore.prepare import prepared
-from cell.narrator import Quiet
 from cell.runs.cell import world_of
 from cell.runs.run import open_finished
 from cell.runs.schema import ExploreFile
 from cell.scan.options import ScanOptions
 from cell.scene.file import scene_of
 from cell.scene.options import read
+from cell.session import LoggedProgress, Session
 from planner.ports import Progress
 
 _AFTER = (5, 10, 15)  # views
@@ -59,13 +59,13 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
         units = {"units": words[2]} if len(words) > 1 else {}
         scene = scene_of(None, {"place": (1200, 500, 0), "seed": seed} | units, words[0])
         options = read(ExploreOptions, {"policy": policy})
-        file = explore(scene, options, ScanOptions(), out=out, argv=(), narrator=clock)
+        file = explore(Session(None, clock, out), scene, options, ScanOptions())
         known = file.truth
         assert known is not None
         checked, contacts = _judged(out, file)
         said = {}
         if os.environ.get("SCAN_CELL_REASONS"):
-            said = reasons.judged(prepared(scene, options, ScanOptions(), out, (), Quiet(), None), file)
+            said = reasons.judged(prepared(Session(None, out=out), scene, options, ScanOptions()), file)
     limit = _LIMIT[policy] * known.fewest + 2
     return {
         "part": part,
@@ -90,7 +90,7 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
     }
 
 
-class _Clock(Quiet):
+class _Clock(LoggedProgress):
     """Tells processor seconds until the model that is made at the end of an exploration."""
 
     def __init__(self) -> None:

@@ -10,7 +10,7 @@
     other = run.edited(drop=[4], turn={7: 90}, repair=True)
 
 What the command line offers as `--max-views 8` is the keyword `max_views=8` here. Arrays are in metres and radians;
-a name that ends in a unit (`_mm`, `_deg`) is in that unit. Nothing is printed: notes are logged under `cell.narrator`.
+a name that ends in a unit (`_mm`, `_deg`) is in that unit. Nothing is printed: notes are logged under `cell.session`.
 Errors are `cell.errors.CellError`, one sentence each. Importing this module imports nothing heavy; that is why the
 functions import what they need themselves.
 """
@@ -29,12 +29,11 @@ if TYPE_CHECKING:
     from cell.explore.options import ExploreOptions
     from cell.locate.located import Located
     from cell.locate.options import Locating
-    from cell.narrator import Narrator
     from cell.runs.run import Execution, Run
     from cell.scan.of_setups import SetupsOutcome
     from cell.scan.options import ScanOptions
-    from cell.scan.safety import Ask
     from cell.scene.model import Scene
+    from cell.session import Confirm, ProgressReporter, Session
     from cell.setups.options import SetupOptions
     from cell.setups.planned_setups import PlannedSetups
 
@@ -53,7 +52,7 @@ def plan(
     out: "str | Path | None" = None,
     open_of: "Sequence[Run | str | Path]" = (),
     use_cache: bool = True,
-    progress: "Progress | Narrator | None" = None,
+    progress: "Progress | ProgressReporter | None" = None,
     argv: Sequence[str] = (),
     **wishes: object,
 ) -> "EditableRun":
@@ -82,24 +81,17 @@ def plan(
     from cell.plan import pipeline
     from cell.plan.asked import scene_and_part
 
-    scene_path = None if scene is None else Path(scene)
-    where, narrator = None if out is None else Path(out), _narrator(progress)
+    session = _session(progress, out=out, scene=scene, use_cache=use_cache, argv=argv)
     if open_of:
         from cell.scene.model import Scene
         from cell.setups.beside import scene_beside
         from cell.setups.open_of import plan_open
 
         earlier = [open_run(_folder(run)) for run in open_of]
-        checked = part if isinstance(part, Scene) else scene_beside(earlier[0], scene_path, wishes, part)
-        folder = plan_open(
-            earlier, checked, scene_path=scene_path, out=where, argv=argv, use_cache=use_cache, narrator=narrator
-        )
-        return EditableRun.opened(folder)
+        checked = part if isinstance(part, Scene) else scene_beside(earlier[0], session.origin.scene_path, wishes, part)
+        return EditableRun.opened(plan_open(session, earlier, checked))
     checked, workpiece = scene_and_part(part, scene, wishes)
-    folder = pipeline.plan(
-        checked, part=workpiece, scene_path=scene_path, out=where, argv=argv, use_cache=use_cache, narrator=narrator
-    )
-    return EditableRun.opened(folder)
+    return EditableRun.opened(pipeline.plan(session, checked, part=workpiece))
 
 
 def plan_setups(
@@ -109,7 +101,7 @@ def plan_setups(
     scene: "str | Path | None" = None,
     out: "str | Path | None" = None,
     use_cache: bool = True,
-    progress: "Progress | Narrator | None" = None,
+    progress: "Progress | ProgressReporter | None" = None,
     argv: Sequence[str] = (),
     **wishes: object,
 ) -> "PlannedSetups":
@@ -137,20 +129,17 @@ def plan_setups(
     own = {name: wishes.pop(name) for name in offers(SetupOptions) if name in wishes}
     checked, workpiece = scene_and_part(part, scene, wishes)
     wanted = read(SetupOptions, own) if options is None else options
-    folder = planned(
-        checked, options=wanted, part=workpiece, scene_path=None if scene is None else Path(scene),
-        out=None if out is None else Path(out), argv=argv, use_cache=use_cache, narrator=_narrator(progress),
-    )  # fmt: skip
-    return PlannedSetups.opened(folder)
+    session = _session(progress, out=out, scene=scene, use_cache=use_cache, argv=argv)
+    return PlannedSetups.opened(planned(session, checked, options=wanted, part=workpiece))
 
 
 def scan(
     run: "Run | str | Path",
     options: "ScanOptions | None" = None,
     *,
-    progress: "Progress | Narrator | None" = None,
+    progress: "Progress | ProgressReporter | None" = None,
     argv: Sequence[str] = (),
-    ask: "Ask | None" = None,
+    ask: "Confirm | None" = None,
     confirm: str | None = None,
     **wishes: object,
 ) -> "Execution":
@@ -180,7 +169,7 @@ def scan(
     if confirm is not None:
         wishes = {**wishes, "confirm_motion": confirm}
     wanted = read(ScanOptions, wishes) if options is None else options
-    outcome = execution.scan(_folder(run), wanted, argv=argv, narrator=_narrator(progress), ask=ask)
+    outcome = execution.scan(_session(progress, argv=argv, confirm=ask), _folder(run), wanted)
     return Execution.open(outcome.folder)
 
 
@@ -190,9 +179,9 @@ def scan_setups(
     *,
     setup: int | None = None,
     resume: bool = False,
-    progress: "Progress | Narrator | None" = None,
+    progress: "Progress | ProgressReporter | None" = None,
     argv: Sequence[str] = (),
-    ask: "Ask | None" = None,
+    ask: "Confirm | None" = None,
     confirm: str | None = None,
     **wishes: object,
 ) -> "SetupsOutcome":
@@ -224,7 +213,7 @@ def scan_setups(
         wishes = {**wishes, "confirm_motion": confirm}
     wanted = read(ScanOptions, wishes) if options is None else options
     where = Path(folder) if isinstance(folder, str | Path) else folder.folder
-    return scanned(where, wanted, setup=setup, resumed=resume, argv=argv, narrator=_narrator(progress), ask=ask)
+    return scanned(_session(progress, argv=argv, confirm=ask), where, wanted, setup=setup, resumed=resume)
 
 
 def explore(
@@ -234,9 +223,9 @@ def explore(
     scanning: "ScanOptions | None" = None,
     scene: "str | Path | None" = None,
     out: "str | Path | None" = None,
-    progress: "Progress | Narrator | None" = None,
+    progress: "Progress | ProgressReporter | None" = None,
     argv: Sequence[str] = (),
-    ask: "Ask | None" = None,
+    ask: "Confirm | None" = None,
     **wishes: object,
 ) -> "Exploration":
     """Measure a part that nobody has a model of, a batch of views at a time (docs/explore.md).
@@ -273,7 +262,7 @@ def explore(
     wanted = read(ExploreOptions, own) if options is None else options
     scans = read(ScanOptions, of_scan) if scanning is None else scanning
     folder = Path("sim_runs") / f"explore-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else Path(out)
-    file = run(checked, wanted, scans, out=folder, argv=argv, narrator=_narrator(progress), ask=ask)
+    file = run(_session(progress, out=folder, argv=argv, confirm=ask), checked, wanted, scans)
     return Exploration(folder, file)
 
 
@@ -281,7 +270,7 @@ def locate(
     run: "Run | str | Path",
     wanted: "Locating | None" = None,
     *,
-    progress: "Progress | Narrator | None" = None,
+    progress: "Progress | ProgressReporter | None" = None,
     **wishes: object,
 ) -> "Located":
     """Find where the part of a plan really stands; `run.edited(T_base_object=found.T_base_object)` plans it there.
@@ -304,14 +293,14 @@ def locate(
     from cell.scene.options import read
 
     planned = opened(Path(run)) if isinstance(run, str | Path) else run
-    return found(planned, read(Locating, wishes) if wanted is None else wanted, _narrator(progress))
+    return found(planned, read(Locating, wishes) if wanted is None else wanted, _reporter(progress))
 
 
 def hand_eye(
     files: "Sequence[str | Path]",
     wanted: "HandEye | None" = None,
     *,
-    progress: "Progress | Narrator | None" = None,
+    progress: "Progress | ProgressReporter | None" = None,
     **wishes: object,
 ) -> "Mounted":
     """Find the mount (flange to scanner) from scans of a sphere or a plane from several poses of the flange.
@@ -330,7 +319,7 @@ def hand_eye(
     from cell.scene.options import read
 
     return found(
-        [Path(file) for file in files], read(HandEye, wishes) if wanted is None else wanted, _narrator(progress)
+        [Path(file) for file in files], read(HandEye, wishes) if wanted is None else wanted, _reporter(progress)
     )
 
 
@@ -349,7 +338,28 @@ def _folder(run: "Run | str | Path") -> Path:
     return Path(run) if isinstance(run, str | Path) else run.folder
 
 
-def _narrator(progress: "Progress | Narrator | None") -> "Narrator":
-    from cell.narrator import Narrator, Quiet
+def _reporter(progress: "Progress | ProgressReporter | None") -> "ProgressReporter":
+    from cell.session import LoggedProgress, ProgressReporter
 
-    return progress if isinstance(progress, Narrator) else Quiet(progress)
+    return progress if isinstance(progress, ProgressReporter) else LoggedProgress(progress)
+
+
+def _session(
+    progress: "Progress | ProgressReporter | None",
+    *,
+    out: "str | Path | None" = None,
+    scene: "str | Path | None" = None,
+    use_cache: bool = True,
+    argv: Sequence[str] = (),
+    confirm: "Confirm | None" = None,
+) -> "Session[None]":
+    from cell.session import Origin, Session
+
+    return Session(
+        None,
+        reporter=_reporter(progress),
+        out=None if out is None else Path(out),
+        confirm=confirm,
+        use_cache=use_cache,
+        origin=Origin(tuple(argv), None if scene is None else Path(scene)),
+    )

@@ -18,7 +18,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -36,17 +36,10 @@ from hypothesis import settings
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
-from cell.plan import attainable, picture_process
-from cell.reconstruction.deviation import deviation
+from cell.plan import picture_process
 from cell.runs import digest
-from cell.setups import left_open
-from cell.study.bench import Bench
+from cell.session import Effort, effort_of
 from cell.view.contents import HALF_PAGE
-from cell.why import advise
-from cell.world import clearance
-from cell.world.prediction import held_out
-from planner.cover.curve import coverage_curve
-from planner.measurability import coverage
 
 # Wall time is not a property; and where a machine decides whether a change lands, the same examples run every time.
 # `--hypothesis-profile=full` has four times as many.
@@ -72,8 +65,6 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
-_SAMPLES = 10_000
-_CURVE_WORK = 10_000_000
 _SMALL_SETUPS = (
     "--units", "mm", "--place", "1100,400,100", "--faces", "30", "--samples", "2", "--standoff", "250", "--seed", "3",
     "--candidates", "optimal-scanning-zone", "--coverage", "0.97",
@@ -235,42 +226,25 @@ def drawing_is_here() -> Iterator[None]:
         yield
 
 
-_FEWER = (
-    (held_out, "__defaults__", (_SAMPLES,)),
-    (deviation, "__kwdefaults__", {**deviation.__kwdefaults__, "count": _SAMPLES}),
-    (Bench.__init__, "__kwdefaults__", {"samples": _SAMPLES}),
-    (coverage, "SAMPLES", _SAMPLES),
-    *((module, "ASKED", _SAMPLES // 100) for module in (attainable, left_open, advise)),
-    (clearance, "_SHARE", 0.3),
-    (coverage_curve, "__kwdefaults__", {**coverage_curve.__kwdefaults__, "budget": _CURVE_WORK}),
+_LOW_EFFORT = Effort(
+    held_out_samples=10_000, deviation_samples=10_000, searched_samples=100, clearance_share=0.3, curve_work=10_000_000
 )
-_WHOLE = tuple((owner, name, getattr(owner, name)) for owner, name, _ in _FEWER)
-
-
-@contextlib.contextmanager
-def _patched(changes: Iterable[tuple[object, str, object]]) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        for owner, name, value in changes:
-            patch.setattr(owner, name, value)
-        yield
 
 
 @pytest.fixture(scope="session", autouse=True)
-def fewer_samples_and_less_work() -> Iterator[None]:
-    """Coverage and deviation are measured on 10,000 samples: what holds of them holds of the definition's 100,000.
+def low_effort() -> Iterator[None]:
+    """Commands of this process compute with less effort; properties of 10,000 samples hold for the 100,000 as well.
 
-    Of those that nobody measures a tenth are searched for; the clearance of a plan is proven to 30 % of it, not 5; the
-    curve of coverage over views gets less work, too.
-    Processes of `start_cell` have the whole of all, and so has whoever names a number, or asks for `as_defined`.
+    Processes of `start_cell` have the default effort, and so have tests that use `full_effort`.
     """
-    with _patched(_FEWER):
+    with effort_of(_LOW_EFFORT):
         yield
 
 
 @pytest.fixture
-def as_defined() -> Iterator[None]:
-    """All samples of the definition of coverage, as processes of their own have them."""
-    with _patched(_WHOLE):
+def full_effort() -> Iterator[None]:
+    """Effort of the product, with all samples of the definition of coverage."""
+    with effort_of(Effort()):
         yield
 
 

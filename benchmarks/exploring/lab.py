@@ -8,7 +8,6 @@ part. Explored frame, metres: its origin is the cylinder's middle.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,11 +19,11 @@ from cell import scanners
 from cell.explore.hidden import Cylinder
 from cell.explore.options import ExploreOptions
 from cell.explore.prepare import Eye, prepared
-from cell.narrator import Quiet
 from cell.part import workpiece
 from cell.scan.options import ScanOptions
 from cell.scene.file import scene_of
 from cell.scene.settle import Settings, resolve
+from cell.session import Session
 from cell.world import virtual_scan
 from cell.world.embree import EmbreeRayCaster
 from cell.world.prediction import held_out
@@ -99,7 +98,7 @@ class Lab:
         """A built-in part by name, or a mesh file, without an arm or with the default cell's."""
         wishes: dict[str, Any] = {"place": (1200, 500, 0), "seed": 0} | ({} if units is None else {"units": units})
         scene = scene_of(None, wishes, part)
-        work = prepared(scene, ExploreOptions(), ScanOptions(), Path(), (), Quiet(), None)
+        work = prepared(Session(None), scene, ExploreOptions(), ScanOptions())
         known = workpiece.load(scene.part.source, scene.part.units)
         settings = resolve(work.scene, known)
         assert work.hidden is not None

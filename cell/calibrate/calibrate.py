@@ -12,22 +12,22 @@ from cell.calibrate.hand_eye import Observed, PoseError, solve
 from cell.calibrate.mounted import Mounted, MountPrecision, SeenTarget
 from cell.calibrate.options import HandEye
 from cell.errors import FileError, UsageError
-from cell.narrator import Narrator
 from cell.part.workpiece import UNITS
 from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
+from cell.session import ProgressReporter
 from planner.errors import PlannerError
 from planner.values import Floats, readonly
 
 _SEED = 0  # of the beginnings; equal scans give equal mounts
 
 
-def hand_eye(files: Sequence[Path], wanted: HandEye, narrator: Narrator) -> Mounted:
+def hand_eye(files: Sequence[Path], wanted: HandEye, reporter: ProgressReporter) -> Mounted:
     """Find the mount.
 
     Args:
         files: scans of the target, scanner frame.
         wanted: the target, and where the poses stand.
-        narrator: is told what goes on.
+        reporter: is told what goes on.
 
     Raises:
         UsageError: if a scan shows no target, or the scans are too few.
@@ -36,9 +36,9 @@ def hand_eye(files: Sequence[Path], wanted: HandEye, narrator: Narrator) -> Moun
     T_base_flange = np.stack(_poses(files, wanted)) if files else np.empty((0, 4, 4))
     rng, metres = np.random.default_rng(_SEED), UNITS[str(wanted.points_units)]
     clouds = [point_files.read(path) * metres for path in files]
-    with narrator.stage(f"find the {wanted.target}"):
+    with reporter.stage(f"find the {wanted.target}"):
         seen, spheres = _seen(files, clouds, wanted, rng)
-    with narrator.stage("solve for the mount"):
+    with reporter.stage("solve for the mount"):
         points = np.stack([each[0] for each in seen]) if seen else np.empty((0, 1, 3))
         error = PoseError(wanted.pose_sd_mm / 1000, float(np.radians(wanted.pose_sd_deg)))
         fit = solve(Observed(T_base_flange, points, wanted.target == "plane"), error, rng)

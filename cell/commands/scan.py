@@ -12,7 +12,7 @@ from cell.scan.options import OF_EACH_TIME, STEEL, ScanOptions
 
 if TYPE_CHECKING:
     from cell.commands.terminal import Terminal
-    from cell.scan.safety import Ask
+    from cell.session import Confirm, Session
 
 EPILOG = (
     "Examples:\n\n"
@@ -63,7 +63,7 @@ def scan(
     from cell.commands.terminal import Terminal
     from cell.scan import execution_page, post_processing
     from cell.scan import scan as scan_command
-    from cell.scan.work import ScanOutcome
+    from cell.scan.post_processing import ScanOutcome
 
     _require_one_question(options.model_fields_set, resume, report)
     terminal = Terminal(quiet_stdout=as_json)
@@ -71,13 +71,12 @@ def scan(
         _scan_setups(run, options, setup, resume, report, terminal, as_json=as_json)
     if setup is not None:
         raise UsageError(f"--setup is of a folder that cell setups made, and {run} is none; leave it out")
-    ask = _asked(terminal)
     if report is not None:
-        outcome = post_processing.report(run, report, terminal)
+        outcome = post_processing.report(_session(terminal), run, report)
     elif resume is not None:
-        outcome = scan_command.resume(run, resume, options, argv=sys.argv[1:], narrator=terminal, ask=ask)
+        outcome = scan_command.resume(_session(terminal), run, resume, options)
     else:
-        executed = api.scan(run, options, progress=terminal, argv=sys.argv[1:], ask=ask)
+        executed = api.scan(run, options, progress=terminal, argv=sys.argv[1:], ask=_confirm(terminal))
         outcome = ScanOutcome(executed.folder, executed.exit_code, executed.report)
     if as_json:
         print_json(outcome.summary.as_json())
@@ -104,11 +103,11 @@ def _scan_setups(
         if given not in (None, "latest"):
             raise UsageError(f"{option} of several set-ups goes on from the latest execution of each: {option} latest")
     if report is not None:
-        outcome = report_of(PlannedSetups.opened(folder), sys.argv[1:], terminal)
+        outcome = report_of(_session(terminal), PlannedSetups.opened(folder))
     else:
         outcome = api.scan_setups(
             folder, options, setup=setup, resume=resume is not None, progress=terminal, argv=sys.argv[1:],
-            ask=_asked(terminal),
+            ask=_confirm(terminal),
         )  # fmt: skip
     made = outcome.report
     if as_json:
@@ -120,8 +119,14 @@ def _scan_setups(
     raise typer.Exit(outcome.exit_code)
 
 
-def _asked(terminal: "Terminal") -> "Ask | None":
-    """Puts questions to the person at the terminal, if there is one."""
+def _session(terminal: "Terminal") -> "Session[None]":
+    from cell.session import Origin, Session
+
+    return Session(None, terminal, confirm=_confirm(terminal), origin=Origin(tuple(sys.argv[1:])))
+
+
+def _confirm(terminal: "Terminal") -> "Confirm | None":
+    """Return the function that puts questions to the person at the terminal; None if there is nobody."""
     return terminal.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
 
 

@@ -49,7 +49,7 @@ def conducted(
 
     terminal = Terminal(quiet_stdout=as_json)
     with open_workers(run.count, run.cluster) as workers:
-        result = conduct(make(), workers, out=run.out, narrator=terminal, plan=plan)
+        result = conduct(make(), workers, out=run.out, reporter=terminal, plan=plan)
     if as_json:
         print_json(result.summary())
     else:

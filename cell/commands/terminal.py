@@ -23,14 +23,14 @@ from rich.table import Table
 
 from planner.ports import Progress
 
-log = logging.getLogger("cell.narrator")
+log = logging.getLogger("cell.session")
 
 _ROWS_SHOWN = 100
 _FRAME = 3  # characters between two columns of a table
 
 
 class Terminal:
-    """The narrator of the command line: progress and notes on stderr (a bar only on a terminal), results on stdout."""
+    """The reporter of the command line: progress and notes on stderr (a bar only on a terminal), results on stdout."""
 
     def __init__(self, *, quiet_stdout: bool = False) -> None:
         """Open the consoles."""
@@ -42,7 +42,7 @@ class Terminal:
 
     @contextmanager
     def stage(self, name: str, *, time_left: bool = False) -> Iterator[Progress]:
-        """Show a stage while it runs; see `cell.narrator.Narrator`."""
+        """Show a stage while it runs; see `cell.session.ProgressReporter`."""
         log.info("stage: %s", name)
         left: tuple[ProgressColumn, ...] = (TextColumn("left"), TimeRemainingColumn()) if time_left else ()
         with self._bars(*left, spinner=True) as bars:

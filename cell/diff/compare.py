@@ -17,8 +17,8 @@ from cell.diff.difference import Difference, MovedView, Number, Setting, Surface
 from cell.diff.page import page
 from cell.diff.side import Side, read_side
 from cell.errors import UsageError
-from cell.narrator import Narrator
 from cell.runs.cell import RunCell, read_cell
+from cell.session import ProgressReporter
 from cell.view.looking import write
 from cell.world.prediction import held_out
 from planner.geometry.sampling import SurfaceSamples
@@ -34,20 +34,20 @@ MOSTLY = 0.5
 _NO_MATCH = 1e6  # cost of a pair that is none; any number above the number of views
 
 
-def compare(a: Path, b: Path, narrator: Narrator, out: Path | None = None) -> Difference:
+def compare(a: Path, b: Path, reporter: ProgressReporter, out: Path | None = None) -> Difference:
     """What differs between two runs.
 
     Args:
         a: run folder, or folder of an execution (RUN/executions/0001).
         b: the same.
-        narrator: is told what goes on.
+        reporter: is told what goes on.
         out: file for a page that shows it; None writes none.
 
     Raises:
         UsageError: if one is a plan and the other an execution, or a page is wanted of parts that are not the same.
         FileError: if an artefact is missing, changed or damaged.
     """
-    with narrator.stage("read"):
+    with reporter.stage("read"):
         A, B = read_side(a), read_side(b)
         if (A.execution is None) != (B.execution is None):
             plan, execution = (a, b) if A.execution is None else (b, a)
@@ -60,7 +60,7 @@ def compare(a: Path, b: Path, narrator: Narrator, out: Path | None = None) -> Di
     same_part = len(parts) == 1
     if out is not None and not same_part:
         raise UsageError(f"--out {out}: the parts of {a} and {b} are not the same mesh, on which gains could be drawn")
-    with narrator.stage("what each view measures"):
+    with reporter.stage("what each view measures"):
         samples = held_out(cells[0].reference, cells[0].planning, A.run.seed)
         by_view = [_measured(side, cell, samples) for side, cell in zip((A, B), cells, strict=True)]
         views = _views(A, B, by_view if same_part else None, samples.areas)
@@ -70,7 +70,7 @@ def compare(a: Path, b: Path, narrator: Narrator, out: Path | None = None) -> Di
         views=views, surface=_surface(samples, *covered) if same_part else None, numbers=tuple(_numbers(A, B)),
     )  # fmt: skip
     if out is not None:
-        with narrator.stage("draw the page"):
+        with reporter.stage("draw the page"):
             write(page(found, (A, B), cells[0].reference, samples, *covered), out)
     return found
 

@@ -5,7 +5,6 @@ candidates become further rows of all three, made by the functions that made the
 asked again: own arm, motion, clearance, timing, coverage.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,6 @@ from cell.edit.moved import Before, measured_anew, still_reached
 from cell.edit.options import Edit, Pose
 from cell.edit.views import EditedViews, check, edited_views, require_repairable
 from cell.errors import UnreachableError, UsageError
-from cell.narrator import Narrator
 from cell.plan import files as plan_files
 from cell.plan import pipeline, region_report, steps
 from cell.plan.appended_candidates import appended
@@ -25,11 +23,12 @@ from cell.plan.candidates import limited
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.of_run import part_of, surface_of
 from cell.plan.problem import PinnedOutError, Problem
-from cell.plan.steps import Cell, Job, Measured, Session
+from cell.plan.steps import Cell, Job, Measured, PlanSession
 from cell.runs.cell import scene_of_run, with_placement
 from cell.runs.run import Run
 from cell.runs.schema import Report
 from cell.scene.model import PlanSettings, Scene, pose
+from cell.session import ProgressReporter, Session
 from cell.world.measurability import PartSurface
 from cell.world.prediction import Prediction
 from planner.cover import CoverStatus
@@ -40,21 +39,15 @@ from planner.values import Floats
 _ROUNDING = 1e-9  # of shares that were summed in another order
 
 
-def edit(
-    run: Run, wanted: Edit, *, out: Path | None, argv: Sequence[str], use_cache: bool, narrator: Narrator,
-    T_base_object: Floats | None = None,
-) -> Path:  # fmt: skip
+def edit(session: Session[None], run: Run, wanted: Edit, *, T_base_object: Floats | None = None) -> Path:
     """Make a new run of an edited plan.
 
     Args:
+        session: without a folder; this function makes it.
         run: a finished plan; nothing in its folder changes.
         wanted: what changes.
         T_base_object: (4, 4) where the part stands now, its views with it [m]; None: where it stood. With `repair`,
             views that the arm cannot take there are left out.
-        out: the run folder to make; None makes one below sim_runs/.
-        argv: for the manifest.
-        use_cache: whether matrices may be taken from and left in the cache.
-        narrator: is told what goes on.
 
     Returns:
         The new run folder.
@@ -75,49 +68,47 @@ def edit(
     scene = scene_of_run(run)
     if T_base_object is not None:
         scene = with_placement(scene, T_base_object, resolved)
-    return pipeline.plan(
-        scene, part=part_of(run), scene_path=run.folder / "scene.toml", out=out, argv=argv,
-        use_cache=use_cache, narrator=narrator, steps_of=partial(_steps, before, wanted),
-    )  # fmt: skip
+    session = replace(session, origin=replace(session.origin, scene_path=run.folder / "scene.toml"))
+    return pipeline.plan(session, scene, part=part_of(run), steps_of=partial(_steps, before, wanted))
 
 
-def _steps(before: Before, wanted: Edit, run: Session, job: Job) -> int:
+def _steps(before: Before, wanted: Edit, session: PlanSession, job: Job) -> int:
     """The steps of an edit; returns 0, or 3 where the plan stays below a coverage that was asked for."""
-    surface = surface_of(before.run, run, job)
-    run.drawing.part_ready(run.folder.path)
-    cell = steps.compile_cell(run, job, surface)
-    run.drawing.cell_ready(run.folder.path)
+    surface = surface_of(before.run, session, job)
+    session.plots.part_ready(session.folder.path)
+    cell = steps.compile_cell(session, job, surface)
+    session.plots.cell_ready(session.folder.path)
     edited = _views(before, wanted, job, cell, surface)
     if before.moved:
-        measured = measured_anew(before, run, job, surface, cell)
-        edited = still_reached(before, edited, measured.reached, run.narrator, leave_out=wanted.repair)
+        measured = measured_anew(before, session, job, surface, cell)
+        edited = still_reached(before, edited, measured.reached, session.reporter, leave_out=wanted.repair)
     else:
-        measured = _measured(before, edited, run, job, surface, cell)
+        measured = _measured(before, edited, session, job, surface, cell)
     job = replace(job, scene=_without_dropped(job, edited))
-    with run.step("held-out samples") as progress:
-        prediction = steps.predicted(run, surface, measured, progress)
+    with session.stage("held-out samples") as progress:
+        prediction = steps.predicted(session, surface, measured, progress)
     while True:
-        problem = _problem(before, wanted, edited, run, job, cell, measured, prediction)
+        problem = _problem(before, wanted, edited, session, job, cell, measured, prediction)
         try:
-            problem, chosen = steps.connect(run, problem, surface)
+            problem, chosen = steps.connect(session, problem, surface)
             break
         except PinnedOutError as error:
-            edited = _without(error, edited, run, leave_out=before.moved and wanted.repair)
+            edited = _without(error, edited, session, leave_out=before.moved and wanted.repair)
     holds, chosen = _bounded(before, edited, problem, chosen)
     told: dict[str, object] = {"part": before.run.report.part, "of_several": before.run.is_setup_of_group or None}
     if not holds:
         told["status"] = "edited by hand; how few views would do is not known"
     for view in edited.views:
         if not (chosen.matrix.indices == view).any():
-            run.narrator.note(f"{edited.called[view]} measures none of the samples")
+            session.note(f"{edited.called[view]} measures none of the samples")
     added = [f"{view}" for view in chosen.candidate.tolist() if view not in edited.views]
     if wanted.repair:
-        run.narrator.note(f"repaired by adding candidate {', '.join(added)}" if added else "there is nothing to repair")
-    report = pipeline.finish(run, job, surface.planning, problem, chosen, told)
+        session.note(f"repaired by adding candidate {', '.join(added)}" if added else "there is nothing to repair")
+    report = pipeline.finish(session, job, surface.planning, problem, chosen, told)
     if before.run.is_setup_of_group:
-        run.narrator.note("coverage was asked of several set-ups: what they measure together now is not known")
+        session.note("coverage was asked of several set-ups: what they measure together now is not known")
         return 0
-    return 3 if _below(run.narrator, report, job.scene.plan) else 0
+    return 3 if _below(session.reporter, report, job.scene.plan) else 0
 
 
 def _views(before: Before, wanted: Edit, job: Job, cell: Cell, surface: PartSurface) -> EditedViews:
@@ -138,7 +129,7 @@ def _views(before: Before, wanted: Edit, job: Job, cell: Cell, surface: PartSurf
 
 
 def _measured(
-    before: Before, edited: EditedViews, run: Session, job: Job, surface: PartSurface, cell: Cell
+    before: Before, edited: EditedViews, session: PlanSession, job: Job, surface: PartSurface, cell: Cell
 ) -> Measured:
     """Candidates, reach and matrix of the run, and further rows for the poses that were no candidates.
 
@@ -148,15 +139,17 @@ def _measured(
     candidates, reached, M = before.candidates, before.reached, before.run.measurability
     casters, scanner = steps.casters_of(surface, cell), limited(job.scene, job.scanner)
     if len(edited.appended):
-        with run.step("reach of new poses") as progress:
+        with session.stage("reach of new poses") as progress:
             reached = join_reach([reached, steps.reach_of(job, cell, edited.appended, progress)])
     _require_reached(edited, reached)
     if len(edited.appended):
-        with run.step("measurability of new poses") as progress:
-            candidates, M, scanner = appended(run, job, surface, casters, (candidates, M), edited.appended, progress)
-    plan_files.write_viewpoints(run.folder, candidates)
-    plan_files.write_reach(run.folder, reached)
-    plan_files.write_measurability(run.folder, M)
+        with session.stage("measurability of new poses") as progress:
+            candidates, M, scanner = appended(
+                session, job, surface, casters, (candidates, M), edited.appended, progress
+            )
+    plan_files.write_viewpoints(session.folder, candidates)
+    plan_files.write_reach(session.folder, reached)
+    plan_files.write_measurability(session.folder, M)
     return Measured(candidates, reached, M, scanner, casters)
 
 
@@ -191,19 +184,19 @@ def _asked(wanted: Edit, edited: EditedViews, job: Job, measured: Measured) -> P
 
 
 def _problem(
-    before: Before, wanted: Edit, edited: EditedViews, run: Session, job: Job, cell: Cell, measured: Measured,
+    before: Before, wanted: Edit, edited: EditedViews, session: PlanSession, job: Job, cell: Cell, measured: Measured,
     prediction: Prediction,
 ) -> Problem:  # fmt: skip
     """What is asked of selection and motion; where views and placement are what they were, so is the order."""
     asked = replace(job, scene=job.scene.model_copy(update={"plan": _asked(wanted, edited, job, measured)}))
-    problem = steps.ask(run, asked, cell, measured, prediction)
+    problem = steps.ask(session, asked, cell, measured, prediction)
     same = edited.views == tuple(before.run.candidate.tolist()) and edited.order in (None, edited.views)
     same &= not before.moved
     order = edited.views if same else edited.order
     return replace(problem, request=replace(problem.request, order=order))
 
 
-def _without(error: PinnedOutError, edited: EditedViews, run: Session, *, leave_out: bool) -> EditedViews:
+def _without(error: PinnedOutError, edited: EditedViews, session: PlanSession, *, leave_out: bool) -> EditedViews:
     """The views without one that no motion leads through.
 
     Raises:
@@ -214,7 +207,7 @@ def _without(error: PinnedOutError, edited: EditedViews, run: Session, *, leave_
         raise UnreachableError(
             f"{called} cannot be part of a motion: {error.reason}; move it elsewhere, or drop it"
         ) from error
-    run.narrator.note(f"{called} is left out: it cannot be part of a motion ({error.reason})")
+    session.note(f"{called} is left out: it cannot be part of a motion ({error.reason})")
     return edited.without([error.candidate])
 
 
@@ -240,11 +233,11 @@ def _bounded(
     return holds, replace(chosen, cover=cover, selected=replace(chosen.selected, targets=np.array([target])))
 
 
-def _below(narrator: Narrator, report: Report, asked: PlanSettings) -> bool:
+def _below(reporter: ProgressReporter, report: Report, asked: PlanSettings) -> bool:
     """Whether the plan stays below a coverage that was asked for; says which, and what would help.
 
     Args:
-        narrator: is told.
+        reporter: is told.
         report: of the plan.
         asked: wishes of the first of the runs that this one came from.
     """
@@ -263,5 +256,5 @@ def _below(narrator: Narrator, report: Report, asked: PlanSettings) -> bool:
             f"{100 * settings.required_visible:g} % required; repair adds the fewest views that restore it"
         )
     for sentence in told:
-        narrator.note(sentence)
+        reporter.note(sentence)
     return bool(told)

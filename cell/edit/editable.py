@@ -7,9 +7,9 @@ from typing import Self
 
 from cell.edit.edit import edit
 from cell.edit.options import Edit
-from cell.narrator import Narrator, Quiet
 from cell.runs.run import Run
 from cell.scene.options import read
+from cell.session import LoggedProgress, Origin, ProgressReporter, Session
 from planner.values import Floats
 
 
@@ -34,7 +34,7 @@ class EditableRun(Run):
         *,
         out: str | Path | None = None,
         use_cache: bool = True,
-        progress: Narrator | None = None,
+        progress: ProgressReporter | None = None,
         argv: Sequence[str] = (),
         T_base_object: Floats | None = None,
         **wishes: object,
@@ -56,9 +56,9 @@ class EditableRun(Run):
             CellError: in one sentence; where the arm cannot, with the condition and what is in the way.
         """
         asked = read(Edit, wishes) if wanted is None else wanted
-        where = None if out is None else Path(out)
-        narrator = Quiet(None) if progress is None else progress
-        made = edit(
-            self, asked, out=where, argv=argv, use_cache=use_cache, narrator=narrator, T_base_object=T_base_object
-        )
+        session = Session(
+            None, LoggedProgress() if progress is None else progress, None if out is None else Path(out),
+            use_cache=use_cache, origin=Origin(tuple(argv)),
+        )  # fmt: skip
+        made = edit(session, self, asked, T_base_object=T_base_object)
         return EditableRun.opened(made)

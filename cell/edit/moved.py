@@ -11,11 +11,11 @@ import numpy as np
 from cell import scanners
 from cell.edit.views import EditedViews
 from cell.errors import UnreachableError
-from cell.narrator import Narrator
 from cell.plan import files as plan_files
 from cell.plan import steps
-from cell.plan.steps import Cell, Job, Measured, Session
+from cell.plan.steps import Cell, Job, Measured, PlanSession
 from cell.runs.run import Run
+from cell.session import ProgressReporter
 from cell.world.measurability import PartSurface
 from planner.kinematics.reach import Reach, Verdict
 from planner.measurability.matrix import spread_measurability
@@ -39,25 +39,25 @@ class Before:
     moved: bool
 
 
-def measured_anew(before: Before, run: Session, job: Job, surface: PartSurface, cell: Cell) -> Measured:
+def measured_anew(before: Before, session: PlanSession, job: Job, surface: PartSurface, cell: Cell) -> Measured:
     """Candidates of the run with reach and matrix where the part stands now."""
     views, _ = scanners.unswept(job.scanner, before.candidates)
-    with run.step("reach") as progress:
+    with session.stage("reach") as progress:
         reached = steps.reach_of(job, cell, views, progress)
-    with run.step("measurability") as progress:
+    with session.stage("measurability") as progress:
         casters, usable = steps.casters_of(surface, cell), np.flatnonzero(reached.reachable)
         M, scanner = steps.columns(
-            run, job, surface, casters, pick_viewpoints(views, usable), progress, may_be_empty=True
+            session, job, surface, casters, pick_viewpoints(views, usable), progress, may_be_empty=True
         )
         M = spread_measurability(M, usable, len(views))
-    plan_files.write_viewpoints(run.folder, before.candidates)
-    plan_files.write_reach(run.folder, reached)
-    plan_files.write_measurability(run.folder, M)
+    plan_files.write_viewpoints(session.folder, before.candidates)
+    plan_files.write_reach(session.folder, reached)
+    plan_files.write_measurability(session.folder, M)
     return Measured(scanners.swept(job.scanner, views), reached, M, scanner, casters)
 
 
 def still_reached(
-    before: Before, edited: EditedViews, reached: Reach, narrator: Narrator, *, leave_out: bool
+    before: Before, edited: EditedViews, reached: Reach, reporter: ProgressReporter, *, leave_out: bool
 ) -> EditedViews:
     """The views that the arm takes up where the part stands now.
 
@@ -65,7 +65,7 @@ def still_reached(
         before: the run.
         edited: all of them.
         reached: of all candidates, there.
-        narrator: is told which are left out.
+        reporter: is told which are left out.
         leave_out: whether views may be.
 
     Raises:
@@ -77,7 +77,7 @@ def still_reached(
         way = "give repair to leave them out and add the fewest others, or move the part" if alone else "move the part"
         raise UnreachableError(f"where the part stands now the arm cannot take {', '.join(lost.values())}; {way}")
     for sentence in lost.values():
-        narrator.note(f"{sentence} is left out")
+        reporter.note(f"{sentence} is left out")
     return edited.without(list(lost))
 
 

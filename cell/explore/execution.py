@@ -1,39 +1,29 @@
 """A stage is driven and scanned, or gone on with where it was stopped; its points are read back from disk."""
 
 import shutil
-from collections.abc import Sequence
 from pathlib import Path
 
 from cell.errors import FileError
-from cell.narrator import Narrator
 from cell.runs.cell import RunCell
 from cell.runs.run import EXECUTIONS, ExecutedScan, Run, open_finished, read_execution
 from cell.scan import scan
 from cell.scan.executed_scans import usable
+from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.options import ScanOptions
-from cell.scan.safety import Ask
-from cell.scan.work import Work
+from cell.session import Session
 from planner.geometry.mesh import TriangleMesh
 from planner.timing.motion import Motion
 
 
 def executed(
-    stage: Path,
-    options: ScanOptions,
-    *,
-    argv: Sequence[str],
-    narrator: Narrator,
-    ask: Ask | None,
-    stands: TriangleMesh | None,
+    session: Session[None], stage: Path, options: ScanOptions, *, stands: TriangleMesh | None
 ) -> tuple[ExecutedScan, ...]:
     """The scans of a stage, taken now as far as they are not on disk.
 
     Args:
+        session: of the exploration.
         stage: its run folder.
         options: of the execution.
-        argv: for the manifest.
-        narrator: is told what goes on.
-        ask: puts a question to a person; None where nobody is there.
         stands: the hidden part, explored frame; None where points are not simulated.
 
     Raises:
@@ -44,11 +34,9 @@ def executed(
     _clear_unbegun(run)
     known = run.execution_ids
     if known and read_execution(run, known[-1]).manifest.status != "finished":
-        scan.resume_and(
-            _taken, stage, known[-1], options, argv=argv, narrator=narrator, ask=ask, stands=stands
-        )  # fmt: skip
+        scan.resume_and(session, _taken, stage, known[-1], options, stands=stands)
     elif not known:
-        scan.execute_and(_taken, stage, options, argv=argv, narrator=narrator, ask=ask, stands=stands)
+        scan.execute_and(session, _taken, stage, options, stands=stands)
     return scans_of_stage(run)
 
 
@@ -75,10 +63,10 @@ def _clear_unbegun(run: Run) -> None:
             shutil.rmtree(folder)
 
 
-def _taken(work: Work, cell: RunCell, motion: Motion) -> None:
+def _taken(session: Session[ExecutionFolder], run: Run, cell: RunCell, motion: Motion) -> None:
     """Finish an execution that only has to have its scans; nothing is reported, as there is no reference."""
-    folder, planned = work.folder, work.run.plan.views
-    scans, _ = usable(read_execution(work.run, folder.path.name), planned)
+    folder, planned = session.folder, run.plan.views
+    scans, _ = usable(read_execution(run, folder.path.name), planned)
     for number in range(1, len(planned) + 1):
         if number in {scan.stop for scan in scans}:
             folder.adopt(f"scans/{number:04d}.npz")

@@ -22,15 +22,15 @@ from cell.explore.reasons import StillOpen
 from cell.explore.stage import EnoughError, plan_stage
 from cell.explore.state import Known, scans_of
 from cell.explore.too_near import keep_off, too_near
-from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.runs import ply
 from cell.runs.run import ExecutedScan, open_finished
 from cell.runs.schema import BELIEVED, MEASURED, ExploredStage, ExploreFile, OpenReason, SurfaceName
 from cell.scan import lock
 from cell.scan.options import ScanOptions
-from cell.scan.safety import EVERY, Ask
+from cell.scan.safety import EVERY
 from cell.scene.model import Scene
+from cell.session import Session
 from planner.explore.gain import LATEST, came
 from planner.explore.space import OCCUPIED, VoxelSpace
 from planner.geometry.sampling import SurfaceSamples, pick_samples
@@ -51,31 +51,19 @@ _MISSED = 0.01
 """Share of what was measured, beyond the limits of sigma and spacing, above which a person is told."""
 
 
-def explore(
-    scene: Scene,
-    options: ExploreOptions,
-    scanning: ScanOptions,
-    *,
-    out: Path,
-    argv: Sequence[str],
-    narrator: Narrator,
-    ask: Ask | None = None,
-) -> ExploreFile:
+def explore(session: Session[None], scene: Scene, options: ExploreOptions, scanning: ScanOptions) -> ExploreFile:
     """Explore, or go on with an exploration of the same options that was stopped.
 
     Args:
+        session: `out` is the folder of the exploration.
         scene: the checked scene; its part is what stands there, `plan.max_views` the budget of views.
         options: of the exploration.
         scanning: of each execution.
-        out: its folder.
-        argv: for the manifests.
-        narrator: is told what goes on.
-        ask: puts a question to a person; None where nobody is there.
 
     Raises:
         CellError: with one sentence and the exit code; what was finished stays in the folder.
     """
-    work = prepared(scene, options, scanning, out, argv, narrator, ask)
+    work = prepared(session, scene, options, scanning)
     file = work.paths.begin(begun(work))
     with lock.held(work.paths.root):
         known = work.paths.known(len(file.stages), work.unknown)
@@ -190,7 +178,7 @@ def _stage(work: Exploring, asked: Asked, number: int, surface: Workpiece) -> Pa
     belief.write_unseen(asked.space, paths.unseen(number))
     scene = specification.without(work.scene) if asked.batch.rough else work.scene
     scene = belief.scene_of(scene, work.cylinder, surface, paths.unseen(number))
-    return plan_stage(scene, surface, asked, paths.stage(number), work.narrator)
+    return plan_stage(work.session, scene, surface, asked, paths.stage(number))
 
 
 def _measured_area(file: ExploreFile) -> float:
@@ -223,7 +211,7 @@ def _executed(work: Exploring, folder: Path) -> tuple[ExecutedScan, ...]:
         options = options.model_copy(update={"acquire": f"{options.acquire.rstrip('/')}/{folder.name}"})
         _make_ready(Path(options.acquire.removeprefix(_FILES)).expanduser())
     stands = None if work.hidden is None else work.hidden.mesh
-    return executed(folder, options, argv=work.argv, narrator=work.narrator, ask=work.ask, stands=stands)
+    return executed(work.session, folder, options, stands=stands)
 
 
 def _make_ready(folder: Path) -> None:
@@ -349,20 +337,20 @@ def _finished(
     """The model of all scans, the truth in simulation, and the report."""
     if not file.stages:
         raise UnreachableError(f"nothing can be explored here: {ended}; move the part (--place), or change the scanner")
-    with work.narrator.stage(LAST_STAGE):
+    with work.session.stage(LAST_STAGE):
         model = report.write_model(work.paths.root, scans)
     middle = None if model is None else report.middle_of(model, np.asarray(work.scene.placement.position_mm))
     missed = found = None
     if model is not None and specification.asked(work.scene):
         missed = specification.missed(work.scene, model, np.stack([scan.T_reported for scan in scans]))
         if missed > _MISSED:
-            work.narrator.note(
+            work.session.note(
                 f"{100 * missed:.1f} % of what was measured is worse than the sigma or spacing asked for; plan on "
                 f"{report.MODEL} with the same limits"
             )
     if work.part is not None and work.hidden is not None:
-        folder = truth.plan_truth(work.scene, work.part, work.paths.root, work.narrator)
-        with work.narrator.stage("the truth beside it"):
+        folder = truth.plan_truth(work.session, work.scene, work.part, work.paths.root)
+        with work.session.stage("the truth beside it"):
             stages = tuple(work.paths.root / stage.folder for stage in file.stages)
             found = truth.truth_of(folder, work.hidden, truth.Explored(stages, scans))
     file = file.model_copy(

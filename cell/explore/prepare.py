@@ -1,6 +1,5 @@
 """What an exploration begins with: the part that stands there, the cylinder about it, the scanner, the voxels."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,16 +13,15 @@ from cell.errors import SceneError, UsageError
 from cell.explore.hidden import Cylinder, Hidden, cylinder_about
 from cell.explore.options import SPACINGS, VOXELS, ExploreOptions
 from cell.explore.state import Paths, digest_of
-from cell.narrator import Narrator
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.runs.folder import SCHEMA
 from cell.runs.schema import ExploredCylinder, ExploreFile
 from cell.scan.options import OF_EACH_TIME, ScanOptions
-from cell.scan.safety import Ask
 from cell.scene import settle
 from cell.scene.model import Scene
 from cell.scene.settle import Settings, resolve
+from cell.session import Session
 from planner.errors import PlannerError
 from planner.explore.space import VoxelSpace
 from planner.ports import Scanner
@@ -165,9 +163,7 @@ class Exploring:
         unknown: all of the cylinder.
         eye: of the scanner.
         paths: where everything is.
-        narrator: is told what goes on.
-        ask: puts a question to a person; None where nobody is there.
-        argv: for the manifests.
+        session: of the command.
     """
 
     scene: Scene
@@ -179,9 +175,7 @@ class Exploring:
     unknown: VoxelSpace
     eye: Eye
     paths: Paths
-    narrator: Narrator
-    ask: Ask | None
-    argv: Sequence[str]
+    session: Session[None]
 
     @property
     def name(self) -> str:
@@ -189,10 +183,7 @@ class Exploring:
         return self.part.name if self.part is not None else Path(self.scene.part.source).stem
 
 
-def prepared(
-    scene: Scene, options: ExploreOptions, scanning: ScanOptions, out: Path, argv: Sequence[str], narrator: Narrator,
-    ask: Ask | None,
-) -> Exploring:  # fmt: skip
+def prepared(session: Session[None], scene: Scene, options: ExploreOptions, scanning: ScanOptions) -> Exploring:
     """The part, where there is one to be read, its cylinder, and a scanner that stands still.
 
     Raises:
@@ -204,7 +195,7 @@ def prepared(
     scene.require_fixed_part("an exploration")
     part = hidden = None
     if scanning.acquire == SIMULATED:
-        with narrator.stage("load the part"):
+        with session.stage("load the part"):
             part = workpiece.load(scene.part.source, scene.part.units)
             hidden = Hidden.of(scene, part)
     if options.cylinder_mm is not None:
@@ -230,8 +221,8 @@ def prepared(
         scanner = scanners.make(settled.scanner.type, {**settings.scanner, **resolution})
     unknown = _unknown(options, scanning, settings, cylinder)
     return Exploring(
-        settled, options, scanning, part, hidden, cylinder, unknown, Eye.of(scanner, settled), Paths(out), narrator,
-        ask, argv,
+        settled, options, scanning, part, hidden, cylinder, unknown, Eye.of(scanner, settled),
+        Paths(session.out or Path()), session,
     )  # fmt: skip
 
 

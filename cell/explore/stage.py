@@ -17,7 +17,6 @@ from cell.explore.asked import Asked, came_of, wanted
 from cell.explore.moved import with_better
 from cell.explore.reasons import StillOpen, still_open
 from cell.explore.too_near import BeyondNear
-from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import files as plan_files
 from cell.plan import pipeline, steps
@@ -27,10 +26,11 @@ from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.plan.refined import Append
 from cell.plan.request import seconds_of_views
-from cell.plan.steps import Cell, Job, Measured, Session
+from cell.plan.steps import Cell, Job, Measured, PlanSession
 from cell.plan.summary import Further, plan_report
 from cell.plan.view_plan import choose_and_connect, first_choice
 from cell.scene.model import Scene
+from cell.session import Origin, Session, Stream
 from cell.world.embree import EmbreeRayCaster
 from cell.world.measurability import PartSurface
 from cell.world.prediction import Prediction
@@ -66,8 +66,6 @@ _BRIEF = replace(DEFAULT_BUDGET, path_checks=CHECKS // 4, polish=0, guesses=DEFA
 STARTS = 6
 """Candidates, each the best after those before it, from which one is searched that measures more."""
 
-_ROWS, _SCOUTS = 10, 11  # streams of randomness of their own, beside those of `cell.plan.steps`
-
 
 class EnoughError(UnreachableError):
     """No further batch is worth its views.
@@ -81,15 +79,15 @@ class EnoughError(UnreachableError):
         self.open = still_open
 
 
-def plan_stage(scene: Scene, believed: Workpiece, asked: Asked, out: Path, narrator: Narrator) -> Path:
+def plan_stage(session: Session[None], scene: Scene, believed: Workpiece, asked: Asked, out: Path) -> Path:
     """Plan a batch and write its run folder.
 
     Args:
+        session: of the exploration.
         scene: of the stage.
         believed: the part.
         asked: what it is planned for.
         out: the folder to make.
-        narrator: is told what goes on.
 
     Raises:
         EnoughError: if no batch is asked for, the best is expected to add too little, or none can be measured.
@@ -98,20 +96,18 @@ def plan_stage(scene: Scene, believed: Workpiece, asked: Asked, out: Path, narra
     own = {"max_views": asked.batch.views or None, "curve": False, "required_visible": 0.0, "solver": "auto"}
     plan = scene.plan.model_copy(update=own)
 
-    def work(run: Session, job: Job) -> int:
-        return _steps(run, job, asked)
+    def work(session: PlanSession, job: Job) -> int:
+        return _steps(session, job, asked)
 
-    return pipeline.plan(
-        scene.model_copy(update={"plan": plan}), part=believed, scene_path=None, out=out, argv=(), use_cache=False,
-        narrator=narrator, steps_of=work, drawn=False,
-    )  # fmt: skip
+    inner = replace(session.closed(out), use_cache=False, origin=Origin())
+    return pipeline.plan(inner, scene.model_copy(update={"plan": plan}), part=believed, steps_of=work, drawn=False)
 
 
-def _steps(run: Session, job: Job, asked: Asked) -> int:
+def _steps(session: PlanSession, job: Job, asked: Asked) -> int:
     """Steps 2 to 9 and the report."""
-    surface, scouts, candidates, asked = _sample_surface(run, job, asked)
-    cell = steps.compile_cell(run, job, surface, believed=True)
-    with run.step("reach and grow") as progress:
+    surface, scouts, candidates, asked = _sample_surface(session, job, asked)
+    cell = steps.compile_cell(session, job, surface, believed=True)
+    with session.stage("reach and grow") as progress:
         reached = steps.reach_of(job, cell, candidates, progress)
         casters = _casters(job, asked, surface, cell)
         scanner = limited(job.scene, job.scanner)
@@ -121,28 +117,28 @@ def _steps(run: Session, job: Job, asked: Asked) -> int:
             grown = grow(candidates, reached.reachable, scouts, arm, schedule=schedule)
             reached = join_reach([reached, steps.reach_of(job, cell, grown)])
             candidates = join_viewpoints([candidates, grown])
-        plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
-        plan_files.write_reach(run.folder, reached)
+        plan_files.write_viewpoints(session.folder, scanners.swept(job.scanner, candidates))
+        plan_files.write_reach(session.folder, reached)
     if asked.batch.views == 0:
         raise EnoughError("no batch is asked for", _explained(asked, scouts, candidates, reached, scanner, casters))
     if not reached.reachable.any():
         raise EnoughError("the arm reaches no view of what is open")
-    with run.step("measurability") as progress:
+    with session.stage("measurability") as progress:
         usable = np.flatnonzero(reached.reachable)
-        M, scanner = steps.columns(run, job, surface, casters, pick_viewpoints(candidates, usable), progress)
+        M, scanner = steps.columns(session, job, surface, casters, pick_viewpoints(candidates, usable), progress)
         M = spread_measurability(M, usable, len(candidates))
-        plan_files.write_measurability(run.folder, M)
+        plan_files.write_measurability(session.folder, M)
         measured = Measured(candidates, reached, M, scanner, casters)
         poses = candidates.T_object_scanner[usable]
         prediction = Prediction.of(scouts, scanner, casters, poses, progress)
-    problem = steps.ask(run, job, cell, measured, prediction)
+    problem = steps.ask(session, job, cell, measured, prediction)
     try:
-        problem, chosen = _connected(run, problem, surface, asked, behind(run, job, cell, surface))
+        problem, chosen = _connected(session, problem, surface, asked, behind(session, job, cell, surface))
     except UnreachableError as error:
         raise EnoughError(str(error)) from error
     if told := _too_little(chosen, asked):
         raise EnoughError(told)
-    _finish(run, job, surface, problem, chosen)
+    _finish(session, job, surface, problem, chosen)
     return 0
 
 
@@ -155,7 +151,9 @@ def _casters(job: Job, asked: Asked, surface: PartSurface, cell: Cell) -> Sequen
     return [casters[0], BeyondNear(casters[1], asked.space, job.scene.scanner.range_mm[0] / 1000)]
 
 
-def _sample_surface(run: Session, job: Job, asked: Asked) -> tuple[PartSurface, SurfaceSamples, Viewpoints, Asked]:
+def _sample_surface(
+    session: PlanSession, job: Job, asked: Asked
+) -> tuple[PartSurface, SurfaceSamples, Viewpoints, Asked]:
     """Planning mesh and rows of the matrix, points that candidates are grown for, candidates that face the rows.
 
     And what is asked, with what came of the latest batches.
@@ -163,19 +161,19 @@ def _sample_surface(run: Session, job: Job, asked: Asked) -> tuple[PartSurface, 
     Raises:
         EnoughError: if nothing is open.
     """
-    with run.step("decimate and sample"):
+    with session.stage("decimate and sample"):
         reference = job.part.reference
         if asked.poses is None:
             planning = decimate(belief.rough(asked.space, whole=asked.batch.views == 0), job.settings.faces)
         else:
             coarse = cluster_vertices(reference, max(_COARSE, _EACH * job.settings.faces)) or reference
             planning = decimate(coarse, job.settings.faces)
-        plan_files.write_meshes(run.folder, reference, planning)
+        plan_files.write_meshes(session.folder, reference, planning)
         caster, scanner = EmbreeRayCaster(reference.vertices, reference.faces), limited(job.scene, job.scanner)
         counts = (DRAWN, DRAWN) if asked.poses is None else DRAWN_MEASURED
         drawn = [
-            draw_samples(reference, planning, count, run.rng(stream))
-            for count, stream in zip(counts, (_ROWS, _SCOUTS), strict=True)
+            draw_samples(reference, planning, count, session.rng(stream))
+            for count, stream in zip(counts, (Stream.BELIEF_SAMPLES, Stream.BELIEF_SCOUTS), strict=True)
         ]
         rows, scouts = (
             wanted(samples, asked, kept, scanner, caster)
@@ -191,27 +189,27 @@ def _sample_surface(run: Session, job: Job, asked: Asked) -> tuple[PartSurface, 
 
 
 def _connected(
-    run: Session, problem: Problem, surface: PartSurface, asked: Asked, append: Append
+    session: PlanSession, problem: Problem, surface: PartSurface, asked: Asked, append: Append
 ) -> tuple[Problem, ConnectedPlan]:
     """Steps 6 to 8; views that cannot be connected are replaced by those that measure the most."""
     batch = asked.batch
     if not batch.per_second or batch.views is None:
         if asked.least_gain:  # the ring is planned for a cylinder: nothing is gained by looking at it better
             before, problem = problem, with_better(problem, _each_worth(problem, asked), append)
-            steps.write_changed(run, before, problem)
+            steps.write_changed(session, before, problem)
             problem = _worth(problem, asked)
-        return steps.connect(run, problem, surface)
-    with run.step("select, order and connect") as progress:
-        rng, before = run.rng(steps.SELECTION), problem
+        return steps.connect(session, problem, surface)
+    with session.stage("select, order and connect") as progress:
+        rng, before = session.rng(Stream.SELECTION), problem
         problem = with_better(problem, _best(problem, max(batch.views, STARTS)), append)
         others = tuple(np.setdiff1d(np.arange(len(problem.candidates)), _best(problem, batch.views)).tolist())
         plan = problem.request.plan.model_copy(update={"banned": others})
         selected = first_choice(replace(problem, request=replace(problem.request, plan=plan)), rng)
         problem = replace(problem, request=replace(problem.request, motion=_BRIEF))
         chosen = choose_and_connect(
-            problem, selected, selection_rng=rng, motion_rng=run.rng(steps.MOTION), progress=progress
+            problem, selected, selection_rng=rng, motion_rng=session.rng(Stream.MOTION), progress=progress
         )
-        steps.write_changed(run, before, problem)
+        steps.write_changed(session, before, problem)
         return problem, chosen
 
 
@@ -259,10 +257,10 @@ def _explained(
     return still_open(left, of, candidates, reached, scanner, casters)
 
 
-def _finish(run: Session, job: Job, surface: PartSurface, problem: Problem, chosen: ConnectedPlan) -> None:
+def _finish(session: PlanSession, job: Job, surface: PartSurface, problem: Problem, chosen: ConnectedPlan) -> None:
     """Prove and time the motion, and write what is known of the plan."""
-    clearance, motion = steps.prove_and_time(run, problem, chosen)
-    with run.step("report"):
+    clearance, motion = steps.prove_and_time(session, problem, chosen)
+    with session.stage("report"):
         report = plan_report(job, surface.planning, problem, chosen, clearance, motion, Further())
-        plan_files.write_plan(run.folder, report, chosen, problem.candidates, problem.world)
-        plan_files.write_report(run.folder, report)
+        plan_files.write_plan(session.folder, report, chosen, problem.candidates, problem.world)
+        plan_files.write_report(session.folder, report)

@@ -8,20 +8,20 @@ Coverage that is told is visible coverage on the held-out samples, as everywhere
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from pydantic import Field
 
 from cell.explore.hidden import Hidden
-from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import pipeline
 from cell.runs.cell import read_cell, world_of
 from cell.runs.run import ExecutedScan, Run, open_finished
 from cell.runs.schema import BoundAt, JsonTable, Truth, parsed
 from cell.scene.model import Scene
+from cell.session import Origin, Session, Stream, random_stream
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.prediction import held_out
@@ -32,7 +32,6 @@ from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import measured
 
 FOLDER = "truth"
-_FEWEST = 12  # stream of randomness of its own, beside those of `cell.explore.stage`
 
 
 class _Point(JsonTable):
@@ -60,7 +59,7 @@ class Explored:
     scans: tuple[ExecutedScan, ...]
 
 
-def plan_truth(scene: Scene, part: Workpiece, folder: Path, narrator: Narrator) -> Path:
+def plan_truth(session: Session[None], scene: Scene, part: Workpiece, folder: Path) -> Path:
     """`cell plan --curve` on the true model, below the exploration; the one that is there, where there is one."""
     out = folder / FOLDER
     if out.is_dir():
@@ -68,10 +67,8 @@ def plan_truth(scene: Scene, part: Workpiece, folder: Path, narrator: Narrator) 
     for left in folder.glob(f"{FOLDER}.part*"):  # of one that was stopped
         shutil.rmtree(left)
     plan = scene.plan.model_copy(update={"max_views": None, "curve": True})
-    return pipeline.plan(
-        scene.model_copy(update={"plan": plan}), part=part, scene_path=None, out=out, argv=(), use_cache=True,
-        narrator=narrator,
-    )  # fmt: skip
+    inner = replace(session.closed(out), origin=Origin())
+    return pipeline.plan(inner, scene.model_copy(update={"plan": plan}), part=part)
 
 
 def truth_of(truth: Path, hidden: Hidden, explored: Explored) -> Truth:
@@ -140,7 +137,7 @@ def _fewest(run: Run, M: Measurability, coverage: float) -> tuple[int, int]:
     matrix, areas = M.matrix(), M.features.areas
     coverable = float(areas[matrix[:, np.flatnonzero(reachable)].sum(axis=1) > 0].sum())
     share = min(coverage * float(areas.sum()) / coverable, 1.0)
-    rng = np.random.default_rng([run.seed, _FEWEST])
+    rng = random_stream(run.seed, Stream.FEWEST_VIEWS)
     cover = solve(Problem(matrix, areas, reachable, coverage=share), rng=rng)
     return cover.lower_bound, len(cover.views)
 

@@ -12,8 +12,8 @@ from cell.export.krl import KrlOptions
 from cell.export.krl_names import LONGEST_NAME, check_name
 from cell.export.options import ExportOptions
 from cell.export.program import Program
-from cell.narrator import Narrator
 from cell.runs.schema import JsonTable
+from cell.session import ProgressReporter
 from cell.setups.planned_setups import PlannedSetups
 
 FOLDER = "export"
@@ -35,29 +35,29 @@ class ExportOutcome(JsonTable):
     acceleration_percent: int = Field(description="of the axis accelerations")
 
 
-def export(run_folder: Path, wanted: ExportOptions, narrator: Narrator | None = None) -> ExportOutcome:
+def export(run_folder: Path, wanted: ExportOptions, reporter: ProgressReporter | None = None) -> ExportOutcome:
     """Write the program of a finished run.
 
     Args:
         run_folder: of a finished plan.
         wanted: what was asked for.
-        narrator: is told which files of the plan are gone; None: nobody.
+        reporter: is told which files of the plan are gone; None: nobody.
 
     Raises:
         UsageError: if the name is none in KRL, or KRL cannot drive it.
         FileError: if the run has no finished motion, a file of it is damaged, or the files cannot be written.
     """
-    loaded = program.load(run_folder, wanted.name, wanted, narrator)
+    loaded = program.load(run_folder, wanted.name, wanted, reporter)
     return _exported(run_folder, [loaded], loaded.told.name, wanted, {})
 
 
-def export_setups(folder: Path, wanted: ExportOptions, narrator: Narrator | None = None) -> ExportOutcome:
+def export_setups(folder: Path, wanted: ExportOptions, reporter: ProgressReporter | None = None) -> ExportOutcome:
     """Write the programs of all set-ups of a folder; of KRL a main program too, which halts before each of them.
 
     Args:
         folder: of `cell setups`.
         wanted: what was asked for.
-        narrator: is told which files of the plans are gone; None: nobody.
+        reporter: is told which files of the plans are gone; None: nobody.
 
     Raises:
         UsageError, FileError: as `export`.
@@ -68,7 +68,7 @@ def export_setups(folder: Path, wanted: ExportOptions, narrator: Narrator | None
         name = f"scan_{planned.file.chosen[0].digest[:8]}"
     check_name(name)
     programs = [
-        program.load(run, f"{name}_{number}", wanted, narrator) for number, run in enumerate(planned.folders, start=1)
+        program.load(run, f"{name}_{number}", wanted, reporter) for number, run in enumerate(planned.folders, start=1)
     ]
     main = {f"{name}.src": krl.main_source(name, programs)} if wanted.kind == "krl" else {}
     return _exported(folder, programs, name, wanted, main)

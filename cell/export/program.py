@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from cell.errors import UsageError
 from cell.export.krl_names import check_name
-from cell.narrator import Narrator
 from cell.proof import scene_now
 from cell.proof.files_now import FilesNow
 from cell.proof.proof import prove
 from cell.robot.arm import kinematics_of
 from cell.robot.kinematics import Kr16Kinematics
+from cell.session import ProgressReporter
 from planner.kinematics.setpoints import STEPS_PER_DEGREE, to_steps
 from planner.path.sweep_line import rotation_vectors
 from planner.ports import ARM_AXES, JointLimits, Kinematics
@@ -132,7 +132,7 @@ class Program(Value):
         return int(self.stop.max())
 
 
-def load(run_folder: Path, name: str | None, now: FilesNow, narrator: Narrator | None) -> Program:
+def load(run_folder: Path, name: str | None, now: FilesNow, reporter: ProgressReporter | None) -> Program:
     """Read the program of a finished run.
 
     Args:
@@ -140,7 +140,7 @@ def load(run_folder: Path, name: str | None, now: FilesNow, narrator: Narrator |
         name: of the program; None takes the folder's where it is a name in KRL, else one made of the plan's digest.
 
         now: where the cell is described now.
-        narrator: is told what of that is gone, or accepted; None: nobody.
+        reporter: is told what of that is gone, or accepted; None: nobody.
 
     Raises:
         UsageError: if the name is none in KRL.
@@ -150,7 +150,7 @@ def load(run_folder: Path, name: str | None, now: FilesNow, narrator: Narrator |
     if name is not None:
         check_name(name)
     proven = prove(run_folder)
-    scene_now.require_same(proven, now, narrator, wire=False)
+    scene_now.require_same(proven, now, reporter, wire=False)
     scene = proven.scene
     clearance, between = proven.run.min_clearance
     folder = run_folder.resolve().name

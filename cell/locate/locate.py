@@ -9,7 +9,6 @@ from cell.errors import SceneError, UsageError
 from cell.locate import measured, points_fit
 from cell.locate.located import CheckedMotion, Located, Precision
 from cell.locate.options import Locating
-from cell.narrator import Narrator
 from cell.proof.motion_again import require_free
 from cell.reconstruction import surface_fit
 from cell.reconstruction.freedom import FreeKind, FreeMotion
@@ -17,6 +16,7 @@ from cell.reconstruction.rigid import RigidFit, told
 from cell.robot.frames import kuka_abc_from_pose
 from cell.runs.cell import world_of
 from cell.runs.run import Run
+from cell.session import ProgressReporter, Stream, random_stream
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
 from planner.errors import PlannerError
@@ -25,16 +25,15 @@ from planner.values import Floats
 
 _TURNS = (0.3, 1.1, 2.0)  # rad; a part that is the same after these turns about an axis is one of revolution
 _LOOKED_AT = 2000  # points of the part that stand for all
-_STARTS = 11  # stream of randomness
 
 
-def locate(run: Run, wanted: Locating, narrator: Narrator) -> Located:
+def locate(run: Run, wanted: Locating, reporter: ProgressReporter) -> Located:
     """Find the placement, judge it, and check the plan's motion with the part there.
 
     Args:
         run: a finished plan; nothing in its folder changes.
         wanted: what was measured, and how it is fitted.
-        narrator: is told what goes on.
+        reporter: is told what goes on.
 
     Raises:
         UsageError: if what is asked for is not there, or the points cannot say a placement.
@@ -45,7 +44,7 @@ def locate(run: Run, wanted: Locating, narrator: Narrator) -> Located:
     vertices = run.reference.vertices[np.unique(run.reference.faces)]
     length = float(np.sqrt(((vertices - centre) ** 2).sum(axis=1).mean()))
     shown = vertices[np.linspace(0, len(vertices) - 1, _LOOKED_AT).astype(np.int64)]
-    method, source, views, fit, doubts = _fitted(run, wanted, nearest, centre, length, narrator)
+    method, source, views, fit, doubts = _fitted(run, wanted, nearest, centre, length, reporter)
     planned = run.T_base_object
     T: Floats = fit.T if method != "best fit" else planned @ np.linalg.inv(fit.T)
     within = wanted.within_mm / 1000
@@ -53,7 +52,7 @@ def locate(run: Run, wanted: Locating, narrator: Narrator) -> Located:
     symmetric = tuple(motion for motion in open_ if _leaves_the_part(motion, shown, nearest, within))
     matters = tuple(motion for motion in open_ if motion not in symmetric)
     position, abc = kuka_abc_from_pose(T @ scene.T_object_centre)
-    with narrator.stage("check the motion there"):
+    with reporter.stage("check the motion there"):
         checked = _checked(run, T)
     return Located(
         run=str(run.folder),
@@ -78,7 +77,7 @@ def locate(run: Run, wanted: Locating, narrator: Narrator) -> Located:
 
 
 def _fitted(
-    run: Run, wanted: Locating, nearest: ClosestPointQuery, centre: Floats, length: float, narrator: Narrator
+    run: Run, wanted: Locating, nearest: ClosestPointQuery, centre: Floats, length: float, reporter: ProgressReporter
 ) -> tuple[str, str, tuple[int, ...], RigidFit, tuple[str, ...]]:
     """Method, source, views, fit and doubts: what was measured, fitted as it was asked for."""
     sd = None if wanted.point_sd_mm is None else wanted.point_sd_mm / 1000
@@ -95,8 +94,8 @@ def _fitted(
         raise UsageError("point_sd is of named points; a best fit finds the scatter of its points itself")
     clouds = measured.of_execution(run, wanted) if wanted.points is None else measured.of_files(run, wanted)
     search = surface_fit.Search(wanted.search_mm / 1000, float(np.radians(wanted.search_deg)))
-    with narrator.stage("fit the points"):
-        rng = np.random.default_rng([run.seed, _STARTS])
+    with reporter.stage("fit the points"):
+        rng = random_stream(run.seed, Stream.LOCALISATION_STARTS)
         fit = surface_fit.fit(clouds.clouds, nearest, centre, search, rng)
     doubts = ("the points are simulated: they say where the simulation has the part, not where it stands",)
     return "best fit", clouds.source, clouds.views, fit, doubts if clouds.simulated else ()

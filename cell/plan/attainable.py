@@ -1,7 +1,7 @@
 """What is lost: what a plan measures beside what any pose would measure that this robot takes up here.
 
 Both figures stand on the same held-out samples. What the plan or a reachable candidate measures is known of all of
-them; of the rest up to `planner.viewpoints.attainable.ASKED` are drawn and searched for one by one.
+them; of the rest up to `Effort.searched_samples` are drawn and searched for one by one.
 """
 
 import numpy as np
@@ -9,9 +9,10 @@ import numpy as np
 from cell.plan.candidates import arm_of
 from cell.plan.problem import Problem
 from cell.runs.schema import Attainable
+from cell.session import default_effort
 from planner.geometry.sampling import pick_samples
 from planner.measurability.coverage import Coverage
-from planner.viewpoints.attainable import ASKED, attainable
+from planner.viewpoints.attainable import attainable
 from planner.viewpoints.lines_of_sight import Targets
 
 TOLD_BELOW = 0.8
@@ -25,7 +26,7 @@ def of_plan(problem: Problem, visible: Coverage, rng: np.random.Generator) -> At
     samples = prediction.samples
     known = np.asarray(prediction.coverable.covered | visible.covered)
     rest = np.flatnonzero(~known)
-    asked = np.sort(rng.permutation(rest)[:ASKED])
+    asked = np.sort(rng.permutation(rest)[: default_effort().searched_samples])
     some = pick_samples(samples, asked)
     found = attainable(Targets.of(some.points, some.normals, some.region), arm)
     total = float(samples.areas.sum())

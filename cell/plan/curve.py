@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cell.plan.picture_process import Drawing
 from cell.plan.request import Request, Selected
 from cell.runs.folder import RunFolder
 from cell.runs.schema import Curve, Fewest
+from cell.session import PlotQueue
 from planner.cover import Problem
 from planner.cover.curve import CoverageCurve, coverage_curve
 from planner.kinematics.reach import Reach
@@ -18,7 +18,7 @@ ASKED = (0.9, 0.95, 0.98, 0.99, 0.995, 1.0)
 
 
 def curve_of(
-    request: Request, selected: Selected, M: Measurability, reached: Reach, rng: np.random.Generator
+    request: Request, selected: Selected, M: Measurability, reached: Reach, rng: np.random.Generator, work: int
 ) -> CoverageCurve:
     """The curve of a plan's matrix; the plan is a point of it.
 
@@ -28,13 +28,14 @@ def curve_of(
         M: the matrix, as arm and occluders leave it.
         reached: which candidates may be used.
         rng: randomness of the search.
+        work: of search and bound.
     """
     chosen = selected.cover
     full = request.exchangeable and selected.target == 1.0 and request.costs is None
     plan = request.plan
     problem = Problem(M.matrix(), M.features.areas, reached.reachable, pinned=plan.pinned, banned=plan.banned)
     fewest_for_all = chosen.lower_bound if full else 0
-    return coverage_curve(problem, rng=rng, known=[chosen.views], fewest_for_all=fewest_for_all)
+    return coverage_curve(problem, rng=rng, known=[chosen.views], fewest_for_all=fewest_for_all, budget=work)
 
 
 def fewest_of(curve: CoverageCurve) -> Curve:
@@ -44,14 +45,14 @@ def fewest_of(curve: CoverageCurve) -> Curve:
 
 
 def write(
-    folder: RunFolder, drawing: Drawing, curve: CoverageCurve, plan_views: int, plan_area: float,
+    folder: RunFolder, plots: PlotQueue, curve: CoverageCurve, plan_views: int, plan_area: float,
     named: Callable[[int], int | str] = int,
 ) -> None:  # fmt: skip
     """Data and picture of a curve.
 
     Args:
         folder: the run folder.
-        drawing: where the picture is drawn.
+        plots: where the picture is drawn.
         curve: what to write.
         plan_views: number of views of the plan.
         plan_area: area of the matrix' samples that the plan measures [m^2].
@@ -77,7 +78,7 @@ def write(
         },
     )
     percent = 100 / max(curve.coverable_area, 1e-300)
-    drawing.send(
+    plots.send(
         "coverage_over_views",
         folder.path / "curve.png",
         n_views=curve.n_views,

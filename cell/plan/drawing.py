@@ -4,12 +4,12 @@ import numpy as np
 
 from cell.part.workpiece import Workpiece
 from cell.plan.connected_plan import ConnectedPlan
-from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.robot.arm import wrist_places
 from cell.runs.folder import RunFolder
 from cell.runs.schema import PlanFile, Report
 from cell.scene.model import Picture
+from cell.session import PlotQueue
 from cell.world.model import World
 from planner.timing.motion import Motion
 from planner.values import Floats
@@ -19,7 +19,7 @@ _STEPS = 12  # of the scanner's way between two via points
 
 
 def draw_views(
-    drawing: Drawing,
+    plots: PlotQueue,
     folder: RunFolder,
     part: Workpiece,
     problem: Problem,
@@ -28,7 +28,7 @@ def draw_views(
 ) -> None:
     """What is known before the motion is timed: part, views and cell, the cover curve, the candidates by verdict."""
     cover, world = chosen.cover, problem.world
-    drawing.send(
+    plots.send(
         "part_and_views",
         folder.path / "views.png",
         T_object_poses=chosen.T_object_poses,
@@ -37,7 +37,7 @@ def draw_views(
     )
     via, steps = chosen.tour.via, np.linspace(0, 1, _STEPS)[None, :, None]
     way_q = (via[:-1, None] + steps * np.diff(via, axis=0)[:, None]).reshape(-1, via.shape[1])
-    drawing.send(
+    plots.send(
         "cell_with_arm",
         folder.path / "cell.png",
         q=chosen.tour.q,
@@ -46,7 +46,7 @@ def draw_views(
         camera_deg=picture.camera_deg or (),
         hide=picture.hide,
     )
-    drawing.send(
+    plots.send(
         "cover_curve",
         folder.path / "cover.png",
         marginal_area=cover.marginal_area,
@@ -56,7 +56,7 @@ def draw_views(
     )
     corners = np.array(np.meshgrid(*part.bounds.T)).reshape(3, -1).T
     T = np.linalg.inv(world.scene.robot.T_base) @ world.T_base_object  # the picture is the robot's
-    drawing.send(
+    plots.send(
         "reach_map",
         folder.path / "reach.png",
         T_base_scanner=T @ problem.candidates.T_object_scanner[:, 0],
@@ -67,9 +67,9 @@ def draw_views(
     )
 
 
-def draw_motion(drawing: Drawing, folder: RunFolder, motion: Motion) -> None:
+def draw_motion(plots: PlotQueue, folder: RunFolder, motion: Motion) -> None:
     """Joint angles and speeds over time."""
-    drawing.send(
+    plots.send(
         "joint_motion",
         folder.path / "motion.png",
         t=motion.t,
@@ -81,7 +81,7 @@ def draw_motion(drawing: Drawing, folder: RunFolder, motion: Motion) -> None:
 
 
 def finish_drawing(
-    drawing: Drawing, folder: RunFolder, report: Report, plan: PlanFile, motion: Motion, T_base_object: Floats
+    plots: PlotQueue, folder: RunFolder, report: Report, plan: PlanFile, motion: Motion, T_base_object: Floats
 ) -> None:
     """Wait for all pictures, and add to the page what is known at the end: views, motion, numbers."""
     # What draws is kept out of the start-up.
@@ -89,7 +89,8 @@ def finish_drawing(
     from cell.view.page import second_half
 
     rest = second_half(plan_play(report, plan.views, motion, T_base_object))
-    drawing.finish(folder)
+    for path in plots.finish():
+        folder.adopt(path.name)
     half = folder.path / HALF_PAGE
     folder.write_text(NAME, half.read_text(encoding="utf-8") + rest)
     half.unlink()

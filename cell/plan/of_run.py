@@ -3,7 +3,7 @@
 import shutil
 
 from cell.part.workpiece import Workpiece
-from cell.plan.steps import Job, Session
+from cell.plan.steps import Job, PlanSession
 from cell.runs.run import Run
 from cell.world.embree import EmbreeRayCaster
 from cell.world.measurability import PartSurface
@@ -17,12 +17,12 @@ def part_of(before: Run) -> Workpiece:
     return Workpiece(part.name, before.mesh("reference.ply"), part.sha256)
 
 
-def surface_of(before: Run, run: Session, job: Job) -> PartSurface:
+def surface_of(before: Run, session: PlanSession, job: Job) -> PartSurface:
     """Its planning mesh and the rows of its matrix; the files of the meshes are copied into the open run."""
-    with run.step("read the plan"):
+    with session.stage("read the plan"):
         for name in _KEPT:
-            shutil.copyfile(before.folder / name, run.folder.path / name)
-            run.folder.adopt(name)
+            shutil.copyfile(before.folder / name, session.folder.path / name)
+            session.folder.adopt(name)
         reference = job.part.reference
         return PartSurface(
             reference, before.mesh("planning.ply"), before.measurability.features,

@@ -22,13 +22,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cell.runs.folder import RunFolder
+from cell.session import PlotQueue
 
 _LENGTH = struct.Struct("<q")
 _BY_RAYS = ("part_and_views", "cell_with_arm")  # take as long as all others together
 
 
-class Drawing:
+class Drawing(PlotQueue):
     """Pictures on their way into a run folder; see `beside`."""
 
     def __init__(self, process: "subprocess.Popen[bytes]") -> None:
@@ -38,15 +38,15 @@ class Drawing:
         self._writer = Thread(target=self._write, name="pictures", daemon=True)
         self._writer.start()
 
-    def send(self, picture: str, path: Path, **arrays: ArrayLike) -> None:
+    def send(self, plot: str, path: Path, **arrays: ArrayLike) -> None:
         """Have a picture drawn.
 
         Args:
-            picture: function of `cell.plan.pictures` or `cell.plan.picture_jobs`.
+            plot: function of `cell.plan.pictures` or `cell.plan.picture_jobs`.
             path: PNG to write.
             arrays: its arguments; numbers and words arrive as arrays without dimension.
         """
-        self._post(picture, path, **arrays)
+        self._post(plot, path, **arrays)
         self._sent.append(path)
 
     def part_ready(self, folder: Path) -> None:
@@ -57,15 +57,10 @@ class Drawing:
         """Have the cell of a run folder made ready to be drawn: its files are there."""
         self._post("cell_ready", folder)
 
-    def finish(self, folder: RunFolder) -> None:
-        """Wait until all is drawn, and record it in the folder.
-
-        Raises:
-            RuntimeError: if the process ended without drawing; with what it said.
-        """
+    def finish(self) -> list[Path]:
+        """Wait until all is drawn; see `PlotQueue`."""
         self._wait()
-        for path in self._sent:
-            folder.adopt(path.name)
+        return self._sent
 
     def _post(self, what: str, path: Path, **arrays: ArrayLike) -> None:
         content = io.BytesIO()
@@ -86,22 +81,6 @@ class Drawing:
             while (content := self._waiting.get()) is not None:
                 self._process.stdin.write(content)
                 self._process.stdin.flush()
-
-
-class Undrawn(Drawing):
-    """No pictures: for plans that a program makes for itself."""
-
-    def __init__(self) -> None:
-        """Nothing is sent anywhere."""
-
-    def finish(self, folder: RunFolder) -> None:
-        """Nothing is waited for."""
-
-    def send(self, picture: str, path: Path, **arrays: ArrayLike) -> None:
-        """Nothing is drawn."""
-
-    def _post(self, what: str, path: Path, **arrays: ArrayLike) -> None:
-        pass
 
 
 @contextmanager

@@ -5,7 +5,7 @@ next one starts.
 """
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -14,7 +14,6 @@ from types import MappingProxyType
 
 from cell import scanners
 from cell.errors import FileError, UsageError
-from cell.narrator import Narrator
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.plan import curve as curves
@@ -24,7 +23,7 @@ from cell.plan.appended_candidates import behind
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.drawing import draw_motion, draw_views, finish_drawing
 from cell.plan.problem import Problem
-from cell.plan.steps import Job, Session
+from cell.plan.steps import Job, PlanSession
 from cell.plan.summary import Further, plan_report
 from cell.runs.folder import SCHEMA, WITH_TABLE, RunFolder
 from cell.runs.schema import Report
@@ -33,33 +32,26 @@ from cell.scene.model import Scene
 from cell.scene.regions import with_regions
 from cell.scene.settle import resolve
 from cell.scene.validation import require_attainable
+from cell.session import PlotQueue, ProgressReporter, Session, Stream
 from planner.geometry.mesh import TriangleMesh
 
 log = logging.getLogger(__name__)
 
 
 def plan(
+    session: Session[None],
     scene: Scene,
     *,
     part: Workpiece | None = None,
-    scene_path: Path | None,
-    out: Path | None,
-    argv: Sequence[str],
-    use_cache: bool,
-    narrator: Narrator,
-    steps_of: Callable[[Session, Job], int] | None = None,
+    steps_of: Callable[[PlanSession, Job], int] | None = None,
     drawn: bool = True,
 ) -> Path:
     """Plan and write the run folder.
 
     Args:
+        session: without a folder; this function makes it.
         scene: the checked scene, the command line's options in it.
         part: in place of the scene's.
-        scene_path: where it came from; None for the built-in scene.
-        out: the run folder to make; None makes one below sim_runs/.
-        argv: for the manifest.
-        use_cache: whether matrices may be taken from and left in the cache.
-        narrator: is told what goes on.
         steps_of: what is done once part, scanner and folder are there, in place of steps 2 to 9.
         drawn: whether `steps_of` draws; else it has nobody to draw for it.
 
@@ -74,48 +66,50 @@ def plan(
             f"the scene gives {len(scene.setup)} set-ups, and this plans one: give it to cell setups, or leave its "
             "[[setup]] tables out"
         )
-    with picture_process.beside() if drawn else nullcontext(picture_process.Undrawn()) as drawing:
-        with narrator.stage("load the part"):
+    with picture_process.beside() if drawn else nullcontext(PlotQueue()) as plots:
+        with session.stage("load the part"):
             part = workpiece.load(scene.part.source, scene.part.units) if part is None else part
             part = with_regions(part, scene)
         doubtful = (*validation.of_scene(scene), *settle.notes(scene, part))
         for sentence in (*(finding.sentence for finding in part.findings), *doubtful):
-            narrator.note(sentence)
+            session.note(sentence)
         scene = settle.by_part(scene, part)
         settings = resolve(scene, part)
         inputs = plan_files.input_hashes(scene, part)
         schema = WITH_TABLE if scene.table.enabled else SCHEMA
-        folder = RunFolder.create(out, list(argv), scene.plan.seed, inputs, datetime.now(UTC), schema)
-        run = Session(folder, narrator, drawing, scene.plan.seed, use_cache)
+        folder = RunFolder.create(
+            session.out, list(session.origin.argv), scene.plan.seed, inputs, datetime.now(UTC), schema
+        )
+        opened = session.opened(folder, scene.plan.seed, plots)
         with folder.kept_on_failure(), _logged(folder.path / "run.log"):
-            plan_files.write_scene(folder, scene_path)
-            folder.named(plan_files.named_files(scene, scene_path))
+            plan_files.write_scene(folder, session.origin.scene_path)
+            folder.named(plan_files.named_files(scene, session.origin.scene_path))
             scanner = scanners.make(scene.scanner.type, settings.scanner)
             settings = replace(settings, scanner=scanners.settled(settings.scanner, scanner))
             require_attainable(scene, scanner)
             if hasattr(scanner, "T_view_scanner"):
                 scene.require_fixed_part("a scanner that sweeps")
-            exit_code = (steps_of or _steps)(run, Job(scene, part, settings, scanner))
+            exit_code = (steps_of or _steps)(opened, Job(scene, part, settings, scanner))
             if (folder.path / "plan.json").is_file():  # of several set-ups each has its own folder and digest
                 folder.seal()
         return folder.finish(exit_code)
 
 
-def _steps(run: Session, job: Job) -> int:
+def _steps(session: PlanSession, job: Job) -> int:
     """Steps 2 to 9 and the report; returns 0, or 3 where the plan stays below a coverage that was asked for."""
-    surface, candidates = steps.sample_surface(run, job)
-    cell = steps.compile_cell(run, job, surface)
-    run.drawing.cell_ready(run.folder.path)
-    reached = steps.reach_candidates(run, job, cell, candidates)
-    candidates, reached = steps.grow_candidates(run, job, surface, cell, candidates, reached)
-    measured, prediction = steps.measure(run, job, surface, cell, candidates, reached)
-    problem = steps.ask(run, job, cell, measured, prediction)
-    problem, chosen = steps.connect(run, problem, surface, behind(run, job, cell, surface))
-    return 3 if _below(run.narrator, finish(run, job, surface.planning, problem, chosen)) else 0
+    surface, candidates = steps.sample_surface(session, job)
+    cell = steps.compile_cell(session, job, surface)
+    session.plots.cell_ready(session.folder.path)
+    reached = steps.reach_candidates(session, job, cell, candidates)
+    candidates, reached = steps.grow_candidates(session, job, surface, cell, candidates, reached)
+    measured, prediction = steps.measure(session, job, surface, cell, candidates, reached)
+    problem = steps.ask(session, job, cell, measured, prediction)
+    problem, chosen = steps.connect(session, problem, surface, behind(session, job, cell, surface))
+    return 3 if _below(session.reporter, finish(session, job, surface.planning, problem, chosen)) else 0
 
 
 def finish(
-    run: Session,
+    session: PlanSession,
     job: Job,
     planning: TriangleMesh,
     problem: Problem,
@@ -123,40 +117,43 @@ def finish(
     told: Mapping[str, object] = MappingProxyType({}),
 ) -> Report:
     """Prove and time the motion of a connected plan, draw it, and write what is known of it."""
-    draw_views(run.drawing, run.folder, job.part, problem, chosen, job.scene.picture)
-    clearance, motion = steps.prove_and_time(run, problem, chosen)
-    draw_motion(run.drawing, run.folder, motion)
-    further = _further(run, problem, chosen)
-    with run.step("report"):
+    draw_views(session.plots, session.folder, job.part, problem, chosen, job.scene.picture)
+    clearance, motion = steps.prove_and_time(session, problem, chosen)
+    draw_motion(session.plots, session.folder, motion)
+    further = _further(session, problem, chosen)
+    with session.stage("report"):
         report = plan_report(job, planning, problem, chosen, clearance, motion, further)
         report = report.model_copy(update=dict(told))
-        plan_file = plan_files.write_plan(run.folder, report, chosen, problem.candidates, problem.world)
-        plan_files.write_report(run.folder, report)
-        finish_drawing(run.drawing, run.folder, report, plan_file, motion, problem.world.T_base_object)
+        plan_file = plan_files.write_plan(session.folder, report, chosen, problem.candidates, problem.world)
+        plan_files.write_report(session.folder, report)
+        finish_drawing(session.plots, session.folder, report, plan_file, motion, problem.world.T_base_object)
     return report
 
 
-def _further(run: Session, problem: Problem, chosen: ConnectedPlan) -> Further:
+def _further(session: PlanSession, problem: Problem, chosen: ConnectedPlan) -> Further:
     """What is worked out beyond the plan itself: what is lost, the promise simulated, the curve."""
     selected, wishes = chosen.selected, problem.request.plan
     if selected.note:
-        run.narrator.note(selected.note)
+        session.note(selected.note)
     promised, fewest = None, None
     if robust := wish_results.robust_of(selected, chosen.cover.total_area):
-        with run.step("simulate executions") as progress:
-            rng = run.rng(steps.EXECUTIONS)
+        with session.stage("simulate executions") as progress:
+            rng = session.rng(Stream.SIMULATED_EXECUTIONS)
             promised = pose_uncertainty.simulate(
                 wishes, robust, chosen.T_object_poses, problem.prediction, rng, progress
             )
     if wishes.curve:
-        with run.step("coverage over views"):
-            curve = curves.curve_of(problem.request, selected, chosen.matrix, problem.reached, run.rng(steps.CURVE))
-            curves.write(run.folder, run.drawing, curve, len(chosen.cover.views), chosen.cover.covered_area)
+        with session.stage("coverage over views"):
+            curve = curves.curve_of(
+                problem.request, selected, chosen.matrix, problem.reached, session.rng(Stream.COVERAGE_CURVE),
+                session.effort.curve_work,
+            )  # fmt: skip
+            curves.write(session.folder, session.plots, curve, len(chosen.cover.views), chosen.cover.covered_area)
         fewest = curves.fewest_of(curve)
-    return Further(steps.what_is_lost(run, problem, chosen), promised, fewest)
+    return Further(steps.what_is_lost(session, problem, chosen), promised, fewest)
 
 
-def _below(narrator: Narrator, report: Report) -> bool:
+def _below(reporter: ProgressReporter, report: Report) -> bool:
     """Whether the plan stays below a coverage that was asked for; says which, and what would help.
 
     A coverage of 1 asks for every coverable sample of the matrix, which a plan always covers; one that is asked several
@@ -172,16 +169,16 @@ def _below(narrator: Narrator, report: Report) -> bool:
             if report.dropped
             else "what is left is measured by views that the arm shades, or falls between all samples; see cell why"
         )
-        narrator.note(
+        reporter.note(
             f"the plan measures {100 * share:.2f} % of what can be measured, less than the {100 * asked:g} % asked "
             f"for: {why}"
         )
     if plain:
         for sentence in region_report.missed(report):
-            narrator.note(sentence)
+            reporter.note(sentence)
             missed = True
     if coverage.visible < settings.required_visible:
-        narrator.note(
+        reporter.note(
             f"the plan measures {100 * coverage.visible:.2f} % of the surface, less than the "
             f"{100 * settings.required_visible:g} % required; move the part, or allow more standoffs and rolls"
         )

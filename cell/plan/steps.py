@@ -1,14 +1,12 @@
 """The steps of `cell plan`, put on one screen by `cell.plan.pipeline`: values in, files written, values out."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from cell import scanners
-from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import attainable, denser_samples, pose_uncertainty
 from cell.plan import files as plan_files
@@ -16,7 +14,6 @@ from cell.plan.candidates import GROWN, arm_of, first, grow, limited
 from cell.plan.clearances import require_no_contact
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.least_time import counted, in_seconds, priced
-from cell.plan.picture_process import Drawing
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
 from cell.plan.refined import Append, connected, movable, with_fewer
@@ -29,6 +26,7 @@ from cell.scanners import ScannerPlugin
 from cell.scene import validation
 from cell.scene.model import Scene, complete
 from cell.scene.settle import Settings
+from cell.session import Session, Stream
 from cell.world import clearance
 from cell.world.checks import doubtful, require_possible
 from cell.world.clearance import MotionClearance
@@ -50,29 +48,7 @@ from planner.timing.motion import Motion, retime
 from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
 
-FEATURES, SELECTION, MOTION, ENSEMBLE, EXECUTIONS, CURVE, SCOUTS, _ASKED, FRESH = 0, *range(2, 10)
-"""Streams of randomness, one a step, so that none changes another's draws (1 is `prediction.HELD_OUT_STREAM`)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Session:
-    """The open run: where files go, who is told, who draws, and the seed."""
-
-    folder: RunFolder
-    narrator: Narrator
-    drawing: Drawing
-    seed: int
-    use_cache: bool
-
-    @contextmanager
-    def step(self, name: str) -> Iterator[Progress]:
-        """Name the step to the person and to the manifest."""
-        with self.narrator.stage(name) as progress, self.folder.stage(name):
-            yield progress
-
-    def rng(self, stream: int) -> np.random.Generator:
-        """The generator of one stream of randomness."""
-        return np.random.default_rng([self.seed, stream])
+PlanSession = Session[RunFolder]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,27 +89,27 @@ class Measured:
     casters: Sequence[RayCaster]
 
 
-def sample_surface(run: Session, job: Job) -> tuple[PartSurface, Viewpoints]:
+def sample_surface(session: PlanSession, job: Job) -> tuple[PartSurface, Viewpoints]:
     """Steps 2 and 3: the planning mesh, the rows of the matrix, the generator's candidates."""
-    with run.step("decimate and sample"):
+    with session.stage("decimate and sample"):
         reference = job.part.reference
         planning = decimate(reference, job.settings.faces)
-        plan_files.write_meshes(run.folder, reference, planning)
-        run.drawing.part_ready(run.folder.path)
+        plan_files.write_meshes(session.folder, reference, planning)
+        session.plots.part_ready(session.folder.path)
         if other := validation.other_count(len(planning.faces), job.settings.faces):
-            run.narrator.note(other)
+            session.note(other)
         candidates = first(job.scene, job.settings, job.part, planning)
-        features = surface_features(job.scene, reference, planning, run.rng(FEATURES))
+        features = surface_features(job.scene, reference, planning, session.rng(Stream.MATRIX_SAMPLES))
         if doubt := validation.planning_mesh(validation.off_mesh(features, planning), len(planning.faces)):
-            run.narrator.note(doubt)
-        plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
+            session.note(doubt)
+        plan_files.write_viewpoints(session.folder, scanners.swept(job.scanner, candidates))
         caster = EmbreeRayCaster(reference.vertices, reference.faces)
         return PartSurface(reference, planning, features, caster), candidates
 
 
-def compile_cell(run: Session, job: Job, surface: PartSurface, *, believed: bool = False) -> Cell:
+def compile_cell(session: PlanSession, job: Job, surface: PartSurface, *, believed: bool = False) -> Cell:
     """The cell as MuJoCo checks it; a part that is only `believed` stands inside unseen space, which no other may."""
-    with run.step("compile the cell"):
+    with session.stage("compile the cell"):
         world = compile_world(
             job.scene, surface.reference.vertices, part_faces=surface.reference.faces,
             baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner),
@@ -141,28 +117,28 @@ def compile_cell(run: Session, job: Job, surface: PartSurface, *, believed: bool
         if not believed:
             require_possible(world)
             for sentence in (*doubtful(world), *validation.of_scanner(job.scanner)):
-                run.narrator.note(sentence)
+                session.note(sentence)
         described, faces = scanners.described(job.scene.scanner.type, job.scanner), len(surface.planning.faces)
-        plan_files.write_cell(run.folder, job.scene, job.settings, job.part, faces, world, described)
+        plan_files.write_cell(session.folder, job.scene, job.settings, job.part, faces, world, described)
         return Cell(world, MujocoCollisionChecker(world), world.kinematics)
 
 
-def reach_candidates(run: Session, job: Job, cell: Cell, candidates: Viewpoints) -> Reach:
+def reach_candidates(session: PlanSession, job: Job, cell: Cell, candidates: Viewpoints) -> Reach:
     """Step 4: every branch and turn of every candidate, with a verdict each.
 
     Raises:
         UnreachableError: if the arm reaches none.
     """
-    with run.step("reach") as progress:
+    with session.stage("reach") as progress:
         reached = reach_of(job, cell, candidates, progress)
-        plan_files.write_reach(run.folder, reached)
+        plan_files.write_reach(session.folder, reached)
         if job.scene.plan.candidates != GROWN:
             require_reachable(job.scene.plan, job.part, reached)
         return reached
 
 
 def grow_candidates(
-    run: Session, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
+    session: PlanSession, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
 ) -> tuple[Viewpoints, Reach]:
     """Step 4 again: candidates where none that is reached measures, if the scene's generator grows them.
 
@@ -172,42 +148,49 @@ def grow_candidates(
     """
     if job.scene.plan.candidates != GROWN:
         return candidates, reached
-    with run.step("grow the candidates") as progress:
-        scouts = draw_samples(surface.reference, surface.planning, growth.SCOUTS, run.rng(SCOUTS))
+    with session.stage("grow the candidates") as progress:
+        scouts = draw_samples(surface.reference, surface.planning, growth.SCOUTS, session.rng(Stream.SCOUTS))
         casters = casters_of(surface, cell)
         arm = arm_of(cell.world, cell.kinematics, cell.checker, limited(job.scene, job.scanner), casters)
         grown = grow(candidates, reached.reachable, scouts, arm, progress)
         reached = join_reach([reached, reach_of(job, cell, grown)])
         candidates = join_viewpoints([candidates, grown])
-        plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
-        plan_files.write_reach(run.folder, reached)
+        plan_files.write_viewpoints(session.folder, scanners.swept(job.scanner, candidates))
+        plan_files.write_reach(session.folder, reached)
         require_reachable(job.scene.plan, job.part, reached)
         return candidates, reached
 
 
 def measure(
-    run: Session, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
+    session: PlanSession, job: Job, surface: PartSurface, cell: Cell, candidates: Viewpoints, reached: Reach
 ) -> tuple[Measured, Prediction]:
     """Step 5: the measurability matrix, whose columns are asked where the arm gets to, and the held-out samples."""
-    with run.step("measurability") as progress:
+    with session.stage("measurability") as progress:
         casters = casters_of(surface, cell)
         usable = np.flatnonzero(reached.reachable)
-        M, scanner = columns(run, job, surface, casters, pick_viewpoints(candidates, usable), progress)
+        M, scanner = columns(session, job, surface, casters, pick_viewpoints(candidates, usable), progress)
         M = spread_measurability(M, usable, len(candidates))
-        plan_files.write_measurability(run.folder, M)
+        plan_files.write_measurability(session.folder, M)
         require_measurable(job.scene.region, M)
         measured = Measured(scanners.swept(job.scanner, candidates), reached, M, scanner, casters)
-        return measured, predicted(run, surface, measured, progress)
+        return measured, predicted(session, surface, measured, progress)
 
 
 def columns(
-    run: Session, job: Job, surface: PartSurface, casters: Sequence[RayCaster], views: Viewpoints, progress: Progress,
+    session: PlanSession, job: Job, surface: PartSurface, casters: Sequence[RayCaster],
+    views: Viewpoints, progress: Progress,
     *, may_be_empty: bool = False,
 ) -> tuple[Measurability, Scanner]:  # fmt: skip
     """M of viewpoints past occluders, within the limit on sigma (`limit_sigma`), and the scanner that keeps it."""
     views = scanners.swept(job.scanner, views)
     M = part_matrix(
-        job.scene, job.settings, surface, views, narrator=run.narrator, use_cache=run.use_cache, progress=progress
+        job.scene,
+        job.settings,
+        surface,
+        views,
+        reporter=session.reporter,
+        use_cache=session.use_cache,
+        progress=progress,
     )
     law = limited(job.scene, job.scanner)
     keeps = law if job.scene.region else job.scanner
@@ -222,22 +205,22 @@ def casters_of(surface: PartSurface, cell: Cell) -> Sequence[RayCaster]:
     return [surface.caster, caster_of(occluder_triangles(cell.world))]
 
 
-def predicted(run: Session, surface: PartSurface, measured: Measured, progress: Progress) -> Prediction:
+def predicted(session: PlanSession, surface: PartSurface, measured: Measured, progress: Progress) -> Prediction:
     """The held-out samples, and what reachable candidates measure of them."""
     poses = measured.candidates.T_object_scanner[measured.reached.reachable]
-    samples = held_out(surface.reference, surface.planning, run.seed)
+    samples = held_out(surface.reference, surface.planning, session.seed)
     return Prediction.of(samples, measured.scanner, measured.casters, poses, progress)
 
 
-def ask(run: Session, job: Job, cell: Cell, measured: Measured, prediction: Prediction) -> Problem:
+def ask(session: PlanSession, job: Job, cell: Cell, measured: Measured, prediction: Prediction) -> Problem:
     """What is asked of selection and motion: the wishes with what they need to know."""
     scene, plan = job.scene, job.scene.plan
     layer = None
     if not pose_uncertainty.pose_error(plan).none:
-        with run.step("pose errors") as progress:
+        with session.stage("pose errors") as progress:
             layer = pose_uncertainty.layer(
                 plan, measured.M, measured.candidates, measured.reached, measured.scanner, measured.casters,
-                run.rng(ENSEMBLE), progress,
+                session.rng(Stream.POSE_ERRORS), progress,
             )  # fmt: skip
     limits = scaled(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
     goals = RegionGoals.of(complete(scene.region), plan)
@@ -249,50 +232,54 @@ def ask(run: Session, job: Job, cell: Cell, measured: Measured, prediction: Pred
 
 
 def connect(
-    run: Session, problem: Problem, surface: PartSurface, append: Append | None = None
+    session: PlanSession, problem: Problem, surface: PartSurface, append: Append | None = None
 ) -> tuple[Problem, ConnectedPlan]:
     """Steps 6 to 8: the problem with what its promise took, and its views connected; `append` lets views be moved."""
-    with run.step("select, order and connect") as progress:
-        chooses, before = run.rng(SELECTION), problem
-        moved = unmoved = denser_samples.chosen_where_kept(counted(problem), surface, chooses, run.rng(FRESH))
+    with session.stage("select, order and connect") as progress:
+        chooses, before = session.rng(Stream.SELECTION), problem
+        moved = unmoved = denser_samples.chosen_where_kept(
+            counted(problem), surface, chooses, session.rng(Stream.FRESH_SAMPLES)
+        )
         if append is not None and movable(unmoved[0]):
             moved = with_fewer(*unmoved, append, chooses)
         if problem.request.costs is not None:
             moved = unmoved = in_seconds(*moved, chooses)
         joined = partial(choose_and_connect, selection_rng=chooses, progress=progress)
-        problem, chosen = connected(moved, unmoved, lambda *asked: joined(*asked, motion_rng=run.rng(MOTION)))
+        problem, chosen = connected(
+            moved, unmoved, lambda *asked: joined(*asked, motion_rng=session.rng(Stream.MOTION))
+        )
         problem = problem.taking(chosen.candidate, chosen.tour.q)
-        write_changed(run, before, problem)
+        write_changed(session, before, problem)
         return problem, chosen
 
 
-def write_changed(run: Session, before: Problem, problem: Problem) -> None:
+def write_changed(session: PlanSession, before: Problem, problem: Problem) -> None:
     """Write again what of a problem's candidates is other than before."""
     if problem.M is not before.M:
-        plan_files.write_measurability(run.folder, problem.M)
+        plan_files.write_measurability(session.folder, problem.M)
     if problem.candidates is not before.candidates:
-        plan_files.write_viewpoints(run.folder, problem.candidates)
+        plan_files.write_viewpoints(session.folder, problem.candidates)
     if problem.reached is not before.reached:
-        plan_files.write_reach(run.folder, problem.reached)
+        plan_files.write_reach(session.folder, problem.reached)
 
 
-def prove_and_time(run: Session, problem: Problem, chosen: ConnectedPlan) -> tuple[MotionClearance, Motion]:
+def prove_and_time(session: PlanSession, problem: Problem, chosen: ConnectedPlan) -> tuple[MotionClearance, Motion]:
     """Step 9: the motion's clearance along every segment, and its timing."""
-    with run.step("measure the clearance") as progress:
+    with session.stage("measure the clearance") as progress:
         tour = chosen.tour
         measured = clearance.of_motion(problem.checker, tour.via, tour.segment, len(tour.detour), progress)
         require_no_contact(measured)
         motion = retime(
             tour.via, tour.segment, chosen.via_candidate, problem.limits, pose=tour.pose, lines=chosen.lines
         )
-        plan_files.write_motion(run.folder, motion, measured)
+        plan_files.write_motion(session.folder, motion, measured)
         return measured, motion
 
 
-def what_is_lost(run: Session, problem: Problem, chosen: ConnectedPlan) -> Attainable:
+def what_is_lost(session: PlanSession, problem: Problem, chosen: ConnectedPlan) -> Attainable:
     """What any pose would measure that the robot takes up here, beside what the plan measures."""
-    with run.step("what is lost"):
-        return attainable.of_plan(problem, chosen.visible, run.rng(_ASKED))
+    with session.stage("what is lost"):
+        return attainable.of_plan(problem, chosen.visible, session.rng(Stream.ATTAINABLE_SAMPLES))
 
 
 def reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None = None) -> Reach:

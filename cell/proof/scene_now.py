@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import CellError, FileError, SceneError
-from cell.narrator import Narrator
 from cell.part import workpiece
 from cell.proof.artefacts import sha256_of
 from cell.proof.files_now import MISSING, FilesNow
@@ -25,6 +24,7 @@ from cell.runs.cell import scene_of_run
 from cell.scene import settle
 from cell.scene.file import load_scene
 from cell.scene.model import Fixture, MeshFixture, Scene
+from cell.session import ProgressReporter
 from cell.world.shapes import fixture_mesh
 from cell.world.table import rotary_table
 from planner.geometry.mesh import TriangleMesh
@@ -42,13 +42,13 @@ _TABLES = {
 """Of the scene file, the tables that say each thing."""
 
 
-def require_same(proven: Proven, now: FilesNow, narrator: Narrator | None, *, wire: bool) -> None:
+def require_same(proven: Proven, now: FilesNow, reporter: ProgressReporter | None, *, wire: bool) -> None:
     """The files still describe the cell that was planned in, but for what is accepted.
 
     Args:
         proven: the plan.
         now: the files, and what is accepted.
-        narrator: is told what is accepted and which files are gone; None: nobody.
+        reporter: is told what is accepted and which files are gone; None: nobody.
         wire: whether something real may move: files that are gone are a difference then.
 
     Raises:
@@ -68,8 +68,8 @@ def require_same(proven: Proven, now: FilesNow, narrator: Narrator | None, *, wi
             f"--accept-changed-scene {','.join(refused)}"
         )
     for told in found.values():
-        if narrator is not None:
-            narrator.note(told)
+        if reporter is not None:
+            reporter.note(told)
 
 
 def _differences(proven: Proven, now: FilesNow, gone: list[str]) -> Iterator[tuple[str, str]]:

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import FileError, UsageError
-from cell.narrator import Narrator
 from cell.replay.model import dress
 from cell.replay.options import ReplayOptions
 from cell.replay.show import Show
@@ -20,6 +19,7 @@ from cell.replay.tightest_moment import of_plan
 from cell.runs import timeline as replay_timeline
 from cell.runs.run import Run, open_run, read_execution
 from cell.runs.timeline import Timeline
+from cell.session import ProgressReporter
 from cell.view.cell_picture import tour_camera
 from cell.view.pieces import cell_of_run
 
@@ -27,7 +27,7 @@ from cell.view.pieces import cell_of_run
 def replay(
     folder: Path,
     options: ReplayOptions,
-    narrator: Narrator,
+    reporter: ProgressReporter,
     *,
     clock: Callable[[], float] = time.monotonic,
     wait: Callable[[float], None] = time.sleep,
@@ -48,19 +48,19 @@ def replay(
         from cell.replay.viewer import play, require_display
 
         require_display()
-    with narrator.stage("set up the replay"):
+    with reporter.stage("set up the replay"):
         run = open_run(folder)
-        show = load_show(run, options.execution, narrator)
+        show = load_show(run, options.execution, reporter)
         still = _still(run, show, options.execution)
     start = _tightest(show) if options.tightest else _start(show.timeline, options.view)
     made, chosen = [], options.view is not None or options.tightest
     if options.picture is not None:
-        with narrator.stage("draw the picture"):
+        with reporter.stage("draw the picture"):
             moment = start if chosen else None
             write_picture(still, options.picture, options.size, moment, options.camera_deg, options.hide)
         made.append(f"picture in {options.picture}")
     if options.frames is not None:
-        with narrator.stage("draw the frames") as progress:
+        with reporter.stage("draw the frames") as progress:
             count = write_frames(
                 still, options.frames, options.size, start=start, fps=options.fps, speed=options.speed,
                 progress=progress,
@@ -74,13 +74,13 @@ def replay(
     return "; ".join(made)
 
 
-def load_show(run: Run, execution: str | None, narrator: Narrator) -> Show:
+def load_show(run: Run, execution: str | None, reporter: ProgressReporter) -> Show:
     """What there is to show of a run.
 
     Args:
         run: the opened run.
         execution: id of an execution, or "latest"; None for the plan.
-        narrator: is told what is missing.
+        reporter: is told what is missing.
 
     Raises:
         FileError: if the run has no checked cell, or something in it is damaged.
@@ -90,11 +90,11 @@ def load_show(run: Run, execution: str | None, narrator: Narrator) -> Show:
             f"{run.folder} has no cell.xml, so there is no cell to show: the run {run.ending}; mend that and plan again"
         )
     if not run.is_finished:
-        narrator.note(f"this run {run.ending}; it is shown as far as it got")
+        reporter.note(f"this run {run.ending}; it is shown as far as it got")
     scene = run.scene
     recorded = read_execution(run, execution) if execution is not None else None
     if recorded is not None and not recorded.scans:
-        narrator.note(f"{recorded.folder} holds no scan that can be read")
+        reporter.note(f"{recorded.folder} holds no scan that can be read")
     clouds = [scan.points for scan in recorded.scans] if recorded is not None else []
     theatre = dress(run, scene, run.mesh("reference.ply"), clouds)
     planned = run.motion if run.has("motion.npz") else None
@@ -105,7 +105,7 @@ def load_show(run: Run, execution: str | None, narrator: Narrator) -> Show:
     else:
         timeline = replay_timeline.of_home(theatre.home)
     for note in timeline.notes:
-        narrator.note(note)
+        reporter.note(note)
     if timeline.stops or planned is not None or not run.has("viewpoints.npz"):
         closest = None
         if recorded is None and planned is not None and run.has("plan.json"):
@@ -113,7 +113,7 @@ def load_show(run: Run, execution: str | None, narrator: Narrator) -> Show:
         return Show(theatre, timeline, closest=closest)
     candidates = run.candidates
     reachable = run.reach.reachable if run.has("reach.npz") else None
-    narrator.note(
+    reporter.note(
         f"it has no motion: the arm stands at home beside {len(candidates)} candidate viewpoints"
         + ("" if reachable is None else f", {int(np.count_nonzero(reachable))} of them reachable (green)")
     )

@@ -11,14 +11,13 @@ from pydantic import JsonValue
 from cell.acquisition import SIMULATED, sources
 from cell.acquisition.sources import Acquisition
 from cell.errors import DriverFailureError
-from cell.narrator import Narrator
 from cell.runs.cell import RunCell
 from cell.runs.run import split_axes
 from cell.scan import execute
 from cell.scan.execution_folder import EXECUTING, MOTION, ExecutionFolder
 from cell.scan.legs import Legs
 from cell.scan.options import ScanOptions
-from cell.scan.work import Work
+from cell.session import ProgressReporter, Session
 from cell.world.embree import EmbreeRayCaster
 from drivers.clock import Clock
 from drivers.contract import Driver
@@ -57,7 +56,7 @@ def part_may_be_near(options: ScanOptions, cell: RunCell, nearest: float) -> str
 
 def drive(
     connected: ExitStack,
-    work: Work,
+    session: Session[ExecutionFolder],
     legs: Legs,
     driver: Driver,
     clock: Clock,
@@ -66,28 +65,28 @@ def drive(
     speed: float,
 ) -> None:
     """Drive and scan the legs; what goes wrong from here on is kept in the execution's folder."""
-    folder = work.folder
+    folder = session.folder
     connected.enter_context(folder.kept_on_failure())
     connected.enter_context(drivers_errors_as_ours())
-    with work.step(EXECUTING) as progress, driver:
+    with session.stage(EXECUTING) as progress, driver:
         scale = driver.capabilities.time_scale
         folder.note(
             controller=driver.capabilities.controller, speed_fraction=round(speed, 6),
             **({} if scale == 1 else {"time_scale": scale}),
         )  # fmt: skip
         seed = folder.manifest.require_seed(folder.path)
-        source = acquisition_of(folder.manifest.options, cell, seed, folder.path, work.narrator)
+        source = acquisition_of(folder.manifest.options, cell, seed, folder.path, session.reporter)
         folder.note(source=source.source)
         seconds = execute.run(legs, driver, cell, source, folder, speed=speed, clock=clock, progress=progress)
         folder.note(moving_s=round(seconds, 6), simulated_time=driver.capabilities.simulated_time)
 
 
 def acquisition_of(
-    kept: Mapping[str, JsonValue], cell: RunCell, seed: int, folder: Path, narrator: Narrator
+    kept: Mapping[str, JsonValue], cell: RunCell, seed: int, folder: Path, reporter: ProgressReporter
 ) -> Acquisition:
     """Where the points come from, by the options that the execution was begun with."""
     kind, argument = sources.load(str(kept.get("acquire", SIMULATED)))
-    return kind(argument, sources.Context(cell, kept, seed, folder, narrator.note))
+    return kind(argument, sources.Context(cell, kept, seed, folder, reporter.note))
 
 
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk")

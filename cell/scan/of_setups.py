@@ -4,19 +4,18 @@ Nothing is kept of the chain but the executions of the set-ups themselves: which
 so it goes on wherever it was stopped.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cell.acquisition import SIMULATED
 from cell.errors import FileError, UsageError
-from cell.narrator import Narrator
 from cell.runs.run import open_finished, read_execution
 from cell.runs.schema import ScannedSetups
 from cell.scan import driver as scan_driver
-from cell.scan import safety, whole
+from cell.scan import whole
 from cell.scan.options import ScanOptions
 from cell.scan.scan import resume, scan
+from cell.session import Session
 from cell.setups.planned_setups import PlannedSetups
 from cell.words import listed
 
@@ -39,14 +38,12 @@ class SetupsOutcome:
 
 
 def scan_setups(
+    session: Session[None],
     folder: Path,
     options: ScanOptions | None,
     *,
     setup: int | None,
     resumed: bool,
-    argv: Sequence[str],
-    narrator: Narrator,
-    ask: safety.Ask | None = None,
 ) -> SetupsOutcome:
     """Scan the next set-up, or a given one, and make one model of all that are scanned.
 
@@ -54,14 +51,12 @@ def scan_setups(
     points of other sources it halts after one set-up.
 
     Args:
+        session: of the command.
         folder: of `cell setups`.
         options: what was asked for; those of a resumed execution as `cell.scan.scan.resume` takes them. None, of a
             set-up that is not begun: those of the set-up before.
         setup: its number; None: each that is not scanned yet, in order.
         resumed: whether to go on: with an execution that was stopped, where there is one.
-        argv: for the manifests.
-        narrator: is told what goes on.
-        ask: puts a question to a person; None where nobody is there.
 
     Raises:
         UsageError: if there is no such set-up, all are scanned, or an option is of one run alone.
@@ -79,29 +74,29 @@ def scan_setups(
     for number in left if setup is None else [setup]:
         run, lies = planned.folders[number - 1], _lies(planned, number)
         stopped = _stopped(run) if resumed else None
-        narrator.note(lies)
+        session.note(lies)
         if stopped is not None:
             chosen = _begun(run, stopped, options)
-            done = resume(run, stopped, options, argv=argv, narrator=narrator, ask=_asking(ask, lies))
+            done = resume(_asking(session, lies), run, stopped, options)
         else:
             chosen = _options(planned, number, options, resumed=resumed)
-            done = scan(run, chosen, argv=argv, narrator=narrator, ask=_asking(ask, lies))
+            done = scan(_asking(session, lies), run, chosen)
         if missing := done.summary.missing_views:
             raise FileError(
                 f"view {missing[0]} of set-up {number} has no points ({len(missing)} such views); "
                 f"cell scan {folder} --resume latest takes them"
             )
-        alone = chosen.acquire != SIMULATED or (scan_driver.on_a_wire(chosen.driver) and ask is None)
+        alone = chosen.acquire != SIMULATED or (scan_driver.on_a_wire(chosen.driver) and session.confirm is None)
         if alone:
             break
-    return report(planned, argv, narrator)
+    return report(session, planned)
 
 
-def report(planned: PlannedSetups, argv: Sequence[str], narrator: Narrator) -> SetupsOutcome:
+def report(session: Session[None], planned: PlannedSetups) -> SetupsOutcome:
     """One model of all set-ups that are scanned."""
-    made = whole.report(planned, argv, narrator)
+    made = whole.report(session, planned)
     for doubt in made.doubts:
-        narrator.note(doubt)
+        session.note(doubt)
     missed = not made.missing and made.visible < planned.file.coverage.required
     return SetupsOutcome(planned.folder / whole.FOLDER, 3 if missed else 0, made)
 
@@ -153,9 +148,10 @@ def _stopped(folder: Path) -> str | None:
     return None
 
 
-def _asking(ask: safety.Ask | None, lies: str) -> safety.Ask | None:
+def _asking(session: Session[None], lies: str) -> Session[None]:
     """Whoever says that the arm may move says too that the part lies so."""
-    return None if ask is None else lambda question: ask(f"{lies}. {question}")
+    confirm = session.confirm
+    return session if confirm is None else replace(session, confirm=lambda question: confirm(f"{lies}. {question}"))
 
 
 def _lies(planned: PlannedSetups, number: int) -> str:

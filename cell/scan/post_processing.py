@@ -5,20 +5,19 @@ an execution that was stopped, is made by the same lines.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from cell.errors import FileError
-from cell.narrator import Narrator
 from cell.reconstruction import cloud_files
 from cell.reconstruction.deviation import deviation
 from cell.reconstruction.reconstruct import reconstruct
 from cell.reconstruction.surface_fit import Search
 from cell.runs import folder as process
 from cell.runs.cell import RunCell, read_cell
-from cell.runs.run import ExecutedScan, Execution, RecordedExecution, open_finished, read_execution, reading
+from cell.runs.run import ExecutedScan, Execution, RecordedExecution, Run, open_finished, read_execution, reading
 from cell.runs.schema import ExecutedMotion, ExecutionReport, Manifest, PlanFile
 from cell.scan import causes, execution_page
 from cell.scan.achieved import achieved
@@ -29,7 +28,7 @@ from cell.scan.execution_summary import Results, execution_report, settings_of
 from cell.scan.legs import legs_of
 from cell.scan.merging import executed_poses, merged, sigma_of
 from cell.scan.options import ScanOptions
-from cell.scan.work import ScanOutcome, Work
+from cell.session import Session, Stream, random_stream
 from cell.view import contents
 from cell.view.contents import NAME
 from cell.view.pictures import part_and_views
@@ -37,20 +36,30 @@ from cell.view.surface import canvas_of
 from planner.geometry.closest import ClosestPointQuery
 from planner.timing.motion import Motion
 
-DEVIATION = 12
-"""Stream of randomness of the samples that the deviation is measured on."""
 
-PLACES = 14
-"""Stream of randomness of the motions that the search for the part begins with."""
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanOutcome:
+    """What `cell scan` leaves.
+
+    Attributes:
+        folder: of the execution.
+        exit_code: 0; 3 where a whole execution stays below the coverage that the plan requires; 6 where a report was
+            made of an execution that lacks views.
+        summary: its report.json.
+    """
+
+    folder: Path
+    exit_code: int
+    summary: ExecutionReport
 
 
-def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
+def report(session: Session[None], run_folder: Path, execution: str) -> ScanOutcome:
     """Make the report of an execution anew from what is there; what is missing is said.
 
     Args:
+        session: of the command.
         run_folder: of a finished plan.
         execution: its id, or "latest".
-        narrator: is told what goes on.
 
     Raises:
         CellError: with one sentence and the exit code.
@@ -64,19 +73,19 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
             "ends, or stop it with Ctrl-C"
         )
     if ended != "finished":
-        narrator.note(
+        session.note(
             f"execution {recorded.folder.name} did not finish (its status is '{ended}'); what is there is used"
         )
     folder = ExecutionFolder.reopen(recorded.folder, recorded.manifest)
     cell = read_cell(run, options_of(recorded).resolution_deg)
     # The status tells how the execution ended, not how its report did.
     status, exit_code = ("incomplete" if ended == "running" else ended), folder.manifest.exit_code
-    summary = results(Work(run, folder, narrator), cell, run.motion, recorded)
+    summary = results(session.opened(folder, run.seed), run, cell, run.motion, recorded)
     for sentence in summary.left_out:
-        narrator.note(sentence)
+        session.note(sentence)
     if summary.missing_views:
         here = summary.n_views
-        narrator.note(
+        session.note(
             f"the execution is incomplete: {here} of {here + len(summary.missing_views)} views are there; "
             "the report says what is there; cell scan --resume takes the others"
         )
@@ -85,43 +94,47 @@ def report(run_folder: Path, execution: str, narrator: Narrator) -> ScanOutcome:
     return ScanOutcome(folder.finish(code if ended == "finished" else exit_code, status), code, summary)
 
 
-def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecution) -> ExecutionReport:
+def results(
+    session: Session[ExecutionFolder], run: Run, cell: RunCell, motion: Motion, recorded: RecordedExecution
+) -> ExecutionReport:
     """Merge, reconstruct, measure and report what the execution has on disk."""
-    run, folder = work.run, work.folder
+    folder = session.folder
     options, manifest = options_of(recorded), folder.manifest
     seed = run.seed if manifest.seed is None else manifest.seed
 
-    with work.step("merge"):
+    with session.stage("merge"):
         plan = run.plan
         scans, left_out = usable(recorded, plan.views)
         _adopt(folder, scans)
         nearest = ClosestPointQuery(cell.reference)
         doubts = causes.doubts(scans, cell, nearest, options.points_units)
         for doubt in doubts:
-            work.narrator.note(doubt)
+            session.note(doubt)
         search = None if options.search is None else Search(*options.search)
-        rng = np.random.default_rng([seed, PLACES])
+        rng = random_stream(seed, Stream.REGISTRATION_STARTS)
         cloud = merged(scans, nearest, registered=options.registers, search=search, rng=rng)
         if cloud.fit is not None:
             cell = cell.about_part(cloud.fit.T)
         source, sigma = source_of(scans), sigma_of(cloud, scans, cell.scanner)
         folder.write_bytes("cloud.ply", cloud_files.cloud_ply(cloud.cloud, cloud.stop, sigma, source))
 
-    with work.step("reconstruct"):
+    with session.stage("reconstruct"):
         model = reconstruct(cloud.cloud, close=options.close_holes)
         for doubt in model.doubts:
-            work.narrator.note(doubt)
+            session.note(doubt)
 
-    with work.step("measure"):
+    with session.stage("measure"):
         reached = achieved(scans, plan, cloud, cell, run.seed)
         off = None
         if model.mesh is None:
             folder.remove("mesh.ply")
         else:
-            off = deviation(model.mesh, nearest, np.random.default_rng([seed, DEVIATION]), closed=model.closed)
+            off = deviation(model.mesh, nearest, random_stream(seed, Stream.DEVIATION_SAMPLES), closed=model.closed,
+                count=session.effort.deviation_samples,
+            )  # fmt: skip
             folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed, off.at_vertices, source))
 
-    with work.step("report"):
+    with session.stage("report"):
         legs = legs_of(motion, options.view)
         # Of a resumed execution only the time of the last part is known.
         timed = bool(manifest.simulated_time) and not manifest.resumed
@@ -131,7 +144,7 @@ def results(work: Work, cell: RunCell, motion: Motion, recorded: RecordedExecuti
         summary = execution_report(cell, plan, settings_of(cell, recorded.manifest.options, seed), found, stops, times)
         folder.write_json("report.json", summary.as_json())
         folder.write_text("report.md", execution_page.markdown(summary))
-        _draw(work, cell, plan, recorded, summary, found)
+        _draw(run, folder, cell, plan, recorded, summary, found)
     return summary
 
 
@@ -142,12 +155,17 @@ def options_of(recorded: RecordedExecution) -> ScanOptions:
 
 
 def _draw(
-    work: Work, cell: RunCell, plan: PlanFile, recorded: RecordedExecution, summary: ExecutionReport, found: Results
+    run: Run,
+    folder: ExecutionFolder,
+    cell: RunCell,
+    plan: PlanFile,
+    recorded: RecordedExecution,
+    summary: ExecutionReport,
+    found: Results,
 ) -> None:
     """The page, part and views, the cover curve, the deviation: as far as there is a scan and a surface."""
     from cell.reconstruction import deviation_picture
 
-    run, folder = work.run, work.folder
     if found.model.mesh is None or found.deviation is None:
         folder.remove("deviation.png")
     else:

@@ -4,10 +4,9 @@ A controller that is simulated in the same process needs none of it. This replac
 controller; it keeps a mistyped command from moving 235 kg.
 """
 
-from collections.abc import Callable
-
 from cell.errors import DriverFailureError, UsageError
 from cell.scan.way import Released
+from cell.session import Confirm
 from drivers.contract import Driver, RobotState
 from drivers.status import latched
 
@@ -16,9 +15,6 @@ HARDWARE_SPEED = 0.1
 
 EVERY = "every motion"
 """What is given for a digest where a person released every motion of something larger, whatever way it takes."""
-
-Ask = Callable[[str], str]
-"""Puts a question to a person and returns the answer."""
 
 
 def speed_fraction(asked_percent: float | None, planned: float, *, hardware: bool) -> float:
@@ -34,7 +30,9 @@ def speed_fraction(asked_percent: float | None, planned: float, *, hardware: boo
     return min(planned, HARDWARE_SPEED) if hardware else planned
 
 
-def require_confirmed(driver: Driver, speed: float, released: Released, *, given: str | None, ask: Ask | None) -> None:
+def require_confirmed(
+    driver: Driver, speed: float, released: Released, *, given: str | None, ask: Confirm | None
+) -> None:
     """Steel moves only on a person's word for what is driven.
 
     Args:

@@ -11,11 +11,8 @@ from cell.runs.cell import RunCell
 from cell.scan.options import ScanOptions
 from cell.scan.pose_error import Disturbance
 from cell.scan.sweep_scan import scan_of
+from cell.session import Stream, random_stream
 from planner.ports import Rejection
-
-POSE, NOISE, PART = 10, 11, 13
-"""Streams of randomness; a stop has its own of the first two, so that one view alone is disturbed as in the whole
-execution, and a placement of the last, so that a part that is turned over is off in another direction."""
 
 
 class Simulated:
@@ -40,10 +37,10 @@ class Simulated:
         self._cell, self._disturbance, self._seed = cell, disturbance, seed
 
     def take(self, view: View) -> Acquired:
-        """Trace the rays of a view."""
+        """Trace the rays of a view; its stop has streams of its own, so that one view alone is disturbed equally."""
         T_true, points, scans = scan_of(
-            view.T_object_scanner, self._cell, self._disturbance, [self._seed, POSE, view.stop],
-            np.random.default_rng([self._seed, NOISE, view.stop]),
+            view.T_object_scanner, self._cell, self._disturbance, [self._seed, Stream.POSE_DISTURBANCE, view.stop],
+            random_stream(self._seed, Stream.RANGE_NOISE, view.stop),
         )  # fmt: skip
         rays = len(scans[0].codes)
         rows, columns = scans[0].grid_shape
@@ -71,6 +68,7 @@ def simulated(argument: str, context: Context) -> Simulated:
             "--acquire simulated takes nothing behind it; its errors are --range-noise, --pose-error and --setup-error"
         )
     scene = context.cell.scene
-    rng = np.random.default_rng([context.seed, PART, zlib.crc32(scene.T_base_object.tobytes())])
+    # A placement has a stream of its own, so that a part that is turned over is off in another direction.
+    rng = random_stream(context.seed, Stream.PART_DISTURBANCE, zlib.crc32(scene.T_base_object.tobytes()))
     errors = Disturbance.of(ScanOptions.begun(context.options), scene.T_object_centre[:3, 3], rng)
     return Simulated(context.cell, errors, context.seed)

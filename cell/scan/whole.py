@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import FileError
-from cell.narrator import Narrator
 from cell.reconstruction import cloud_files
 from cell.reconstruction.cloud import PointCloud
 from cell.reconstruction.deviation import deviation
@@ -29,8 +28,9 @@ from cell.scan import causes
 from cell.scan.executed_scans import source_of, usable
 from cell.scan.execution_summary import deviation_of, place_of, registration_of, surface_of
 from cell.scan.merging import Merged, executed_poses, merged, sigma_of
-from cell.scan.post_processing import DEVIATION, PLACES, options_of
+from cell.scan.post_processing import options_of
 from cell.scan.whole_page import page
+from cell.session import Session, Stream, random_stream
 from cell.setups.contact import touching
 from cell.setups.planned_setups import PlannedSetups
 from cell.setups.shared import apart, shared
@@ -115,13 +115,12 @@ def finished_execution(folder: Path) -> str | None:
     return None
 
 
-def report(planned: PlannedSetups, argv: Sequence[str], narrator: Narrator) -> ScannedSetups:
+def report(session: Session[None], planned: PlannedSetups) -> ScannedSetups:
     """Make `scanned/` of the latest whole execution of each set-up, of those that have one.
 
     Args:
+        session: of the command.
         planned: the set-ups.
-        argv: for the manifest.
-        narrator: is told what goes on.
 
     Raises:
         FileError: if no set-up is scanned, a file is damaged, too few points lie near the part, or the folder cannot
@@ -130,21 +129,21 @@ def report(planned: PlannedSetups, argv: Sequence[str], narrator: Narrator) -> S
     names = {number: finished_execution(folder) for number, folder in enumerate(planned.folders, start=1)}
     if not any(names.values()):
         raise FileError(f"no set-up of {planned.folder} is scanned; begin with cell scan {planned.folder} --setup 1")
-    with narrator.stage("merge the set-ups"):
-        bodies = [_body(number, planned.folders[number - 1], name, narrator) for number, name in names.items() if name]
+    with session.stage("merge the set-ups"):
+        bodies = [_body(number, planned.folders[number - 1], name, session) for number, name in names.items() if name]
         nearest = ClosestPointQuery(bodies[0].cell.reference)
         bodies, registration = _registered(bodies, nearest)
     target = planned.folder / FOLDER
     for path in (target, target.with_name(FOLDER + ".part")):
         _clear(path)
-    folder = RunFolder.create(target, list(argv), bodies[0].run.seed, {}, datetime.now(UTC))
+    folder = RunFolder.create(target, list(session.origin.argv), bodies[0].run.seed, {}, datetime.now(UTC))
     with folder.kept_on_failure():
-        done = _written(folder, planned, bodies, registration, nearest, narrator)
+        done = _written(folder, planned, bodies, registration, nearest, session)
         folder.finish(0)
     return done
 
 
-def _body(number: int, folder: Path, name: str, narrator: Narrator) -> _Body:
+def _body(number: int, folder: Path, name: str, session: Session[None]) -> _Body:
     """Read and merge one set-up."""
     run = open_finished(folder)
     recorded, plan = read_execution(run, name), run.plan
@@ -152,12 +151,12 @@ def _body(number: int, folder: Path, name: str, narrator: Narrator) -> _Body:
     cell = read_cell(run, options.resolution_deg)
     scans, left_out = usable(recorded, plan.views)
     for sentence in left_out:
-        narrator.note(f"set-up {number}: {sentence}")
+        session.note(f"set-up {number}: {sentence}")
     nearest = ClosestPointQuery(cell.reference)
     search = None if options.search is None else Search(*options.search)
     if search is None and any(scan.T_true is None for scan in scans):
         search = Search()  # nobody sets a part down to a tenth of a millimetre
-    rng = np.random.default_rng([recorded.manifest.require_seed(recorded.folder), PLACES])
+    rng = random_stream(recorded.manifest.require_seed(recorded.folder), Stream.REGISTRATION_STARTS)
     cloud = merged(scans, nearest, registered=options.registers, search=search, rng=rng)
     return _Body(number, name, run, cell, plan, scans, cloud, causes.doubts(scans, cell, nearest, options.points_units))
 
@@ -172,7 +171,7 @@ def _registered(bodies: list[_Body], nearest: ClosestPointQuery) -> tuple[list[_
 
 def _written(
     folder: RunFolder, planned: PlannedSetups, bodies: list[_Body], registration: Registration | None,
-    nearest: ClosestPointQuery, narrator: Narrator,
+    nearest: ClosestPointQuery, session: Session[None],
 ) -> ScannedSetups:  # fmt: skip
     """Cloud, surface, deviation, report, into the open folder."""
     from cell.reconstruction import deviation_picture  # matplotlib
@@ -180,13 +179,13 @@ def _written(
     first, source = bodies[0], source_of([scan for body in bodies for scan in body.scans])
     cloud, numbers, sigma = _joined(bodies)
     folder.write_bytes("cloud.ply", cloud_files.cloud_ply(cloud, numbers, sigma, source))
-    with narrator.stage("reconstruct"):
+    with session.stage("reconstruct"):
         model = reconstruct(cloud)
     off = None
-    with narrator.stage("measure"):
+    with session.stage("measure"):
         if model.mesh is not None:
-            rng = np.random.default_rng([first.run.seed, DEVIATION])
-            off = deviation(model.mesh, nearest, rng, closed=model.closed)
+            rng = random_stream(first.run.seed, Stream.DEVIATION_SAMPLES)
+            off = deviation(model.mesh, nearest, rng, closed=model.closed, count=session.effort.deviation_samples)
             folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed, off.at_vertices, source))
             deviation_picture.draw(folder.path / "deviation.png", model.mesh, off, source)
             folder.adopt("deviation.png")

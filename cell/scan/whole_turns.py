@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.narrator import Narrator
 from cell.runs.schema import ResolvedScene
 from cell.scan.legs import AT_START
+from cell.session import ProgressReporter
 from drivers.contract import Capabilities, Driver, RobotState
 from drivers.setpoints import PER_DEGREE, SetPoints, frozen
 from planner.ports import ARM_AXES, JointLimits
@@ -84,7 +84,7 @@ class WholeTurnsOff(Driver):
 
 
 def as_planned(
-    driver: Driver, state: RobotState, scene: ResolvedScene, limits: JointLimits, narrator: Narrator
+    driver: Driver, state: RobotState, scene: ResolvedScene, limits: JointLimits, reporter: ProgressReporter
 ) -> tuple[Driver, RobotState]:
     """A driver and its state, whole turns of an endless table taken away and told.
 
@@ -93,12 +93,12 @@ def as_planned(
         state: of the controller, which stands.
         scene: of the plan.
         limits: of the plan.
-        narrator: is told of turns.
+        reporter: is told of turns.
     """
     turns = turns_off(state, driver.capabilities, limits) if scene.table_is_endless else 0
     if not turns:
         return driver, state
-    narrator.note(
+    reporter.note(
         f"the rotary table stands at {state.axes[ARM_AXES] / PER_DEGREE:.4f} deg, {turns:+d} whole turns from the "
         f"plan's angles, and is driven from there: {360 * turns:+d} deg on every angle of E1"
     )

@@ -5,10 +5,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cell.runs.schema import PlannedOpen
+from cell.session import default_effort
 from cell.setups.measured import Setup
 from planner.geometry.sampling import pick_samples
 from planner.values import Bools
-from planner.viewpoints.attainable import ASKED, attainable
+from planner.viewpoints.attainable import attainable
 from planner.viewpoints.lines_of_sight import Targets
 
 
@@ -27,7 +28,7 @@ def left_open(setups: Mapping[int, Setup], chosen: Sequence[int], seen: Bools, r
     candidate = ~seen & np.logical_or.reduce([setup.coverable for setup in setups.values()])
     touched = ~seen & ~candidate & np.logical_and.reduce([setups[row].touched for row in chosen])
     rest = np.flatnonzero(~seen & ~candidate & ~touched)
-    asked = np.sort(rng.permutation(rest)[:ASKED])
+    asked = np.sort(rng.permutation(rest)[: default_effort().searched_samples])
     measured, sighted = np.zeros(len(asked), dtype=np.bool_), np.zeros(len(asked), dtype=np.bool_)
     for row in chosen:
         free = np.flatnonzero(~setups[row].touched[asked] & ~measured)

@@ -10,7 +10,7 @@ from cell.errors import SceneError
 from cell.plan import denser_samples, steps
 from cell.plan.appended_candidates import appended
 from cell.plan.candidates import arm_of
-from cell.plan.steps import Cell, Job, Measured, Session
+from cell.plan.steps import Cell, Job, Measured, PlanSession
 from cell.scene.model import Scene
 from cell.setups.contact import touching
 from cell.setups.growing import with_grown
@@ -67,12 +67,12 @@ class Setup:
         return seen & ~touching(samples, self.supports)
 
     def with_views(
-        self, run: Session, surface: PartSurface, M: Measurability, views: Viewpoints
+        self, session: PlanSession, surface: PartSurface, M: Measurability, views: Viewpoints
     ) -> "tuple[Setup, Measurability]":
         """With further candidates behind the others, and the matrix of all of them over the rows of M.
 
         Args:
-            run: the open run.
+            session: of the open run.
             surface: the part.
             M: of the candidates that there are, over the rows by now.
             views: the further ones, one pose each, that the arm takes up.
@@ -80,7 +80,7 @@ class Setup:
         known, rows = self.measured, replace(surface, features=M.features)
         reached = join_reach([known.reached, steps.reach_of(self.job, self.cell, views)])
         candidates, joined, _ = appended(
-            replace(run, use_cache=False), self.job, rows, known.casters, (known.candidates, M), views
+            replace(session, use_cache=False), self.job, rows, known.casters, (known.candidates, M), views
         )
         M = _without(joined, touching(M.features, self.supports))
         prediction = self.prediction.with_more(candidates.T_object_scanner[len(known.candidates) :])
@@ -119,7 +119,7 @@ class _PartArm(Arm):
 
 
 def measured_setup(
-    run: Session,
+    session: PlanSession,
     job: Job,
     surface: PartSurface,
     world: World,
@@ -130,7 +130,7 @@ def measured_setup(
     """Reach, grow and measure one set-up; the reason where it cannot be.
 
     Args:
-        run: the open run; nothing is written.
+        session: of the open run.
         job: what is planned.
         surface: the part and the rows that all set-ups share.
         world: the cell, compiled with the part anywhere.
@@ -153,18 +153,18 @@ def measured_setup(
         return problems[0]
     job = replace(job, scene=scene)
     cell = Cell(world, MujocoCollisionChecker(world), world.kinematics)
-    with run.step(offer.name) as progress:
+    with session.stage(offer.name) as progress:
         candidates, reached = with_grown(job, surface, cell, shared, scouts, progress)
         usable = np.flatnonzero(reached.reachable)
         if not len(usable):
             return "the arm reaches no candidate"
         casters, supports = steps.casters_of(surface, cell), occluder_triangles(world)
         M, scanner = steps.columns(
-            run, job, surface, casters, pick_viewpoints(candidates, usable), progress, may_be_empty=True
+            session, job, surface, casters, pick_viewpoints(candidates, usable), progress, may_be_empty=True
         )
         M = spread_measurability(_without(M, touching(surface.features, supports)), usable, len(candidates))
         known = Measured(scanners.swept(job.scanner, candidates), reached, M, scanner, casters)
-        prediction = steps.predicted(run, surface, known, progress)
+        prediction = steps.predicted(session, surface, known, progress)
         return Setup(job, cell, known, prediction, supports, touching(prediction.samples, supports))
 
 

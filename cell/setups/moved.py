@@ -9,7 +9,7 @@ import numpy as np
 
 from cell.plan.candidates import GROWN
 from cell.plan.refined import BEYOND
-from cell.plan.steps import Session
+from cell.plan.steps import PlanSession
 from cell.setups.measured import Setup
 from cell.world.measurability import PartSurface
 from planner.measurability.matrix import Measurability
@@ -28,7 +28,7 @@ def movable(setups: Mapping[int, Setup]) -> bool:
 
 
 def with_fewer(
-    run: Session,
+    session: PlanSession,
     surface: PartSurface,
     setups: Mapping[int, Setup],
     M: Mapping[int, Measurability],
@@ -38,7 +38,7 @@ def with_fewer(
     """The set-ups, matrices and views with moved views behind the candidates; what was given where none can be spared.
 
     Args:
-        run: the open run.
+        session: of the open run.
         surface: the part.
         setups: all possible ones.
         M: their matrices, over the same rows.
@@ -86,6 +86,6 @@ def with_fewer(
             T = after.T_object_scanner[moved]
             aim = T[:, :3, 3] + after.distance[moved, None] * T[:, :3, 2]
             face = candidates[row].face[chosen[after.origin[moved]]]
-            known[row], matrices[row] = setups[row].with_views(run, surface, M[row], standing_at(T, aim, face))
+            known[row], matrices[row] = setups[row].with_views(session, surface, M[row], standing_at(T, aim, face))
         left[row] = np.concatenate([stays, more]).astype(np.int64)
     return known, matrices, {row: columns for row, columns in left.items() if len(columns)}

@@ -14,7 +14,6 @@ import numpy as np
 
 from cell import scanners
 from cell.errors import UnreachableError, UsageError
-from cell.narrator import Narrator
 from cell.plan import files as plan_files
 from cell.plan import pipeline, steps
 from cell.plan.appended_candidates import behind
@@ -22,11 +21,12 @@ from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.of_run import part_of, surface_of
 from cell.plan.problem import Problem
 from cell.plan.reachable import require_reachable
-from cell.plan.steps import Cell, Job, Session
+from cell.plan.steps import Cell, Job, PlanSession
 from cell.runs.cell import scene_of_run
 from cell.runs.run import Run
 from cell.runs.schema import OpenOf
 from cell.scene.model import Scene
+from cell.session import ProgressReporter, Session, Stream
 from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, measured_by, require_one_part
 from cell.setups.growing import with_grown
@@ -58,26 +58,13 @@ class _Open:
         return ~measured_by(self.setups, samples) & ~touching(samples, self.supports)
 
 
-def plan_open(
-    runs: Sequence[Run],
-    scene: Scene,
-    *,
-    scene_path: Path | None,
-    out: Path | None,
-    argv: Sequence[str],
-    use_cache: bool,
-    narrator: Narrator,
-) -> Path:
+def plan_open(session: Session[None], runs: Sequence[Run], scene: Scene) -> Path:
     """Plan a further set-up.
 
     Args:
+        session: without a folder; without a scene file that of the first run is the origin.
         runs: finished plans of one part, the one first whose samples and candidates all have.
         scene: of the set-up; part and seed are those of the first run whatever it says.
-        scene_path: where it came from; None for that of the first run.
-        out: the run folder to make; None makes one below sim_runs/.
-        argv: for the manifest.
-        use_cache: whether matrices may be taken from and left in the cache.
-        narrator: is told what goes on.
 
     Returns:
         The run folder; its exit code is 3 where the plan stays below a coverage that was asked for.
@@ -87,27 +74,26 @@ def plan_open(
         UnreachableError: if nothing that is open can be measured in this set-up.
         FileError: if a run is damaged, or the folder cannot be written.
     """
-    with narrator.stage("read the plans"):
+    with session.stage("read the plans"):
         setups = [EarlierSetup.of(run) for run in runs]
         require_one_part(setups)
     first = runs[0]
     plan = scene.plan.model_copy(update={"seed": first.seed})
     scene = scene.model_copy(update={"part": scene_of_run(first).part, "plan": plan})
-    return pipeline.plan(
-        scene, part=part_of(first), scene_path=scene_path or first.folder / "scene.toml", out=out, argv=argv,
-        use_cache=use_cache, narrator=narrator, steps_of=partial(_steps, setups),
-    )  # fmt: skip
+    origin = replace(session.origin, scene_path=session.origin.scene_path or first.folder / "scene.toml")
+    session = replace(session, origin=origin)
+    return pipeline.plan(session, scene, part=part_of(first), steps_of=partial(_steps, setups))
 
 
-def _steps(setups: Sequence[EarlierSetup], run: Session, job: Job) -> int:
+def _steps(setups: Sequence[EarlierSetup], session: PlanSession, job: Job) -> int:
     """Steps 2 to 9 on what is open; returns 0, or 3 where the plan stays below a coverage that was asked for."""
-    surface = surface_of(setups[0].run, run, job)
-    run.drawing.part_ready(run.folder.path)
-    cell = steps.compile_cell(run, job, surface)
+    surface = surface_of(setups[0].run, session, job)
+    session.plots.part_ready(session.folder.path)
+    cell = steps.compile_cell(session, job, surface)
     _require_another(setups, cell)
-    run.drawing.cell_ready(run.folder.path)
+    session.plots.cell_ready(session.folder.path)
     left = _Open(setups, occluder_triangles(cell.world))
-    with run.step("what is open"):
+    with session.stage("what is open"):
         rows = left.asks(surface.features)
         if not rows.any():
             raise UnreachableError(
@@ -115,17 +101,17 @@ def _steps(setups: Sequence[EarlierSetup], run: Session, job: Job) -> int:
                 "set-up fewer will do, or turn the part"
             )
         surface = replace(surface, features=pick_samples(surface.features, rows))
-    candidates, reached = _candidates(left, run, job, surface, cell)
-    measured, prediction = steps.measure(run, job, surface, cell, candidates, reached)
-    with run.step("what is open of the held-out samples"):
+    candidates, reached = _candidates(left, session, job, surface, cell)
+    measured, prediction = steps.measure(session, job, surface, cell, candidates, reached)
+    with session.stage("what is open of the held-out samples"):
         samples = prediction.samples
         before, touched = measured_by(setups, samples), touching(samples, left.supports)
         prediction = replace(prediction, asked=~before & ~touched, asks=left.asks)
-    problem = steps.ask(run, job, cell, measured, prediction)
-    problem, chosen = steps.connect(run, problem, surface, behind(run, job, cell, surface))
+    problem = steps.ask(session, job, cell, measured, prediction)
+    problem, chosen = steps.connect(session, problem, surface, behind(session, job, cell, surface))
     found = _together(setups, before, touched, problem, chosen)
-    pipeline.finish(run, job, surface.planning, problem, chosen, {"open_of": found})
-    return 3 if _below(run.narrator, job, found) else 0
+    pipeline.finish(session, job, surface.planning, problem, chosen, {"open_of": found})
+    return 3 if _below(session.reporter, job, found) else 0
 
 
 def _require_another(setups: Sequence[EarlierSetup], cell: Cell) -> None:
@@ -142,20 +128,22 @@ def _require_another(setups: Sequence[EarlierSetup], cell: Cell) -> None:
             )
 
 
-def _candidates(left: _Open, run: Session, job: Job, surface: PartSurface, cell: Cell) -> tuple[Viewpoints, Reach]:
+def _candidates(
+    left: _Open, session: PlanSession, job: Job, surface: PartSurface, cell: Cell
+) -> tuple[Viewpoints, Reach]:
     """The first run's candidates, reached where the part lies now, and more for what is open.
 
     Raises:
         UnreachableError: if the arm reaches none.
     """
-    with run.step("reach and grow the candidates") as progress:
-        scouts = draw_samples(surface.reference, surface.planning, growth.SCOUTS, run.rng(steps.SCOUTS))
+    with session.stage("reach and grow the candidates") as progress:
+        scouts = draw_samples(surface.reference, surface.planning, growth.SCOUTS, session.rng(Stream.SCOUTS))
         scouts = pick_samples(scouts, left.asks(scouts))
         first = left.setups[0]
         shared, _ = scanners.unswept(first.cell.scanner, first.run.candidates)
         candidates, reached = with_grown(job, surface, cell, shared, scouts, progress)
-    plan_files.write_viewpoints(run.folder, scanners.swept(job.scanner, candidates))
-    plan_files.write_reach(run.folder, reached)
+    plan_files.write_viewpoints(session.folder, scanners.swept(job.scanner, candidates))
+    plan_files.write_reach(session.folder, reached)
     require_reachable(job.scene.plan, job.part, reached)
     return candidates, reached
 
@@ -189,18 +177,18 @@ def _together(
     )
 
 
-def _below(narrator: Narrator, job: Job, found: OpenOf) -> bool:
+def _below(reporter: ProgressReporter, job: Job, found: OpenOf) -> bool:
     """Whether a coverage that was asked for is missed; says which, and what would help."""
     plan = job.scene.plan
     plain = plan.max_views is None and plan.multiplicity == 1 and plan.pose_sd_mm == 0 == plan.pose_sd_deg
     missed = plain and plan.coverage < 1 and found.share < plan.coverage
     if missed:
-        narrator.note(
+        reporter.note(
             f"this set-up measures {100 * found.share:.2f} % of what was open and can be measured in it, less than the "
             f"{100 * plan.coverage:g} % asked for: what is left is shaded by the arm or falls between all samples"
         )
     if found.together < plan.required_visible:
-        narrator.note(
+        reporter.note(
             f"all set-ups measure {100 * found.together:.2f} % of the surface, less than the "
             f"{100 * plan.required_visible:g} % required; go on with another set-up of what these leave open"
         )

@@ -14,13 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import SceneError, UnreachableError, UsageError
-from cell.narrator import Narrator
 from cell.part.workpiece import Workpiece
 from cell.plan import candidates, pipeline, steps
 from cell.plan import files as plan_files
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
-from cell.plan.steps import Job, Session
+from cell.plan.steps import Job, PlanSession
 from cell.runs.run import open_finished
 from cell.runs.schema import (
     ChosenSetup,
@@ -31,6 +30,7 @@ from cell.runs.schema import (
     ViewsFirst,
 )
 from cell.scene.model import Scene, complete
+from cell.session import Session, Stream
 from cell.setups.joint import JointCover
 from cell.setups.left_open import left_open
 from cell.setups.measured import Setup, compiled_world, measured_setup
@@ -53,32 +53,17 @@ from planner.viewpoints import growth
 PROPOSED = 24
 """Poses that are proposed where neither the scene nor the user says which."""
 
-_ASKED = 8  # stream of randomness, as of `cell.plan.steps`: what any pose would measure
 _SAME = 1e-5  # m, and entries of a rotation
 
 
-def plan_setups(
-    scene: Scene,
-    *,
-    options: SetupOptions,
-    part: Workpiece | None,
-    scene_path: Path | None,
-    out: Path | None,
-    argv: Sequence[str],
-    use_cache: bool,
-    narrator: Narrator,
-) -> Path:
+def plan_setups(session: Session[None], scene: Scene, *, options: SetupOptions, part: Workpiece | None = None) -> Path:
     """Plan several set-ups.
 
     Args:
+        session: without a folder; this function makes it.
         scene: the checked scene; its placement says where the part's centre and its lowest point are.
         options: how many set-ups, and which.
         part: in place of the scene's.
-        scene_path: where the scene came from; None for the built-in one.
-        out: the folder to make; None makes one below sim_runs/.
-        argv: for the manifests.
-        use_cache: whether matrices may be taken from and left in the cache.
-        narrator: is told what goes on.
 
     Returns:
         The folder: setups.json, report.md, and a run folder for each set-up below setups/.
@@ -90,24 +75,21 @@ def plan_setups(
     options.check(scene)
     if options.offer == 0 and not scene.setup:
         raise UsageError("no set-up is offered: give [[setup]] tables in the scene, or let some be proposed")
-    return pipeline.plan(
-        scene, part=part, scene_path=scene_path, out=out, argv=argv, use_cache=use_cache, narrator=narrator,
-        steps_of=partial(_steps, options, scene_path, narrator), drawn=scene.plan.curve,
-    )  # fmt: skip
+    return pipeline.plan(session, scene, part=part, steps_of=partial(_steps, options), drawn=scene.plan.curve)
 
 
-def _steps(options: SetupOptions, scene_path: Path | None, narrator: Narrator, run: Session, job: Job) -> int:
+def _steps(options: SetupOptions, session: PlanSession, job: Job) -> int:
     """All of it, into the open folder; returns 0, or 3 where a coverage that was asked for is missed."""
     usual = 0 if job.scene.setup else PROPOSED
-    surface, offers, tried = _offered(run, job, usual if options.offer is None else options.offer)
+    surface, offers, tried = _offered(session, job, usual if options.offer is None else options.offer)
     setups = {row: found for row, found in enumerate(tried) if isinstance(found, Setup)}
     if not any(len(setup.measured.M.indices) for setup in setups.values()):
         told = next((found for found in tried if isinstance(found, str)), "no candidate measures anything")
         raise UnreachableError(f"none of the {len(offers)} set-ups offered can be planned ({told}); move the part")
     require_named(options, tried)
-    with run.step("select and connect"):
+    with session.stage("select and connect"):
         asked = Asked.of(job.scene, options)
-        search = Search(run, surface, setups, asked)
+        search = Search(session, surface, setups, asked)
         found, connected = search.result()
         first = search.views_first(found)
         setups = dict(search.setups)
@@ -115,48 +97,48 @@ def _steps(options: SetupOptions, scene_path: Path | None, narrator: Narrator, r
     seen = np.logical_or.reduce(list(visible.values()))
     for row, each in enumerate(offers):
         if each.given is not None and row not in connected:
-            run.narrator.note(f"the set-up '{each.name}' is left out: {left_out(setups.get(row, tried[row]), seen)}")
+            session.note(f"the set-up '{each.name}' is left out: {left_out(setups.get(row, tried[row]), seen)}")
     order = sorted(visible, key=lambda row: (-int(visible[row].sum()), row))
     for number, row in enumerate(order, start=1):
         setup, (problem, plan) = setups[row], connected[row]
         pipeline.plan(
-            setup.job.scene, part=job.part, scene_path=scene_path, out=run.folder.path / "setups" / str(number),
-            argv=run.folder.manifest.argv, use_cache=run.use_cache, narrator=narrator,
+            session.closed(session.folder.path / "setups" / str(number)), setup.job.scene, part=job.part,
             steps_of=partial(_write, surface, problem, plan),
         )  # fmt: skip
     used = [(row, visible[row]) for row in order]
-    file = _file(run, job, asked, setups, found, offers, tried, used).model_copy(
+    file = _file(session, job, asked, setups, found, offers, tried, used).model_copy(
         update={"views_first": None if first is None else ViewsFirst(setups=first[0], views=first[1])}
     )
     if job.scene.plan.curve:
-        with run.step("coverage over views"):
+        with session.stage("coverage over views"):
             file = file.model_copy(update={"curve": search.curve(connected)})
-            run.drawing.finish(run.folder)
-    run.folder.write_json("setups.json", file.as_json())
-    run.folder.write_text("report.md", page(file))
+            for path in session.plots.finish():
+                session.folder.adopt(path.name)
+    session.folder.write_json("setups.json", file.as_json())
+    session.folder.write_text("report.md", page(file))
     for number in apart(file.shared, range(1, len(order) + 1)):
-        run.narrator.note(
+        session.note(
             f"what set-up {number} measures together with others leaves its scans free to move against theirs, and no "
             "candidate helps: the reference alone will hold them together"
         )
     missed = asked.promises and file.coverage.visible_of_coverable < file.coverage.asked < 1
     if missed:
-        run.narrator.note(
+        session.note(
             f"the set-ups measure {100 * file.coverage.visible_of_coverable:.2f} % of what can be measured, less than "
             f"the {100 * file.coverage.asked:g} % asked for; allow more set-ups, or ask for less"
         )
     return 3 if missed or file.coverage.visible < job.scene.plan.required_visible else 0
 
 
-def _offered(run: Session, job: Job, most: int) -> tuple[PartSurface, list[Offer], list[Setup | str]]:
+def _offered(session: PlanSession, job: Job, most: int) -> tuple[PartSurface, list[Offer], list[Setup | str]]:
     """The rows that all set-ups share, what is offered, and each as it was measured, or why it cannot be."""
-    with run.step("decimate and sample"):
+    with session.stage("decimate and sample"):
         reference = job.part.reference
         planning = decimate(reference, job.settings.faces)
         shared = candidates.first(job.scene, job.settings, job.part, planning)
-        features = surface_features(job.scene, reference, planning, run.rng(steps.FEATURES))
+        features = surface_features(job.scene, reference, planning, session.rng(Stream.MATRIX_SAMPLES))
         surface = PartSurface(reference, planning, features, EmbreeRayCaster(reference.vertices, reference.faces))
-        scouts = draw_samples(reference, planning, growth.SCOUTS, run.rng(steps.SCOUTS))
+        scouts = draw_samples(reference, planning, growth.SCOUTS, session.rng(Stream.SCOUTS))
         poses = given(job.scene)
         # Where none is proposed, the scene's own placement is none of those that are offered.
         placed = [job.scene] if most else [job.scene.model_copy(update={"placement": each.placement}) for each in poses]
@@ -165,8 +147,8 @@ def _offered(run: Session, job: Job, most: int) -> tuple[PartSurface, list[Offer
         offers = _distinct([*poses, *proposed(world, reference, most)])
         if job.scene.setup == () and len({offer.name.split(",")[0] for offer in offers}) == 1 < most:
             turned = ", turned," if len(offers) > 1 else ""
-            run.narrator.note(f"the part has no other stable pose: it is offered as it is placed{turned} alone")
-    tried = [measured_setup(run, job, surface, world, each, shared, scouts) for each in offers]
+            session.note(f"the part has no other stable pose: it is offered as it is placed{turned} alone")
+    tried = [measured_setup(session, job, surface, world, each, shared, scouts) for each in offers]
     return surface, offers, tried
 
 
@@ -205,30 +187,30 @@ def _distinct(offers: list[Offer]) -> list[Offer]:
     return kept
 
 
-def _write(surface: PartSurface, problem: Problem, chosen: ConnectedPlan, run: Session, job: Job) -> int:
+def _write(surface: PartSurface, problem: Problem, chosen: ConnectedPlan, session: PlanSession, job: Job) -> int:
     """The run folder of one set-up, of what is known already."""
-    with run.step("write the plan"):
-        plan_files.write_meshes(run.folder, surface.reference, surface.planning)
-        run.drawing.part_ready(run.folder.path)
-    steps.compile_cell(run, job, surface)
-    plan_files.write_viewpoints(run.folder, problem.candidates)
-    plan_files.write_reach(run.folder, problem.reached)
-    plan_files.write_measurability(run.folder, problem.M)
-    run.drawing.cell_ready(run.folder.path)
+    with session.stage("write the plan"):
+        plan_files.write_meshes(session.folder, surface.reference, surface.planning)
+        session.plots.part_ready(session.folder.path)
+    steps.compile_cell(session, job, surface)
+    plan_files.write_viewpoints(session.folder, problem.candidates)
+    plan_files.write_reach(session.folder, problem.reached)
+    plan_files.write_measurability(session.folder, problem.M)
+    session.plots.cell_ready(session.folder.path)
     status = "one of several set-ups that one cover was planned for; how few views are needed stands there"
     told = {"status": status, "of_several": True}
-    pipeline.finish(run, job, surface.planning, problem, chosen, told)
+    pipeline.finish(session, job, surface.planning, problem, chosen, told)
     return 0
 
 
 def _file(
-    run: Session, job: Job, asked: Asked, setups: Mapping[int, Setup], found: JointCover, offers: list[Offer],
+    session: PlanSession, job: Job, asked: Asked, setups: Mapping[int, Setup], found: JointCover, offers: list[Offer],
     tried: list[Setup | str], used: list[tuple[int, Bools]],
 ) -> SetupsFile:  # fmt: skip
     """What setups.json says."""
     chosen, seen = [], np.zeros_like(used[0][1])
     for number, (row, visible) in enumerate(used, start=1):
-        plan = open_finished(run.folder.path / "setups" / str(number))
+        plan = open_finished(session.folder.path / "setups" / str(number))
         adds = float((visible & ~seen).mean())
         seen = seen | visible
         chosen.append(
@@ -248,7 +230,7 @@ def _file(
     )  # fmt: skip
     return SetupsFile(
         part=job.part.name,
-        seed=run.seed,
+        seed=session.seed,
         coverage=coverage,
         status=status(found, len(offers), asked.request.asked),
         setups_bound=found.setups_bound,
@@ -261,7 +243,7 @@ def _file(
         chosen=tuple(chosen),
         offered=tuple(_told(offer, each) for offer, each in zip(offers, tried, strict=True)),
         shared=shared({number: visible for number, (_, visible) in enumerate(used, start=1)}, _samples(setups)),
-        open=left_open(setups, [row for row, _ in used], seen, run.rng(_ASKED)),
+        open=left_open(setups, [row for row, _ in used], seen, session.rng(Stream.ATTAINABLE_SAMPLES)),
     )
 
 

@@ -17,9 +17,10 @@ from cell.plan import denser_samples, steps
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import PinnedOutError
 from cell.plan.problem import Problem as PlanProblem
-from cell.plan.steps import Session
+from cell.plan.steps import PlanSession
 from cell.plan.view_plan import choose_and_connect, first_choice
 from cell.runs.schema import Curve
+from cell.session import Stream
 from cell.setups.joint import JointCover, joint_cover, views_first
 from cell.setups.measured import Setup
 from cell.setups.moved import movable, with_fewer
@@ -47,14 +48,14 @@ class Search:
     """What is known while covers are tried.
 
     Args:
-        run: the open run; nothing is written.
+        session: of the open run.
         surface: the part.
         setups: the possible ones, by their rows among those offered.
         asked: of all of them together.
     """
 
-    def __init__(self, run: Session, surface: PartSurface, setups: Mapping[int, Setup], asked: Asked) -> None:
-        self._run, self._surface, self._asked = run, surface, asked.about(run, setups)
+    def __init__(self, session: PlanSession, surface: PartSurface, setups: Mapping[int, Setup], asked: Asked) -> None:
+        self._session, self._surface, self._asked = session, surface, asked.about(session, setups)
         self._setups = dict(setups)
         self._M = {row: setup.measured.M for row, setup in setups.items()}  # as the arms leave it
         self._usable = {row: np.array(setup.measured.reached.reachable) for row, setup in setups.items()}
@@ -62,8 +63,8 @@ class Search:
             self._usable[row][column] = False
         self._targets, self._rounds = asked.request.asked, 0
         self._spread = next(iter(setups.values())).prediction.samples
-        self._fresh = run.rng(steps.FRESH)
-        self._chooses = run.rng(steps.SELECTION)
+        self._fresh = session.rng(Stream.FRESH_SAMPLES)
+        self._chooses = session.rng(Stream.SELECTION)
 
     def result(self) -> tuple[JointCover, Connected]:
         """The cover, and the plan of each set-up that it uses; the last one tried where none keeps the coverage.
@@ -131,9 +132,11 @@ class Search:
             [self._usable[row][: plan.matrix.n_viewpoints] for row, (_, plan) in connected.items()]
         )
         wish = Problem(matrix, areas, allowed, pinned=[place[name] for name in self._asked.own.pins])
-        curve = coverage_curve(wish, rng=self._run.rng(steps.CURVE), known=[views])
+        curve = coverage_curve(
+            wish, rng=self._session.rng(Stream.COVERAGE_CURVE), known=[views], budget=self._session.effort.curve_work
+        )
         covered = float(areas[np.asarray(matrix[:, views].sum(axis=1)).ravel() > 0].sum())
-        curves.write(self._run.folder, self._run.drawing, curve, len(views), covered, lambda k: named(names[k]))
+        curves.write(self._session.folder, self._session.plots, curve, len(views), covered, lambda k: named(names[k]))
         return curves.fewest_of(curve)
 
     @property
@@ -155,7 +158,7 @@ class Search:
             return None
         chosen = {rows[index]: views for index, views in found.views.items()}
         self._setups, self._M, views = with_fewer(
-            self._run, self._surface, self._setups, self._M, chosen, float(found.rows.wanted[0])
+            self._session, self._surface, self._setups, self._M, chosen, float(found.rows.wanted[0])
         )
         if sum(map(len, views.values())) == found.n_views:
             return None
@@ -180,7 +183,7 @@ class Search:
                 found, connected = held, plans
         for row, (problem, plan) in connected.items():
             if problem.request.plan.overlap_in_order and plan.selected.answer is None:
-                self._run.narrator.note(
+                self._session.note(
                     f"the views of set-up {row} of those offered hang together through other set-ups alone: they are "
                     "visited in the fastest order"
                 )
@@ -272,11 +275,14 @@ class Search:
         given = scene.plan.of_views(views, len(setup.measured.reached)).ordered_as(scene.plan)
         asked = replace(setup.job, scene=scene.model_copy(update={"plan": given}))
         measured = replace(setup.measured, M=self._M[row])
-        problem = steps.ask(self._run, asked, setup.cell, measured, setup.prediction)
-        chooses = self._run.rng(steps.SELECTION)
+        problem = steps.ask(self._session, asked, setup.cell, measured, setup.prediction)
+        chooses = self._session.rng(Stream.SELECTION)
         try:
             chosen = choose_and_connect(
-                problem, first_choice(problem, chooses), selection_rng=chooses, motion_rng=self._run.rng(steps.MOTION)
+                problem,
+                first_choice(problem, chooses),
+                selection_rng=chooses,
+                motion_rng=self._session.rng(Stream.MOTION),
             )
         except PinnedOutError as error:
             if (row, error.candidate) in self._asked.own.pins:

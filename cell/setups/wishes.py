@@ -11,7 +11,7 @@ from cell.plan import steps
 from cell.plan.pose_uncertainty import pose_error
 from cell.plan.region_goals import RegionGoals
 from cell.plan.request import Request
-from cell.plan.steps import Session
+from cell.plan.steps import PlanSession
 from cell.scene.model import Scene, complete
 from cell.setups.measured import Setup
 from cell.setups.options import SetupOptions, named
@@ -76,12 +76,12 @@ class Asked:
             )
         return cls(Request(scene.plan, goals=goals), own)
 
-    def about(self, run: Session, setups: Mapping[int, Setup]) -> "Asked":
+    def about(self, session: PlanSession, setups: Mapping[int, Setup]) -> "Asked":
         """With what the wishes need to know of the set-ups: seconds of views, probabilities under pose errors."""
         seconds, layers = dict[int, Floats](), dict[int, ProbabilityLayer]()
         for row, setup in setups.items():
             job = replace(setup.job, scene=setup.job.scene.model_copy(update={"plan": self.request.plan}))
-            told = steps.ask(run, job, setup.cell, setup.measured, setup.prediction).request
+            told = steps.ask(session, job, setup.cell, setup.measured, setup.prediction).request
             seconds |= {} if told.costs is None else {row: told.costs}
             layers |= {} if told.layer is None else {row: told.layer}
         return replace(self, seconds=seconds, layers=layers)

@@ -19,6 +19,7 @@ from cell.scene import settle
 from cell.scene.model import Scene, require_no_wishes
 from cell.scene.regions import with_regions
 from cell.scene.settle import Settings, resolve
+from cell.session import Stream, random_stream
 from cell.world import virtual_scan
 from cell.world.checks import require_possible
 from cell.world.collision import MujocoCollisionChecker
@@ -40,9 +41,6 @@ from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 Mask = NDArray[np.bool_]
-
-_SUBSET = 5  # the stream of randomness that the candidates of a quick look are drawn from
-_FEATURES = 0  # the stream of randomness that `cell plan` draws its samples from
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,10 +75,10 @@ class Bench:
 
     Args:
         scene: a checked scene.
-        samples: held-out samples to judge with; the definition of coverage has 100,000.
+        samples: held-out samples to judge with; None: those of the default effort.
     """
 
-    def __init__(self, scene: Scene, *, samples: int = coverage.SAMPLES) -> None:
+    def __init__(self, scene: Scene, *, samples: int | None = None) -> None:
         require_no_wishes(scene.region)
         self.part: Workpiece = with_regions(workpiece.load(scene.part.source, scene.part.units), scene)
         self.scene = scene = settle.by_part(scene, self.part)
@@ -157,7 +155,7 @@ class Bench:
         if known is None:
             dense = {"fill": fill, "samples_per_face": density * self.scene.plan.samples_per_face}
             scene = self.scene.model_copy(update={"plan": self.scene.plan.model_copy(update=dense)})
-            rng = np.random.default_rng([self.scene.plan.seed, _FEATURES])
+            rng = random_stream(self.scene.plan.seed, Stream.MATRIX_SAMPLES)
             features = surface_features(scene, self.part.reference, self.planning, rng)
             surface = PartSurface(self.part.reference, self.planning, features, self.caster)
             M = part_matrix(scene, self.settings, surface, candidates)
@@ -173,7 +171,7 @@ class Bench:
         if count is None or count >= len(self.zone):
             return self.zone, self.matrix("aimed", self.zone)
         if count not in self._some:
-            rng = np.random.default_rng([self.scene.plan.seed, _SUBSET])
+            rng = random_stream(self.scene.plan.seed, Stream.CANDIDATE_SUBSET)
             which = np.sort(rng.permutation(len(self.zone))[:count])
             M = pick_measurability(self.matrix("aimed", self.zone), which)
             self._some[count] = pick_viewpoints(self.zone, which), M

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from cell import caches
 from cell.errors import FileError
-from cell.narrator import Narrator
+from cell.session import ProgressReporter
 from cell.study.run import run
 from cell.study.trial import Outcome, Trial
 from cell.study.workers import Workers
@@ -100,7 +100,12 @@ class StudyResult:
 
 
 def conduct(
-    study: Study, workers: Workers, *, out: Path | None, narrator: Narrator, plan: Sequence[object] = ("cell", "plan")
+    study: Study,
+    workers: Workers,
+    *,
+    out: Path | None,
+    reporter: ProgressReporter,
+    plan: Sequence[object] = ("cell", "plan"),
 ) -> StudyResult:
     """Run a study and write its folder.
 
@@ -108,19 +113,19 @@ def conduct(
         study: what is asked.
         workers: who computes.
         out: the folder; None: sim_runs/study-<name>.
-        narrator: is told of progress and of trials that fail.
+        reporter: is told of progress and of trials that fail.
         plan: the command that plans the study's scene, to which a row's options are added.
 
     Raises:
         FileError: if the folder holds something else or cannot be written.
     """
     folder = study_folder(study.name, out)
-    with narrator.stage(study.title, time_left=True) as progress:
+    with reporter.stage(study.title, time_left=True) as progress:
 
         def told(done: int, total: int, outcome: Outcome) -> None:
             progress(done, total)
             if outcome.failure:
-                narrator.note(f"trial {outcome.trial.settings} failed: {outcome.failure}; the study goes on")
+                reporter.note(f"trial {outcome.trial.settings} failed: {outcome.failure}; the study goes on")
 
         outcomes = run(study.trials, workers, told=told)
     rows = study.rows([outcome for outcome in outcomes if not outcome.failure])

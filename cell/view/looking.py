@@ -12,12 +12,12 @@ from pathlib import Path
 
 from cell import caches, scanners
 from cell.errors import CellError, FileError, UsageError
-from cell.narrator import Narrator
 from cell.runs.run import EXECUTIONS, Execution, open_run, read_execution
 from cell.runs.schema import NAME as EXPLORATION
 from cell.runs.schema import ScannerKeys
 from cell.scene.file import load_scene
 from cell.scene.model import Scene
+from cell.session import ProgressReporter
 from cell.view.contents import NAME, execution_page, run_page
 from cell.view.explore_page import explore_page
 from cell.view.page import Play, Shown, Stage, html_of, thinned
@@ -29,20 +29,20 @@ _LOOK_S = 0.3  # between two looks at a file that is watched
 _WITHOUT_PART = "the page shows the last scene that could be read"
 
 
-def page_of(what: Path | None, out: Path | None, narrator: Narrator) -> Path:
+def page_of(what: Path | None, out: Path | None, reporter: ProgressReporter) -> Path:
     """The page of a scene file, run, execution, exploration or study: the one in its folder, else one that is made.
 
     Args:
         what: scene file, or folder of a run, an execution, an exploration or a study; None is the built-in scene.
         out: file to write; None writes a temporary one.
-        narrator: is told what goes on.
+        reporter: is told what goes on.
 
     Raises:
         CellError: if it cannot be read or written.
     """
     if what is not None and what.is_dir() and out is None and (what / NAME).is_file():
         return what / NAME
-    with narrator.stage("draw the page"):
+    with reporter.stage("draw the page"):
         if what is not None and (what / "study.json").is_file():
             text = study_page(what)
         elif what is not None and (what / EXPLORATION).is_file():
@@ -94,7 +94,11 @@ def write(text: str, out: Path | None) -> Path:
 
 
 def watch(
-    file: Path, out: Path | None, narrator: Narrator, opened: Callable[[Path], None], wait: Callable[[float], None]
+    file: Path,
+    out: Path | None,
+    reporter: ProgressReporter,
+    opened: Callable[[Path], None],
+    wait: Callable[[float], None],
 ) -> None:
     """Draw a scene file again whenever it is saved, until the wait is interrupted.
 
@@ -103,7 +107,7 @@ def watch(
     Args:
         file: the scene file.
         out: file to write; None writes a temporary one.
-        narrator: is told what is wrong.
+        reporter: is told what is wrong.
         opened: called with the page when it is there.
         wait: lets seconds pass.
 
@@ -119,7 +123,7 @@ def watch(
             except CellError as error:
                 if stage is None:
                     raise
-                narrator.note(str(error))
+                reporter.note(str(error))
                 stage = replace(stage, watched=stamp)
                 play = Play(problems=[str(error)], notes=[_WITHOUT_PART])
             first, path = path is None or not before, write(html_of(stage, play), path)

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import JsonValue
 
-from cell.narrator import Narrator
 from cell.plan.candidates import arm_of
 from cell.runs.cell import read_cell, world_of
 from cell.runs.run import Run
+from cell.session import ProgressReporter, Stream, default_effort, random_stream
 from cell.why.turns import TURNS, carried, place_of, turned
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
@@ -24,13 +24,12 @@ from cell.world.prediction import held_out
 from planner.geometry.sampling import SurfaceSamples, pick_samples
 from planner.measurability.visibility import measured
 from planner.values import Floats, Ints
-from planner.viewpoints.attainable import ASKED, attainable
+from planner.viewpoints.attainable import attainable
 from planner.viewpoints.growth import Arm
 from planner.viewpoints.lines_of_sight import Targets
 
 _ASIDE = ((0, 0), (200, 0), (-200, 0), (0, 200), (0, -200))  # mm, x and y of other places
 _ABOVE = (0, 200, 400)  # mm
-_STREAM = 10  # of randomness: which samples are asked about
 TOLD = 4
 """Other places that are told, the best first."""
 
@@ -58,15 +57,15 @@ class Advice:
         }  # fmt: skip
 
 
-def advise(run: Run, narrator: Narrator) -> tuple[float, list[Advice]]:
+def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
     """What the plan measures of the surface, and what to try: second set-ups, then the best of other places."""
-    with narrator.stage("read the run"):
+    with reporter.stage("read the run"):
         cell, plan = read_cell(run), run.plan
         world = world_of(run, cell.reference)
         samples = held_out(cell.reference, cell.planning, run.seed)
         views = run.candidates.T_object_scanner[[view.id for view in plan.views]]
         seen = measured(views, samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
-    rng = np.random.default_rng([run.seed, _STREAM])
+    rng = random_stream(run.seed, Stream.ADVICE_SAMPLES)
     visible = float(seen.mean())
 
     def arm(there: World | None) -> Arm | None:
@@ -76,17 +75,17 @@ def advise(run: Run, narrator: Narrator) -> tuple[float, list[Advice]]:
         return arm_of(there, there.kinematics, checker, cell.scanner, casters)
 
     found: list[Advice] = []
-    left = np.sort(rng.permutation(np.flatnonzero(~seen))[:ASKED])
-    with narrator.stage("second set-ups") as progress:
+    left = np.sort(rng.permutation(np.flatnonzero(~seen))[: default_effort().searched_samples])
+    with reporter.stage("second set-ups") as progress:
         for done, (turn, _, T_base_centre, there) in enumerate(turned(world)):
             progress(done, len(TURNS))
             share, error = _share(samples, left, arm(there))
             what, command = f"{turn}, beside this plan", open_of(run, T_base_centre)
             found.append(Advice(what, visible + (1.0 - visible) * share, (1.0 - visible) * error, command))
     places: list[Advice] = []
-    some = np.sort(rng.permutation(len(samples))[:ASKED])
+    some = np.sort(rng.permutation(len(samples))[: default_effort().searched_samples])
     asides = list(_elsewhere(world))
-    with narrator.stage("other places") as progress:
+    with reporter.stage("other places") as progress:
         for done, (what, T_base_centre) in enumerate(asides):
             progress(done, len(asides))
             share, error = _share(samples, some, arm(carried(world, T_base_centre)))

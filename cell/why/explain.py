@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import UsageError
-from cell.narrator import Narrator
 from cell.runs.cell import collision_note, read_cell, world_of
 from cell.runs.run import Run, open_finished, reading
 from cell.runs.schema import PlanFile, PlanView, WhyReport
+from cell.session import ProgressReporter, default_effort
 from cell.view.contents import of_views
 from cell.view.surface import canvas_of
 from cell.why import files as why_files
@@ -27,7 +27,6 @@ from cell.why.groups import grouped
 from cell.why.search import search
 from cell.world.embree import EmbreeRayCaster
 from cell.world.prediction import held_out
-from planner.measurability import coverage
 from planner.viewpoints.lines_of_sight import Targets
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import why
@@ -47,12 +46,12 @@ class WhyOutcome:
     summary: WhyReport
 
 
-def explain(run_folder: Path, narrator: Narrator, *, samples: int | None = None) -> WhyOutcome:
+def explain(run_folder: Path, reporter: ProgressReporter, *, samples: int | None = None) -> WhyOutcome:
     """Say why a finished plan leaves parts of the surface open, and write the files.
 
     Args:
         run_folder: of a finished plan.
-        narrator: is told what goes on.
+        reporter: is told what goes on.
         samples: how many held-out samples; None takes those of the definition.
 
     Raises:
@@ -61,30 +60,30 @@ def explain(run_folder: Path, narrator: Narrator, *, samples: int | None = None)
     if samples is not None and samples < 1:
         raise UsageError(f"--samples {samples} is not possible; at least 1 sample is needed")
     run = open_finished(run_folder)
-    answer = answer_of(run, narrator, coverage.SAMPLES if samples is None else samples)
-    with narrator.stage("write"):
+    answer = answer_of(run, reporter, default_effort().held_out_samples if samples is None else samples)
+    with reporter.stage("write"):
         summary = why_files.report_of(answer, run)
         folder = why_files.write(run, answer, summary)
     return WhyOutcome(folder, summary)
 
 
-def answer_of(run: Run, narrator: Narrator, count: int) -> Answer:
+def answer_of(run: Run, reporter: ProgressReporter, count: int) -> Answer:
     """The whole on one screen."""
-    with narrator.stage("read the run"):
+    with reporter.stage("read the run"):
         cell, plan = read_cell(run), run.plan
         candidates = _as_executed(run.candidates, plan.views)
         fails, blockers = _failing(run, plan, len(candidates))
         world = world_of(run, cell.reference)
         for sentence in collision_note(cell.scene):
-            narrator.note(sentence)
+            reporter.note(sentence)
         scanner, part_caster, occluder_caster = cell.scanner, cell.part_caster, cell.occluder_caster
-    with narrator.stage("what stays open"):
+    with reporter.stage("what stays open"):
         samples = held_out(cell.reference, cell.planning, run.seed, count)
         targets = Targets.of(samples.points, samples.normals, samples.region)
         views = candidates.T_object_scanner[[view.id for view in plan.views]]
         surface = of_views(cell, samples, list(views))
         rows = np.flatnonzero(~surface.seen.any(axis=1))
-    with narrator.stage("reasons") as progress:
+    with reporter.stage("reasons") as progress:
         diagnosis = why.diagnose(
             targets, rows, candidates, scanner, part_caster, occluder_caster, fails, progress=progress
         )
@@ -94,7 +93,7 @@ def answer_of(run: Run, narrator: Narrator, count: int) -> Answer:
         of_robot = (diagnosis.reason >= Reason.OUT_OF_REACH) & (diagnosis.reason < Reason.NOT_SELECTED)
         for i in np.flatnonzero(of_robot):
             what[i] = blockers[diagnosis.pose[i] // K]
-    with narrator.stage("changes") as progress:
+    with reporter.stage("changes") as progress:
         changes = Changes(
             world, lambda name: world_of(run, cell.reference, without=(name,)), cell, candidates,
             np.flatnonzero(fails == Reason.NOT_SELECTED),

@@ -20,6 +20,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.session import default_effort
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from planner.ports import Progress
 from planner.values import Floats, Value
@@ -27,7 +28,6 @@ from planner.values import Floats, Value
 TOLERANCE = 2e-4
 """How far the true minimum may be below the one that is said [m], where it is near."""
 
-_SHARE = 0.05  # of the distance: the tolerance where it is far
 _MOST = 4_000  # configurations looked at in a segment; what is then left open widens the gap that is said
 
 
@@ -130,7 +130,7 @@ class _Search:
     """
 
     def __init__(self, checker: MujocoCollisionChecker) -> None:
-        self._checker = checker
+        self._checker, self._share = checker, default_effort().clearance_share
         self.best, self.at_least = DISTANCE_CAP, DISTANCE_CAP
         self.pair = -1
         self.q: Floats | None = None
@@ -144,7 +144,7 @@ class _Search:
         checks = 0
         while open_intervals:
             bound, left, right = heapq.heappop(open_intervals)
-            if bound >= self.best - max(TOLERANCE, _SHARE * self.best) or checks >= _MOST:
+            if bound >= self.best - max(TOLERANCE, self._share * self.best) or checks >= _MOST:
                 self.at_least = min(self.at_least, bound)
                 break
             checks += 1

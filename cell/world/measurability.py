@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from cell import caches, scanners
 from cell.errors import FileError, SceneError
-from cell.narrator import Narrator
 from cell.scene.model import Scene
 from cell.scene.settle import Settings
+from cell.session import ProgressReporter
 from planner.geometry.closest import closest_facing_faces
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples, join_samples, samples_at_face_centres
@@ -262,7 +262,7 @@ def part_matrix(
     surface: PartSurface,
     candidates: Viewpoints,
     *,
-    narrator: Narrator | None = None,
+    reporter: ProgressReporter | None = None,
     use_cache: bool = True,
     progress: Progress | None = None,
 ) -> Measurability:
@@ -273,14 +273,14 @@ def part_matrix(
         settings: for the scanner's numbers.
         surface: the part and the rows.
         candidates: the columns.
-        narrator: is told when a cached matrix is refused or cannot be kept.
+        reporter: is told when a cached matrix is refused or cannot be kept.
         use_cache: whether to look into the cache and to leave the result there.
         progress: called with (poses done, poses in all).
     """
     method, reference, planning, features = scene.plan.fill, surface.reference, surface.planning, surface.features
     if features.region is not None:  # what is asked of a region is applied afterwards; the cache knows of none
         whole = replace(surface, features=replace(features, region=None))
-        M = part_matrix(scene, settings, whole, candidates, narrator=narrator, use_cache=use_cache, progress=progress)
+        M = part_matrix(scene, settings, whole, candidates, reporter=reporter, use_cache=use_cache, progress=progress)
         return replace(M, features=features)
     scanner = scanners.make(scene.scanner.type, settings.planning_scanner if method == "rays" else settings.scanner)
     parameters = scanners.identity(scene.scanner.type, scanner)
@@ -310,10 +310,10 @@ def part_matrix(
         return calculated(candidates)
     cached = load(path, key) if path.exists() else None
     if cached is None or cached.measurability is None:
-        if cached is not None and narrator is not None:
-            narrator.note(f"a cached matrix is not used: {cached.reason}; it is calculated anew")
+        if cached is not None and reporter is not None:
+            reporter.note(f"a cached matrix is not used: {cached.reason}; it is calculated anew")
         M = calculated(candidates)
-        _keep(path, M, key, hashes, narrator)
+        _keep(path, M, key, hashes, reporter)
         return M
     place = cached.place_of(hashes)
     missing = np.flatnonzero(place < 0)
@@ -323,9 +323,9 @@ def part_matrix(
     place[missing] = cached.measurability.n_viewpoints + np.arange(len(missing))
     wanted = _columns(M, place)
     if M.n_viewpoints > _KEPT * len(candidates):
-        _keep(path, wanted, key, hashes, narrator)
+        _keep(path, wanted, key, hashes, reporter)
     else:
-        _keep(path, M, key, np.concatenate([cached.columns, hashes[missing]]), narrator)
+        _keep(path, M, key, np.concatenate([cached.columns, hashes[missing]]), reporter)
     return wanted
 
 
@@ -334,13 +334,13 @@ def _columns(M: Measurability, place: NDArray[np.int64]) -> Measurability:
     return M if np.array_equal(place, np.arange(M.n_viewpoints)) else pick_measurability(M, place)
 
 
-def _keep(path: Path, M: Measurability, key: str, columns: Hashes, narrator: Narrator | None) -> None:
+def _keep(path: Path, M: Measurability, key: str, columns: Hashes, reporter: ProgressReporter | None) -> None:
     try:
         save(path, M, key, columns)
         forget_oldest(path.parent, CACHE_LIMIT_BYTES)
     except FileError as error:
-        if narrator is not None:
-            narrator.note(f"the matrix is not kept for the next run: {error}")
+        if reporter is not None:
+            reporter.note(f"the matrix is not kept for the next run: {error}")
 
 
 def forget_oldest(folder: Path, limit: int) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.session import Stream, default_effort, random_stream
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.measurability import coverage
@@ -14,22 +15,18 @@ from planner.measurability.visibility import Remembered, measured
 from planner.ports import Progress, RayCaster, Scanner
 from planner.values import Bools, Floats
 
-HELD_OUT_STREAM = 1
-"""Stream of randomness of the held-out samples: plan, execution and `cell why` speak of the same ones."""
 
-
-def held_out(
-    reference: TriangleMesh, planning: TriangleMesh, seed: int, count: int = coverage.SAMPLES
-) -> SurfaceSamples:
+def held_out(reference: TriangleMesh, planning: TriangleMesh, seed: int, count: int | None = None) -> SurfaceSamples:
     """The samples on which coverage is predicted and achieved, not those that the optimiser sees.
 
     Args:
         reference: the part [m], object frame.
         planning: its decimated copy.
         seed: the plan's.
-        count: how many; the definition of coverage has 100,000.
+        count: how many; None: that of the default effort. The definition of coverage has 100,000.
     """
-    return draw_samples(reference, planning, count, np.random.default_rng([seed, HELD_OUT_STREAM]))
+    count = default_effort().held_out_samples if count is None else count
+    return draw_samples(reference, planning, count, random_stream(seed, Stream.HELD_OUT_SAMPLES))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

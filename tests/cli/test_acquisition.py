@@ -23,7 +23,8 @@ from cell.runs import ply
 from cell.runs.run import open_run, read_scan
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
-from cell.scan.work import ScanOutcome
+from cell.scan.post_processing import ScanOutcome
+from cell.session import Session
 from planner.geometry.closest import ClosestPointQuery
 
 PACKAGE = Path(__file__).parents[1] / "third_party_points"
@@ -37,9 +38,8 @@ def run(executed: Path, tmp_path: Path) -> Path:
 
 def scan(run: Path, **options: Any) -> ScanOutcome:
     """A scan in this process."""
-    return scan_command.scan(
-        run, ScanOptions(**{"resolution_deg": 1.0, **options}), argv=[], narrator=Terminal(quiet_stdout=True)
-    )
+    session = Session(None, Terminal(quiet_stdout=True))
+    return scan_command.scan(session, run, ScanOptions(**{"resolution_deg": 1.0, **options}))
 
 
 def frames(run: Path, stored: Any) -> dict[str, np.ndarray]:
@@ -181,7 +181,7 @@ def test_noise_outliers_and_a_missing_view(run: Path, tmp_path: Path) -> None:
     assert outcome.exit_code == 6
     assert outcome.summary.missing_views == (2,)
     files[1].with_suffix(".ply").write_bytes(kept)
-    outcome = scan_command.resume(run, outcome.folder.name, None, argv=[], narrator=Terminal(quiet_stdout=True))
+    outcome = scan_command.resume(Session(None, Terminal(quiet_stdout=True)), run, outcome.folder.name, None)
     assert outcome.summary.missing_views == ()
     ours, theirs = outcome.summary, simulated.summary
     assert ours.doubts == ()

@@ -22,7 +22,6 @@ from cell.explore.measured_surface import continued
 from cell.explore.options import ExploreOptions
 from cell.explore.prepare import Exploring, prepared
 from cell.explore.stage import EnoughError
-from cell.narrator import Quiet
 from cell.part import workpiece
 from cell.plan.problem import Problem
 from cell.runs import ply, schema
@@ -31,6 +30,7 @@ from cell.runs.run import open_finished
 from cell.runs.schema import BELIEVED, MEASURED, ExploreFile
 from cell.scan.options import ScanOptions
 from cell.scene.file import scene_of
+from cell.session import Session
 from cell.view.explore_page import explore_page
 from planner.explore.space import FREE
 from planner.geometry.closest import ClosestPointQuery
@@ -292,7 +292,7 @@ def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(
     paths, first = state.Paths(on_measured), np.load(on_measured / "stages" / "0001.voxels.npz")
     assert not paths.measured(1).exists()
     scene = scene_of(None, {"place": (1100.0, 400.0, 100.0), "standoff": 250.0, "units": "mm"}, str(part_file))
-    work = prepared(scene, ExploreOptions(), ScanOptions(resolution_deg=0.5), on_measured, (), Quiet(), None)
+    work = prepared(Session(None, out=on_measured), scene, ExploreOptions(), ScanOptions(resolution_deg=0.5))
     for number, stage in enumerate(file.stages[1:], start=2):
         run, scans = open_finished(on_measured / stage.folder), state.scans_of(paths, file.stages[: number - 1])
         known_before = paths.known(number - 1, work.unknown)

@@ -55,7 +55,7 @@ def test_arrays_hold_no_pickles(planned: Path) -> None:
             assert all(arrays[name].dtype != object for name in arrays)
 
 
-@pytest.mark.usefixtures("as_defined", "drawn_pictures")
+@pytest.mark.usefixtures("full_effort", "drawn_pictures")
 def test_equal_input_and_seed_give_equal_bytes(
     part_file: Path, tmp_path: Path, start_cell: Start, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:

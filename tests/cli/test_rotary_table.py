@@ -19,7 +19,6 @@ from cell.edit.editable import EditableRun
 from cell.emulate.memory import SCHEMA
 from cell.errors import FileError, SceneError
 from cell.locate.locate import _checked
-from cell.narrator import Quiet
 from cell.proof.files_now import FilesNow
 from cell.proof.proof import prove
 from cell.proof.scene_now import require_same
@@ -28,6 +27,7 @@ from cell.robot.frames import kuka_abc_from_pose
 from cell.runs.cell import read_cell, world_of
 from cell.runs.run import open_run, read_execution
 from cell.scene.file import scene_of
+from cell.session import LoggedProgress
 from cell.study.placement_trial import placement
 from cell.study.scenes import scene_settings
 from cell.world.model import World
@@ -206,7 +206,7 @@ def test_a_table_that_is_another_now_is_told(turned: Path, tmp_path: Path) -> No
 
 def test_the_show_turns_the_part(turned: Path) -> None:
     """At each stop the engine's part stands where plan.json says."""
-    show = load_show(open_run(turned), None, Quiet())
+    show = load_show(open_run(turned), None, LoggedProgress())
     for stop, view in zip(show.timeline.stops, _json(turned / "plan.json")["views"], strict=True):
         show.pose(stop.begin)
         np.testing.assert_allclose(show.data.body("object").xpos, np.array(view["T_base_object"])[:3, 3], atol=1e-6)

@@ -25,7 +25,8 @@ from cell.runs.schema import Manifest
 from cell.scan import post_processing
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
-from cell.scan.work import ScanOutcome
+from cell.scan.post_processing import ScanOutcome
+from cell.session import Session
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import Rejection
@@ -61,11 +62,11 @@ def _without_schema(folder: Path) -> dict[str, Any]:
 def _scan(run: Path, **options: Any) -> ScanOutcome:
     """A scan in this process, at 1 degree where nothing else is said."""
     asked = ScanOptions(**{"resolution_deg": 1.0, **options})
-    return scan_command.scan(run, asked, argv=[], narrator=Terminal(quiet_stdout=True))
+    return scan_command.scan(Session(None, Terminal(quiet_stdout=True)), run, asked)
 
 
 def _remake(run: Path, execution: str = "0001") -> dict[str, Any]:
-    return post_processing.report(run, execution, Terminal(quiet_stdout=True)).summary
+    return post_processing.report(Session(None, Terminal(quiet_stdout=True)), run, execution).summary
 
 
 def _rewrite(path: Path, **changed: Any) -> None:
@@ -436,7 +437,7 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
     shutil.rmtree(folder / "scans")
     (folder / "scans").mkdir()
     summary = _remake(copied)
-    assert post_processing.report(copied, "0001", Terminal(quiet_stdout=True)).exit_code == 6
+    assert post_processing.report(Session(None, Terminal(quiet_stdout=True)), copied, "0001").exit_code == 6
     assert summary.missing_views == tuple(range(1, summary.n_views_planned + 1))
     assert summary.coverage.visible == 0
     assert not list(folder.glob("*.png"))

@@ -15,12 +15,12 @@ import pytest
 
 from cell.api import scan_setups as scan_all
 from cell.errors import UsageError
-from cell.narrator import Quiet
 from cell.runs.cell import read_cell
 from cell.runs.run import open_run
 from cell.scan.driven import part_may_be_near
 from cell.scan.of_setups import scan_setups
 from cell.scan.options import ScanOptions
+from cell.session import Session
 from cell.setups.contact import touching
 from cell.setups.planned_setups import PlannedSetups
 from cell.world.prediction import held_out
@@ -189,8 +189,9 @@ def test_who_lets_the_arm_move_says_how_the_part_lies(folder: Path, monkeypatch:
     """Each question on a wire names the pose of its own set-up."""
     asked: list[str] = []
 
-    def scan(run: Path, *_: object, ask: Callable[[str], str], **__: object) -> None:
-        assert ask(f"{run.name} moves?") == "no"
+    def scan(session: Session[None], run: Path, _: object) -> None:
+        assert session.confirm is not None
+        assert session.confirm(f"{run.name} moves?") == "no"
         raise UsageError("not confirmed; nothing was moved")
 
     def answer(question: str) -> str:
@@ -202,9 +203,12 @@ def test_who_lets_the_arm_move_says_how_the_part_lies(folder: Path, monkeypatch:
     for number, chosen in enumerate(planned.chosen, start=1):
         with pytest.raises(UsageError, match="not confirmed"):
             scan_setups(
-                folder, ScanOptions(driver="modbus://nowhere"), setup=number, resumed=False, argv=(), narrator=Quiet(),
-                ask=answer,
-            )  # fmt: skip
+                Session(None, confirm=answer),
+                folder,
+                ScanOptions(driver="modbus://nowhere"),
+                setup=number,
+                resumed=False,
+            )
         assert asked[-1].startswith(f"set-up {number} of 2: the part lies {planned.offered[chosen.offered].name}, ")
         assert asked[-1].endswith(f" deg. {number} moves?")
 

@@ -18,6 +18,7 @@ from cell.robot.model import load
 from cell.runs.run import open_run
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
+from cell.session import Session
 
 URL = "sim://?plant=mujoco"
 
@@ -33,7 +34,7 @@ def scanned(planned: Path, tmp_path_factory: pytest.TempPathFactory, run_cell: R
     assert done.returncode == 0, done.stderr
     for url in (URL, "sim://"):
         options = ScanOptions(driver=url, resolution_deg=2.0)
-        assert scan_command.scan(run, options, argv=[], narrator=Terminal(quiet_stdout=True)).exit_code == 0
+        assert scan_command.scan(Session(None, Terminal(quiet_stdout=True)), run, options).exit_code == 0
     return run
 
 

@@ -21,6 +21,7 @@ from cell.errors import UsageError
 from cell.runs.run import open_finished
 from cell.scan.options import ScanOptions
 from cell.scan.scan import resume
+from cell.session import Session
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 Start = Callable[..., "subprocess.Popen[str]"]
@@ -162,7 +163,7 @@ def standing(emulate_for_all: Callable[..., Any]) -> Any:
 
 
 class _Told:
-    """A narrator that keeps what it is told."""
+    """A reporter that keeps what it is told."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
@@ -179,15 +180,15 @@ def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, 
     manifest = json.loads((execution / "manifest.json").read_text())
     (execution / "manifest.json").write_text(json.dumps({**manifest, "status": "failed"}))
     kept = (execution / "manifest.json").read_bytes()
-    narrator, known = _Told(), []
+    reporter, known = _Told(), []
 
     def ask(question: str) -> str:
-        known.extend([*narrator.notes, question])
+        known.extend([*reporter.notes, question])
         return "no"
 
     options = ScanOptions(driver=str(standing.url), speed_percent=50.0, accept_time_scale=20.0)
     with pytest.raises(UsageError, match="nothing was moved"):
-        resume(executed_folder, "latest", options, argv=[], narrator=narrator, ask=ask)
+        resume(Session(None, reporter, confirm=ask), executed_folder, "latest", options)
     assert "a new way to view 2 was planned" in known[1]
     assert "Type yes" in known[2]
     assert standing.entries("move") == []

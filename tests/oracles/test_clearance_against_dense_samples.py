@@ -44,7 +44,7 @@ def _via() -> tuple[np.ndarray, np.ndarray]:
     return np.stack([home, past, beside, back, back]), np.array([0, 0, 1, 1, 2])
 
 
-@pytest.mark.usefixtures("as_defined")
+@pytest.mark.usefixtures("full_effort")
 def test_no_sample_is_nearer_than_what_is_proven_and_none_much_nearer_than_what_is_said(world: World) -> None:
     """The value is measured on the motion, so it is an upper bound; the proven one is a lower bound within 5 %."""
     checker = MujocoCollisionChecker(world)

@@ -13,7 +13,7 @@ from cell.api import open_run
 from cell.diff.compare import compare
 from cell.edit.editable import EditableRun
 from cell.errors import CellError, UnreachableError, UsageError
-from cell.narrator import Quiet
+from cell.session import LoggedProgress
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +48,7 @@ def test_random_edits(seed: int, run: EditableRun, judge: EditJudge, tmp_path: P
         return
     assert not asked.wrong
     assert judge.accepted(run, asked, made) == []
-    found, _ = recounted(compare(run.folder, made.folder, Quiet()))
+    found, _ = recounted(compare(run.folder, made.folder, LoggedProgress()))
     assert found == []
 
 

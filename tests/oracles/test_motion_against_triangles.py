@@ -15,7 +15,7 @@ SLOW = [
 ]
 
 
-@pytest.mark.usefixtures("as_defined")
+@pytest.mark.usefixtures("full_effort")
 @pytest.mark.parametrize(("number", "table"), [*SCENES, *SLOW])
 def test_no_triangles_meet_and_no_limit_is_exceeded(number: int, table: str) -> None:
     """Every millisecond of the motion; the clearance that the plan says is what the triangles show, within 1 mm.

@@ -9,6 +9,7 @@ import trimesh
 from cell.plan.attainable import of_plan, sentence
 from cell.runs.schema import Attainable
 from cell.scanners.laser_area import LaserArea
+from cell.session import Effort, effort_of
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.coverage import Coverage
@@ -83,7 +84,7 @@ def test_of_each_point_the_arm_is_asked_until_it_takes_up_a_pose():
     assert sorted(asked) == np.flatnonzero(np.any(until, axis=0)).tolist()
 
 
-@pytest.mark.usefixtures("as_defined")
+@pytest.mark.usefixtures("full_effort")
 def test_the_share_of_a_plan_is_that_of_asking_every_sample(monkeypatch):
     """Of few samples the estimate is the count itself and has no error; of half of them it is within a few errors."""
     targets, arm = _ball(lambda T: (T[:, :, 2, 3] > -0.02).all(axis=1))
@@ -99,8 +100,8 @@ def test_the_share_of_a_plan_is_that_of_asking_every_sample(monkeypatch):
     assert whole.standard_error == 0
     assert whole.share == pytest.approx((covered | truth.measured).mean(), abs=0.01)
     assert whole.share + whole.out_of_reach + whole.out_of_sight == pytest.approx(1.0)
-    monkeypatch.setattr("cell.plan.attainable.ASKED", int((~covered).sum()) // 2)
-    half = of_plan(problem, some, np.random.default_rng(0))
+    with effort_of(Effort(searched_samples=int((~covered).sum()) // 2)):
+        half = of_plan(problem, some, np.random.default_rng(0))
     assert half.standard_error > 0
     assert abs(half.share - whole.share) < 4 * half.standard_error + 0.01
 

@@ -22,6 +22,7 @@ from cell.runs.schema import BELIEVED, MEASURED, SurfaceName
 from cell.scan.options import ScanOptions
 from cell.scan.safety import EVERY
 from cell.scanners.laser_area import LaserArea
+from cell.session import Session
 from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import Record, came
 from planner.explore.space import OCCUPIED, VoxelSpace
@@ -388,9 +389,9 @@ def test_one_word_releases_every_motion_of_an_exploration(
 ) -> None:
     """A digest is that of one; points of files come into a folder of their stage, which is made."""
     given: list[Any] = []
-    monkeypatch.setattr(explore, "executed", lambda folder, options, **_: given.append(options))
+    monkeypatch.setattr(explore, "executed", lambda session, folder, options, **_: given.append(options))
     work: Any = SimpleNamespace(
-        options=ExploreOptions(confirm_motion=word), hidden=None, argv=(), narrator=None, ask=None,
+        options=ExploreOptions(confirm_motion=word), hidden=None, session=Session(None),
         scanning=ScanOptions(acquire=f"files:{tmp_path}", points_frame="base", points_units="mm"),
     )  # fmt: skip
     explore._executed(work, Path("stages") / "0007")

@@ -1,17 +1,15 @@
 """What lies between the points of neighbouring rays: places on one surface, none across a step or a missing ray."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from cell.errors import SceneError
 from cell.explore.options import ExploreOptions
 from cell.explore.prepare import Eye, prepared
-from cell.narrator import Quiet
 from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
 from cell.scene.file import scene_of
+from cell.session import Session
 from planner.values import Floats
 
 STEP = np.radians(0.5)
@@ -95,8 +93,7 @@ def test_the_rays_are_those_of_a_scan() -> None:
     """At the resolution that is scanned with, the plan's where none is asked for."""
     scene = scene_of(None, {"place": (1200, 500, 0)}, "petanque")
     eyes = [
-        prepared(scene, ExploreOptions(), ScanOptions(resolution_deg=asked), Path(), (), Quiet(), None).eye
-        for asked in (None, 2.0)
+        prepared(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=asked)).eye for asked in (None, 2.0)
     ]
     assert [eye.rays.shape for eye in eyes] == [(240 * 240, 3), (30 * 30, 3)]
     assert [eye.columns for eye in eyes] == [240, 30]
@@ -107,4 +104,4 @@ def test_an_angle_that_leaves_no_ray_is_refused() -> None:
     """By its own name, before anything is asked of it."""
     scene = scene_of(None, {"place": (1200, 500, 0)}, "petanque")
     with pytest.raises(SceneError, match="leaves no ray"):
-        prepared(scene, ExploreOptions(), ScanOptions(resolution_deg=100.0), Path(), (), Quiet(), None)
+        prepared(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=100.0))

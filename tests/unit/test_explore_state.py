@@ -17,7 +17,6 @@ from cell.explore.options import ExploreOptions
 from cell.explore.policies import POLICIES, Batch, So
 from cell.explore.prepare import Eye, begun, prepared
 from cell.explore.state import Known, Paths
-from cell.narrator import Quiet
 from cell.part import mesh_files
 from cell.plan.request import Request
 from cell.runs.schema import BELIEVED, MEASURED, ExploreFile
@@ -25,6 +24,7 @@ from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
 from cell.scene.file import scene_of
 from cell.scene.model import PlanSettings, Scene
+from cell.session import Session
 from planner.explore.gain import Record
 from planner.explore.space import FREE, UNKNOWN, VoxelSpace
 from planner.geometry.closest import ClosestPointQuery
@@ -46,7 +46,7 @@ def _eye() -> Eye:
 
 
 def _begun(root: Path) -> ExploreFile:
-    return begun(prepared(_scene(), ExploreOptions(), ScanOptions(), root, (), Quiet(), None))
+    return begun(prepared(Session(None, out=root), _scene(), ExploreOptions(), ScanOptions()))
 
 
 @pytest.mark.parametrize("left", [(), ("stages",), ("stages", "explore.json.tmp")])
@@ -275,7 +275,7 @@ def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -
         acquire="command:take", points_frame="base", points_units="mm"
     )  # fmt: skip
     work, real, own = (
-        prepared(_scene(), asked, scanning, tmp_path, (), Quiet(), None)
+        prepared(Session(None, out=tmp_path), _scene(), asked, scanning)
         for asked, scanning in ((options, ScanOptions()), (options, elsewhere), (ExploreOptions(), ScanOptions()))
     )
     assert work.scene.scanner == real.scene.scanner != own.scene.scanner

@@ -10,8 +10,8 @@ from benchmarks.best_of import best_of
 from benchmarks.methods.knobs import KNOBS, samples
 from benchmarks.methods.speed import ELSEWHERE, chosen, pictures, sentences, speed_study
 from cell.errors import UsageError
-from cell.narrator import Quiet
 from cell.scene.file import load_scene
+from cell.session import LoggedProgress
 from cell.study.bench import Bench
 from cell.study.study import conduct
 from cell.study.trial import Outcome, Trial
@@ -118,7 +118,7 @@ def test_fronts_of_a_small_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     scene = load_scene(None, {"part": {"name": "petanque"}, "plan": {"faces": 60}})
     study = speed_study([(name, scene) for name in KNOBS], values=(1, 2), repeats=1)
     with Processes(1) as workers:
-        result = conduct(study, workers, out=tmp_path / "fronts", narrator=Quiet())
+        result = conduct(study, workers, out=tmp_path / "fronts", reporter=LoggedProgress())
     assert result.failed == []
     assert len(result.rows) == 2 * len(KNOBS)
     assert all(row["processor s"] > 0 and row["error"] >= 0 for row in result.rows)

@@ -11,8 +11,8 @@ from benchmarks.hard_move import one_move
 from benchmarks.methods import arm_maps
 from benchmarks.methods.stability import MAPS, at, broken_promises, sentences, stability_study
 from cell.errors import UsageError
-from cell.narrator import Quiet
 from cell.plant.servo import COARSEST_STEP, Settings
+from cell.session import LoggedProgress
 from cell.study.study import conduct
 from cell.study.trial import Outcome, Trial
 from cell.study.workers import Processes
@@ -105,7 +105,7 @@ def test_no_method_fails_in_silence(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     """The reduced study: every map is asked and drawn, and is silent only where its method is good."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     with Processes(1) as workers:
-        result = conduct(stability_study([], quick=True), workers, out=tmp_path / "maps", narrator=Quiet())
+        result = conduct(stability_study([], quick=True), workers, out=tmp_path / "maps", reporter=LoggedProgress())
     assert result.failed == []
     assert broken_promises(result.rows) == []
     # Inverse kinematics, and the selection on so small matrices, are good at every value.

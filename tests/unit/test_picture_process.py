@@ -1,7 +1,6 @@
 """The process that draws beside the work."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,12 +15,11 @@ COVER = {"marginal_area": np.array([0.5, 0.3]), "coverable": 0.9, "total": 1.0, 
 def test_pictures_drawn_at_a_time_are_those_drawn_alone(tmp_path: Path) -> None:
     """Every picture that was sent is there when `finish` returns, with the bytes that a call in this process gives."""
     shares = (0.5, 0.7, 0.9)
-    recorded: list[str] = []
     with beside() as drawing:
         for share in shares:
             drawing.send("cover_curve", tmp_path / f"{share}.png", **COVER | {"coverable": share})
-        drawing.finish(SimpleNamespace(adopt=recorded.append))  # type: ignore[arg-type] # all that it asks of a folder
-    assert recorded == [f"{share}.png" for share in shares]
+        drawn = drawing.finish()
+    assert drawn == [tmp_path / f"{share}.png" for share in shares]
     for share in shares:
         pictures.cover_curve(tmp_path / "alone.png", **COVER | {"coverable": share})
         assert (tmp_path / f"{share}.png").read_bytes() == (tmp_path / "alone.png").read_bytes()
@@ -33,5 +31,5 @@ def test_picture_that_cannot_be_drawn_is_told(tmp_path: Path) -> None:
         drawing.send("cover_curve", tmp_path / "missing" / "cover.png", **COVER)
         drawing.send("cover_curve", tmp_path / "cover.png", **COVER)
         with pytest.raises(RuntimeError, match=r"(?s)pictures were not drawn: .*missing"):
-            drawing.finish(SimpleNamespace(adopt=print))  # type: ignore[arg-type]
+            drawing.finish()
     assert (tmp_path / "cover.png").exists()

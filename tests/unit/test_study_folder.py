@@ -65,7 +65,7 @@ def _study() -> Study:
 def conducted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drawn_pictures: None) -> Path:
     """A study of three trials, one of which fails."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    result = conduct(_study(), _Workers(), out=tmp_path / "out", narrator=Terminal(quiet_stdout=True))
+    result = conduct(_study(), _Workers(), out=tmp_path / "out", reporter=Terminal(quiet_stdout=True))
     assert result.computed == 3
     return result.folder
 
@@ -118,7 +118,7 @@ def test_the_same_again_is_the_same_bytes_and_only_failures_are_computed(
 ) -> None:
     """Rows, report and pictures, SVG too; a failed trial is tried again."""
     workers = _Workers()
-    result = conduct(_study(), workers, out=tmp_path / "again", narrator=Terminal(quiet_stdout=True))
+    result = conduct(_study(), workers, out=tmp_path / "again", reporter=Terminal(quiet_stdout=True))
     assert workers.asked == 1
     assert result.computed == 1
     for name in ("rows.csv", "study.json", "report.md", "view.html", "views.png", "views.svg"):
@@ -130,7 +130,7 @@ def test_a_foreign_folder_is_not_written_into(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     for out in (tmp_path, tmp_path / "notes.txt"):
         with pytest.raises(FileError, match="no study's folder"):
-            conduct(_study(), _Workers(), out=out, narrator=Terminal(quiet_stdout=True))
+            conduct(_study(), _Workers(), out=out, reporter=Terminal(quiet_stdout=True))
 
 
 def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
