@@ -67,7 +67,7 @@ class Paths:
     @property
     def file(self) -> Path:
         """explore.json."""
-        return self.root / schema.NAME
+        return self.root / schema.EXPLORE_FILE
 
     def stage(self, number: int) -> Path:
         """The run folder of a stage, from 1."""
@@ -93,7 +93,7 @@ class Paths:
             FileError: if the folder cannot be made, or is none of an exploration.
         """
         if self.file.is_file():
-            known = schema.read(self.file)
+            known = schema.read_explore_file(self.file)
             if known.inputs != file.inputs:
                 raise UsageError(
                     f"{self.root} is an exploration with other options, another part or another scene; repeat its own "
@@ -120,7 +120,7 @@ class Paths:
 
     @property
     def _temporary(self) -> Path:
-        return self.file.with_name(f"{schema.NAME}.tmp")
+        return self.file.with_name(f"{schema.EXPLORE_FILE}.tmp")
 
     def write(self, file: ExploreFile) -> None:
         """Write explore.json: whole or not at all."""

@@ -81,7 +81,7 @@ def plan(
             session.out, list(session.origin.argv), scene.plan.seed, inputs, datetime.now(UTC), schema
         )
         opened = session.opened(folder, scene.plan.seed, plots)
-        with folder.kept_on_failure(), _logged(folder.path / "run.log"):
+        with folder.keep_on_failure(), _logged(folder.path / "run.log"):
             plan_files.write_scene(folder, session.origin.scene_path)
             folder.named(plan_files.named_files(scene, session.origin.scene_path))
             scanner = scanners.make(scene.scanner.type, settings.scanner)

@@ -99,11 +99,11 @@ def load_show(run: Run, execution: str | None, reporter: ProgressReporter) -> Sh
     theatre = dress(run, scene, run.mesh("reference.ply"), clouds)
     planned = run.motion if run.has("motion.npz") else None
     if recorded is not None:
-        timeline = replay_timeline.of_execution(recorded, planned, theatre.home)
+        timeline = replay_timeline.execution_timeline(recorded, planned, theatre.home)
     elif planned is not None:
-        timeline = replay_timeline.of_plan(planned)
+        timeline = replay_timeline.plan_timeline(planned)
     else:
-        timeline = replay_timeline.of_home(theatre.home)
+        timeline = replay_timeline.home_timeline(theatre.home)
     for note in timeline.notes:
         reporter.note(note)
     if timeline.stops or planned is not None or not run.has("viewpoints.npz"):

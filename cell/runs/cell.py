@@ -1,9 +1,8 @@
-"""The cell of a run, read back from `scene.resolved.json` and the model that was checked, or compiled anew.
+"""Rebuild the cell of a run from its own files.
 
-Everything comes from the run's own files, so that a command works in the cell that was planned in, whatever became of
-the scene file or the part's file since. `RunCell` is what is measured in: its occluders are the shapes of `cell.xml`,
-made into triangles by the function that the plan used. `world_of` compiles the cell anew, as it was or with one thing
-taken out of it. Metres, radians; object frame where nothing else is said.
+A command works in the planned cell even if the scene file or the part's file changed since. `RunCell` holds what scans
+and coverage need: its occluders are the shapes of `cell.xml`, converted to triangles by the same function as in
+planning. `world_of` compiles the cell again, unchanged or without some fixtures. Metres and radians, object frame.
 """
 
 from __future__ import annotations
@@ -40,20 +39,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunCell:
-    """Part, surroundings and scanner of a run: what is measured in.
+    """Part, occluders and scanner of a run.
 
     Attributes:
-        scene: all that stood in the cell, placement, mount and settings.
+        scene: scene.resolved.json.
         reference: the part [m].
         planning: its decimated copy [m].
-        part_caster: casts rays on the reference.
-        occluders: post, pedestal, floor and the fixtures that occlude.
-        occluder_caster: casts rays on them.
-        scanner: the sensor's law, at the resolution that was asked for and with the plan's limit on sigma.
-        scanner_keys: what defines it.
-        kinematics: of the arm.
-        travel: how far any point of arm or tool moves between two configurations, at most.
-        table: turns the part; None: it stands.
+        part_caster: ray caster of the reference.
+        occluders: post, pedestal, floor and occluding fixtures.
+        occluder_caster: ray caster of the occluders.
+        scanner: the scanner, at the requested resolution and with the plan's sigma limit.
+        scanner_keys: its keys in scene.resolved.json.
+        kinematics: of the arm, with the rotary table if there is one.
+        travel: upper bound on the displacement of any point of arm or tool between two configurations.
+        table: rotary table; None if the part is fixed.
     """
 
     scene: ResolvedScene
@@ -69,25 +68,25 @@ class RunCell:
     table: RotaryTable | None = None
 
     def in_base(self, q: Floats, T_part: Floats) -> Floats:
-        """(..., 4, 4) poses in base as the part sees them, turned as the table at (..., axes) joint angles [m, rad]."""
+        """Return (..., 4, 4) poses in base of poses relative to the turned part, at (..., axes) angles [m, rad]."""
         return T_part if self.table is None else self.table.turn(q[..., ARM_AXES]) @ T_part
 
     @property
     def arrival(self) -> float:
-        """How far any point of arm or tool may stand from where a move ends [m]."""
+        """Tolerance on the position of any point of arm or tool at the end of a move [m]."""
         allowed = self.scene.arrival_mm
         return (min(1.0, self.scene.clearance_mm / 10) if allowed is None else allowed) / 1000
 
     def scanner_pose(self, q: Floats) -> Floats:
-        """(4, 4) T_object_scanner [m] at (axes,) joint angles [rad]."""
+        """Return (4, 4) T_object_scanner [m] at (axes,) joint angles [rad]."""
         T_part_scanner = self.kinematics.forward(np.asarray(q)[None])[0] @ self.scene.T_flange_scanner
         T: Floats = np.linalg.inv(self.scene.T_base_object) @ T_part_scanner
         return T
 
     def about_part(self, T: Floats) -> RunCell:
-        """The cell whose part stands off its place: what stands about it is moved by (4, 4) in the object frame.
+        """Return the cell for a part that is displaced: its surroundings are moved by (4, 4) T in the object frame.
 
-        Post and the part's own fixtures stay at the part: it rests on the one, whichever way it is off.
+        The post and fixtures attached to the part stay with the part.
         """
         R, t = T[:3, :3], T[:3, 3]
         with_it = {"post", *(each.name for each in self.scene.fixtures if each.attached_to == "object")}
@@ -98,26 +97,17 @@ class RunCell:
 
 
 def collision_note(scene: ResolvedScene) -> list[str]:
-    """What `world_of` takes as its triangles and earlier versions checked otherwise: a sentence, or none."""
+    """Return a sentence about shapes that `world_of` takes as triangles and an older version did not, or []."""
     if scene.plan.collision == "hull":
         return []
     parts = ["the part as convex pieces"] if scene.plan.collision == "decomposed" else []
     hulls = [fixture.name for fixture in scene.fixtures if fixture.file is not None and fixture.collision != "exact"]
     parts += [f"the fixture '{name}' as its convex hull" for name in hulls]
-    return [f"the plan was checked with {' and '.join(parts)}; true triangles are taken here"] if parts else []
+    return [f"the plan was checked with {' and '.join(parts)}; their triangles are used here"] if parts else []
 
 
 def read_cell(run: Run, resolution_deg: float | None = None) -> RunCell:
-    """Read the cell of a run, ready to be measured in.
-
-    Args:
-        run: a run folder with every artefact of a finished plan.
-        resolution_deg: angle between neighbouring rays in place of the plan's; None keeps that.
-
-    Raises:
-        UsageError: if the resolution is not possible.
-        FileError: if an artefact is missing, changed or damaged.
-    """
+    """Return the cell of a finished run; `resolution_deg` replaces the plan's angle between neighbouring rays."""
     from cell.robot.arm import kinematics_of
 
     scene, model = run.scene, run.cell_model()
@@ -125,7 +115,7 @@ def read_cell(run: Run, resolution_deg: float | None = None) -> RunCell:
     keys = scene.scanner
     known = scanners.keys(keys.type)
     if resolution_deg is not None and known is not None and "resolution_deg" not in known:
-        raise UsageError(f"--resolution is the angle between rays, and the scanner {keys.type} has none; leave it away")
+        raise UsageError(f"--resolution is the angle between rays, and the scanner {keys.type} has none; omit it")
     if resolution_deg is not None:
         keys = ScannerKeys(**keys.as_json() | {"resolution_deg": [resolution_deg, resolution_deg]})
     try:
@@ -154,30 +144,26 @@ def read_cell(run: Run, resolution_deg: float | None = None) -> RunCell:
 
 
 def table_of(scene: ResolvedScene) -> RotaryTable | None:
-    """The rotary table of a run; None where the part stands."""
-    said = scene.table
-    if said is None:
+    """Return the rotary table of a run; None if the part is fixed."""
+    table = scene.table
+    if table is None:
         return None
-    limits = said.turn_deg or said.limits_deg or HALF_A_TURN_DEG
-    rates = said.velocity_deg_s, said.acceleration_deg_s2, said.jerk_deg_s3
-    return RotaryTable(said.T_base_table, *np.deg2rad([*limits, *rates]).tolist())
+    limits = table.turn_deg or table.limits_deg or HALF_A_TURN_DEG
+    rates = table.velocity_deg_s, table.acceleration_deg_s2, table.jerk_deg_s3
+    return RotaryTable(table.T_base_table, *np.deg2rad([*limits, *rates]).tolist())
 
 
 def scanner_of(scene: ResolvedScene, keys: ScannerKeys) -> Scanner:
-    """The sensor's law by its keys, with the plan's limit on sigma: what the plan does not count, no scan takes.
-
-    Raises:
-        SceneError: if the keys are not possible.
-    """
+    """Return the scanner with these keys and the plan's sigma limit, which also applies to scans."""
     return limited(scanners.make(keys.type, keys.own), scene.plan.max_sigma_mm, scene.regions or ())
 
 
 def _surroundings(
     run: Run, scene: ResolvedScene, model: mujoco.MjModel, table: RotaryTable | None
 ) -> tuple[tuple[Occluder, ...], float]:
-    """The occluders that were planned with, and the radius about a table's axis of what it turns [m].
+    """Return the planned occluders, and the radius of the turned objects about the axis of the table [m].
 
-    Bit for bit, but for mesh fixtures, which the folder holds in millimetres.
+    Equal to those of the plan bit for bit, except for mesh fixtures, which are stored in millimetres.
     """
     import mujoco
 
@@ -189,24 +175,20 @@ def _surroundings(
     meshes = {each.name: run.mesh(each.file) for each in scene.fixtures if each.file is not None}
     pieces = standing_triangles(data, T, meshes, [each.name for each in scene.fixtures if not each.occludes])
     own = (each.name for each in scene.fixtures if each.attached_to == "base" and not each.built_in)
-    beside = beside_table(table, own)
-    return tuple(piece for piece in pieces if piece.name not in beside), swing(model, data, table)
+    ignored = beside_table(table, own)
+    return tuple(piece for piece in pieces if piece.name not in ignored), swing(model, data, table)
 
 
 def world_of(
     run: Run, part: TriangleMesh, *, without: Collection[str] = (), T_base_object: Floats | None = None
 ) -> World:
-    """The cell compiled anew, as it was checked (but see `taken_as_triangles`) or with something taken out.
+    """Compile the cell of a run again, unchanged (see `collision_note`) or without some fixtures.
 
     Args:
-        run: a run folder.
+        run: the run.
         part: its reference [m].
-        without: names of fixtures to leave out; "post" leaves out the post.
-        T_base_object: (4, 4) where the part stands instead, a rotary table staying where it is [m].
-
-    Raises:
-        FileError: if the run's files are damaged.
-        SceneError: if a rotary table cannot carry the part there.
+        without: names of fixtures to omit; "post" omits the post.
+        T_base_object: (4, 4) another placement of the part [m]; a rotary table stays in place.
     """
     resolved = run.scene
     keys, scene = resolved.scanner, scene_of_run(run, without)
@@ -217,19 +199,14 @@ def world_of(
 
 
 def scene_of_run(run: Run, without: Collection[str] = ()) -> Scene:
-    """The scene that a run was planned in, what it left open settled; its part is the run's own reference.ply.
+    """Return the scene of a run with all values resolved; its part is the run's reference.ply.
 
-    Args:
-        run: a run folder.
-        without: names of fixtures to leave out; "post" leaves out the post.
-
-    Raises:
-        FileError: if the run's files are damaged.
+    `without` names fixtures to omit; "post" omits the post.
     """
     resolved = run.scene
     T_scanner_housing = np.linalg.inv(resolved.T_flange_scanner) @ resolved.housing.T_flange_housing
-    left = [fixture for fixture in resolved.fixtures if fixture.name not in without]
-    built_in = {fixture.name: fixture for fixture in left if fixture.built_in}
+    fixtures = [fixture for fixture in resolved.fixtures if fixture.name not in without]
+    built_in = {fixture.name: fixture for fixture in fixtures if fixture.built_in}
     pedestal, post = built_in.get("pedestal"), built_in.get("post")
     with reading(run.folder / "scene.resolved.json"):
         scene = Scene.model_validate(
@@ -256,35 +233,29 @@ def scene_of_run(run: Run, without: Collection[str] = ()) -> Scene:
                 "table": _table(resolved),
                 "fixtures": [
                     {**fixture.model_dump(include={"name", "shape", "attached_to", "occludes"}), **_place(run, fixture)}
-                    for fixture in left
+                    for fixture in fixtures
                     if not fixture.built_in
                 ],
             }
         )
-    # What the tables would not take beside what is settled: the resolution of planning is no key of every scanner, and
-    # a percentage of the faces stands in no table beside their number.
-    asked: dict[str, object] = {"planning_resolution_deg": resolved.planning_resolution_deg}
+    # Keys that the validated tables do not accept next to resolved values: not every scanner has a planning resolution,
+    # and a percentage of faces excludes their number.
+    scanner: dict[str, object] = {"planning_resolution_deg": resolved.planning_resolution_deg}
     if run.has("report.json"):
-        asked["sensor"] = run.report.settings.sensor
+        scanner["sensor"] = run.report.settings.sensor
     return scene.model_copy(
         update={
             "part": scene.part.model_copy(update={"units": resolved.part.units}),
-            "scanner": scene.scanner.model_copy(update=asked),
+            "scanner": scene.scanner.model_copy(update=scanner),
             "plan": scene.plan.model_copy(update={"percent_kept": resolved.plan.percent_kept}),
-            # What they select by is in the run's mesh.
+            # Their selectors are applied already: the run's mesh stores the region of each face.
             "region": tuple(Region.model_construct(**dict(region)) for region in resolved.regions or ()),
         }
     )
 
 
 def with_placement(scene: Scene, T_base_object: Floats, resolved: ResolvedScene) -> Scene:
-    """A scene whose part stands elsewhere; what it stands on stays where it is.
-
-    Args:
-        scene: of a run.
-        T_base_object: (4, 4) [m].
-        resolved: what the run used.
-    """
+    """Return a scene of a run with another placement (4, 4) of the part [m]; a rotary table stays in place."""
     update: dict[str, object] = {"placement": Placement.at(T_base_object @ resolved.T_object_centre)}
     if resolved.table is not None:
         update["table"] = scene.table.model_copy(update=_pose(resolved.table.T_base_table))
@@ -292,37 +263,37 @@ def with_placement(scene: Scene, T_base_object: Floats, resolved: ResolvedScene)
 
 
 def _plan(resolved: ResolvedScene) -> dict[str, object]:
-    """The keys of `[plan]` that go together; what earlier versions took convex pieces for is taken as triangles."""
-    left_out = {"percent_kept", "coverage" if resolved.plan.max_views is not None else ""}
-    keys = {name: getattr(resolved.plan, name) for name in PlanKeys.model_fields if name not in left_out}
+    """Return the keys of `[plan]`. Convex pieces of earlier versions become triangles."""
+    omitted = {"percent_kept", "coverage" if resolved.plan.max_views is not None else ""}
+    keys = {name: getattr(resolved.plan, name) for name in PlanKeys.model_fields if name not in omitted}
     return keys | {"collision": "hull" if resolved.plan.collision == "hull" else "exact"}
 
 
 def _robot(run: Run, resolved: ResolvedScene) -> dict[str, object]:
-    """The keys of `[robot]` that say which one it is and where it stands."""
+    """Return the keys of `[robot]` for model and base."""
     if resolved.robot is None:
         return {}
     model: str = resolved.robot.model
     if model != KR16:
-        run.artefact(model)  # checks that it is what the run wrote
+        run.artefact(model)  # checks its sha256
         model = str((run.folder / model).absolute())
     upright = np.array_equal(resolved.robot.T_base, np.eye(4))
     return {"model": model, **({} if upright else {"base": _pose(resolved.robot.T_base)})}
 
 
 def _table(resolved: ResolvedScene) -> Mapping[str, object]:
-    """The keys of `[table]`; none where the part stands."""
+    """Return the keys of `[table]`; empty without a table."""
     if resolved.table is None:
         return {}
-    said = resolved.table.model_dump(exclude={"T_base_table", "post_mm", "turn_deg"})
-    stands = _pose(resolved.table.T_base_table)
+    keys = resolved.table.model_dump(exclude={"T_base_table", "post_mm", "turn_deg"})
+    pose = _pose(resolved.table.T_base_table)
     if resolved.table.post_mm is not None:
-        return {**said, "post_mm": resolved.table.post_mm, "abc_deg": stands["abc_deg"]}
-    return {**said, **stands}
+        return {**keys, "post_mm": resolved.table.post_mm, "abc_deg": pose["abc_deg"]}
+    return {**keys, **pose}
 
 
 def _limits(resolved: ResolvedScene) -> dict[str, object]:
-    """The keys of `[robot]` that say how fast the axes may be."""
+    """Return the keys of `[robot]` for the limits of the axes."""
     jerk = resolved.joint_jerk_limits_deg_s3 or (None,) * len(resolved.joint_limits_deg)
     return {
         "velocity_deg_s": resolved.joint_velocity_limits_deg_s,
@@ -334,23 +305,23 @@ def _limits(resolved: ResolvedScene) -> dict[str, object]:
 
 
 def _part(run: Run, resolved: ResolvedScene) -> dict[str, object]:
-    """The keys of `[part]`: a built-in one by its name, another by the run's own mesh."""
+    """Return the keys of `[part]`: the name of a built-in part, or the run's own mesh."""
     if resolved.part.units is None and resolved.part.name in BUILT_IN:
         return {"name": resolved.part.name}
     return {"path": str((run.folder / "reference.ply").absolute()), "units": resolved.part.units or "mm"}
 
 
 def _place(run: Run, fixture: StandingFixture) -> Mapping[str, object]:
-    """The keys of a fixture that its shape has."""
+    """Return the keys of a fixture that depend on its shape."""
     if fixture.file is None:
         return {**_pose(fixture.pose), "size_mm": fixture.size_mm}
-    run.artefact(fixture.file)  # checks that it is what the run wrote
-    # The file holds the mesh in the frame that it is attached to: the pose is in its vertices.
+    run.artefact(fixture.file)  # checks its sha256
+    # The vertices are stored in the frame that the mesh is attached to, so there is no pose.
     return {"path": str((run.folder / fixture.file).absolute()), "units": "mm"}
 
 
 def _pose(T: Floats) -> Mapping[str, tuple[float, ...]]:
-    """The numbers of a pose without the dust of the conversion: those that a person gave come back."""
+    """Return position and angles of a pose, rounded to restore the numbers of the scene file."""
     position, abc = kuka_abc_from_pose(T)
     numbers = {"position_mm": (position * 1000).round(9) + 0.0, "abc_deg": np.degrees(abc).round(9) + 0.0}
     return {key: tuple(values.tolist()) for key, values in numbers.items()}

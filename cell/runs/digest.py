@@ -1,52 +1,45 @@
-"""One digest over all that drives: what a person confirms, what a program and every execution say they were made of.
+"""Compute the digest of a plan: a person confirms it, and programs and executions carry it.
 
-It is the sha256 of a text with one line for each file that the motion rests on, in the order of their names' bytes: the
-file's sha256 in hexadecimal, two spaces, its name, a line feed. So `sha256sum` of these files, sorted by name, piped
-into `sha256sum` again gives it, without any of our code:
+It is the sha256 of a text with one line for each driving artefact, sorted by name: the file's sha256 in hexadecimal,
+two spaces, its name, a line feed. It can be checked without this project:
 
     LC_ALL=C sha256sum cell.xml motion.npz plan.json reference.ply scene.resolved.json viewpoints.npz | sha256sum
 
-with `fixture_<name>.ply` of each mesh fixture, and `robot.xml` where there is one, in their places among them. The
-files are hashed as the bytes that they are; their form is canonical because equal inputs and seed give equal bytes.
+with `fixture_<name>.ply` of each mesh fixture and `robot.xml`, if there are any, sorted among them.
 
-A way that is not the plan's motion as a whole has a digest of its own: of the text `plan <digest of the plan>`, then
-one line for each via point in driving order, from where the arm stands: the number of the leg, of the view that is
-scanned at the leg's end and of its pose (0 and -1 for none), and the set-points of all axes in counts of 1e-4 deg, with
-single spaces between. So it says which plan the way belongs to as well.
+A path that differs from the plan's motion has a digest of its own, over the line `plan <digest of the plan>` and one
+line for each via point in driving order, from the current position of the arm: the number of the move, of the view that
+is scanned at its end and of its pose (0 and -1 for none), and the set-points of all axes in counts of 1e-4 deg,
+separated by single spaces.
 """
 
 import hashlib
 from collections.abc import Iterable, Mapping
 
 DRIVING_ARTEFACTS = ("cell.xml", "motion.npz", "plan.json", "reference.ply", "scene.resolved.json", "viewpoints.npz")
-"""Artefacts that every motion rests on: the cell, the way, the views, the part, the settings, the candidates."""
+"""Artefacts that define every motion: cell, motion, views, part, settings, candidates."""
 
 SHORT_DIGEST = 8
-"""Characters of a digest that are shown, and asked for at least."""
+"""Number of characters of a digest in messages, and the minimum in a confirmation."""
 
 
 def driving_artefacts(artefacts: Iterable[str]) -> list[str]:
-    """Names of the artefacts that the motion rests on, sorted: `ALWAYS`, triangles of mesh fixtures, a robot's file."""
+    """Return the sorted names of the artefacts that define a motion, mesh fixtures and robot file included."""
     fixtures = (name for name in artefacts if name.startswith("fixture_") and name.endswith(".ply"))
     return sorted({*DRIVING_ARTEFACTS, *fixtures, *(name for name in artefacts if name == "robot.xml")})
 
 
 def plan_digest(artefacts: Mapping[str, str]) -> str:
-    """The digest of a plan.
-
-    Raises:
-        KeyError: if one that drives is missing.
-    """
+    """Return the digest of a plan from the sha256 of its artefacts."""
     return _sha256(f"{artefacts[name]}  {name}" for name in driving_artefacts(artefacts))
 
 
 def path_digest(plan: str, points: Iterable[Iterable[int]]) -> str:
-    """The digest of a way of its own.
+    """Return the digest of a path other than the plan's motion.
 
     Args:
         plan: digest of the plan.
-        points: a row of whole numbers for each via point: leg, view and pose that are taken there, set-points of all
-            axes in counts of 1e-4 deg.
+        points: integers for each via point: move, view, pose, set-points of all axes in counts of 1e-4 deg.
     """
     return _sha256([f"plan {plan}", *(" ".join(str(int(number)) for number in point) for point in points)])
 

@@ -1,8 +1,8 @@
-"""The run folder: an immutable plan on disk, written as `<name>.part` and renamed when it is finished.
+"""Write run folders: `<name>.part` while the run goes on, renamed when it is finished.
 
-Every artefact is on disk as soon as its stage is done, so that a killed run keeps what it had finished; the manifest
-always tells the stage. Artefacts hold no clock value and no machine path: equal inputs and seed give equal bytes.
-Nothing is pickled. The layout is described in docs/internals/run_folder.md and versioned by `SCHEMA`.
+Every artefact is written as soon as its stage is done, so a killed run keeps its finished stages; the manifest names
+the current stage. Artefacts contain no clock value and no machine path: equal inputs and seed give equal bytes.
+Nothing is pickled. docs/internals/run_folder.md describes the layout, `SCHEMA` is its version.
 """
 
 import errno
@@ -31,8 +31,7 @@ from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 
 SCHEMA, WITH_TABLE = "scan-cell/run/1", "scan-cell/run/2"
-"""Versions of the layout: that of every plan whose part stands, and that of one whose part a rotary table turns. They
-change together with a line in CHANGELOG.md."""
+"""Versions of the layout, without and with a rotary table. A change needs a line in CHANGELOG.md."""
 
 _VERSIONS_OF = (
     "scan-cell", "numpy", "scipy", "mujoco", "embreex", "trimesh", "fast-simplification", "libigl", "networkx",
@@ -41,11 +40,11 @@ _VERSIONS_OF = (
 
 @dataclass(slots=True)
 class RunFolder:
-    """An open run folder. Use `create`, the `stage` context, the writers, and `finish` or `fail`.
+    """A run folder that is being written. Use `create`, the `stage` context, the writers, and `finish` or `fail`.
 
     Attributes:
-        target: where the finished folder will be.
-        path: where it is now (`target` with `.part` behind until it is finished).
+        target: path of the finished folder.
+        path: current path (`target` with `.part` appended until it is finished).
     """
 
     target: Path
@@ -64,23 +63,20 @@ class RunFolder:
         now: datetime,
         schema: str = SCHEMA,
     ) -> "RunFolder":
-        """Make the folder.
+        """Create the folder.
 
         Args:
-            out: the folder to make; None makes `sim_runs/<UTC>-<hash>` below the working directory.
-            argv: the command line, kept in the manifest.
+            out: path; None means `sim_runs/<UTC>-<hash>` below the working directory.
+            argv: command line for the manifest.
             seed: seed of every random choice.
-            inputs: sha256 per input (part, scene, settings).
+            inputs: sha256 of each input (part, scene, settings).
             now: time of the start (UTC).
-            schema: of its files.
-
-        Raises:
-            FileError: if it exists already or cannot be made.
+            schema: version of the layout.
         """
         short = hashlib.sha256(json.dumps([dict(inputs), seed], sort_keys=True).encode()).hexdigest()[:8]
         target = out if out is not None else Path("sim_runs") / f"{now:%Y%m%dT%H%M%SZ}-{short}"
         if target.name in ("", "."):
-            raise FileError(f"the run folder {target} has no name of its own; give --out a new folder's path")
+            raise FileError(f"the run folder {target} has no name; give --out the path of a new folder")
         path = target.with_name(target.name + ".part")
         _move_aside(path)
         for taken in (target, path):
@@ -92,7 +88,7 @@ class RunFolder:
             path.mkdir(parents=True)
         except OSError as error:
             raise FileError(
-                f"the run folder {path} cannot be made: {_reason(error)}; choose a writable --out"
+                f"the run folder {path} cannot be created: {_reason(error)}; choose a writable --out"
             ) from error
         folder = cls(
             target,
@@ -114,7 +110,7 @@ class RunFolder:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Name the stage that runs and record its seconds; a failure inside is reported under this name."""
+        """Enter a stage: write its name to the manifest and add its duration at the end."""
         self._stage = name
         self.manifest = self.manifest.but(stage=name)
         self._write_manifest()
@@ -127,8 +123,8 @@ class RunFolder:
             self.manifest = self.manifest.but(seconds={**seconds, name: took})
 
     @contextmanager
-    def kept_on_failure(self) -> Iterator[None]:
-        """Work that ends early keeps the folder with what was finished, its status, stage and reason."""
+    def keep_on_failure(self) -> Iterator[None]:
+        """Keep the unfinished folder, with status, stage and reason, if the block raises."""
         try:
             yield
         except KeyboardInterrupt:
@@ -142,15 +138,15 @@ class RunFolder:
             raise
 
     def write_text(self, name: str, text: str) -> None:
-        """Write a text artefact (UTF-8, as given)."""
+        """Write a text artefact in UTF-8."""
         self._write(name, text.encode())
 
     def write_json(self, name: str, content: Mapping[str, JsonValue]) -> None:
-        """Write a JSON artefact; `schema` is put in front."""
+        """Write a JSON artefact; `schema` becomes its first key."""
         self.write_text(name, json_text({"schema": self.manifest.schema_version, **content}))
 
     def write_arrays(self, name: str, **arrays: NDArray[Any]) -> None:
-        """Write a compressed .npz without pickled objects."""
+        """Write arrays as a compressed .npz."""
         with self._writing(name):
             np.savez_compressed(self.path / name, allow_pickle=False, **arrays)
         self.adopt(name)
@@ -160,29 +156,25 @@ class RunFolder:
         self._write(name, b"".join(pieces))
 
     def write_mesh(self, name: str, mesh: TriangleMesh) -> None:
-        """Write a mesh as binary PLY in millimetres, with the region of each face where it has such."""
+        """Write a mesh as binary PLY in millimetres, with the region of each face if it has regions."""
         self._write(name, ply.mesh_bytes(mesh))
 
     def adopt(self, name: str) -> None:
-        """Record the sha256 of an artefact that another function has written into the folder."""
+        """Record the sha256 of an artefact that another function wrote into the folder."""
         with self._writing(name):
             self._artefacts[name] = hashlib.sha256((self.path / name).read_bytes()).hexdigest()
 
     def named(self, files: tuple[NamedFile, ...]) -> None:
-        """Keep which files of the user's the plan is made of."""
+        """Record the user's files that the plan depends on."""
         if files:
             self.manifest = self.manifest.but(files=files)
 
     def seal(self) -> None:
-        """Put the digest of all that drives into the manifest; whatever it covers is written."""
+        """Record the digest of the driving artefacts, which must all be written."""
         self.manifest = self.manifest.but(digest=digest.plan_digest(self._artefacts))
 
     def finish(self, exit_code: int | None, status: str = "finished") -> Path:
-        """Complete the manifest and rename the folder to its final name.
-
-        Returns:
-            The final path.
-        """
+        """Complete the manifest, rename the folder to its final name and return its path."""
         self._close(status, exit_code)
         with self._writing(self.target.name):
             self.path.rename(self.target)
@@ -190,12 +182,15 @@ class RunFolder:
         return self.target
 
     def fail(self, status: str, exit_code: int, reason: str) -> None:
-        """Keep the unfinished folder with status, stage and reason; never raises: another error is on its way."""
+        """Write status, stage and reason to the manifest of the unfinished folder.
+
+        Never raises, because it is called while another error is handled.
+        """
         self.manifest = self.manifest.but(reason=reason)
         try:
             self._close(status, exit_code)
         except FileError:
-            # The disk that failed the run may refuse the last manifest as well; the earlier one still names the stage.
+            # A full disk may refuse this manifest as well; the earlier one still names the stage.
             return
 
     def _close(self, status: str, exit_code: int | None) -> None:
@@ -221,27 +216,27 @@ class RunFolder:
             yield
         except OSError as error:
             raise FileError(
-                f"{self.path / name} cannot be written: {_reason(error)}; what was finished before stays in {self.path}"
+                f"{self.path / name} cannot be written: {_reason(error)}; finished artefacts remain in {self.path}"
             ) from error
 
 
 def _move_aside(path: Path) -> None:
-    """Make way for a new run: an ended run's `.part` folder is kept as `.part.1`, `.part.2`, ..."""
+    """Rename the `.part` folder of an ended run to `.part.1`, `.part.2`, ..., so that a new run can use the name."""
     try:
         status = json.loads((path / "manifest.json").read_text(encoding="utf-8"))["status"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return  # no folder of ours, or none at all
+        return  # not a run folder, or none at all
     if status == "running":
-        return  # perhaps it still is
+        return  # it may still be running
     number = next(n for n in range(1, 10_000) if not path.with_name(f"{path.name}.{n}").exists())
     try:
         path.rename(path.with_name(f"{path.name}.{number}"))
     except OSError as error:
-        raise FileError(f"{path} cannot be moved out of the way: {_reason(error)}; choose another --out") from error
+        raise FileError(f"{path} cannot be renamed: {_reason(error)}; choose another --out") from error
 
 
 def json_text(content: Mapping[str, JsonValue]) -> str:
-    """JSON with two-space indent, a final newline and no NaN."""
+    """Return JSON with two-space indent, a final newline and no NaN."""
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
@@ -252,7 +247,7 @@ def _reason(error: OSError) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python, of this project and of what results depend on."""
+    """Return the versions of Python, of this project and of the packages that affect results."""
     found = {"python": platform.python_version()}
     for name in _VERSIONS_OF:
         try:
@@ -263,27 +258,27 @@ def versions() -> dict[str, str]:
 
 
 PROCESS_KEYS = ("pid", "pid_began", "machine")
-"""Entries of a manifest while it is written."""
+"""Manifest entries of the writing process, present while the folder is written."""
 
 
 def with_process(manifest: Manifest) -> Manifest:
-    """The manifest with the entries of the process that asks."""
+    """Return the manifest with the entries of the current process."""
     pid = os.getpid()
     return manifest.but(pid=pid, pid_began=_stat(pid)[1], machine=platform.node())
 
 
 def is_running(manifest: Manifest) -> bool:
-    """Whether the process of a manifest runs on this machine; False where that cannot be found out.
+    """Return whether the process of a manifest runs on this machine; False if that is unknown.
 
-    Numbers of processes are used again, so where the system tells when a process began (Linux), that must agree too.
+    Process numbers are reused, so the start time must agree as well on systems that report it (Linux).
     """
     pid = manifest.pid
     if os.name != "posix" or pid is None or pid <= 0 or manifest.machine != platform.node():
-        return False  # on other systems signal 0 is no question
+        return False  # on other systems signal 0 is not a query
     try:
         os.kill(pid, 0)
     except PermissionError:
-        pass  # somebody else's, but it lives
+        pass  # another user's process, but it runs
     except (OSError, OverflowError):
         return False
     state, began = _stat(pid)
@@ -291,7 +286,7 @@ def is_running(manifest: Manifest) -> bool:
 
 
 def _stat(pid: int) -> tuple[str, int | None]:
-    """State of a process and its beginning in ticks since the machine's start; ("", None) where nothing tells it."""
+    """Return the state of a process and its start in ticks since boot; ("", None) if they are not reported."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         return fields[0], int(fields[19])

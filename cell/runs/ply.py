@@ -1,4 +1,4 @@
-"""The binary PLY files of a run folder: exactly the numbers that were used, and read back with nothing merged."""
+"""Read and write the binary PLY files of a run folder: exact coordinates, vertices and faces in their order."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -12,16 +12,13 @@ from planner.values import Floats
 
 _TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "ushort": "<u2", "uchar": "|u1"}
 _NAMES = {kind: name for name, kind in _TYPES.items()}
-_CORNERS = "corners"  # how many a face has, before their numbers
+_CORNERS = "corners"  # number of vertices of a face, stored before their indices
 
 
 def mesh(content: bytes) -> TriangleMesh:
-    """A mesh [m] of a file in millimetres.
+    """Return the mesh [m] of a file in millimetres.
 
-    A coordinate may differ from the one that was used by the last bit of a double.
-
-    Raises:
-        PlannerError: if the content is not a whole PLY.
+    A coordinate may differ from the written one by the last bit of a double.
     """
     read = elements(content)
     faces = read["face"]
@@ -30,28 +27,28 @@ def mesh(content: bytes) -> TriangleMesh:
 
 
 def mesh_bytes(mesh: TriangleMesh) -> bytes:
-    """A mesh [m] as a file in millimetres, with the region of each face where it has such.
+    """Return a mesh [m] as the bytes of a file in millimetres, with the region of each face if it has regions.
 
-    Vertices are doubles, so that the file holds exactly what was used; trimesh's writer would round to float32.
+    Vertices are doubles; trimesh's writer would round them to float32.
     """
     regions = {} if mesh.region is None else {"region": mesh.region.astype("<i4")}
     face = triangle_rows(mesh.faces, regions)
     return b"".join(file_pieces(["object frame, millimetres"], {"vertex": point_rows(mesh.vertices, {}), "face": face}))
 
 
-def point_rows(places: Floats, more: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
-    """Places (N, 3) [m] as an element in millimetres, and further columns (N,) of the types that the file gets."""
-    return _element({axis: places[:, i] * 1000.0 for i, axis in enumerate("xyz")} | dict(more))
+def point_rows(positions: Floats, more: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
+    """Return positions (N, 3) [m] as an element in millimetres, with further columns (N,)."""
+    return _element({axis: positions[:, i] * 1000.0 for i, axis in enumerate("xyz")} | dict(more))
 
 
 def triangle_rows(faces: NDArray[np.int32], more: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
-    """Faces (F, 3) as an element, and further columns (F,)."""
+    """Return faces (F, 3) as an element, with further columns (F,)."""
     corners = {_CORNERS: np.full(len(faces), 3, dtype=np.uint8), "vertex_indices": faces.astype("<i4")}
     return _element(corners | dict(more))
 
 
 def _element(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
-    """Columns as rows, one behind the other."""
+    """Return columns as one structured array."""
     kinds = [(name, column.dtype, column.shape[1:]) for name, column in columns.items()]
     rows = np.empty(len(next(iter(columns.values()))), dtype=kinds)
     for name, column in columns.items():
@@ -60,7 +57,7 @@ def _element(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.void]:
 
 
 def file_pieces(comments: Sequence[str], elements: Mapping[str, NDArray[np.void]]) -> Iterator[bytes]:
-    """A file of elements by name, piece by piece; comments are of ASCII, one line each."""
+    """Yield the bytes of a file of named elements; comments are ASCII, one line each."""
     header = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
     for element, rows in elements.items():
         header.append(f"element {element} {len(rows)}")
@@ -74,19 +71,15 @@ def file_pieces(comments: Sequence[str], elements: Mapping[str, NDArray[np.void]
 
 
 def positions(vertices: NDArray[np.void]) -> Floats:
-    """(N, 3) x, y and z of an element in millimetres [m]."""
+    """Return x, y and z (N, 3) [m] of an element in millimetres."""
     return np.stack([vertices[axis] for axis in "xyz"], axis=1) / 1000.0
 
 
 def elements(content: bytes) -> dict[str, NDArray[np.void]]:
-    """Its elements as structured arrays, by name; triangles are `vertex_indices` of a face.
+    """Return the elements of a little-endian binary PLY with triangular faces, as structured arrays by name.
 
-    Args:
-        content: of a little-endian binary PLY whose faces are triangles.
-
-    Raises:
-        PlannerError: if header and length differ.
-        ValueError: if it is none.
+    The vertices of a face are in `vertex_indices`. Raises PlannerError if header and length differ, ValueError if the
+    content is not such a file.
     """
     header, found, body = content.partition(b"end_header\n")
     kinds: dict[str, list[tuple[str, str] | tuple[str, str, int]]] = {}

@@ -96,7 +96,7 @@ class ArtefactFolder:
 
     @property
     def ending(self) -> str:
-        """How the run ended, as part of a sentence: "failed in the stage 'reach': no candidate is reachable"."""
+        """The end of the run as part of a sentence: "failed in the stage 'reach': no candidate is reachable"."""
         status, stage = self.manifest.status or "unknown", self.manifest.stage or "unknown"
         if self.is_finished:
             return "finished"

@@ -1,7 +1,9 @@
-"""The pieces of which the values of a run folder's JSON files are made.
+"""Definitions of the JSON files of a run folder.
 
-`plan_json`, `report_json` and `scene_json` define one file each: what a key is called, what it holds, in which unit.
-Who writes a file makes such a value, who reads one gets it, and docs/internals/run_folder.md lists its keys.
+Each file is one class: its keys, their types, units and meaning. A writer makes such a value and a reader returns one.
+docs/internals/run_folder.md lists the keys. Shares of coverage are fractions of the area of the surface. The keys that
+end in `_on_features`, `covered` and bounds refer to the samples of measurability.npz; other coverage refers to the
+held-out samples. Only manifest.json contains clock values.
 """
 
 from collections.abc import Mapping
@@ -37,27 +39,27 @@ def _transform(values: Any) -> NDArray[np.float64]:
 
 
 Transform = Annotated[NDArray[np.float64], PlainValidator(_transform), PlainSerializer(lambda T: T.tolist())]
-"""(4, 4) read-only [m]; rows in the file."""
+"""(4, 4) read-only [m]; four rows in the file."""
 
 JointAngles = tuple[float, float, float, float, float, float]
 Triple = tuple[float, float, float]
 
 
 class JsonTable(BaseModel):
-    """An object of a JSON file: frozen, its numbers finite; keys that this version does not know are passed over.
+    """An object of a JSON file: frozen, with finite numbers; unknown keys are ignored.
 
-    Values are made in the order in which their keys are written. Nothing is compiled before the first value is made.
+    Keys are written in the order of the fields. Validators are built when the first value is made.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, defer_build=True)
 
     def as_json(self) -> dict[str, JsonValue]:
-        """The object as JSON types, in the order in which it is written."""
+        """Return the object as JSON types, in the order of the file."""
         return self.model_dump(mode="json")
 
 
 class OpenTable(JsonTable):
-    """A table in which the keys of a scanner plug-in stand beside known ones, whatever that plug-in calls them."""
+    """An object that holds the keys of a scanner plug-in besides its own."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, JsonValue] = Field(init=False)
@@ -68,12 +70,12 @@ class OpenTable(JsonTable):
         return MappingProxyType(self.__pydantic_extra__)
 
     def number(self, key: str) -> float | None:
-        """One of the plug-in's keys, where it has it as a number."""
+        """Return a key of the plug-in if it is a number."""
         value = self.own.get(key)
         return float(value) if isinstance(value, int | float) else None
 
     def pair(self, key: str) -> tuple[float, float] | None:
-        """One of the plug-in's keys, where it has it as two numbers."""
+        """Return a key of the plug-in if it is a list of two numbers."""
         match self.own.get(key):
             case [int() | float() as first, int() | float() as second]:
                 return float(first), float(second)
@@ -81,7 +83,7 @@ class OpenTable(JsonTable):
 
 
 def optional(description: str = "") -> Any:
-    """A field that is left out of the file where it is None."""
+    """Return a field that is omitted from the file if it is None."""
     return Field(default=None, exclude_if=lambda value: value is None, description=description or None)
 
 
@@ -89,138 +91,134 @@ Table = TypeVar("Table", bound=JsonTable)
 
 
 def parsed(kind: type[Table], content: bytes, path: Path) -> Table:
-    """A JSON file as the value that defines it.
-
-    Args:
-        kind: the definition.
-        content: of the file.
-        path: for the sentence.
-
-    Raises:
-        FileError: if it is not JSON, lacks a key, or a key holds another kind of value.
-    """
+    """Return the content of a JSON file as a value of its class; `path` is for the error message."""
     try:
         return kind.model_validate_json(content, strict=True)
     except ValidationError as error:
         problem = error.errors(include_url=False)[0]
         if problem["type"] == "json_invalid":
-            said = "it is not JSON, or nested too deep"
+            cause = "it is not JSON, or nested too deep"
         else:
-            said = sentences(error, kind)[0] if problem["loc"] else "it must hold one JSON object"
-        raise FileError(f"{path} is damaged: {said}; plan or scan again") from error
+            cause = sentences(error, kind)[0] if problem["loc"] else "it must hold one JSON object"
+        raise FileError(f"{path} is damaged: {cause}; plan or scan again") from error
+
+
+# manifest.json
 
 
 class Resumed(JsonTable):
-    """Once that a stopped execution was taken up again."""
+    """A continuation of a stopped execution."""
 
     at: str = Field(description="time (UTC)")
-    argv: tuple[str, ...] = Field(description="the command line")
+    argv: tuple[str, ...] = Field(description="command line")
     driver: str = Field(description="URL of the controller")
-    after: str = Field(description="status that it had")
-    way: str | None = optional("digest of the way that was planned to go on")
-    way_deg: tuple[tuple[float, ...], ...] | None = optional("its set-points of all axes, from where the arm stood")
+    after: str = Field(description="status of the execution before")
+    way: str | None = optional("digest of the remaining path")
+    way_deg: tuple[tuple[float, ...], ...] | None = optional(
+        "set-points of all axes on the remaining path, from the position of the arm"
+    )
 
 
 class NamedFile(JsonTable):
-    """A file of the user's that a plan was made of."""
+    """A file of the user that the plan depends on."""
 
     what: str = Field(description="scene, part, or fixture:NAME")
-    path: str = Field(description="where it was")
-    sha256: str = Field(description="of its bytes")
+    path: str = Field(description="its path")
+    sha256: str = Field(description="sha256 of its bytes")
 
 
 class Manifest(JsonTable):
-    """The file; a key that is not set is not written."""
+    """manifest.json of a run or an execution: how it was made and how far it got.
+
+    It is the only file that changes while the folder is written. Any key may be missing, since a manifest may be cut
+    short or belong to a foreign folder. A key that is not set is not written.
+    """
 
     model_config = ConfigDict(serialize_by_alias=True)
 
-    schema_version: str | None = Field(default=None, alias="schema", description="of the folder's layout")
+    schema_version: str | None = Field(default=None, alias="schema", description="version of the folder's layout")
     status: str | None = Field(
         default=None,
-        description="running, finished, failed, interrupted, or incomplete: reported without having ended",
+        description="running, finished, failed, interrupted, or incomplete (reported before its end)",
     )
-    stage: str | None = Field(default=None, description="that was begun last")
-    started: str | None = Field(default=None, description="time (UTC)")
-    argv: tuple[str, ...] = Field(default=(), description="the command line")
-    seed: int | None = Field(default=None, ge=0, description="of every random choice")
-    inputs: dict[str, str] = Field(default_factory=dict, description="sha256 of what the plan depends on")
-    files: tuple[NamedFile, ...] = Field(default=(), description="that the user named; none of a built-in cell")
-    options: dict[str, JsonValue] = Field(default_factory=dict, description="of an execution: what was asked for")
-    source: str | None = Field(default=None, description="of an execution: where its points come from")
-    plan: str | None = Field(default=None, description="of an execution: sha256 of the plan.json that was executed")
+    stage: str | None = Field(default=None, description="last stage begun")
+    started: str | None = Field(default=None, description="time of the start (UTC)")
+    argv: tuple[str, ...] = Field(default=(), description="command line")
+    seed: int | None = Field(default=None, ge=0, description="seed of every random choice")
+    inputs: dict[str, str] = Field(default_factory=dict, description="sha256 of each input of the plan")
+    files: tuple[NamedFile, ...] = Field(default=(), description="files named by the user; absent for a built-in cell")
+    options: dict[str, JsonValue] = Field(default_factory=dict, description="execution: its options")
+    source: str | None = Field(default=None, description="execution: source of the points")
+    plan: str | None = Field(default=None, description="execution: sha256 of the executed plan.json")
     digest: str | None = Field(
-        default=None, description="of all that drives; of an execution: of the plan that was executed"
+        default=None, description="digest of the driving artefacts; execution: that of the executed plan"
     )
     way: str | None = Field(
-        default=None, description="of an execution: digest of what was driven, where that is not the plan's motion"
+        default=None, description="execution: digest of the driven path if it is not the plan's motion"
     )
-    versions: dict[str, str] = Field(default_factory=dict, description="of what results depend on")
-    seconds: dict[str, float] = Field(default_factory=dict, description="of each stage")
-    pid: int | None = Field(default=None, description="of an execution, while it runs: its process")
-    pid_began: int | None = Field(default=None, description="when that began, in ticks of its machine")
-    machine: str | None = Field(default=None, description="where it runs")
-    controller: str | None = Field(default=None, description="of an execution: who drove")
-    speed_fraction: float | None = Field(default=None, description="of the axis speeds")
-    moving_s: float | None = Field(default=None, description="time that the controller took for the moves")
-    simulated_time: bool | None = Field(default=None, description="whether its clock was a simulated one")
-    time_scale: float | None = Field(default=None, description="of an emulator whose clock is not real time")
-    resumed: tuple[Resumed, ...] = Field(default=(), description="each time that it was taken up again")
-    reason: str = Field(default="", description="why it failed, a sentence")
-    exit_code: int | None = Field(default=None, description="of the command; null where it was killed")
+    versions: dict[str, str] = Field(default_factory=dict, description="versions of the packages that affect results")
+    seconds: dict[str, float] = Field(default_factory=dict, description="duration of each stage")
+    pid: int | None = Field(default=None, description="running execution: its process")
+    pid_began: int | None = Field(default=None, description="start of the process, in ticks of its machine")
+    machine: str | None = Field(default=None, description="name of the machine")
+    controller: str | None = Field(default=None, description="execution: name of the controller")
+    speed_fraction: float | None = Field(default=None, description="share of the axis speeds")
+    moving_s: float | None = Field(default=None, description="duration of the moves by the controller's clock")
+    simulated_time: bool | None = Field(default=None, description="whether that clock was simulated")
+    time_scale: float | None = Field(default=None, description="clock rate of an emulator, if it is not real time")
+    resumed: tuple[Resumed, ...] = Field(default=(), description="continuations of the execution")
+    reason: str = Field(default="", description="cause of the failure, one sentence")
+    exit_code: int | None = Field(default=None, description="exit code of the command; null if it was killed")
     artefacts: dict[str, str] = Field(default_factory=dict, description="sha256 of every file")
 
     def as_json(self) -> dict[str, JsonValue]:
-        """The object as JSON types, of what is set."""
+        """Return the keys that are set, as JSON types."""
         return self.model_dump(mode="json", exclude_unset=True)
 
     def but(self, **entries: object) -> Self:
-        """A copy with other entries."""
+        """Return a copy with changed entries."""
         return self.model_copy(update=entries)
 
     def without(self, *names: str) -> Self:
-        """A copy without some entries."""
+        """Return a copy without some entries."""
         return type(self).model_validate(self.model_dump(exclude_unset=True, exclude=set(names)))
 
     def require_seed(self, folder: Path) -> int:
-        """The seed.
-
-        Args:
-            folder: for the sentence.
-
-        Raises:
-            FileError: if there is none.
-        """
+        """Return the seed, or raise FileError if there is none; `folder` is for the message."""
         if self.seed is None:
             raise FileError(f"{folder / 'manifest.json'} is damaged: it has no seed; plan or scan again")
         return self.seed
 
 
+# plan.json
+
+
 class Coverage(JsonTable):
-    """What the views measure, and what could be measured; fractions."""
+    """Coverage of the views and of all reachable candidates."""
 
     visible: float = Field(description="visible coverage of the views")
-    coverable: float = Field(description="what all reachable candidates together measure")
-    visible_of_coverable: float = Field(description="the first as a fraction of the second")
+    coverable: float = Field(description="coverage of all reachable candidates together")
+    visible_of_coverable: float = Field(description="visible / coverable")
     visible_with_arm: float | None = Field(
         default=None,
-        description="`visible` where each view's own arm hides as well; null for views that sweep, whose arm's shadow "
-        "is not judged; older runs do not say it",
+        description="visible coverage with self-occlusion by the arm; null for sweeping views, for which it is not "
+        "computed, and in older runs",
     )
     target_on_features: float | None = Field(
         default=None,
-        description="share of the coverable samples that had to be covered; null where regions have their own",
+        description="target: share of the coverable samples; null if regions have their own targets",
     )
-    planned_on_features: float = Field(description="what the views measure of the matrix' samples")
-    coverable_on_features: float = Field(description="what all reachable candidates measure of them")
+    planned_on_features: float = Field(description="coverage of the views on the samples of the matrix")
+    coverable_on_features: float = Field(description="coverage of all reachable candidates on these samples")
 
 
 class Verdicts(JsonTable):
-    """How many candidates the arm reaches, and what keeps it from the others."""
+    """Number of candidates by the result of the reach check."""
 
-    reachable: int = Field(description="with a joint solution that is free of collision")
-    out_of_reach: int = Field(description="too far or too near for the arm")
-    joint_limit: int = Field(description="every solution is outside the joint limits")
-    collision: int = Field(description="every solution within them is nearer to something than the clearance")
+    reachable: int = Field(description="with a collision-free configuration")
+    out_of_reach: int = Field(description="without an inverse kinematics solution")
+    joint_limit: int = Field(description="all configurations violate joint limits")
+    collision: int = Field(description="all other configurations are closer to an object than the clearance")
 
     @property
     def total(self) -> int:
@@ -229,154 +227,156 @@ class Verdicts(JsonTable):
 
 
 class Dropped(JsonTable):
-    """A candidate that was chosen and is not in the plan."""
+    """A selected candidate that is not in the plan."""
 
-    id: int = Field(description="row of viewpoints.npz")
-    reason: str = Field(description="why, one sentence")
+    id: int = Field(description="candidate, row of viewpoints.npz")
+    reason: str = Field(description="cause, one sentence")
 
 
 class SegmentClearance(JsonTable):
-    """How near things come on the way between two stops."""
+    """Clearance of the motion between two views."""
 
-    minimum_mm: float = Field(description="smallest distance measured on the motion; farther than 300 mm is 300")
+    minimum_mm: float = Field(description="smallest measured distance on the segment; values above 300 mm are cut off")
     at_least_mm: float = Field(
-        description="proven: nothing is nearer on the segment; links built near each other count as farther"
+        description="proven lower bound of the clearance on the segment; pairs that are built close count as farther"
     )
-    between: str = Field(description='what is that near, "housing with part"; "" where all is farther than 300 mm')
+    between: str = Field(description='closest pair of objects, "housing with part"; "" beyond 300 mm')
 
 
 class Tightest(JsonTable):
-    """The moment at which two things are nearest in all of the motion."""
+    """The moment of the smallest distance in the motion."""
 
-    segment: int = Field(description="of the motion, from 0")
-    time_s: float = Field(description="of motion.npz")
-    distance_mm: float = Field(description="between the two")
-    between: str = Field(description="what they are")
-    points_in_base_mm: tuple[Triple, Triple] = Field(description="the nearest points, of the first and of the second")
-    q_deg: JointAngles = Field(description="joint angles there")
-    e_deg: tuple[float, ...] | None = optional("angles of the external axes there")
+    segment: int = Field(description="segment of the motion, from 0")
+    time_s: float = Field(description="time in motion.npz")
+    distance_mm: float = Field(description="distance of the two objects")
+    between: str = Field(description="the two objects")
+    points_in_base_mm: tuple[Triple, Triple] = Field(description="closest point of each object, base frame")
+    q_deg: JointAngles = Field(description="joint angles at this moment")
+    e_deg: tuple[float, ...] | None = optional("angles of the external axes at this moment")
 
 
 class Clearance(JsonTable):
-    """How near the motion comes to anything."""
+    """Clearance of the motion."""
 
     collision: Literal["hull", "decomposed", "exact"] = Field(
-        description="what the part was: hull, or exact, its triangles; of older runs also decomposed"
+        description="collision shape of the part: hull, exact (triangles), or decomposed (older runs)"
     )
-    segments: tuple[SegmentClearance, ...] = Field(description="on the way between two stops, in the motion's order")
-    tightest: Tightest | None = Field(description="its nearest moment; null where everything is farther than 300 mm")
+    segments: tuple[SegmentClearance, ...] = Field(description="one for each segment between views, in motion order")
+    tightest: Tightest | None = Field(description="moment of the smallest distance; null if all exceed 300 mm")
 
 
 class MostCoverage(JsonTable):
-    """With `--max-views`: the most coverage for a number of views."""
+    """With `--max-views`: maximum coverage for a number of views."""
 
-    max_views: int = Field(description="that were allowed")
-    covered: float = Field(description="what the views measure, fraction")
-    upper_bound: float = Field(description="what no so many candidates exceed, fraction")
-    gap_points: float = Field(description="between the two, in points of what can be measured")
+    max_views: int = Field(description="allowed number of views")
+    covered: float = Field(description="coverage of the views")
+    upper_bound: float = Field(description="proven upper bound on the coverage of any `max_views` candidates")
+    gap_points: float = Field(description="upper bound minus coverage, in percentage points of the coverable samples")
 
 
 class OverlapPart(JsonTable):
-    """Views whose scans hang together."""
+    """A connected component of the overlap graph."""
 
-    views: int = Field(description="how many")
-    covered: float = Field(description="what they measure, fraction")
+    views: int = Field(description="number of views")
+    covered: float = Field(description="coverage of these views")
 
 
 class Overlap(JsonTable):
-    """With `--overlap`: whether the scans hang together, and what that costs."""
+    """With `--overlap`: connectivity of the overlap graph and its cost."""
 
-    connected: bool = Field(description="whether all do")
-    extra_views: int = Field(description="price in views")
-    views_without: int = Field(description="views of the plan without this wish")
-    without_earlier: int = Field(description="views that overlap none before them, but for the first")
-    parts: tuple[OverlapPart, ...] = Field(description="groups that hang together, the one that measures most first")
+    connected: bool = Field(description="whether the overlap graph is connected")
+    extra_views: int = Field(description="number of views added for the overlap")
+    views_without: int = Field(description="number of views without the overlap constraint")
+    without_earlier: int = Field(description="views without overlap with an earlier view, except the first")
+    parts: tuple[OverlapPart, ...] = Field(description="connected components, largest coverage first")
 
 
 class RobustSelection(JsonTable):
-    """With `--pose-sd`: what the selection was to hold although poses are off."""
+    """With `--pose-sd`: parameters and result of the selection under pose error."""
 
-    alpha: float = Field(description="probability with which a sample may be missed")
-    members: int = Field(description="drawn pose errors from which probabilities are known")
-    views_needed: int = Field(description="views that measure a sample in all members, for it to be promised")
-    robust_on_features: float = Field(description="samples that the views measure with 1 - alpha or more, fraction")
-    robust_coverable_on_features: float = Field(description="the same of all reachable candidates together, fraction")
+    alpha: float = Field(description="accepted probability of missing a sample")
+    members: int = Field(description="number of drawn pose errors")
+    views_needed: int = Field(description="views that measure a sample in all members, for confidence 1 - alpha")
+    robust_on_features: float = Field(description="share of samples that the views measure at confidence 1 - alpha")
+    robust_coverable_on_features: float = Field(description="the same for all reachable candidates together")
 
 
 class Promise(RobustSelection):
-    """With `--pose-sd`: what is promised although poses are off, and what simulated executions say."""
+    """With `--pose-sd`: coverage at confidence 1 - alpha, and its check by simulated executions."""
 
-    executions: int = Field(description="simulated executions, each with fresh errors of every view")
-    samples: int = Field(description="held-out samples that they look at")
-    promised: float = Field(description="measured with 1 - alpha or more, by an ensemble as in planning, fraction")
-    achieved: float = Field(description="measured in a share of 1 - alpha of the executions or more, fraction")
-    kept: float = Field(description="share of the promised area that was")
-    frequency: float = Field(description="share of the executions in which promised area was measured, on average")
-    coverage_mean: float = Field(description="what one execution measures on average, fraction")
-    coverage_worst: float = Field(description="what the worst of them measures, fraction")
+    executions: int = Field(description="number of simulated executions, each with new pose errors")
+    samples: int = Field(description="number of held-out samples")
+    promised: float = Field(description="coverage at confidence 1 - alpha, by an ensemble as in planning")
+    achieved: float = Field(description="share measured in at least 1 - alpha of the executions")
+    kept: float = Field(description="share of the promised area that was achieved")
+    frequency: float = Field(description="mean share of the executions in which promised area was measured")
+    coverage_mean: float = Field(description="mean coverage of an execution")
+    coverage_worst: float = Field(description="smallest coverage of an execution")
 
 
 class Multiplicity(JsonTable):
-    """With `--k-fold`: each sample measured from several views."""
+    """With `--multiplicity`: number of views for each sample."""
 
-    views_per_sample: int = Field(description="that were asked for")
-    samples_with_fewer_candidates: int = Field(description="these are measured from all that they have")
+    views_per_sample: int = Field(description="requested number of views per sample")
+    samples_with_fewer_candidates: int = Field(
+        description="samples with fewer candidates; they are measured from all of them"
+    )
 
 
 class Cost(JsonTable):
-    """With `--cost time`: seconds in place of the number of views."""
+    """With `--cost time`: cost in seconds."""
 
-    seconds: float = Field(description="scan and settling at all views, and the motion over them")
-    bound_seconds: float = Field(description="no selection and no motion over it need less")
+    seconds: float = Field(description="dwell time at all views plus the motion")
+    bound_seconds: float = Field(description="lower bound over all selections and motions")
 
 
 class OpenOf(JsonTable):
-    """Of a further set-up: what all measure together, fractions of the surface.
+    """Further set-up: coverage together with the set-ups before.
 
-    Surface that a support touches in a set-up counts as not measured in it.
+    Surface in contact with a support counts as not measured in that set-up.
     """
 
     digests: tuple[str, ...] = Field(
-        description="of the plans of the set-ups before; all have the samples of the first"
+        description="digests of the plans of the set-ups before; all use the samples of the first"
     )
-    before: float = Field(description="what their views measure")
-    together: float = Field(description="what they and the views of this plan measure")
-    coverable: float = Field(description="what they and all candidates that are reached here measure")
-    in_contact: float = Field(description="what they leave open and a support touches here: no view here has it")
+    before: float = Field(description="coverage of the set-ups before")
+    together: float = Field(description="coverage of all set-ups, this one included")
+    coverable: float = Field(description="coverage of the set-ups before and of all reachable candidates here")
+    in_contact: float = Field(description="share not measured before and in contact with a support here")
 
     @property
     def share(self) -> float:
-        """What this plan measures of what was open and can be measured here."""
+        """Share of the open, coverable surface that this plan measures."""
         most = self.coverable - self.before
         return (self.together - self.before) / most if most > 0 else 1.0
 
 
 class Sweep(JsonTable):
-    """At a view of a line sensor: a straight line at constant speed through its K poses."""
+    """Line of a sweeping view: a straight line at constant speed through K poses."""
 
-    T_object_scanner: tuple[Transform, ...] = Field(description="(K, 4, 4), the view's own is number K // 2")
-    q_deg: tuple[JointAngles, ...] = Field(description="of these poses, in the column's order")
-    from_q_deg: JointAngles = Field(description="where the line begins, at rest")
-    to_q_deg: JointAngles = Field(description="where it ends, at rest")
-    backwards: bool = Field(description="whether the last pose is driven first")
-    length_mm: float = Field(description="from the first pose to the last")
-    angle_deg: float = Field(description="from the first pose to the last")
-    speed_mm_s: float = Field(description="between them")
-    speed_deg_s: float = Field(description="between them")
-    duration_s: float = Field(description="from rest to rest")
+    T_object_scanner: tuple[Transform, ...] = Field(description="(K, 4, 4) poses; that of the view is number K // 2")
+    q_deg: tuple[JointAngles, ...] = Field(description="joint angles of the poses")
+    from_q_deg: JointAngles = Field(description="start of the line, at rest")
+    to_q_deg: JointAngles = Field(description="end of the line, at rest")
+    backwards: bool = Field(description="whether the poses are passed in reverse order")
+    length_mm: float = Field(description="distance from the first pose to the last")
+    angle_deg: float = Field(description="rotation from the first pose to the last")
+    speed_mm_s: float = Field(description="speed between them")
+    speed_deg_s: float = Field(description="rotational speed between them")
+    duration_s: float = Field(description="duration from rest to rest")
 
 
 class PlanView(JsonTable):
-    """A view as it will be executed: of the rounded joint angles through forward kinematics."""
+    """A view as it is executed: poses follow from the rounded joint angles by forward kinematics."""
 
     id: int = Field(description="candidate, row of viewpoints.npz")
-    roll_deg: float = Field(description="about the viewing axis")
-    T_object_scanner: Transform = Field(description="scanner in the object frame; of a sweep its middle pose")
-    T_base_scanner: Transform = Field(description="the same in base")
-    T_base_flange: Transform = Field(description="the flange there")
+    roll_deg: float = Field(description="rotation about the viewing axis")
+    T_object_scanner: Transform = Field(description="scanner in the object frame; for a sweep the middle pose")
+    T_base_scanner: Transform = Field(description="scanner in base")
+    T_base_flange: Transform = Field(description="flange in base")
     q_deg: JointAngles = Field(description="set-points A1 to A6, multiples of 1e-4")
-    e_deg: tuple[float, ...] | None = optional("set-points of the external axes, likewise: the rotary table's angle")
-    T_base_object: Transform | None = optional("where the rotary table has turned the part to")
+    e_deg: tuple[float, ...] | None = optional("set-points of the external axes (angle of the rotary table)")
+    T_base_object: Transform | None = optional("pose of the part as turned by the rotary table")
     sweep: Sweep | None = optional()
 
     @property
@@ -386,190 +386,195 @@ class PlanView(JsonTable):
 
     @property
     def T_object_poses(self) -> Floats:
-        """(K, 4, 4) all poses of a sweep [m]; of a view at rest the one that it has."""
+        """(K, 4, 4) all poses of a sweep [m]; K is 1 for a view at rest."""
         return np.stack((self.T_object_scanner,) if self.sweep is None else self.sweep.T_object_scanner)
 
 
 class PlanFile(JsonTable):
-    """The file."""
+    """plan.json: the views in visiting order and the facts about their selection."""
 
     units: str = "transforms are 4x4 in metres, angles in deg; coverage and gap are fractions"
     coverage: Coverage
-    solver: str = Field(description="that chose the views")
-    status: str = Field(description="what is proven of the selection, in words")
-    lower_bound: int = Field(description="no plan of these candidates has fewer views for target_on_features")
-    gap: float = Field(description="of the number of views over its bound, as a fraction of the former")
+    solver: str = Field(description="solver that selected the views")
+    status: str = Field(description="what is proven about the selection, in words")
+    lower_bound: int = Field(description="lower bound on the number of views, over these candidates and the target")
+    gap: float = Field(description="(views - lower bound) / views")
     verdicts: Verdicts
-    dropped: tuple[Dropped, ...] = Field(description="candidates that could not be connected, or that the arm shades")
-    clearance: Clearance | None = optional("how near the motion comes to anything")
+    dropped: tuple[Dropped, ...] = Field(
+        description="selected candidates that could not be connected or are occluded by the arm"
+    )
+    clearance: Clearance | None = optional("clearance of the motion")
     most_coverage: MostCoverage | None = optional()
     overlap: Overlap | None = optional()
     promise: Promise | None = optional()
     multiplicity: Multiplicity | None = optional()
     cost: Cost | None = optional()
     open_of: OpenOf | None = optional()
-    views: tuple[PlanView, ...] = Field(description="as they will be executed, in visiting order")
+    views: tuple[PlanView, ...] = Field(description="views in visiting order")
+
+
+# report.json of a plan
 
 
 class ReportPart(JsonTable):
-    """The part as it was measured out."""
+    """The measured part."""
 
-    name: str = Field(description="of the built-in part or of the file")
-    faces: int = Field(description="of reference.ply")
-    planning_faces: int = Field(description="of planning.ply")
-    extents_mm: Triple = Field(description="of its bounding box along the axes of the object frame")
-    area_mm2: float = Field(description="of its surface")
-    findings: tuple[str, ...] = Field(description="what the mesh check found, a sentence each")
+    name: str = Field(description="name of the built-in part or of the file")
+    faces: int = Field(description="faces of reference.ply")
+    planning_faces: int = Field(description="faces of planning.ply")
+    extents_mm: Triple = Field(description="size of the bounding box along the axes of the object frame")
+    area_mm2: float = Field(description="area of the surface")
+    findings: tuple[str, ...] = Field(description="findings of the mesh check, one sentence each")
 
 
 class ReportSettings(OpenTable):
-    """What was asked for; the keys of the scanner's type stand beside these (docs/scanners.md)."""
+    """Options of the plan; the keys of the scanner type stand among them (docs/scanners.md)."""
 
-    placement_mm: Triple = Field(description="of the part's centre in base")
-    placement_abc_deg: Triple = Field(description="how it is turned, KUKA A B C")
-    scanner: str = Field(description="type of the scanner")
-    sensor: str | None = optional("real sensor by name")
-    sweep_poses: int | None = optional("poses of each view, of a scanner that sweeps")
-    sweep_in_motion: bool | None = optional("whether the motion drives the sweeps")
-    sweep_s: tuple[float, float] | None = optional("of the fastest and of the slowest sweep")
-    standoffs_mm: tuple[float, ...] = Field(description="from the surface to the laser source")
-    rolls_deg: tuple[float, ...] = Field(description="about the viewing axis")
-    candidates: str = Field(description="how viewpoints were made")
-    fill: str = Field(description="how the matrix was filled")
-    coverage: float = Field(description="asked for, as a fraction of what can be measured")
+    placement_mm: Triple = Field(description="position of the part's centre in base")
+    placement_abc_deg: Triple = Field(description="orientation of the part, KUKA A B C")
+    scanner: str = Field(description="scanner type")
+    sensor: str | None = optional("name of the sensor")
+    sweep_poses: int | None = optional("poses of each sweeping view")
+    sweep_in_motion: bool | None = optional("whether the motion includes the sweeps")
+    sweep_s: tuple[float, float] | None = optional("duration of the shortest and the longest sweep")
+    standoffs_mm: tuple[float, ...] = Field(description="distances from the surface to the laser source")
+    rolls_deg: tuple[float, ...] = Field(description="rotations about the viewing axis")
+    candidates: str = Field(description="method of candidate generation")
+    fill: str = Field(description="method that fills the matrix")
+    coverage: float = Field(description="target, share of the coverable surface")
     required_visible: float = Field(description="visible coverage below which `cell plan` ends with exit code 3")
-    seed: int = Field(description="of every random choice")
-    max_views: int | None = optional("views allowed")
-    multiplicity: int | None = optional("views for each sample")
-    pinned: tuple[int, ...] | None = optional("candidates that had to be in the plan")
-    banned: tuple[int, ...] | None = optional("candidates that must not be")
-    cost: str | None = optional("what was made small in place of the number of views")
-    overlap_mm2: float | None = optional("two views are joined where they share this area")
-    overlap_share: float | None = optional("two views are joined where they share this fraction of the smaller one")
+    seed: int = Field(description="seed of every random choice")
+    max_views: int | None = optional("maximum number of views")
+    multiplicity: int | None = optional("views per sample")
+    pinned: tuple[int, ...] | None = optional("required candidates")
+    banned: tuple[int, ...] | None = optional("excluded candidates")
+    cost: str | None = optional("minimised cost, if not the number of views")
+    overlap_mm2: float | None = optional("common area above which two scans overlap")
+    overlap_share: float | None = optional("share of the smaller scan above which two scans overlap")
     overlap_in_order: bool | None = optional("whether each view has to overlap an earlier one")
-    scan_s: float | None = optional("taken for a scan, with cost 'time'")
-    settle_s: float | None = optional("taken for settling, with cost 'time'")
-    pose_sd_mm: float | None = optional("standard deviation of executed poses along each axis of the scanner")
-    pose_sd_deg: float | None = optional("standard deviation of executed poses about each axis of the scanner")
-    alpha: float | None = optional("probability with which a promised sample may be missed")
-    ensemble: int | None = optional("drawn pose errors")
+    scan_s: float | None = optional("duration of a scan, with cost 'time'")
+    settle_s: float | None = optional("settling time, with cost 'time'")
+    pose_sd_mm: float | None = optional("standard deviation of the executed position along each axis of the scanner")
+    pose_sd_deg: float | None = optional("standard deviation of the executed rotation about each axis of the scanner")
+    alpha: float | None = optional("accepted probability of missing a sample")
+    ensemble: int | None = optional("number of drawn pose errors")
 
     @model_serializer(mode="wrap")
-    def _scanners_keys_behind_its_name(self, serialize: SerializerFunctionWrapHandler) -> dict[str, JsonValue]:
+    def _put_scanner_keys_after_name(self, serialize: SerializerFunctionWrapHandler) -> dict[str, JsonValue]:
         content: dict[str, JsonValue] = serialize(self)
         first = ("placement_mm", "placement_abc_deg", "scanner", "sensor", *self.own)
         return {key: content[key] for key in first if key in content} | content
 
 
 class Attainable(JsonTable):
-    """What any pose would measure that this robot takes up here; fractions of the surface."""
+    """Coverage by any pose of this robot, estimated by search."""
 
-    share: float = Field(description="of the held-out samples, measured by some pose")
-    standard_error: float = Field(description="of it: not all of those were searched for")
-    asked: int = Field(description="samples that were searched for")
-    out_of_reach: float = Field(
-        description="seen past part and occluders, but only from poses that the arm does not take up"
-    )
-    out_of_sight: float = Field(description="seen from no pose that was tried")
+    share: float = Field(description="attainable coverage on the held-out samples")
+    standard_error: float = Field(description="standard error of the share, since a subset of the samples is searched")
+    asked: int = Field(description="number of searched samples")
+    out_of_reach: float = Field(description="share that is visible only from poses outside the arm's reach")
+    out_of_sight: float = Field(description="share that is visible from no tried pose")
 
 
 class Sigma(JsonTable):
-    """With `--max-sigma`: expected standard deviation, over the samples of the matrix."""
+    """With `--max-sigma`: expected standard deviation of the points."""
 
-    median_mm: float = Field(description="of the samples that the views measure, each from its best view")
-    quantile_95_mm: float = Field(description="95 % of them are below")
-    limit_mm: float = Field(description="that was asked for")
+    median_mm: float = Field(description="median over the measured samples, each from its best view")
+    quantile_95_mm: float = Field(description="95 % quantile")
+    limit_mm: float = Field(description="limit")
 
 
 class Spacing(JsonTable):
-    """Distance of neighbouring points, from the densest view of each place."""
+    """Distance of neighbouring points in the densest view of each sample."""
 
-    median_mm: float = Field(description="half of what is measured has points at most so far apart")
-    quantile_95_mm: float = Field(description="95 % of it")
-    quantile_99_mm: float = Field(description="99 % of it")
-    limit_mm: float | None = Field(description="that was asked for; null: none")
+    median_mm: float = Field(description="median over the measured samples")
+    quantile_95_mm: float = Field(description="95 % quantile")
+    quantile_99_mm: float = Field(description="99 % quantile")
+    limit_mm: float | None = Field(description="limit; null: none")
 
 
 class RegionResult(JsonTable):
-    """What the plan gives a region; fractions of its area, on the held-out samples."""
+    """Coverage of a region; shares are fractions of its area on the held-out samples."""
 
-    name: str = Field(description="of the scene; `the rest` is what no region selects")
-    area_mm2: float = Field(description="of its surface")
-    asked: float = Field(description="share of what is coverable that was asked for")
-    shared: bool = Field(description="whether it is asked of all such regions together, by area and weight")
-    views: int = Field(description="from which each sample of the matrix was to be measured")
-    max_sigma_mm: float | None = Field(description="limit of its own; null: none")
-    max_spacing_mm: float | None = Field(description="limit of its own; null: none")
-    weight: float = Field(description="of its area")
-    visible: float = Field(description="that the views measure")
-    coverable: float = Field(description="that reachable candidates measure")
-    visible_of_coverable: float = Field(description="the first as a fraction of the second")
-    from_enough_views: float = Field(description="that as many views as were asked for measure")
-    reason: str = Field(description='why less than what was asked for is coverable; "" where it is not less')
+    name: str = Field(description="name in the scene; `the rest` is the surface outside all regions")
+    area_mm2: float = Field(description="area of the region")
+    asked: float = Field(description="target, share of the coverable surface")
+    shared: bool = Field(description="whether the target applies to all such regions together, by area and weight")
+    views: int = Field(description="views per sample")
+    max_sigma_mm: float | None = Field(description="own sigma limit; null: none")
+    max_spacing_mm: float | None = Field(description="own spacing limit; null: none")
+    weight: float = Field(description="weight of its area")
+    visible: float = Field(description="coverage of the views")
+    coverable: float = Field(description="coverage of the reachable candidates")
+    visible_of_coverable: float = Field(description="visible / coverable")
+    from_enough_views: float = Field(description="share measured from the requested number of views")
+    reason: str = Field(description='cause if less than the target is coverable; else ""')
 
 
 class ReportView(JsonTable):
-    """A view for a person's table."""
+    """A row of the table of views."""
 
     id: int = Field(description="candidate, row of viewpoints.npz")
-    adds: float = Field(description="what it measures that the views before it do not, fraction of the surface")
-    source_in_base_mm: Triple = Field(description="place of the laser source")
+    adds: float = Field(description="marginal coverage over the views before")
+    source_in_base_mm: Triple = Field(description="position of the laser source")
     q_deg: JointAngles = Field(description="set-points A1 to A6, multiples of 1e-4")
-    e_deg: tuple[float, ...] | None = optional("set-points of the external axes, likewise: the rotary table's angle")
-    roll_deg: float = Field(description="about the viewing axis")
-    clearance_on_the_way_mm: float | None = Field(description="on the segment that leads to it")
+    e_deg: tuple[float, ...] | None = optional("set-points of the external axes (angle of the rotary table)")
+    roll_deg: float = Field(description="rotation about the viewing axis")
+    clearance_on_the_way_mm: float | None = Field(description="smallest clearance on the segment to the view")
 
 
 class ReportMotion(JsonTable):
-    """The motion, from home to home."""
+    """The motion from home to home."""
 
-    duration_s: float = Field(description="of the motion")
+    duration_s: float = Field(description="duration")
     jerk_free_bound_s: float = Field(
-        default=0.0, description="time-optimal for the same stops without a limit of jerk; 0: not known"
+        default=0.0, description="time-optimal duration for the same stops without a jerk limit; 0: unknown"
     )
-    baseline_duration_s: float = Field(description="of the same views in task-space order (Christofides)")
-    lower_bound_s: float = Field(description="no order and joint solutions of these views take less")
-    via_points: int = Field(description="of the motion, home at both ends among them")
-    detours: int = Field(description="segments on which the arm makes more than one straight move")
-    speed_fraction: float = Field(description="of the axis speeds")
-    minimum_clearance_mm: float | None = Field(description="the smallest on the way")
-    between: str = Field(description="what is that near")
+    baseline_duration_s: float = Field(description="duration for the same views in task-space order (Christofides)")
+    lower_bound_s: float = Field(description="lower bound over all orders and configurations of these views")
+    via_points: int = Field(description="number of via points, home at both ends included")
+    detours: int = Field(description="number of segments with more than one straight joint move")
+    speed_fraction: float = Field(description="share of the axis speeds")
+    minimum_clearance_mm: float | None = Field(description="smallest clearance")
+    between: str = Field(description="pair of objects with the smallest clearance")
 
 
 class Fewest(JsonTable):
-    """How many views a share of what can be measured takes."""
+    """Fewest views for a share of the coverable surface."""
 
-    of_coverable: float = Field(description="share of what can be measured, fraction")
-    views: int | None = Field(description="that suffice; null where none were found")
-    at_least: int | None = Field(description="no fewer do; null where no number is known")
+    of_coverable: float = Field(description="share of the coverable samples")
+    views: int | None = Field(description="sufficient number of views; null if none was found")
+    at_least: int | None = Field(description="lower bound on the number of views; null if unknown")
 
 
 class Curve(JsonTable):
-    """With `--curve`: the fewest views for round shares; curve.json has all of the curve."""
+    """With `--curve`: fewest views for round shares; curve.json has the whole curve."""
 
-    fewest: tuple[Fewest, ...] = Field(description="how many views a share takes, from little to much")
+    fewest: tuple[Fewest, ...] = Field(description="entries by increasing share")
 
 
 class Report(JsonTable):
-    """The file."""
+    """report.json: the content of the report page, the terminal table and `--json`."""
 
     part: ReportPart
     settings: ReportSettings
-    n_views: int = Field(description="views of the plan")
-    n_features: int = Field(description="samples of the matrix")
+    n_views: int = Field(description="number of views")
+    n_features: int = Field(description="number of samples of the matrix")
     coverage: Coverage
-    attainable: Attainable | None = optional("none in older runs")
+    attainable: Attainable | None = optional("absent in older runs")
     sigma: Sigma | None = optional()
     spacing: Spacing | None = optional()
     regions: tuple[RegionResult, ...] | None = optional()
-    solver: str = Field(description="that chose the views")
-    status: str = Field(description="what is proven of the selection, in words")
-    lower_bound: int = Field(description="no plan of these candidates has fewer views for target_on_features")
-    gap: float = Field(description="of the number of views over its bound, as a fraction of the former")
+    solver: str = Field(description="solver that selected the views")
+    status: str = Field(description="what is proven about the selection, in words")
+    lower_bound: int = Field(description="lower bound on the number of views, over these candidates and the target")
+    gap: float = Field(description="(views - lower bound) / views")
     verdicts: Verdicts
-    blockers: dict[str, int] = Field(description="with what candidates collide, and how many with each")
-    dropped: tuple[Dropped, ...] = Field(description="candidates that could not be connected, or that the arm shades")
-    views: tuple[ReportView, ...] = Field(description="in visiting order; plan.json has all of them")
+    blockers: dict[str, int] = Field(description="objects in collision with candidates, and the number of candidates")
+    dropped: tuple[Dropped, ...] = Field(
+        description="selected candidates that could not be connected or are occluded by the arm"
+    )
+    views: tuple[ReportView, ...] = Field(description="views in visiting order; plan.json has all their data")
     motion: ReportMotion
     most_coverage: MostCoverage | None = optional()
     overlap: Overlap | None = optional()
@@ -577,34 +582,35 @@ class Report(JsonTable):
     multiplicity: Multiplicity | None = optional()
     cost: Cost | None = optional()
     open_of: OpenOf | None = optional()
-    of_several: bool | None = optional(
-        "true of one of several set-ups that one cover was planned for, and of what is edited from it"
-    )
+    of_several: bool | None = optional("true for one of several set-ups with a common cover, and for an edited copy")
     curve: Curve | None = optional()
-    clearance: Clearance | None = optional("how near the motion comes to anything")
+    clearance: Clearance | None = optional("clearance of the motion")
 
     @property
     def is_single_setup(self) -> bool:
-        """Whether its coverage was asked of it alone."""
+        """Whether the coverage target applies to this plan alone."""
         return self.open_of is None and not self.of_several
 
 
-class ResolvedPart(JsonTable):
-    """The part as it was given."""
+# scene.resolved.json
 
-    name: str = Field(description="of the built-in part or of the file")
-    units: str | None = Field(description="of the file; null for a built-in part")
-    sha256: str = Field(description="of the file")
+
+class ResolvedPart(JsonTable):
+    """The part file."""
+
+    name: str = Field(description="name of the built-in part or of the file")
+    units: str | None = Field(description="unit of the file; null for a built-in part")
+    sha256: str = Field(description="sha256 of the file")
 
 
 class ScannerKeys(OpenTable):
-    """The scanner: calling the class of its type with the other keys makes it again (docs/scanners.md)."""
+    """The scanner: its type, and the keyword arguments that construct it (docs/scanners.md)."""
 
     type: str = Field(description="name of the plug-in")
 
     @property
     def opening_deg(self) -> tuple[float, float]:
-        """Angles (across, along) that stand for it in pictures [deg]: its field of view, or a line's thin fan.
+        """Angles (across, along) of the frustum in pictures [deg]: the field of view, or the thin fan of a line.
 
         A scanner that states neither is drawn 10 degrees wide.
         """
@@ -613,439 +619,436 @@ class ScannerKeys(OpenTable):
 
     @property
     def drawn_range_mm(self) -> tuple[float, float]:
-        """Smallest and largest distance in pictures [mm]; 100 to 300 of a scanner that states none."""
+        """Smallest and largest distance of the frustum in pictures [mm]; 100 to 300 if the scanner states none."""
         return self.pair("range_mm") or (100.0, 300.0)
 
 
 class ResolvedRobot(JsonTable):
-    """A robot that is not built in, or that does not stand in the origin."""
+    """A robot that is not built in, or not placed at the origin."""
 
-    model: Literal["kr16", "robot.xml"] = Field(description="the built-in robot, or the run's own file of another")
-    name: str = Field(description="of the file that the scene names, or kr16")
-    T_base: Transform = Field(description="where its base stands in the cell's frame")
+    model: Literal["kr16", "robot.xml"] = Field(description="the built-in robot, or the run's copy of another")
+    name: str = Field(description="name of the file in the scene, or kr16")
+    T_base: Transform = Field(description="its base in the frame of the cell")
 
 
 class ResolvedTable(JsonTable):
-    """The rotary table that turns the part, a cylinder below its face; E1 is its angle, 0 the placement."""
+    """The rotary table that turns the part, a cylinder below its face; axis E1, with the placement at angle 0."""
 
-    T_base_table: Transform = Field(description="the middle of its face; it turns about z, right-handed")
-    diameter_mm: float = Field(description="of the cylinder")
-    height_mm: float = Field(description="of the cylinder")
-    swing_mm: float = Field(description="diameter of the circle that the part may swing through")
+    T_base_table: Transform = Field(description="centre of the face; the axis is z, right-handed")
+    diameter_mm: float = Field(description="diameter of the cylinder")
+    height_mm: float = Field(description="height of the cylinder")
+    swing_mm: float = Field(description="diameter of the free circle for the rotating part")
     limits_deg: tuple[float, float] | None = Field(description="smallest and largest angle; null: endless")
-    turn_deg: tuple[float, float] | None = optional("of these, as far as the part keeps clear of what stands beside it")
-    velocity_deg_s: float = Field(description="at full speed")
-    acceleration_deg_s2: float = Field(description="at full acceleration")
-    jerk_deg_s3: float = Field(description="at full acceleration")
+    turn_deg: tuple[float, float] | None = optional("range within the limits that is free of collisions")
+    velocity_deg_s: float = Field(description="speed limit")
+    acceleration_deg_s2: float = Field(description="acceleration limit")
+    jerk_deg_s3: float = Field(description="jerk limit")
     moves: Literal["synchronised", "indexed"] = Field(
-        default="synchronised", description="together with the arm, or while the arm stands clear of all that is turned"
+        default="synchronised", description="synchronised with the arm, or indexed while the arm is clear of the table"
     )
-    angles: int = Field(description="over a turn, at which views were looked for")
-    post_mm: float | None = optional("of a table under the part: how far its face is below the part's lowest point")
+    angles: int = Field(description="number of table angles at which views are searched")
+    post_mm: float | None = optional("table below the part: distance of its face from the part's lowest point")
 
 
 class ResolvedHousing(JsonTable):
-    """The scanner's body and the bracket between it and the flange."""
+    """The scanner's housing, and the bracket between it and the flange."""
 
     shape: Literal["box"] = "box"
-    size_mm: Triple = Field(description="along x, y, z of its own frame")
-    T_flange_housing: Transform = Field(description="its middle")
-    bracket_diameter_mm: float = Field(description="of the round bracket")
+    size_mm: Triple = Field(description="size along x, y, z of its own frame")
+    T_flange_housing: Transform = Field(description="its centre")
+    bracket_diameter_mm: float = Field(description="diameter of the bracket")
 
 
 class StandingFixture(JsonTable):
-    """Something fixed that stands in the cell: of the scene, or post, pedestal and floor."""
+    """A fixture of the scene, or post, pedestal and floor."""
 
-    name: str = Field(description="of its own")
-    shape: Literal["box", "cylinder", "mesh", "plane"] = Field(description="what it is; a plane is endless")
-    size_mm: tuple[float, ...] = Field(description="box and mesh x, y, z; cylinder diameter and height; plane nothing")
-    pose: Transform = Field(description="of its middle in the frame it is attached to; of a mesh that of its file")
+    name: str = Field(description="unique name")
+    shape: Literal["box", "cylinder", "mesh", "plane"] = Field(description="its shape; a plane is infinite")
+    size_mm: tuple[float, ...] = Field(description="box and mesh x, y, z; cylinder diameter, height; plane empty")
+    pose: Transform = Field(description="its centre in the frame it is attached to; for a mesh the origin of its file")
     attached_to: Literal["base", "object"] = Field(description="frame that it moves with")
-    occludes: bool = Field(description="whether it stands in the way of rays")
+    occludes: bool = Field(description="whether it blocks rays")
     built_in: bool = Field(description="whether it is post, pedestal or floor")
-    file: str | None = optional("the triangles of a mesh, mm, in the frame that it is attached to")
-    collision: Literal["hull", "exact"] | None = optional(
-        "what a mesh was to the collision check: exact or hull; not said: its hull"
-    )
+    file: str | None = optional("triangles of a mesh, mm, in the frame it is attached to")
+    collision: Literal["hull", "exact"] | None = optional("collision shape of a mesh: exact, or hull (default)")
 
 
 class ResolvedPlan(PlanKeys):
-    """The scene's `[plan]`, its keys settled; what an older run lacks is the default now."""
+    """The `[plan]` table of the scene with all values resolved; keys missing in older runs have today's default."""
 
     model_config = ConfigDict(extra="ignore", defer_build=True)
 
     collision: Literal["hull", "decomposed", "exact"] = Field(  # type: ignore[assignment] # runs of earlier versions
-        default="hull", description="what the part was to the collision check; not said: its hull"
+        default="hull", description="collision shape of the part; hull if absent"
     )
-    planning_faces: int | None = Field(default=None, description="of planning.ply, what came out for `faces`")
-    sphere_radius_mm: float | None = Field(default=None, description="of the view sphere")
+    planning_faces: int | None = Field(default=None, description="faces of planning.ply")
+    sphere_radius_mm: float | None = Field(default=None, description="radius of the view sphere")
 
 
 class ResolvedRegion(RegionWishes):
-    """What was asked of a region; faces of reference.ply have its number, from 0, as `region` (-1: nobody cares)."""
+    """Options of a region; faces of reference.ply carry its number from 0 as `region` (-1: ignored)."""
 
     model_config = ConfigDict(extra="ignore", defer_build=True)
 
 
 class ResolvedScene(JsonTable):
-    """The file."""
+    """scene.resolved.json: all settings of the plan, resolved, and every object of the cell."""
 
     units: str = "transforms are 4x4 in metres; the rest as names say"
     part: ResolvedPart
-    T_base_object: Transform = Field(description="the part's file in base")
-    T_object_centre: Transform = Field(description="the middle of its bounding box in the object frame")
-    T_flange_scanner: Transform = Field(description="the scanner frame in the flange frame")
+    T_base_object: Transform = Field(description="pose of the part's file in base")
+    T_object_centre: Transform = Field(description="centre of its bounding box in the object frame")
+    T_flange_scanner: Transform = Field(description="scanner frame in the flange frame")
     scanner: ScannerKeys
-    planning_resolution_deg: float = Field(description="between rays that fill the matrix, with `fill` 'rays'")
+    planning_resolution_deg: float = Field(description="angle between the rays with `fill` 'rays'")
     housing: ResolvedHousing
-    robot: ResolvedRobot | None = optional(
-        "which robot, and where its base stands; else the built-in one in the origin"
-    )
-    table: ResolvedTable | None = optional("turns part, post and the part's fixtures")
-    fixtures: tuple[StandingFixture, ...] = Field(description="of the scene, and post, pedestal and floor")
-    # The built-in home is whole numbers, and the file keeps what the scene has.
-    home_deg: tuple[int | float, ...] = Field(description="joint angles at which the motion begins and ends")
-    joint_limits_deg: tuple[tuple[float, float], ...] = Field(description="lower and upper of each axis")
-    joint_velocity_limits_deg_s: tuple[float, ...] = Field(description="of each axis at full speed")
-    joint_acceleration_limits_deg_s2: tuple[float, ...] = Field(description="of each axis")
+    robot: ResolvedRobot | None = optional("robot and its base; absent: the built-in one at the origin")
+    table: ResolvedTable | None = optional("rotary table that turns part, post and the part's fixtures")
+    fixtures: tuple[StandingFixture, ...] = Field(description="fixtures of the scene, post, pedestal and floor")
+    # The built-in home is whole numbers, and the file keeps the scene's notation.
+    home_deg: tuple[int | float, ...] = Field(description="joint angles at start and end of the motion")
+    joint_limits_deg: tuple[tuple[float, float], ...] = Field(description="lower and upper limit of each axis")
+    joint_velocity_limits_deg_s: tuple[float, ...] = Field(description="speed limit of each axis")
+    joint_acceleration_limits_deg_s2: tuple[float, ...] = Field(description="acceleration limit of each axis")
     joint_jerk_limits_deg_s3: tuple[float | None, ...] | None = Field(
-        default=None, description="of each axis; null, or not there: not limited"
+        default=None, description="jerk limit of each axis; null or absent: none"
     )
-    speed_scaling: float = Field(description="fraction of the speeds that the motion was timed with")
-    acceleration_scaling: float = Field(description="fraction of the accelerations and jerks")
-    clearance_mm: float = Field(description="that everything keeps from everything else")
-    arrival_mm: float | None = optional("how far a point of arm or tool may stand from where a move ends")
+    speed_scaling: float = Field(description="share of the speed limits used for timing")
+    acceleration_scaling: float = Field(description="share of the acceleration and jerk limits used for timing")
+    clearance_mm: float = Field(description="required clearance")
+    arrival_mm: float | None = optional("tolerance on the position of any point of arm or tool at the end of a move")
     plan: ResolvedPlan
     regions: tuple[ResolvedRegion, ...] | None = optional()
 
     @property
     def table_is_endless(self) -> bool:
-        """Whether a rotary table turns round and round."""
+        """Whether there is a rotary table without limits."""
         return self.table is not None and self.table.limits_deg is None
 
 
-class ExecutedPart(JsonTable):
-    """The part that was scanned."""
+# report.json of an execution
 
-    name: str = Field(description="of the built-in part or of the file")
-    faces: int = Field(description="of reference.ply")
+
+class ExecutedPart(JsonTable):
+    """The scanned part."""
+
+    name: str = Field(description="name of the built-in part or of the file")
+    faces: int = Field(description="faces of reference.ply")
 
 
 class ExecutedSettings(JsonTable):
-    """What was asked for; null where the manifest of the execution does not say it."""
+    """Options of the execution; null if its manifest does not contain them."""
 
     model_config = ConfigDict(serialize_by_alias=True)
 
     driver: str | None = Field(description="URL of the controller")
-    view: int | None = Field(description="the one view that was asked for; null: all")
-    range_noise_mm: float | None = Field(description="one sigma along each ray")
-    pose_error_mm: float | None = Field(description="one sigma of the executed position along each axis")
-    pose_error_deg: float | None = Field(description="one sigma of the executed rotation about each axis")
+    view: int | None = Field(description="the only executed view; null: all")
+    range_noise_mm: float | None = Field(description="standard deviation along each ray")
+    pose_error_mm: float | None = Field(description="standard deviation of the executed position along each axis")
+    pose_error_deg: float | None = Field(description="standard deviation of the executed rotation about each axis")
     registers: bool | None = Field(alias="register", description="whether poses were corrected by registration")
     close_holes: bool | None = Field(description="whether the holes of the surface were closed")
-    noise: str = Field(description="'model': noise by the scanner's own law as well; or 'none'")
-    scanner: str = Field(description="type of the scanner")
-    resolution_deg: tuple[float, ...] = Field(description="between rays; empty of a scanner without")
-    rays_per_scan: int = Field(description="of a view at rest, or of one line of a sweep")
-    seed: int = Field(description="of noise and pose error")
+    noise: str = Field(description="'model': noise of the scanner's sigma model as well; or 'none'")
+    scanner: str = Field(description="scanner type")
+    resolution_deg: tuple[float, ...] = Field(description="angle between rays; empty if the scanner has none")
+    rays_per_scan: int = Field(description="rays of a view at rest, or of one line of a sweep")
+    seed: int = Field(description="seed of noise and pose error")
 
 
 class ExecutedCoverage(JsonTable):
-    """What the executed poses measure; fractions of the surface."""
+    """Coverage of the executed poses."""
 
     kind: str = Field(
         default="simulated",
-        description="of `visible`: 'simulated' by the true poses, or 'model': computed from registered poses",
+        description="kind of `visible`: 'simulated' from the true poses, or 'model' from registered poses",
     )
     visible: float = Field(description="visible coverage of the executed poses")
-    predicted: float = Field(description="the same of the planned poses of the views that were scanned")
-    predicted_all_views: float = Field(description="the same of all views of the plan")
-    coverable: float = Field(description="what all reachable candidates together measure")
-    visible_of_coverable: float = Field(description="`visible` as a fraction of `coverable`")
+    predicted: float = Field(description="visible coverage of the planned poses of the scanned views")
+    predicted_all_views: float = Field(description="visible coverage of all planned views")
+    coverable: float = Field(description="coverage of all reachable candidates together")
+    visible_of_coverable: float = Field(description="visible / coverable")
     sampled: float = Field(description="sampled coverage")
-    dense: float | None = Field(
-        default=None,
-        description="dense coverage; null where it is not known",
-    )
+    dense: float | None = Field(default=None, description="dense coverage; null if unknown")
     sampled_radius_mm: float = Field(description="1 % of the diagonal of the part's bounding box")
 
 
 class ExecutedView(JsonTable):
-    """One scan, in driving order."""
+    """One scan, in execution order."""
 
     stop: int = Field(description="number of the view, from 1 in visiting order")
     id: int = Field(description="candidate, row of viewpoints.npz")
-    points: int = Field(description="that it gave")
-    rays: dict[str, int] | None = Field(description="by what became of them; null where points are not simulated")
-    adds: float = Field(description="what it measures that the scans before it do not, fraction of the surface")
-    reported_minus_commanded_deg: float = Field(description="of the axis that differs most")
+    points: int = Field(description="number of points")
+    rays: dict[str, int] | None = Field(description="number of rays by result; null if points are not simulated")
+    adds: float = Field(description="marginal coverage over the scans before")
+    reported_minus_commanded_deg: float = Field(description="largest difference of an axis")
     pose_error_mm: float | None = Field(
-        description="distance of the true pose from the reported one; null where points are not simulated, as the next"
+        description="distance of the true pose from the reported one; this and the next three are null if points are "
+        "not simulated"
     )
     pose_error_deg: float | None = Field(description="angle between the two")
     pose_error_after_mm: float | None = Field(description="distance of the true pose from the registered one")
     pose_error_after_deg: float | None = Field(description="angle between the two")
-    registration: str | None = Field(description="how it went; null where it was not asked for")
-    free_directions: int = Field(description="along which registration could not tell the pose")
+    registration: str | None = Field(description="result of the registration; null without one")
+    free_directions: int = Field(description="directions in which registration could not determine the pose")
 
 
 class ExecutedCloud(JsonTable):
-    """The merged points; null without any."""
+    """The merged points; values are null without points."""
 
-    rms_to_reference_mm: float | None = Field(description="root mean square of their distances to the reference")
+    rms_to_reference_mm: float | None = Field(description="root mean square distance to the reference")
     rms_to_reference_as_reported_mm: float | None = Field(description="the same before registration")
     outliers: int = Field(
-        default=0, description="off the part, borne out by no neighbour, left out; none where simulated"
+        default=0, description="removed points far from the part and without neighbours; 0 for simulated points"
     )
 
 
 class ExecutedRegistration(JsonTable):
-    """How the reported poses were corrected."""
+    """Correction of the reported poses."""
 
-    rms_before_mm: float | None = Field(description="of matched points along the normals, as reported")
-    rms_after_mm: float | None = Field(description="the same afterwards")
-    iterations: int = Field(description="steps")
-    overlapping_pairs: int = Field(description="of scans")
-    left_as_reported: int = Field(description="scans whose pose was not corrected")
+    rms_before_mm: float | None = Field(description="rms distance of matched points along the normals, before")
+    rms_after_mm: float | None = Field(description="the same after registration")
+    iterations: int = Field(description="number of iterations")
+    overlapping_pairs: int = Field(description="number of pairs of overlapping scans")
+    left_as_reported: int = Field(description="number of scans whose pose was not corrected")
 
 
 class ExecutedPlace(JsonTable):
-    """Where the part of a set-up was found to stand."""
+    """Localised pose of the part in a set-up."""
 
-    moved_mm: float = Field(description="of its centre, from its place")
-    turned_deg: float = Field(description="from how it should lie")
-    worst_point_mm: float | None = Field(description="standard deviation of the point of the part that is known least")
+    moved_mm: float = Field(description="displacement of the centre from the planned placement")
+    turned_deg: float = Field(description="rotation from the planned placement")
+    worst_point_mm: float | None = Field(description="standard deviation of the least determined point of the part")
     undetermined: tuple[str, ...] = Field(
-        description="motions that these points do not tell to 0.05 mm, in words: along them the part stays as planned, "
-        "and moves only where set-ups are registered to each other afterwards"
+        description="motions that the points do not determine to 0.05 mm, in words: along them the part keeps its "
+        "planned pose until set-ups are registered to each other"
     )
     off_mm: float | None = Field(
-        description="of the centre from the truth, along what is determined; null where points are not simulated"
+        description="error of the centre along the determined directions; null if points are not simulated"
     )
-    off_deg: float | None = Field(description="angle to the truth, about what is determined")
+    off_deg: float | None = Field(description="error of the rotation about the determined directions")
 
 
 class ExecutedSurface(JsonTable):
-    """The surface made of the points; lengths are null without any."""
+    """The reconstructed surface; lengths are null without points."""
 
-    status: str = Field(description="how it went, a sentence")
-    vertices: int = Field(description="of mesh.ply")
-    faces: int = Field(description="of mesh.ply")
-    closed_faces: int = Field(description="of these, how many close holes")
-    spacing_mm: float | None = Field(description="between points")
-    reach_mm: float | None = Field(description="no surface is farther from a point")
-    diagonal_mm: float = Field(description="of the part's bounding box")
-    grid_mm: float | None = Field(description="edge of a cell")
-    outliers: int = Field(description="points left out")
-    holes: int = Field(description="open boundary loops of what was measured")
+    status: str = Field(description="result of the reconstruction, a sentence")
+    vertices: int = Field(description="vertices of mesh.ply")
+    faces: int = Field(description="faces of mesh.ply")
+    closed_faces: int = Field(description="faces that close holes")
+    spacing_mm: float | None = Field(description="spacing of the points")
+    reach_mm: float | None = Field(description="largest distance of the surface from a point")
+    diagonal_mm: float = Field(description="diagonal of the part's bounding box")
+    grid_mm: float | None = Field(description="edge of a grid cell")
+    outliers: int = Field(description="removed points")
+    holes: int = Field(description="open boundary loops of the measured surface")
 
 
 class SurfaceDeviation(JsonTable):
-    """Signed distance of a surface from the reference, positive outside the part, over its area."""
+    """Signed distance of a surface from the reference over its area, positive outside the part."""
 
     rms_mm: float = Field(description="root mean square")
-    mean_mm: float = Field(description="with its sign")
-    quantile_95_mm: float = Field(description="95 % of the area deviate by no more")
-    largest_mm: float = Field(description="without its sign")
-    samples: int = Field(description="that stand for the area")
+    mean_mm: float = Field(description="mean with sign")
+    quantile_95_mm: float = Field(description="95 % quantile of the absolute value")
+    largest_mm: float = Field(description="largest absolute value")
+    samples: int = Field(description="number of samples of the area")
 
 
 class ExecutedDeviation(SurfaceDeviation):
-    """Of the measured area of the mesh."""
+    """Deviation of the measured area of the mesh."""
 
-    closed: SurfaceDeviation | None = Field(description="of the faces that close holes; null without any")
+    closed: SurfaceDeviation | None = Field(description="deviation of the faces that close holes; null without any")
 
 
 class ExecutedMotion(JsonTable):
-    """The moves."""
+    """Duration of the moves."""
 
-    planned_s: float = Field(description="the plan's time for them")
-    executed_s: float | None = Field(description="the controller's; null where its clock was no simulated one")
+    planned_s: float = Field(description="planned duration")
+    executed_s: float | None = Field(description="duration by the controller's clock; null unless it is simulated")
 
 
 class ExecutedRegion(JsonTable):
-    """What the scans measure of a region; fractions of its area."""
+    """Coverage of a region by the scans; fractions of its area."""
 
-    name: str = Field(description="of the scene")
-    visible: float = Field(description="that they measure")
-    views: int = Field(description="from which its samples were to be measured")
-    from_enough_views: float = Field(description="that so many of them measure")
+    name: str = Field(description="name in the scene")
+    visible: float = Field(description="coverage")
+    views: int = Field(description="requested views per sample")
+    from_enough_views: float = Field(description="share measured from the requested number of views")
 
 
 class ExecutionReport(JsonTable):
-    """The file."""
+    """report.json of an execution: the content of its page, the terminal table and `--json`."""
 
     part: ExecutedPart
-    source: str = Field(default="simulated", description="where the points come from: 'simulated', or what was named")
-    doubts: tuple[str, ...] = Field(default=(), description="what the points contradict, a sentence each")
-    complete: bool = Field(description="whether every view is there and no file was left out")
+    source: str = Field(default="simulated", description="source of the points: 'simulated', or its name")
+    doubts: tuple[str, ...] = Field(default=(), description="contradictions found in the points, a sentence each")
+    complete: bool = Field(description="whether every view is present and every file was used")
     missing_views: tuple[int, ...] = Field(description="numbers of the views without a usable scan")
-    left_out: tuple[str, ...] = Field(description="a sentence for each file that could not be used")
+    left_out: tuple[str, ...] = Field(description="one sentence for each unusable file")
     settings: ExecutedSettings
-    n_views: int = Field(description="scans")
-    n_views_planned: int = Field(description="views of the plan")
-    n_points: int = Field(description="of all scans")
+    n_views: int = Field(description="number of scans")
+    n_views_planned: int = Field(description="number of planned views")
+    n_points: int = Field(description="number of points of all scans")
     coverage: ExecutedCoverage
     regions: tuple[ExecutedRegion, ...] | None = optional()
-    views: tuple[ExecutedView, ...] = Field(description="in driving order")
+    views: tuple[ExecutedView, ...] = Field(description="scans in execution order")
     cloud: ExecutedCloud
     place: ExecutedPlace | None = optional()
-    registration: ExecutedRegistration | None = Field(description="null where it was not asked for")
+    registration: ExecutedRegistration | None = Field(description="null without registration")
     model: ExecutedSurface
     deviation: ExecutedDeviation | None = Field(description="null without a surface")
     motion: ExecutedMotion
 
 
-class OfferedSetup(JsonTable):
-    """A pose of the part that was looked at."""
+# setups.json and scanned/report.json: shares are on the held-out samples that all set-ups have in common
 
-    name: str = Field(description="in words")
-    placement_mm: Triple = Field(description="of the part's centre in base")
-    placement_abc_deg: Triple = Field(description="how it is turned, KUKA A B C")
-    reachable: int = Field(description="candidates that the arm reaches")
-    coverable: float = Field(description="what these measure")
-    in_contact: float = Field(description="what a support touches: no view of this set-up measures it")
-    left_out: str = Field(description='why it is not possible, a sentence; "" where it is')
+
+class OfferedSetup(JsonTable):
+    """A set-up candidate."""
+
+    name: str = Field(description="description in words")
+    placement_mm: Triple = Field(description="position of the part's centre in base")
+    placement_abc_deg: Triple = Field(description="orientation of the part, KUKA A B C")
+    reachable: int = Field(description="number of reachable candidates")
+    coverable: float = Field(description="their coverage")
+    in_contact: float = Field(description="share in contact with a support, which this set-up cannot measure")
+    left_out: str = Field(description='cause if the set-up is not possible, a sentence; else ""')
 
 
 class ChosenSetup(JsonTable):
     """A set-up of the cover."""
 
-    folder: str = Field(description="its run folder, from this file's")
-    digest: str = Field(description="of the plan in it")
+    folder: str = Field(description="its run folder, relative to this file")
+    digest: str = Field(description="digest of its plan")
     offered: int = Field(description="row of `offered`")
-    views: int = Field(description="of its plan")
-    visible: float = Field(description="what they measure")
-    adds: float = Field(description="what they measure that the set-ups before do not")
+    views: int = Field(description="number of views")
+    visible: float = Field(description="coverage of the views")
+    adds: float = Field(description="marginal coverage over the set-ups before")
 
 
 class SetupsCoverage(JsonTable):
-    """What all set-ups measure together, on the same held-out samples."""
+    """Coverage of all set-ups together."""
 
-    visible: float = Field(description="measured by a view of any of them")
-    coverable: float = Field(description="measured by a reachable candidate of any set-up that was offered")
-    visible_of_coverable: float = Field(description="the first as a fraction of the second")
-    asked: float = Field(description="of that fraction")
-    required: float = Field(default=0.0, description="of the whole surface: less is exit code 3")
+    visible: float = Field(description="coverage of all views")
+    coverable: float = Field(description="coverage of the reachable candidates of all set-up candidates")
+    visible_of_coverable: float = Field(description="visible / coverable")
+    asked: float = Field(description="target, share of the coverable surface")
+    required: float = Field(default=0.0, description="required share of the whole surface; below it the exit code is 3")
 
 
 class SetupsRegion(JsonTable):
-    """A region of the part, measured in all set-ups together; shares are of the region."""
+    """Coverage of a region by all set-ups together; shares are fractions of the region."""
 
-    name: str = Field(description="of its own")
-    asked: float = Field(description="of what is coverable; regions without a coverage of their own share one")
-    visible: float = Field(description="measured by a view of any set-up")
-    coverable: float = Field(description="measured by a reachable candidate of any set-up that was offered")
-    visible_of_coverable: float = Field(description="the first as a fraction of the second")
+    name: str = Field(description="name in the scene")
+    asked: float = Field(description="target, share of the coverable surface; shared by regions without an own target")
+    visible: float = Field(description="coverage of all views")
+    coverable: float = Field(description="coverage of the reachable candidates of all set-up candidates")
+    visible_of_coverable: float = Field(description="visible / coverable")
 
 
 class PlannedOpen(JsonTable):
-    """What no view of any set-up measures, by the first reason that holds; fractions of the surface."""
+    """Uncovered surface of all set-ups by cause, the first that applies."""
 
-    not_asked: float = Field(description="a candidate of a set-up that was offered measures it: less was asked for")
-    in_contact: float = Field(description="a support touches it in every set-up that was chosen")
-    out_of_reach: float = Field(description="poses see it in a chosen set-up, and the arm takes up none of them")
-    other_poses: float = Field(description="the arm takes up a pose that measures it, and none of the candidates does")
-    out_of_sight: float = Field(description="no pose sees it past the part and what stands about it")
-    standard_error: float = Field(description="at most, of the last three: they are told of samples")
+    not_asked: float = Field(description="measured by a candidate of a set-up candidate, but not needed for the target")
+    in_contact: float = Field(description="in contact with a support in every selected set-up")
+    out_of_reach: float = Field(description="visible in a selected set-up only from poses outside the arm's reach")
+    other_poses: float = Field(description="measurable from a reachable pose that is not a candidate")
+    out_of_sight: float = Field(description="visible from no pose past the part and its surroundings")
+    standard_error: float = Field(description="largest standard error of the last three, estimated from samples")
 
 
 class SharedSurface(JsonTable):
-    """What two set-ups both measure, by which their scans are held together."""
+    """Surface that two set-ups have in common, for their registration."""
 
-    setups: tuple[int, int] = Field(description="their numbers")
-    share: float = Field(description="of the surface that both measure")
-    free: tuple[str, ...] = Field(description="motions that it leaves open although the part would show them, in words")
+    setups: tuple[int, int] = Field(description="numbers of the set-ups")
+    share: float = Field(description="share of the surface measured in both")
+    free: tuple[str, ...] = Field(description="motions that it does not determine although the part would, in words")
 
 
 class ViewsFirst(JsonTable):
-    """A cover of fewer views in more set-ups, of the same candidates and samples; no motion was planned for it."""
+    """A cover with fewer views in more set-ups, over the same candidates and samples, without a planned motion."""
 
-    setups: int = Field(description="that it takes")
-    views: int = Field(description="of all of them")
+    setups: int = Field(description="number of set-ups")
+    views: int = Field(description="number of views")
 
 
 class SetupsFile(JsonTable):
-    """The file."""
+    """setups.json: several set-ups of one part, planned as one cover."""
 
-    part: str = Field(description="of the built-in part or of the file")
-    seed: int = Field(description="of every random choice")
+    part: str = Field(description="name of the built-in part or of the file")
+    seed: int = Field(description="seed of every random choice")
     coverage: SetupsCoverage
-    status: str = Field(description="what is proven of the number of set-ups, and of views, in words")
-    setups_bound: int = Field(description="no fewer of the set-ups offered reach what was asked of these samples")
-    views: int = Field(description="of all set-ups")
+    status: str = Field(description="what is proven about the numbers of set-ups and views, in words")
+    setups_bound: int = Field(description="lower bound on the number of set-ups, over the set-up candidates")
+    views: int = Field(description="number of views of all set-ups")
     views_bound: int = Field(
-        description="no cover by so many of the set-ups offered, of the share of the samples that status names, has "
-        "fewer views"
+        description="lower bound on the number of views, over covers with this number of set-ups and the share of "
+        "samples in `status`"
     )
-    views_first: ViewsFirst | None = optional("where fewer views would do if they came before set-ups")
-    curve: Curve | None = optional(
-        "with `--curve`: the fewest views of these set-ups for round shares of what they can"
-    )
+    views_first: ViewsFirst | None = optional("alternative with fewer views in more set-ups")
+    curve: Curve | None = optional("with `--curve`: fewest views of these set-ups for round shares of the coverable")
     seconds: float | None = Field(
-        default=None, description="that views cost, and set-ups where they do; null where views were counted"
+        default=None, description="cost of views and set-ups in seconds; null if views are counted"
     )
-    seconds_bound: float | None = Field(default=None, description="no cover that was asked for costs less")
+    seconds_bound: float | None = Field(default=None, description="lower bound of the cost over all covers")
     kept: float | None = Field(
         default=None,
-        description="of what can be: share of the matrix' samples that has as many views, or the promise, asked for",
+        description="share of the coverable samples with the requested number of views or confidence",
     )
-    regions: tuple[SetupsRegion, ...] = Field(default=(), description="of the part; none where it has none")
-    chosen: tuple[ChosenSetup, ...] = Field(description="in the order in which they are numbered")
-    offered: tuple[OfferedSetup, ...] = Field(description="all that were looked at")
-    shared: tuple[SharedSurface, ...] = Field(default=(), description="by pairs of chosen set-ups")
-    open: PlannedOpen | None = Field(default=None, description="what no view measures; older folders do not say it")
+    regions: tuple[SetupsRegion, ...] = Field(default=(), description="regions of the part")
+    chosen: tuple[ChosenSetup, ...] = Field(description="selected set-ups in the order of their numbers")
+    offered: tuple[OfferedSetup, ...] = Field(description="all set-up candidates")
+    shared: tuple[SharedSurface, ...] = Field(default=(), description="common surface by pairs of selected set-ups")
+    open: PlannedOpen | None = Field(default=None, description="uncovered surface by cause; absent in older folders")
 
 
 class ScannedSetup(JsonTable):
-    """A set-up that is scanned."""
+    """A scanned set-up."""
 
-    number: int = Field(description="from 1, of its folder in setups/")
-    execution: str = Field(description="of its run folder")
-    digest: str = Field(description="of the plan that was executed")
-    views: int = Field(description="scans that are used")
-    points: int = Field(description="of them")
-    visible: float = Field(description="what they measure, and no support touches")
-    adds: float = Field(description="of that, what the set-ups before do not measure")
-    place: ExecutedPlace | None = Field(
-        description="where the part was found to stand; null where it was not looked for"
-    )
+    number: int = Field(description="number from 1, name of its folder in setups/")
+    execution: str = Field(description="execution of its run folder")
+    digest: str = Field(description="digest of the executed plan")
+    views: int = Field(description="number of used scans")
+    points: int = Field(description="their points")
+    visible: float = Field(description="coverage without surface in contact with a support")
+    adds: float = Field(description="marginal coverage over the set-ups before")
+    place: ExecutedPlace | None = Field(description="localised pose of the part; null without localisation")
 
 
 class OpenShares(JsonTable):
-    """What no scan measures, by the first reason that holds."""
+    """Surface that no scan measures by cause, the first that applies."""
 
-    to_come: float = Field(description="views of set-ups that are not scanned yet measure it, as planned")
-    lost: float = Field(description="a view was planned to measure it, and the executed one does not")
-    in_contact: float = Field(description="a support touches it in every set-up")
-    not_planned: float = Field(description="no view was planned for it")
+    to_come: float = Field(description="planned for set-ups that are not scanned yet")
+    lost: float = Field(description="planned for an executed view that does not measure it")
+    in_contact: float = Field(description="in contact with a support in every set-up")
+    not_planned: float = Field(description="in no planned view")
 
 
 class ScannedSetups(JsonTable):
-    """The file."""
+    """scanned/report.json: the scans of all set-ups together."""
 
-    part: str = Field(description="of the built-in part or of the file")
-    source: str = Field(description="where the points come from")
-    setups: tuple[ScannedSetup, ...] = Field(description="that are scanned, in order of their numbers")
-    missing: tuple[int, ...] = Field(description="numbers of the others")
-    visible: float = Field(description="measured in any set-up")
-    planned: float = Field(description="the same of all set-ups as planned")
-    sampled: float = Field(description="within 1 % of the diagonal of a point")
+    part: str = Field(description="name of the built-in part or of the file")
+    source: str = Field(description="source of the points")
+    setups: tuple[ScannedSetup, ...] = Field(description="scanned set-ups by number")
+    missing: tuple[int, ...] = Field(description="numbers of the other set-ups")
+    visible: float = Field(description="coverage of all set-ups")
+    planned: float = Field(description="the same as planned")
+    sampled: float = Field(description="sampled coverage")
     open: OpenShares
-    shared: tuple[SharedSurface, ...] = Field(description="by pairs of scanned set-ups")
+    shared: tuple[SharedSurface, ...] = Field(description="common surface by pairs of scanned set-ups")
     registration: ExecutedRegistration | None = Field(
-        description="of whole set-ups to the reference and to each other; null where all parts stood in their places"
+        description="registration of whole set-ups to the reference and each other; null if all parts were in place"
     )
-    doubts: tuple[str, ...] = Field(description="a sentence each")
+    doubts: tuple[str, ...] = Field(description="contradictions found in the points, a sentence each")
     surface: ExecutedSurface
-    deviation: ExecutedDeviation | None = Field(description="of the surface; null without one")
+    deviation: ExecutedDeviation | None = Field(description="deviation of the surface; null without one")
 
 
-NAME = "explore.json"
+# explore.json
+
+EXPLORE_FILE = "explore.json"
 
 UNSEEN = "unseen"
-"""The fixture of a stage that is the space not seen free: it collides, and hides nothing."""
-
+"""Name of the fixture of a batch that stands for the unseen space: it collides and does not occlude."""
 
 SurfaceName = Literal["believed", "measured"]
 BELIEVED: SurfaceName = "believed"
@@ -1053,204 +1056,203 @@ MEASURED: SurfaceName = "measured"
 
 
 class ExploredCylinder(JsonTable):
-    """The upright cylinder that holds the part; its middle is the origin of the explored frame."""
+    """The upright cylinder that holds the part; its centre is the origin of the explored frame."""
 
-    diameter_mm: float = Field(description="of it")
-    height_mm: float = Field(description="of it")
-    middle_mm: Triple = Field(description="in the base frame")
-    given: bool = Field(description="whether a person gave it; else it is that of the simulated part, a little wider")
+    diameter_mm: float = Field(description="diameter")
+    height_mm: float = Field(description="height")
+    middle_mm: Triple = Field(description="centre in base")
+    given: bool = Field(description="whether the user gave it; else it encloses the simulated part with a margin")
 
 
 class ExploredStage(JsonTable):
-    """A batch that was planned and executed."""
+    """A planned and executed batch."""
 
-    folder: str = Field(description="its run folder, below this one")
-    digest: str = Field(description="of what was driven")
-    views: int = Field(description="that were scanned")
-    planned_on: SurfaceName = Field(description="surface about what was not seen free, or where all points lead")
-    points: int = Field(description="that came back")
-    seconds: float = Field(description="of the planned motion, from home to home")
-    expected_mm2: float = Field(description="of the surface that it was planned on, what it was to measure first")
-    too_near_mm2: float = Field(
-        default=0.0, description="of that, what gave no point where the part may begin before the scanner's range"
+    folder: str = Field(description="its run folder, relative to this one")
+    digest: str = Field(description="digest of the executed plan")
+    views: int = Field(description="number of scanned views")
+    planned_on: SurfaceName = Field(
+        description="surface it was planned on: believed (boundary of the unseen space) or measured (from all points)"
     )
-    new_mm2: float = Field(description="of the surface believed after it, what it measured and no batch before")
-    surface_mm2: float = Field(description="of the surface that was believed after it")
-    open_mm2: float = Field(description="of that, without a measured point beside it")
-    never_entered_mm3: float = Field(description="of the cylinder, by any ray; the part's inside is of it")
+    points: int = Field(description="number of measured points")
+    seconds: float = Field(description="duration of the planned motion from home to home")
+    expected_mm2: float = Field(description="expected gain: area of the planned surface to be measured first by it")
+    too_near_mm2: float = Field(
+        default=0.0, description="part of it without points where the part may be closer than the scanner's range"
+    )
+    new_mm2: float = Field(description="realised gain: area measured first by this batch, on the belief after it")
+    surface_mm2: float = Field(description="area of the belief surface after it")
+    open_mm2: float = Field(description="part of it without a measured point nearby")
+    never_entered_mm3: float = Field(description="volume of the cylinder that no ray entered (with the part's inside)")
 
     @property
     def measured_mm2(self) -> float:
-        """Of the surface that was believed after it, with a measured point beside it."""
+        """Area of the belief surface after the batch with a measured point nearby."""
         return self.surface_mm2 - self.open_mm2
 
 
 class OpenReason(JsonTable):
-    """Believed surface that stays open for one reason."""
+    """Uncovered belief surface with one cause."""
 
-    reason: str = Field(description="at which the closest candidate view fails")
-    area_mm2: float = Field(description="of the surface of all that the part may be")
+    reason: str = Field(description="condition that the closest candidate violates")
+    area_mm2: float = Field(description="area of the belief surface")
 
 
 class BoundAt(JsonTable):
-    """A point of the curve that nothing exceeds."""
+    """A point of the bounded coverage curve."""
 
-    views: int = Field(description="how many")
-    found: float = Field(description="share of the surface that the best views found measure")
-    at_most: float = Field(description="share that no so many of the candidates measure")
+    views: int = Field(description="number of views")
+    found: float = Field(description="coverage of the best selection found")
+    at_most: float = Field(description="upper bound over all selections of this number of candidates")
 
 
 class Truth(JsonTable):
-    """What a simulation knows of the true part; shares of its surface."""
+    """Comparison with the true part in simulation; shares of its surface."""
 
     visible: float = Field(description="visible coverage of the executed views")
-    by_views: tuple[float, ...] = Field(description="the same after the first, second, ... view in driving order")
-    known_model_visible: float = Field(description="of the plan that knows the model (truth/)")
-    known_model_views: int = Field(description="of that plan")
-    coverable: float = Field(description="what its reachable candidates measure")
+    by_views: tuple[float, ...] = Field(description="the same after each view in execution order")
+    known_model_visible: float = Field(description="visible coverage of the plan with the known model (truth/)")
+    known_model_views: int = Field(description="number of views of that plan")
+    coverable: float = Field(description="coverage of its reachable candidates")
     fewest: int = Field(
-        description="views that its candidates need at least for the coverage reached, or for all that they measure"
+        description="lower bound on the views of its candidates for the reached coverage, or for all they measure"
     )
-    fewest_found: int = Field(description="of its candidates that measure as much: the best cover found")
-    bound: tuple[BoundAt, ...] = Field(description="over the number of views, for the true model's candidates")
-    nearest_mm: float = Field(description="smallest distance of arm or tool to anything, the true part in place")
-    nearest: str = Field(description="between what")
+    fewest_found: int = Field(description="best cover found among its candidates for the same coverage")
+    bound: tuple[BoundAt, ...] = Field(description="bounded coverage curve of the true model's candidates")
+    nearest_mm: float = Field(description="smallest distance of arm or tool to any object, the true part included")
+    nearest: str = Field(description="pair of objects")
 
     @property
     def fewest_words(self) -> str:
-        """The fewest views for the coverage that was reached, in a line."""
-        least = f"{self.fewest} at least" if self.fewest < self.fewest_found else f"{self.fewest}, proven,"
-        return f"{least} for this coverage, for the true model's candidates and samples"
+        """The fewest views for the reached coverage, in words."""
+        least = f"at least {self.fewest}" if self.fewest < self.fewest_found else f"{self.fewest} (proven)"
+        return f"{least} for this coverage, over the true model's candidates and samples"
 
 
 class ExploreFile(JsonTable):
-    """The file."""
+    """explore.json: the exploration of a part without a model, batch by batch."""
 
     model_config = ConfigDict(serialize_by_alias=True)
 
-    schema_version: str = Field(alias="schema", description="of the folder's layout")
+    schema_version: str = Field(alias="schema", description="version of the folder's layout")
     units: str = "mm, mm2, s; the explored frame: middle of the cylinder, axes of the base frame"
-    part: str = Field(description="what it is called")
+    part: str = Field(description="name of the part")
     status: str = Field(description="running, or finished")
-    ended: str = Field(description='why no further batch was begun, a sentence; "" while it runs')
-    inputs: str = Field(description="sha256 of all that the exploration depends on")
-    seed: int = Field(description="of every random choice")
-    policy: str = Field(description="how batches are chosen")
-    source: str = Field(description="where points come from")
-    options: dict[str, JsonValue] = Field(description="of the exploration")
+    ended: str = Field(description='stop reason, a sentence; "" while it runs')
+    inputs: str = Field(description="sha256 of all inputs of the exploration")
+    seed: int = Field(description="seed of every random choice")
+    policy: str = Field(description="policy that selects the batches")
+    source: str = Field(description="source of the points")
+    options: dict[str, JsonValue] = Field(description="options of the exploration")
     cylinder: ExploredCylinder
     voxel_mm: float = Field(description="edge of a voxel")
-    stages: tuple[ExploredStage, ...] = Field(description="in order")
-    open: tuple[OpenReason, ...] = Field(default=(), description="what stays open, largest area first")
-    model: str = Field(default="", description='the mesh of all scans, explored frame; "" where there is none yet')
-    model_middle_mm: Triple | None = optional("middle of its bounding box, base frame: where cell plan places it")
-    misses_limits: float | None = optional(
-        "where sigma or spacing is limited: share of what was measured that does not keep it"
-    )
+    stages: tuple[ExploredStage, ...] = Field(description="batches in order")
+    open: tuple[OpenReason, ...] = Field(default=(), description="uncovered surface by cause, largest area first")
+    model: str = Field(default="", description='mesh of all scans, explored frame; "" if there is none yet')
+    model_middle_mm: Triple | None = optional("centre of its bounding box in base, as used by cell plan --place")
+    misses_limits: float | None = optional("with a sigma or spacing limit: share of the measured surface beyond it")
     truth: Truth | None = optional()
 
     @property
     def views(self) -> int:
-        """Views that were scanned."""
+        """Number of scanned views."""
         return sum(stage.views for stage in self.stages)
 
     def rows(self) -> list[tuple[str, str]]:
-        """What the command, the report and the page show of it, once a stage is finished."""
+        """Return the rows of its table, once a batch is finished."""
         last = self.stages[-1]
         rows = [
             ("views", f"{self.views} in {len(self.stages)} batches ({self.policy})"),
             ("motion", f"{sum(stage.seconds for stage in self.stages):.1f} s"),
             ("ended", self.ended),
             ("measured", f"{last.measured_mm2 / 100:.1f} cm2 of surface"),
-            ("stays open", f"{sum(reason.area_mm2 for reason in self.open) / 100:.1f} cm2 of all that the part may be"),
+            ("stays open", f"{sum(reason.area_mm2 for reason in self.open) / 100:.1f} cm2 of the belief surface"),
+            ("never entered", f"{last.never_entered_mm3 / 1000:.1f} cm3 of the cylinder, by any ray"),
+            *(("", f"{reason.area_mm2:.0f} mm2: {reason.reason}") for reason in self.open[:4]),
         ]
-        rows.append(("never entered", f"{last.never_entered_mm3 / 1000:.1f} cm3 of the cylinder, by any ray"))
-        rows += [("", f"{reason.area_mm2:.0f} mm2: {reason.reason}") for reason in self.open[:4]]
         if self.misses_limits is not None:
-            share = f"{100 * self.misses_limits:.2f} % of what was measured, worse than the sigma or spacing asked for"
+            share = f"{100 * self.misses_limits:.2f} % of the measured surface exceeds the sigma or spacing limit"
             rows.append(("beyond limits", share))
         if (known := self.truth) is not None:
             rows += [
                 (
                     "visible coverage",
-                    f"{100 * known.visible:.2f} % of the true surface, of which reachable candidates of the true model "
-                    f"measure {100 * known.coverable:.2f} %",
+                    f"{100 * known.visible:.2f} % of the true surface; reachable candidates of the true model measure "
+                    f"{100 * known.coverable:.2f} %",
                 ),
                 (
                     "with the model",
-                    f"{known.known_model_views} views would have measured {100 * known.known_model_visible:.2f} %",
+                    f"{known.known_model_views} views measure {100 * known.known_model_visible:.2f} %",
                 ),
                 ("fewest views", known.fewest_words),
-                ("nearest", f"{known.nearest_mm:.1f} mm ({known.nearest}), the true part in place"),
+                ("nearest", f"{known.nearest_mm:.1f} mm ({known.nearest}), with the true part"),
             ]
         return rows
 
 
-def read(path: Path) -> ExploreFile:
-    """An explore.json as the value that defines it.
-
-    Raises:
-        FileError: if it is damaged.
-    """
+def read_explore_file(path: Path) -> ExploreFile:
+    """Read an explore.json."""
     return parsed(ExploreFile, path.read_bytes(), path)
+
+
+# why.json
 
 
 class Change(JsonTable):
     """A single change of cell, scanner or plan."""
 
-    kind: str = Field(description="what is changed")
-    change: str = Field(description="in words")
-    setting: str = Field(description='option or key that makes it; "" where it is none')
+    kind: str = Field(description="kind of the change")
+    change: str = Field(description="description in words")
+    setting: str = Field(description='option or key to set; "" if there is none')
 
 
 class TriedChange(Change):
-    """A change that was tried."""
+    """A tried change."""
 
-    gains_estimated: float = Field(description="share of what no candidate measures, from representatives")
+    gains_estimated: float = Field(description="estimated share of the uncoverable surface that it makes measurable")
 
 
 class NamedChange(Change):
-    """A change that is named; every sample that it is named for was asked."""
+    """A recommended change, evaluated on every sample concerned."""
 
-    gains: float = Field(description="share of what it is named for")
-    gains_mm2: float = Field(description="the area of that")
+    gains: float = Field(description="share of the concerned surface that it makes measurable")
+    gains_mm2: float = Field(description="area of that share")
 
 
 class OpenPatch(JsonTable):
     """Connected samples of one group."""
 
-    area_mm2: float = Field(description="that they stand for")
-    centre_mm: Triple = Field(description="the sample nearest to the middle of all, object frame")
+    area_mm2: float = Field(description="area of the samples")
+    centre_mm: Triple = Field(description="sample closest to the mean, object frame")
     change: NamedChange | None = optional()
 
 
 class OpenSamples(JsonTable):
-    """Samples that stay open for one reason."""
+    """Uncovered samples with one cause."""
 
     group: int = Field(description="number in why.ply, from 1")
-    reason: str = Field(description="at which the closest candidate fails")
-    code: int = Field(description="of the reason in why.ply")
-    what: str = Field(description='in the way, or in collision with what; "" where the reason has none')
-    title: str = Field(description="reason and what, in words")
-    detail: str = Field(description="what there is to add about the closest candidates")
-    share: float = Field(description="of the surface")
-    area_mm2: float = Field(description="that they stand for")
-    n_patches: int = Field(description="connected pieces, of which `patches` has the largest")
-    changes: tuple[NamedChange, ...] = Field(description="the one to prefer first")
-    patches: tuple[OpenPatch, ...] = Field(description="the largest first")
+    reason: str = Field(description="condition that the closest candidate violates")
+    code: int = Field(description="code of the cause in why.ply")
+    what: str = Field(description='occluder or collision object; "" if the cause has none')
+    title: str = Field(description="cause and object in words")
+    detail: str = Field(description="further facts about the closest candidates")
+    share: float = Field(description="share of the surface")
+    area_mm2: float = Field(description="area of the samples")
+    n_patches: int = Field(description="number of connected patches; `patches` has the largest")
+    changes: tuple[NamedChange, ...] = Field(description="recommended changes, best first")
+    patches: tuple[OpenPatch, ...] = Field(description="patches, largest first")
 
 
 class WhyReport(JsonTable):
-    """The file."""
+    """why.json: the uncovered surface of a plan by cause, and single changes that would measure it."""
 
     units: str = "share, visible, open and gains are fractions of area; mm and mm2, object frame"
     part: str = Field(description="name of the part")
     plan: str = Field(description="sha256 of plan.json")
-    samples: int = Field(description="held-out samples")
-    area_mm2: float = Field(description="of the surface")
-    visible: float = Field(description="what the plan measures")
-    open: float = Field(description="what it does not")
-    groups: tuple[OpenSamples, ...] = Field(description="largest area first")
-    not_measurable: float = Field(description="what no reachable candidate measures")
-    overall: tuple[NamedChange, ...] = Field(description="changes that gain most of that")
-    tried: tuple[TriedChange, ...] = Field(description="all that was tried")
+    samples: int = Field(description="number of held-out samples")
+    area_mm2: float = Field(description="area of the surface")
+    visible: float = Field(description="visible coverage of the plan")
+    open: float = Field(description="uncovered share")
+    groups: tuple[OpenSamples, ...] = Field(description="groups by cause, largest area first")
+    not_measurable: float = Field(description="share that no reachable candidate measures")
+    overall: tuple[NamedChange, ...] = Field(description="changes with the largest gains overall")
+    tried: tuple[TriedChange, ...] = Field(description="all tried changes")

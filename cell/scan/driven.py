@@ -66,7 +66,7 @@ def drive(
 ) -> None:
     """Drive and scan the legs; what goes wrong from here on is kept in the execution's folder."""
     folder = session.folder
-    connected.enter_context(folder.kept_on_failure())
+    connected.enter_context(folder.keep_on_failure())
     connected.enter_context(drivers_errors_as_ours())
     with session.stage(EXECUTING) as progress, driver:
         scale = driver.capabilities.time_scale

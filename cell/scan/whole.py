@@ -137,7 +137,7 @@ def report(session: Session[None], planned: PlannedSetups) -> ScannedSetups:
     for path in (target, target.with_name(FOLDER + ".part")):
         _clear(path)
     folder = RunFolder.create(target, list(session.origin.argv), bodies[0].run.seed, {}, datetime.now(UTC))
-    with folder.kept_on_failure():
+    with folder.keep_on_failure():
         done = _written(folder, planned, bodies, registration, nearest, session)
         folder.finish(0)
     return done

@@ -173,7 +173,7 @@ def plan_play(
         T_base_object: (4, 4) placement, where a rotary table at 0 has the part [m].
         inside: as in `Play`.
     """
-    timeline = timelines.of_plan(motion, rest=0.0)
+    timeline = timelines.plan_timeline(motion, rest=0.0)
     at = {stop.candidate: stop.begin for stop in timeline.stops}
     said = [
         View(str(number), _beside_part(view, T_base_object), at.get(view.id), [
@@ -219,7 +219,7 @@ def _commands(number: int, T_base_scanner: Floats, *, alone: bool) -> list[str]:
 def execution_play(run: Run, recorded: RecordedExecution, done: Execution, cell: Cell) -> Play:
     """Scans, motion and numbers of an execution."""
     planned = run.motion if run.has("motion.npz") else None
-    timeline = timelines.of_execution(recorded, planned, cell.arm.home, rest=0.0)
+    timeline = timelines.execution_timeline(recorded, planned, cell.arm.home, rest=0.0)
     report, deviation = done.report, done.report.deviation
     of_stop = {view.stop: view for view in report.views}
     said = []

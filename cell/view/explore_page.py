@@ -13,7 +13,7 @@ from cell.errors import FileError
 from cell.runs import ply
 from cell.runs import timeline as timelines
 from cell.runs.run import ExecutedScan, Run, file_bytes, open_finished, read_execution
-from cell.runs.schema import NAME, UNSEEN, ExploreFile, read
+from cell.runs.schema import EXPLORE_FILE, UNSEEN, ExploreFile, read_explore_file
 from cell.view import coverage_curve, rays
 from cell.view.packed import Layer
 from cell.view.page import Play, Shown, Stage, View, html_of, thinned
@@ -35,7 +35,7 @@ def explore_page(folder: Path, file: ExploreFile | None = None) -> str:
     Raises:
         FileError: if no stage was finished yet, or a file is missing or damaged.
     """
-    file = read(folder / NAME) if file is None else file
+    file = read_explore_file(folder / EXPLORE_FILE) if file is None else file
     if not file.stages:
         raise FileError(f"{folder} has no finished batch yet; the command that began it goes on there")
     runs = [open_finished(folder / stage.folder) for stage in file.stages]
@@ -60,7 +60,7 @@ def _views(file: ExploreFile, runs: list[Run], scans: list[ExecutedScan]) -> tup
     times, angles, begin = [], [], 0.0
     brought = dict(_brought(file))
     for batch, run in enumerate(runs, start=1):
-        timeline = timelines.of_plan(run.motion, rest=0.0)
+        timeline = timelines.plan_timeline(run.motion, rest=0.0)
         planned = {view.id: view for view in run.plan.views}
         for stop in timeline.stops:
             number = len(said) + 1

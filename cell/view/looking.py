@@ -13,7 +13,7 @@ from pathlib import Path
 from cell import caches, scanners
 from cell.errors import CellError, FileError, UsageError
 from cell.runs.run import EXECUTIONS, Execution, open_run, read_execution
-from cell.runs.schema import NAME as EXPLORATION
+from cell.runs.schema import EXPLORE_FILE as EXPLORATION
 from cell.runs.schema import ScannerKeys
 from cell.scene.file import load_scene
 from cell.scene.model import Scene

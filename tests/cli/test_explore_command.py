@@ -61,7 +61,7 @@ def explored(
 
 def test_the_file_says_what_was_done(explored: Path) -> None:
     """Stages, digests and views of explore.json are those of the run folders; the JSON that is printed is the file."""
-    file = schema.read(explored / "explore.json")
+    file = schema.read_explore_file(explored / "explore.json")
     assert (file.status, file.views) == ("finished", 5)
     assert [stage.views for stage in file.stages] == [3, 2]
     assert "5 views of the budget" in file.ended
@@ -125,7 +125,7 @@ def test_views_are_moved_to_where_they_measure_more(
 
 def test_the_truth_beside_it_is_that_of_the_part(explored: Path) -> None:
     """Coverage grows with the views and stays below what no views exceed; nothing came near the true part."""
-    known = schema.read(explored / "explore.json").truth
+    known = schema.read_explore_file(explored / "explore.json").truth
     assert known is not None
     assert (np.diff(known.by_views) >= 0).all()
     assert known.visible == pytest.approx(known.by_views[-1])
@@ -141,7 +141,7 @@ def _contacts(exploration: Path) -> dict[str, int]:
     truth = open_finished(exploration / "truth")
     part = truth.mesh("reference.ply")
     judge, found = TriangleCell(world_of(truth, part), part), dict[str, int]()
-    for stage in schema.read(exploration / "explore.json").stages:
+    for stage in schema.read_explore_file(exploration / "explore.json").stages:
         found |= judge.contacts(open_finished(exploration / stage.folder).motion.q)
     return found
 
@@ -162,7 +162,7 @@ def test_nothing_touches_a_built_in_part(
         "explore", name, "--place", "1200,500,0", "--policy", policy, "--max-views", "16", "--out", "out", cwd=tmp_path
     )
     assert done.returncode == 0, done.stderr
-    known = schema.read(tmp_path / "out" / "explore.json").truth
+    known = schema.read_explore_file(tmp_path / "out" / "explore.json").truth
     assert known is not None
     assert known.nearest_mm > 0
     assert known.visible > 0.85 * known.coverable
@@ -173,7 +173,7 @@ def test_no_point_of_the_part_is_in_space_that_counts_as_free(explored: Path, pa
     """What the planning takes for free lies beyond the true part, but for a voxel that holds a piece of it."""
     scene = scene_of(None, {"place": (1100, 400, 100), "units": "mm"}, part_file)
     mesh = Hidden.of(scene, workpiece.load(str(part_file), "mm")).mesh
-    file = schema.read(explored / "explore.json")
+    file = schema.read_explore_file(explored / "explore.json")
     stored = np.load(explored / "stages" / "0002.voxels.npz")
     edge = file.voxel_mm / 1000
     low = -edge * np.array(stored["state"].shape) / 2
@@ -186,7 +186,7 @@ def _stopped_after_the_first(explored: Path, tmp_path: Path) -> Path:
     """A copy of which explore.json names the first stage alone, as if the second had not come to its end."""
     again = tmp_path / "explored"
     shutil.copytree(explored, again)
-    file = schema.read(again / "explore.json")
+    file = schema.read_explore_file(again / "explore.json")
     before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1], "truth": None})
     (again / "explore.json").write_text(json.dumps(before.as_json()))
     return again
@@ -287,7 +287,7 @@ def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(
     on_measured: Path, part_file: Path
 ) -> None:
     """Their part is the surface of all points before them, which is kept; what is believed learns no record of them."""
-    file = schema.read(on_measured / "explore.json")
+    file = schema.read_explore_file(on_measured / "explore.json")
     assert [(stage.planned_on, stage.views) for stage in file.stages] == [(BELIEVED, 3), (MEASURED, 1), (MEASURED, 1)]
     paths, first = state.Paths(on_measured), np.load(on_measured / "stages" / "0001.voxels.npz")
     assert not paths.measured(1).exists()
@@ -347,7 +347,7 @@ def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
     """To the same bytes as those of an exploration that was not killed."""
     again = tmp_path / "explored"
     shutil.copytree(on_measured, again)
-    file = schema.read(again / "explore.json")
+    file = schema.read_explore_file(again / "explore.json")
     before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1], "truth": None})
     (again / "explore.json").write_text(json.dumps(before.as_json()))
     for left in (again / "stages").glob("0003*"):
@@ -369,7 +369,7 @@ def test_points_of_files_need_no_model(
     explored: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
     """The first stage's points from files, one folder a stage: a model comes out, and no truth, as none is known."""
-    cylinder = schema.read(explored / "explore.json").cylinder
+    cylinder = schema.read_explore_file(explored / "explore.json").cylinder
     scans = sorted((explored / "stages" / "0001" / "executions" / "0001" / "scans").glob("*.npz"))
     (tmp_path / "points" / "0001").mkdir(parents=True)
     for scan in scans:
@@ -380,7 +380,7 @@ def test_points_of_files_need_no_model(
         "files:points", "--points-frame", "base", "--points-units", "mm", "--out", "out", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    file = schema.read(tmp_path / "out" / "explore.json")
+    file = schema.read_explore_file(tmp_path / "out" / "explore.json")
     assert file.truth is None
     assert file.source == "files:points"
     assert file.stages[0].points == sum(len(np.load(scan)["points"]) for scan in scans)
@@ -437,7 +437,7 @@ def test_a_cylinder_that_does_not_hold_the_part_is_told_after_the_ring(
     )
     assert done.returncode == 6, done.stderr
     assert "outside the cylinder" in done.stderr
-    assert schema.read(tmp_path / "new" / "explore.json").stages == ()
+    assert schema.read_explore_file(tmp_path / "new" / "explore.json").stages == ()
 
 
 @pytest.mark.usefixtures("drawn_pictures")
@@ -451,7 +451,7 @@ def test_the_page_shows_the_views_in_order_and_what_each_brought(
     """
     done = run_cell("view", explored, "--no-open", "--out", tmp_path / "page.html", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    page, file = (tmp_path / "page.html").read_text(), schema.read(explored / "explore.json")
+    page, file = (tmp_path / "page.html").read_text(), schema.read_explore_file(explored / "explore.json")
     assert page == explore_page(explored)
     assert not re.search(r'(src|href)="(?!data:)', page.partition("</head>")[0])
     shown = data_of(page)

@@ -86,12 +86,12 @@ def test_the_report_tells_the_time_that_the_arm_took(scanned: Path) -> None:
 def test_replay_shows_the_reported_stops(scanned: Path) -> None:
     """The timeline of the execution rests at the reported axes."""
     from cell.runs.run import read_execution
-    from cell.runs.timeline import of_execution
+    from cell.runs.timeline import execution_timeline
 
     record = open_run(scanned)
     motion = record.motion
     recorded = read_execution(record, "0001")
-    timeline = of_execution(recorded, motion, motion.via_q[0])
+    timeline = execution_timeline(recorded, motion, motion.via_q[0])
     for scan in scans(scanned, "0001"):
         at_rest = np.abs(timeline.q - scan["q_reported"]).max(axis=1) == 0.0
         assert at_rest.any()

@@ -33,9 +33,9 @@ def test_every_batch_waits_for_a_word(
     assert refused.returncode == 2, refused.stderr
     moved = len(emulated.entries("move"))
     assert moved > 0
-    known = schema.read(out / "explore.json")
+    known = schema.read_explore_file(out / "explore.json")
     assert [stage.digest[:8] for stage in known.stages] == [first[1]]
     done = run_cell(*command, "--confirm-motion", "explore", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert len(emulated.entries("move")) > moved
-    assert schema.read(out / "explore.json").views == 2
+    assert schema.read_explore_file(out / "explore.json").views == 2

@@ -46,7 +46,7 @@ def _execution(views: tuple[int, ...], off: float, motion: Motion | None = None)
 def test_the_plan_is_shown_with_a_rest_at_each_view() -> None:
     """Film = motion + rests; each stop has the plan's angles while it rests; without rests it is the motion itself."""
     motion = _motion()
-    film = timeline.of_plan(motion, _REST)
+    film = timeline.plan_timeline(motion, _REST)
     assert film.duration == pytest.approx(motion.duration + _REST * len(_VIEWS))
     assert [stop.candidate for stop in film.stops] == list(_VIEWS)
     for stop in film.stops:
@@ -55,17 +55,17 @@ def test_the_plan_is_shown_with_a_rest_at_each_view() -> None:
             np.testing.assert_allclose(film.at(t), q, atol=1e-12)
             assert film.stop_at(t) == stop
             assert film.moved(t) == pytest.approx(motion.via_t[motion.view == stop.candidate][0])
-    np.testing.assert_array_equal(timeline.of_plan(motion, 0.0).q[[0, -1]], motion.q[[0, -1]])
+    np.testing.assert_array_equal(timeline.plan_timeline(motion, 0.0).q[[0, -1]], motion.q[[0, -1]])
     for t in np.linspace(0, motion.duration, 50):
         expected = [np.interp(t, motion.t, motion.q[:, axis]) for axis in range(6)]
-        np.testing.assert_allclose(timeline.of_plan(motion, 0.0).at(t), expected, atol=1e-12)
+        np.testing.assert_allclose(timeline.plan_timeline(motion, 0.0).at(t), expected, atol=1e-12)
 
 
 def test_an_exact_execution_is_the_plan() -> None:
     """With reported = commanded = planned, the film is the plan's, sample by sample."""
     motion = _motion()
-    plan = timeline.of_plan(motion, _REST)
-    film = timeline.of_execution(_execution(_VIEWS, 0.0), motion, motion.q[0], _REST)
+    plan = timeline.plan_timeline(motion, _REST)
+    film = timeline.execution_timeline(_execution(_VIEWS, 0.0), motion, motion.q[0], _REST)
     np.testing.assert_allclose(film.t, plan.t, atol=1e-12)
     np.testing.assert_allclose(film.q, plan.q, atol=1e-12)
     assert film.notes == ()
@@ -75,7 +75,7 @@ def test_an_execution_is_shown_where_it_reported_to_be() -> None:
     """Stops have the reported angles exactly, and the way between never jumps."""
     motion = _motion()
     execution = _execution(_VIEWS, 0.02)
-    film = timeline.of_execution(execution, motion, motion.q[0], _REST)
+    film = timeline.execution_timeline(execution, motion, motion.q[0], _REST)
     for stop, scan in zip(film.stops, execution.scans, strict=True):
         np.testing.assert_allclose(film.at(stop.begin), scan.q_reported, atol=1e-12)
     np.testing.assert_allclose(film.q[[0, -1]], motion.q[[0, -1]], atol=1e-12)
@@ -88,7 +88,7 @@ def test_a_motion_of_its_own_goes_before_the_plan() -> None:
     motion = _motion()
     slow = JointLimits(_LIMITS.lower, _LIMITS.upper, _LIMITS.velocity / 4, _LIMITS.acceleration / 4)
     own = retime(motion.via_q, motion.segment, motion.view, slow)
-    film = timeline.of_execution(_execution(_VIEWS, 0.0, own), motion, motion.q[0], 0.0)
+    film = timeline.execution_timeline(_execution(_VIEWS, 0.0, own), motion, motion.q[0], 0.0)
     assert film.duration == pytest.approx(own.duration)
 
 
@@ -96,7 +96,7 @@ def test_a_motion_of_its_own_goes_before_the_plan() -> None:
 def test_a_way_that_nobody_planned_is_straight_and_told(views: tuple[int, ...]) -> None:
     """A single view or another order: straight moves, and a sentence that names the views."""
     motion = _motion()
-    film = timeline.of_execution(_execution(views, 0.01), motion, motion.q[0], _REST)
+    film = timeline.execution_timeline(_execution(views, 0.01), motion, motion.q[0], _REST)
     assert [stop.candidate for stop in film.stops] == list(views)
     assert "not checked for collisions" in film.notes[0]
     assert (np.diff(film.t) > 0).all()
@@ -108,18 +108,18 @@ def test_stops_have_the_numbers_of_the_plan() -> None:
     motion = _motion()
     found = _execution((3, 9), 0.0)
     scans = tuple(dataclasses.replace(scan, stop=number) for number, scan in zip((2, 3), found.scans, strict=True))
-    film = timeline.of_execution(dataclasses.replace(found, scans=scans), motion, motion.q[0], _REST)
+    film = timeline.execution_timeline(dataclasses.replace(found, scans=scans), motion, motion.q[0], _REST)
     assert [(stop.number, stop.candidate) for stop in film.stops] == [(2, 3), (3, 9)]
     assert film.n_views == 3
-    assert timeline.of_plan(motion).n_views == 3
+    assert timeline.plan_timeline(motion).n_views == 3
 
 
 def test_nothing_but_home() -> None:
     """A run without motion stands at home at every time."""
-    film = timeline.of_home(np.arange(6.0))
+    film = timeline.home_timeline(np.arange(6.0))
     assert film.duration == 0
     np.testing.assert_array_equal(film.at(3.0), np.arange(6.0))
-    empty = timeline.of_execution(_execution((), 0.0), None, np.arange(6.0))
+    empty = timeline.execution_timeline(_execution((), 0.0), None, np.arange(6.0))
     np.testing.assert_array_equal(empty.at(0.0), np.arange(6.0))
 
 
@@ -134,7 +134,7 @@ def test_frames_cover_the_film(duration: float, start: float, fps: float, speed:
 
 def test_keys() -> None:
     """Space pauses and restarts at the end, arrows step from view to view and stand there, up and down are inverse."""
-    film = timeline.of_plan(_motion(), _REST)
+    film = timeline.plan_timeline(_motion(), _REST)
     player = Player(film, speed=2.0)
     player.advance(0.1)
     assert player.t == pytest.approx(0.2)
