@@ -98,7 +98,7 @@ def test_a_way_that_nobody_planned_is_straight_and_told(views: tuple[int, ...]) 
     motion = _motion()
     film = timeline.execution_timeline(_execution(views, 0.01), motion, motion.q[0], _REST)
     assert [stop.candidate for stop in film.stops] == list(views)
-    assert "not checked for collisions" in film.notes[0]
+    assert "without a collision check" in film.notes[0]
     assert (np.diff(film.t) > 0).all()
     assert (np.abs(np.diff(film.q, axis=0)) / np.diff(film.t)[:, None]).max() < 1.3
 
