@@ -39,9 +39,9 @@ from planner.kinematics import reach
 from planner.kinematics.reach import Reach, join_reach
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability
-from planner.measurability.visibility import fill, measured, occlude
+from planner.measurability.visibility import apply_occluders, fill_matrix, find_measured
 from planner.viewpoints import growth
-from planner.viewpoints.growth import Arm
+from planner.viewpoints.growth import ViewEvaluator
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints
 
 GENERATORS = ("optimal-scanning-zone", "view-sphere", "grown")
@@ -117,8 +117,8 @@ class Bench:
         self.settings = resolve(scene, self.part)
         reference = self.part.reference
         self.planning = decimate(reference, self.settings.faces)
-        self.features = surface_features(scene, reference, self.planning, np.random.default_rng([0, 0]))
-        self.held_out = draw_samples(reference, self.planning, coverage.SAMPLES, np.random.default_rng([0, 1]))
+        self.samples = surface_features(scene, reference, self.planning, np.random.default_rng([0, 0]))
+        self.held_out = draw_samples(reference, self.planning, coverage.N_SAMPLES, np.random.default_rng([0, 1]))
         self.scanner = LaserArea(**self.settings.scanner)
         self.world = compile_world(
             scene, reference.vertices, part_faces=reference.faces, baseline_mm=self.settings.scanner["baseline_mm"]
@@ -133,9 +133,9 @@ class Bench:
     def reach_of(self, views: Viewpoints) -> Reach:
         """Verdicts and joint solutions."""
         world = self.world
-        return reach.solve(views, world.T_base_object, world.T_flange_scanner, self.kinematics, self.checker)
+        return reach.solve_reach(views, world.T_base_object, world.T_flange_scanner, self.kinematics, self.checker)
 
-    def arm(self) -> Arm:
+    def arm(self) -> ViewEvaluator:
         """Who measures, and where it gets to."""
         return generators.arm_of(self.world, self.kinematics, self.checker, self.scanner, self.casters)
 
@@ -146,11 +146,11 @@ class Bench:
 
     def measure_alone(self, views: Viewpoints) -> Measurability:
         """M where nothing but the part itself occludes."""
-        return fill(views, self.features, self.scanner, self.casters[0])
+        return fill_matrix(views, self.samples, self.scanner, self.casters[0])
 
     def measure(self, views: Viewpoints) -> Measurability:
         """M in the cell."""
-        return occlude(self.measure_alone(views), views, self.scanner, self.casters[1])
+        return apply_occluders(self.measure_alone(views), views, self.scanner, self.casters[1])
 
     def plan(self, generator: str) -> tuple[Viewpoints, Reach, Measurability, Cover, float]:
         """Candidates, reach, M, selection, and the seconds that they took."""
@@ -158,7 +158,7 @@ class Bench:
         views = self.views(generator)
         reached = self.reach_of(views)
         if generator == generators.GROWN:
-            scouts = draw_samples(self.part.reference, self.planning, growth.SCOUTS, np.random.default_rng([0, 7]))
+            scouts = draw_samples(self.part.reference, self.planning, growth.N_SCOUTS, np.random.default_rng([0, 7]))
             added = generators.grow(views, reached.reachable, scouts, self.arm())
             views, reached = join_viewpoints([views, added]), join_reach([reached, self.reach_of(added)])
         M = self.measure(views)
@@ -167,7 +167,7 @@ class Bench:
 
     def choose(self, M: Measurability, reached: Reach, share: float) -> Cover:
         """The fewest views for a share of the coverable area."""
-        areas = M.features.areas
+        areas = M.samples.areas
         return cover.solve(
             cover.Problem(M.matrix(), areas, reached.reachable, coverage=share), rng=np.random.default_rng(0)
         )
@@ -184,10 +184,12 @@ def _part(name: str, options: dict[str, Any]) -> list[dict[str, Any]]:
     zone_area = found["optimal-scanning-zone"][3].covered_area
     rows = []
     for generator, (views, reached, M, chosen, _) in found.items():
-        seen = measured(views.T_object_scanner[chosen.views], bench.held_out, bench.scanner, bench.casters, each=True)
+        seen = find_measured(
+            views.T_object_scanner[chosen.views], bench.held_out, bench.scanner, bench.casters, each=True
+        )
         curve = 100 * np.logical_or.accumulate(seen, axis=1).mean(axis=0)
         reachable = views.T_object_scanner[reached.reachable]
-        coverable = coverage.visible(reachable, bench.held_out, bench.scanner, bench.casters).fraction
+        coverable = coverage.visible_coverage(reachable, bench.held_out, bench.scanner, bench.casters).fraction
         same = bench.choose(M, reached, min(1.0, zone_area / chosen.covered_area))
         rows.append(
             {

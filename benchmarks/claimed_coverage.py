@@ -48,8 +48,8 @@ def claim(
         scanner: the sensor's law.
         caster: casts on the part.
     """
-    areas = M.features.areas
+    areas = M.samples.areas
     plan = cover.solve(cover.Problem(M.matrix(), areas), rng=np.random.default_rng(0), solver="greedy", budget=0)
     claimed = float(areas[M.matrix()[:, plan.views].sum(axis=1) > 0].sum() / areas.sum())
     poses = candidates.T_object_scanner[plan.views]
-    return Claim(len(plan.views), claimed, coverage.visible(poses, held_out, scanner, [caster]).fraction)
+    return Claim(len(plan.views), claimed, coverage.visible_coverage(poses, held_out, scanner, [caster]).fraction)

@@ -55,10 +55,10 @@ def _of_part(part: str) -> Iterator[dict[str, Any]]:
     from planner.cover import Overlap, Problem, solve
     from planner.cover.curve import coverage_curve
     from planner.cover.robust import robust_cover
-    from planner.measurability.pose_ensemble import PoseError, probability_layer, times_measured
+    from planner.measurability.pose_ensemble import PoseError, probability_layer, simulate_executions
 
     M, views, scanner, caster, samples = _matrix(part)
-    areas, size = M.features.areas, f"{M.shape[0]} x {M.shape[1]}"
+    areas, size = M.samples.areas, f"{M.shape[0]} x {M.shape[1]}"
     matrix = M.matrix()
     plain, seconds = _timed(lambda: solve(Problem(matrix, areas), rng=np.random.default_rng(0)))
     yield _row(part, "fewest", size, "", plain, plain.sentence, seconds)
@@ -102,7 +102,7 @@ def _of_part(part: str) -> Iterator[dict[str, Any]]:
         )
         chosen = views.T_object_scanner[robust.cover.views]
         drawn = error.draw(200 * len(chosen), np.random.default_rng(2)).reshape(200, len(chosen), 4, 4)
-        times, _ = times_measured(chosen, samples, scanner, (caster,), drawn)
+        times, _ = simulate_executions(chosen, samples, scanner, (caster,), drawn)
         kept = (times >= 190).mean()
         said = (
             f"layer {filled:.1f} s; promised {100 * robust.robust_area / robust.cover.total_area:.2f} %, of other "
@@ -135,7 +135,7 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     from cell.world.measurability import surface_features
     from planner.geometry.decimation import decimate
     from planner.geometry.sampling import draw_samples
-    from planner.measurability.visibility import fill
+    from planner.measurability.visibility import fill_matrix
 
     tables = {"part": {"name": part}, "placement": {"position_mm": [1200.0, 500.0, 0.0]}, "plan": {"rolls_deg": [0.0]}}
     scene = load_scene(None, tables)
@@ -147,4 +147,4 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     scanner = LaserArea(**settings.scanner)
     caster = EmbreeRayCaster(loaded.reference.vertices, loaded.reference.faces)
     samples = draw_samples(loaded.reference, planning, 5_000, np.random.default_rng(1))
-    return fill(views, features, scanner, caster), views, scanner, caster, samples
+    return fill_matrix(views, features, scanner, caster), views, scanner, caster, samples

@@ -30,12 +30,12 @@ from cell.world.occluders import caster_of, occluder_triangles
 from planner import cover
 from planner.kinematics import reach
 from planner.measurability.matrix import Measurability
-from planner.measurability.visibility import occlude
+from planner.measurability.visibility import apply_occluders
 from planner.tour import equivalent_views, generalised_tsp
 from planner.tour import orderings as order
-from planner.tour.tour import Tour, plan_motion
+from planner.tour.tour import Tour, plan_tour
 from planner.tour.tour_search import DEFAULT_BUDGET, MotionBudget
-from planner.tour.visits import Moves, Visits
+from planner.tour.visits import TourProblem, Visits
 
 BEFORE_S = (
     (10, 8.690), (10, 10.254), (27, 22.021), (9, 15.411), (10, 11.494), (9, 7.660), (13, 11.782), (11, 11.627),
@@ -69,29 +69,29 @@ def _row(number: int) -> dict[str, Any]:
         groups: list[Any], views: Any, ordering: order.Ordering, budget: MotionBudget = DEFAULT_BUDGET
     ) -> tuple[Tour, float]:
         begin = perf_counter()
-        configurations = [np.concatenate([reached.q_of(int(v)) for v in group]) for group in groups]
+        configurations = [np.concatenate([reached.configurations_of(int(v)) for v in group]) for group in groups]
         poses = world.T_base_object @ candidates.T_object_scanner[views, 0]
         visits = Visits(configurations, world.home, poses, home_pose)
-        tour = plan_motion(visits, checker, world.limits, np.random.default_rng(number), budget, ordering=ordering)
+        tour = plan_tour(visits, checker, world.limits, np.random.default_rng(number), budget, ordering=ordering)
         return tour, perf_counter() - begin
 
     alone = [chosen.views[k : k + 1] for k in range(len(chosen.views))]
     robotsp, _ = motion(alone, chosen.views, task_space, _SIMPLE)
-    search = order.sequence(
-        Moves.straight([reached.q_of(int(view)) for view in chosen.views], world.home, world.limits),
+    search = order.order_views(
+        TourProblem.straight([reached.configurations_of(int(view)) for view in chosen.views], world.home, world.limits),
         world.T_base_object @ candidates.T_object_scanner[chosen.views, 0],
         np.random.default_rng(number),
         T_base_home=home_pose,
     )
     begin = perf_counter()
-    matrix = equivalent_views.Matrix(M.matrix(), M.features.areas, np.asarray(reached.reachable))
-    found = equivalent_views.exchange(
-        matrix, chosen.views, reached.q_of, world.home, world.limits, np.random.default_rng(number)
+    matrix = equivalent_views.VisibilityIndex(M.matrix(), M.samples.areas, np.asarray(reached.reachable))
+    found = equivalent_views.exchange_views(
+        matrix, chosen.views, reached.configurations_of, world.home, world.limits, np.random.default_rng(number)
     )
     exchange_s = perf_counter() - begin
-    now, now_s = motion(list(found.groups), found.views, order.sequence)
+    now, now_s = motion(list(found.groups), found.views, order.order_views)
     if now.duration > found.duration_before:
-        own, own_s = motion(alone, chosen.views, order.sequence)
+        own, own_s = motion(alone, chosen.views, order.order_views)
         now, now_s = min(now, own, key=lambda tour: (len(tour.dropped), tour.duration)), now_s + own_s
     views_before, before = BEFORE_S[number] if number < len(BEFORE_S) else ("", 0.0)
     return {
@@ -126,30 +126,32 @@ def _covered(number: int) -> tuple[Bench, reach.Reach, Measurability, cover.Cove
         if not checker.free(world.home[None])[0]:
             continue
         candidates = bench.zone
-        reached = reach.solve(candidates, world.T_base_object, world.T_flange_scanner, bench.kinematics, checker)
+        reached = reach.solve_reach(candidates, world.T_base_object, world.T_flange_scanner, bench.kinematics, checker)
         if reached.reachable.sum() < _LEAST:
             continue
         M = bench.matrix("aimed", candidates)
         caster = caster_of(occluder_triangles(world))
-        M = occlude(M, candidates, bench.scanner, caster, ray_caster=bench.caster)
+        M = apply_occluders(M, candidates, bench.scanner, caster, ray_caster=bench.caster)
         chosen = cover.solve(
-            cover.Problem(M.matrix(), M.features.areas, reached.reachable), rng=np.random.default_rng(number)
+            cover.Problem(M.matrix(), M.samples.areas, reached.reachable), rng=np.random.default_rng(number)
         )
         if len(chosen.views) >= 2:
             return bench, reached, M, chosen
     raise RuntimeError(f"no draw of scene {number} can be used")
 
 
-def task_space(moves: Moves, T_base_scanner: Any, rng: np.random.Generator, **arguments: Any) -> order.Sequence:
-    """RoboTSP's ordering, with the signature of `planner.tour.orderings.sequence`."""
+def task_space(
+    moves: TourProblem, T_base_scanner: Any, rng: np.random.Generator, **arguments: Any
+) -> order.OrderedViews:
+    """RoboTSP's ordering, with the signature of `planner.tour.orderings.order_views`."""
     positions = np.concatenate((arguments["T_base_home"][None, :3, 3], T_base_scanner[:, :3, 3]))
     lengths = np.linalg.norm(positions[:, None] - positions, axis=2)
-    problem = generalised_tsp.instance(lengths, np.arange(len(positions) + 1))
+    problem = generalised_tsp.make_instance(lengths, np.arange(len(positions) + 1))
     tour = generalised_tsp.solve(problem, np.arange(1, len(positions)), rng, 10_000, 0).tour
     joint = moves.instance()
     duration, chosen = generalised_tsp.best_nodes(joint, tour[1:])
     views = joint.clusters_of(chosen)[1:]
-    return order.Sequence(
+    return order.OrderedViews(
         order=views - 1,
         choice=chosen[1:] - joint.first[views],
         q=moves.q[chosen[1:]],

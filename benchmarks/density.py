@@ -76,7 +76,7 @@ def spacing_of_scans(folder: Path) -> Floats:
     cell = read_cell(run)
     samples = draw_samples(cell.reference, cell.planning, _SAMPLES, np.random.default_rng(11))
     poses = np.stack([view.T_object_poses for view in run.plan.views])
-    visible = coverage.visible(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster)).covered
+    visible = coverage.visible_coverage(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster)).covered
     best = np.full(_SAMPLES, np.inf)
     for path in sorted((folder / "executions" / "0001" / "scans").glob("*.npz")):
         with np.load(path) as scan:

@@ -179,7 +179,7 @@ def _kept(run: Run, asked: RandomEdit, made: Run) -> Iterator[str]:
 def _repaired(run: Run, asked: RandomEdit, made: Run) -> Iterator[str]:
     """What the run was asked to cover is covered again, by the fewest added views that HiGHS finds."""
     M, reached = made.measurability, made.reach
-    matrix, areas = M.matrix().astype(np.float64), M.features.areas
+    matrix, areas = M.matrix().astype(np.float64), M.samples.areas
     banned = {int(run.candidate[number - 1]) for number in asked.wishes.get("drop", ())} - {*made.candidate.tolist()}
     open_to_all = matrix @ reached.reachable > 0
     target = (made.plan.coverage.target_on_features or 1.0) * float(areas[open_to_all].sum())

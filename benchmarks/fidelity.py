@@ -156,7 +156,7 @@ def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
             seconds.append(time.process_time() - started)
         kinematics = kinematics_of(world.model)
         started = time.process_time()
-        reached = reach.solve(views, world.T_base_object, world.T_flange_scanner, kinematics, checker)
+        reached = reach.solve_reach(views, world.T_base_object, world.T_flange_scanner, kinematics, checker)
         rows.append(
             {
                 "part": name,

@@ -32,7 +32,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples, samples_at_face_centres
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability
-from planner.measurability.visibility import fill
+from planner.measurability.visibility import fill_matrix
 from planner.ports import RayCaster
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
@@ -133,18 +133,18 @@ def _part(name: str, *, large: bool = False) -> list[dict[str, Any]]:
     views = optimal_scanning_zone(planning, settings.standoffs, (0.0,) if large else settings.rolls)
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
     rng = np.random.default_rng(0)
-    held_out = draw_samples(reference, planning, coverage.SAMPLES, rng)
+    held_out = draw_samples(reference, planning, coverage.N_SAMPLES, rng)
     row_of_face = closest_facing_faces(reference.centres, reference.normals, planning)
     faces = samples_at_face_centres(reference, planning)
 
     def rays(step: float) -> Measurability:
         scanner = LaserArea(**{**settings.scanner, "resolution_deg": (step, step)})
-        return fill(views, faces, scanner, caster, method="rays", part=reference, row_of_face=row_of_face)
+        return fill_matrix(views, faces, scanner, caster, method="rays", part=reference, row_of_face=row_of_face)
 
     scanner = LaserArea(**settings.scanner)
 
     def aimed(features: SurfaceSamples) -> Measurability:
-        return fill(views, features, scanner, caster)
+        return fill_matrix(views, features, scanner, caster)
 
     mesh = trimesh.Trimesh(reference.vertices, reference.faces, process=False)
     works: list[tuple[str, Callable[[], Measurability]]] = []

@@ -23,9 +23,9 @@ from planner.geometry.sampling import draw_samples
 from planner.measurability import coverage
 from planner.values import Bools
 from planner.viewpoints import growth
-from planner.viewpoints.growth import Arm
-from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.pose_sampling import drawn, frustum
+from planner.viewpoints.growth import ViewEvaluator
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.pose_sampling import draw_poses, find_frustum
 
 _LIMIT_DEG = 75.0
 _STRETCHES = ((0, 32), (32, 128), (128, 512), (512, 2048))
@@ -50,12 +50,12 @@ def _part(bench: Bench) -> dict[str, Any]:
     zone = generators.first(scene, bench.settings, bench.part, bench.planning)
     usable = bench.reach_of(zone).reachable
     start = process_time()
-    scouts = draw_samples(bench.part.reference, bench.planning, growth.SCOUTS, np.random.default_rng([0, 7]))
+    scouts = draw_samples(bench.part.reference, bench.planning, growth.N_SCOUTS, np.random.default_rng([0, 7]))
     added = generators.grow(zone, usable, scouts, arm)
     seconds = process_time() - start
     first, second = zone.T_object_scanner[usable], added.T_object_scanner
     one, both = (
-        coverage.visible(views, bench.held_out, bench.scanner, bench.casters).fraction
+        coverage.visible_coverage(views, bench.held_out, bench.scanner, bench.casters).fraction
         for views in (first, np.concatenate([first, second]))
     )
     start = process_time()
@@ -72,16 +72,16 @@ def _part(bench: Bench) -> dict[str, Any]:
     }
 
 
-def free_search(points: np.ndarray[Any, Any], normals: np.ndarray[Any, Any], arm: Arm) -> Bools:
+def free_search(points: np.ndarray[Any, Any], normals: np.ndarray[Any, Any], arm: ViewEvaluator) -> Bools:
     """(S,) which points (S, 3) [m] with normals (S, 3) some pose measures that the arm takes up."""
-    targets, within = Targets.of(points, normals), frustum(arm.scanner)
+    targets, within = RayTargets.of(points, normals), find_frustum(arm.scanner)
     seen = np.zeros(len(targets), dtype=np.bool_)
     order = np.random.default_rng(0).permutation(len(targets))
     for stretch in _STRETCHES:
         size = min(_TOGETHER // (stretch[1] - stretch[0]), _FIRST if stretch[0] == 0 else len(targets))
         waiting = order[~seen[order]]
         while len(waiting):
-            found = arm.measuring(drawn(targets, waiting[:size], stretch, within, arm.scanner), targets)
+            found = arm.measuring(draw_poses(targets, waiting[:size], stretch, within, arm.scanner), targets)
             own, which = np.unique(found.row, return_index=True)
             seen[own] = True
             still = np.flatnonzero(~seen)

@@ -23,7 +23,7 @@ from cell.scene.model import Scene
 from cell.study.bench import Bench, placed_at
 from cell.world.occluders import caster_of, occluder_triangles
 from planner import cover
-from planner.measurability.visibility import occlude
+from planner.measurability.visibility import apply_occluders
 from planner.timing.move_time import move_time
 from planner.tour import bounds, equivalent_views, generalised_tsp
 
@@ -45,7 +45,7 @@ def run() -> list[dict[str, Any]]:
         problem = drawn(clusters, 5 * clusters)
         _, start = generalised_tsp.best_nodes(problem, np.arange(1, clusters))
         best, _ = generalised_tsp.search(problem, start, _SEEDS, _REFERENCE_STEPS)
-        default = generalised_tsp.grown(problem, generalised_tsp.STEPS)
+        default = generalised_tsp.scale_steps(problem, generalised_tsp.STEPS)
         rows += _searched(f"drawn {clusters}x5", problem, best, (*STEPS, default))
     return rows
 
@@ -65,20 +65,22 @@ def _mseke() -> list[tuple[str, generalised_tsp.Instance]]:
     world, candidates = bench.world, bench.zone
     reached = bench.reach(candidates, placed_at((1200, 500, 0)))
     M = bench.matrix("aimed", candidates)
-    M = occlude(M, candidates, bench.scanner, caster_of(occluder_triangles(world)), ray_caster=bench.caster)
+    M = apply_occluders(M, candidates, bench.scanner, caster_of(occluder_triangles(world)), ray_caster=bench.caster)
     rng = np.random.default_rng(0)
-    chosen = cover.solve(cover.Problem(M.matrix(), M.features.areas, reached.reachable), rng=rng)
-    matrix = equivalent_views.Matrix(M.matrix(), M.features.areas, np.asarray(reached.reachable))
-    found = equivalent_views.exchange(matrix, chosen.views, reached.q_of, world.home, world.limits, rng)
+    chosen = cover.solve(cover.Problem(M.matrix(), M.samples.areas, reached.reachable), rng=rng)
+    matrix = equivalent_views.VisibilityIndex(M.matrix(), M.samples.areas, np.asarray(reached.reachable))
+    found = equivalent_views.exchange_views(
+        matrix, chosen.views, reached.configurations_of, world.home, world.limits, rng
+    )
     problems = []
     for name, groups in (
         ("own views", [chosen.views[k : k + 1] for k in range(len(chosen.views))]),
         ("views exchanged", list(found.groups)),
     ):
-        q = [np.concatenate([reached.q_of(int(view)) for view in group]) for group in groups]
+        q = [np.concatenate([reached.configurations_of(int(view)) for view in group]) for group in groups]
         nodes = np.concatenate([world.home[None], *q])
         cost = move_time(nodes[:, None], nodes, world.limits)
-        problems.append((f"mseke, {name}", generalised_tsp.instance(cost, np.cumsum([0, 1, *map(len, q)]))))
+        problems.append((f"mseke, {name}", generalised_tsp.make_instance(cost, np.cumsum([0, 1, *map(len, q)]))))
     return problems
 
 
@@ -86,7 +88,7 @@ def of_file(path: Path) -> generalised_tsp.Instance:
     """The instance of a file; the smallest cluster comes first, as the tour's start."""
     read = gtsplib.read(path)
     read.sets.sort(key=len)
-    return generalised_tsp.instance(*read.sorted_by_cluster())
+    return generalised_tsp.make_instance(*read.sorted_by_cluster())
 
 
 def drawn(clusters: int, nodes: int, seed: int = 0) -> generalised_tsp.Instance:
@@ -100,7 +102,7 @@ def drawn(clusters: int, nodes: int, seed: int = 0) -> generalised_tsp.Instance:
         np.minimum(near, cost[centres[-1]], out=near)
     owner = cost[centres].argmin(axis=0)
     sets = sorted((np.flatnonzero(owner == k) for k in range(clusters)), key=len)
-    return generalised_tsp.instance(*gtsplib.Gtsp("drawn", cost, sets).sorted_by_cluster())
+    return generalised_tsp.make_instance(*gtsplib.Gtsp("drawn", cost, sets).sorted_by_cluster())
 
 
 def _searched(
@@ -114,8 +116,8 @@ def _searched(
         seconds.append((process_time() - begin) / _SEEDS)
     best = min(min(c) for c in costs) if best is None else best
     begin = process_time()
-    quick = bounds.one_tree(problem.cost, problem.first)
-    strong = max(quick, bounds.by_walks(problem.cost, problem.first, min(min(c) for c in costs), _BOUND_WORK).value)
+    quick = bounds.one_tree_bound(problem.cost, problem.first)
+    strong = max(quick, bounds.walk_bound(problem.cost, problem.first, min(min(c) for c in costs), _BOUND_WORK).value)
     bound_seconds = process_time() - begin
     return [
         {
@@ -141,7 +143,7 @@ def _compile() -> None:
     begin = perf_counter()
     _, start = generalised_tsp.best_nodes(small, np.arange(1, 5))
     cost, _ = generalised_tsp.search(small, start, 0, 10)
-    bounds.by_walks(small.cost, small.first, cost, 10_000)
+    bounds.walk_bound(small.cost, small.first, cost, 10_000)
     print(f"kernels loaded, or compiled where they were not yet, in {perf_counter() - begin:.1f} s")  # noqa: T201 - told once
 
 

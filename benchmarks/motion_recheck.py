@@ -23,7 +23,7 @@ from benchmarks.triangle_cell import TriangleCell
 from cell.world.clearance import of_motion
 from planner.ports import ARM_AXES
 from planner.timing.motion import Motion, jerk_free_duration, retime
-from planner.tour.tour import plan_motion
+from planner.tour.tour import plan_tour
 from planner.tour.visits import Visits
 from planner.values import Floats
 
@@ -74,8 +74,8 @@ def judged(number: int, *, table: str = "") -> dict[str, Any]:
     rng = np.random.default_rng(number)
     views = rng.choice(cell.reachable, _VIEWS, replace=False)
     poses = cell.world.T_base_object @ cell.viewpoints.T_object_scanner[views, 0]
-    visits = Visits([cell.reach.q_of(int(view)) for view in views], cell.world.home, poses)
-    tour = plan_motion(visits, cell.checker, cell.world.limits, rng)
+    visits = Visits([cell.reach.configurations_of(int(view)) for view in views], cell.world.home, poses)
+    tour = plan_tour(visits, cell.checker, cell.world.limits, rng)
     motion = retime(tour.via, tour.segment, tour.view, cell.world.limits)
     said = of_motion(cell.checker, tour.via, tour.segment, len(tour.detour))
     planned = perf_counter()
@@ -92,7 +92,7 @@ def judged(number: int, *, table: str = "") -> dict[str, Any]:
 def _judge(cell: SeededCell, motion: Motion) -> dict[str, Any]:
     triangles = TriangleCell(cell.world, cell.part)
     dense = retime(motion.via_q, motion.segment, motion.view, motion.limits, _STEP)
-    indexed = motion.limits.turns_at is not None
+    indexed = motion.limits.table_turn_q is not None
     waiting = _while_it_turns(dense) if indexed else dense.q[:0]
     contacts = triangles.contacts(np.concatenate([dense.q, waiting]))
     moving = dense.qd != 0

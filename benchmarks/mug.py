@@ -22,7 +22,7 @@ from planner.geometry.decimation import decimate
 from planner.geometry.sampling import draw_samples, samples_at_face_centres
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability
-from planner.measurability.visibility import fill
+from planner.measurability.visibility import fill_matrix
 from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 RESOLUTIONS_DEG = (4.0, 2.0, 1.0, 0.5, 0.25, 0.2)
@@ -42,16 +42,16 @@ def run() -> list[dict[str, Any]]:
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
     rng = np.random.default_rng(0)
     features = draw_samples(reference, planning, _SAMPLES_PER_FACE * len(planning.faces), rng)
-    held_out = draw_samples(reference, planning, coverage.SAMPLES, rng)
+    held_out = draw_samples(reference, planning, coverage.N_SAMPLES, rng)
     row_of_face = closest_facing_faces(reference.centres, reference.normals, planning)
     rows = samples_at_face_centres(reference, planning)
 
     def judged(name: str, step: float, M: Measurability, seconds: float) -> dict[str, Any]:
         scanner = _scanner(step)
-        plan = cover.solve(cover.Problem(M.matrix(), M.features.areas), rng=np.random.default_rng(0))
+        plan = cover.solve(cover.Problem(M.matrix(), M.samples.areas), rng=np.random.default_rng(0))
         T = views.T_object_scanner[plan.views]
         points = np.concatenate([scan(scanner, pose, caster, reference).points for pose in T[:, 0]])
-        sampled = coverage.sampled(points, held_out, coverage.sampling_radius(reference)).fraction
+        sampled = coverage.sampled_coverage(points, held_out, coverage.sampling_radius(reference)).fraction
         return {
             "fill": name,
             "resolution deg": step,
@@ -59,19 +59,19 @@ def run() -> list[dict[str, Any]]:
             "views": len(plan.views),
             "lower bound": plan.lower_bound,
             "predicted %": round(100 * plan.covered_area / plan.total_area, 2),
-            "visible %": round(100 * coverage.visible(T, held_out, scanner, [caster]).fraction, 2),
+            "visible %": round(100 * coverage.visible_coverage(T, held_out, scanner, [caster]).fraction, 2),
             "sampled %": round(100 * sampled, 2),
             "paper views": _PAPER.get(step, (None, None))[0],
             "paper cover %": _PAPER.get(step, (None, None))[1],
         }
 
     start = perf_counter()
-    aimed = fill(views, features, _scanner(1.0), caster)
+    aimed = fill_matrix(views, features, _scanner(1.0), caster)
     aimed_seconds = perf_counter() - start
     found = []
     for step in RESOLUTIONS_DEG:
         start = perf_counter()
-        M = fill(views, rows, _scanner(step), caster, method="rays", part=reference, row_of_face=row_of_face)
+        M = fill_matrix(views, rows, _scanner(step), caster, method="rays", part=reference, row_of_face=row_of_face)
         found.append(judged("rays", step, M, perf_counter() - start))
         found.append(judged("aimed", step, aimed, aimed_seconds))
     return found

@@ -78,7 +78,7 @@ def usable(number: int, least: int = 2, *, table: str = "") -> SeededCell:
         checker = MujocoCollisionChecker(world)
         if not checker.free(world.home[None])[0]:
             continue
-        found = reach.solve(candidates, world.T_base_object, world.T_flange_scanner, world.kinematics, checker)
+        found = reach.solve_reach(candidates, world.T_base_object, world.T_flange_scanner, world.kinematics, checker)
         if found.reachable.sum() >= least:
             faces = TriangleMesh(part.reference.vertices, part.reference.faces)
             return SeededCell(number, world, checker, faces, candidates, found)

@@ -29,9 +29,9 @@ from planner import cover
 from planner.cover import Problem
 from planner.geometry.sampling import pick_samples
 from planner.values import Floats
-from planner.viewpoints.attainable import ASKED, attainable
-from planner.viewpoints.growth import Arm
-from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.attainable import N_PROBED_SAMPLES, probe_attainable
+from planner.viewpoints.growth import ViewEvaluator
+from planner.viewpoints.lines_of_sight import RayTargets
 
 
 def run() -> list[dict[str, Any]]:
@@ -122,9 +122,9 @@ def _ceiling(folder: Path) -> tuple[float, float]:
     record = api.open_run(folder)
     cell = read_cell(record)
     samples = held_out(cell.reference, cell.planning, record.seed)
-    some = pick_samples(samples, np.sort(np.random.default_rng(0).permutation(len(samples))[:ASKED]))
-    anywhere = Arm(
+    some = pick_samples(samples, np.sort(np.random.default_rng(0).permutation(len(samples))[:N_PROBED_SAMPLES]))
+    anywhere = ViewEvaluator(
         cell.scanner, (cell.part_caster,), lambda poses: np.ones(len(poses), dtype=np.bool_), np.eye(4)[None]
     )
-    share = float(attainable(Targets.of(some.points, some.normals, some.region), anywhere).measured.mean())
+    share = float(probe_attainable(RayTargets.of(some.points, some.normals, some.region), anywhere).measured.mean())
     return share, float(np.sqrt(share * (1 - share) / len(some.points)))

@@ -22,7 +22,7 @@ from cell.world.embree import EmbreeRayCaster
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import draw_samples
 from planner.measurability.quality import sigma_layer
-from planner.measurability.visibility import fill
+from planner.measurability.visibility import fill_matrix
 from planner.values import Floats
 from planner.viewpoints.viewpoints import optimal_scanning_zone
 
@@ -100,7 +100,7 @@ def _row(name: str) -> dict[str, Any]:
     model, seen, light, incidence = (np.concatenate(column) for column in zip(*found, strict=True))
     features = draw_samples(part.reference, planning, 4 * len(planning.faces), rng)
     start = time.perf_counter()
-    M = fill(views, features, scanner, caster)
+    M = fill_matrix(views, features, scanner, caster)
     filled = time.perf_counter()
     sigma_layer(M, views, scanner)
     layered = time.perf_counter()

@@ -58,7 +58,7 @@ def _row(name: str, arguments: tuple[str, ...], kept: Path) -> dict[str, Any]:
 
 def _at(record: Run, share: float) -> str:
     """The fewest views found of a run's candidates that measure a share of the surface, and their bound."""
-    M, areas = record.measurability, record.measurability.features.areas
+    M, areas = record.measurability, record.measurability.samples.areas
     coverable = float(areas[np.diff(M.indptr) > 0].sum())
     less = share - coverable / float(areas.sum())
     asked = min(1.0, share * float(areas.sum()) / coverable)

@@ -13,7 +13,7 @@ import ruckig
 
 from cell.robot import model as robot
 from planner.ports import JointLimits
-from planner.timing.limits import jerk_free
+from planner.timing.limits import without_jerk_limit
 from planner.timing.move_time import move_time
 from planner.values import Floats
 
@@ -24,7 +24,7 @@ def run() -> list[dict[str, Any]]:
     """One row for each number of pairs and kind of limits."""
     limits = robot.limits(robot.load())
     uneven = replace(limits, jerk=limits.jerk * [1, 1, 1, 1, 1, 0.5])
-    bound_limits = jerk_free(limits)
+    bound_limits = without_jerk_limit(limits)
     rng = np.random.default_rng(0)
     rows = []
     for n, m in ((1, 96), (100, 100), (1500, 1500)):
@@ -32,7 +32,7 @@ def run() -> list[dict[str, Any]]:
         free = _best(lambda a=a, b=b: move_time(a[:, None], b, bound_limits))
         for name, law in (("one ratio", limits), ("ratios differ", uneven)):
             seconds = _best(lambda a=a, b=b, law=law: move_time(a[:, None], b, law))
-            times, bound = move_time(a[:, None], b, law), move_time(a[:, None], b, jerk_free(law))
+            times, bound = move_time(a[:, None], b, law), move_time(a[:, None], b, without_jerk_limit(law))
             rows.append(
                 {
                     "pairs": n * m,

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 
 from planner.cover.budget import DEFAULT_WORK
 from planner.cover.curve import CURVE_WORK
-from planner.measurability.coverage import SAMPLES
+from planner.measurability.coverage import N_SAMPLES
 from planner.ports import Progress
-from planner.viewpoints.attainable import ASKED
+from planner.viewpoints.attainable import N_PROBED_SAMPLES
 
 log = logging.getLogger(__name__)
 log.addHandler(logging.NullHandler())  # without a run.log, Python would print each warning on stderr
@@ -85,9 +85,9 @@ class Effort:
         curve_work: search and bound of the coverage over the number of views.
     """
 
-    held_out_samples: int = SAMPLES
+    held_out_samples: int = N_SAMPLES
     deviation_samples: int = 100_000
-    searched_samples: int = ASKED
+    searched_samples: int = N_PROBED_SAMPLES
     clearance_share: float = 0.05
     probe_work: int = DEFAULT_WORK // 25
     selection_work: int = 2 * DEFAULT_WORK // 5

@@ -172,7 +172,7 @@ class JointLimits(Value):
     velocity: Annotated[Floats, "axes"]
     acceleration: Annotated[Floats, "axes"]
     jerk: Annotated[Floats, "axes"] = field(default_factory=lambda: np.full(ARM_AXES, np.inf))
-    turns_at: Annotated[Floats, "axes"] | None = None
+    table_turn_q: Annotated[Floats, "axes"] | None = None
 
 
 def axis_name(axis: int) -> str:

@@ -8,7 +8,7 @@ from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
 from cell.setups.contact import touching
 from cell.world.prediction import held_out
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.values import Bools
 
 
@@ -18,7 +18,7 @@ def seen_and_touching(run: Path) -> tuple[Bools, Bools]:
     cell = read_cell(planned)
     samples = held_out(cell.reference, cell.planning, planned.seed)
     poses = np.stack([view.T_object_poses for view in planned.plan.views])
-    seen = measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True).any(axis=1)
+    seen = find_measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True).any(axis=1)
     return seen, touching(samples, cell.occluders)
 
 

@@ -53,6 +53,6 @@ def _arrays(M: Any, reachable: Any) -> dict[str, Any]:
         "indptr": matrix.indptr.astype(np.int64),
         "indices": matrix.indices.astype(np.int64),
         "shape": np.array(matrix.shape),
-        "area": M.features.areas,
+        "area": M.samples.areas,
         "reachable": reachable,
     }

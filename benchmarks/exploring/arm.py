@@ -24,7 +24,7 @@ from planner.kinematics import reach
 from planner.ports import CollisionChecker, Kinematics, Scanner
 from planner.timing.move_time import move_time
 from planner.values import Bools, Floats
-from planner.viewpoints.viewpoints import standing_at
+from planner.viewpoints.viewpoints import viewpoints_from_poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,24 +49,24 @@ class CellArm:
             world = compile_world(scene, mesh.vertices, part_faces=mesh.faces, baseline_mm=baseline)
         return cls(world, MujocoCollisionChecker(world), kinematics_of(world.model))
 
-    def takes_up(self, poses: Floats) -> Bools:
+    def are_reachable(self, poses: Floats) -> Bools:
         """Which of (n, 4, 4) poses [m] the arm takes up."""
         names = [T.tobytes() for T in poses]
         new = [row for row, name in enumerate(names) if name not in self._asked]
         if new:
             T_base_object, mount = self.world.T_base_object, self.world.T_flange_scanner
-            found = reach.takes_up(poses[new][:, None], T_base_object, mount, self.kinematics, self.checker)
+            found = reach.are_reachable(poses[new][:, None], T_base_object, mount, self.kinematics, self.checker)
             self._asked.update(zip([names[row] for row in new], found.tolist(), strict=True))
         return np.array([self._asked[name] for name in names], dtype=np.bool_)
 
     def seconds(self, poses: Sequence[Floats]) -> Floats:
         """(n,) seconds of motion until each of the poses is reached."""
-        views = standing_at(np.stack(poses), np.zeros((len(poses), 3)), np.full(len(poses), -1))
+        views = viewpoints_from_poses(np.stack(poses), np.zeros((len(poses), 3)), np.full(len(poses), -1))
         world, found = self.world, []
-        reached = reach.solve(views, world.T_base_object, world.T_flange_scanner, self.kinematics, self.checker)
+        reached = reach.solve_reach(views, world.T_base_object, world.T_flange_scanner, self.kinematics, self.checker)
         q = home(world.model)
         for view in range(len(views)):
-            times = move_time(q, reached.q_of(view), self.kinematics.limits)
+            times = move_time(q, reached.configurations_of(view), self.kinematics.limits)
             found.append(float(times.min()))
-            q = reached.q_of(view)[int(np.argmin(times))]
+            q = reached.configurations_of(view)[int(np.argmin(times))]
         return np.cumsum(found)

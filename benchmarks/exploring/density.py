@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks.exploring.lab import Known, Lab, Policy
 from planner.values import Bools, Floats
-from planner.viewpoints.viewpoints import looking_at
+from planner.viewpoints.viewpoints import aim_viewpoints
 
 _TILTS = np.radians((0, 20, 40, 60))
 _TURNS = 8
@@ -88,7 +88,7 @@ class _Explorer:
                 if not len(open_):
                     break
                 out = _tilted(normals[open_], tilt, turn)
-                T = looking_at(
+                T = aim_viewpoints(
                     at[open_], out, np.full(len(open_), -1), [self._lab.middle_range], [0.0]
                 ).T_object_scanner[:, 0]
                 good = free(T) & self._unhidden(at[open_], out, tree)

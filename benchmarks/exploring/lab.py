@@ -31,13 +31,13 @@ from planner.explore.space import FREE, VoxelSpace
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
-from planner.measurability.coverage import added
-from planner.measurability.visibility import measured
+from planner.measurability.coverage import marginal_coverage
+from planner.measurability.visibility import find_measured
 from planner.ports import RayCaster, Scanner
 from planner.values import Bools, Floats
 from planner.viewpoints import growth
-from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.viewpoints import looking_at, optimal_scanning_zone
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.viewpoints import aim_viewpoints, optimal_scanning_zone
 
 CLEARANCE = 0.01
 """Distance [m] of laser source and sensor from all that was not seen free."""
@@ -120,7 +120,7 @@ class Lab:
         for _ in range(_SIDES):
             turn = rng.uniform(0, 2 * np.pi)
             out = np.array([[np.cos(turn), np.sin(turn), 0.0]])
-            T = looking_at(np.zeros((1, 3)), out, np.array([-1]), [distance], [0.0]).T_object_scanner[:, 0]
+            T = aim_viewpoints(np.zeros((1, 3)), out, np.array([-1]), [distance], [0.0]).T_object_scanner[:, 0]
             if free(T)[0]:
                 return np.asarray(T[0])
         raise RuntimeError("no level view of the cylinder's middle can be taken here")
@@ -140,7 +140,7 @@ class Lab:
             near = np.min([space.at(T[:, :3, :3] @ at + T[:, :3, 3], away) for at in ends], axis=0)
             found = np.asarray(near >= CLEARANCE)
             if self.arm is not None:
-                found[found] = self.arm.takes_up(T[found])
+                found[found] = self.arm.are_reachable(T[found])
             return found
 
         return stands
@@ -157,8 +157,8 @@ class Lab:
 
     def by_views(self, poses: tuple[Floats, ...]) -> Floats:
         """(n,) visible coverage after each of the views, share of the true surface."""
-        seen = measured(np.stack(poses)[:, None], self.samples, self.scanner, (self.caster,), each=True)
-        return np.cumsum(added(seen))
+        seen = find_measured(np.stack(poses)[:, None], self.samples, self.scanner, (self.caster,), each=True)
+        return np.cumsum(marginal_coverage(seen))
 
     def ceiling(self) -> float:
         """Share of the true surface that some pose measures which keeps the clearance from the true part.
@@ -168,19 +168,19 @@ class Lab:
         planning = decimate(self.part, min(self.settings.faces, len(self.part.faces)))
         space = replace(self.unknown, state=np.full_like(self.unknown.state, FREE))
         free = self.free(space.seen_from(self.samples.points, []))
-        scouts = draw_samples(self.part, planning, growth.SCOUTS, np.random.default_rng(0))
+        scouts = draw_samples(self.part, planning, growth.N_SCOUTS, np.random.default_rng(0))
         casters = (self.caster,)
         poses, _ = self.candidates(planning, scouts, casters, free)
-        seen = measured(poses[:, None], self.samples, self.scanner, casters)
+        seen = find_measured(poses[:, None], self.samples, self.scanner, casters)
         return float(self.samples.areas[seen].sum() / self.samples.areas.sum())
 
-    def holder(self, casters: tuple[RayCaster, ...], free: Callable[[Floats], Bools]) -> growth.Arm:
+    def holder(self, casters: tuple[RayCaster, ...], free: Callable[[Floats], Bools]) -> growth.ViewEvaluator:
         """Who holds the scanner wherever it can stand, past what the casters know."""
-        return growth.Arm(self.scanner, casters, lambda T: free(T[:, 0]), np.eye(4)[None])
+        return growth.ViewEvaluator(self.scanner, casters, lambda T: free(T[:, 0]), np.eye(4)[None])
 
     def candidates(
         self, planning: TriangleMesh, scouts: SurfaceSamples, casters: tuple[RayCaster, ...],
-        free: Callable[[Floats], Bools], schedule: Sequence[growth.Stage] = growth.SCHEDULE,
+        free: Callable[[Floats], Bools], schedule: Sequence[growth.SearchStage] = growth.SCHEDULE,
     ) -> tuple[Floats, Floats]:  # fmt: skip
         """Candidates of a plan of a surface: before its faces, and grown for what those leave open.
 
@@ -191,8 +191,8 @@ class Lab:
         zone = before.T_object_scanner[:, 0]
         there = free(zone)
         zone = zone[there]
-        seen = measured(zone[:, None], scouts, self.scanner, casters) if len(zone) else np.zeros(len(scouts), bool)
-        targets, arm = Targets.of(scouts.points, scouts.normals), self.holder(casters, free)
+        seen = find_measured(zone[:, None], scouts, self.scanner, casters) if len(zone) else np.zeros(len(scouts), bool)
+        targets, arm = RayTargets.of(scouts.points, scouts.normals), self.holder(casters, free)
         grown = growth.grow(targets, seen, arm, schedule=schedule)
         distance = np.linalg.norm(scouts.points[grown.row] - grown.T_object_scanner[:, :3, 3], axis=1)
         poses = np.concatenate([zone, grown.T_object_scanner])

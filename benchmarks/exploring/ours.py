@@ -20,11 +20,11 @@ from planner.explore.gain import Record, most_per_second
 from planner.explore.space import VoxelSpace
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.ports import RayCaster
 from planner.values import Floats
-from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.refinement import better
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.refinement import improve_views
 
 
 class _Ours:
@@ -51,14 +51,14 @@ class _Ours:
             casters = (*casters, BeyondNear(None, space, lab.eye.near))
         free = lab.free(space)
         poses, distance = lab.candidates(planning, scouts, casters, free, SCHEDULE)
-        M = measured(poses[:, None], rows, lab.scanner, casters, each=True)
+        M = find_measured(poses[:, None], rows, lab.scanner, casters, each=True)
         if not M.any():
             return None
         starts = most_per_second(csr_array(M), rows.areas, np.ones(len(M.T)), np.ones(len(M.T), np.bool_), STARTS)
-        targets, arm = Targets.of(scouts.points, scouts.normals), lab.holder(casters, free)
-        T, moved = better(poses[starts], distance[starts], targets, scouts.areas, arm)
+        targets, arm = RayTargets.of(scouts.points, scouts.normals), lab.holder(casters, free)
+        T, moved = improve_views(poses[starts], distance[starts], targets, scouts.areas, arm)
         poses = np.concatenate([poses, T[moved]])
-        M = np.concatenate([M, measured(T[moved, None], rows, lab.scanner, casters, each=True)], axis=1)
+        M = np.concatenate([M, find_measured(T[moved, None], rows, lab.scanner, casters, each=True)], axis=1)
         best = int(np.argmax(rows.areas @ M))
         self._expected, self._before = (pick_samples(rows, M[:, best]), float(mesh.areas.sum())), space
         return poses[best]

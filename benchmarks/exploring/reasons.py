@@ -26,7 +26,7 @@ from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics import reach
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.values import Bools, Floats
 from planner.why.reasons import Reason
 
@@ -60,7 +60,7 @@ def _true(work: Exploring, file: ExploreFile, said: StillOpen) -> Bools:
     samples = _on_part(said.samples, to_object, part, work.unknown.edge)
     candidates = replace(said.candidates, T_object_scanner=to_object @ said.candidates.T_object_scanner)
     world = world_of(run, part)
-    reached = reach.solve(
+    reached = reach.solve_reach(
         candidates, world.T_base_object, world.T_flange_scanner, cell.kinematics, MujocoCollisionChecker(world)
     )
     casters = (cell.part_caster, cell.occluder_caster)
@@ -95,6 +95,6 @@ def _poses(work: Exploring, file: ExploreFile, to_object: Floats) -> Floats:
 def _measured_beside(points: Floats, poses: Floats, cell: RunCell, radius: float) -> Floats:
     """(n,) share of the true surface within a radius of points (n, 3) [m] that views (V, 4, 4) measure."""
     truth = held_out(cell.reference, cell.planning, 0)
-    seen = measured(poses[:, None], truth, cell.scanner, (cell.part_caster, cell.occluder_caster))
+    seen = find_measured(poses[:, None], truth, cell.scanner, (cell.part_caster, cell.occluder_caster))
     beside = cKDTree(truth.points).query_ball_point(points, radius)
     return np.array([seen[rows].mean() if rows else 0.0 for rows in beside])

@@ -14,7 +14,7 @@ from benchmarks.exploring.view_spaces import VIEW_SPACES
 from planner.compiled import compiled
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN
 from planner.values import Floats, Ints
-from planner.viewpoints.viewpoints import rotations
+from planner.viewpoints.viewpoints import rotation_matrices
 
 _MANY, _CANDIDATES = 2000, 250
 _EVERY = 6  # of the scanner's rays, along both sides of its grid: 1,600 are cast for a candidate
@@ -50,7 +50,7 @@ def random(space: str) -> Policy:
         def next_view(known: Known) -> Floats | None:
             usable = poses[lab.free(known.space)(poses)]
             chosen = usable[rng.integers(len(usable))].copy()
-            chosen[:3, :3] = chosen[:3, :3] @ rotations(np.array([[0.0, 0.0, rng.uniform(0, 2 * np.pi)]]))[0]
+            chosen[:3, :3] = chosen[:3, :3] @ rotation_matrices(np.array([[0.0, 0.0, rng.uniform(0, 2 * np.pi)]]))[0]
             return chosen
 
         return next_view

@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.exploring.lab import CLEARANCE, Lab
 from planner.values import Floats
-from planner.viewpoints.viewpoints import looking_at
+from planner.viewpoints.viewpoints import aim_viewpoints
 
 _GOLDEN = np.pi * (3 - np.sqrt(5))
 
@@ -37,7 +37,7 @@ def _cylinder(lab: Lab, count: int, standoff: float) -> Floats:
 
 
 def _looking(targets: Floats, outward: Floats, distance: float) -> Floats:
-    return looking_at(targets, outward, np.full(len(targets), -1), [distance], [0.0]).T_object_scanner[:, 0]
+    return aim_viewpoints(targets, outward, np.full(len(targets), -1), [distance], [0.0]).T_object_scanner[:, 0]
 
 
 def _enclosing(lab: Lab) -> float:

@@ -29,7 +29,7 @@ from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.measurability import coverage
-from planner.measurability.visibility import fill, measured
+from planner.measurability.visibility import fill_matrix, find_measured
 from planner.viewpoints.viewpoints import Viewpoints
 
 FINEST = 4
@@ -109,7 +109,7 @@ def decimation(bench: Bench, share: float, repeats: int) -> KnobResult:
         rng = np.random.default_rng([bench.scene.plan.seed, _FEATURES])
         count = bench.scene.plan.samples_per_face * len(planning.faces)
         features = draw_samples(bench.part.reference, planning, count, rng)
-        M = fill(candidates, features, bench.scanner, bench.caster)
+        M = fill_matrix(candidates, features, bench.scanner, bench.caster)
         rng = np.random.default_rng([bench.scene.plan.seed, _SELECTION])
         return candidates, cover.solve(cover.Problem(M.matrix(), features.areas), rng=rng)
 
@@ -124,7 +124,7 @@ def samples(bench: Bench, per_face: int, repeats: int) -> KnobResult:
     planning, candidates = bench.planning, bench.zone
     rng = np.random.default_rng([bench.scene.plan.seed, _FEATURES])
     features = draw_samples(bench.part.reference, planning, per_face * len(planning.faces), rng)
-    M, seconds = best_of(lambda: fill(candidates, features, bench.scanner, bench.caster), repeats)
+    M, seconds = best_of(lambda: fill_matrix(candidates, features, bench.scanner, bench.caster), repeats)
     found = claim(M, candidates, bench.samples, bench.scanner, bench.caster)
     return KnobResult(abs(found.error_points), seconds, {"views": found.views, "visible %": 100 * found.visible})
 
@@ -142,7 +142,7 @@ def scan(bench: Bench, step_deg: float, repeats: int) -> KnobResult:
         raise PlannerError(f"{result.status.value}; scan more finely")
     off = deviation(result.mesh, _nearest(bench), np.random.default_rng(0))
     found = np.concatenate([each.points for each in points])
-    sampled = coverage.sampled(found, bench.samples, coverage.sampling_radius(bench.part.reference)).fraction
+    sampled = coverage.sampled_coverage(found, bench.samples, coverage.sampling_radius(bench.part.reference)).fraction
     more = {"grid mm": 1000 * result.grid, "faces": len(result.mesh.faces), "points": len(found)}
     return KnobResult(1e6 * off.rms, seconds, {**more, "sampled %": 100 * sampled})
 
@@ -155,7 +155,7 @@ def _planning(bench: Bench, share: float) -> TriangleMesh:
 def _most(bench: Bench) -> float:
     """Share of the surface that the finest candidates measure together, on the held-out samples."""
     candidates = first(bench.scene, bench.settings, bench.part, _planning(bench, FINEST))
-    found = measured(candidates.T_object_scanner, bench.samples, bench.scanner, (bench.caster,))
+    found = find_measured(candidates.T_object_scanner, bench.samples, bench.scanner, (bench.caster,))
     return float(bench.samples.areas[found].sum() / bench.samples.areas.sum())
 
 

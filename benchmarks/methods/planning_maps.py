@@ -27,9 +27,9 @@ from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.measurability import coverage
-from planner.measurability.visibility import fill, measured
+from planner.measurability.visibility import fill_matrix, find_measured
 from planner.values import Floats
-from planner.viewpoints.lines_of_sight import Targets, in_view
+from planner.viewpoints.lines_of_sight import RayTargets, in_view
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 _FACES, _VIEWS = 400, 40  # of the part that is asked about in float64, and about as many views
@@ -58,7 +58,7 @@ def _by_brute_force(
     mesh: TriangleMesh, features: SurfaceSamples, views: Viewpoints, scanner: LaserArea
 ) -> NDArray[np.bool_]:
     """(S, V) what is measured, every leg against every triangle in float64 (Moeller and Trumbore 1997)."""
-    targets = Targets.of(features.points, features.normals)
+    targets = RayTargets.of(features.points, features.normals)
     seen = np.zeros((len(features), len(views)), dtype=np.bool_)
     corner = mesh.vertices[mesh.faces[:, 0]]
     one, other = (mesh.vertices[mesh.faces[:, k]] - corner for k in (1, 2))
@@ -99,7 +99,7 @@ def size(line: str, metres: float, count: int) -> MapPoint:
     part = _part()
     loaded = workpiece.from_mesh("part", part.vertices * metres, part.faces.astype(np.int64), "m", "")
     scanner, features, views = _question(metres, count)
-    M = fill(views, features, scanner, EmbreeRayCaster(loaded.reference.vertices, loaded.reference.faces))
+    M = fill_matrix(views, features, scanner, EmbreeRayCaster(loaded.reference.vertices, loaded.reference.faces))
     agreeing = _agreeing(M.matrix().toarray(), _truth(count))
     says = " ".join(f.sentence for f in loaded.findings if f.kind is workpiece.Kind.UNITS)
     return MapPoint(agreeing, 100 * (1 - agreeing), says)
@@ -125,7 +125,7 @@ def offset(line: str, sizes: float, count: int) -> MapPoint:
     T = np.array(views.T_object_scanner)
     T[..., :3, 3] += shift
     views = Viewpoints(T, views.face, views.standoff, views.roll)
-    M = fill(views, there, scanner, EmbreeRayCaster(mesh.vertices, mesh.faces))
+    M = fill_matrix(views, there, scanner, EmbreeRayCaster(mesh.vertices, mesh.faces))
     return MapPoint(_agreeing(M.matrix().toarray(), _truth(count)), off, says)
 
 
@@ -155,7 +155,7 @@ def grazing(line: str, angle_deg: float, count: int) -> MapPoint:
     step = float(line.removesuffix(" deg"))
     scanner = LaserArea(resolution_deg=(step, step), grazing_max_deg=90.0)
     samples = draw_samples(plate, plate, count, np.random.default_rng(0))
-    predicted = measured(np.eye(4)[None, None], samples, scanner, [caster])
+    predicted = find_measured(np.eye(4)[None, None], samples, scanner, [caster])
     points = virtual_scan.scan(scanner, np.eye(4), caster, plate).points
     found = np.zeros(count, dtype=np.bool_)
     if len(points):
@@ -186,11 +186,11 @@ def _measured_by(line: str, faces: int, samples: int) -> tuple[float, int, int, 
     planning, scanner = decimate(mesh, faces), LaserArea()
     views = optimal_scanning_zone(planning, [_STANDOFF_M], _ROLLS)
     features = draw_samples(mesh, planning, 4 * len(planning.faces), np.random.default_rng(0))
-    M = fill(views, features, scanner, caster)
+    M = fill_matrix(views, features, scanner, caster)
     plan = cover.solve(
         cover.Problem(M.matrix(), features.areas), rng=np.random.default_rng(0), solver="greedy", budget=0
     )
-    visible = coverage.visible(views.T_object_scanner[plan.views], judged, scanner, (caster,)).fraction
+    visible = coverage.visible_coverage(views.T_object_scanner[plan.views], judged, scanner, (caster,)).fraction
     return visible, len(plan.views), len(planning.faces), validation.off_mesh(features, planning)
 
 

@@ -23,7 +23,7 @@ from cell.view.looking import write
 from cell.world.prediction import held_out
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability import coverage
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.values import Bools, Floats
 
 SAME_MM, SAME_DEG = 0.01, 0.01
@@ -77,7 +77,7 @@ def compare(a: Path, b: Path, reporter: ProgressReporter, out: Path | None = Non
 
 def _measured(side: Side, cell: RunCell, samples: SurfaceSamples) -> Bools:
     """(S, n) which samples each view measures in its own cell."""
-    return measured(side.poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
+    return find_measured(side.poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
 
 
 def _covered_by(cells: Sequence[RunCell], samples: SurfaceSamples) -> Callable[[Side, Bools], Bools]:
@@ -87,7 +87,7 @@ def _covered_by(cells: Sequence[RunCell], samples: SurfaceSamples) -> Callable[[
     def covered(side: Side, by_view: Bools) -> Bools:
         if side.execution is None:
             return np.asarray(by_view.any(axis=1))
-        return coverage.sampled(side.execution.points, samples, radius).covered
+        return coverage.sampled_coverage(side.execution.points, samples, radius).covered
 
     return covered
 

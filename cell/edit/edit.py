@@ -220,7 +220,7 @@ def _bounded(
     was pinned is left out, and what the run was asked to cover is covered.
     """
     cover, M, said = chosen.cover, chosen.matrix, before.run.plan
-    coverable = float(M.features.areas[M.matrix() @ problem.reached.reachable.astype(np.int32) > 0].sum())
+    coverable = float(M.samples.areas[M.matrix() @ problem.reached.reachable.astype(np.int32) > 0].sum())
     target = said.coverage.target_on_features or 1.0
     holds = not len(edited.appended) and cover.covered_area >= (target - _ROUNDING) * coverable
     holds &= not set(edited.dropped) & set(before.run.scene.plan.pinned)

@@ -15,7 +15,7 @@ from cell.runs.cell import scene_of_run
 from cell.runs.run import Run
 from cell.scene.model import pose
 from planner.values import Floats
-from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, looking_at, pick_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints, aim_viewpoints, join_viewpoints, pick_viewpoints
 
 SAME = 1e-9
 """Poses whose entries differ by no more are one pose [m, and entries of rotations]."""
@@ -63,7 +63,9 @@ class _Numbering:
         if (apart <= SAME).any():
             return int(apart.argmin())
         outward = -T[:3, 2]
-        upright = looking_at((T[:3, 3] - standoff * outward)[None], outward[None], np.array([face]), [standoff], [0.0])
+        upright = aim_viewpoints(
+            (T[:3, 3] - standoff * outward)[None], outward[None], np.array([face]), [standoff], [0.0]
+        )
         x, y = upright.T_object_scanner[0, 0, :3, :2].T @ T[:3, 0]
         one = Viewpoints(
             T[None, None], np.array([face], dtype=np.int32), np.array([standoff]), np.array([np.arctan2(y, x)])

@@ -17,7 +17,7 @@ from cell.explore.policies import Batch
 from planner.explore.gain import Record, came
 from planner.explore.space import VoxelSpace
 from planner.geometry.sampling import SurfaceSamples, pick_samples
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.ports import RayCaster, Scanner
 from planner.values import Floats, Value
 
@@ -68,7 +68,7 @@ def wanted(samples: SurfaceSamples, asked: Asked, most: int, scanner: Scanner, c
     """
     if asked.poses is None:
         return probable(samples, asked, most)
-    missed = ~measured(asked.poses[:, None], samples, scanner, (caster,))
+    missed = ~find_measured(asked.poses[:, None], samples, scanner, (caster,))
     return _kept(samples, missed * samples.areas, most)
 
 
@@ -88,11 +88,11 @@ def came_of(samples: SurfaceSamples, asked: Asked, scanner: Scanner, caster: Ray
     views = [views for views, _ in asked.latest]
     before = len(asked.poses) - sum(views)
     casters, poses = (caster,), asked.poses[:, None]
-    seen = measured(poses[before:], samples, scanner, casters, each=True)
+    seen = find_measured(poses[before:], samples, scanner, casters, each=True)
     new = np.flatnonzero(seen.any(axis=1))
     new = new[asked.space.near(samples.points[new])]
     if before:
-        new = new[~measured(poses[:before], pick_samples(samples, new), scanner, casters)]
+        new = new[~find_measured(poses[:before], pick_samples(samples, new), scanner, casters)]
     first = seen[new] & (np.cumsum(seen[new], axis=1) == 1)
     brought = [float(areas.sum()) for areas in np.split(samples.areas[new] @ first, np.cumsum(views)[:-1])]
     return came([(expected, area) for (_, expected), area in zip(asked.latest, brought, strict=True)])

@@ -303,9 +303,9 @@ def _expected(folder: Path, before: VoxelSpace, on: SurfaceName) -> _Expected:
     sees = M.matrix()[:, [view.id for view in views]].toarray()
     rows = np.asarray(sees.any(axis=1))
     if on == BELIEVED:  # a batch may be asked for what was seen as well
-        rows = rows & ~before.seen(M.features.points, M.features.normals)
+        rows = rows & ~before.seen(M.samples.points, M.samples.normals)
     surface = float(run.mesh("reference.ply").areas.sum())
-    return _Expected(pick_samples(M.features, rows), sees[rows], surface, on)
+    return _Expected(pick_samples(M.samples, rows), sees[rows], surface, on)
 
 
 def _stage_of(

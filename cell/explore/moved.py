@@ -10,9 +10,9 @@ from cell.plan.candidates import GROWN, arm_of
 from cell.plan.problem import Problem
 from cell.plan.refined import Append
 from planner.values import Ints
-from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.refinement import better
-from planner.viewpoints.viewpoints import pick_viewpoints, standing_at
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.refinement import improve_views
+from planner.viewpoints.viewpoints import pick_viewpoints, viewpoints_from_poses
 
 
 def with_better(problem: Problem, views: Ints, append: Append) -> Problem:
@@ -28,9 +28,9 @@ def with_better(problem: Problem, views: Ints, append: Append) -> Problem:
     known, candidates = problem.prediction, pick_viewpoints(problem.candidates, views)
     scouts, distance = known.samples, candidates.standoff
     arm = arm_of(problem.world, problem.kinematics, problem.checker, known.scanner, known.casters)
-    targets = Targets.of(scouts.points, scouts.normals)
-    T, moved = better(candidates.T_object_scanner[:, 0], distance, targets, scouts.areas, arm)
+    targets = RayTargets.of(scouts.points, scouts.normals)
+    T, moved = improve_views(candidates.T_object_scanner[:, 0], distance, targets, scouts.areas, arm)
     if not moved.any():
         return problem
     aim = T[:, :3, 3] + distance[:, None] * T[:, :3, 2]
-    return append(problem, standing_at(T[moved], aim[moved], candidates.face[moved]))
+    return append(problem, viewpoints_from_poses(T[moved], aim[moved], candidates.face[moved]))

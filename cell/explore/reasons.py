@@ -12,7 +12,7 @@ from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics.reach import Reach
 from planner.ports import RayCaster, Scanner
 from planner.values import Ints, Value
-from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import why
 from planner.why.reasons import OF_VERDICT, Reason
@@ -98,6 +98,6 @@ def closest(
 ) -> Ints:
     """(S,) the `Reason` at which the candidate fails that comes closest to measuring each; as in `still_open`."""
     fails = np.array([OF_VERDICT[verdict] for verdict in OF_VERDICT], dtype=np.uint8)[reached.verdict]
-    targets, rows = Targets.of(samples.points, samples.normals), np.arange(len(samples))
+    targets, rows = RayTargets.of(samples.points, samples.normals), np.arange(len(samples))
     found = why.diagnose(targets, rows, candidates, scanner, casters[0], casters[1], fails)
     return found.reason.astype(np.int64)

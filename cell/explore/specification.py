@@ -14,7 +14,7 @@ from cell.scene.settle import resolve
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.ports import Scanner
 from planner.values import Floats
 
@@ -42,7 +42,9 @@ def missed(scene: Scene, model: TriangleMesh, poses: Floats) -> float:
     """
     samples = draw_samples(model, model, _SAMPLES, np.random.default_rng(scene.plan.seed))
     casters = (EmbreeRayCaster(model.vertices, model.faces),)
-    at_all, within = (measured(poses[:, None], samples, _law(each, model), casters) for each in (without(scene), scene))
+    at_all, within = (
+        find_measured(poses[:, None], samples, _law(each, model), casters) for each in (without(scene), scene)
+    )
     total = float(samples.areas[at_all].sum())
     return float(samples.areas[at_all & ~within].sum()) / total if total else 0.0
 

@@ -39,7 +39,7 @@ from planner.geometry.decimation import cluster_vertices, decimate
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.kinematics.reach import Reach, join_reach
 from planner.measurability.matrix import spread_measurability
-from planner.path.path import CHECKS
+from planner.path.path import MAX_CHECKS
 from planner.ports import RayCaster, Scanner
 from planner.tour.tour_search import DEFAULT_BUDGET
 from planner.values import Ints
@@ -60,7 +60,7 @@ SCHEDULE = growth.SCHEDULE[:2]
 worth its time. On the measured one it is luck whether one of few candidates takes a sliver; and reasons are told of all
 that `cell plan` would have."""
 
-_BRIEF = replace(DEFAULT_BUDGET, path_checks=CHECKS // 4, polish=0, guesses=DEFAULT_BUDGET.guesses[:1])
+_BRIEF = replace(DEFAULT_BUDGET, path_checks=MAX_CHECKS // 4, polish=0, guesses=DEFAULT_BUDGET.guesses[:1])
 """Of the motion through the few views of a batch: searching on for a shorter one takes longer than it saves."""
 
 STARTS = 6
@@ -217,14 +217,14 @@ def _best(problem: Problem, count: int) -> Ints:
     """So many candidates, each with the most per second after those before it."""
     seconds = seconds_of_views(problem.request.plan, problem.reached, problem.world.home, problem.limits)
     M = problem.M
-    return most_per_second(M.matrix(), M.features.areas, seconds, problem.usable(()), count)
+    return most_per_second(M.matrix(), M.samples.areas, seconds, problem.usable(()), count)
 
 
 def _each_worth(problem: Problem, asked: Asked) -> Ints:
     """Views that greedily each add the least gain."""
     M, usable = problem.M, problem.usable(())
     most = len(usable) if asked.batch.views is None else asked.batch.views
-    gains = asked.came * M.features.areas
+    gains = asked.came * M.samples.areas
     return most_per_second(M.matrix(), gains, np.ones(len(usable)), usable, most, asked.least_area)
 
 

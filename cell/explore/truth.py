@@ -27,9 +27,9 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.prediction import held_out
 from planner.cover.problem import Problem
 from planner.cover.selection import solve
-from planner.measurability.coverage import added
+from planner.measurability.coverage import marginal_coverage
 from planner.measurability.matrix import Measurability
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 
 FOLDER = "truth"
 
@@ -84,13 +84,13 @@ def truth_of(truth: Path, hidden: Hidden, explored: Explored) -> Truth:
     samples = held_out(cell.reference, cell.planning, run.seed)
     to_object = np.linalg.inv(hidden.T_explored_object)
     poses = np.stack([to_object @ _true_pose(scan) for scan in explored.scans])[:, None]
-    seen = measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
-    by_views = np.cumsum(added(seen))
+    seen = find_measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
+    by_views = np.cumsum(marginal_coverage(seen))
     reached = float(by_views[-1])
     points = parsed(_Curve, run.artefact("curve.json"), truth / "curve.json").points
     M = run.measurability
-    on_rows = measured(poses, M.features, cell.scanner, (cell.part_caster, cell.occluder_caster))
-    share = float(M.features.areas[on_rows].sum() / M.features.areas.sum())
+    on_rows = find_measured(poses, M.samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
+    share = float(M.samples.areas[on_rows].sum() / M.samples.areas.sum())
     fewest, found = _fewest(run, M, share)
     most = min(share, max(point.upper_bound for point in points))
     fewest = max(fewest, min(point.n_views for point in points if point.upper_bound >= most))
@@ -134,7 +134,7 @@ def _fewest(run: Run, M: Measurability, coverage: float) -> tuple[int, int]:
         coverage: share of the surface that the matrix' rows stand for.
     """
     reachable = run.reach.reachable
-    matrix, areas = M.matrix(), M.features.areas
+    matrix, areas = M.matrix(), M.samples.areas
     coverable = float(areas[matrix[:, np.flatnonzero(reachable)].sum(axis=1) > 0].sum())
     share = min(coverage * float(areas.sum()) / coverable, 1.0)
     rng = random_stream(run.seed, Stream.FEWEST_VIEWS)

@@ -132,7 +132,7 @@ def _checked(run: Run, T_base_object: Floats) -> CheckedMotion:
     try:
         # Compiled with the part there: a post beside a rotary table's axis swings, and is guarded for it.
         world = world_of(run, run.reference, T_base_object=T_base_object)
-        checker, limits = MujocoCollisionChecker(world), replace(limits, turns_at=world.limits.turns_at)
+        checker, limits = MujocoCollisionChecker(world), replace(limits, table_turn_q=world.limits.table_turn_q)
     except SceneError as error:  # a table does not carry the part there
         problem = str(error)
         checker = MujocoCollisionChecker(world_of(run, run.reference), T_base_object)

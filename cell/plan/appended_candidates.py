@@ -42,7 +42,7 @@ def behind(session: PlanSession, job: Job, cell: Cell, surface: PartSurface) -> 
     """Makes candidates of further viewpoints of a problem; the cache keeps no matrix of theirs."""
 
     def append(problem: Problem, views: Viewpoints) -> Problem:
-        rows, known = replace(surface, features=problem.M.features), problem.prediction
+        rows, known = replace(surface, samples=problem.M.samples), problem.prediction
         reached = join_reach([problem.reached, steps.reach_of(job, cell, views)])
         candidates, M, _ = appended(
             replace(session, use_cache=False), job, rows, known.casters, (problem.candidates, problem.M), views

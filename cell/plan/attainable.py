@@ -12,8 +12,8 @@ from cell.runs.schema import Attainable
 from cell.session import default_effort
 from planner.geometry.sampling import pick_samples
 from planner.measurability.coverage import Coverage
-from planner.viewpoints.attainable import attainable
-from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.attainable import probe_attainable
+from planner.viewpoints.lines_of_sight import RayTargets
 
 TOLD_BELOW = 0.8
 """Share of the surface below which a plan says why it measures no more."""
@@ -28,11 +28,11 @@ def of_plan(problem: Problem, visible: Coverage, rng: np.random.Generator) -> At
     rest = np.flatnonzero(~known)
     asked = np.sort(rng.permutation(rest)[: default_effort().searched_samples])
     some = pick_samples(samples, asked)
-    found = attainable(Targets.of(some.points, some.normals, some.region), arm)
+    found = probe_attainable(RayTargets.of(some.points, some.normals, some.region), arm)
     total = float(samples.areas.sum())
     left = float(samples.areas[rest].sum()) / total
     share, out_of_reach = (
-        float(which.mean()) if len(asked) else 0.0 for which in (found.measured, found.sighted & ~found.measured)
+        float(which.mean()) if len(asked) else 0.0 for which in (found.measured, found.visible & ~found.measured)
     )
     missing = 1 - (len(asked) - 1) / (len(rest) - 1) if len(rest) > 1 else 0.0  # of a finite population
     return Attainable(

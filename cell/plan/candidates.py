@@ -22,9 +22,9 @@ from planner.measurability import coverage
 from planner.ports import CollisionChecker, Kinematics, Progress, RayCaster, Scanner
 from planner.values import Bools, Floats
 from planner.viewpoints import growth
-from planner.viewpoints.growth import Arm
-from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone, standing_at, view_sphere
+from planner.viewpoints.growth import ViewEvaluator
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone, view_sphere, viewpoints_from_poses
 
 GROWN = "grown"
 
@@ -49,7 +49,7 @@ def arm_of(
     checker: CollisionChecker,
     scanner: Scanner,
     casters: Sequence[RayCaster],
-) -> Arm:
+) -> ViewEvaluator:
     """Who measures and where it gets to.
 
     Args:
@@ -61,19 +61,19 @@ def arm_of(
     """
 
     def takes_up(T_object_scanner: Floats) -> Bools:
-        return reach.takes_up(T_object_scanner, world.T_base_object, world.T_flange_scanner, kinematics, checker)
+        return reach.are_reachable(T_object_scanner, world.T_base_object, world.T_flange_scanner, kinematics, checker)
 
     T_view_scanner = getattr(scanner, "T_view_scanner", np.eye(4)[None])
-    return Arm(scanner, casters, takes_up, T_view_scanner)
+    return ViewEvaluator(scanner, casters, takes_up, T_view_scanner)
 
 
 def grow(
     candidates: Viewpoints,
     usable: Bools,
     scouts: SurfaceSamples,
-    arm: Arm,
+    arm: ViewEvaluator,
     progress: Progress | None = None,
-    schedule: Sequence[growth.Stage] = growth.SCHEDULE,
+    schedule: Sequence[growth.SearchStage] = growth.SCHEDULE,
 ) -> Viewpoints:
     """Viewpoints for what no usable candidate measures.
 
@@ -88,8 +88,8 @@ def grow(
     Returns:
         The new ones alone.
     """
-    targets = Targets.of(scouts.points, scouts.normals, scouts.region)
+    targets = RayTargets.of(scouts.points, scouts.normals, scouts.region)
     poses = candidates.T_object_scanner[usable] @ arm.T_view_scanner
-    seen = coverage.visible(poses, scouts, arm.scanner, arm.casters).covered
+    seen = coverage.visible_coverage(poses, scouts, arm.scanner, arm.casters).covered
     found = growth.grow(targets, seen, arm, schedule=schedule, progress=progress)
-    return standing_at(found.T_object_scanner, scouts.points[found.row], scouts.planning_face[found.row])
+    return viewpoints_from_poses(found.T_object_scanner, scouts.points[found.row], scouts.planning_face[found.row])

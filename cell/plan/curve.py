@@ -33,7 +33,7 @@ def curve_of(
     chosen = selected.cover
     full = request.exchangeable and selected.target == 1.0 and request.costs is None
     plan = request.plan
-    problem = Problem(M.matrix(), M.features.areas, reached.reachable, pinned=plan.pinned, banned=plan.banned)
+    problem = Problem(M.matrix(), M.samples.areas, reached.reachable, pinned=plan.pinned, banned=plan.banned)
     fewest_for_all = chosen.lower_bound if full else 0
     return coverage_curve(problem, rng=rng, known=[chosen.views], fewest_for_all=fewest_for_all, budget=work)
 

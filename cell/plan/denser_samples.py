@@ -18,8 +18,8 @@ from cell.world.measurability import PartSurface
 from cell.world.prediction import Prediction
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.measurability import quality
-from planner.measurability.matrix import Measurability, add_rows, spread_measurability
-from planner.measurability.visibility import fill, measured, occlude
+from planner.measurability.matrix import Measurability, append_rows, spread_measurability
+from planner.measurability.visibility import apply_occluders, fill_matrix, find_measured
 from planner.ports import SigmaScanner
 from planner.values import Bools
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
@@ -69,7 +69,7 @@ def chosen_where_kept(
             problem.candidates, problem.reached.reachable, problem.prediction, pick_samples(pool, added),
             sigma=problem.M.sigma is not None,
         )  # fmt: skip
-        problem = replace(problem, M=add_rows(problem.M, more, spread))
+        problem = replace(problem, M=append_rows(problem.M, more, spread))
     return problem, first_choice(problem, rng, looked=selected)
 
 
@@ -99,11 +99,11 @@ def _adds(problem: Problem) -> bool:
 def _needed(problem: Problem, selected: Selected, pool: SurfaceSamples) -> Bools:
     """(S,) which of the pool become rows; none where they show nothing that candidates measure and the views leave."""
     known, T = problem.prediction, problem.candidates.T_object_scanner
-    left = pick_samples(pool, ~measured(T[selected.cover.views], pool, known.scanner, known.casters))
-    left = pick_samples(left, measured(T[problem.usable(())], left, known.scanner, known.casters))
+    left = pick_samples(pool, ~find_measured(T[selected.cover.views], pool, known.scanner, known.casters))
+    left = pick_samples(left, find_measured(T[problem.usable(())], left, known.scanner, known.casters))
     # All fresh samples of the planning faces on which the views fail: these alone would make the faces look worse.
     needed = np.isin(pool.planning_face, left.planning_face)
-    some = np.flatnonzero(needed)[:: 1 + int(needed.sum()) // max(2 * len(problem.M.features), _MORE)]
+    some = np.flatnonzero(needed)[:: 1 + int(needed.sum()) // max(2 * len(problem.M.samples), _MORE)]
     return np.asarray(np.isin(np.arange(len(pool)), some))
 
 
@@ -122,7 +122,7 @@ def rows_of(
     usable, total = np.flatnonzero(reachable), len(candidates)
     candidates, scanner = pick_viewpoints(candidates, usable), prediction.scanner
     part, others = prediction.casters
-    M = occlude(fill(candidates, features, scanner, part), candidates, scanner, others, ray_caster=part)
+    M = apply_occluders(fill_matrix(candidates, features, scanner, part), candidates, scanner, others, ray_caster=part)
     if sigma:
         M = quality.sigma_layer(M, candidates, cast(SigmaScanner, scanner), casters=(part, others))
     return spread_measurability(M, usable, total)

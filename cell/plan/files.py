@@ -182,7 +182,7 @@ def write_reach(folder: RunFolder, reached: Reach) -> None:
 
 def write_measurability(folder: RunFolder, M: Measurability) -> None:
     """`measurability.npz`: the matrix with occluders applied, and its features."""
-    features = M.features
+    features = M.samples
     folder.write_arrays(
         "measurability.npz",
         indptr=M.indptr,

@@ -25,6 +25,6 @@ def surface_of(before: Run, session: PlanSession, job: Job) -> PartSurface:
             session.folder.adopt(name)
         reference = job.part.reference
         return PartSurface(
-            reference, before.mesh("planning.ply"), before.measurability.features,
+            reference, before.mesh("planning.ply"), before.measurability.samples,
             EmbreeRayCaster(reference.vertices, reference.faces),
         )  # fmt: skip

@@ -18,11 +18,11 @@ from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import (
     PoseError,
     ProbabilityLayer,
-    credited,
+    credited_probability,
     probability_layer,
-    times_measured,
+    simulate_executions,
 )
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.ports import Progress, RayCaster, Scanner
 from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
@@ -79,15 +79,15 @@ def simulate(
     error, n = pose_error(plan), len(T_object_poses)
 
     def each(T: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        return measured(T, samples, prediction.scanner, prediction.casters, each=True)
+        return find_measured(T, samples, prediction.scanner, prediction.casters, each=True)
 
     hits = np.zeros((len(samples), n), dtype=np.int64)
     for member in error.draw(plan.ensemble, rng):
         hits += each(T_object_poses @ member)
-    p = credited(hits, plan.ensemble) * each(T_object_poses)
+    p = credited_probability(hits, plan.ensemble) * each(T_object_poses)
     promised = np.prod(1.0 - p, axis=1) <= plan.alpha
     errors = error.draw(EXECUTIONS * n, rng).reshape(EXECUTIONS, n, 4, 4)
-    times, share = times_measured(
+    times, share = simulate_executions(
         T_object_poses, samples, prediction.scanner, prediction.casters, errors, progress=progress
     )
     frequency = times / EXECUTIONS

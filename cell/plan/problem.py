@@ -11,7 +11,7 @@ from cell.plan.request import Request
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from cell.world.prediction import Prediction
-from planner.kinematics.reach import Reach, with_solutions
+from planner.kinematics.reach import Reach, add_configurations
 from planner.measurability.matrix import Measurability
 from planner.ports import JointLimits, Kinematics
 from planner.values import Floats, Ints
@@ -76,4 +76,4 @@ class Problem:
 
         Only angles of a rotary table may lie between those that were looked at.
         """
-        return self if self.world.table is None else replace(self, reached=with_solutions(self.reached, views, q))
+        return self if self.world.table is None else replace(self, reached=add_configurations(self.reached, views, q))

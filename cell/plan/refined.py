@@ -18,9 +18,9 @@ from cell.plan.request import WORK, Selected
 from cell.plan.view_exchange import of_views
 from cell.plan.view_plan import first_choice
 from planner.cover import CoverStatus
-from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.refinement import Standing, fewer
-from planner.viewpoints.viewpoints import Viewpoints, standing_at
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.refinement import ViewState, reduce_views
+from planner.viewpoints.viewpoints import Viewpoints, viewpoints_from_poses
 
 BEYOND = 0.0005
 """Beyond the coverage asked for, a share of what is coverable: a plan whose views stay has as much on average."""
@@ -87,36 +87,36 @@ def _least(problem: Problem, selected: Selected) -> float:
     return max(problem.request.plan.coverage + BEYOND, float(selected.shares[0]) + MARGIN)
 
 
-def _moved(problem: Problem, selected: Selected) -> Standing:
+def _moved(problem: Problem, selected: Selected) -> ViewState:
     """The views where they stand, or fewer of them elsewhere."""
     candidates, known, chosen = problem.candidates, problem.prediction, selected.cover.views
-    M, features = problem.M.matrix().tocsc(), problem.M.features
+    M, features = problem.M.matrix().tocsc(), problem.M.samples
     rows, least = np.diff(problem.M.indptr) > 0, _least(problem, selected)
     areas = np.where(rows, features.areas, 0.0) / max(float(features.areas[rows].sum()), 1e-300)
-    before = Standing(
+    before = ViewState(
         candidates.T_object_scanner[chosen, 0], candidates.standoff[chosen], np.arange(len(chosen)),
         np.zeros(len(chosen), dtype=np.bool_), M[:, chosen].toarray(),
     )  # fmt: skip
     arm = arm_of(problem.world, problem.kinematics, problem.checker, known.scanner, known.casters)
-    return fewer(
-        before, Targets.of(features.points, features.normals), areas, lambda view: arm,
+    return reduce_views(
+        before, RayTargets.of(features.points, features.normals), areas, lambda view: arm,
         goal=min(selected.target, float(areas[before.measured.any(axis=1)].sum())),
         short=lambda views: least - known.share_of_coverable(views.T_object_scanner[:, None]),
     )  # fmt: skip
 
 
-def _appended(problem: Problem, selected: Selected, after: Standing, append: Append) -> Choice:
+def _appended(problem: Problem, selected: Selected, after: ViewState, append: Append) -> Choice:
     """The problem with the views that moved behind its candidates, and all views as an answer to it."""
     candidates, chosen = problem.candidates, selected.cover.views
     T = after.T_object_scanner[after.moved]
     aim = T[:, :3, 3] + after.distance[after.moved, None] * T[:, :3, 2]
-    more = append(problem, standing_at(T, aim, candidates.face[chosen[after.origin[after.moved]]]))
+    more = append(problem, viewpoints_from_poses(T, aim, candidates.face[chosen[after.origin[after.moved]]]))
     views = chosen[after.origin]
     views[after.moved] = len(candidates) + np.arange(len(T))
     coverable = np.diff(more.M.indptr) > 0
     free = replace(
         selected.cover, lower_bound=1, status=CoverStatus.BOUNDED, uncoverable_rows=np.flatnonzero(~coverable),
-        coverable_area=float(more.M.features.areas[coverable].sum()),
+        coverable_area=float(more.M.samples.areas[coverable].sum()),
     )  # fmt: skip
     cover, _ = of_views(free, more.M, views)
     share = more.prediction.share_of_coverable(more.candidates.T_object_scanner[cover.views])

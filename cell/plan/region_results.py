@@ -8,9 +8,9 @@ from cell.runs.schema import RegionResult
 from cell.scene.model import RegionWishes
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import pick_samples
-from planner.measurability.quality import best_of_views
+from planner.measurability.quality import best_values
 from planner.values import Bools, Ints
-from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.lines_of_sight import RayTargets
 from planner.why.reasons import OF_VERDICT, Reason
 from planner.why.why import diagnose
 
@@ -59,7 +59,7 @@ def _reason(region: RegionWishes, lost: Ints, share: float, problem: Problem) ->
     """Why no reachable candidate measures most of what is lost of a region, in a sentence."""
     samples, scanner, casters = (getattr(problem.prediction, name) for name in ("samples", "scanner", "casters"))
     asked = lost[np.linspace(0, len(lost) - 1, min(_ASKED, len(lost))).round().astype(np.int64)]
-    targets = Targets.of(samples.points, samples.normals, samples.region)
+    targets = RayTargets.of(samples.points, samples.normals, samples.region)
     fails = np.array([OF_VERDICT[verdict] for verdict in OF_VERDICT], dtype=np.uint8)[problem.reached.verdict]
     why = diagnose(targets, asked, problem.candidates, scanner, casters[0], casters[1], fails)
     number = int(np.argmax(np.bincount(why.reason)))
@@ -69,7 +69,7 @@ def _reason(region: RegionWishes, lost: Ints, share: float, problem: Problem) ->
     own = np.flatnonzero(why.reason == Reason.TOO_SPARSE)
     some = pick_samples(samples, asked[own])
     poses = problem.candidates.T_object_scanner.reshape(-1, 1, 4, 4)[why.pose[own]]
-    spacing = 1000 * best_of_views([scanner.spacing], poses, some, np.eye(len(own), dtype=np.bool_), scanner.scanner)[0]
+    spacing = 1000 * best_values([scanner.spacing], poses, some, np.eye(len(own), dtype=np.bool_), scanner.scanner)[0]
     near, far = 1000 * np.quantile(why.distance[own], [0.1, 0.9])
     return (
         f"{told} ({np.nanmedian(spacing):.3g} mm from {near:.0f} to {far:.0f} mm away, limit "

@@ -25,7 +25,7 @@ from planner.measurability.matrix import Measurability
 from planner.measurability.pose_ensemble import ProbabilityLayer
 from planner.ports import JointLimits
 from planner.tour.tour_search import DEFAULT_BUDGET, MotionBudget
-from planner.tour.view_times import least_moves
+from planner.tour.view_times import least_move_times
 from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
 
@@ -207,12 +207,12 @@ def select(
     """
     plan = request.plan
     wish = Problem(
-        M.matrix(), M.features.areas, reached.reachable, coverage=plan.coverage, max_views=plan.max_views,
+        M.matrix(), M.samples.areas, reached.reachable, coverage=plan.coverage, max_views=plan.max_views,
         demand=plan.multiplicity, costs=request.costs, pinned=plan.pinned, banned=(*banned, *plan.banned),
         overlap=request.overlap,
     )  # fmt: skip
     if request.goals is not None:
-        wish = request.goals.applied(wish, M.features)
+        wish = request.goals.applied(wish, M.samples)
     if plan.max_views is not None:
         most = cover.solve(wish, rng=rng, budget=cover.grown(_MOST_WORK, wish.matrix.nnz))
         return Selected(most, np.ones(1), most.sentence)
@@ -274,5 +274,5 @@ def seconds_of_views(plan: PlanSettings, reached: Reach, home: Floats | None, li
         home: (6,) joint angles [rad]; None where views sweep: the moves then count nothing.
         limits: of the axes, scaled to the speed that is wanted.
     """
-    moves = np.zeros(len(reached)) if home is None else least_moves(reached.q, reached.offsets, home, limits)
+    moves = np.zeros(len(reached)) if home is None else least_move_times(reached.q, reached.offsets, home, limits)
     return np.maximum(plan.scan_s + plan.settle_s + moves, LEAST_COST)

@@ -43,7 +43,7 @@ from planner.kinematics.reach import Reach, join_reach
 from planner.measurability import visibility
 from planner.measurability.matrix import Measurability, spread_measurability
 from planner.ports import Kinematics, Progress, RayCaster, Scanner
-from planner.timing.limits import scaled
+from planner.timing.limits import scale_limits
 from planner.timing.motion import Motion, retime
 from planner.viewpoints import growth
 from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
@@ -149,7 +149,7 @@ def grow_candidates(
     if job.scene.plan.candidates != GROWN:
         return candidates, reached
     with session.stage("grow the candidates") as progress:
-        scouts = draw_samples(surface.reference, surface.planning, growth.SCOUTS, session.rng(Stream.SCOUTS))
+        scouts = draw_samples(surface.reference, surface.planning, growth.N_SCOUTS, session.rng(Stream.SCOUTS))
         casters = casters_of(surface, cell)
         arm = arm_of(cell.world, cell.kinematics, cell.checker, limited(job.scene, job.scanner), casters)
         grown = grow(candidates, reached.reachable, scouts, arm, progress)
@@ -194,7 +194,7 @@ def columns(
     )
     law = limited(job.scene, job.scanner)
     keeps = law if job.scene.region else job.scanner
-    M = visibility.occlude(M, views, keeps, casters[1], ray_caster=casters[0], progress=progress)
+    M = visibility.apply_occluders(M, views, keeps, casters[1], ray_caster=casters[0], progress=progress)
     if (limit := job.scene.plan.max_sigma_mm) is not None:
         M = limit_sigma(M, views, job.scanner, limit, casters, may_be_empty=may_be_empty)
     return M, law
@@ -222,7 +222,7 @@ def ask(session: PlanSession, job: Job, cell: Cell, measured: Measured, predicti
                 plan, measured.M, measured.candidates, measured.reached, measured.scanner, measured.casters,
                 session.rng(Stream.POSE_ERRORS), progress,
             )  # fmt: skip
-    limits = scaled(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
+    limits = scale_limits(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
     goals = RegionGoals.of(complete(scene.region), plan)
     problem = Problem(
         Request(plan, None, layer, goals), measured.candidates, measured.reached, measured.M, prediction,
@@ -286,4 +286,4 @@ def reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None 
     """Verdicts and joint solutions of viewpoints."""
     T_base_object, T_flange_scanner = cell.world.T_base_object, cell.world.T_flange_scanner
     poses = scanners.swept(job.scanner, views)
-    return reach.solve(poses, T_base_object, T_flange_scanner, cell.kinematics, cell.checker, progress=progress)
+    return reach.solve_reach(poses, T_base_object, T_flange_scanner, cell.kinematics, cell.checker, progress=progress)

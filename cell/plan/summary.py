@@ -142,7 +142,7 @@ def _coverage(problem: Problem, chosen: ConnectedPlan) -> Coverage:
 
 
 def _views(problem: Problem, chosen: ConnectedPlan, clearance: MotionClearance) -> list[ReportView]:
-    tour, adds = chosen.tour, coverage.added(chosen.seen)
+    tour, adds = chosen.tour, coverage.marginal_coverage(chosen.seen)
     return [
         ReportView(
             id=candidate,

@@ -16,7 +16,7 @@ from cell.plan.request import Selected
 from cell.plan.views import Driven, Groups, Next
 from planner.measurability.matrix import Measurability
 from planner.path.sweep_line import DEFAULT_SPEED
-from planner.path.sweeps import DrivenSweep, Passage, Sweeps, passages_of, sweeps_of
+from planner.path.sweeps import DrivableSweeps, SweepTraversal, TimedSweep, find_sweeps, sweep_traversals
 from planner.tour.tour import Tour
 
 
@@ -26,7 +26,7 @@ class SweepingViews:
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
         self._speed = DEFAULT_SPEED.slowed(problem.limits, problem.world.limits)
-        self._found: dict[int, Sweeps] = {}
+        self._found: dict[int, DrivableSweeps] = {}
         self.shaded: Mapping[int, str] = {}
 
     @property
@@ -73,9 +73,9 @@ class SweepingViews:
             tuple(np.stack([path.q[0] for path in own]) for own in paths),
         )
 
-    def passages(self, views: NDArray[np.int64]) -> list[list[Passage]]:
+    def traversals(self, views: NDArray[np.int64]) -> list[list[SweepTraversal]]:
         """The sweeps of each view as the motion takes them."""
-        return [passages_of(self._of(int(view)).paths) for view in views]
+        return [sweep_traversals(self._of(int(view)).paths) for view in views]
 
     def driven(self, views: NDArray[np.int64], motion: Tour) -> Driven:
         """The sweeps that a motion drives, their poses and their timing."""
@@ -86,14 +86,14 @@ class SweepingViews:
         T_base_scanner = problem.kinematics.forward(q.reshape(-1, 6)) @ world.T_flange_scanner
         poses = (np.linalg.inv(world.T_base_object) @ T_base_scanner).reshape(*q.shape[:2], 4, 4)
         entered = zip(motion.entered.tolist(), sweeps, strict=True)
-        lines = {row: DrivenSweep(path, world.T_flange_scanner, problem.kinematics) for row, path in entered}
+        lines = {row: TimedSweep(path, world.T_flange_scanner, problem.kinematics) for row, path in entered}
         return Driven(poses, sweeps, lines, problem.prediction.seen(poses), None)
 
-    def _of(self, view: int) -> Sweeps:
+    def _of(self, view: int) -> DrivableSweeps:
         if view not in self._found:
             problem, world = self._problem, self._problem.world
             column = world.T_base_object @ problem.candidates.T_object_scanner[view]
-            self._found[view] = sweeps_of(
+            self._found[view] = find_sweeps(
                 column, world.T_flange_scanner, problem.kinematics, problem.limits, self._speed, problem.checker
             )
         return self._found[view]

@@ -22,10 +22,10 @@ from cell.plan.views import Groups
 from cell.world.self_occlusion import OwnArm
 from planner.cover import Cover, CoverStatus
 from planner.measurability.matrix import Measurability
-from planner.tour.equivalent_views import Exchange, Matrix, exchange
-from planner.tour.generalised_tsp import FULL
+from planner.tour.equivalent_views import ViewExchange, VisibilityIndex, exchange_views
+from planner.tour.generalised_tsp import MANY_CLUSTERS
 from planner.tour.tour import Tour
-from planner.tour.view_times import moves_in
+from planner.tour.view_times import insertion_times
 from planner.values import Floats, Ints
 
 log = logging.getLogger(__name__)
@@ -71,17 +71,19 @@ def groups(
 
 def _exchanged(
     problem: Problem, arm: OwnArm, selected: Selected, usable: NDArray[np.bool_], rng: np.random.Generator
-) -> tuple[Exchange, tuple[Ints, ...]]:
+) -> tuple[ViewExchange, tuple[Ints, ...]]:
     """The exchange of a cover's views, and the groups that the promise on held-out samples leaves."""
     chosen, target = selected.cover, selected.target
-    matrix = Matrix(arm.M.matrix(), arm.M.features.areas, usable)
+    matrix = VisibilityIndex(arm.M.matrix(), arm.M.samples.areas, usable)
     spare = chosen.covered_area - target * chosen.coverable_area if target < 1 else 0.0
     asked = problem.request.plan.coverage
     least = max(asked, float(selected.shares[0]) - _LOST)
     enough = target * chosen.coverable_area * (1 - _ROUNDING)
-    again = spare > 0 and len(chosen.views) <= FULL  # of many views another exchange takes longer than it saves
+    again = (
+        spare > 0 and len(chosen.views) <= MANY_CLUSTERS
+    )  # of many views another exchange takes longer than it saves
     for allowed in (spare, 0.0) if again else (spare,):
-        found = exchange(
+        found = exchange_views(
             matrix, chosen.views, arm.configurations, problem.world.home, problem.limits, rng,
             pinned=chosen.pinned.tolist(), spare=allowed,
         )  # fmt: skip
@@ -99,8 +101,8 @@ def _exchanged(
 
 
 def _timed(
-    problem: Problem, arm: OwnArm, exchanged: tuple[Exchange, tuple[Ints, ...]], rng: np.random.Generator
-) -> tuple[Exchange, tuple[Ints, ...]]:
+    problem: Problem, arm: OwnArm, exchanged: tuple[ViewExchange, tuple[Ints, ...]], rng: np.random.Generator
+) -> tuple[ViewExchange, tuple[Ints, ...]]:
     """The exchange with a tour through the views of its groups: where some were taken back, its own tour has others."""
     found, members = exchanged
     views = np.array([group[0] for group in members])
@@ -108,14 +110,14 @@ def _timed(
     alike = np.array_equal(np.sort(found.visited), np.sort(views)) and len(found.stops) == len(views) + 2
     if alike and all((arm.configurations(view) == q).all(axis=1).any() for view, q in stops):
         return exchanged
-    matrix = Matrix(arm.M.matrix(), arm.M.features.areas, np.ones(arm.M.shape[1], dtype=np.bool_))
-    timed = exchange(
+    matrix = VisibilityIndex(arm.M.matrix(), arm.M.samples.areas, np.ones(arm.M.shape[1], dtype=np.bool_))
+    timed = exchange_views(
         matrix, views, arm.configurations, problem.world.home, problem.limits, rng, pinned=views.tolist()
     )  # fmt: skip
     return replace(timed, duration_before=found.duration_before), members
 
 
-def _taken_back(problem: Problem, own: Ints, found: Exchange, least: float) -> Ints:
+def _taken_back(problem: Problem, own: Ints, found: ViewExchange, least: float) -> Ints:
     """The views of an exchange, some taken back for the cover's own: as many as keep a share of the held-out samples.
 
     First go those whose own view measures most of what the cover measures and the exchange does not; a view that comes
@@ -131,7 +133,7 @@ def _taken_back(problem: Problem, own: Ints, found: Exchange, least: float) -> I
         As many candidates as the exchange has views, or all of the cover's where that does not suffice.
     """
     known, T = problem.prediction, problem.candidates.T_object_scanner
-    views, before = found.views.copy(), own[found.instead_of]
+    views, before = found.views.copy(), own[found.replaces]
     aim = known.visible(T[own]).covered
     while (share := known.share_of_coverable(T[views])) < least:
         changed, lost = np.flatnonzero(views != before), aim & ~known.visible(T[views]).covered
@@ -147,7 +149,7 @@ def _taken_back(problem: Problem, own: Ints, found: Exchange, least: float) -> I
     return views
 
 
-def _covered(matrix: Matrix, views: Ints) -> float:
+def _covered(matrix: VisibilityIndex, views: Ints) -> float:
     """Area of the matrix' samples that views measure [m^2]."""
     return float(matrix.areas[matrix.counts(views.tolist()) > 0].sum())
 
@@ -156,10 +158,10 @@ def _other_covers(
     problem: Problem,
     arm: OwnArm,
     selected: Selected,
-    exchanged: tuple[Exchange, tuple[Ints, ...]],
+    exchanged: tuple[ViewExchange, tuple[Ints, ...]],
     usable: NDArray[np.bool_],
     rng: np.random.Generator,
-) -> tuple[Exchange, tuple[Ints, ...]]:
+) -> tuple[ViewExchange, tuple[Ints, ...]]:
     """The exchange, and its groups, of the least time found by choosing and ordering in turns.
 
     Each candidate is priced at its standing and at what it makes the tour at hand longer, the cheapest cover at these
@@ -169,8 +171,8 @@ def _other_covers(
     request, reached = problem.request, problem.reached
     banned = tuple(np.flatnonzero(~usable & reached.reachable).tolist())
 
-    def priced(tour: Exchange) -> Floats:
-        more = moves_in(tour.stops, tour.visited, reached.q, reached.offsets, problem.limits)
+    def priced(tour: ViewExchange) -> Floats:
+        more = insertion_times(tour.stops, tour.visited, reached.q, reached.offsets, problem.limits)
         return np.maximum(np.where(usable, more, 0.0) + request.standing, LEAST_COST)
 
     (best, members), since = exchanged, 0
@@ -219,7 +221,7 @@ def of_views(chosen: Cover, M: Measurability, picks: Ints) -> tuple[Cover, Ints]
     Returns:
         The cover, and the (n,) indices into `picks` of its views.
     """
-    matrix = Matrix(M.matrix(), M.features.areas, np.ones(M.shape[1], dtype=np.bool_))
+    matrix = VisibilityIndex(M.matrix(), M.samples.areas, np.ones(M.shape[1], dtype=np.bool_))
     waiting = matrix.areas.copy()
     rows = [matrix.measured_by(int(view)) for view in picks]
     sequence: list[int] = []
@@ -273,7 +275,7 @@ def _groups(arm: OwnArm, members: tuple[Ints, ...]) -> Groups:
     return Groups(members, tuple(owner), tuple(configurations))
 
 
-def _tell(found: Exchange) -> None:
+def _tell(found: ViewExchange) -> None:
     log.info(
         "views exchanged for others that measure as much: straight moves of %.3f s before, %.3f s after; %d orderings",
         found.duration_before,

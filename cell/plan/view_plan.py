@@ -20,13 +20,13 @@ from cell.plan.views import Groups, Next, Views
 from cell.plan.views_at_rest import ViewsAtRest
 from planner.cover import Cover, CoverStatus
 from planner.cover.overlap import Connection
-from planner.measurability.coverage import visible_of
+from planner.measurability.coverage import coverage_of_views
 from planner.ports import Progress
 from planner.tour import tour
-from planner.tour.generalised_tsp import FULL
-from planner.tour.orderings import Ordering, in_order, overlapping, sequence
+from planner.tour.generalised_tsp import MANY_CLUSTERS
+from planner.tour.orderings import Ordering, fixed_order, order_views, overlapping_order
 from planner.tour.tour import Tour, TourStatus
-from planner.tour.view_times import home_share
+from planner.tour.view_times import least_home_time
 from planner.tour.visits import Visits
 
 
@@ -150,7 +150,9 @@ def _connect(
     standing, least = problem.request.standing, (groups, motion)
     while groups.exchanged:
         seconds = motion.duration + standing * len(groups.members)
-        spare = _DETOURS * motion.duration if len(groups.members) > FULL and problem.request.costs is None else 0.0
+        spare = (
+            _DETOURS * motion.duration if len(groups.members) > MANY_CLUSTERS and problem.request.costs is None else 0.0
+        )
         if not motion.dropped and seconds - spare <= groups.straight_before:
             break
         groups = groups.instead or views.alone(chosen)
@@ -207,11 +209,11 @@ def _motion(
         world.home,
         T_base_scanner=world.T_base_object @ problem.candidates.T_object_scanner[groups.views, 0],
         T_base_home=problem.kinematics.forward(world.home[None])[0] @ world.T_flange_scanner,
-        passages=views.passages(groups.views),
+        traversals=views.traversals(groups.views),
         known=tuple(dict.fromkeys(group[c] for c in before or groups.visited if c in group)),
     )
     ordering = _ordering(problem.request, selected)
-    return tour.plan_motion(
+    return tour.plan_tour(
         visits, problem.checker, problem.limits, rng, problem.request.motion, progress, ordering=ordering
     )
 
@@ -245,7 +247,7 @@ def _plan(
             if view not in cover.views  # a view that its arm shades in part may be in the plan with what is left of it
         ),
         seen=driven.seen,
-        visible=visible_of(driven.seen, problem.prediction.samples),
+        visible=coverage_of_views(driven.seen, problem.prediction.samples),
         visible_with_arm=driven.visible_with_arm,
     )
 
@@ -253,7 +255,7 @@ def _plan(
 def _priced(problem: Problem, selected: Selected, cover: Cover, motion: Tour) -> Cover:
     """The cover at the seconds of its views and their motion, with the bound on both."""
     seconds = motion.duration + problem.request.standing * len(cover.views)
-    share = home_share(problem.reached.q, problem.world.home, problem.limits) if problem.at_rest else 0.0
+    share = least_home_time(problem.reached.q, problem.world.home, problem.limits) if problem.at_rest else 0.0
     bound = min(selected.cost_bound + share, seconds)
     status = CoverStatus.BOUNDED if cover.status is CoverStatus.PROVEN else cover.status
     return replace(
@@ -289,7 +291,7 @@ _TOLD = 3  # candidates whose reasons are given when none is left
 def _ordering(request: Request, selected: Selected) -> Ordering:
     """How the views are ordered: as they are told, by time alone, or so that each overlaps an earlier one as well."""
     if request.order is not None:
-        return in_order([int(np.flatnonzero(selected.cover.views == candidate)[0]) for candidate in request.order])
+        return fixed_order([int(np.flatnonzero(selected.cover.views == candidate)[0]) for candidate in request.order])
     if request.plan.overlap_in_order and isinstance(selected.answer, Connection):
-        return overlapping(selected.answer.joined)
-    return sequence
+        return overlapping_order(selected.answer.joined)
+    return order_views

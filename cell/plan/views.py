@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cell.plan.request import Selected
 from planner.measurability.matrix import Measurability
-from planner.path.sweeps import Passage, SweepPath
+from planner.path.sweeps import SweepPath, SweepTraversal
 from planner.timing.motion import TimedLine
 from planner.tour.tour import Tour
 from planner.values import Bools, Floats, Ints
@@ -118,7 +118,7 @@ class Views(Protocol):
         """Each of (n,) candidates in a group of its own."""
         ...
 
-    def passages(self, views: Ints) -> list[list[Passage]] | None:
+    def traversals(self, views: Ints) -> list[list[SweepTraversal]] | None:
         """What the arm does at each joint solution of (n,) candidates; None where it stands still."""
         ...
 

@@ -16,7 +16,7 @@ from cell.plan.problem import Problem
 from cell.plan.request import Selected
 from cell.plan.views import Driven, Groups, Next
 from cell.world.self_occlusion import Look, OwnArm, arm_caster, visible_with_arm
-from planner.measurability.coverage import visible_of
+from planner.measurability.coverage import coverage_of_views
 from planner.measurability.matrix import Measurability
 from planner.tour.tour import Tour
 
@@ -59,7 +59,7 @@ class ViewsAtRest:
         """Each view in a group of its own."""
         return view_exchange.alone(self._arm, views)
 
-    def passages(self, views: NDArray[np.int64]) -> None:
+    def traversals(self, views: NDArray[np.int64]) -> None:
         """The arm stands still."""
         return
 
@@ -84,7 +84,7 @@ class ViewsAtRest:
         T_object_scanner = np.linalg.inv(world.T_base_object) @ T_base_flange @ world.T_flange_scanner
         poses = T_object_scanner[:, None]
         seen = prediction.seen(poses)
-        visible = visible_of(seen, prediction.samples)
+        visible = coverage_of_views(seen, prediction.samples)
         arms = [arm_caster(world, q, T, prediction.scanner) for q, T in zip(motion.q, T_object_scanner, strict=True)]
         near = any(caster is not None for caster in arms)
         with_arm = visible_with_arm(prediction, poses, arms, visible.covered) if near else visible.fraction

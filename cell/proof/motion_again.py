@@ -12,9 +12,9 @@ from cell.world.model import World
 from planner.kinematics.setpoints import from_steps, to_steps
 from planner.path import indexed
 from planner.path.certified_edge import certify_many
-from planner.path.sweeps import DrivenSweep, SweepPath
+from planner.path.sweeps import SweepPath, TimedSweep
 from planner.ports import ARM_AXES, CollisionChecker, JointLimits, Kinematics
-from planner.timing.limits import check_inside
+from planner.timing.limits import require_inside
 from planner.timing.motion import Motion, retime
 from planner.values import Floats
 
@@ -38,7 +38,7 @@ def limits_of(resolved: ResolvedScene, world: World) -> JointLimits:
         np.radians(resolved.joint_acceleration_limits_deg_s2),
         np.radians([np.inf if jerk is None else jerk for jerk in jerks]),
     )
-    return arm if world.table is None else replace(world.table.limits(arm), turns_at=world.limits.turns_at)
+    return arm if world.table is None else replace(world.table.limits(arm), table_turn_q=world.limits.table_turn_q)
 
 
 def require_timed(
@@ -67,11 +67,11 @@ def require_timed(
     for name in _LIMITS:
         if not np.allclose(getattr(motion.limits, name), getattr(limits, name), rtol=_NEAR, atol=_NEAR):
             refuse(path, f"has limit_{name} that are not those of the robot model and the scene")
-    check_inside("via point", motion.via_q, limits)
+    require_inside("via point", motion.via_q, limits)
     if np.abs(from_steps(to_steps(motion.via_q)) - motion.via_q).max(initial=0.0) > 1e-12:
         refuse(path, "has via points that are no multiples of 1e-4 deg, which no controller can be sent")
-    lines: Mapping[int, DrivenSweep] = {
-        begin: DrivenSweep(sweep, T_flange_scanner, kinematics) for begin, sweep in sweeps
+    lines: Mapping[int, TimedSweep] = {
+        begin: TimedSweep(sweep, T_flange_scanner, kinematics) for begin, sweep in sweeps
     }
     again = retime(motion.via_q, motion.segment, motion.view, motion.limits, pose=motion.pose, lines=lines)
     for name in _TIMED:
@@ -94,7 +94,7 @@ def require_free(via: Floats, checker: CollisionChecker, limits: JointLimits) ->
     Raises:
         PlannerError: if a via point lies outside the joint range.
     """
-    check_inside("via point", via, limits)
+    require_inside("via point", via, limits)
     free = checker.free(via)
     if not free.all():
         row = int(np.argmin(free))
@@ -103,4 +103,4 @@ def require_free(via: Floats, checker: CollisionChecker, limits: JointLimits) ->
     certified, _ = certify_many(via[:-1], via[1:], checker)
     if not certified.all():
         return f"is not free of collision on the way to via point {int(np.argmin(certified)) + 1}"
-    return indexed.broken(via, checker, limits)
+    return indexed.find_violation(via, checker, limits)

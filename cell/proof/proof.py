@@ -25,7 +25,7 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner.errors import PlannerError
 from planner.kinematics.setpoints import to_steps
-from planner.timing.limits import scaled
+from planner.timing.limits import scale_limits
 from planner.timing.motion import Motion
 from planner.values import Floats
 
@@ -93,14 +93,16 @@ def prove(folder: Path) -> Proven:
         views_again.require_same_views(run, plan, motion, candidates, world, kinematics)
         views_again.require_same_clearance(run, plan, motion, stored, world.collision)
         full = motion_again.limits_of(resolved, world)
-        limits = scaled(full, resolved.speed_scaling, resolved.acceleration_scaling)
+        limits = scale_limits(full, resolved.speed_scaling, resolved.acceleration_scaling)
         sweeps = views_again.sweeps_again(run, plan, motion, candidates, world, kinematics, checker, limits, full)
         motion_again.require_timed(run, motion, limits, sweeps, world.T_flange_scanner, kinematics)
         if (to_steps(motion.via_q[[0, -1]]) != to_steps(world.home)).any():
             refuse(run.folder / "motion.npz", "does not begin and end at home_deg of scene.resolved.json")
         if wrong := motion_again.require_free(motion.via_q, checker, limits):
             refuse(run.folder / "motion.npz", wrong)
-    motion = replace(motion, limits=replace(motion.limits, turns_at=limits.turns_at))  # which the file does not say
+    motion = replace(
+        motion, limits=replace(motion.limits, table_turn_q=limits.table_turn_q)
+    )  # which the file does not say
     return Proven(run, digest, resolved, plan, motion, world, checker)
 
 

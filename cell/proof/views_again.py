@@ -14,7 +14,7 @@ from cell.runs.schema import Clearance, PlanFile, PlanView
 from cell.world.model import World
 from planner.kinematics.setpoints import to_steps
 from planner.path.sweep_line import DEFAULT_SPEED
-from planner.path.sweeps import SweepPath, sweeps_of
+from planner.path.sweeps import SweepPath, find_sweeps
 from planner.ports import ARM_AXES, CollisionChecker, JointLimits, Kinematics
 from planner.timing.motion import Motion
 from planner.values import Floats, Ints
@@ -130,7 +130,7 @@ def sweeps_again(
         own = np.flatnonzero(motion.line == motion.line[row])
         driven: Ints = to_steps(motion.via_q[max(0, int(own[0]) - 1) : int(own[-1]) + 1])
         column = world.T_base_object @ candidates.T_object_scanner[view.id]
-        ways = sweeps_of(column, world.T_flange_scanner, kinematics, limits, speed, checker).paths
+        ways = find_sweeps(column, world.T_flange_scanner, kinematics, limits, speed, checker).paths
         match = next((way for way in ways if np.array_equal(to_steps(way.q), driven)), None)
         if match is None:
             refuse(path, f"drives no line for the sweep of view {k + 1} that can be proven")

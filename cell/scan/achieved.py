@@ -65,7 +65,7 @@ def achieved(
     predicted = plan.coverage.visible
     poses = [plan.views[scan.stop - 1].T_object_poses for scan in scans]
     if sorted(scan.stop for scan in scans) != list(range(1, len(plan.views) + 1)):
-        predicted = coverage.visible_of(of_views(cell, samples, poses).seen, samples).fraction
+        predicted = coverage.coverage_of_views(of_views(cell, samples, poses).seen, samples).fraction
     radius = coverage.sampling_radius(cell.reference)
     order = _largest_first(measured)
     spacing = None
@@ -74,13 +74,13 @@ def achieved(
         planned = scanner_of(cell.scene, cell.scene.scanner)
         spacing = best_spacing(np.stack(poses), samples, measured, planned)
     return Achieved(
-        visible=coverage.visible_of(measured, samples).fraction,
+        visible=coverage.coverage_of_views(measured, samples).fraction,
         predicted=predicted,
-        sampled=coverage.sampled(merged.cloud.points, samples, radius).fraction,
-        dense=None if spacing is None else coverage.dense(merged.cloud.points, samples, spacing).fraction,
+        sampled=coverage.sampled_coverage(merged.cloud.points, samples, radius).fraction,
+        dense=None if spacing is None else coverage.dense_coverage(merged.cloud.points, samples, spacing).fraction,
         radius=radius,
-        adds=coverage.added(measured),
-        largest_first=coverage.added(measured[:, order]),
+        adds=coverage.marginal_coverage(measured),
+        largest_first=coverage.marginal_coverage(measured[:, order]),
         surface=surface,
     )
 

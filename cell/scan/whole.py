@@ -38,7 +38,7 @@ from cell.world.prediction import held_out
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability import coverage
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.values import Bools, Floats
 
 FOLDER = "scanned"
@@ -198,7 +198,9 @@ def _written(
             missing=tuple(n for n in range(1, len(planned.folders) + 1) if n not in seen),
             visible=float(np.logical_or.reduce(list(seen.values())).mean()),
             planned=planned.file.coverage.visible,
-            sampled=coverage.sampled(cloud.points, samples, coverage.sampling_radius(first.cell.reference)).fraction,
+            sampled=coverage.sampled_coverage(
+                cloud.points, samples, coverage.sampling_radius(first.cell.reference)
+            ).fraction,
             open=_open(planned, list(seen.values()), samples, list(seen)),
             shared=(pairs := shared(seen, samples)),
             registration=None if registration is None else registration_of(registration),
@@ -256,7 +258,7 @@ def _open(planned: PlannedSetups, seen: Sequence[Bools], samples: SurfaceSamples
 def _seen(cell: RunCell, T_object_poses: Sequence[Floats], samples: SurfaceSamples) -> Bools:
     if not len(T_object_poses):
         return np.zeros(len(samples), dtype=np.bool_)
-    return measured(np.stack(T_object_poses), samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
+    return find_measured(np.stack(T_object_poses), samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
 
 
 def _doubts(bodies: Sequence[_Body]) -> list[str]:

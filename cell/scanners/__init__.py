@@ -158,7 +158,7 @@ def swept(scanner: Scanner, viewpoints: "Viewpoints") -> "Viewpoints":
     T_view_scanner = getattr(scanner, "T_view_scanner", None)
     if T_view_scanner is None:
         return viewpoints
-    from planner.viewpoints.viewpoints import swept as sweeps_of
+    from planner.viewpoints.viewpoints import sweep_viewpoints as sweeps_of
 
     return sweeps_of(viewpoints, T_view_scanner)
 

@@ -32,7 +32,7 @@ from cell.scanners.laser_area import SIGMA_ANGLE_MDEG, TOLERANCE, LaserArea, pai
 from planner.path.sweep_line import DEFAULT_SPEED
 from planner.ports import Rejection
 from planner.values import Floats, readonly
-from planner.viewpoints.viewpoints import straight_poses, turned_poses
+from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_poses
 
 if TYPE_CHECKING:
     from pydantic import JsonValue
@@ -142,8 +142,8 @@ class LaserLine:
     def T_view_scanner(self) -> Floats:
         """(K, 4, 4) poses of one sweep in the frame of the viewpoint that is its middle [m]."""
         if self.sweep_deg is not None:
-            return turned_poses(math.radians(self.sweep_deg), self.sweep_steps)
-        return straight_poses(self._sweep_length, self.sweep_steps)
+            return turned_sweep_poses(math.radians(self.sweep_deg), self.sweep_steps)
+        return straight_sweep_poses(self._sweep_length, self.sweep_steps)
 
     @property
     def grid_shape(self) -> tuple[int, int]:

@@ -20,7 +20,7 @@ from cell.scene.model import Region, RegionWishes, Scene, complete
 from planner.geometry.closest import closest_facing_faces
 from planner.geometry.decimation import split_long_edges
 from planner.geometry.mesh import TriangleMesh, cut_at_plane, faces_in_box
-from planner.measurability.quality import Limited, Limits
+from planner.measurability.quality import LimitedScanner, QualityLimits
 from planner.ports import Scanner, SigmaScanner
 from planner.values import Bools, Ints
 
@@ -157,8 +157,10 @@ def limited(scanner: Scanner, max_sigma_mm: float | None, regions: Sequence[Regi
         SceneError: if the scanner does not know what is limited.
     """
     inf = float("inf")
-    own = tuple(Limits((each.max_sigma_mm or inf) / 1000, (each.max_spacing_mm or inf) / 1000) for each in regions)
-    if all(each == Limits() for each in own):
+    own = tuple(
+        QualityLimits((each.max_sigma_mm or inf) / 1000, (each.max_spacing_mm or inf) / 1000) for each in regions
+    )
+    if all(each == QualityLimits() for each in own):
         own = ()
     if max_sigma_mm is None and not own:
         return scanner
@@ -169,4 +171,4 @@ def limited(scanner: Scanner, max_sigma_mm: float | None, regions: Sequence[Regi
                     f"the region '{region.name}' has {key}, but the scanner {type(scanner).__name__} does not know its "
                     f"{what}; leave the limit out, or choose another scanner"
                 )
-    return Limited(cast(SigmaScanner, scanner), (max_sigma_mm or inf) / 1000, own)
+    return LimitedScanner(cast(SigmaScanner, scanner), (max_sigma_mm or inf) / 1000, own)

@@ -11,7 +11,7 @@ from cell.runs.cell import RunCell, read_cell
 from cell.runs.run import Run
 from cell.setups.contact import touching
 from planner.geometry.sampling import SurfaceSamples
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.values import Bools, Floats
 
 
@@ -41,7 +41,7 @@ class EarlierSetup:
     def measures(self, samples: SurfaceSamples) -> Bools:
         """(S,) samples that a view measures and that touch no support."""
         casters = (self.cell.part_caster, self.cell.occluder_caster)
-        seen = measured(self.T_object_poses, samples, self.cell.scanner, casters)
+        seen = find_measured(self.T_object_poses, samples, self.cell.scanner, casters)
         return seen & ~touching(samples, self.cell.occluders)
 
 

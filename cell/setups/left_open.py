@@ -9,8 +9,8 @@ from cell.session import default_effort
 from cell.setups.measured import Setup
 from planner.geometry.sampling import pick_samples
 from planner.values import Bools
-from planner.viewpoints.attainable import attainable
-from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.attainable import probe_attainable
+from planner.viewpoints.lines_of_sight import RayTargets
 
 
 def left_open(setups: Mapping[int, Setup], chosen: Sequence[int], seen: Bools, rng: np.random.Generator) -> PlannedOpen:
@@ -33,9 +33,9 @@ def left_open(setups: Mapping[int, Setup], chosen: Sequence[int], seen: Bools, r
     for row in chosen:
         free = np.flatnonzero(~setups[row].touched[asked] & ~measured)
         some = pick_samples(samples, asked[free])
-        found = attainable(Targets.of(some.points, some.normals, some.region), setups[row].arm(some))
+        found = probe_attainable(RayTargets.of(some.points, some.normals, some.region), setups[row].arm(some))
         measured[free] |= found.measured
-        sighted[free] |= found.sighted
+        sighted[free] |= found.visible
     left = len(rest) / len(samples)  # they stand for equal areas
     shares = [float(which.mean()) if len(asked) else 0.0 for which in (sighted & ~measured, measured, ~sighted)]
     missing = 1 - (len(asked) - 1) / (len(rest) - 1) if len(rest) > 1 else 0.0  # of a finite population

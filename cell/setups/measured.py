@@ -25,10 +25,10 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics.reach import join_reach
 from planner.measurability.matrix import Measurability, spread_measurability
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.values import Bools, Floats, Ints
-from planner.viewpoints.growth import Arm
-from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.growth import ViewEvaluator
+from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 
@@ -63,7 +63,7 @@ class Setup:
 
     def measures(self, T_object_poses: Floats, samples: SurfaceSamples) -> Bools:
         """(S,) any samples that (n, K, 4, 4) views measure."""
-        seen = measured(T_object_poses, samples, self.prediction.scanner, self.prediction.casters)
+        seen = find_measured(T_object_poses, samples, self.prediction.scanner, self.prediction.casters)
         return seen & ~touching(samples, self.supports)
 
     def with_views(
@@ -77,22 +77,22 @@ class Setup:
             M: of the candidates that there are, over the rows by now.
             views: the further ones, one pose each, that the arm takes up.
         """
-        known, rows = self.measured, replace(surface, features=M.features)
+        known, rows = self.measured, replace(surface, samples=M.samples)
         reached = join_reach([known.reached, steps.reach_of(self.job, self.cell, views)])
         candidates, joined, _ = appended(
             replace(session, use_cache=False), self.job, rows, known.casters, (known.candidates, M), views
         )
-        M = _without(joined, touching(M.features, self.supports))
+        M = _without(joined, touching(M.samples, self.supports))
         prediction = self.prediction.with_more(candidates.T_object_scanner[len(known.candidates) :])
         measured = replace(known, candidates=candidates, reached=reached, M=M)
         return replace(self, measured=measured, prediction=prediction), M
 
-    def arm(self, features: SurfaceSamples) -> Arm:
+    def arm(self, features: SurfaceSamples) -> ViewEvaluator:
         """Who measures here and where it gets to; of the features those that touch a support are not measured."""
         cell, known = self.cell, self.measured
         arm = arm_of(cell.world, cell.kinematics, cell.checker, known.scanner, known.casters)
         return _PartArm(
-            arm.scanner, arm.casters, arm.takes_up, arm.T_view_scanner, touched=touching(features, self.supports)
+            arm.scanner, arm.casters, arm.are_reachable, arm.T_view_scanner, touched=touching(features, self.supports)
         )
 
     def rows_of(self, features: SurfaceSamples) -> Measurability:
@@ -104,7 +104,7 @@ class Setup:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _PartArm(Arm):
+class _PartArm(ViewEvaluator):
     """An arm before a part of which some lies on something.
 
     Attributes:
@@ -113,9 +113,11 @@ class _PartArm(Arm):
 
     touched: Bools
 
-    def measured(self, views: Floats, targets: Targets, rows: Ints, worth: tuple[Floats, float] | None = None) -> Bools:
+    def measured(
+        self, views: Floats, targets: RayTargets, rows: Ints, worth: tuple[Floats, float] | None = None
+    ) -> Bools:
         """(m, n) which of the rows each viewpoint (n, 4, 4) [m] measures, as `Arm.measured`."""
-        return Arm.measured(self, views, targets, rows, worth) & ~self.touched[rows, None]
+        return ViewEvaluator.measured(self, views, targets, rows, worth) & ~self.touched[rows, None]
 
 
 def measured_setup(
@@ -162,7 +164,7 @@ def measured_setup(
         M, scanner = steps.columns(
             session, job, surface, casters, pick_viewpoints(candidates, usable), progress, may_be_empty=True
         )
-        M = spread_measurability(_without(M, touching(surface.features, supports)), usable, len(candidates))
+        M = spread_measurability(_without(M, touching(surface.samples, supports)), usable, len(candidates))
         known = Measured(scanners.swept(job.scanner, candidates), reached, M, scanner, casters)
         prediction = steps.predicted(session, surface, known, progress)
         return Setup(job, cell, known, prediction, supports, touching(prediction.samples, supports))

@@ -14,9 +14,9 @@ from cell.setups.measured import Setup
 from cell.world.measurability import PartSurface
 from planner.measurability.matrix import Measurability
 from planner.values import Floats, Ints
-from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.refinement import Standing, fewer
-from planner.viewpoints.viewpoints import standing_at
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.refinement import ViewState, reduce_views
+from planner.viewpoints.viewpoints import viewpoints_from_poses
 
 
 def movable(setups: Mapping[int, Setup]) -> bool:
@@ -48,11 +48,11 @@ def with_fewer(
     used = list(views)
     setup_of = np.repeat(used, [len(views[row]) for row in used])
     chosen = np.concatenate([views[row] for row in used])
-    first = M[used[0]].features
+    first = M[used[0]].samples
     can = np.logical_or.reduce([np.diff(each.indptr) > 0 for each in M.values()])
     areas = np.where(can, first.areas, 0.0)
     candidates = {row: setups[row].measured.candidates for row in used}
-    before = Standing(
+    before = ViewState(
         np.concatenate([candidates[row].T_object_scanner[views[row], 0] for row in used]),
         np.concatenate([candidates[row].standoff[views[row]] for row in used]),
         np.arange(len(chosen)),
@@ -69,8 +69,8 @@ def with_fewer(
     asked = setups[used[0]].job.scene.plan.coverage
     least = max(min(asked + BEYOND, 1.0), seen(before.T_object_scanner, before.origin))
     arms = {row: setups[row].arm(first) for row in used}
-    after = fewer(
-        before, Targets.of(first.points, first.normals), areas, lambda view: arms[int(setup_of[view])],
+    after = reduce_views(
+        before, RayTargets.of(first.points, first.normals), areas, lambda view: arms[int(setup_of[view])],
         goal=min(goal, float(areas[before.measured.any(axis=1)].sum())),
         short=lambda standing: least - seen(standing.T_object_scanner, standing.origin),
     )  # fmt: skip
@@ -86,6 +86,8 @@ def with_fewer(
             T = after.T_object_scanner[moved]
             aim = T[:, :3, 3] + after.distance[moved, None] * T[:, :3, 2]
             face = candidates[row].face[chosen[after.origin[moved]]]
-            known[row], matrices[row] = setups[row].with_views(session, surface, M[row], standing_at(T, aim, face))
+            known[row], matrices[row] = setups[row].with_views(
+                session, surface, M[row], viewpoints_from_poses(T, aim, face)
+            )
         left[row] = np.concatenate([stays, more]).astype(np.int64)
     return known, matrices, {row: columns for row, columns in left.items() if len(columns)}

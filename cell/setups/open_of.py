@@ -94,13 +94,13 @@ def _steps(setups: Sequence[EarlierSetup], session: PlanSession, job: Job) -> in
     session.plots.cell_ready(session.folder.path)
     left = _Open(setups, occluder_triangles(cell.world))
     with session.stage("what is open"):
-        rows = left.asks(surface.features)
+        rows = left.asks(surface.samples)
         if not rows.any():
             raise UnreachableError(
                 "nothing is left to plan: the views before measure every sample that is free of its support here; one "
                 "set-up fewer will do, or turn the part"
             )
-        surface = replace(surface, features=pick_samples(surface.features, rows))
+        surface = replace(surface, samples=pick_samples(surface.samples, rows))
     candidates, reached = _candidates(left, session, job, surface, cell)
     measured, prediction = steps.measure(session, job, surface, cell, candidates, reached)
     with session.stage("what is open of the held-out samples"):
@@ -137,7 +137,7 @@ def _candidates(
         UnreachableError: if the arm reaches none.
     """
     with session.stage("reach and grow the candidates") as progress:
-        scouts = draw_samples(surface.reference, surface.planning, growth.SCOUTS, session.rng(Stream.SCOUTS))
+        scouts = draw_samples(surface.reference, surface.planning, growth.N_SCOUTS, session.rng(Stream.SCOUTS))
         scouts = pick_samples(scouts, left.asks(scouts))
         first = left.setups[0]
         shared, _ = scanners.unswept(first.cell.scanner, first.run.candidates)

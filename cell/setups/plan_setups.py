@@ -138,7 +138,7 @@ def _offered(session: PlanSession, job: Job, most: int) -> tuple[PartSurface, li
         shared = candidates.first(job.scene, job.settings, job.part, planning)
         features = surface_features(job.scene, reference, planning, session.rng(Stream.MATRIX_SAMPLES))
         surface = PartSurface(reference, planning, features, EmbreeRayCaster(reference.vertices, reference.faces))
-        scouts = draw_samples(reference, planning, growth.SCOUTS, session.rng(Stream.SCOUTS))
+        scouts = draw_samples(reference, planning, growth.N_SCOUTS, session.rng(Stream.SCOUTS))
         poses = given(job.scene)
         # Where none is proposed, the scene's own placement is none of those that are offered.
         placed = [job.scene] if most else [job.scene.model_copy(update={"placement": each.placement}) for each in poses]

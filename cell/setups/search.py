@@ -32,7 +32,7 @@ from planner.cover import CoverStatus, Problem
 from planner.cover.curve import coverage_curve
 from planner.cover.overlap import Connection
 from planner.geometry.sampling import draw_samples, pick_samples
-from planner.measurability.matrix import add_rows
+from planner.measurability.matrix import append_rows
 from planner.values import Floats, Ints
 
 _TRIES = 20  # covers in all
@@ -126,7 +126,7 @@ class Search:
         place = {name: column for column, name in enumerate(names)}
         views = [place[row, int(column)] for row, (_, plan) in connected.items() for column in plan.candidate]
         matrix = hstack([plan.matrix.matrix() for _, plan in connected.values()], format="csc")
-        areas = next(iter(connected.values()))[1].matrix.features.areas
+        areas = next(iter(connected.values()))[1].matrix.samples.areas
         # Views that were moved after these plans are candidates behind theirs.
         allowed = np.concatenate(
             [self._usable[row][: plan.matrix.n_viewpoints] for row, (_, plan) in connected.items()]
@@ -260,7 +260,7 @@ class Search:
         faces = left.planning_face[can]
         added = pick_samples(fresh, np.isin(fresh.planning_face, faces))
         self._M = {
-            row: add_rows(self._M[row], setup.rows_of(added), self._spread) for row, setup in self._setups.items()
+            row: append_rows(self._M[row], setup.rows_of(added), self._spread) for row, setup in self._setups.items()
         }
         return True
 

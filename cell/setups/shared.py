@@ -61,7 +61,7 @@ def joining(
         views: of each that is used, the chosen columns.
     """
     matrices = {row: M[row].matrix().tocsc() for row in views}
-    features = M[next(iter(views))].features
+    features = M[next(iter(views))].samples
     seen = {row: np.asarray(matrices[row][:, columns].sum(axis=1)).ravel() > 0 for row, columns in views.items()}
     alone = set(apart(shared(seen, features), tuple(views)))
     for here in sorted(alone):

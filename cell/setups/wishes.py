@@ -113,7 +113,7 @@ class Asked:
             usable: for each (V,) columns that may be chosen.
         """
         request, numbers = self.request, list(M)
-        features = M[numbers[0]].features
+        features = M[numbers[0]].samples
         first = dict(zip(numbers, np.cumsum([0, *(M[row].n_viewpoints for row in numbers[:-1])]), strict=True))
         allowed, demand = np.concatenate([usable[row] for row in numbers]), request.plan.multiplicity
         if self.layers:
@@ -145,4 +145,4 @@ class Asked:
         if not self.layers:
             return csr_array(M.matrix().astype(np.int64))
         layer = self.layers[row].within(M)
-        return csr_array(loads(layer, self.request.plan.alpha, (len(M.features), M.n_viewpoints)))
+        return csr_array(loads(layer, self.request.plan.alpha, (len(M.samples), M.n_viewpoints)))

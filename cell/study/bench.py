@@ -199,7 +199,7 @@ class Bench:
         """
         M = self.matrix(fill, candidates, density)
         rng = np.random.default_rng(self.scene.plan.seed)
-        found = cover.solve(Problem(M.matrix(), M.features.areas, allowed, coverage=share), rng=rng, solver=solver)
+        found = cover.solve(Problem(M.matrix(), M.samples.areas, allowed, coverage=share), rng=rng, solver=solver)
         return replace(self.judged(found, candidates), density=density)
 
     def judged(self, found: Cover, candidates: Viewpoints) -> Judged:
@@ -209,7 +209,7 @@ class Bench:
 
     def visible(self, T_object_scanner: Floats) -> float:
         """Visible coverage of views (n, K, 4, 4) [m] on the held-out samples: share of the surface."""
-        return coverage.visible(T_object_scanner, self.samples, self.scanner, (self.caster,)).fraction
+        return coverage.visible_coverage(T_object_scanner, self.samples, self.scanner, (self.caster,)).fraction
 
     def sampled(self, T_object_scanner: Floats) -> float:
         """Sampled coverage of views (n, 1, 4, 4) [m], scanned at the scene's scan resolution: share of the surface.
@@ -234,7 +234,7 @@ class Bench:
 def reach_in(world: World, candidates: Viewpoints) -> Reach:
     """Verdicts and joint solutions of viewpoints in a cell."""
     checker = MujocoCollisionChecker(world)
-    return reach.solve(candidates, world.T_base_object, world.T_flange_scanner, world.kinematics, checker)
+    return reach.solve_reach(candidates, world.T_base_object, world.T_flange_scanner, world.kinematics, checker)
 
 
 def placed_at(position_mm: Sequence[float]) -> Floats:

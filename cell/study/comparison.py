@@ -37,7 +37,7 @@ def fewest_for(bench: Bench, candidates: Viewpoints, allowed: Mask | None, visib
     density = 1 if full.visible >= visible else DENSER
     M = bench.matrix("aimed", candidates, density)
     by_row = M.matrix().tocsr() if allowed is None else M.matrix().tocsr()[:, allowed]
-    coverable = float(M.features.areas[np.diff(by_row.indptr) > 0].sum() / M.features.areas.sum())
+    coverable = float(M.samples.areas[np.diff(by_row.indptr) > 0].sum() / M.samples.areas.sum())
     share = min(1.0, visible / coverable) if coverable > 0 else 1.0
     before: list[int] = []
     for _ in range(_RAISES):
@@ -70,6 +70,6 @@ def most_with(bench: Bench, candidates: Viewpoints, allowed: Mask | None, views:
     enough = len(full.cover.views) <= views
     M = bench.matrix("aimed", candidates, DENSER if enough else 1)
     rng = np.random.default_rng(bench.scene.plan.seed)
-    most = cover.solve(Problem(M.matrix(), M.features.areas, allowed, max_views=views), rng=rng)
+    most = cover.solve(Problem(M.matrix(), M.samples.areas, allowed, max_views=views), rng=rng)
     found = replace(bench.judged(most, candidates), density=DENSER if enough else 1)
     return full if enough and full.visible >= found.visible else found

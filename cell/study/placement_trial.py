@@ -21,14 +21,14 @@ from planner import cover
 from planner.kinematics.reach import Reach, join_reach, pick_reach
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability, join_measurability, pick_measurability
-from planner.measurability.visibility import fill, occlude
+from planner.measurability.visibility import apply_occluders, fill_matrix
 from planner.ports import CollisionChecker, RayCaster
-from planner.timing.limits import scaled
-from planner.tour.orderings import sequence
-from planner.tour.visits import Moves
+from planner.timing.limits import scale_limits
+from planner.tour.orderings import order_views
+from planner.tour.visits import TourProblem
 from planner.viewpoints import growth
-from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints, standing_at
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints, viewpoints_from_poses
 
 COVERAGE_ONLY, WHOLE = "coverage", "whole"
 
@@ -63,27 +63,27 @@ def placement(settings: JsonTable) -> dict[str, object]:
         return values
     in_the_way = caster_of(occluder_triangles(world))
     M, views = pick_measurability(M, which), pick_viewpoints(candidates, which)
-    M = occlude(M, views, bench.scanner, in_the_way, ray_caster=bench.caster)
+    M = apply_occluders(M, views, bench.scanner, in_the_way, ray_caster=bench.caster)
     reached = pick_reach(reached, which)
     if bench.scene.plan.candidates == GROWN and settings["candidates"] is None:
         views, reached, M = _grown(bench, world, checker, (bench.caster, in_the_way), (views, reached, M))
     measured = np.diff(M.indptr) > 0
-    values["coverable"] = float(M.features.areas[measured].sum() / M.features.areas.sum())
+    values["coverable"] = float(M.samples.areas[measured].sum() / M.samples.areas.sum())
     if settings["what"] == COVERAGE_ONLY or not measured.any():
         return values
     rng = np.random.default_rng(bench.scene.plan.seed)
     share, solver = bench.scene.plan.coverage, settings["solver"]
-    found = cover.solve(cover.Problem(M.matrix(), M.features.areas, coverage=share), rng=rng, solver=solver)
+    found = cover.solve(cover.Problem(M.matrix(), M.samples.areas, coverage=share), rng=rng, solver=solver)
     poses = views.T_object_scanner[found.views]
-    configurations = [reached.q_of(int(view)) for view in found.views]
-    limits = scaled(world.limits, bench.scene.robot.speed_scaling, bench.scene.robot.acceleration_scaling)
-    moves = Moves.straight(configurations, world.home, limits)
-    tour = sequence(moves, world.T_base_object @ poses[:, 0], rng, bound_work=0)
+    configurations = [reached.configurations_of(int(view)) for view in found.views]
+    limits = scale_limits(world.limits, bench.scene.robot.speed_scaling, bench.scene.robot.acceleration_scaling)
+    moves = TourProblem.straight(configurations, world.home, limits)
+    tour = order_views(moves, world.T_base_object @ poses[:, 0], rng, bound_work=0)
     return {
         **values,
         "views": len(found.views),
         "lower_bound": found.lower_bound,
-        "visible": coverage.visible(poses, bench.samples, bench.scanner, (bench.caster, in_the_way)).fraction,
+        "visible": coverage.visible_coverage(poses, bench.samples, bench.scanner, (bench.caster, in_the_way)).fraction,
         "cycle_s": tour.duration if np.isfinite(tour.duration) else None,
     }
 
@@ -105,15 +105,15 @@ def _grown(
         known: reachable candidates, their reach, and what they measure.
     """
     views, reached, M = known
-    scanner, features = bench.scanner, M.features
+    scanner, features = bench.scanner, M.samples
     arm = arm_of(world, world.kinematics, checker, scanner, casters)
-    found = growth.grow(Targets.of(features.points, features.normals, features.region), np.diff(M.indptr) > 0, arm)
+    found = growth.grow(RayTargets.of(features.points, features.normals, features.region), np.diff(M.indptr) > 0, arm)
     if not len(found):
         return known
-    added = standing_at(found.T_object_scanner, features.points[found.row], features.planning_face[found.row])
+    added = viewpoints_from_poses(found.T_object_scanner, features.points[found.row], features.planning_face[found.row])
     added = scanners.swept(scanner, added)
-    measured = occlude(
-        fill(added, features, scanner, casters[0]), added, scanner, casters[1], ray_caster=casters[0]
+    measured = apply_occluders(
+        fill_matrix(added, features, scanner, casters[0]), added, scanner, casters[1], ray_caster=casters[0]
     )  # fmt: skip
     of_added = reach_in(world, added)
     return join_viewpoints([views, added]), join_reach([reached, of_added]), join_measurability([M, measured])

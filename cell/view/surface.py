@@ -20,8 +20,8 @@ from planner.geometry.closest import closest_facing_faces
 from planner.geometry.decimation import cluster_vertices, decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
-from planner.measurability.quality import best_of_views
-from planner.measurability.visibility import measured
+from planner.measurability.quality import best_values
+from planner.measurability.visibility import find_measured
 from planner.ports import RayCaster, Scanner
 from planner.values import Bools, Floats, Ints, Value
 
@@ -130,9 +130,9 @@ def surface_of(
     """
     poses = np.asarray(T_object_scanner)
     if seen is None:
-        seen = measured(poses, samples, scanner, casters, each=True)
+        seen = find_measured(poses, samples, scanner, casters, each=True)
     known = {name: law for name in ("spacing", "sigma") if callable(law := getattr(scanner, name, None))}
-    best = best_of_views(list(known.values()), poses, samples, seen, scanner)
+    best = best_values(list(known.values()), poses, samples, seen, scanner)
     layers = {name: 1000 * values for name, values in zip(known, best, strict=True)}
     return Surface(samples, seen, layers)
 

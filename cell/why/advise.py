@@ -22,11 +22,11 @@ from cell.world.model import World
 from cell.world.occluders import caster_of, occluder_triangles
 from cell.world.prediction import held_out
 from planner.geometry.sampling import SurfaceSamples, pick_samples
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.values import Floats, Ints
-from planner.viewpoints.attainable import attainable
-from planner.viewpoints.growth import Arm
-from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.attainable import probe_attainable
+from planner.viewpoints.growth import ViewEvaluator
+from planner.viewpoints.lines_of_sight import RayTargets
 
 _ASIDE = ((0, 0), (200, 0), (-200, 0), (0, 200), (0, -200))  # mm, x and y of other places
 _ABOVE = (0, 200, 400)  # mm
@@ -64,11 +64,11 @@ def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
         world = world_of(run, cell.reference)
         samples = held_out(cell.reference, cell.planning, run.seed)
         views = run.candidates.T_object_scanner[[view.id for view in plan.views]]
-        seen = measured(views, samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
+        seen = find_measured(views, samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
     rng = random_stream(run.seed, Stream.ADVICE_SAMPLES)
     visible = float(seen.mean())
 
-    def arm(there: World | None) -> Arm | None:
+    def arm(there: World | None) -> ViewEvaluator | None:
         if there is None or not (checker := MujocoCollisionChecker(there)).free(there.home[None])[0]:
             return None
         casters = (cell.part_caster, caster_of(occluder_triangles(there)))
@@ -94,12 +94,12 @@ def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
     return visible, [*found, *places[:TOLD]]
 
 
-def _share(samples: SurfaceSamples, rows: Ints, arm: Arm | None) -> tuple[float, float]:
+def _share(samples: SurfaceSamples, rows: Ints, arm: ViewEvaluator | None) -> tuple[float, float]:
     """Share of the rows that any pose measures, and its standard error; nothing where home itself is not free."""
     if arm is None or not len(rows):
         return 0.0, 0.0
     some = pick_samples(samples, rows)
-    share = float(attainable(Targets.of(some.points, some.normals, some.region), arm).measured.mean())
+    share = float(probe_attainable(RayTargets.of(some.points, some.normals, some.region), arm).measured.mean())
     return share, float(np.sqrt(share * (1 - share) / len(rows)))
 
 

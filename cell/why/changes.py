@@ -22,7 +22,7 @@ from cell.world.occluders import caster_of, occluder_triangles
 from planner.kinematics import reach
 from planner.ports import RayCaster
 from planner.values import Floats, Ints
-from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 from planner.why import what_if
 from planner.why.what_if import Kind, WhatIf
@@ -72,7 +72,7 @@ class Changes:
                 yield [self._without(fixture.name)]
         yield from ScannerChanges(self.cell, self.candidates.T_object_scanner[self.usable]).ladders()
 
-    def views(self, targets: Targets, rows: Ints) -> list[WhatIf]:
+    def views(self, targets: RayTargets, rows: Ints) -> list[WhatIf]:
         """One candidate more, and the few that measure nearly all of the rows that candidates can measure."""
         T = self.candidates.T_object_scanner[self.usable]
         pairs = what_if.measured_pairs(targets, rows, T, self.cell.scanner, self.casters)
@@ -156,7 +156,7 @@ class Changes:
         return WhatIf(kind, change, sentence, setting, made.T_object_scanner[reached], self.cell.scanner, self.casters)
 
 
-def ladder_masks(ladder: Sequence[WhatIf], targets: Targets, rows: Ints) -> list[np.ndarray[Any, Any]]:
+def ladder_masks(ladder: Sequence[WhatIf], targets: RayTargets, rows: Ints) -> list[np.ndarray[Any, Any]]:
     """(n,) which rows each change of a ladder measures.
 
     A limit that is opened farther never loses a point, so there each step is asked only about what the last step of all
@@ -180,7 +180,7 @@ def ladder_masks(ladder: Sequence[WhatIf], targets: Targets, rows: Ints) -> list
 
 def _reach(views: Viewpoints, world: World) -> Ints:
     """Views that the arm takes up, at some angle of a table."""
-    reached = reach.solve(
+    reached = reach.solve_reach(
         views, world.T_base_object, world.T_flange_scanner, world.kinematics, MujocoCollisionChecker(world)
     )
     return np.flatnonzero(reached.reachable)

@@ -27,7 +27,7 @@ from cell.why.groups import grouped
 from cell.why.search import search
 from cell.world.embree import EmbreeRayCaster
 from cell.world.prediction import held_out
-from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import why
 from planner.why.reasons import OF_VERDICT, Reason
@@ -79,7 +79,7 @@ def answer_of(run: Run, reporter: ProgressReporter, count: int) -> Answer:
         scanner, part_caster, occluder_caster = cell.scanner, cell.part_caster, cell.occluder_caster
     with reporter.stage("what stays open"):
         samples = held_out(cell.reference, cell.planning, run.seed, count)
-        targets = Targets.of(samples.points, samples.normals, samples.region)
+        targets = RayTargets.of(samples.points, samples.normals, samples.region)
         views = candidates.T_object_scanner[[view.id for view in plan.views]]
         surface = of_views(cell, samples, list(views))
         rows = np.flatnonzero(~surface.seen.any(axis=1))

@@ -8,7 +8,7 @@ import numpy as np
 from cell import scanners
 from cell.runs.cell import RunCell
 from cell.scene.regions import limited
-from planner.measurability.quality import Limited
+from planner.measurability.quality import LimitedScanner
 from planner.ports import RayCaster, Scanner
 from planner.values import Floats
 from planner.why.what_if import Kind, WhatIf
@@ -137,7 +137,7 @@ class ScannerChanges:
 
     def _sigma(self, factor: float, now: float) -> WhatIf:
         """Another limit on sigma, so many times the present one [mm]."""
-        assert isinstance(self.cell.scanner, Limited)
+        assert isinstance(self.cell.scanner, LimitedScanner)
         scanner = replace(self.cell.scanner, max_sigma=factor * (now / 1000))
         sentence = f"sigma up to {factor * now:.3g} instead of {now:g} mm"
         setting = f"--max-sigma {factor * now:.3g}"

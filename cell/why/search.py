@@ -16,7 +16,7 @@ from cell.why.changes import Changes, ladder_masks
 from planner.geometry.sampling import SurfaceSamples
 from planner.ports import Progress
 from planner.values import Floats, Ints
-from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.lines_of_sight import RayTargets
 from planner.why import what_if
 from planner.why.reasons import Reason
 from planner.why.what_if import Kind, WhatIf
@@ -69,7 +69,7 @@ class _Trial:
 
 def search(
     changes: Changes,
-    targets: Targets,
+    targets: RayTargets,
     samples: SurfaceSamples,
     groups: Sequence[Group],
     progress: Progress,
@@ -119,7 +119,7 @@ def search(
 
 def _try(
     changes: Changes,
-    targets: Targets,
+    targets: RayTargets,
     samples: SurfaceSamples,
     groups: Sequence[Group],
     progress: Progress,
@@ -145,7 +145,9 @@ def _try(
     return _Trial(tuple(tried), np.array(masks).reshape(len(tried), len(representatives)), place)
 
 
-def _verify(trial: _Trial, asked: Sequence[tuple[int, Ints]], targets: Targets, progress: Progress) -> dict[int, Named]:
+def _verify(
+    trial: _Trial, asked: Sequence[tuple[int, Ints]], targets: RayTargets, progress: Progress
+) -> dict[int, Named]:
     """Each change asked about every sample that it is named for."""
     rows_of: dict[int, list[Ints]] = {}
     for index, rows in asked:

@@ -358,12 +358,12 @@ def _robot_too_near(world: World) -> list[str]:
 
 def _home_in_the_swing(world: World) -> list[str]:
     """The arm at home in the way of what an indexed table turns, which waits for it there."""
-    if world.limits.turns_at is None:
+    if world.limits.table_turn_q is None:
         return []
     checker, angles = MujocoCollisionChecker(world), np.repeat(world.home[None], 361, axis=0)
     angles[:, ARM_AXES] = np.linspace(world.limits.lower[ARM_AXES], world.limits.upper[ARM_AXES], 361)
     free = checker.free(angles)
-    if not free[np.argmin(np.abs(angles[:, ARM_AXES]))] or indexed.clear(world.home, checker, world.limits)[0]:
+    if not free[np.argmin(np.abs(angles[:, ARM_AXES]))] or indexed.may_turn(world.home, checker, world.limits)[0]:
         return []
     at = angles[int(np.argmin(free))]
     near = next(iter(checker.contacts(at)), "")

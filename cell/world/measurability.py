@@ -31,7 +31,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples, join_samples, samples_at_face_centres
 from planner.measurability import quality
 from planner.measurability.matrix import Measurability, join_measurability, pick_measurability
-from planner.measurability.visibility import fill
+from planner.measurability.visibility import fill_matrix
 from planner.ports import Progress, RayCaster, Scanner, SigmaScanner
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
@@ -134,7 +134,7 @@ def save(path: Path, measurability: Measurability, key: str, columns: Hashes) ->
     Raises:
         FileError: if the file cannot be written.
     """
-    features = measurability.features
+    features = measurability.samples
     try:
         with caches.whole(path) as temporary, temporary.open("wb") as stream:
             np.savez(
@@ -230,7 +230,7 @@ class PartSurface:
 
     reference: TriangleMesh
     planning: TriangleMesh
-    features: SurfaceSamples
+    samples: SurfaceSamples
     caster: RayCaster
 
 
@@ -277,11 +277,11 @@ def part_matrix(
         use_cache: whether to look into the cache and to leave the result there.
         progress: called with (poses done, poses in all).
     """
-    method, reference, planning, features = scene.plan.fill, surface.reference, surface.planning, surface.features
+    method, reference, planning, features = scene.plan.fill, surface.reference, surface.planning, surface.samples
     if features.region is not None:  # what is asked of a region is applied afterwards; the cache knows of none
-        whole = replace(surface, features=replace(features, region=None))
+        whole = replace(surface, samples=replace(features, region=None))
         M = part_matrix(scene, settings, whole, candidates, reporter=reporter, use_cache=use_cache, progress=progress)
-        return replace(M, features=features)
+        return replace(M, samples=features)
     scanner = scanners.make(scene.scanner.type, settings.planning_scanner if method == "rays" else settings.scanner)
     parameters = scanners.identity(scene.scanner.type, scanner)
     parameters.pop("sigma_angle_mdeg", None)  # M is of the conditions alone; a limit on sigma is applied to it
@@ -295,7 +295,7 @@ def part_matrix(
     hashes = column_hashes(candidates)
 
     def calculated(views: Viewpoints) -> Measurability:
-        return fill(
+        return fill_matrix(
             views,
             features,
             scanner,
@@ -388,7 +388,7 @@ def limit_sigma(
         )
     precise = cast(SigmaScanner, scanner)
     layered = quality.sigma_layer(M, candidates, precise, casters=casters)
-    kept = quality.within(layered, max_sigma_mm / 1000)
+    kept = quality.within_sigma(layered, max_sigma_mm / 1000)
     if len(M.indices) and not len(kept.indices) and not may_be_empty:
         best = 1000 * float(layered.sigma.min()) if layered.sigma is not None else float("nan")
         raise SceneError(

@@ -241,7 +241,7 @@ def compile_world(
     )
     home = np.append(np.deg2rad(scene.robot.settled_home_deg), [] if table is None else [0.0])
     if table is not None:
-        limits = replace(table.limits(limits), turns_at=home if scene.table.moves == "indexed" else None)
+        limits = replace(table.limits(limits), table_turn_q=home if scene.table.moves == "indexed" else None)
     exact = {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}
     near = {pair: keep for pair, keep in told.kept_near(model).items() if keep < clearance}
     return _stopped_by_what_stands(

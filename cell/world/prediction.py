@@ -11,7 +11,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.measurability import coverage
 from planner.measurability.coverage import Coverage
-from planner.measurability.visibility import Remembered, measured
+from planner.measurability.visibility import VisibilityMemo, find_measured
 from planner.ports import Progress, RayCaster, Scanner
 from planner.values import Bools, Floats
 
@@ -49,7 +49,7 @@ class Prediction:
     coverable: Coverage
     asked: Bools | None = None
     asks: Callable[[SurfaceSamples], Bools] | None = None
-    remembered: list[Remembered] = field(default_factory=list)
+    remembered: list[VisibilityMemo] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -71,20 +71,20 @@ class Prediction:
         """
         # Neighbours measure much the same: views far apart in turn (by the golden ratio) soon leave few samples to ask.
         order = np.argsort(np.arange(len(T_object_scanner)) * ((np.sqrt(5) - 1) / 2) % 1)
-        found = coverage.visible(T_object_scanner[order], samples, scanner, casters, progress=progress)
+        found = coverage.visible_coverage(T_object_scanner[order], samples, scanner, casters, progress=progress)
         return cls(samples, scanner, casters, found)
 
     def with_more(self, T_object_scanner: Floats) -> "Prediction":
         """With further reachable candidates (n, K, 4, 4) [m]."""
         open_ = ~self.coverable.covered
-        found = measured(T_object_scanner, self.samples, self.scanner, self.casters, among=open_)
-        return replace(self, coverable=coverage.visible_of(np.stack([~open_, found], axis=1), self.samples))
+        found = find_measured(T_object_scanner, self.samples, self.scanner, self.casters, among=open_)
+        return replace(self, coverable=coverage.coverage_of_views(np.stack([~open_, found], axis=1), self.samples))
 
     def visible(self, T_object_scanner: Floats) -> Coverage:
         """Visible coverage of views (n, K, 4, 4) [m]."""
         if not self.remembered:
-            self.remembered.append(Remembered(self.samples, self.scanner, self.casters))
-        return coverage.visible_of(self.remembered[0].measured(T_object_scanner)[:, None], self.samples)
+            self.remembered.append(VisibilityMemo(self.samples, self.scanner, self.casters))
+        return coverage.coverage_of_views(self.remembered[0].measured(T_object_scanner)[:, None], self.samples)
 
     def share_of_coverable(self, T_object_scanner: Floats) -> float:
         """Visible area of views (n, K, 4, 4) [m] over coverable area, 0 to 1; 1 where nothing is coverable.
@@ -102,7 +102,7 @@ class Prediction:
     def seen(self, T_object_scanner: Floats, among: Bools | None = None) -> NDArray[np.bool_]:
         """(S, n) which samples, of all or among some, each of the views (n, K, 4, 4) [m] measures."""
         samples = self.samples if among is None else pick_samples(self.samples, among)
-        return measured(T_object_scanner, samples, self.scanner, self.casters, each=True)
+        return find_measured(T_object_scanner, samples, self.scanner, self.casters, each=True)
 
     def coverable_with(self, visible: Coverage) -> float:
         """Coverable share of the surface, what a plan's own poses measure included (they differ by micrometres)."""

@@ -22,10 +22,10 @@ from cell.world.occluders import arm_triangles, caster_of, standing_beside
 from cell.world.prediction import Prediction
 from planner.kinematics.reach import Reach
 from planner.measurability.matrix import Measurability
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.ports import RayCaster, Scanner
 from planner.values import Bools, Floats, Ints
-from planner.viewpoints.lines_of_sight import Targets, legs_free
+from planner.viewpoints.lines_of_sight import RayTargets, lines_of_sight_free
 from planner.viewpoints.viewpoints import Viewpoints
 
 SHADED_SHARE = 0.01
@@ -67,11 +67,11 @@ class OwnArm:
         self.reasons: dict[int, str] = {}
         self._reached, self._candidates, self._world, self._scanner = reached, candidates, world, scanner
         self._left: dict[int, Floats] = {}
-        self._targets = Targets.of(M.features.points, M.features.normals, M.features.region)
+        self._targets = RayTargets.of(M.samples.points, M.samples.normals, M.samples.region)
 
     def configurations(self, view: int) -> Floats:
         """(m, axes) joint solutions of a candidate that are left [rad]."""
-        return self._left.get(view, self._reached.q_of(view))
+        return self._left.get(view, self._reached.configurations_of(view))
 
     def look(self, views: NDArray[np.int64], q: Floats) -> Look:
         """Look for views that their own arm shades, and take out what does it.
@@ -81,7 +81,7 @@ class OwnArm:
             q: (n, axes) their joint angles [rad].
         """
         columns = self.M.matrix().tocsc()
-        areas = self.M.features.areas
+        areas = self.M.samples.areas
         seen = [columns.indices[columns.indptr[view] : columns.indptr[view + 1]].astype(np.int64) for view in views]
         free = [self._free(int(view), at, rows) for view, at, rows in zip(views, q, seen, strict=True)]
         if all(kept.all() for kept in free):
@@ -115,7 +115,7 @@ class OwnArm:
 
     def _other_solutions(self, view: int, needed: Ints) -> bool:
         """Keep the joint solutions that hide at most `SHADED_SHARE` of what is needed, if there are any."""
-        areas, configurations = self.M.features.areas[needed], self.configurations(view)
+        areas, configurations = self.M.samples.areas[needed], self.configurations(view)
         hidden = np.array([areas[~self._free(view, q, needed)].sum() for q in configurations])
         good = hidden <= SHADED_SHARE * areas.sum()
         if good.any():
@@ -126,7 +126,7 @@ class OwnArm:
         """Keep the joint solutions that hide least of a column, and take what they hide out of it."""
         configurations = self.configurations(view)
         free = [self._free(view, q, rows) for q in configurations]
-        best = free[int(np.argmin([self.M.features.areas[rows[~kept]].sum() for kept in free]))]
+        best = free[int(np.argmin([self.M.samples.areas[rows[~kept]].sum() for kept in free]))]
         self._left[view] = configurations[[bool(kept[best].all()) for kept in free]]
         self.M = _without(self.M, view, rows[~best])
 
@@ -146,7 +146,7 @@ class OwnArm:
     def _past(self, view: int, caster: RayCaster, rows: Ints) -> NDArray[np.bool_]:
         pose = np.zeros(len(rows), dtype=np.int64)
         poses = self._candidates.T_object_scanner[view, :1]
-        return legs_free(self._targets, poses, pose, rows, self._scanner, (caster,))
+        return lines_of_sight_free(self._targets, poses, pose, rows, self._scanner, (caster,))
 
 
 def arm_caster(world: World, q: Floats, T_object_scanner: Floats, scanner: Scanner) -> EmbreeRayCaster | None:
@@ -182,7 +182,7 @@ def visible_with_arm(
 
     `visible` (S,) says which samples they measure where no arm hides: no others are asked about.
     """
-    covered = measured(
+    covered = find_measured(
         T_object_scanner, prediction.samples, prediction.scanner, prediction.casters, own=arms, among=visible
     )
     areas = prediction.samples.areas
@@ -196,7 +196,7 @@ def _without(M: Measurability, view: int, rows: Ints) -> Measurability:
     kept = ~((M.indices == view) & np.repeat(hidden, np.diff(M.indptr)))
     before = np.concatenate([[0], np.cumsum(kept)])
     sigma = None if M.sigma is None else M.sigma[kept]
-    return Measurability(before[M.indptr], M.indices[kept], M.features, M.n_viewpoints, sigma)
+    return Measurability(before[M.indptr], M.indices[kept], M.samples, M.n_viewpoints, sigma)
 
 
 def _ends(scanner: Scanner) -> Floats:

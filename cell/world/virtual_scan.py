@@ -15,7 +15,7 @@ from cell.errors import SceneError
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import RayCaster, Rejection, Scanner
 from planner.values import Floats, Value, freeze
-from planner.viewpoints.lines_of_sight import flat_poses, lift
+from planner.viewpoints.lines_of_sight import flatten_poses, lift_points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +100,7 @@ def scan(
     Returns:
         The points and every ray's code.
     """
-    pose = flat_poses(np.asarray(T_object_scanner)[None, None])[0]
+    pose = flatten_poses(np.asarray(T_object_scanner)[None, None])[0]
     R, t = pose[:3, :3], pose[:3, 3]
     grid = scanner.ray_directions()
     directions = grid @ R.T
@@ -122,7 +122,7 @@ def scan(
     kept = codes[pixel] == Rejection.MEASURED
     pixel, normals, distance = pixel[kept], normals[kept], distance[kept]
     points = sources[pixel] + directions[pixel] * distance
-    ends = lift(points, normals, part_mesh.diagonal)
+    ends = lift_points(points, normals, part_mesh.diagonal)
     sensors = np.broadcast_to(R @ scanner.sensor + t, ends.shape)
     blocked = part_caster.blocked(sensors, ends)
     if occluder_caster is not None:

@@ -23,7 +23,7 @@ from planner.cover.canonical import canonical
 from planner.cover.problem import Problem
 from planner.cover.selection import solve
 from planner.errors import PlannerError
-from planner.measurability.pose_ensemble import ProbabilityLayer, credited
+from planner.measurability.pose_ensemble import ProbabilityLayer, credited_probability
 from planner.values import Floats, Value
 
 ALPHA = 0.05
@@ -88,7 +88,7 @@ def views_for_promise(alpha: float, members: int) -> int:
     check_alpha(alpha)
     if members == 0:
         return 1
-    return ceil(log(alpha) / log(1.0 - float(credited(np.array([members]), members)[0])) - 1e-12)
+    return ceil(log(alpha) / log(1.0 - float(credited_probability(np.array([members]), members)[0])) - 1e-12)
 
 
 def loads(layer: ProbabilityLayer, alpha: float, shape: tuple[int, int]) -> Any:

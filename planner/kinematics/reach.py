@@ -27,7 +27,7 @@ from planner.worded import Worded
 _CHUNK = 512
 _RIGID = 1e-6
 
-ENOUGH = 16
+MAX_FREE_CONFIGURATIONS = 16
 """Free geometries of a pose after which no more are looked at: more than an arm has branches, so that only those of the
 angles of a table are left out, the ones that come last in `Kinematics.inverse`."""
 
@@ -74,7 +74,7 @@ class Reach(Value):
         """(V,) True where the verdict is REACHABLE: the columns that a view plan may use."""
         return np.asarray(self.verdict == Verdict.REACHABLE)
 
-    def q_of(self, viewpoint: int) -> Floats:
+    def configurations_of(self, viewpoint: int) -> Floats:
         """(n, axes) free set-points of one viewpoint [rad]; empty unless it is reachable."""
         return self.q[self.offsets[viewpoint] : self.offsets[viewpoint + 1]]
 
@@ -87,7 +87,7 @@ class Reach(Value):
         return dict(Counter(name for name in self.blocker if name).most_common())
 
 
-def solve(
+def solve_reach(
     viewpoints: Viewpoints,
     T_base_object: ArrayLike,
     T_flange_scanner: ArrayLike,
@@ -145,7 +145,7 @@ def solve(
     return Reach(verdict, np.concatenate(free_q) if free_q else np.empty((0, axes)), offsets, tuple(blocker))
 
 
-def takes_up(
+def are_reachable(
     T_object_scanner: Floats,
     T_base_object: ArrayLike,
     T_flange_scanner: ArrayLike,
@@ -219,8 +219,10 @@ def _free(solved: Setpoints, checker: CollisionChecker) -> Bools:
     free = np.zeros(len(q), dtype=np.bool_)
     number = np.arange(len(pose)) - np.searchsorted(pose, pose)
     found = np.zeros(len(solved.real), dtype=np.int64)
-    for start in range(0, int(number.max(initial=-1)) + 1, ENOUGH):
-        asked = np.flatnonzero((number >= start) & (number < start + ENOUGH) & (found[pose] < ENOUGH))
+    for start in range(0, int(number.max(initial=-1)) + 1, MAX_FREE_CONFIGURATIONS):
+        asked = np.flatnonzero(
+            (number >= start) & (number < start + MAX_FREE_CONFIGURATIONS) & (found[pose] < MAX_FREE_CONFIGURATIONS)
+        )
         free[asked] = checker.free(q[asked])
         found += np.bincount(pose[asked[free[asked]]], minlength=len(found))
     return free
@@ -229,7 +231,7 @@ def _free(solved: Setpoints, checker: CollisionChecker) -> Bools:
 def _blocker(q: Floats, checker: CollisionChecker) -> str:
     """What is nearest in most of the first configurations of q (n, axes); the earlier one decides a tie."""
     nearest = []
-    for configuration in q[:ENOUGH]:
+    for configuration in q[:MAX_FREE_CONFIGURATIONS]:
         names = checker.contacts(configuration)
         if not names:
             raise PlannerError(
@@ -251,9 +253,9 @@ def _rigid(name: str, T: ArrayLike) -> Floats:
     return pose
 
 
-def with_solutions(reached: Reach, views: Ints, q: Floats) -> Reach:
+def add_configurations(reached: Reach, views: Ints, q: Floats) -> Reach:
     """The same with a joint solution (n, axes) [rad] of each of (n,) reachable viewpoints, where it is not there."""
-    more = [k for k, view in enumerate(views) if not (reached.q_of(int(view)) == q[k]).all(axis=1).any()]
+    more = [k for k, view in enumerate(views) if not (reached.configurations_of(int(view)) == q[k]).all(axis=1).any()]
     ends = reached.offsets[1:].copy()
     for view in views[more]:
         ends[view:] += 1

@@ -18,11 +18,11 @@ import numpy as np
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.ports import Progress, RayCaster, Scanner
 from planner.values import Bools, Floats, Value
 
-SAMPLES = 100_000
+N_SAMPLES = 100_000
 """How many samples coverage is defined with."""
 
 DENSE = 1.5
@@ -52,7 +52,7 @@ class Coverage(Value):
         return self.area / self.total_area
 
 
-def visible(
+def visible_coverage(
     T_object_scanner: Floats,
     samples: SurfaceSamples,
     scanner: Scanner,
@@ -69,10 +69,10 @@ def visible(
         casters: the reference's caster and those of occluders, object frame.
         progress: called with (poses done, poses in all).
     """
-    return _coverage(measured(T_object_scanner, samples, scanner, casters, progress=progress), samples)
+    return _coverage(find_measured(T_object_scanner, samples, scanner, casters, progress=progress), samples)
 
 
-def visible_of(seen: Bools, samples: SurfaceSamples) -> Coverage:
+def coverage_of_views(seen: Bools, samples: SurfaceSamples) -> Coverage:
     """Visible coverage of views of which is known what they measure.
 
     Args:
@@ -87,7 +87,7 @@ def sampling_radius(reference: TriangleMesh) -> float:
     return RADIUS_SHARE * reference.diagonal
 
 
-def sampled(scan_points: Floats, samples: SurfaceSamples, radius: float) -> Coverage:
+def sampled_coverage(scan_points: Floats, samples: SurfaceSamples, radius: float) -> Coverage:
     """Sampled coverage: samples with a scan point within the radius (inclusive).
 
     Args:
@@ -98,7 +98,7 @@ def sampled(scan_points: Floats, samples: SurfaceSamples, radius: float) -> Cove
     return _coverage(_distance(scan_points, samples, radius) <= radius, samples)
 
 
-def dense(scan_points: Floats, samples: SurfaceSamples, spacing: Floats) -> Coverage:
+def dense_coverage(scan_points: Floats, samples: SurfaceSamples, spacing: Floats) -> Coverage:
     """Dense coverage: samples that a view measures, with a scan point within `DENSE` spacings of theirs (inclusive).
 
     Args:
@@ -127,7 +127,7 @@ def _distance(scan_points: Floats, samples: SurfaceSamples, radius: float) -> Fl
     return np.asarray(distance)
 
 
-def added(seen: Bools) -> Floats:
+def marginal_coverage(seen: Bools) -> Floats:
     """(n,) share of the surface that each view adds to those before it.
 
     Args:

@@ -47,7 +47,7 @@ class Measurability(Value):
 
     indptr: Annotated[Ints, "S+1"]
     indices: Annotated[Ints32, "nnz"]
-    features: Annotated[SurfaceSamples, "S"]
+    samples: Annotated[SurfaceSamples, "S"]
     n_viewpoints: int
     sigma: Annotated[NDArray[np.float32], "nnz"] | None = None
 
@@ -68,7 +68,7 @@ class Measurability(Value):
     @property
     def shape(self) -> tuple[int, int]:
         """(features, viewpoints)."""
-        return len(self.features), self.n_viewpoints
+        return len(self.samples), self.n_viewpoints
 
     def matrix(self) -> "csr_array":
         """(S, V) scipy matrix of bool; it shares the read-only arrays."""
@@ -88,20 +88,20 @@ def join_measurability(parts: Sequence[Measurability]) -> Measurability:
     """
     from scipy.sparse import hstack
 
-    if len({len(part.features) for part in parts}) != 1:
-        sizes = ", ".join(str(len(part.features)) for part in parts)
+    if len({len(part.samples) for part in parts}) != 1:
+        sizes = ", ".join(str(len(part.samples)) for part in parts)
         raise PlannerError(f"matrices of {sizes} features cannot be joined; their features must be the same")
     sigmas = [part.sigma for part in parts]
     layer = [sigma for sigma in sigmas if sigma is not None]
     if len(layer) < len(parts):
-        return _of(hstack([part.matrix() for part in parts], format="csr"), parts[0].features)
+        return _of(hstack([part.matrix() for part in parts], format="csr"), parts[0].samples)
     stacks = [_with(part, sigma) for part, sigma in zip(parts, layer, strict=True)]
-    return _of(hstack(stacks, format="csr"), parts[0].features, layered=True)
+    return _of(hstack(stacks, format="csr"), parts[0].samples, layered=True)
 
 
 def pick_measurability(measurability: Measurability, which: NDArray[np.integer]) -> Measurability:
     """M with some of its columns: (n,) viewpoints in the order that is wanted."""
-    return _of(measurability.matrix().tocsc()[:, which].tocsr(), measurability.features)
+    return _of(measurability.matrix().tocsc()[:, which].tocsr(), measurability.samples)
 
 
 def spread_measurability(measurability: Measurability, which: NDArray[np.integer], total: int) -> Measurability:
@@ -113,7 +113,7 @@ def spread_measurability(measurability: Measurability, which: NDArray[np.integer
         total: length of the list.
     """
     indices = np.asarray(which, dtype=np.int32)[measurability.indices]
-    return Measurability(measurability.indptr, indices, measurability.features, total, measurability.sigma)
+    return Measurability(measurability.indptr, indices, measurability.samples, total, measurability.sigma)
 
 
 def _with(measurability: Measurability, data: NDArray[np.float32]) -> "csr_array":
@@ -129,7 +129,7 @@ def _of(matrix: "csr_array", features: SurfaceSamples, *, layered: bool = False)
     return Measurability(indptr, indices, features, matrix.shape[1], sigma)
 
 
-def add_rows(measurability: Measurability, more: Measurability, spread: SurfaceSamples) -> Measurability:
+def append_rows(measurability: Measurability, more: Measurability, spread: SurfaceSamples) -> Measurability:
     """M with further features below its own.
 
     All features of a planning face (of a region on it, where the part has regions) share its area equally, so that many
@@ -151,7 +151,7 @@ def add_rows(measurability: Measurability, more: Measurability, spread: SurfaceS
         )
     if (measurability.sigma is None) != (more.sigma is None):
         raise PlannerError("only one of the matrices has a layer of sigma; calculate it for both")
-    own, new = measurability.features, more.features
+    own, new = measurability.samples, more.samples
     features = join_samples([own, new])
     piece, piece_of_spread = _pieces(features, spread)
     number = np.bincount(piece)

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from planner.errors import PlannerError
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.ports import Progress, RayCaster, Scanner
 from planner.values import Bools, Floats, Ints, Ints32, Value, freeze
-from planner.viewpoints.lines_of_sight import Targets, flat_poses, free_pairs, in_view
-from planner.viewpoints.viewpoints import Viewpoints, rotations
+from planner.viewpoints.lines_of_sight import RayTargets, flatten_poses, in_view, visible_pairs
+from planner.viewpoints.viewpoints import Viewpoints, rotation_matrices
 
 MEMBERS = 32
 """Default size of the ensemble. One view is then credited with at most 98.5 %, see `credited`."""
@@ -59,7 +59,7 @@ class PoseError:
         """(count, 4, 4) drawn errors: where the scanner is, told in the frame where it should be."""
         drawn = rng.standard_normal((count, 6))
         T = np.zeros((count, 4, 4))
-        T[:, :3, :3] = rotations(self.orientation * drawn[:, 3:])
+        T[:, :3, :3] = rotation_matrices(self.orientation * drawn[:, 3:])
         T[:, :3, 3] = self.position * drawn[:, :3]
         T[:, 3, 3] = 1.0
         return T
@@ -89,7 +89,7 @@ class ProbabilityLayer(Value):
     @property
     def probability(self) -> Floats:
         """(nnz,) what each entry is credited with."""
-        return credited(self.hits, self.members)
+        return credited_probability(self.hits, self.members)
 
     def within(self, M: Measurability) -> "ProbabilityLayer":
         """The layer on the entries of a matrix that has lost some of those that this layer has.
@@ -108,7 +108,7 @@ class ProbabilityLayer(Value):
         return ProbabilityLayer(M.indptr, M.indices, self.hits[at], self.members)
 
 
-def credited(hits: NDArray[np.integer], members: int) -> Floats:
+def credited_probability(hits: NDArray[np.integer], members: int) -> Floats:
     """Probability that is credited for hits out of members: (hits + 1/2) / (members + 1), and 0 for no hit at all.
 
     The mean of the posterior under Jeffreys' prior (Krichevsky, Trofimov 1981, doi:10.1109/TIT.1981.1056331): all of m
@@ -144,7 +144,7 @@ def probability_layer(
         progress: called with (members done, members in all).
     """
     hits = np.zeros(len(M.indices), dtype=np.int32)
-    targets = Targets.of(M.features.points, M.features.normals, M.features.region)
+    targets = RayTargets.of(M.samples.points, M.samples.normals, M.samples.region)
     numbered = M.matrix().astype(np.int64)
     numbered.data = np.arange(len(hits))  # entries are numbered in row order
     by_column = numbered.tocsc()
@@ -158,9 +158,9 @@ def probability_layer(
         return in_view(targets, poses[pose], scanner, own) if asked else own[:0]
 
     for member, error in enumerate(errors, start=1):
-        poses = flat_poses(viewpoints.T_object_scanner @ error)
+        poses = flatten_poses(viewpoints.T_object_scanner @ error)
         hit = np.zeros(len(hits), dtype=np.bool_)
-        for _, pose, row in free_pairs(poses, targets, scanner, casters, rows_of):
+        for _, pose, row in visible_pairs(poses, targets, scanner, casters, rows_of):
             hit[np.searchsorted(keys, pose // K * len(targets) + row)] = True
         hits[by_column.data[hit]] += 1
         if progress:
@@ -168,7 +168,7 @@ def probability_layer(
     return ProbabilityLayer(M.indptr, M.indices, hits, len(errors))
 
 
-def times_measured(
+def simulate_executions(
     T_object_scanner: Floats,
     samples: SurfaceSamples,
     scanner: Scanner,
@@ -193,7 +193,7 @@ def times_measured(
     times = np.zeros(len(samples), dtype=np.int32)
     share = np.zeros(len(errors))
     for number, error in enumerate(errors):
-        found = measured(T_object_scanner @ error[:, None], samples, scanner, casters)
+        found = find_measured(T_object_scanner @ error[:, None], samples, scanner, casters)
         times += found
         share[number] = samples.areas[found].sum() / samples.areas.sum()
         if progress:

@@ -18,14 +18,14 @@ from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
 from planner.ports import RayCaster, Rejection, Scanner, SigmaScanner
 from planner.values import Bools, Floats, Ints32
-from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view, legs_free
+from planner.viewpoints.lines_of_sight import RayTargets, flatten_poses, in_view, lines_of_sight_free
 from planner.viewpoints.viewpoints import Viewpoints
 
 _Law = Callable[[Floats, Floats], Floats]  # (N,) of (N, 3) points [m] and normals, scanner frame
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class QualityLimits:
     """What a point must be to count; inf where nothing is asked.
 
     Attributes:
@@ -44,7 +44,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Limited:
+class LimitedScanner:
     """A scanner that refuses points that are worse than a limit, the limit itself allowed.
 
     Attributes:
@@ -55,10 +55,10 @@ class Limited:
 
     scanner: SigmaScanner
     max_sigma: float = np.inf
-    regions: tuple[Limits, ...] = ()
+    regions: tuple[QualityLimits, ...] = ()
 
     def __post_init__(self) -> None:
-        every = (Limits(self.max_sigma), *self.regions)
+        every = (QualityLimits(self.max_sigma), *self.regions)
         for what in ("sigma", "spacing"):
             if min(getattr(each, what) for each in every) < np.inf and not callable(getattr(self.scanner, what, None)):
                 raise PlannerError(
@@ -152,7 +152,7 @@ def sigma_layer(
     Raises:
         PlannerError: if the viewpoints are not M's, or casters are missing.
     """
-    features = measurability.features
+    features = measurability.samples
     if len(viewpoints) != measurability.n_viewpoints:
         raise PlannerError(
             f"M has {measurability.n_viewpoints} viewpoints and {len(viewpoints)} were given; they must be the same"
@@ -160,8 +160,8 @@ def sigma_layer(
     K = viewpoints.T_object_scanner.shape[1]
     if K > 1 and not casters:
         raise PlannerError(f"viewpoints of {K} poses need `casters`: M does not say which pose measured a feature")
-    poses = flat_poses(viewpoints.T_object_scanner)
-    targets = Targets.of(features.points, features.normals, features.region)
+    poses = flatten_poses(viewpoints.T_object_scanner)
+    targets = RayTargets.of(features.points, features.normals, features.region)
     columns = measurability.matrix().tocsc()
     columns.sort_indices()
     sigma = np.full(len(columns.indices), np.inf, dtype=np.float32)
@@ -174,7 +174,9 @@ def sigma_layer(
             seen = np.arange(len(rows))
             if K > 1:
                 seen = np.flatnonzero(np.isin(rows, in_view(targets, T, scanner, rows)))
-                seen = seen[legs_free(targets, poses, np.full(len(seen), number), rows[seen], scanner, tuple(casters))]
+                seen = seen[
+                    lines_of_sight_free(targets, poses, np.full(len(seen), number), rows[seen], scanner, tuple(casters))
+                ]
             points = (features.points[rows[seen]] - T[:3, 3]) @ T[:3, :3]
             best[seen] = np.minimum(best[seen], scanner.sigma(points, features.normals[rows[seen]] @ T[:3, :3]))
         sigma[entries] = best
@@ -185,7 +187,7 @@ def sigma_layer(
     )
 
 
-def within(measurability: Measurability, max_sigma: float) -> Measurability:
+def within_sigma(measurability: Measurability, max_sigma: float) -> Measurability:
     """The entries whose sigma is at most the limit: the binary matrix of a plan with a limit.
 
     Args:
@@ -204,13 +206,13 @@ def within(measurability: Measurability, max_sigma: float) -> Measurability:
     return Measurability(
         before[measurability.indptr],
         measurability.indices[kept],
-        measurability.features,
+        measurability.samples,
         measurability.n_viewpoints,
         measurability.sigma[kept],
     )
 
 
-def best_of_views(
+def best_values(
     laws: Sequence[Callable[[Floats, Floats], Floats]],
     T_object_scanner: Floats,
     samples: SurfaceSamples,
@@ -230,7 +232,7 @@ def best_of_views(
         (S,) for each law, from the best of the views that measure the sample; NaN where none does.
     """
     best = [np.full(len(samples), np.inf) for _ in laws]
-    targets = Targets.of(samples.points, samples.normals, samples.region)
+    targets = RayTargets.of(samples.points, samples.normals, samples.region)
     for view, column in enumerate(np.asarray(T_object_scanner)):
         rows = np.flatnonzero(seen[:, view])
         for T in column:
@@ -247,7 +249,7 @@ def best_spacing(T_object_scanner: Floats, samples: SurfaceSamples, seen: Bools,
     NaN where no view measures a sample; None of a scanner that does not know its spacing.
     """
     law = getattr(scanner, "spacing", None)
-    return best_of_views([law], T_object_scanner, samples, seen, scanner)[0] if callable(law) else None
+    return best_values([law], T_object_scanner, samples, seen, scanner)[0] if callable(law) else None
 
 
 def best_sigma(measurability: Measurability, views: NDArray[np.integer]) -> Floats:

@@ -21,7 +21,16 @@ from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
 from planner.ports import Progress, RayCaster, Rejection, Scanner
 from planner.values import Bools, Floats, Ints, Ints32, readonly
-from planner.viewpoints.lines_of_sight import BUNDLE, Pairs, Targets, flat_poses, free_pairs, in_view, legs_free, lift
+from planner.viewpoints.lines_of_sight import (
+    BUNDLE,
+    Pairs,
+    RayTargets,
+    flatten_poses,
+    in_view,
+    lift_points,
+    lines_of_sight_free,
+    visible_pairs,
+)
 from planner.viewpoints.viewpoints import Viewpoints
 
 METHODS = ("aimed", "rays")
@@ -30,7 +39,7 @@ METHODS = ("aimed", "rays")
 _OPEN_BUNDLE = 40_000
 
 
-def fill(
+def fill_matrix(
     viewpoints: Viewpoints,
     features: SurfaceSamples,
     scanner: Scanner,
@@ -58,10 +67,10 @@ def fill(
     Raises:
         PlannerError: if the method is unknown, or `rays` lacks its mesh or has an invalid `row_of_face`.
     """
-    poses = flat_poses(viewpoints.T_object_scanner)
+    poses = flatten_poses(viewpoints.T_object_scanner)
     if method == "aimed":
-        targets = Targets.of(features.points, features.normals, features.region)
-        pairs = free_pairs(poses, targets, scanner, (ray_caster,), lambda i: in_view(targets, poses[i], scanner))
+        targets = RayTargets.of(features.points, features.normals, features.region)
+        pairs = visible_pairs(poses, targets, scanner, (ray_caster,), lambda i: in_view(targets, poses[i], scanner))
     elif method == "rays":
         if part is None:
             raise PlannerError("method 'rays' needs `part`, the mesh that the ray caster holds")
@@ -72,7 +81,7 @@ def fill(
     return _compress(pairs, viewpoints, features, progress)
 
 
-def occlude(
+def apply_occluders(
     measurability: Measurability,
     viewpoints: Viewpoints,
     scanner: Scanner,
@@ -98,7 +107,7 @@ def occlude(
     Raises:
         PlannerError: if the viewpoints are not M's, or the part's caster is missing.
     """
-    features = measurability.features
+    features = measurability.samples
     if len(viewpoints) != measurability.n_viewpoints:
         raise PlannerError(
             f"M has {measurability.n_viewpoints} viewpoints and {len(viewpoints)} were given; they must be the same"
@@ -106,8 +115,8 @@ def occlude(
     K = viewpoints.T_object_scanner.shape[1]
     if K > 1 and ray_caster is None:
         raise PlannerError(f"viewpoints of {K} poses need `ray_caster`: M does not say which pose measured a feature")
-    poses = flat_poses(viewpoints.T_object_scanner)
-    targets = Targets.of(features.points, features.normals, features.region)
+    poses = flatten_poses(viewpoints.T_object_scanner)
+    targets = RayTargets.of(features.points, features.normals, features.region)
     columns = measurability.matrix().tocsc()
     casters = (occluder_caster,) if ray_caster is None or K == 1 else (ray_caster, occluder_caster)
 
@@ -117,11 +126,11 @@ def occlude(
         entries = columns.indices[columns.indptr[pose // K] : columns.indptr[pose // K + 1]].astype(np.int64)
         return entries if K == 1 and limits is None else in_view(targets, poses[pose], scanner, entries)
 
-    pairs = free_pairs(poses, targets, scanner, casters, rows_of)
+    pairs = visible_pairs(poses, targets, scanner, casters, rows_of)
     return _compress(pairs, viewpoints, features, progress)
 
 
-def measured(
+def find_measured(
     T_object_scanner: Floats,
     features: SurfaceSamples,
     scanner: Scanner,
@@ -148,8 +157,8 @@ def measured(
     Returns:
         (S,) True where any view measures the feature; with `each` (S, n).
     """
-    poses = flat_poses(T_object_scanner)
-    targets = Targets.of(features.points, features.normals, features.region)
+    poses = flatten_poses(T_object_scanner)
+    targets = RayTargets.of(features.points, features.normals, features.region)
     K = np.shape(T_object_scanner)[1]
     result = np.zeros((len(features), len(T_object_scanner) if each else 1), dtype=np.bool_)
     asked = np.arange(len(features)) if among is None else np.flatnonzero(among)
@@ -157,7 +166,7 @@ def measured(
     def rows_of(pose: int) -> Ints:
         return in_view(targets, poses[pose], scanner, None if each else asked)
 
-    for done, pose, row in free_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if each else _OPEN_BUNDLE):
+    for done, pose, row in visible_pairs(poses, targets, scanner, casters, rows_of, BUNDLE if each else _OPEN_BUNDLE):
         free = _own_free(poses, targets, scanner, own, pose, row, K)
         result[row[free], pose[free] // K if each else 0] = True
         if not each:
@@ -169,7 +178,7 @@ def measured(
 
 def _own_free(
     poses: Floats,
-    targets: Targets,
+    targets: RayTargets,
     scanner: Scanner,
     own: Sequence[RayCaster | None] | None,
     pose: Ints,
@@ -183,7 +192,7 @@ def _own_free(
             caster = own[view]
             if caster is not None:
                 here = np.flatnonzero(pose // K == view)
-                free[here] = legs_free(targets, poses, pose[here], row[here], scanner, (caster,))
+                free[here] = lines_of_sight_free(targets, poses, pose[here], row[here], scanner, (caster,))
     return free
 
 
@@ -298,7 +307,7 @@ def _scan(
     good = np.flatnonzero(codes == Rejection.MEASURED)
     pose, face = pose[good], face[good]
     points = sources[pose] + directions[hit[good]] * distance[good]
-    free = ~ray_caster.blocked(sensors[pose], lift(points, outward[good], diagonal))
+    free = ~ray_caster.blocked(sensors[pose], lift_points(points, outward[good], diagonal))
     return pose[free], face[free]
 
 
@@ -306,7 +315,7 @@ _VIEWS = 256  # that are remembered, those asked about last: 25 MB at 10^5 sampl
 _UNKNOWN, _MISSED, _SEEN = 0, 1, 2
 
 
-class Remembered:
+class VisibilityMemo:
     """What is known so far of views and samples.
 
     Args:
@@ -316,13 +325,13 @@ class Remembered:
     """
 
     def __init__(self, samples: SurfaceSamples, scanner: Scanner, casters: Sequence[RayCaster]) -> None:
-        self._targets = Targets.of(samples.points, samples.normals, samples.region)
+        self._targets = RayTargets.of(samples.points, samples.normals, samples.region)
         self._scanner, self._casters = scanner, casters
         self._known: dict[bytes, NDArray[np.uint8]] = {}
 
     def measured(self, T_object_scanner: Floats) -> Bools:
         """(S,) samples that any of the views (n, K, 4, 4) [m] measures."""
-        poses, K = flat_poses(T_object_scanner), np.shape(T_object_scanner)[1]
+        poses, K = flatten_poses(T_object_scanner), np.shape(T_object_scanner)[1]
         known = [self._of(view) for view in poses.reshape(-1, K, 4, 4)]
         found = np.zeros(len(self._targets), dtype=np.bool_)
         for view in known:
@@ -336,7 +345,7 @@ class Remembered:
             return in_view(self._targets, poses[pose], self._scanner, np.flatnonzero(asked & (view == _MISSED)))
 
         asked = np.zeros_like(found)
-        for _, pose, row in free_pairs(poses, self._targets, self._scanner, self._casters, rows_of, _OPEN_BUNDLE):
+        for _, pose, row in visible_pairs(poses, self._targets, self._scanner, self._casters, rows_of, _OPEN_BUNDLE):
             found[row] = True
             for number in np.unique(pose // K):
                 known[number][row[pose // K == number]] = _SEEN

@@ -12,11 +12,11 @@ from planner.path.certified_edge import certify, quantise_inside
 from planner.ports import ARM_AXES, CollisionChecker, JointLimits
 from planner.values import Floats
 
-STILL = float(np.radians(0.011))
+STATIONARY = float(np.radians(0.011))
 """What an axis may move and count as still [rad]: an execution may begin 0.01 deg off a leg."""
 
 
-def clear(q: Floats, checker: CollisionChecker, limits: JointLimits) -> tuple[bool, int]:
+def may_turn(q: Floats, checker: CollisionChecker, limits: JointLimits) -> tuple[bool, int]:
     """Whether the table may turn while the arm stands at q (axes,) [rad], whatever its own angle there; and the checks.
 
     True means that the arm's posture is certified free over all angles of the table.
@@ -30,20 +30,20 @@ def clear(q: Floats, checker: CollisionChecker, limits: JointLimits) -> tuple[bo
     return certified, checks + len(ends)
 
 
-def at_angle(limits: JointLimits, q: Floats) -> JointLimits:
+def fix_table(limits: JointLimits, q: Floats) -> JointLimits:
     """Limits of the arm alone, the table staying as at q (axes,) [rad]."""
     lower, upper = (np.append(ends[:ARM_AXES], q[ARM_AXES:]) for ends in (limits.lower, limits.upper))
-    return replace(limits, lower=lower, upper=upper, turns_at=None)
+    return replace(limits, lower=lower, upper=upper, table_turn_q=None)
 
 
-def turn_at(posture: Floats, q_from: Floats, q_to: Floats) -> Floats:
+def table_turn(posture: Floats, q_from: Floats, q_to: Floats) -> Floats:
     """(2, axes) the arm at the posture of a configuration (axes,) while the table goes from q_from to q_to [rad]."""
     stops = np.stack([posture, posture])
     stops[:, ARM_AXES:] = q_from[ARM_AXES:], q_to[ARM_AXES:]
     return stops
 
 
-def straight(q_from: Floats, q_to: Floats, clear_from: bool, clear_to: bool) -> Floats | None:
+def straight_path(q_from: Floats, q_to: Floats, clear_from: bool, clear_to: bool) -> Floats | None:
     """(m, axes) the way of straight moves that turns at a clear end, its ends included [rad]; None where none is clear.
 
     Args:
@@ -56,11 +56,11 @@ def straight(q_from: Floats, q_to: Floats, clear_from: bool, clear_to: bool) -> 
         return np.stack([q_from, q_to])
     if not (clear_from or clear_to):
         return None
-    stops = np.stack([q_from, *turn_at(q_from if clear_from else q_to, q_from, q_to), q_to])
+    stops = np.stack([q_from, *table_turn(q_from if clear_from else q_to, q_from, q_to), q_to])
     return stops[np.concatenate(([True], (np.diff(stops, axis=0) != 0).any(axis=1)))]
 
 
-def broken(via: Floats, checker: CollisionChecker, limits: JointLimits) -> str:
+def find_violation(via: Floats, checker: CollisionChecker, limits: JointLimits) -> str:
     """What of a way moves the table otherwise; "" where nothing does, or nothing is asked.
 
     Args:
@@ -68,12 +68,12 @@ def broken(via: Floats, checker: CollisionChecker, limits: JointLimits) -> str:
         checker: of the cell.
         limits: with or without `turns_at`.
     """
-    if limits.turns_at is None:
+    if limits.table_turn_q is None:
         return ""
-    moved = np.abs(np.diff(via, axis=0)) > STILL
+    moved = np.abs(np.diff(via, axis=0)) > STATIONARY
     for row in np.flatnonzero(moved[:, ARM_AXES:].any(axis=1)).tolist():
         if moved[row, :ARM_AXES].any():
             return f"moves arm and table at once on the way to via point {row + 1}"
-        if not clear(via[row], checker, limits)[0]:
+        if not may_turn(via[row], checker, limits)[0]:
             return f"turns the table at via point {row}, where the arm does not stand clear of every angle"
     return ""

@@ -16,12 +16,12 @@ from planner.path import indexed
 from planner.path.certified_edge import certify, quantise_inside
 from planner.path.rrt_connect import rrt_connect
 from planner.ports import ARM_AXES, CollisionChecker, JointLimits
-from planner.timing.limits import check_inside, check_limits
+from planner.timing.limits import require_inside, require_usable
 from planner.timing.move_time import move_time
 from planner.values import Floats, Value, readonly
 from planner.worded import Worded
 
-CHECKS = 40_000
+MAX_CHECKS = 40_000
 """Default budget of a search: configurations checked, about half a second at 80,000 per second."""
 
 
@@ -59,7 +59,7 @@ def connect(
     checker: CollisionChecker,
     limits: JointLimits,
     rng: np.random.Generator,
-    budget: int = CHECKS,
+    budget: int = MAX_CHECKS,
 ) -> PathResult:
     """Connect two configurations by a path that is certified free.
 
@@ -74,16 +74,16 @@ def connect(
     Raises:
         PlannerError: if an end lies outside the joint range, a limit cannot be used, or the checker keeps no clearance.
     """
-    check_limits(limits)
+    require_usable(limits)
     axes = len(limits.lower)
     ends = np.stack([readonly("q_from", q_from, (axes,)), readonly("q_to", q_to, (axes,))])
-    check_inside("end", ends, limits)
+    require_inside("end", ends, limits)
     ends = quantise_inside(ends, limits)
     free = checker.free(ends)
     if not free.all():
         status = PathStatus.GOAL_IN_COLLISION if free[0] else PathStatus.START_IN_COLLISION
         return PathResult(None, status, 2, float("inf"))
-    if limits.turns_at is not None:
+    if limits.table_turn_q is not None:
         return _indexed(ends, checker, limits, rng, budget)
     return _searched(ends, checker, limits, rng, budget)
 
@@ -111,17 +111,17 @@ def _indexed(
 ) -> PathResult:
     """Arm, table and arm between free ends (2, axes) [rad]: the table turns at a clear end, or at `turns_at`."""
     if np.array_equal(ends[0, ARM_AXES:], ends[1, ARM_AXES:]):
-        return _searched(ends, checker, indexed.at_angle(limits, ends[0]), rng, budget)
-    assert limits.turns_at is not None, "asked for"
+        return _searched(ends, checker, indexed.fix_table(limits, ends[0]), rng, budget)
+    assert limits.table_turn_q is not None, "asked for"
     checks, found = 0, PathResult(None, PathStatus.NO_PATH_FOUND, 0, float("inf"))
-    for place, posture in enumerate((*ends, quantise_inside(limits.turns_at, limits))):
+    for place, posture in enumerate((*ends, quantise_inside(limits.table_turn_q, limits))):
         if place == len(ends) and found.via is not None:
             break
-        turns, used = indexed.clear(posture, checker, limits)
+        turns, used = indexed.may_turn(posture, checker, limits)
         checks += used
         if not turns:
             continue
-        stops = indexed.turn_at(posture, *ends)
+        stops = indexed.table_turn(posture, *ends)
         # Clear at all angles, it may still come a little nearer than the clearance where nobody looked: what is driven
         # is certified itself, as whoever drives it will again.
         if not checker.free(stops).all():
@@ -133,7 +133,7 @@ def _indexed(
         pieces = [
             PathResult(each[:1], PathStatus.STRAIGHT, 0, 0.0)
             if np.array_equal(*each)
-            else _searched(each, checker, indexed.at_angle(limits, each[0]), rng, budget // 2)
+            else _searched(each, checker, indexed.fix_table(limits, each[0]), rng, budget // 2)
             for each in (np.stack([ends[0], stops[0]]), np.stack([stops[1], ends[1]]))
         ]
         checks += sum(piece.checks for piece in pieces)
@@ -173,10 +173,10 @@ def shorten(
     Returns:
         (k, axes) via points with the same ends, never slower, and the configurations checked.
     """
-    if limits.turns_at is not None:
+    if limits.table_turn_q is not None:
         if (via[:, ARM_AXES:] != via[0, ARM_AXES:]).any():
             return via, 0
-        limits = indexed.at_angle(limits, via[0])
+        limits = indexed.fix_table(limits, via[0])
     via, checks = _skip(via, checker, budget)
     failures = 0
     while len(via) > 2 and checks < budget and failures < _PATIENCE:

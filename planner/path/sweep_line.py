@@ -129,7 +129,7 @@ class SweepLine(Value):
         return float(np.linalg.norm(self.turn))
 
     @property
-    def stands(self) -> bool:
+    def is_stationary(self) -> bool:
         """Whether the sweep has no length at all: every pose is the same."""
         return self.length <= _SAME and self.angle <= _SAME
 
@@ -247,13 +247,13 @@ class ScannerArm:
         return np.swapaxes(linear, 1, 2), np.swapaxes(angular, 1, 2)
 
 
-def follow(line: SweepLine, branch: int, arm: ScannerArm, u: Floats) -> Floats:
+def follow_branch(line: SweepLine, branch: int, arm: ScannerArm, u: Floats) -> Floats:
     """(n, 6) joint angles of a branch along the line [rad], without jumps of whole turns; NaN out of reach."""
     q: Floats = np.array(arm.kinematics.inverse(arm.flange(line.at(u)))[:, branch])
     return q if np.isnan(q).any() else np.unwrap(q, axis=0)
 
 
-def derivatives(line: SweepLine, q: Floats, arm: ScannerArm) -> tuple[Floats, Floats, Floats, float, Floats]:
+def joint_derivatives(line: SweepLine, q: Floats, arm: ScannerArm) -> tuple[Floats, Floats, Floats, float, Floats]:
     """First and second derivative by u (n, 6), singular value (n,), |xi|, and the direction that is weakest (n, 6)."""
     linear, angular = arm.jacobian(q)
     lever = SLACK * float(np.linalg.norm(linear, axis=1).max())
@@ -275,7 +275,7 @@ def derivatives(line: SweepLine, q: Floats, arm: ScannerArm) -> tuple[Floats, Fl
     return first, second, sigma[:, -1], float(np.linalg.norm(xi)), right[:, -1]
 
 
-def axes_named(which: Bools) -> str:
+def join_axis_names(which: Bools) -> str:
     """The names of some axes: "A4 and A6"."""
     names = [f"A{axis + 1}" for axis in np.flatnonzero(which)]
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
@@ -301,7 +301,7 @@ class SweepRefusal(Worded):
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class RefusedSweep:
     """A branch on which the sweep cannot be driven.
 
     Attributes:
@@ -321,7 +321,7 @@ class Refused:
 
 
 @dataclass(frozen=True, slots=True)
-class Proof:
+class SweepProof:
     """What is proven of a line on a branch: bounds of the joint angles (6,), time at constant speed, least sigma."""
 
     low: Floats
@@ -330,19 +330,21 @@ class Proof:
     sigma: float
 
 
-def prove(line: SweepLine, branch: int, arm: ScannerArm, limits: JointLimits, cruise: float) -> Proof | Refused:
+def prove_branch(
+    line: SweepLine, branch: int, arm: ScannerArm, limits: JointLimits, cruise: float
+) -> SweepProof | RefusedSweep:
     """Follow a branch and prove what lies between the samples; see the module's docstring for the argument.
 
     Where the limits do not allow the speed that is wanted, the line is driven slower, up to `SLOWEST` times.
     """
     u = np.linspace(0.0, 1.0, _FIRST + 1)
     for halving in range(_HALVINGS + 1):
-        q = follow(line, branch, arm, u)
+        q = follow_branch(line, branch, arm, u)
         if np.isnan(q).any():
-            return Refused(branch, SweepRefusal.OUT_OF_REACH, "")
-        first, second, sigma, xi, weak = derivatives(line, q, arm)
+            return RefusedSweep(branch, SweepRefusal.OUT_OF_REACH, "")
+        first, second, sigma, xi, weak = joint_derivatives(line, q, arm)
         if sigma.min() < _LEAST_SIGMA:
-            return Refused(branch, SweepRefusal.SINGULAR, axes_named(np.abs(weak[int(sigma.argmin())]) > 0.4))
+            return RefusedSweep(branch, SweepRefusal.SINGULAR, join_axis_names(np.abs(weak[int(sigma.argmin())]) > 0.4))
         r = 0.5 * np.diff(u)
         mean = np.abs(np.diff(second, axis=0)) / (2.0 * r)[:, None]  # of the third derivative, between the samples
         at_samples = _time_needed(line, np.abs(first[1:]), np.abs(second[1:]), mean, limits)
@@ -368,7 +370,7 @@ def prove(line: SweepLine, branch: int, arm: ScannerArm, limits: JointLimits, cr
         if good.all() and (last or not open_.any()) and need.max() <= slowest:
             low = np.minimum(q[:-1] - reach, q[1:] - reach).min(axis=0)
             high = np.maximum(q[:-1] + reach, q[1:] + reach).max(axis=0)
-            return Proof(low, high, max(cruise, float(need.max())), float(sigma.min()))
+            return SweepProof(low, high, max(cruise, float(need.max())), float(sigma.min()))
         if last:
             break
         u = np.sort(np.concatenate([u, 0.5 * (u[:-1] + u[1:])[open_]]))
@@ -376,13 +378,15 @@ def prove(line: SweepLine, branch: int, arm: ScannerArm, limits: JointLimits, cr
     if good.all():
         return _too_fast(branch, first[worst], limits)
     jump = np.abs(np.diff(q, axis=0)[worst]) > 0.1
-    return Refused(branch, SweepRefusal.SINGULAR, axes_named(jump if jump.any() else np.abs(weak[worst]) > 0.4))
+    return RefusedSweep(
+        branch, SweepRefusal.SINGULAR, join_axis_names(jump if jump.any() else np.abs(weak[worst]) > 0.4)
+    )
 
 
-def _too_fast(branch: int, first: Floats, limits: JointLimits) -> Refused:
+def _too_fast(branch: int, first: Floats, limits: JointLimits) -> RefusedSweep:
     """The refusal, with the axes that do most of the motion for what they can."""
     use = np.abs(first) / limits.velocity
-    return Refused(branch, SweepRefusal.TOO_FAST, axes_named(use > 0.5 * use.max()))
+    return RefusedSweep(branch, SweepRefusal.TOO_FAST, join_axis_names(use > 0.5 * use.max()))
 
 
 def _bounds(sigma: Floats, first: Floats, xi: float, r: Floats) -> tuple[Floats, Floats, Floats, Floats, Bools]:

@@ -23,21 +23,21 @@ from planner.kinematics.setpoints import from_steps, to_steps
 from planner.path.certified_edge import certify_many
 from planner.path.sweep_line import (
     DEFAULT_SPEED,
-    Proof,
-    Refused,
+    RefusedSweep,
     ScannerArm,
     SweepLine,
+    SweepProof,
     SweepRefusal,
     SweepSpeed,
-    axes_named,
-    derivatives,
-    follow,
+    follow_branch,
+    join_axis_names,
+    joint_derivatives,
     line_through,
-    prove,
+    prove_branch,
     rotation_vectors,
 )
 from planner.ports import CollisionChecker, JointLimits, Kinematics
-from planner.timing.s_curve import Profile, sample
+from planner.timing.s_curve import Profile, sample_profile
 from planner.values import Floats, Ints, Value
 
 
@@ -83,7 +83,7 @@ class SweepPath(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sweeps:
+class DrivableSweeps:
     """What can be driven of a column of poses.
 
     Attributes:
@@ -92,11 +92,11 @@ class Sweeps:
     """
 
     paths: tuple[SweepPath, ...]
-    refused: tuple[Refused, ...]
+    refused: tuple[RefusedSweep, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Passage(Value):
+class SweepTraversal(Value):
     """What the arm does at a view between arriving and leaving: the line of a sweep.
 
     Attributes:
@@ -117,7 +117,7 @@ class Passage(Value):
         return np.asarray(self.via[int(np.flatnonzero(self.pose == (self.pose >= 0).sum() // 2)[0])])
 
 
-def passages_of(paths: Sequence[SweepPath]) -> list[Passage]:
+def sweep_traversals(paths: Sequence[SweepPath]) -> list[SweepTraversal]:
     """The sweeps of one view as passages of a tour; the reverse of each must be among them, unless it stands.
 
     Raises:
@@ -129,7 +129,7 @@ def passages_of(paths: Sequence[SweepPath]) -> list[Passage]:
         leaves = begins.get(tuple(to_steps(path.q[-1]).tolist()))
         if leaves is None:
             raise PlannerError("a sweep's reverse is missing; give both directions of every sweep")
-        passages.append(Passage(path.q, path.pose, path.duration, leaves))
+        passages.append(SweepTraversal(path.q, path.pose, path.duration, leaves))
     return passages
 
 
@@ -142,14 +142,14 @@ TUBE_ANGLE = 5e-4
 _FINEST = 64  # segments in half a cell at most
 
 
-def sweeps_of(
+def find_sweeps(
     T_base_scanner: ArrayLike,
     T_flange_scanner: Floats,
     kinematics: Kinematics,
     limits: JointLimits,
     speed: SweepSpeed = DEFAULT_SPEED,
     checker: CollisionChecker | None = None,
-) -> Sweeps:
+) -> DrivableSweeps:
     """All ways to drive a sweep.
 
     Args:
@@ -162,40 +162,40 @@ def sweeps_of(
     """
     line = line_through(T_base_scanner)
     if line is None:
-        return Sweeps((), (Refused(-1, SweepRefusal.NO_LINE, ""),))
+        return DrivableSweeps((), (RefusedSweep(-1, SweepRefusal.NO_LINE, ""),))
     arm = ScannerArm(kinematics, np.asarray(T_flange_scanner, dtype=np.float64))
     paths: list[SweepPath] = []
-    refused: list[Refused] = []
+    refused: list[RefusedSweep] = []
     branches = kinematics.inverse(arm.flange(line.at(np.array([0.0, 0.5, 1.0]))))
     for branch in np.flatnonzero(~np.isnan(branches).any(axis=2).all(axis=0)).tolist():
         found = _on_branch(line, branch, arm, limits, speed)
-        if isinstance(found, Refused):
+        if isinstance(found, RefusedSweep):
             refused.append(found)
             continue
         if checker is not None and (blocker := _collides(found[0].q, checker)) is not None:
-            refused.append(Refused(branch, SweepRefusal.COLLISION, blocker))
+            refused.append(RefusedSweep(branch, SweepRefusal.COLLISION, blocker))
             continue
         for path in found:
-            paths += [path] if line.stands else [path, path.reversed()]
+            paths += [path] if line.is_stationary else [path, path.reversed()]
     if not paths and not refused:
-        refused.append(Refused(-1, SweepRefusal.OUT_OF_REACH, ""))
-    return Sweeps(tuple(paths), tuple(refused))
+        refused.append(RefusedSweep(-1, SweepRefusal.OUT_OF_REACH, ""))
+    return DrivableSweeps(tuple(paths), tuple(refused))
 
 
 def _on_branch(
     line: SweepLine, branch: int, arm: ScannerArm, limits: JointLimits, speed: SweepSpeed
-) -> list[SweepPath] | Refused:
+) -> list[SweepPath] | RefusedSweep:
     """The sweep on one branch, once for each turn that the limits allow; or why not."""
-    if line.stands:
-        q = from_steps(to_steps(follow(line, branch, arm, np.zeros(1))[0]))
-        proven: Proof | Refused = Proof(q, q, 0.0, float("nan"))
+    if line.is_stationary:
+        q = from_steps(to_steps(follow_branch(line, branch, arm, np.zeros(1))[0]))
+        proven: SweepProof | RefusedSweep = SweepProof(q, q, 0.0, float("nan"))
     else:
-        proven = prove(line, branch, arm, limits, line.cruise(speed))
-    if isinstance(proven, Refused):
+        proven = prove_branch(line, branch, arm, limits, line.cruise(speed))
+    if isinstance(proven, RefusedSweep):
         return proven
     turns = _turns(proven.low, proven.high, limits)
     if isinstance(turns, str):
-        return Refused(branch, SweepRefusal.JOINT_LIMIT, turns)
+        return RefusedSweep(branch, SweepRefusal.JOINT_LIMIT, turns)
     vertices, u, pose = _vertices(line, branch, arm)
     profile = line.profile(proven.cruise)
     return [
@@ -207,13 +207,13 @@ def _on_branch(
 
 def _vertices(line: SweepLine, branch: int, arm: ScannerArm) -> tuple[Floats, Floats, Ints]:
     """Set-points whose joint-linear segments stay within the tube about the line, their u, and which pose each is."""
-    if line.stands:  # all poses are one
-        q = from_steps(to_steps(follow(line, branch, arm, np.zeros(1))))
+    if line.is_stationary:  # all poses are one
+        q = from_steps(to_steps(follow_branch(line, branch, arm, np.zeros(1))))
         return np.tile(q, (line.poses, 1)), np.linspace(0.0, 1.0, line.poses), np.arange(line.poses)
     fine = 1
     while fine <= _FINEST:
         u = np.linspace(0.0, 1.0, 2 * line.poses * fine + 1)
-        q = follow(line, branch, arm, u)
+        q = follow_branch(line, branch, arm, u)
         rounded = from_steps(to_steps(q))
         middle = arm.scanner(0.5 * (rounded[:-1] + rounded[1:]))
         T = line.at(0.5 * (u[:-1] + u[1:]))
@@ -242,7 +242,7 @@ def _turns(low: Floats, high: Floats, limits: JointLimits) -> list[Floats] | str
         ]
         choices.append(fits)
     if not all(choices):
-        return axes_named(np.array([not fits for fits in choices]))
+        return join_axis_names(np.array([not fits for fits in choices]))
     return [np.array(turn) for turn in itertools.product(*choices)]
 
 
@@ -256,7 +256,7 @@ def _collides(q: Floats, checker: CollisionChecker) -> str | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DrivenSweep:
+class TimedSweep:
     """A sweep with what times it: `planner.timing.motion.TimedLine`.
 
     Attributes:
@@ -274,11 +274,11 @@ class DrivenSweep:
         """(m,) times after the start at which the vertices are passed [s]."""
         path = self.path
         low, high = np.zeros(len(path.u)), np.full(len(path.u), path.duration)
-        if path.line.stands:
+        if path.line.is_stationary:
             return low
         for _ in range(60):
             middle = 0.5 * (low + high)
-            before = sample(path.profile, middle)[0] < path.u
+            before = sample_profile(path.profile, middle)[0] < path.u
             low, high = np.where(before, middle, low), np.where(before, high, middle)
         high[0], high[-1] = 0.0, path.duration
         return high
@@ -296,18 +296,18 @@ class DrivenSweep:
             (n, 6) q [rad], (n, 6) qd [rad/s], (n, 6) qdd [rad/s^2].
         """
         path = self.path
-        if path.line.stands:
+        if path.line.is_stationary:
             return np.repeat(path.q[:1], len(t), axis=0), np.zeros((len(t), 6)), np.zeros((len(t), 6))
         arm = ScannerArm(self.kinematics, np.asarray(self.T_flange_scanner, dtype=np.float64))
-        u, ud, udd = sample(path.profile, t)
+        u, ud, udd = sample_profile(path.profile, t)
         grid = np.concatenate([path.u, u])
         order = np.argsort(grid, kind="stable")
         q = np.empty((len(grid), 6))
-        q[order] = follow(path.line, path.branch, arm, grid[order])
+        q[order] = follow_branch(path.line, path.branch, arm, grid[order])
         q += 2.0 * np.pi * np.round((path.q[0] - q[0]) / (2.0 * np.pi))
         error = path.q[[0, -1]] - q[[0, len(path.u) - 1]]
         q = q[len(path.u) :]
-        first, second = derivatives(path.line, q, arm)[:2]
+        first, second = joint_derivatives(path.line, q, arm)[:2]
         fade = error[1] - error[0]
         q = q + error[0] + u[:, None] * fade
         first = first + fade

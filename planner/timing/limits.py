@@ -9,7 +9,7 @@ from planner.ports import JointLimits, axis_name
 from planner.values import Floats
 
 
-def check_limits(limits: JointLimits) -> None:
+def require_usable(limits: JointLimits) -> None:
     """Refuse limits under which no motion can be timed.
 
     Single limits may be infinite (a speed, an acceleration, a jerk that is not limited), but not acceleration and jerk
@@ -40,7 +40,7 @@ def check_limits(limits: JointLimits) -> None:
             )
 
 
-def scaled(limits: JointLimits, speed: float = 1.0, acceleration: float = 1.0) -> JointLimits:
+def scale_limits(limits: JointLimits, speed: float = 1.0, acceleration: float = 1.0) -> JointLimits:
     """Limits with velocity and acceleration reduced to a fraction.
 
     `speed` is the controller's override: a percentage of the velocity, as KUKA defines $OV_PRO. It leaves accelerations
@@ -66,12 +66,12 @@ def scaled(limits: JointLimits, speed: float = 1.0, acceleration: float = 1.0) -
     )
 
 
-def jerk_free(limits: JointLimits) -> JointLimits:
+def without_jerk_limit(limits: JointLimits) -> JointLimits:
     """The limits without that of the jerk: the bound against which jerk-limited motions are compared."""
     return replace(limits, jerk=np.full_like(limits.jerk, np.inf))
 
 
-def check_inside(what: str, q: Floats, limits: JointLimits) -> None:
+def require_inside(what: str, q: Floats, limits: JointLimits) -> None:
     """Refuse joint angles outside the range; there is no wrap-around of A4 and A6.
 
     Args:

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 
 from planner.errors import PlannerError
 from planner.ports import JointLimits
-from planner.timing.limits import check_inside, check_limits, jerk_free, scaled
-from planner.timing.move_time import move_time, profiles
-from planner.timing.s_curve import Profile, sample
+from planner.timing.limits import require_inside, require_usable, scale_limits, without_jerk_limit
+from planner.timing.move_time import move_profiles, move_time
+from planner.timing.s_curve import Profile, sample_profile
 from planner.values import Floats, Ints, Value, freeze, readonly
 
 SAMPLE_PERIOD = 0.012
@@ -121,14 +121,14 @@ def retime(
     Raises:
         PlannerError: if a limit cannot be used, a via point lies outside the joint range, or the tags do not fit.
     """
-    check_limits(limits)
-    limits = scaled(limits, speed, acceleration)
+    require_usable(limits)
+    limits = scale_limits(limits, speed, acceleration)
     if not 0 < sample_period < np.inf:
         raise PlannerError(f"the sample period is {sample_period} s; it must be above 0 and finite")
     vias = readonly("via_q", via_q, (None, len(limits.lower)))
     if len(vias) == 0:
         raise PlannerError("via_q is empty; a motion needs at least one via point")
-    check_inside("via point", vias, limits)
+    require_inside("via point", vias, limits)
     segments = readonly("segment", segment, (len(vias),), np.int64)
     if (np.diff(segments) < 0).any():
         raise PlannerError(
@@ -136,7 +136,7 @@ def retime(
         )
 
     widths = np.zeros((3, len(vias) - 1))
-    for rows, profile in profiles(vias[:-1], vias[1:], limits):
+    for rows, profile in move_profiles(vias[:-1], vias[1:], limits):
         widths[:, *rows] = profile
     durations, lines = Profile(*widths).duration, lines or {}
     on_line = _take_lines(lines, durations)
@@ -195,7 +195,7 @@ def _straight(profile: Profile, ends: Floats, end_t: Floats, period: float) -> _
     """Samples of a straight move."""
     steps = max(2, int(np.ceil(profile.duration / period)))
     tau = np.arange(steps + 1) * (profile.duration / steps)
-    s, sd, sdd = sample(profile, tau)
+    s, sd, sdd = sample_profile(profile, tau)
     delta = ends[1] - ends[0]
     q = np.clip(ends[0] + s[:, None] * delta, np.minimum(*ends), np.maximum(*ends))
     times = end_t[0] + tau
@@ -222,5 +222,5 @@ def jerk_free_duration(motion: Motion) -> float:
     The path has corners at its via points, so driving it exactly means to stop at each; between two stops a trapezoid
     of speed is time-optimal. A sweep has a speed of its own, and keeps its time.
     """
-    moves = move_time(motion.via_q[:-1], motion.via_q[1:], jerk_free(motion.limits))
+    moves = move_time(motion.via_q[:-1], motion.via_q[1:], without_jerk_limit(motion.limits))
     return float(np.where(motion.line[1:] >= 0, np.diff(motion.via_t), moves).sum())

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.ports import ARM_AXES, JointLimits
-from planner.timing.limits import check_limits
-from planner.timing.s_curve import Profile, fastest
+from planner.timing.limits import require_usable
+from planner.timing.s_curve import Profile, fastest_profile
 from planner.values import Floats
 
 MARGIN = 1e-8
@@ -45,13 +45,13 @@ def move_time(q_from: ArrayLike, q_to: ArrayLike, limits: JointLimits) -> Floats
         so: no way that keeps to it is faster.
     """
     a, b = np.asarray(q_from, dtype=float), np.asarray(q_to, dtype=float)
-    if limits.turns_at is not None:
+    if limits.table_turn_q is not None:
         arm, table = _apart(limits)
         return move_time(a[..., :ARM_AXES], b[..., :ARM_AXES], arm) + move_time(
             a[..., ARM_AXES:], b[..., ARM_AXES:], table
         )
     times = np.empty(np.broadcast_shapes(a.shape, b.shape)[:-1])
-    for rows, profile in profiles(a, b, limits):
+    for rows, profile in move_profiles(a, b, limits):
         times[rows] = profile.duration
     return np.asarray(times[()])
 
@@ -77,7 +77,7 @@ def _inverse(limits: JointLimits) -> tuple[Floats, tuple[float, float]]:
     Returns:
         (3, axes) 1 / limit, `MARGIN` added, and the ratios of acceleration and jerk to speed; NaN where axes differ.
     """
-    check_limits(limits)
+    require_usable(limits)
     inverse = (1.0 + MARGIN) / np.stack([limits.velocity, limits.acceleration, limits.jerk])
     ratios = np.divide(inverse[1:], inverse[0], out=np.full_like(inverse[1:], np.inf), where=inverse[0] > 0)
     one = np.isfinite(ratios).all(axis=1) & (ratios.max(axis=1) <= ratios.min(axis=1) * (1.0 + _EQUAL_RATIO))
@@ -85,7 +85,7 @@ def _inverse(limits: JointLimits) -> tuple[Floats, tuple[float, float]]:
     return inverse, (acceleration, jerk)
 
 
-def profiles(q_from: Floats, q_to: Floats, limits: JointLimits) -> Iterator[tuple[tuple[slice, ...], Profile]]:
+def move_profiles(q_from: Floats, q_to: Floats, limits: JointLimits) -> Iterator[tuple[tuple[slice, ...], Profile]]:
     """Profiles of all moves, in blocks along the first axis of the broadcast shape."""
     inverse, ratios = _inverse(limits)
     shape = np.broadcast_shapes(q_from.shape, q_to.shape)[:-1]
@@ -105,4 +105,4 @@ def profiles(q_from: Floats, q_to: Floats, limits: JointLimits) -> Iterator[tupl
             (distance * rates).max(axis=0) if math.isnan(ratio) else at_speed * ratio
             for rates, ratio in zip(others, ratios, strict=True)
         )
-        yield rows, fastest(at_speed, at_acceleration, at_jerk)
+        yield rows, fastest_profile(at_speed, at_acceleration, at_jerk)

@@ -44,7 +44,7 @@ class Profile(NamedTuple):
         return self.cruise + self.ramp + self.ease
 
 
-def fastest(inverse_speed: Floats, inverse_acceleration: Floats, inverse_jerk: Floats) -> Profile:
+def fastest_profile(inverse_speed: Floats, inverse_acceleration: Floats, inverse_jerk: Floats) -> Profile:
     """The fastest profile under the three limits.
 
     Args:
@@ -75,7 +75,7 @@ def fastest(inverse_speed: Floats, inverse_acceleration: Floats, inverse_jerk: F
     return Profile(cruise, np.where(slow, top, ramp), np.where(slow, ease, ease_at_speed))
 
 
-def sample(profile: Profile, t: Floats) -> tuple[Floats, Floats, Floats]:
+def sample_profile(profile: Profile, t: Floats) -> tuple[Floats, Floats, Floats]:
     """Path parameter, its speed and its acceleration.
 
     Args:

@@ -30,7 +30,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bound:
+class TourBound:
     """What is known about the shortest tour.
 
     Attributes:
@@ -42,7 +42,7 @@ class Bound:
     tour: Ints | None
 
 
-def one_tree(cost: Floats, first: Ints) -> float:
+def one_tree_bound(cost: Floats, first: Ints) -> float:
     """The quick bound.
 
     Args:
@@ -52,7 +52,7 @@ def one_tree(cost: Floats, first: Ints) -> float:
     m = len(first) - 1
     if m == 1:
         return 0.0
-    cheapest = between_clusters(cost, first)
+    cheapest = cluster_distances(cost, first)
     if m == 2:
         return float(2.0 * cheapest[0, 1])
     penalty, bound, step = np.zeros(m), 0.0, 0.5 * float(np.median(cheapest[0, 1:])) / (m - 1)
@@ -67,12 +67,12 @@ def one_tree(cost: Floats, first: Ints) -> float:
     return bound
 
 
-def between_clusters(cost: Floats, first: Ints) -> Floats:
+def cluster_distances(cost: Floats, first: Ints) -> Floats:
     """(m, m) what the cheapest pair of nodes of each two clusters costs."""
     return np.asarray(np.minimum.reduceat(np.minimum.reduceat(cost, first[:-1], axis=0), first[:-1], axis=1))
 
 
-def by_walks(cost: Floats, first: Ints, tour_cost: float, work: int) -> Bound:
+def walk_bound(cost: Floats, first: Ints, tour_cost: float, work: int) -> TourBound:
     """The strong bound.
 
     Args:
@@ -85,14 +85,14 @@ def by_walks(cost: Floats, first: Ints, tour_cost: float, work: int) -> Bound:
     """
     ascent = _Ascent(cost, first, tour_cost, work)
     if ascent.price * _FEWEST > work:
-        return Bound(0.0, None)
+        return TourBound(0.0, None)
     while ascent.work < work:
         closed = ascent.raise_prizes(work)
         if closed or not ascent.remember():
             break
         if tour_cost - ascent.best < _WORTH_LEAVING_OUT * tour_cost:
             ascent.leave_out()
-    return Bound(min(ascent.best, tour_cost), ascent.tour)
+    return TourBound(min(ascent.best, tour_cost), ascent.tour)
 
 
 class _Ascent:
@@ -110,7 +110,7 @@ class _Ascent:
         self.far = (visits + 2) // 2
         self.near = visits + 1 - self.far
         self._index()
-        cheapest = between_clusters(self.cost, self.first)
+        cheapest = cluster_distances(self.cost, self.first)
         cheapest[:, 0] = np.inf  # the start is never visited
         np.fill_diagonal(cheapest, np.inf)
         nearest = np.argsort(cheapest, axis=1, kind="stable")
@@ -175,7 +175,9 @@ class _Ascent:
             self.work += self.price * visits // self.far
             from_start = np.inf
             for near in range(1, visits + 1):
-                met = walks.join(value, self.first, self.prize, self.count, self.base, near, visits + 1 - near, through)
+                met = walks.join_walks(
+                    value, self.first, self.prize, self.count, self.base, near, visits + 1 - near, through
+                )
                 from_start = min(from_start, met[0])
             through[start] = from_start
         kept = through + self.prize[1:].sum() <= self.upper * (1.0 + _ROUNDING)
@@ -211,7 +213,7 @@ class _Ascent:
         from planner.tour import walk_relaxation as walks  # importing numba costs 0.3 s
 
         value = np.full((depth + 1, self.base[-1]), np.inf)
-        walks.layers(self.cost, self.first, prize, start, self.table, self.rows, self.count, self.base, value)
+        walks.extend_walks(self.cost, self.first, prize, start, self.table, self.rows, self.count, self.base, value)
         return value
 
     def _shortest(self, prize: Floats) -> tuple[float, Ints]:
@@ -222,7 +224,7 @@ class _Ascent:
         for start in range(self.first[1]):
             value = self._layers(prize, start, self.far)
             self.work += self.price
-            length, cluster, node, memory, other = walks.join(
+            length, cluster, node, memory, other = walks.join_walks(
                 value, self.first, prize, self.count, self.base, self.near, self.far, np.full(len(self.cost), np.inf)
             )
             if length < best:

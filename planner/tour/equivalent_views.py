@@ -24,10 +24,10 @@ import scipy.sparse as sp
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
 from planner.tour import generalised_tsp as gtsp
-from planner.tour.visits import best_on_tour, node_offsets, too_many
+from planner.tour.visits import best_nodes_on_tour, node_offsets, too_many_nodes
 from planner.values import Bools, Floats, Ints, Value, freeze, readonly
 
-STAND_INS = 16
+MAX_ALTERNATIVES = 16
 """Candidates that are tried for one view at most, itself included: those that lie best on the tour so far."""
 
 _STEPS = 500  # of the search of one ordering: the last exchange is ordered again in full, on real paths
@@ -35,7 +35,7 @@ _ORDERINGS = 20  # at most; four to seven are usual
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Exchange(Value):
+class ViewExchange(Value):
     """Views that measure as much as the ones given, and a shorter motion.
 
     Attributes:
@@ -51,7 +51,7 @@ class Exchange(Value):
     """
 
     views: Annotated[Ints, "n"]
-    instead_of: Annotated[Ints, "n"]
+    replaces: Annotated[Ints, "n"]
     groups: Annotated[tuple[Ints, ...], "n"]
     duration_before: float
     duration: float
@@ -65,7 +65,7 @@ class Exchange(Value):
         freeze(self)
 
 
-class Matrix:
+class VisibilityIndex:
     """The measurability matrix, asked by rows and by columns."""
 
     def __init__(self, M: Any, areas: Floats, usable: Bools) -> None:
@@ -95,8 +95,8 @@ class Matrix:
         return np.asarray(self.usable & (measured >= areas.sum() - spare))
 
 
-def exchange(
-    matrix: Matrix,
+def exchange_views(
+    matrix: VisibilityIndex,
     views: Ints,
     configurations: Callable[[int], Floats],
     home: Floats,
@@ -105,7 +105,7 @@ def exchange(
     *,
     pinned: Iterable[int] = (),
     spare: float = 0.0,
-) -> Exchange:
+) -> ViewExchange:
     """Exchange views for stand-ins while that shortens the motion.
 
     Args:
@@ -137,10 +137,10 @@ def exchange(
     stops = np.concatenate([home[None], best.q, home[None]])
     members = tuple(tours.nearest(best, groups))
     visited = best.picks[best.order]
-    return Exchange(best.picks, instead_of, members, before, best.cost, visited, stops, tours.count)
+    return ViewExchange(best.picks, instead_of, members, before, best.cost, visited, stops, tours.count)
 
 
-def needed(matrix: Matrix, views: Ints, required: Ints) -> list[Ints]:
+def needed_samples(matrix: VisibilityIndex, views: Ints, required: Ints) -> list[Ints]:
     """For each view the samples that the others measure less often than is required."""
     counts = matrix.counts(views.tolist())
     return [rows[counts[rows] <= required[rows]] for rows in map(matrix.measured_by, views.tolist())]
@@ -176,12 +176,12 @@ class _Tours:
         solutions = [[self.configurations(int(view)) for view in group] for group in groups]
         owners = [np.repeat(group, [len(s) for s in own]) for group, own in zip(groups, solutions, strict=True)]
         joints = [np.concatenate(own) for own in solutions]
-        if near is not None and too_many(joints):
-            kept = [best_on_tour(self._longer(near, k, q), len(groups)) for k, q in enumerate(joints)]
+        if near is not None and too_many_nodes(joints):
+            kept = [best_nodes_on_tour(self._longer(near, k, q), len(groups)) for k, q in enumerate(joints)]
             owners = [own[best] for own, best in zip(owners, kept, strict=True)]
             joints = [q[best] for q, best in zip(joints, kept, strict=True)]
         nodes, first = np.concatenate([self.home[None], *joints]), np.concatenate(([0], node_offsets(joints)))
-        problem = gtsp.instance(move_time(nodes[:, None], nodes, self.limits), first)
+        problem = gtsp.make_instance(move_time(nodes[:, None], nodes, self.limits), first)
         found = gtsp.solve(problem, order + 1, self.rng, _STEPS, None, warm=near is not None)
         self.count += 1
         visited = problem.clusters_of(found.tour)[1:] - 1
@@ -206,18 +206,18 @@ class _Tours:
                 solutions = [self.configurations(int(view)) for view in others]
                 owner = np.repeat(np.arange(len(others)), [len(s) for s in solutions])
                 np.minimum.at(more, owner, self._longer(tour, k, np.concatenate(solutions)))
-            nearest = np.argsort(more, kind="stable")[: STAND_INS - 1]
+            nearest = np.argsort(more, kind="stable")[: MAX_ALTERNATIVES - 1]
             usable = [int(others[i]) for i in nearest if more[i] < np.inf]
             cut.append(np.array([tour.picks[k], *usable], dtype=np.int64))
         return cut
 
 
 def _exchanged(
-    matrix: Matrix, best: _Tour, required: Ints, pinned: frozenset[int], tours: _Tours, spare: float
+    matrix: VisibilityIndex, best: _Tour, required: Ints, pinned: frozenset[int], tours: _Tours, spare: float
 ) -> _Tour | None:
     """The best tour over stand-ins that loses no sample but the spare area; None where none was found."""
     views = best.picks
-    only_here = needed(matrix, views, required)
+    only_here = needed_samples(matrix, views, required)
     owned: list[Ints] = [np.zeros(0, dtype=np.int64)] * len(views)  # samples that may not be lost any more
     while tours.count < _ORDERINGS:
         members = [
@@ -240,11 +240,13 @@ def _exchanged(
     return None
 
 
-def _area(matrix: Matrix, samples: Bools | Ints) -> float:
+def _area(matrix: VisibilityIndex, samples: Bools | Ints) -> float:
     return float(matrix.areas[samples].sum())
 
 
-def _members(matrix: Matrix, view: int, samples: Ints, owned: Ints, pinned: frozenset[int], spare: float = 0.0) -> Ints:
+def _members(
+    matrix: VisibilityIndex, view: int, samples: Ints, owned: Ints, pinned: frozenset[int], spare: float = 0.0
+) -> Ints:
     """The view and its stand-ins: they measure what it owns, and the samples but for the spare area."""
     if view in pinned:
         return np.array([view])
@@ -254,7 +256,7 @@ def _members(matrix: Matrix, view: int, samples: Ints, owned: Ints, pinned: froz
     return np.flatnonzero(allowed)
 
 
-def _share(matrix: Matrix, group: Ints, samples: Ints) -> Floats:
+def _share(matrix: VisibilityIndex, group: Ints, samples: Ints) -> Floats:
     """(n,) share of the group's members that measure each sample."""
     found = np.zeros(len(samples))
     for view in group:
@@ -272,13 +274,13 @@ def _without_repeats(tour: _Tour) -> tuple[_Tour, Ints]:
     return _Tour(tour.cost, tour.picks[stays], order[order >= 0], tour.q[order >= 0]), stays
 
 
-def _any_combination(matrix: Matrix, views: Ints, required: Ints, pinned: frozenset[int]) -> list[Ints]:
+def _any_combination(matrix: VisibilityIndex, views: Ints, required: Ints, pinned: frozenset[int]) -> list[Ints]:
     """Groups from which any combination may be picked: every sample has as many owners as it requires.
 
     Views with few stand-ins own first, as they lose least by it.
     """
     nothing = np.zeros(0, dtype=np.int64)
-    only_here = needed(matrix, views, required)
+    only_here = needed_samples(matrix, views, required)
     exclusive = [_members(matrix, int(v), rows, nothing, pinned) for v, rows in zip(views, only_here, strict=True)]
     waiting = required.copy()
     groups: list[Ints] = [nothing] * len(views)

@@ -28,7 +28,7 @@ ALWAYS_EXACT = 15_000_000
 STEPS = 10_000
 """Default budget of the search: tours ruined and rebuilt with up to 22 clusters, 0.04 s; more get more (`grown`)."""
 
-BOUND_WORK = 400_000_000
+BOUND_EFFORT = 400_000_000
 """Default budget of the bound: edges looked at; about 0.3 s."""
 
 _EXACT_PER_STEP = 45_000
@@ -38,7 +38,7 @@ _FIRST = 10  # share of the steps, as its inverse, after which the strong bound 
 
 _PER_SUBSET = 20_000  # additions that handling one subset costs beside its own
 
-FULL = 22
+MANY_CLUSTERS = 22
 """Clusters from which on the steps grow with the square of their number: 0.6 s at 80, 4 s at 200."""
 
 _HOT, _COLD, _WARM = 2.5, 0.1, 0.03
@@ -83,7 +83,7 @@ class Instance:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class TourSolution:
     """A tour and what is known about it.
 
     Attributes:
@@ -103,7 +103,7 @@ class Found:
         return self.cost <= self.lower_bound * (1.0 + 1e-9) + 1e-12
 
 
-def instance(cost: Floats, first: Ints) -> Instance:
+def make_instance(cost: Floats, first: Ints) -> Instance:
     """Check an instance.
 
     Args:
@@ -125,12 +125,12 @@ def instance(cost: Floats, first: Ints) -> Instance:
     return Instance(cost, readonly("cost", cost.T, cost.shape), either, first)
 
 
-def grown(problem: Instance, steps: int, *, warm: bool = False) -> int:
+def scale_steps(problem: Instance, steps: int, *, warm: bool = False) -> int:
     """A number of steps as it is spent on an instance: with the square of the number of clusters beyond 22.
 
     From a tour that is good already (`warm`), each part of it is only looked at as often as in a small one: linear.
     """
-    return int(steps * max(1.0, (problem.n_clusters / FULL) ** (1 if warm else 2)))
+    return int(steps * max(1.0, (problem.n_clusters / MANY_CLUSTERS) ** (1 if warm else 2)))
 
 
 def solve(
@@ -138,10 +138,10 @@ def solve(
     start: Ints,
     rng: np.random.Generator,
     steps: int = STEPS,
-    bound_work: int | None = BOUND_WORK,
+    bound_work: int | None = BOUND_EFFORT,
     *,
     warm: bool = False,
-) -> Found:
+) -> TourSolution:
     """The best tour that the budgets allow, and a bound: by `exact` where that is affordable, else by `search`.
 
     Args:
@@ -157,22 +157,22 @@ def solve(
     Returns:
         A tour that is never worse than the best one for the order `start`.
     """
-    if exact_work(problem) <= max(ALWAYS_EXACT, _EXACT_PER_STEP * steps):
-        return exact(problem)
+    if exact_effort(problem) <= max(ALWAYS_EXACT, _EXACT_PER_STEP * steps):
+        return solve_exactly(problem)
     cost, tour = best_nodes(problem, start)
-    steps = grown(problem, steps, warm=warm)
-    hot = _WARM if warm and problem.n_clusters > FULL else _HOT
+    steps = scale_steps(problem, steps, warm=warm)
+    hot = _WARM if warm and problem.n_clusters > MANY_CLUSTERS else _HOT
     if bound_work is None:
         cost, tour = search(problem, tour, int(rng.integers(2**63)), steps, hot)
         return _found(problem, tour, cost, 0.0)
-    quick = min(bounds.one_tree(problem.either, problem.first), cost)
+    quick = min(bounds.one_tree_bound(problem.either, problem.first), cost)
     seed, bound = int(rng.integers(2**63)), quick
     # A first part of the search often ends at a tour that the strong bound proves; the rest is only run where not.
     for part in (steps // _FIRST, steps) if bound_work > 0 else (steps,):
         if cost > bound * (1.0 + 1e-9):
             cost, tour = search(problem, tour, seed, part, hot)
         if cost > bound * (1.0 + 1e-9) and bound == quick and bound_work > 0 and cost < BLOCKED:
-            strong = bounds.by_walks(problem.either, problem.first, cost, bound_work)
+            strong = bounds.walk_bound(problem.either, problem.first, cost, bound_work)
             bound = max(quick, strong.value)
             if strong.tour is not None and problem.length(strong.tour) < cost:
                 tour = strong.tour
@@ -207,15 +207,15 @@ def best_nodes(problem: Instance, order: Ints) -> tuple[float, Ints]:
     return best, tour
 
 
-def exact_work(problem: Instance) -> int:
+def exact_effort(problem: Instance) -> int:
     """What `exact` needs, in additions: subsets times nodes squared and a share each, for each node of the start."""
     return int(2 ** min(problem.n_clusters - 1, 60)) * (len(problem.cost) ** 2 + _PER_SUBSET) * int(problem.first[1])
 
 
-def exact(problem: Instance) -> Found:
+def solve_exactly(problem: Instance) -> TourSolution:
     """The optimum over all orders and nodes, by dynamic programming over subsets; see `exact_work` for its price."""
     if problem.n_clusters == 1:
-        return Found(np.zeros(1, dtype=np.int64), 0.0, 0.0)
+        return TourSolution(np.zeros(1, dtype=np.int64), 0.0, 0.0)
     found = [_exact_from(problem, start) for start in range(int(problem.first[1]))]
     cost, tour = min(found, key=lambda pair: pair[0])
     return _found(problem, tour, cost, cost)
@@ -236,15 +236,15 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int, hot: float = _H
     """
     if steps <= 0 or problem.n_clusters < 4:  # three clusters and fewer have one cyclic order, which has its best nodes
         return best_nodes(problem, problem.clusters_of(tour)[1:])
-    from planner.tour.ruin_and_recreate import annealed  # importing numba costs 0.3 s, and small tours do without
+    from planner.tour.ruin_and_recreate import anneal  # importing numba costs 0.3 s, and small tours do without
 
-    between = bounds.between_clusters(problem.either, problem.first)
+    between = bounds.cluster_distances(problem.either, problem.first)
     np.fill_diagonal(between, -1.0)  # each cluster is its own nearest
     near = np.argsort(between, axis=1, kind="stable")
     usable = np.where(between < BLOCKED, between, np.nan)
     two = np.sort(usable, axis=1)[:, 1:3]  # NaN comes last
     scale = max(float(np.nanmean(two)), 1e-12) if np.isfinite(two).any() else 1.0
-    best = annealed(
+    best = anneal(
         problem.cost, problem.back, problem.first, near, tour, steps, hot * scale, min(hot, _COLD) * scale, seed
     )
     return problem.length(best), best
@@ -275,11 +275,11 @@ def _exact_from(problem: Instance, start: int) -> tuple[float, Ints]:
         ends = best[subset] + cost[:, last]
 
 
-def _found(problem: Instance, tour: Ints, cost: float, lower_bound: float) -> Found:
+def _found(problem: Instance, tour: Ints, cost: float, lower_bound: float) -> TourSolution:
     """The tour; where costs are symmetric, in the direction in which its second cluster has the smaller number."""
     clusters = problem.clusters_of(tour)
     if problem.symmetric and len(tour) > 2 and clusters[1] > clusters[-1]:
         tour = np.concatenate((tour[:1], tour[:0:-1]))
     if lower_bound > 0 and (problem.cost == np.floor(problem.cost)).all():  # so is every tour's
         lower_bound = float(np.ceil(lower_bound * (1.0 - 1e-9)))
-    return Found(tour, cost, min(lower_bound, cost))
+    return TourSolution(tour, cost, min(lower_bound, cost))

@@ -28,7 +28,7 @@ import numpy as np
 from planner.errors import PlannerError
 from planner.tour import bounds
 from planner.tour import generalised_tsp as gtsp
-from planner.tour.visits import Moves
+from planner.tour.visits import TourProblem
 from planner.values import Bools, Floats, Ints, Value, readonly
 from planner.worded import Worded
 
@@ -44,7 +44,7 @@ class OrderStatus(Worded):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sequence(Value):
+class OrderedViews(Value):
     """Views in visiting order with a joint solution each; home comes before the first and after the last.
 
     Attributes:
@@ -72,7 +72,7 @@ class Ordering(Protocol):
 
     def __call__(
         self,
-        moves: Moves,
+        moves: TourProblem,
         T_base_scanner: Floats,
         rng: np.random.Generator,
         *,
@@ -80,21 +80,21 @@ class Ordering(Protocol):
         bound_work: int | None = ...,
         T_base_home: Floats | None = ...,
         start: Ints | None = ...,
-    ) -> Sequence:
+    ) -> OrderedViews:
         """Order views."""
         ...
 
 
-def sequence(
-    moves: Moves,
+def order_views(
+    moves: TourProblem,
     T_base_scanner: Floats,
     rng: np.random.Generator,
     *,
     budget: int = gtsp.STEPS,
-    bound_work: int | None = gtsp.BOUND_WORK,
+    bound_work: int | None = gtsp.BOUND_EFFORT,
     T_base_home: Floats | None = None,
     start: Ints | None = None,
-) -> Sequence:
+) -> OrderedViews:
     """Order the views in joint space.
 
     Args:
@@ -134,7 +134,7 @@ def _completed(problem: gtsp.Instance, start: Ints) -> Ints:
         raise PlannerError(f"start is no order of the views; it must hold numbers of 0 to {n - 1}, each at most once")
     order = [0, *(start + 1).tolist()]
     if len(missing):
-        between = bounds.between_clusters(problem.either, problem.first)
+        between = bounds.cluster_distances(problem.either, problem.first)
         for k in missing + 1:
             after = np.roll(order, -1)
             order.insert(1 + int(np.argmin(between[order, k] + between[k, after] - between[order, after])), int(k))
@@ -189,14 +189,14 @@ def _christofides_tour(positions: bytes, m: int) -> tuple[int, ...]:
     return tuple(dict.fromkeys(a for a, _ in nx.eulerian_circuit(both)))
 
 
-def _result(problem: gtsp.Instance, moves: Moves, found: gtsp.Found, baseline: Ints) -> Sequence:
+def _result(problem: gtsp.Instance, moves: TourProblem, found: gtsp.TourSolution, baseline: Ints) -> OrderedViews:
     """What was found, with its status."""
     clusters = problem.clusters_of(found.tour)[1:]
     if found.cost >= gtsp.BLOCKED:
         status = OrderStatus.NO_TOUR
     else:
         status = OrderStatus.OPTIMAL if found.optimal else OrderStatus.HEURISTIC
-    return Sequence(
+    return OrderedViews(
         order=clusters - 1,
         choice=found.tour[1:] - problem.first[clusters],
         q=moves.q[found.tour[1:]],
@@ -212,7 +212,7 @@ def _time(cost: float) -> float:
     return cost if cost < gtsp.BLOCKED else float("inf")
 
 
-def in_order(given: Numbers[int]) -> Ordering:
+def fixed_order(given: Numbers[int]) -> Ordering:
     """An ordering that keeps a given order; without effect where views of it are missing.
 
     Where a bound is asked for, baseline and bound are those of the free order.
@@ -221,19 +221,19 @@ def in_order(given: Numbers[int]) -> Ordering:
         given: views in visiting order, each at most once.
     """
 
-    def ordering(moves: Moves, *arguments: Any, **options: Any) -> Sequence:
+    def ordering(moves: TourProblem, *arguments: Any, **options: Any) -> OrderedViews:
         problem = moves.instance()
         n = problem.n_clusters - 1
         if n <= max(given, default=-1):
-            return sequence(moves, *arguments, **options)  # the caller says what is missing
+            return order_views(moves, *arguments, **options)  # the caller says what is missing
         order = np.array(given, dtype=np.int64)
         for view in sorted(set(range(n)) - set(given)):
             trials = [np.insert(order, place, view) for place in range(len(order) + 1)]
             order = min(trials, key=lambda trial: gtsp.best_nodes(problem, trial + 1)[0])
         cost, tour = gtsp.best_nodes(problem, order + 1)
-        free = sequence(moves, *arguments, **options) if options.get("bound_work") is not None else None
+        free = order_views(moves, *arguments, **options) if options.get("bound_work") is not None else None
         drivable = cost < gtsp.BLOCKED
-        return Sequence(
+        return OrderedViews(
             order=order,
             choice=tour[1:] - problem.first[order + 1],
             q=moves.q[tour[1:]],
@@ -253,12 +253,12 @@ _STEPS_PER_TRIAL = 30
 """Steps of the free search's budget that one trial of an order costs: judging an order takes about as long."""
 
 
-def keeps(joined: Joined, order: Ints) -> bool:
+def is_connected_order(joined: Joined, order: Ints) -> bool:
     """Whether each view of an order but the first overlaps an earlier one."""
     return all(joined[order[k], order[:k]].any() for k in range(1, len(order)))
 
 
-def grown(joined: Joined, wanted: Ints, first: int) -> Ints | None:
+def grow_order(joined: Joined, wanted: Ints, first: int) -> Ints | None:
     """The order from a first view on that keeps the wish and follows another order where it may; None without any.
 
     Args:
@@ -277,20 +277,20 @@ def grown(joined: Joined, wanted: Ints, first: int) -> Ints | None:
     return np.array(order, dtype=np.int64)
 
 
-def overlapping(joined: Joined) -> Ordering:
+def overlapping_order(joined: Joined) -> Ordering:
     """An ordering of views that overlap; without effect where some of them are missing.
 
     Args:
         joined: (n, n) which views overlap, in the order in which they are numbered.
     """
 
-    def ordering(moves: Moves, *arguments: Any, **options: Any) -> Sequence:
-        free = sequence(moves, *arguments, **options)
-        if len(free.order) != len(joined) or keeps(joined, free.order):
+    def ordering(moves: TourProblem, *arguments: Any, **options: Any) -> OrderedViews:
+        free = order_views(moves, *arguments, **options)
+        if len(free.order) != len(joined) or is_connected_order(joined, free.order):
             return free
         problem = moves.instance()
         both = (free.order, free.order[::-1])
-        starts = [grown(joined, wanted, first) for wanted in both for first in range(len(joined))]
+        starts = [grow_order(joined, wanted, first) for wanted in both for first in range(len(joined))]
         kept = [order for order in starts if order is not None]
         if not kept:
             return free  # the graph does not hold together; the caller says so
@@ -302,7 +302,7 @@ def overlapping(joined: Joined) -> Ordering:
             rest = best[best != view]
             for place in range(len(best)):
                 trial = np.insert(rest, place, view)
-                if trials <= 0 or not keeps(joined, trial):
+                if trials <= 0 or not is_connected_order(joined, trial):
                     continue
                 trials -= 1
                 found = gtsp.best_nodes(problem, trial + 1)

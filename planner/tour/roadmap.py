@@ -73,7 +73,7 @@ class Roadmap:
         self._straight = move_time(self.q[:, None], self.q, limits)
         self.times = self._straight.copy()
         self.blocked = np.zeros(self.times.shape, dtype=bool)
-        self.unseen = np.ones(self.times.shape, dtype=bool)
+        self.uninspected = np.ones(self.times.shape, dtype=bool)
         self._guess_factor, self._guess_more = 1.0, 0.0
         # Nodes that differ by whole turns hold the arm in the same place: a straight move between two of them that
         # collides does so for every pair with the same difference.
@@ -102,7 +102,7 @@ class Roadmap:
 
     def look(self, edges: Iterable[Edge]) -> bool:
         """Certify the straight moves of edges that nobody looked at; whether all of them are free."""
-        new = sorted(e for e in {(min(e), max(e)) for e in edges} if self.unseen[e])
+        new = sorted(e for e in {(min(e), max(e)) for e in edges} if self.uninspected[e])
         if not new:
             return True
         ways = [self._way(a, b) for a, b in new]
@@ -124,15 +124,15 @@ class Roadmap:
 
     def _way(self, a: int, b: int) -> Floats | None:
         """Via points (m, axes) of straight moves between two nodes [rad]; None where a table cannot turn at either."""
-        if self.limits.turns_at is None:
+        if self.limits.table_turn_q is None:
             return self.q[[a, b]]
         ends = []
         for node in (a, b):
             if node not in self._clear:
-                self._clear[node], used = indexed.clear(self.q[node], self.checker, self.limits)
+                self._clear[node], used = indexed.may_turn(self.q[node], self.checker, self.limits)
                 self.checks += used
             ends.append(self._clear[node])
-        return indexed.straight(self.q[a], self.q[b], *ends)
+        return indexed.straight_path(self.q[a], self.q[b], *ends)
 
     def search(self, a: int, b: int) -> bool:
         """Find a real path for an edge, through home if need be, and isolate a node that has none.
@@ -199,7 +199,7 @@ class Roadmap:
 
     def _know(self, a: int, b: int, via: Floats) -> None:
         self._paths[a, b] = via
-        self.blocked[a, b] = self.blocked[b, a] = self.unseen[a, b] = self.unseen[b, a] = False
+        self.blocked[a, b] = self.blocked[b, a] = self.uninspected[a, b] = self.uninspected[b, a] = False
         time = path_time(via, self.limits) if len(via) > 2 else float(self._straight[a, b])
         self.times[a, b] = self.times[b, a] = time
 
@@ -215,7 +215,7 @@ class Roadmap:
             if (min(one, other), max(one, other)) not in self._paths:
                 time = float(self._straight[one, other]) * self._guess_factor + self._guess_more
                 self.blocked[one, other] = self.blocked[other, one] = True
-                self.unseen[one, other] = self.unseen[other, one] = False
+                self.uninspected[one, other] = self.uninspected[other, one] = False
                 self.times[one, other] = self.times[other, one] = time
 
     def _isolate(self, node: int) -> None:

@@ -28,7 +28,7 @@ _WORTH = 0.2  # nodes are chosen anew where the rebuilt tour is longer than acce
 _NODE, _BEFORE, _AFTER = 0, 1, 2  # rows of a tour
 
 
-def annealed(
+def anneal(
     cost: Floats, back: Floats, first: Ints, near: Ints, start: Ints, steps: int, hot: float, cold: float, seed: int
 ) -> Ints:
     """The best tour seen in a number of steps.

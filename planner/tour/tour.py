@@ -13,10 +13,10 @@ import numpy as np
 
 from planner.errors import PlannerError
 from planner.path.path import is_detour, path_time
-from planner.path.sweeps import Passage
+from planner.path.sweeps import SweepTraversal
 from planner.ports import CollisionChecker, JointLimits, Progress
-from planner.timing.limits import check_inside, check_limits
-from planner.tour.orderings import Ordering, sequence
+from planner.timing.limits import require_inside, require_usable
+from planner.tour.orderings import Ordering, order_views
 from planner.tour.roadmap import Roadmap
 from planner.tour.tour_search import DEFAULT_BUDGET, MotionBudget, TourSearch
 from planner.tour.visits import Visits
@@ -42,7 +42,7 @@ class DropReason(Worded):
 
 
 @dataclass(frozen=True, slots=True)
-class Dropped:
+class DroppedView:
     """A view that is not visited.
 
     Attributes:
@@ -93,13 +93,13 @@ class Tour(Value):
     duration: float
     baseline_duration: float
     lower_bound: float
-    dropped: tuple[Dropped, ...]
+    dropped: tuple[DroppedView, ...]
     status: TourStatus
     home_blocker: str
     rounds: int
 
 
-def plan_motion(
+def plan_tour(
     visits: Visits,
     checker: CollisionChecker,
     limits: JointLimits,
@@ -107,14 +107,14 @@ def plan_motion(
     budget: MotionBudget = DEFAULT_BUDGET,
     progress: Progress | None = None,
     *,
-    ordering: Ordering = sequence,
+    ordering: Ordering = order_views,
 ) -> Tour:
     """Plan the motion that visits every view once, from home and back.
 
     Args:
         visits: the views and home; joint solutions that are not free are left out.
         checker: the collision checker; its clearance must be above 0.
-        limits: limits of the axes; scale them (`planner.timing.limits.scaled`) to order for a reduced speed.
+        limits: limits of the axes; scale them (`planner.timing.limits.scale_limits`) to order for a reduced speed.
         rng: source of all randomness.
         budget: work that may be used.
         progress: told about real edges as they become known.
@@ -127,17 +127,17 @@ def plan_motion(
         PlannerError: if home or a joint solution is outside the joint range, a limit unusable, or the checker keeps no
             clearance.
     """
-    check_limits(limits)
-    check_inside("home: number", visits.home[None], limits)
+    require_usable(limits)
+    require_inside("home: number", visits.home[None], limits)
     for k, q in enumerate(visits.configurations):
-        check_inside(f"joint solution of view {k}: number", q, limits)
+        require_inside(f"joint solution of view {k}: number", q, limits)
     if not checker.clearance > 0:
         raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")
     seed = int(rng.integers(2**63))
     roadmap = Roadmap(visits, checker, limits, seed, budget.path_checks, budget.checks)
     search = TourSearch(roadmap, visits, limits, seed, budget, ordering, progress)
     if not roadmap.active[0]:
-        everything = tuple(Dropped(k, DropReason.NO_HOME, "") for k in range(len(visits.configurations)))
+        everything = tuple(DroppedView(k, DropReason.NO_HOME, "") for k in range(len(visits.configurations)))
         none = np.zeros(0, dtype=np.int64)
         return replace(
             _tour(roadmap, [], search, everything),
@@ -152,22 +152,22 @@ def plan_motion(
     dropped = []
     for k, q in enumerate(visits.configurations):
         if len(q) == 0:
-            dropped.append(Dropped(k, DropReason.NO_SOLUTION, ""))
+            dropped.append(DroppedView(k, DropReason.NO_SOLUTION, ""))
         elif len(roadmap.nodes_of(k)) == 0:
             blocker = next(iter(checker.contacts(q[0])), "")
-            dropped.append(Dropped(k, DropReason.IN_COLLISION, blocker))
+            dropped.append(DroppedView(k, DropReason.IN_COLLISION, blocker))
 
     nodes = search.run()
-    dropped += [Dropped(k, DropReason.NO_PATH, "") for k in search.unconnected]
+    dropped += [DroppedView(k, DropReason.NO_PATH, "") for k in search.unconnected]
     return _tour(roadmap, nodes, search, tuple(sorted(dropped, key=lambda d: d.view)))
 
 
-def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple[Dropped, ...]) -> Tour:
+def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple[DroppedView, ...]) -> Tour:
     """Put the legs together."""
-    passages = search.visits.passages
+    passages = search.visits.traversals
     views = [search.view_of(node) for node in nodes[1:-1]]
     stands = [
-        Passage(roadmap.q[[node]], np.zeros(1, dtype=np.int64), 0.0, 0)
+        SweepTraversal(roadmap.q[[node]], np.zeros(1, dtype=np.int64), 0.0, 0)
         if passages is None
         else passages[view][node - int(roadmap.offsets[view])]
         for view, node in zip(views, nodes[1:-1], strict=True)

@@ -12,12 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from planner.path.path import CHECKS, is_detour, path_time
+from planner.path.path import MAX_CHECKS, is_detour, path_time
 from planner.ports import ARM_AXES, JointLimits, Progress
 from planner.tour import generalised_tsp as gtsp
 from planner.tour.orderings import Ordering
 from planner.tour.roadmap import Edge, Roadmap
-from planner.tour.visits import Moves, Visits, best_on_tour, node_offsets, too_many
+from planner.tour.visits import TourProblem, Visits, best_nodes_on_tour, node_offsets, too_many_nodes
 from planner.values import Floats, Ints
 
 
@@ -26,7 +26,7 @@ class MotionBudget:
     """Work that planning a motion may use; no clock is read, so equal input gives an equal motion.
 
     Attributes:
-        orders: tours that one full ordering may look at (`planner.tour.orderings.sequence`).
+        orders: tours that one full ordering may look at (`planner.tour.orderings.order_views`).
         bound: edges that the lower bound may look at.
         path_checks: configurations that the search of one detour may check.
         checks: configurations after which detours get only a token search.
@@ -45,8 +45,8 @@ class MotionBudget:
     """
 
     orders: int = gtsp.STEPS
-    bound: int = gtsp.BOUND_WORK
-    path_checks: int = CHECKS
+    bound: int = gtsp.BOUND_EFFORT
+    path_checks: int = MAX_CHECKS
     checks: int = 1_000_000
     rounds: int = 600
     quick: int = 20
@@ -101,7 +101,7 @@ class TourSearch:
         self.best: list[int] = []
         self.best_time, self.promised = float("inf"), 0.0
         self.stays = visits.stays
-        self.many, self.very_many = len(self.views) > gtsp.FULL, len(self.views) > _VERY_MANY
+        self.many, self.very_many = len(self.views) > gtsp.MANY_CLUSTERS, len(self.views) > _VERY_MANY
 
     def run(self) -> list[int]:
         """Nodes of the best tour in visiting order, home at both ends; every edge of it is real."""
@@ -124,7 +124,7 @@ class TourSearch:
     def settle(self) -> None:
         """Order and look in turns under one guess, until no ordering promises a faster tour than the best real one."""
         last_round = self.rounds + max(1, self.budget.rounds // len(self.budget.guesses))
-        last_check = self.roadmap.checks + self.budget.before_settling * max(1, len(self.views) // gtsp.FULL)
+        last_check = self.roadmap.checks + self.budget.before_settling * max(1, len(self.views) // gtsp.MANY_CLUSTERS)
         nodes, full = self.order(self.budget.orders, self.best), True
         while self.rounds < last_round and self.roadmap.checks < last_check:
             worth = _WORTH if self.many else 1e-9
@@ -159,7 +159,7 @@ class TourSearch:
         for _ in range(self.budget.looks):
             between = [self.roadmap.nodes_of(self.view_of(node)) for node in nodes[1:-1]]
             nodes, edges = self.through([np.array([0]), *between, np.array([0])])
-            unseen = [e for e in self.edges(nodes) if self.roadmap.unseen[e]]
+            unseen = [e for e in self.edges(nodes) if self.roadmap.uninspected[e]]
             if not unseen:
                 return nodes, known
             known = self.roadmap.look([*unseen, *edges]) and known
@@ -170,7 +170,7 @@ class TourSearch:
 
         Two dynamic programmes over the layers, one from each end, give for each edge the best tour that uses it.
         """
-        times, unseen, leave = self.roadmap.times, self.roadmap.unseen, self.roadmap.leave
+        times, unseen, leave = self.roadmap.times, self.roadmap.uninspected, self.roadmap.leave
         steps = [times[leave[a][:, None], b] + self.stays[b] for a, b in pairwise(layers)]
         onward = [np.zeros(1)]
         for step in reversed(steps):
@@ -187,7 +187,7 @@ class TourSearch:
             at = int((step[at] + rest).argmin())
             nodes.append(int(b[at]))
             reached = (reached[:, None] + step).min(axis=0)
-        around = self.budget.around * (len(self.views) // gtsp.FULL if self.very_many else 1)
+        around = self.budget.around * (len(self.views) // gtsp.MANY_CLUSTERS if self.very_many else 1)
         best = _smallest(np.concatenate(slack), around)
         return nodes, [(int(a), int(b)) for a, b in np.concatenate(found)[best]]
 
@@ -199,7 +199,7 @@ class TourSearch:
 
     def kept(self, nodes: list[int]) -> bool:
         """Keep a tour if all its edges are real and it is the best so far; whether a real one is known."""
-        if not any(self.roadmap.unseen[e] or self.roadmap.blocked[e] for e in self.edges(nodes)):
+        if not any(self.roadmap.uninspected[e] or self.roadmap.blocked[e] for e in self.edges(nodes)):
             self.keep(nodes)
         return bool(self.best)
 
@@ -234,19 +234,19 @@ class TourSearch:
         """Order the views under the current prices, beginning with the order of an earlier tour."""
         self.drop_unconnected()
         roadmap, nodes = self.roadmap, [self.roadmap.nodes_of(k) for k in self.views]
-        if self.rounds and too_many(nodes):  # not in the first round, whose bound holds for all of them
+        if self.rounds and too_many_nodes(nodes):  # not in the first round, whose bound holds for all of them
             nodes = self.near(nodes, before)
         flat = np.concatenate([np.zeros(1, dtype=np.int64), *nodes])
         numbers = np.full(len(roadmap.q), -1)
         numbers[flat] = np.arange(len(flat))
         times, leave = roadmap.times[np.ix_(flat, flat)], numbers[roadmap.leave[flat]]
         if self.many and steps < self.budget.orders:
-            times += _DOUBT * roadmap.unseen[np.ix_(flat, flat)]
+            times += _DOUBT * roadmap.uninspected[np.ix_(flat, flat)]
         place = {view: k for k, view in enumerate(self.views)}
         known = [self.view_of(node) for node in before[1:-1]] or self.visits.known
         start = [place[view] for view in known if view in place]
         found = self.ordering(
-            Moves(roadmap.q[flat], node_offsets(nodes), times, leave, self.stays[flat]),
+            TourProblem(roadmap.q[flat], node_offsets(nodes), times, leave, self.stays[flat]),
             self.visits.T_base_scanner[self.views],
             np.random.default_rng([self.seed, self.rounds]),
             budget=steps,
@@ -268,7 +268,7 @@ class TourSearch:
         for view, own in zip(self.views, nodes, strict=True):
             if (k := place.get(view)) is not None:
                 longer = times[leave[tour[k - 1]], own] + self.stays[own] + times[leave[own], tour[k + 1]]
-                own = own[best_on_tour(longer, len(nodes))]
+                own = own[best_nodes_on_tour(longer, len(nodes))]
             kept.append(own)
         return kept
 

@@ -18,7 +18,7 @@ from planner.values import Floats, Ints
 _LOOKED_AT = 24  # nearest joint solutions whose moves are timed; of those beyond, a bound is taken
 
 
-def least_moves(q: Floats, offsets: Ints, home: Floats, limits: JointLimits) -> Floats:
+def least_move_times(q: Floats, offsets: Ints, home: Floats, limits: JointLimits) -> Floats:
     """(V,) half of the two shortest moves at each candidate in any tour from home and back [s].
 
     Args:
@@ -49,7 +49,7 @@ def least_moves(q: Floats, offsets: Ints, home: Floats, limits: JointLimits) -> 
     return least
 
 
-def home_share(q: Floats, home: Floats, limits: JointLimits) -> float:
+def least_home_time(q: Floats, home: Floats, limits: JointLimits) -> float:
     """Half of the two shortest moves at home in any tour over one or more of (N, axes) joint solutions [s].
 
     Both may lead to the same one, so it is the shortest move.
@@ -57,7 +57,7 @@ def home_share(q: Floats, home: Floats, limits: JointLimits) -> float:
     return float(move_time(home, q, limits).min()) if len(q) else 0.0
 
 
-def moves_in(stops: Floats, views: Iterable[int], q: Floats, offsets: Ints, limits: JointLimits) -> Floats:
+def insertion_times(stops: Floats, views: Iterable[int], q: Floats, offsets: Ints, limits: JointLimits) -> Floats:
     """(V,) how much longer a tour is for each candidate [s]: it would be added to it, or is left out.
 
     Args:

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.errors import PlannerError
-from planner.path.sweeps import Passage
+from planner.path.sweeps import SweepTraversal
 from planner.ports import JointLimits
-from planner.timing.limits import check_inside
+from planner.timing.limits import require_inside
 from planner.timing.move_time import move_time
 from planner.tour import generalised_tsp as gtsp
 from planner.values import Floats, Ints, Value, freeze, readonly
@@ -25,7 +25,7 @@ _LEAST = 4  # of each view, however many views there are
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moves(Value):
+class TourProblem(Value):
     """Home and the joint solutions of n views, N nodes together, and the times of the moves between them.
 
     Attributes:
@@ -53,7 +53,7 @@ class Moves(Value):
             raise PlannerError("leave must name a node of the same view for each node, and home for home")
 
     @classmethod
-    def straight(cls, configurations: Sequence[ArrayLike], home: ArrayLike, limits: JointLimits) -> "Moves":
+    def straight(cls, configurations: Sequence[ArrayLike], home: ArrayLike, limits: JointLimits) -> "TourProblem":
         """Straight moves between views at which the arm stands still and that take no time.
 
         Args:
@@ -69,15 +69,15 @@ class Moves(Value):
             readonly(f"configurations of view {k}", q, (None, start.shape[1])) for k, q in enumerate(configurations)
         ]
         for k, q in enumerate(solutions):
-            check_inside(f"joint solution of view {k}: number", q, limits)
-        check_inside("home: number", start, limits)
+            require_inside(f"joint solution of view {k}: number", q, limits)
+        require_inside("home: number", start, limits)
         q = np.concatenate([start, *solutions])
         times = move_time(q[:, None], q, limits)
         return cls(q, node_offsets(solutions), times, np.arange(len(q)), np.zeros(len(q)))
 
     def instance(self) -> gtsp.Instance:
         """The travelling salesman's: one cluster per view; a move costs its time and the stay where it arrives."""
-        return gtsp.instance(self.times[self.leave] + self.stays, np.concatenate(([0], self.offsets)))
+        return gtsp.make_instance(self.times[self.leave] + self.stays, np.concatenate(([0], self.offsets)))
 
 
 def node_offsets(configurations: Sequence[Sized]) -> Ints:
@@ -89,7 +89,7 @@ def node_offsets(configurations: Sequence[Sized]) -> Ints:
     return np.cumsum([1, *map(len, configurations)])
 
 
-def too_many(nodes: Sequence[Sized]) -> bool:
+def too_many_nodes(nodes: Sequence[Sized]) -> bool:
     """Whether so many joint solutions of the views are ordered that only the best of each ought to be.
 
     What an ordering costs beside its search grows with the square of their number.
@@ -97,7 +97,7 @@ def too_many(nodes: Sequence[Sized]) -> bool:
     return sum(map(len, nodes)) > _NODES
 
 
-def best_on_tour(longer: Floats, n_views: int) -> Ints:
+def best_nodes_on_tour(longer: Floats, n_views: int) -> Ints:
     """Those joint solutions of one of n views that are ordered where there are too many, by number.
 
     Args:
@@ -124,7 +124,7 @@ class Visits(Value):
     home: Annotated[Floats, "axes"]
     T_base_scanner: Annotated[Floats, "n 4 4"]
     T_base_home: Annotated[Floats, "4 4"] | None = None
-    passages: Sequence[Sequence[Passage]] | None = None
+    traversals: Sequence[Sequence[SweepTraversal]] | None = None
     known: Sequence[int] = ()
 
     def __post_init__(self) -> None:
@@ -134,8 +134,8 @@ class Visits(Value):
         ]
         object.__setattr__(self, "configurations", tuple(solutions))
         freeze(self, n=len(solutions))
-        if self.passages is not None:
-            for k, (q, own) in enumerate(zip(solutions, self.passages, strict=True)):
+        if self.traversals is not None:
+            for k, (q, own) in enumerate(zip(solutions, self.traversals, strict=True)):
                 _check(k, q, own)
 
     @property
@@ -151,20 +151,20 @@ class Visits(Value):
     @property
     def leave(self) -> Ints:
         """(N,) node at which the arm leaves when it arrived at each."""
-        if self.passages is None:
+        if self.traversals is None:
             return np.arange(self.offsets[-1])
-        views = zip(self.offsets.tolist(), self.passages, strict=False)
+        views = zip(self.offsets.tolist(), self.traversals, strict=False)
         return np.array([0, *(first + passage.leaves for first, own in views for passage in own)])
 
     @property
     def stays(self) -> Floats:
         """(N,) time between arriving and leaving [s]."""
-        if self.passages is None:
+        if self.traversals is None:
             return np.zeros(self.offsets[-1])
-        return np.array([0.0, *(passage.duration for own in self.passages for passage in own)])
+        return np.array([0.0, *(passage.duration for own in self.traversals for passage in own)])
 
 
-def _check(view: int, q: Floats, passages: Sequence[Passage]) -> None:
+def _check(view: int, q: Floats, passages: Sequence[SweepTraversal]) -> None:
     """Refuse passages that do not fit the joint solutions of their view."""
     if len(passages) != len(q):
         raise PlannerError(

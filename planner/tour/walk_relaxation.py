@@ -48,7 +48,7 @@ def memory_table(neighbours: Ints, count: Ints) -> tuple[Ints, Ints]:
 
 
 @compiled
-def layers(
+def extend_walks(
     cost: Floats, first: Ints, prize: Floats, start: int, table: Ints, rows: Ints, count: Ints, base: Ints,
     value: Floats,
 ) -> None:  # fmt: skip
@@ -100,7 +100,7 @@ def layers(
 
 
 @compiled
-def join(
+def join_walks(
     value: Floats, first: Ints, prize: Floats, count: Ints, base: Ints, near: int, far: int, through: Floats
 ) -> tuple[float, int, int, int, int]:
     """The cheapest closed walk whose halves meet after `near` visits on one side and `far` on the other.

@@ -15,11 +15,11 @@ from typing import Annotated
 import numpy as np
 
 from planner.values import Bools, Ints, Value
-from planner.viewpoints.growth import Arm
-from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.pose_sampling import Aimed, carried, drawn, frustum, seeing
+from planner.viewpoints.growth import ViewEvaluator
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.pose_sampling import AimedPoses, draw_poses, find_frustum, poses_with_free_sight, transfer_poses
 
-ASKED = 1000
+N_PROBED_SAMPLES = 1000
 """Points that are asked about at most: a second of processor time at worst."""
 
 _STRETCHES = ((0, 32), (32, 96), (96, 256))
@@ -38,35 +38,35 @@ class Attainable(Value):
     """
 
     measured: Annotated[Bools, "n"]
-    sighted: Annotated[Bools, "n"]
+    visible: Annotated[Bools, "n"]
 
 
-def attainable(targets: Targets, arm: Arm) -> Attainable:
+def probe_attainable(targets: RayTargets, arm: ViewEvaluator) -> Attainable:
     """Search a pose for each point.
 
     Args:
         targets: n points.
         arm: the scanner and what it can take up.
     """
-    within = frustum(arm.scanner)
+    within = find_frustum(arm.scanner)
     measured, sighted = np.zeros(len(targets), dtype=np.bool_), np.zeros(len(targets), dtype=np.bool_)
-    known = Aimed(np.empty((0, 4, 4)), np.empty(0, dtype=np.int64))
+    known = AimedPoses(np.empty((0, 4, 4)), np.empty(0, dtype=np.int64))
     for number, stretch in enumerate(_STRETCHES):
         for carry in (False, True):
             part = (number * _CARRIED, (number + 1) * _CARRIED) if carry else stretch
             each = (part[1] - part[0]) * (_NEIGHBOURS if carry else 1)
             for rows in _batches(measured, max(1, _TOGETHER // each)):
                 if not carry:
-                    aimed = drawn(targets, rows, part, within, arm.scanner)
+                    aimed = draw_poses(targets, rows, part, within, arm.scanner)
                 elif len(known):
-                    aimed = carried(targets, rows, part, known, _NEIGHBOURS, arm.scanner)
+                    aimed = transfer_poses(targets, rows, part, known, _NEIGHBOURS, arm.scanner)
                 else:
                     continue
-                found = seeing(aimed, targets, arm.scanner, arm.casters)
+                found = poses_with_free_sight(aimed, targets, arm.scanner, arm.casters)
                 sighted[found.row] = True
                 found = _first_taken_up(found, arm)
                 measured[found.row] = True
-                known = Aimed(
+                known = AimedPoses(
                     np.concatenate([known.T_object_scanner, found.T_object_scanner]),
                     np.concatenate([known.row, found.row]),
                 )
@@ -76,14 +76,14 @@ def attainable(targets: Targets, arm: Arm) -> Attainable:
     return Attainable(measured, sighted | measured)
 
 
-def _first_taken_up(aimed: Aimed, arm: Arm) -> Aimed:
+def _first_taken_up(aimed: AimedPoses, arm: ViewEvaluator) -> AimedPoses:
     """The first pose of each point that the arm takes up; poses behind it are not asked about."""
     order = np.argsort(aimed.row, kind="stable")
     kept = []
     while len(order):
         own, first = np.unique(aimed.row[order], return_index=True)
         asked = order[first]
-        taken = arm.takes_up(arm.views(aimed.pick(asked))[:, None] @ arm.T_view_scanner)
+        taken = arm.are_reachable(arm.views(aimed.pick(asked))[:, None] @ arm.T_view_scanner)
         kept.append(asked[taken])
         order = np.delete(order, first)
         order = order[~np.isin(aimed.row[order], own[taken])]

@@ -18,13 +18,20 @@ import numpy as np
 
 from planner.ports import Progress, RayCaster, Scanner
 from planner.values import Bools, Floats, Ints
-from planner.viewpoints.lines_of_sight import Targets, in_view_of, legs_free
-from planner.viewpoints.pose_sampling import Aimed, Frustum, carried, drawn, frustum, seeing
+from planner.viewpoints.lines_of_sight import RayTargets, in_view_matrix, lines_of_sight_free
+from planner.viewpoints.pose_sampling import (
+    AimedPoses,
+    Frustum,
+    draw_poses,
+    find_frustum,
+    poses_with_free_sight,
+    transfer_poses,
+)
 
-SCOUTS = 20_000
+N_SCOUTS = 20_000
 """Points of the surface that candidates are grown for; docs/internals/candidates.md charts coverable area over them."""
 
-DEPTH = 3
+MULTIPLICITY = 3
 """Grown candidates that measure a point which none did before, where there are so many."""
 
 _LOOKS = 4  # poses of a point that are compared by what else they measure
@@ -35,7 +42,7 @@ _GAIN = 2e-4  # of the surface, below which a stage of carried poses is not repe
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class SearchStage:
     """One round over the open points.
 
     Attributes:
@@ -50,17 +57,17 @@ class Stage:
 
 
 SCHEDULE = (
-    Stage((0, 32), carry=False, budget=200_000),
-    *(Stage((8 * k, 8 * k + 8), carry=True, budget=100_000) for k in range(3)),
-    Stage((32, 128), carry=False, budget=100_000),
-    *(Stage((8 * k, 8 * k + 8), carry=True, budget=100_000) for k in range(3, 6)),
-    Stage((128, 512), carry=False, budget=100_000),
-    *(Stage((8 * k, 8 * k + 8), carry=True, budget=100_000) for k in range(6, 9)),
+    SearchStage((0, 32), carry=False, budget=200_000),
+    *(SearchStage((8 * k, 8 * k + 8), carry=True, budget=100_000) for k in range(3)),
+    SearchStage((32, 128), carry=False, budget=100_000),
+    *(SearchStage((8 * k, 8 * k + 8), carry=True, budget=100_000) for k in range(3, 6)),
+    SearchStage((128, 512), carry=False, budget=100_000),
+    *(SearchStage((8 * k, 8 * k + 8), carry=True, budget=100_000) for k in range(6, 9)),
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Arm:
+class ViewEvaluator:
     """Who measures, past what, and where the arm gets to.
 
     Attributes:
@@ -72,19 +79,21 @@ class Arm:
 
     scanner: Scanner
     casters: Sequence[RayCaster]
-    takes_up: Callable[[Floats], Bools]
+    are_reachable: Callable[[Floats], Bools]
     T_view_scanner: Floats
 
-    def views(self, aimed: Aimed) -> Floats:
+    def views(self, aimed: AimedPoses) -> Floats:
         """(n, 4, 4) viewpoints whose middle pose is the aimed one [m]."""
         return np.asarray(aimed.T_object_scanner @ np.linalg.inv(self.T_view_scanner[len(self.T_view_scanner) // 2]))
 
-    def measuring(self, aimed: Aimed, targets: Targets) -> Aimed:
+    def measuring(self, aimed: AimedPoses, targets: RayTargets) -> AimedPoses:
         """Those of the poses that measure their point and whose view the arm takes up."""
-        aimed = seeing(aimed, targets, self.scanner, self.casters)
-        return aimed.pick(self.takes_up(self.views(aimed)[:, None] @ self.T_view_scanner))
+        aimed = poses_with_free_sight(aimed, targets, self.scanner, self.casters)
+        return aimed.pick(self.are_reachable(self.views(aimed)[:, None] @ self.T_view_scanner))
 
-    def measured(self, views: Floats, targets: Targets, rows: Ints, worth: tuple[Floats, float] | None = None) -> Bools:
+    def measured(
+        self, views: Floats, targets: RayTargets, rows: Ints, worth: tuple[Floats, float] | None = None
+    ) -> Bools:
         """Which of the rows each viewpoint measures.
 
         Args:
@@ -103,25 +112,25 @@ class Arm:
         together = max(1, _PAIRS // max(len(rows), 1)) * K
         for first in range(0, len(poses), together):
             some = poses[first : first + together]
-            sighted = in_view_of(targets, some, self.scanner, rows)
+            sighted = in_view_matrix(targets, some, self.scanner, rows)
             if worth is not None:
                 bound = (sighted @ worth[0]).reshape(-1, K).sum(axis=1)
                 sighted[np.repeat(bound <= worth[1], K)] = False
             pose, row = np.nonzero(sighted)
-            free = legs_free(targets, some, pose, rows[row], self.scanner, self.casters)
+            free = lines_of_sight_free(targets, some, pose, rows[row], self.scanner, self.casters)
             found[row[free], (first + pose[free]) // K] = True
         return found
 
 
 def grow(
-    targets: Targets,
+    targets: RayTargets,
     seen: Bools,
-    arm: Arm,
+    arm: ViewEvaluator,
     *,
-    schedule: Sequence[Stage] = SCHEDULE,
-    depth: int = DEPTH,
+    schedule: Sequence[SearchStage] = SCHEDULE,
+    depth: int = MULTIPLICITY,
     progress: Progress | None = None,
-) -> Aimed:
+) -> AimedPoses:
     """Viewpoints for what is open.
 
     Args:
@@ -135,7 +144,7 @@ def grow(
     Returns:
         The viewpoints, each with the scout that it is aimed at.
     """
-    garden = _Garden(targets, arm, frustum(arm.scanner), np.where(seen, depth, 0), depth)
+    garden = _Garden(targets, arm, find_frustum(arm.scanner), np.where(seen, depth, 0), depth)
     last = 1.0
     for number, stage in enumerate(schedule):
         if not stage.carry:
@@ -144,33 +153,33 @@ def grow(
             last = garden.round(stage)
         if progress:
             progress(number + 1, len(schedule))
-    return Aimed(arm.views(garden.known), garden.known.row)
+    return AimedPoses(arm.views(garden.known), garden.known.row)
 
 
 class _Garden:
     """What has been grown so far, and how often each scout is measured."""
 
-    def __init__(self, targets: Targets, arm: Arm, within: Frustum, count: Ints, depth: int) -> None:
+    def __init__(self, targets: RayTargets, arm: ViewEvaluator, within: Frustum, count: Ints, depth: int) -> None:
         self.targets, self.arm, self.within, self.count, self.depth = targets, arm, within, count, depth
-        self.known = Aimed(np.empty((0, 4, 4)), np.empty(0, dtype=np.int64))
+        self.known = AimedPoses(np.empty((0, 4, 4)), np.empty(0, dtype=np.int64))
 
-    def can(self, stage: Stage) -> bool:
+    def can(self, stage: SearchStage) -> bool:
         """Whether there is anything to carry over."""
         return len(self.known) > 0 or not stage.carry
 
-    def round(self, stage: Stage) -> float:
+    def round(self, stage: SearchStage) -> float:
         """Go over the open scouts once; returns the share of all scouts that was gained."""
         before = np.count_nonzero(self.count)
         known = self.known
         for rows in self._batches(stage):
             if stage.carry:
-                aimed = carried(self.targets, rows, stage.stretch, known, _NEIGHBOURS, self.arm.scanner)
+                aimed = transfer_poses(self.targets, rows, stage.stretch, known, _NEIGHBOURS, self.arm.scanner)
             else:
-                aimed = drawn(self.targets, rows, stage.stretch, self.within, self.arm.scanner)
+                aimed = draw_poses(self.targets, rows, stage.stretch, self.within, self.arm.scanner)
             self._add(self.arm.measuring(aimed, self.targets))
         return (np.count_nonzero(self.count) - before) / len(self.count)
 
-    def _batches(self, stage: Stage) -> Iterator[Ints]:
+    def _batches(self, stage: SearchStage) -> Iterator[Ints]:
         """Open scouts, spread over the surface, a few at a time; those that were measured meanwhile are left out."""
         each = (stage.stretch[1] - stage.stretch[0]) * (_NEIGHBOURS if stage.carry else 1)
         rows = np.flatnonzero(self.count == 0)
@@ -181,7 +190,7 @@ class _Garden:
             rows = rows[size:]
             rows = rows[self.count[rows] == 0]
 
-    def _add(self, aimed: Aimed) -> None:
+    def _add(self, aimed: AimedPoses) -> None:
         """Keep the few of the poses that measure the most of what wants views."""
         order = np.argsort(aimed.row, kind="stable")
         own = aimed.row[order]
@@ -193,7 +202,7 @@ class _Garden:
         taken = _most_useful(measured, self.depth - self.count[rows])
         self.count[rows] += np.minimum(measured[:, taken].sum(axis=1), self.depth - self.count[rows])
         chosen = aimed.pick(taken)
-        self.known = Aimed(
+        self.known = AimedPoses(
             np.concatenate([self.known.T_object_scanner, chosen.T_object_scanner]),
             np.concatenate([self.known.row, chosen.row]),
         )

@@ -31,7 +31,7 @@ _BLOCK = 8192  # points that are transformed at a time: they stay in the core's 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Targets:
+class RayTargets:
     """Surface points prepared to be aimed at.
 
     Attributes:
@@ -47,12 +47,12 @@ class Targets:
     region: Ints32 | None = None
 
     @classmethod
-    def of(cls, points: Floats, normals: Floats, region: Ints32 | None = None) -> "Targets":
+    def of(cls, points: Floats, normals: Floats, region: Ints32 | None = None) -> "RayTargets":
         """Prepare (S, 3) points [m] and (S, 3) unit normals, object frame, with the (S,) region of each."""
         return cls(
             readonly("points", np.transpose(points), (3, None)),
             readonly("normals", np.transpose(normals), (3, None)),
-            readonly("lifted", lift(points, normals), (None, 3)),
+            readonly("lifted", lift_points(points, normals), (None, 3)),
             region,
         )
 
@@ -60,7 +60,7 @@ class Targets:
         return len(self.lifted)
 
 
-def lift(points: Floats, normals: Floats, diagonal: float | None = None) -> Floats:
+def lift_points(points: Floats, normals: Floats, diagonal: float | None = None) -> Floats:
     """Where legs to surface points end.
 
     Args:
@@ -76,7 +76,7 @@ def lift(points: Floats, normals: Floats, diagonal: float | None = None) -> Floa
     return np.asarray(points + (LIFT * diagonal) * normals)
 
 
-def flat_poses(T_object_scanner: Floats) -> Floats:
+def flatten_poses(T_object_scanner: Floats) -> Floats:
     """(V * K, 4, 4) poses of (V, K, 4, 4) viewpoints: pose i belongs to viewpoint i // K.
 
     Raises:
@@ -98,7 +98,7 @@ def flat_poses(T_object_scanner: Floats) -> Floats:
     return poses
 
 
-def in_view(targets: Targets, T: Floats, scanner: Scanner, rows: Ints | None = None) -> Ints:
+def in_view(targets: RayTargets, T: Floats, scanner: Scanner, rows: Ints | None = None) -> Ints:
     """Points that pass every condition of the scanner that needs no ray.
 
     Args:
@@ -127,7 +127,7 @@ def in_view(targets: Targets, T: Floats, scanner: Scanner, rows: Ints | None = N
     return np.concatenate(passed) if passed else np.empty(0, dtype=np.int64)
 
 
-def in_view_of(targets: Targets, poses: Floats, scanner: Scanner, rows: Ints) -> Bools:
+def in_view_matrix(targets: RayTargets, poses: Floats, scanner: Scanner, rows: Ints) -> Bools:
     """(P, n) whether each of a few points passes, at each of many poses: `in_view` without a call for each pose.
 
     Args:
@@ -146,7 +146,7 @@ def in_view_of(targets: Targets, poses: Floats, scanner: Scanner, rows: Ints) ->
 
 
 def rejections(
-    targets: Targets, rows: Ints | slice, scanner: Scanner, points: Floats, normals: Floats
+    targets: RayTargets, rows: Ints | slice, scanner: Scanner, points: Floats, normals: Floats
 ) -> NDArray[np.uint8]:
     """What the scanner says of points: its conditions, and those of the region of each, where both have such.
 
@@ -167,8 +167,8 @@ def rejections(
     return codes
 
 
-def legs_free(
-    targets: Targets, poses: Floats, pose: Ints, row: Ints, scanner: Scanner, casters: Sequence[RayCaster]
+def lines_of_sight_free(
+    targets: RayTargets, poses: Floats, pose: Ints, row: Ints, scanner: Scanner, casters: Sequence[RayCaster]
 ) -> Bools:
     """Whether nothing stands in either leg of each pair; the sensor leg is cast only where the source leg is free.
 
@@ -193,9 +193,9 @@ Pairs = Iterator[tuple[int, Ints, Ints]]
 """Bundles of (poses done, pose of each pair, row of each pair), in the order of the poses."""
 
 
-def free_pairs(
+def visible_pairs(
     poses: Floats,
-    targets: Targets,
+    targets: RayTargets,
     scanner: Scanner,
     casters: Sequence[RayCaster],
     rows_of: Callable[[int], Ints],
@@ -220,13 +220,13 @@ def free_pairs(
             continue
         which = np.repeat(np.arange(first, pose + 1), [len(rows) for rows in waiting])
         rows = np.concatenate(waiting)
-        free = legs_free(targets, poses, which, rows, scanner, casters)
+        free = lines_of_sight_free(targets, poses, which, rows, scanner, casters)
         yield pose + 1, which[free], rows[free]
         waiting, first, count = [], pose + 1, 0
 
 
 def _unhidden(
-    targets: Targets, poses: Floats, pose: Ints, row: Ints, position: Floats, casters: Sequence[RayCaster]
+    targets: RayTargets, poses: Floats, pose: Ints, row: Ints, position: Floats, casters: Sequence[RayCaster]
 ) -> Bools:
     """Whether nothing stands between a position of the scanner (3,) [m] and the point, for each pair.
 

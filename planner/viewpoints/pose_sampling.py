@@ -27,8 +27,8 @@ import numpy as np
 
 from planner.ports import RayCaster, Rejection, Scanner
 from planner.values import Bools, Floats, Ints, Value
-from planner.viewpoints.lines_of_sight import Targets, legs_free, rejections
-from planner.viewpoints.viewpoints import rotations
+from planner.viewpoints.lines_of_sight import RayTargets, lines_of_sight_free, rejections
+from planner.viewpoints.viewpoints import rotation_matrices
 
 _ROOT = 1.1127756842787055  # of g^7 = g + 1
 _STEPS = _ROOT ** -np.arange(1.0, 7.0)
@@ -59,7 +59,7 @@ class Frustum(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Aimed(Value):
+class AimedPoses(Value):
     """Poses of the scanner, each aimed at a point.
 
     Attributes:
@@ -73,12 +73,12 @@ class Aimed(Value):
     def __len__(self) -> int:
         return len(self.row)
 
-    def pick(self, which: Ints | Bools) -> "Aimed":
+    def pick(self, which: Ints | Bools) -> "AimedPoses":
         """Some of them."""
-        return Aimed(self.T_object_scanner[which], self.row[which])
+        return AimedPoses(self.T_object_scanner[which], self.row[which])
 
 
-def frustum(scanner: Scanner) -> Frustum:
+def find_frustum(scanner: Scanner) -> Frustum:
     """Ask a scanner's law where it measures.
 
     The lattice lies inside the limits, not on them, so that rounded joint angles lose no point that was aimed at.
@@ -105,7 +105,9 @@ def frustum(scanner: Scanner) -> Frustum:
     return Frustum(scanner.source + places[good], start, _steepest(scanner, middle))
 
 
-def drawn(targets: Targets, rows: Ints, stretch: tuple[int, int], within: Frustum, scanner: Scanner) -> Aimed:
+def draw_poses(
+    targets: RayTargets, rows: Ints, stretch: tuple[int, int], within: Frustum, scanner: Scanner
+) -> AimedPoses:
     """Poses that would measure their points if nothing stood in the way.
 
     Args:
@@ -116,7 +118,7 @@ def drawn(targets: Targets, rows: Ints, stretch: tuple[int, int], within: Frustu
         scanner: the sensor's law; poses that it rejects are left out.
     """
     if not len(within.points):
-        return Aimed(np.empty((0, 4, 4)), np.empty(0, dtype=np.int64))
+        return AimedPoses(np.empty((0, 4, 4)), np.empty(0, dtype=np.int64))
     row = np.repeat(rows, stretch[1] - stretch[0])
     u = _lattice(rows, stretch)
     level = (u[:, 0] * (len(within.start) - 1)).astype(np.int64)
@@ -129,12 +131,12 @@ def drawn(targets: Targets, rows: Ints, stretch: tuple[int, int], within: Frustu
     T[:, :3, :3] = R
     T[:, :3, 3] = targets.points[:, row].T - np.einsum("nij,nj->ni", R, place)
     T[:, 3, 3] = 1.0
-    return Aimed(T, row).pick(_accepted(T, row, targets, scanner))
+    return AimedPoses(T, row).pick(_accepted(T, row, targets, scanner))
 
 
-def carried(
-    targets: Targets, rows: Ints, stretch: tuple[int, int], known: Aimed, neighbours: int, scanner: Scanner
-) -> Aimed:
+def transfer_poses(
+    targets: RayTargets, rows: Ints, stretch: tuple[int, int], known: AimedPoses, neighbours: int, scanner: Scanner
+) -> AimedPoses:
     """Poses that measure the nearest points of all, moved a little: every other one goes along with the point.
 
     Args:
@@ -163,13 +165,15 @@ def carried(
     T, point = known.T_object_scanner[model].copy(), targets.points[:, row].T
     along = (u[:, :1] >= 0.5) * (point - place[model])
     T[:, :3, 3] += along + (2 * u[:, :3] - 1) * (_SHIFT * distance[model, None])
-    turn = rotations((2 * u[:, 3:] - 1) * _TURN)
+    turn = rotation_matrices((2 * u[:, 3:] - 1) * _TURN)
     T[:, :3, 3] = point + np.einsum("nij,nj->ni", turn, T[:, :3, 3] - point)
     T[:, :3, :3] = turn @ T[:, :3, :3]
-    return Aimed(T, row).pick(_accepted(T, row, targets, scanner))
+    return AimedPoses(T, row).pick(_accepted(T, row, targets, scanner))
 
 
-def moved(T_object_scanner: Floats, distance: float, share: float, stretch: tuple[int, int], number: int) -> Floats:
+def perturb_pose(
+    T_object_scanner: Floats, distance: float, share: float, stretch: tuple[int, int], number: int
+) -> Floats:
     """(n, 4, 4) poses about a given one [m]: moved, and turned about the point that it is aimed at.
 
     Args:
@@ -180,7 +184,7 @@ def moved(T_object_scanner: Floats, distance: float, share: float, stretch: tupl
         number: which of many poses it is: each has a stretch of its own.
     """
     u = _lattice(np.array([number]), stretch)
-    turn = rotations((2 * u[:, 3:] - 1) * (_TURN * share))
+    turn = rotation_matrices((2 * u[:, 3:] - 1) * (_TURN * share))
     R, t = T_object_scanner[:3, :3], T_object_scanner[:3, 3]
     aim = t + distance * R[:, 2]
     T = np.tile(np.eye(4), (len(u), 1, 1))
@@ -189,10 +193,12 @@ def moved(T_object_scanner: Floats, distance: float, share: float, stretch: tupl
     return T
 
 
-def seeing(aimed: Aimed, targets: Targets, scanner: Scanner, casters: Sequence[RayCaster]) -> Aimed:
+def poses_with_free_sight(
+    aimed: AimedPoses, targets: RayTargets, scanner: Scanner, casters: Sequence[RayCaster]
+) -> AimedPoses:
     """Those of the poses whose two legs to their point are free."""
     pose = np.arange(len(aimed))
-    return aimed.pick(legs_free(targets, aimed.T_object_scanner, pose, aimed.row, scanner, casters))
+    return aimed.pick(lines_of_sight_free(targets, aimed.T_object_scanner, pose, aimed.row, scanner, casters))
 
 
 def _lattice(numbers: Ints, stretch: tuple[int, int]) -> Floats:
@@ -201,7 +207,7 @@ def _lattice(numbers: Ints, stretch: tuple[int, int]) -> Floats:
     return np.asarray((0.5 + element[:, None] * _STEPS) % 1.0)
 
 
-def _accepted(T: Floats, row: Ints, targets: Targets, scanner: Scanner) -> Bools:
+def _accepted(T: Floats, row: Ints, targets: RayTargets, scanner: Scanner) -> Bools:
     """(n,) whether nothing but a line of sight may keep each pose from measuring its point."""
     R = T[:, :3, :3]
     place = np.einsum("nij,ni->nj", R, targets.points[:, row].T - T[:, :3, 3])

@@ -17,17 +17,17 @@ from typing import Annotated
 import numpy as np
 
 from planner.values import Bools, Floats, Ints, Value
-from planner.viewpoints.growth import Arm
-from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.pose_sampling import moved
+from planner.viewpoints.growth import ViewEvaluator
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.pose_sampling import perturb_pose
 
-WORK = 8_000
+EFFORT = 8_000
 """Poses that are looked at in all: one to two seconds of processor time."""
 
 SCALES = (1.0, 0.5, 1.0, 0.25, 0.5, 0.25)
 """Largest steps of the rounds over all views after some were left out, as shares of those of `pointwise.moved`."""
 
-ALONE = (1.0, 0.5, 0.25)
+SINGLE_SCALES = (1.0, 0.5, 0.25)
 """The same where each view is moved for itself."""
 
 _POSES = 48  # that a view is compared with in a round
@@ -37,7 +37,7 @@ _HOPELESS = 2.0  # times the gain of two rounds: where more than that is missing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Standing(Value):
+class ViewState(Value):
     """Views where they stand by now.
 
     Attributes:
@@ -57,30 +57,30 @@ class Standing(Value):
     def __len__(self) -> int:
         return len(self.origin)
 
-    def pick(self, which: Ints) -> "Standing":
+    def pick(self, which: Ints) -> "ViewState":
         """Some of them."""
-        return Standing(
+        return ViewState(
             self.T_object_scanner[which], self.distance[which], self.origin[which], self.moved[which],
             self.measured[:, which],
         )  # fmt: skip
 
-    def at(self, view: int, T_object_scanner: Floats, measured: Bools) -> "Standing":
+    def at(self, view: int, T_object_scanner: Floats, measured: Bools) -> "ViewState":
         """With one view elsewhere: its pose (4, 4) [m] and the (S,) rows that it measures there."""
         T, rows, elsewhere = self.T_object_scanner.copy(), self.measured.copy(), self.moved.copy()
         T[view], rows[:, view], elsewhere[view] = T_object_scanner, measured, True
-        return Standing(T, self.distance, self.origin, elsewhere, rows)
+        return ViewState(T, self.distance, self.origin, elsewhere, rows)
 
 
-def fewer(
-    views: Standing,
-    targets: Targets,
+def reduce_views(
+    views: ViewState,
+    targets: RayTargets,
     areas: Floats,
-    arm_of: Callable[[int], Arm],
+    arm_of: Callable[[int], ViewEvaluator],
     *,
     goal: float,
-    short: Callable[[Standing], float],
-    work: int = WORK,
-) -> Standing:
+    short: Callable[[ViewState], float],
+    work: int = EFFORT,
+) -> ViewState:
     """As few views as moving them allows.
 
     Args:
@@ -103,8 +103,8 @@ def fewer(
     return views
 
 
-def better(
-    T_object_scanner: Floats, distance: Floats, targets: Targets, areas: Floats, arm: Arm
+def improve_views(
+    T_object_scanner: Floats, distance: Floats, targets: RayTargets, areas: Floats, arm: ViewEvaluator
 ) -> tuple[Floats, Bools]:
     """Viewpoints, each where it measures a larger area whatever the others measure, or where it was.
 
@@ -119,7 +119,7 @@ def better(
         (n, 4, 4) and (n,) which of them moved.
     """
     n, rows = len(distance), arm.measured(T_object_scanner, targets, np.arange(len(targets)))
-    views = Standing(T_object_scanner, distance, np.arange(n), np.zeros(n, dtype=np.bool_), rows)
+    views = ViewState(T_object_scanner, distance, np.arange(n), np.zeros(n, dtype=np.bool_), rows)
     found = [_Search(targets, areas, lambda _: arm).alone(views.pick(np.array([view]))) for view in range(n)]
     T = np.array([view.T_object_scanner[0] for view in found]).reshape(-1, 4, 4)
     return T, np.array([view.moved[0] for view in found], dtype=np.bool_)
@@ -128,10 +128,12 @@ def better(
 class _Search:
     """Moves views, and counts the poses."""
 
-    def __init__(self, targets: Targets, areas: Floats, arm_of: Callable[[int], Arm], work: int = 0) -> None:
+    def __init__(
+        self, targets: RayTargets, areas: Floats, arm_of: Callable[[int], ViewEvaluator], work: int = 0
+    ) -> None:
         self.targets, self.areas, self.arm_of, self.left, self.rounds = targets, areas, arm_of, work, 0
 
-    def needed_most(self, views: Standing, count: int) -> Ints:
+    def needed_most(self, views: ViewState, count: int) -> Ints:
         """So many views, ascending: the one that measures least that no other does leaves, again and again."""
         stays, times = np.arange(len(views)), views.measured.sum(axis=1)
         while len(stays) > count:
@@ -142,7 +144,7 @@ class _Search:
             stays = np.delete(stays, least)
         return stays
 
-    def restored(self, views: Standing, goal: float, short: Callable[[Standing], float]) -> Standing | None:
+    def restored(self, views: ViewState, goal: float, short: Callable[[ViewState], float]) -> ViewState | None:
         """Views moved until they measure enough; None where they do not come to it."""
         known = [self._covered(views)]
         for scale in SCALES:
@@ -159,17 +161,17 @@ class _Search:
                 return None
         return None
 
-    def alone(self, view: Standing) -> Standing:
+    def alone(self, view: ViewState) -> ViewState:
         """One view where it measures more."""
-        for scale in ALONE:
+        for scale in SINGLE_SCALES:
             view = self._better(view, 0, scale)
             self.rounds += 1
         return view
 
-    def _covered(self, views: Standing) -> float:
+    def _covered(self, views: ViewState) -> float:
         return float(self.areas[views.measured.any(axis=1)].sum())
 
-    def _round(self, views: Standing, scale: float) -> Standing:
+    def _round(self, views: ViewState, scale: float) -> ViewState:
         """Each view once, the others staying where they are."""
         for view in range(len(views)):
             views = self._better(views, view, scale)
@@ -177,20 +179,20 @@ class _Search:
         self.rounds += 1
         return views
 
-    def _better(self, views: Standing, view: int, scale: float) -> Standing:
+    def _better(self, views: ViewState, view: int, scale: float) -> ViewState:
         """One view where it measures more of what no other does."""
         others = np.delete(views.measured, view, axis=1).any(axis=1)
         rows = np.flatnonzero(~others & (self.areas > 0))
         area, arm = self.areas[rows], self.arm_of(int(views.origin[view]))
         now = float(area[views.measured[rows, view]].sum())
         stretch = (self.rounds * _POSES, (self.rounds + 1) * _POSES)
-        T = moved(views.T_object_scanner[view], float(views.distance[view]), scale, stretch, view)
+        T = perturb_pose(views.T_object_scanner[view], float(views.distance[view]), scale, stretch, view)
         more = now * (1 + 1e-9)
         there = area @ arm.measured(T, self.targets, rows, (area, more))
         best = np.argsort(-there, kind="stable")[:_ASKED]
         best = best[there[best] > more]
         for some in (best[:1], best[1:]):  # mostly the first will do
-            taken = some[arm.takes_up(T[some, None] @ arm.T_view_scanner)] if len(some) else some
+            taken = some[arm.are_reachable(T[some, None] @ arm.T_view_scanner)] if len(some) else some
             if len(taken):
                 break
         else:

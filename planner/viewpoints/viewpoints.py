@@ -63,7 +63,7 @@ class Viewpoints(Value):
         return len(self.T_object_scanner)
 
 
-def looking_at(
+def aim_viewpoints(
     targets: Floats, outward: Floats, face: NDArray[np.integer], standoffs: Sequence[float], rolls: Sequence[float]
 ) -> Viewpoints:
     """Views of given points from given directions; standoffs and rolls change fastest, the rolls last.
@@ -95,7 +95,7 @@ def looking_at(
     )
 
 
-def standing_at(T_object_scanner: Floats, aim: Floats, face: NDArray[np.integer]) -> Viewpoints:
+def viewpoints_from_poses(T_object_scanner: Floats, aim: Floats, face: NDArray[np.integer]) -> Viewpoints:
     """Viewpoints of given poses.
 
     Args:
@@ -136,7 +136,7 @@ def pick_viewpoints(viewpoints: Viewpoints, which: NDArray[np.integer] | Bools) 
     )
 
 
-def rotations(vectors: Floats) -> Floats:
+def rotation_matrices(vectors: Floats) -> Floats:
     """(n, 3, 3) rotations about vectors (n, 3) by their lengths [rad] (Rodrigues)."""
     angle = np.linalg.norm(vectors, axis=1)
     axis = vectors / np.where(angle > 0, angle, 1.0)[:, None]
@@ -210,7 +210,7 @@ def view_sphere(
     a, b = about_x[once], about_y[once]
     outward = np.stack([np.cos(a) * np.sin(b), -np.sin(a), np.cos(a) * np.cos(b)], axis=1)  # Ry(b) Rx(a) e_z
     middle = np.broadcast_to(readonly("centre", centre, (3,)), outward.shape)
-    return looking_at(middle, outward, np.full(len(outward), -1), [radius], rolls)
+    return aim_viewpoints(middle, outward, np.full(len(outward), -1), [radius], rolls)
 
 
 def optimal_scanning_zone(planning: TriangleMesh, standoffs: Sequence[float], rolls: Sequence[float]) -> Viewpoints:
@@ -228,10 +228,10 @@ def optimal_scanning_zone(planning: TriangleMesh, standoffs: Sequence[float], ro
         PlannerError: if a standoff is not positive, or there is no standoff or no roll.
     """
     face = np.flatnonzero(planning.areas > 0)
-    return looking_at(planning.centres[face], planning.normals[face], face, standoffs, rolls)
+    return aim_viewpoints(planning.centres[face], planning.normals[face], face, standoffs, rolls)
 
 
-def straight_poses(length: float, count: int, direction: ArrayLike = (1.0, 0.0, 0.0)) -> Floats:
+def straight_sweep_poses(length: float, count: int, direction: ArrayLike = (1.0, 0.0, 0.0)) -> Floats:
     """(K, 4, 4) T_view_scanner [m]: the poses of a straight sweep about a candidate viewpoint at the identity.
 
     Args:
@@ -253,7 +253,7 @@ def straight_poses(length: float, count: int, direction: ArrayLike = (1.0, 0.0, 
     return poses
 
 
-def turned_poses(angle: float, count: int) -> Floats:
+def turned_sweep_poses(angle: float, count: int) -> Floats:
     """(K, 4, 4) T_view_scanner [m]: the poses of a turned sweep about a candidate viewpoint at the identity.
 
     Args:
@@ -272,7 +272,7 @@ def turned_poses(angle: float, count: int) -> Floats:
     return poses
 
 
-def swept(viewpoints: Viewpoints, T_view_scanner: ArrayLike) -> Viewpoints:
+def sweep_viewpoints(viewpoints: Viewpoints, T_view_scanner: ArrayLike) -> Viewpoints:
     """Each viewpoint becomes the column of poses viewpoint x T_view_scanner, and stays the middle of its sweep.
 
     Args:

@@ -15,8 +15,8 @@ import numpy as np
 
 from planner.ports import RayCaster, Scanner
 from planner.values import Bools, Floats, Ints, Value
-from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, free_pairs, in_view
-from planner.viewpoints.viewpoints import Viewpoints, looking_at
+from planner.viewpoints.lines_of_sight import BUNDLE, RayTargets, flatten_poses, in_view, visible_pairs
+from planner.viewpoints.viewpoints import Viewpoints, aim_viewpoints
 
 NEARLY = 0.9
 """Share of the largest gain from which on a change counts as gaining as much: then the smaller change is preferred."""
@@ -68,26 +68,26 @@ class WhatIf(Value):
     scanner: Scanner
     casters: tuple[RayCaster, ...]
 
-    def measures(self, targets: Targets, rows: Ints) -> Bools:
+    def measures(self, targets: RayTargets, rows: Ints) -> Bools:
         """(n,) which of the rows at least one candidate measures under the change."""
         found = np.zeros(len(targets), dtype=np.bool_)
         still = rows
-        poses = flat_poses(self.T_object_scanner)
+        poses = flatten_poses(self.T_object_scanner)
 
         def rows_of(pose: int) -> Ints:
             return in_view(targets, poses[pose], self.scanner, still)
 
-        for _, _, row in free_pairs(poses, targets, self.scanner, self.casters, rows_of, BUNDLE // 8):
+        for _, _, row in visible_pairs(poses, targets, self.scanner, self.casters, rows_of, BUNDLE // 8):
             found[row] = True
             still = still[~found[still]]
         return found[rows]
 
 
 def measured_pairs(
-    targets: Targets, rows: Ints, T_object_scanner: Floats, scanner: Scanner, casters: Sequence[RayCaster]
+    targets: RayTargets, rows: Ints, T_object_scanner: Floats, scanner: Scanner, casters: Sequence[RayCaster]
 ) -> Ints:
     """(p, 2) row (index into the `rows` asked about) and view of the (m, K, 4, 4) that measures it, each pair once."""
-    poses = flat_poses(T_object_scanner)
+    poses = flatten_poses(T_object_scanner)
     place = np.zeros(len(targets), dtype=np.int64)
     place[rows] = np.arange(len(rows))
 
@@ -96,7 +96,7 @@ def measured_pairs(
 
     found = [
         np.stack([place[row], pose // T_object_scanner.shape[1]], axis=1)
-        for _, pose, row in free_pairs(poses, targets, scanner, casters, rows_of, BUNDLE)
+        for _, pose, row in visible_pairs(poses, targets, scanner, casters, rows_of, BUNDLE)
     ]
     return np.unique(np.concatenate([*found, np.empty((0, 2), np.int64)]), axis=0)
 
@@ -199,7 +199,7 @@ def tilted_at(
     aside = np.cos(turn)[None, :, None] * first[:, None] + np.sin(turn)[None, :, None] * second[:, None]
     outward = (np.cos(tilt) * normals[:, None] + np.sin(tilt) * aside).reshape(-1, 3)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    made = looking_at(np.repeat(points, sides, axis=0), outward, np.full(len(outward), -1), [standoff], rolls)
+    made = aim_viewpoints(np.repeat(points, sides, axis=0), outward, np.full(len(outward), -1), [standoff], rolls)
     if sweep is None or len(sweep) == 1:
         return made
     return Viewpoints(made.T_object_scanner @ sweep, made.face, made.standoff, made.roll)

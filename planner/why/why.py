@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from planner.errors import PlannerError
 from planner.ports import Progress, RayCaster, Rejection, Scanner
 from planner.values import Floats, Ints, Value, readonly
-from planner.viewpoints.lines_of_sight import BUNDLE, Targets, flat_poses, rejections
+from planner.viewpoints.lines_of_sight import BUNDLE, RayTargets, flatten_poses, rejections
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why.reasons import Reason
 
@@ -58,7 +58,7 @@ class Diagnosis(Value):
 
 
 def diagnose(
-    targets: Targets,
+    targets: RayTargets,
     rows: Ints,
     viewpoints: Viewpoints,
     scanner: Scanner,
@@ -87,7 +87,7 @@ def diagnose(
     fails = readonly("fails", fails, (len(viewpoints),), np.uint8)
     if len(fails) and fails.min() < Reason.OUT_OF_REACH:
         raise PlannerError("fails must hold what a candidate fails at that would measure: OUT_OF_REACH or later")
-    poses = flat_poses(viewpoints.T_object_scanner)
+    poses = flatten_poses(viewpoints.T_object_scanner)
     K = viewpoints.T_object_scanner.shape[1]
     standoff = np.repeat(viewpoints.standoff, K)
     last = np.repeat(fails, K)  # the farthest that a pose can come
@@ -112,7 +112,7 @@ class _Search:
     """The running best of every row."""
 
     def __init__(
-        self, targets: Targets, rows: Ints, poses: Floats, scanner: Scanner,
+        self, targets: RayTargets, rows: Ints, poses: Floats, scanner: Scanner,
         casters: tuple[RayCaster, RayCaster], last: NDArray[np.uint8],
     ) -> None:  # fmt: skip
         self.targets, self.rows, self.poses, self.scanner, self.casters = targets, rows, poses, scanner, casters
@@ -220,7 +220,7 @@ def _angle(first: Floats, second: Floats) -> Floats:
 
 
 def _with_angles(
-    targets: Targets, rows: Ints, poses: Floats, scanner: Scanner, reason: NDArray[np.uint8], pose: Ints
+    targets: RayTargets, rows: Ints, poses: Floats, scanner: Scanner, reason: NDArray[np.uint8], pose: Ints
 ) -> Diagnosis:
     if not len(poses):
         nothing = np.full(len(rows), np.nan)
@@ -235,7 +235,7 @@ def _with_angles(
 
 
 def names_in_the_way(
-    targets: Targets, rows: Ints, diagnosis: Diagnosis, viewpoints: Viewpoints, scanner: Scanner,
+    targets: RayTargets, rows: Ints, diagnosis: Diagnosis, viewpoints: Viewpoints, scanner: Scanner,
     occluders: Mapping[str, RayCaster],
 ) -> list[str]:  # fmt: skip
     """What shades each row from its closest candidate: "part", the occluders' names joined by " and ", or "".
@@ -248,7 +248,7 @@ def names_in_the_way(
         scanner: where source and sensor are.
         occluders: a caster for each thing beside the part.
     """
-    poses = flat_poses(viewpoints.T_object_scanner)
+    poses = flatten_poses(viewpoints.T_object_scanner)
     found = np.full(len(rows), "", dtype=object)
     by_part = (diagnosis.reason == Reason.SOURCE_SHADED_BY_PART) | (diagnosis.reason == Reason.SENSOR_SHADED_BY_PART)
     found[by_part] = "part"

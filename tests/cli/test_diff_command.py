@@ -68,7 +68,7 @@ def test_settings_views_and_areas_of_two_plans(
     cell = read_cell(a)
     samples = held_out(cell.reference, cell.planning, a.seed)
     seen = [
-        coverage.visible(
+        coverage.visible_coverage(
             run.T_object_scanner[:, None], samples, cell.scanner, (cell.part_caster, cell.occluder_caster)
         ).covered
         for run in (a, b)

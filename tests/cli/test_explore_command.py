@@ -34,7 +34,7 @@ from cell.session import Session
 from cell.view.explore_page import explore_page
 from planner.explore.space import FREE
 from planner.geometry.closest import ClosestPointQuery
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.viewpoints import growth
 
 PLACE = (
@@ -117,7 +117,7 @@ def test_views_are_moved_to_where_they_measure_more(
         moved += view.id >= known
         for number in (view.id, *range(known, len(candidates))):
             casters = (cell.part_caster, cell.occluder_caster)
-            sees = measured(candidates.T_object_scanner[[number]], M.features, cell.scanner, casters)
+            sees = find_measured(candidates.T_object_scanner[[number]], M.samples, cell.scanner, casters)
             assert np.array_equal(M.matrix()[:, [number]].toarray()[:, 0] > 0, sees)
         assert len(np.load(tmp_path / "explored" / "stages" / f"{folder}.voxels.npz")["between"]) > 100
     assert moved > 0
@@ -304,9 +304,9 @@ def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(
         M, plan = run.measurability, run.plan
         cell = read_cell(run)
         poses = np.stack([scan.T_reported for scan in scans])[:, None]
-        assert not measured(poses, M.features, cell.scanner, (cell.part_caster,)).any()
+        assert not find_measured(poses, M.samples, cell.scanner, (cell.part_caster,)).any()
         sees = M.matrix()[:, [view.id for view in plan.views]].toarray().any(axis=1)
-        assert stage.expected_mm2 == pytest.approx(1e6 * M.features.areas[sees].sum(), abs=0.01)
+        assert stage.expected_mm2 == pytest.approx(1e6 * M.samples.areas[sees].sum(), abs=0.01)
         assert stage.new_mm2 > 0
         known = np.load(paths.voxels(number))
         for name in ("expected", "found", "tries"):

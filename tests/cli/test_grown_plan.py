@@ -10,7 +10,7 @@ import pytest
 
 from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -68,17 +68,17 @@ def test_views_that_moved_are_candidates_like_others(
     np.testing.assert_array_equal(views.T_object_scanner[:known], others.candidates.T_object_scanner)
     T, M, reached = views.T_object_scanner[known:], moved.measurability, moved.reach
     cell = read_cell(moved)
-    found = measured(T, M.features, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
+    found = find_measured(T, M.samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
     np.testing.assert_array_equal(M.matrix().tocsc()[:, np.arange(known, len(views))].toarray(), found)
     assert reached.reachable[known:].all()
     for view in range(known, len(views)):
-        for q in reached.q_of(view):
+        for q in reached.configurations_of(view):
             np.testing.assert_allclose(cell.scanner_pose(q), views.T_object_scanner[view, 0], atol=2e-5)
     plan_file = json.loads((tmp_path / "run" / "plan.json").read_text())
     ids = [view["id"] for view in plan_file["views"]]
     assert max(ids) >= known
     # What the selection had to cover is covered, whatever was exchanged for a shorter motion.
-    areas, entries = M.features.areas, M.matrix().tocsc()
+    areas, entries = M.samples.areas, M.matrix().tocsc()
     coverable, covered = (areas[entries[:, which].sum(axis=1) > 0].sum() for which in (reached.reachable, ids))
     assert covered >= plan_file["coverage"]["target_on_features"] * coverable * (1 - 1e-9)
     done = run_cell("edit", "run", "--turn", "1:30", "--out", "edited", cwd=tmp_path)

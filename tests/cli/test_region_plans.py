@@ -81,12 +81,12 @@ def test_each_region_gets_what_it_asks_for(regions: Path) -> None:
     M, chosen = run.measurability, [view.id for view in run.plan.views]
     loads = np.asarray(M.matrix().astype(int)[:, chosen].sum(axis=1)).ravel()
     available = np.asarray(M.matrix().sum(axis=1)).ravel()
-    of_top = (M.features.region == 0) & (available > 0)
+    of_top = (M.samples.region == 0) & (available > 0)
     enough = (loads >= np.minimum(2, available))[of_top]
-    assert M.features.areas[of_top][enough].sum() >= 0.9 * M.features.areas[of_top].sum() * (1 - 1e-9)
+    assert M.samples.areas[of_top][enough].sum() >= 0.9 * M.samples.areas[of_top].sum() * (1 - 1e-9)
     law = read_cell(run).scanner.spacing
-    poses, points, normals = run.candidates.T_object_scanner[:, 0], M.features.points, M.features.normals
-    for row in np.flatnonzero(M.features.region == 0)[::25]:
+    poses, points, normals = run.candidates.T_object_scanner[:, 0], M.samples.points, M.samples.normals
+    for row in np.flatnonzero(M.samples.region == 0)[::25]:
         for view in M.indices[M.indptr[row] : M.indptr[row + 1]]:
             R, t = poses[view, :3, :3], poses[view, :3, 3]
             assert law((points[row] - t)[None] @ R, normals[row][None] @ R)[0] <= 0.6e-3 * (1 + 1e-9)

@@ -72,7 +72,7 @@ def test_views_are_taken_between_the_angles_that_were_looked_at(turned: Path) ->
     for view in plan["views"]:
         np.testing.assert_allclose(view["T_object_scanner"], candidates[view["id"]], atol=2e-5)
         taken = np.radians([*view["q_deg"], *view["e_deg"]])
-        assert (np.abs(found.q_of(view["id"]) - taken).max(axis=1) < 1e-9).sum() == 1
+        assert (np.abs(found.configurations_of(view["id"]) - taken).max(axis=1) < 1e-9).sum() == 1
     assert any(view["e_deg"][0] % 10 for view in plan["views"])
 
 
@@ -250,8 +250,8 @@ def test_as_much_as_without_a_table_takes_never_more_views(planned: Path, turned
     """
     runs = [open_run(folder) for folder in (planned, turned)]
     matrices, usable = [run.measurability for run in runs], [run.reach.reachable for run in runs]
-    areas = matrices[0].features.areas
-    np.testing.assert_array_equal(areas, matrices[1].features.areas)
+    areas = matrices[0].samples.areas
+    np.testing.assert_array_equal(areas, matrices[1].samples.areas)
     coverable = [float(areas[np.diff(M.indptr) > 0].sum()) for M in matrices]
     assert coverable[1] >= coverable[0]
     for share in (0.5, 0.8, 0.9, 0.95, 0.99, 1.0):
@@ -337,7 +337,7 @@ def test_a_located_part_is_kept_clear_of_while_an_indexed_table_turns(
     """The motion is held to the manner of the table, which its file does not say."""
     run = EditableRun.opened(turned)
     world = world_of(run, run.reference)
-    indexed = dataclasses.replace(world, limits=dataclasses.replace(world.limits, turns_at=world.home))
+    indexed = dataclasses.replace(world, limits=dataclasses.replace(world.limits, table_turn_q=world.home))
     found = []
     for each in (world, indexed):
         monkeypatch.setattr("cell.locate.locate.world_of", lambda *_, each=each, **__: each)
@@ -431,7 +431,7 @@ def test_an_indexed_table_is_planned_proven_and_gone_on_with(
     moved = np.diff(via, axis=0) != 0
     assert not (moved[:, :6].any(axis=1) & moved[:, 6]).any()
     assert moved[:, 6].any()
-    assert prove(run).motion.limits.turns_at is not None
+    assert prove(run).motion.limits.table_turn_q is not None
     start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(via[0, :6]), 60.0])
     done = run_cell("scan", run, "--resolution", "1", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -24,7 +24,7 @@ from cell.session import Session
 from cell.setups.contact import touching
 from cell.setups.planned_setups import PlannedSetups
 from cell.world.prediction import held_out
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -93,7 +93,7 @@ def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: R
             with np.load(name) as scan:
                 poses.append(scan["T_object_scanner_true"])
         T = np.stack(poses)[:, None]
-        found = measured(T, samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
+        found = find_measured(T, samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
         seen.append(found & ~touching(samples, cell.occluders))
     assert report["visible"] == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
     assert all(setup["place"] is None for setup in report["setups"])

@@ -192,7 +192,7 @@ def test_the_curve_is_of_the_set_ups_that_are_used_and_each_is_visited_in_order(
     for setup, folder in zip(made.file.chosen, made.folders, strict=True):
         run = open_run(folder)
         M = run.measurability
-        matrices[str(setup.offered)], areas = M.matrix().tocsc(), M.features.areas
+        matrices[str(setup.offered)], areas = M.matrix().tocsc(), M.samples.areas
         assert json.loads((folder / "report.json").read_text())["overlap"]["without_earlier"] == 0
     said = json.loads((tmp_path / "made" / "curve.json").read_text())
     for point in said["points"][1:]:
@@ -251,7 +251,7 @@ def test_faces_may_be_the_rows(part_file: Path, run_cell: Cell, tmp_path: Path) 
     run = open_run(tmp_path / "made" / "setups" / "1")
     assert run.report.settings.fill == "rays"
     planning = run.mesh("planning.ply")
-    assert len(run.measurability.features) == len(planning.faces)
+    assert len(run.measurability.samples) == len(planning.faces)
 
 
 def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell, tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ from planner.errors import PlannerError
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
 from planner.tour import generalised_tsp as gtsp
-from planner.tour.orderings import OrderStatus, sequence
-from planner.tour.visits import Moves
+from planner.tour.orderings import OrderStatus, order_views
+from planner.tour.visits import TourProblem
 
 LIMITS = JointLimits(
     lower=np.full(6, -3.0), upper=np.full(6, 3.0), velocity=np.arange(1.0, 7.0), acceleration=np.arange(2.0, 8.0)
@@ -26,9 +26,9 @@ def make(seed: int, sizes: list[int]) -> tuple[list[np.ndarray], np.ndarray]:
     return [rng.uniform(-3, 3, (size, 6)) for size in sizes], poses
 
 
-def forbidding(configurations: list[np.ndarray], *pairs: tuple[int, int]) -> Moves:
+def forbidding(configurations: list[np.ndarray], *pairs: tuple[int, int]) -> TourProblem:
     """Moves of which some cannot be driven, in either direction."""
-    moves = Moves.straight(configurations, HOME, LIMITS)
+    moves = TourProblem.straight(configurations, HOME, LIMITS)
     times = moves.times.copy()
     for a, b in pairs:
         times[a, b] = times[b, a] = np.inf
@@ -39,7 +39,7 @@ def forbidding(configurations: list[np.ndarray], *pairs: tuple[int, int]) -> Mov
 def test_a_sequence_is_a_permutation_with_its_own_times(sizes: list[int]) -> None:
     """Each view once, each q one of its solutions, the duration the sum of its moves, between bound and baseline."""
     configurations, poses = make(len(sizes), sizes)
-    found = sequence(Moves.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(0), budget=500)
+    found = order_views(TourProblem.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(0), budget=500)
     assert sorted(found.order) == list(range(len(sizes)))
     for k, choice, q in zip(found.order, found.choice, found.q, strict=True):
         np.testing.assert_array_equal(q, configurations[k][choice])
@@ -52,8 +52,8 @@ def test_a_sequence_is_a_permutation_with_its_own_times(sizes: list[int]) -> Non
 def test_equal_seeds_give_equal_sequences() -> None:
     """Same input and seed, same bytes."""
     configurations, poses = make(5, [4] * 14)
-    moves = Moves.straight(configurations, HOME, LIMITS)
-    one, two = (sequence(moves, poses, np.random.default_rng(3), budget=800) for _ in range(2))
+    moves = TourProblem.straight(configurations, HOME, LIMITS)
+    one, two = (order_views(moves, poses, np.random.default_rng(3), budget=800) for _ in range(2))
     assert one.q.tobytes() == two.q.tobytes()
     assert one.order.tobytes() == two.order.tobytes()
 
@@ -62,14 +62,14 @@ def test_a_forbidden_edge_is_avoided() -> None:
     """With all ways home but one per view forbidden, in either direction of the pair, those are taken."""
     configurations, poses = make(6, [3, 3])
     moves = forbidding(configurations, (0, 1), (2, 0), (0, 4), (0, 5))
-    found = sequence(moves, poses, np.random.default_rng(0))
+    found = order_views(moves, poses, np.random.default_rng(0))
     assert sorted(zip(found.order.tolist(), found.choice.tolist(), strict=True)) == [(0, 2), (1, 2)]
 
 
 def test_no_drivable_tour_is_said() -> None:
     """Where every way to a view is forbidden the status says so and the duration is infinite."""
     configurations, poses = make(6, [1, 1])
-    found = sequence(forbidding(configurations, (0, 1), (1, 2)), poses, np.random.default_rng(0))
+    found = order_views(forbidding(configurations, (0, 1), (1, 2)), poses, np.random.default_rng(0))
     assert found.status is OrderStatus.NO_TOUR
     assert found.duration == np.inf
     assert "cannot be driven" in found.status.sentence
@@ -79,9 +79,9 @@ def test_two_views_with_one_pose_follow_each_other_at_no_cost() -> None:
     """A duplicate of a view adds a visit and no time."""
     configurations, poses = make(8, [2] * 5)
     rng, home = np.random.default_rng(0), np.eye(4)
-    once = sequence(Moves.straight(configurations, HOME, LIMITS), poses, rng, T_base_home=home)
-    doubled = Moves.straight([*configurations, configurations[2]], HOME, LIMITS)
-    twice = sequence(doubled, np.concatenate([poses, poses[2:3]]), rng, T_base_home=home)
+    once = order_views(TourProblem.straight(configurations, HOME, LIMITS), poses, rng, T_base_home=home)
+    doubled = TourProblem.straight([*configurations, configurations[2]], HOME, LIMITS)
+    twice = order_views(doubled, np.concatenate([poses, poses[2:3]]), rng, T_base_home=home)
     places = [twice.order.tolist().index(k) for k in (2, 5)]
     assert abs(places[0] - places[1]) == 1
     assert twice.duration == pytest.approx(once.duration, rel=1e-12)
@@ -90,14 +90,14 @@ def test_two_views_with_one_pose_follow_each_other_at_no_cost() -> None:
 def test_a_view_without_solution_is_refused_by_number() -> None:
     """The message names the view and what to do."""
     with pytest.raises(PlannerError, match="view 1 has no joint solution; drop it"):
-        Moves.straight(make(9, [2, 0, 1])[0], HOME, LIMITS)
+        TourProblem.straight(make(9, [2, 0, 1])[0], HOME, LIMITS)
 
 
 @pytest.mark.parametrize("leave", [[0, 1, 2, 1], [0, 1, 2, 4], [0, 1, 2, -1], [1, 1, 2, 3]])
 def test_leaving_from_another_view_is_refused(leave: list[int]) -> None:
     """A view that is entered is left, and home as well; numbers of no node are refused with the others."""
     with pytest.raises(PlannerError, match="leave must name a node of the same view"):
-        replace(Moves.straight(make(9, [2, 1])[0], HOME, LIMITS), leave=leave)
+        replace(TourProblem.straight(make(9, [2, 1])[0], HOME, LIMITS), leave=leave)
 
 
 @pytest.mark.parametrize("size", [9, 40])
@@ -107,17 +107,19 @@ def test_a_warm_tour_is_never_longer_than_the_one_it_began_from(size: int) -> No
     Nor is it with views added longer than the earlier tour with each of them driven to from home and back.
     """
     configurations, poses = make(size, [3] * size)
-    before = sequence(Moves.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(1), budget=400)
+    before = order_views(
+        TourProblem.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(1), budget=400
+    )
     kept = [k for k in range(size) if k % 5]
     place = {view: i for i, view in enumerate(kept)}
     start = np.array([place[view] for view in before.order if view in place])
-    moves = Moves.straight([configurations[k] for k in kept], HOME, LIMITS)
-    fewer = sequence(moves, poses[kept], np.random.default_rng(2), budget=50, bound_work=None, start=start)
+    moves = TourProblem.straight([configurations[k] for k in kept], HOME, LIMITS)
+    fewer = order_views(moves, poses[kept], np.random.default_rng(2), budget=50, bound_work=None, start=start)
     assert fewer.duration <= gtsp.best_nodes(moves.instance(), start + 1)[0] * (1 + 1e-12)
 
-    moves = Moves.straight(configurations, HOME, LIMITS)
+    moves = TourProblem.straight(configurations, HOME, LIMITS)
     start = np.array(kept)[fewer.order]
-    more = sequence(moves, poses, np.random.default_rng(3), budget=50, bound_work=None, start=start)
+    more = order_views(moves, poses, np.random.default_rng(3), budget=50, bound_work=None, start=start)
     assert sorted(more.order) == list(range(size))
     detours = sum(2 * move_time(HOME, configurations[k], LIMITS).min() for k in range(size) if not k % 5)
     assert more.duration <= (fewer.duration + detours) * (1 + 1e-12)
@@ -126,10 +128,10 @@ def test_a_warm_tour_is_never_longer_than_the_one_it_began_from(size: int) -> No
 def test_a_warm_tour_of_many_views_is_as_good_as_one_from_scratch() -> None:
     """Forty views of which four are new: within 2 % of the search from scratch, with a fraction of its steps."""
     configurations, poses = make(7, [3] * 40)
-    moves = Moves.straight(configurations, HOME, LIMITS)
-    scratch = sequence(moves, poses, np.random.default_rng(0), bound_work=None)
+    moves = TourProblem.straight(configurations, HOME, LIMITS)
+    scratch = order_views(moves, poses, np.random.default_rng(0), bound_work=None)
     start = np.array([view for view in scratch.order if view % 10])
-    warm = sequence(moves, poses, np.random.default_rng(1), budget=500, bound_work=None, start=start)
+    warm = order_views(moves, poses, np.random.default_rng(1), budget=500, bound_work=None, start=start)
     assert warm.duration <= scratch.duration * 1.02
 
 
@@ -138,4 +140,6 @@ def test_a_start_that_is_no_order_is_refused(start: list[int]) -> None:
     """A view named twice, or that there is not."""
     configurations, poses = make(1, [2] * 4)
     with pytest.raises(PlannerError, match="each at most once"):
-        sequence(Moves.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(0), start=np.array(start))
+        order_views(
+            TourProblem.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(0), start=np.array(start)
+        )

@@ -25,7 +25,7 @@ def test_reachable_counts_fall_as_the_part_moves_away() -> None:
         centre[:3, 3] = [x / 1000, y / 1000, 0]
         T = world.placed(centre)
         checker = MujocoCollisionChecker(world, T)
-        found = reach.solve(candidates, T, world.T_flange_scanner, kinematics, checker)
+        found = reach.solve_reach(candidates, T, world.T_flange_scanner, kinematics, checker)
         return int(found.reachable.sum())
 
     away = [count(x, 500) for x in (1200, 1300, 1400, 1500)]

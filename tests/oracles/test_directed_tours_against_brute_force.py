@@ -8,8 +8,8 @@ import pytest
 
 from planner.ports import JointLimits
 from planner.tour import generalised_tsp as gtsp
-from planner.tour.orderings import sequence
-from planner.tour.visits import Moves
+from planner.tour.orderings import order_views
+from planner.tour.visits import TourProblem
 from planner.values import Floats
 
 LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.ones(6), np.full(6, 2.0))
@@ -35,10 +35,10 @@ def _problem(seed: int, clusters: int) -> tuple[Floats, np.ndarray]:
 def test_exact_search_and_bound_on_directed_costs(seed: int) -> None:
     """Exact is exact; the search finds the optimum of these small ones; no bound is above it."""
     cost, first = _problem(seed, 5)
-    problem = gtsp.instance(cost, first)
+    problem = gtsp.make_instance(cost, first)
     assert not problem.symmetric
     best = _brute_force(cost, first)
-    exact = gtsp.exact(problem)
+    exact = gtsp.solve_exactly(problem)
     assert exact.cost == pytest.approx(best, abs=1e-12)
     assert problem.length(exact.tour) == pytest.approx(best, abs=1e-12)
     start = gtsp.best_nodes(problem, np.arange(1, 6))[1]
@@ -56,7 +56,7 @@ def test_a_one_way_ring_is_found_in_its_direction() -> None:
     cost = np.full((m, m), 100.0)
     for k in range(m):
         cost[k, (k + 1) % m], cost[(k + 1) % m, k] = 1.0, 10.0
-    problem = gtsp.instance(cost, np.arange(m + 1))
+    problem = gtsp.make_instance(cost, np.arange(m + 1))
     rng = np.random.default_rng(1)
     found = gtsp.solve(problem, 1 + rng.permutation(m - 1), rng, 4000)
     assert found.cost == pytest.approx(m)
@@ -72,9 +72,9 @@ def test_sweeps_are_entered_at_one_end_and_left_at_the_other(seed: int) -> None:
     ends = rng.uniform(-1, 1, (4, 2, 6))
     stays = rng.uniform(0.1, 0.5, 4)
     home = np.zeros(6)
-    moves = Moves.straight(list(ends), home, LIMITS)
+    moves = TourProblem.straight(list(ends), home, LIMITS)
     moves = replace(moves, leave=[0, 2, 1, 4, 3, 6, 5, 8, 7], stays=np.concatenate([[0.0], np.repeat(stays, 2)]))
-    found = sequence(moves, np.tile(np.eye(4), (4, 1, 1)), rng)
+    found = order_views(moves, np.tile(np.eye(4), (4, 1, 1)), rng)
     best = np.inf
     for order in itertools.permutations(range(4)):
         for way in itertools.product((0, 1), repeat=4):

@@ -426,15 +426,18 @@ def _sweeping(
     from cell.export.options import ExportOptions
     from cell.export.program import Told, of_motion
     from cell.robot.kinematics import Kr16Kinematics
-    from planner.path.sweeps import DrivenSweep, sweeps_of
+    from planner.path.sweeps import TimedSweep, find_sweeps
     from planner.timing.motion import retime
-    from planner.viewpoints.viewpoints import straight_poses, turned_poses
+    from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_poses
 
     kinematics, mount = Kr16Kinematics.load(), np.eye(4)
     mount[:3, 3] = (0.02, -0.03, 0.12)
     T = kinematics.forward(np.radians([[12, -75, 110, 35, -60, 140]]))[0] @ mount
-    columns = (straight_poses(0.15, 8), turned_poses(turn, 5) if turn else straight_poses(0.06, 5, (0.2, 1.0, 0.1)))
-    paths = [sweeps_of(T @ column, mount, kinematics, kinematics.limits).paths[int(reverse)] for column in columns]
+    columns = (
+        straight_sweep_poses(0.15, 8),
+        turned_sweep_poses(turn, 5) if turn else straight_sweep_poses(0.06, 5, (0.2, 1.0, 0.1)),
+    )
+    paths = [find_sweeps(T @ column, mount, kinematics, kinematics.limits).paths[int(reverse)] for column in columns]
     home, between = np.radians([HOME]), paths[0].q[-1:] + np.radians(1.5)
     via = np.concatenate([home, paths[0].q, between, paths[1].q, home])
     pose = np.concatenate([[-1], paths[0].pose, [0], paths[1].pose, [-1]])
@@ -444,7 +447,7 @@ def _sweeping(
     rows = {1: paths[0], len(paths[0].q) + 2: paths[1]}
     motion = retime(
         via, segment, view, kinematics.limits, pose=pose,
-        lines={row: DrivenSweep(path, mount, kinematics) for row, path in rows.items()},
+        lines={row: TimedSweep(path, mount, kinematics) for row, path in rows.items()},
     )  # fmt: skip
     program = of_motion(
         motion,

@@ -9,7 +9,7 @@ from cell.scanners.laser_line import LaserLine
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
-from planner.measurability.visibility import fill, measured, occlude
+from planner.measurability.visibility import apply_occluders, fill_matrix, find_measured
 from planner.viewpoints.viewpoints import Viewpoints
 
 HEIGHT = 0.3
@@ -47,7 +47,7 @@ def test_a_straight_sweep_measures_a_rectangle(fan: float, length: float, steps:
     """Exactly |x| <= length / 2, |y| <= height tan(fan / 2), whatever the number of poses; so is its area."""
     scanner = LaserLine(fan_deg=fan, sweep_mm=length, sweep_steps=steps, baseline_mm=100, range_mm=(200, 400))
     caster, samples = _plate()
-    row = _row(fill(_view(scanner), samples, scanner, caster))
+    row = _row(fill_matrix(_view(scanner), samples, scanner, caster))
     x, y, _ = samples.points.T
     half = HEIGHT * np.tan(np.radians(fan / 2))
     assert (row == ((np.abs(x) <= length / 2000) & (np.abs(y) <= half))).all()
@@ -65,7 +65,7 @@ def test_a_turned_sweep_measures_a_bow_tie_cut_by_the_range(steps: int) -> None:
         fan_deg=fan, sweep_deg=angle, sweep_steps=steps, baseline_mm=80, range_mm=(200, far * 1000), grazing_max_deg=89
     )
     caster, samples = _plate()
-    row = _row(fill(_view(scanner), samples, scanner, caster))
+    row = _row(fill_matrix(_view(scanner), samples, scanner, caster))
     x, y, _ = samples.points.T
     towards = np.arctan2(x, HEIGHT)
     cell = np.radians(angle) / steps
@@ -90,8 +90,8 @@ def test_a_wall_along_the_line_casts_its_shadow_away_from_the_sensor_only() -> N
     body = trimesh.creation.box([0.002, 0.6, wall])
     body.apply_translation([0, 0, wall / 2])
     view = _view(scanner)
-    M = occlude(
-        fill(view, samples, scanner, caster),
+    M = apply_occluders(
+        fill_matrix(view, samples, scanner, caster),
         view,
         scanner,
         EmbreeRayCaster(body.vertices, body.faces),
@@ -108,5 +108,5 @@ def test_a_wall_along_the_line_casts_its_shadow_away_from_the_sensor_only() -> N
     assert (inside & hidden).sum() > 100
     assert not row[inside & hidden].any()
     assert row[inside & lit].all()
-    both = measured(view.T_object_scanner, samples, scanner, (caster, EmbreeRayCaster(body.vertices, body.faces)))
+    both = find_measured(view.T_object_scanner, samples, scanner, (caster, EmbreeRayCaster(body.vertices, body.faces)))
     assert (both == row).all()

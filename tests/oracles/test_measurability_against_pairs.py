@@ -9,7 +9,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
-from planner.measurability.visibility import fill, occlude
+from planner.measurability.visibility import apply_occluders, fill_matrix
 from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 SCANNER = LaserArea((50, 40), (2, 2), (100, 260), 60, 70, 80)
@@ -84,10 +84,10 @@ def test_every_entry_equals_the_pair_asked_alone(occluded):
     caster = EmbreeRayCaster(part.vertices, part.faces)
     features = draw_samples(part, part, 150, np.random.default_rng(5))
     views = optimal_scanning_zone(part, [0.17], [0.3, 1.2])
-    matrix = fill(views, features, SCANNER, caster)
+    matrix = fill_matrix(views, features, SCANNER, caster)
     sets = [tuple(part.vertices[part.faces[:, corner]] for corner in range(3))]
     if occluded:
-        matrix = occlude(matrix, views, SCANNER, EmbreeRayCaster(*bar))
+        matrix = apply_occluders(matrix, views, SCANNER, EmbreeRayCaster(*bar))
         sets.append(tuple(bar[0][bar[1][:, corner]] for corner in range(3)))
     dense = matrix.matrix().toarray()
     asked = 0

@@ -9,7 +9,7 @@ from cell.world.embree import EmbreeRayCaster
 from cell.world.virtual_scan import scan
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 
 RADIUS = 0.1
 
@@ -50,7 +50,7 @@ def test_the_share_of_a_sphere_that_is_measured_is_the_cap_of_the_grazing_limit(
     """From distance D the grazing angle g is reached at the polar angle g - asin(r sin g / D) of the sphere."""
     _, caster, samples = sphere
     scanner = LaserArea((175, 175), (5, 5), (0, 5000), 0, grazing)
-    share = measured(_looking_down_from(distance)[None, None], samples, scanner, [caster]).mean()
+    share = find_measured(_looking_down_from(distance)[None, None], samples, scanner, [caster]).mean()
     g = np.radians(grazing)
     cap = (1 - np.cos(g - np.arcsin(RADIUS * np.sin(g) / distance))) / 2
     assert share == pytest.approx(cap, abs=0.003)  # facets of 1.5 degrees
@@ -61,7 +61,7 @@ def test_source_and_sensor_on_opposite_sides_share_the_intersection_of_their_cap
     _, caster, samples = sphere
     scanner = LaserArea((175, 175), (5, 5), (0, 5000), 300, 90, 90)
     T = _looking_down_from(0.25, x=-0.15)
-    found = measured(T[None, None], samples, scanner, [caster])
+    found = find_measured(T[None, None], samples, scanner, [caster])
     height = np.einsum("ij,ij->i", samples.normals, samples.points)
     expected = np.ones(len(samples), dtype=bool)
     for x in (-0.15, 0.15):
@@ -78,7 +78,7 @@ def test_no_leg_to_a_convex_body_is_blocked_by_it(sphere):
         T = _looking_down_from(height)
         local = (samples.points - T[:3, 3]) @ T[:3, :3]
         passes = scanner.reject(local, samples.normals @ T[:3, :3]) == 0
-        found = measured(T[None, None], samples, scanner, [caster])
+        found = find_measured(T[None, None], samples, scanner, [caster])
         assert passes.sum() > 1000
         assert (found == passes).all()
 
@@ -110,7 +110,7 @@ def test_a_wall_throws_the_shadows_of_source_and_sensor(baseline):
     source_end = w * z / (z - h)
     sensor_start = min((w * z - baseline * h) / (z - h), w) if baseline > w else w
     x = np.setdiff1d(np.linspace(-0.15, 0.15, 30_001), [w])
-    found = measured(_looking_down_from(z)[None, None], _on_plate(x), scanner, [caster])
+    found = find_measured(_looking_down_from(z)[None, None], _on_plate(x), scanner, [caster])
     expected = (x < sensor_start) | (x > source_end)
     clear = (np.abs(x - sensor_start) > 2e-6) & (np.abs(x - source_end) > 2e-6) & (np.abs(x - w) > 2e-6)
     assert (found == expected)[clear].all()
@@ -138,4 +138,4 @@ def test_every_point_of_a_scan_is_measured_by_aiming_at_it(sphere):
     n = len(result.points)
     features = SurfaceSamples(result.points, normals, np.ones(n), result.face, result.face)
     assert n > 500
-    assert measured(T[None, None], features, scanner, [caster]).all()
+    assert find_measured(T[None, None], features, scanner, [caster]).all()

@@ -160,7 +160,7 @@ def test_a_view_in_the_bracket_is_reached_on_a_way_that_touches_nothing(worlds: 
     found = {}
     for name, world in worlds.items():
         one = Viewpoints(np.linalg.inv(world.T_base_object) @ T[None, None], np.zeros(1), np.full(1, 0.3), np.zeros(1))
-        found[name] = reach.solve(
+        found[name] = reach.solve_reach(
             one, world.T_base_object, world.T_flange_scanner, kinematics_of(world.model),
             MujocoCollisionChecker(world),
         )  # fmt: skip

@@ -9,7 +9,7 @@ from planner.path.certified_edge import STEP
 from planner.ports import JointLimits
 from planner.timing.motion import Motion, retime
 from planner.timing.move_time import move_time
-from planner.tour.tour import MotionBudget, Tour, TourStatus, plan_motion
+from planner.tour.tour import MotionBudget, Tour, TourStatus, plan_tour
 from planner.tour.visits import Visits
 
 LIMITS = JointLimits(
@@ -114,7 +114,7 @@ def cell_with_part(seed: int, n: int) -> tuple[Arm, list[np.ndarray], np.ndarray
 def planned(seed: int) -> tuple[Arm, Tour, Motion]:
     """A tour of eight views and its motion."""
     arm, configurations, poses = cell_with_part(seed, 8)
-    tour = plan_motion(Visits(configurations, HOME, poses), arm, LIMITS, np.random.default_rng(seed))
+    tour = plan_tour(Visits(configurations, HOME, poses), arm, LIMITS, np.random.default_rng(seed))
     return arm, tour, retime(tour.via, tour.segment, tour.view, LIMITS)
 
 
@@ -183,7 +183,7 @@ def test_equal_seeds_give_equal_motions() -> None:
     told: list[tuple[int, int]] = []
     visits = Visits(configurations, HOME, poses)
     tours = [
-        plan_motion(visits, arm, LIMITS, np.random.default_rng(5), progress=lambda *p: told.append(p)) for _ in range(2)
+        plan_tour(visits, arm, LIMITS, np.random.default_rng(5), progress=lambda *p: told.append(p)) for _ in range(2)
     ]
     assert tours[0].via.tobytes() == tours[1].via.tobytes()
     assert told[-1] == (7, 7)
@@ -192,7 +192,7 @@ def test_equal_seeds_give_equal_motions() -> None:
 def test_few_rounds_still_end_with_a_certified_tour() -> None:
     """With a single ordering allowed, its edges are made real as they are: complete, certified, not faster."""
     arm, configurations, poses = cell_with_part(2, 5)
-    hasty = plan_motion(
+    hasty = plan_tour(
         Visits(configurations, HOME, poses),
         arm,
         LIMITS,

@@ -10,8 +10,8 @@ from planner.ports import JointLimits
 from planner.timing.move_time import move_time
 from planner.tour import bounds
 from planner.tour import generalised_tsp as gtsp
-from planner.tour.orderings import OrderStatus, sequence
-from planner.tour.visits import Moves
+from planner.tour.orderings import OrderStatus, order_views
+from planner.tour.visits import TourProblem
 
 LIMITS = JointLimits(
     lower=np.radians([-185, -155, -130, -350, -130, -350]),
@@ -59,11 +59,11 @@ def test_small_sequences_are_the_true_optimum(seed: int) -> None:
         )
         if a < b
     }
-    moves = Moves.straight(configurations, HOME, LIMITS)
+    moves = TourProblem.straight(configurations, HOME, LIMITS)
     times = moves.times.copy()
     for (a, b), time in prices.items():
         times[a, b] = times[b, a] = time
-    found = sequence(replace(moves, times=times), poses, np.random.default_rng(0))
+    found = order_views(replace(moves, times=times), poses, np.random.default_rng(0))
     truth = cheapest(configurations, prices)
     assert found.duration == pytest.approx(truth, rel=1e-12)
     assert found.status is (OrderStatus.OPTIMAL if np.isfinite(truth) else OrderStatus.NO_TOUR)
@@ -73,7 +73,7 @@ def random_problem(seed: int, n: int, solutions: int) -> gtsp.Instance:
     """Home and n views of random joint solutions."""
     configurations, _ = views(seed, n, solutions)
     nodes = np.concatenate([HOME[None], *configurations])
-    return gtsp.instance(move_time(nodes[:, None], nodes, LIMITS), np.cumsum([0, 1, *map(len, configurations)]))
+    return gtsp.make_instance(move_time(nodes[:, None], nodes, LIMITS), np.cumsum([0, 1, *map(len, configurations)]))
 
 
 def test_the_search_meets_the_exact_optimum() -> None:
@@ -84,7 +84,7 @@ def test_the_search_meets_the_exact_optimum() -> None:
     start_gaps = []
     for seed in range(10):
         problem = random_problem(100 + seed, 9, 8)
-        exact = gtsp.exact(problem)
+        exact = gtsp.solve_exactly(problem)
         start_cost, start = gtsp.best_nodes(problem, np.arange(1, 10))
         cost, tour = gtsp.search(problem, start, seed, 3000)
         assert cost == pytest.approx(exact.cost, rel=1e-12)
@@ -99,10 +99,10 @@ def test_bounds_are_bounds(work: int) -> None:
     """Neither bound is above the optimum by more than rounding, whatever its budget and the tour it is told."""
     for seed in range(6):
         problem = random_problem(200 + seed, seed % 5 + 3, 6)
-        optimum = gtsp.exact(problem).cost
-        assert bounds.one_tree(problem.cost, problem.first) <= optimum * (1 + 1e-12)
+        optimum = gtsp.solve_exactly(problem).cost
+        assert bounds.one_tree_bound(problem.cost, problem.first) <= optimum * (1 + 1e-12)
         for told in (optimum, 1.3 * optimum):
-            bound = bounds.by_walks(problem.cost, problem.first, told, work)
+            bound = bounds.walk_bound(problem.cost, problem.first, told, work)
             assert bound.value <= optimum * (1 + 1e-9)
             if bound.tour is not None:
                 assert problem.length(bound.tour) == pytest.approx(optimum, rel=1e-9)
@@ -112,18 +112,18 @@ def test_walks_that_could_not_be_raised_are_not_looked_for() -> None:
     """With work for a few evaluations, as of hundreds of clusters, nothing is; with more there is a bound."""
     problem = random_problem(200, 8, 6)
     price = bounds._Ascent(problem.cost, problem.first, 1.0, 0).price
-    best = gtsp.exact(problem).cost
-    assert bounds.by_walks(problem.cost, problem.first, best, 9 * price).value == 0.0
-    assert bounds.by_walks(problem.cost, problem.first, best, 90 * price).value > 0.0
+    best = gtsp.solve_exactly(problem).cost
+    assert bounds.walk_bound(problem.cost, problem.first, best, 9 * price).value == 0.0
+    assert bounds.walk_bound(problem.cost, problem.first, best, 90 * price).value > 0.0
 
 
 def test_the_walks_prove_the_optimum() -> None:
     """With work enough, the bound of each of six instances is the optimum, which the quick bound is not."""
     for seed in range(6):
         problem = random_problem(300 + seed, 8, 6)
-        optimum = gtsp.exact(problem).cost
-        assert bounds.by_walks(problem.cost, problem.first, optimum, 10**9).value == pytest.approx(optimum)
-        assert bounds.one_tree(problem.cost, problem.first) < 0.99 * optimum
+        optimum = gtsp.solve_exactly(problem).cost
+        assert bounds.walk_bound(problem.cost, problem.first, optimum, 10**9).value == pytest.approx(optimum)
+        assert bounds.one_tree_bound(problem.cost, problem.first) < 0.99 * optimum
 
 
 def test_a_start_of_several_nodes() -> None:
@@ -132,24 +132,24 @@ def test_a_start_of_several_nodes() -> None:
     first = np.array([0, 3, 5, 8, 10, 11, 14])
     places = rng.uniform(0, 1, (14, 2))
     cost = np.linalg.norm(places[:, None] - places, axis=2)
-    problem = gtsp.instance(cost, first)
+    problem = gtsp.make_instance(cost, first)
     best = np.inf
     for order in itertools.permutations(range(1, 6)):
         if order[0] < order[-1]:
             for nodes in itertools.product(*(range(first[k], first[k + 1]) for k in (0, *order))):
                 best = min(best, problem.length(np.array(nodes)))
-    exact = gtsp.exact(problem)
+    exact = gtsp.solve_exactly(problem)
     assert exact.cost == pytest.approx(best, rel=1e-12)
     start = gtsp.best_nodes(problem, np.arange(1, 6))[1]
     assert gtsp.search(problem, start, 0, 2000)[0] == pytest.approx(best, rel=1e-12)
-    assert bounds.by_walks(cost, first, best, 10**8).value == pytest.approx(best)
+    assert bounds.walk_bound(cost, first, best, 10**8).value == pytest.approx(best)
 
 
 def test_what_is_too_dear_for_the_exact_search_is_found_and_bounded() -> None:
     """Seventeen views: found by search, within 2 % by walks; with no steps and no work, start and quick bound."""
     problem = random_problem(400, 17, 6)
     proven = gtsp.solve(problem, np.arange(1, 18), np.random.default_rng(0), 5000, 10**9)
-    assert gtsp.exact_work(problem) > 5000 * 45_000
+    assert gtsp.exact_effort(problem) > 5000 * 45_000
     assert proven.cost <= 1.02 * proven.lower_bound
     idle = gtsp.solve(problem, np.arange(1, 18), np.random.default_rng(0), 0, 0)
     assert idle.cost == gtsp.best_nodes(problem, np.arange(1, 18))[0]
@@ -162,15 +162,15 @@ def test_bounds_of_whole_numbers_are_whole_and_never_above_the_optimum(seed: int
     rng = np.random.default_rng(seed)
     places = rng.integers(0, 50, (28, 2)).astype(float)
     first = np.arange(0, 29, 4)
-    problem = gtsp.instance(np.rint(np.linalg.norm(places[:, None] - places, axis=2)), first)
+    problem = gtsp.make_instance(np.rint(np.linalg.norm(places[:, None] - places, axis=2)), first)
     cost, tour = gtsp.best_nodes(problem, np.arange(1, 7))
-    found = gtsp._found(problem, tour, cost, bounds.one_tree(problem.cost, first))
+    found = gtsp._found(problem, tour, cost, bounds.one_tree_bound(problem.cost, first))
     assert found.lower_bound == np.floor(found.lower_bound)
-    assert found.lower_bound <= gtsp.exact(problem).cost
+    assert found.lower_bound <= gtsp.solve_exactly(problem).cost
 
 
 def test_the_steps_grow_with_the_square_of_the_clusters() -> None:
     """Up to 22 clusters the steps are those that were asked for; with 88 there are sixteen times as many."""
-    few, many = (gtsp.instance(np.ones((m, m)), np.arange(m + 1)) for m in (22, 88))
-    assert gtsp.grown(few, 1000) == 1000
-    assert gtsp.grown(many, 1000) == 16_000
+    few, many = (gtsp.make_instance(np.ones((m, m)), np.arange(m + 1)) for m in (22, 88))
+    assert gtsp.scale_steps(few, 1000) == 1000
+    assert gtsp.scale_steps(many, 1000) == 16_000

@@ -12,7 +12,7 @@ from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
 from planner.cover.robust import DEMAND, loads, robust_cover, views_for_promise
 from planner.cover.row_generation import raise_bound
-from planner.measurability.pose_ensemble import ProbabilityLayer, credited
+from planner.measurability.pose_ensemble import ProbabilityLayer, credited_probability
 
 
 def small(seed, members=32):
@@ -28,7 +28,7 @@ def missed(M, layer, views):
     """(S,) probability that none of the views measures each row, as a plain product."""
     p = np.zeros(M.shape)
     rows = np.repeat(np.arange(M.shape[0]), np.diff(M.indptr))
-    p[rows, M.indices] = credited(layer.hits, layer.members)
+    p[rows, M.indices] = credited_probability(layer.hits, layer.members)
     return np.prod(1.0 - p[:, views], axis=1)
 
 
@@ -144,7 +144,7 @@ def test_parts_are_rounded_down_and_cut_at_the_whole():
     M = csr_array(np.ones((1, 33), dtype=bool))
     layer = ProbabilityLayer(M.indptr, M.indices, np.arange(33), 32)
     whole = loads(layer, 0.05, (1, 33)).toarray()[0]
-    exact = -np.log1p(-credited(np.arange(33), 32)) / -np.log(0.05) * DEMAND
+    exact = -np.log1p(-credited_probability(np.arange(33), 32)) / -np.log(0.05) * DEMAND
     assert (whole <= np.minimum(exact, DEMAND) + 1e-6).all()
     assert (whole >= np.minimum(exact, DEMAND) - 1).all()
     assert whole[0] == 0

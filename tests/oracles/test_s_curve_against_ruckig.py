@@ -9,10 +9,10 @@ import pytest
 import ruckig
 
 from planner.ports import JointLimits
-from planner.timing.limits import jerk_free
+from planner.timing.limits import without_jerk_limit
 from planner.timing.motion import retime
 from planner.timing.move_time import MARGIN, move_time
-from planner.timing.s_curve import Profile, fastest, sample
+from planner.timing.s_curve import Profile, fastest_profile, sample_profile
 
 LIMITS = JointLimits(
     np.full(6, -7.0),
@@ -47,12 +47,14 @@ def test_durations_and_states_agree_in_every_case() -> None:
     cases = set()
     for _ in range(2000):
         velocity, acceleration, jerk = random_law(rng)
-        profile = Profile(*(w.item() for w in fastest(*(np.array(1.0 / x) for x in (velocity, acceleration, jerk)))))
+        profile = Profile(
+            *(w.item() for w in fastest_profile(*(np.array(1.0 / x) for x in (velocity, acceleration, jerk))))
+        )
         truth = by_ruckig(*(np.array([x]) for x in (velocity, acceleration, jerk)), np.ones(1))
         assert profile.duration == pytest.approx(truth.duration, rel=1e-9)
         cases.add((profile.cruise > profile.ramp + profile.ease, profile.ramp > profile.ease))
         t = rng.uniform(0.0, truth.duration, 6)
-        s, sd, sdd = sample(profile, t)
+        s, sd, sdd = sample_profile(profile, t)
         theirs = np.array([np.ravel(truth.at_time(x)[:3]) for x in t]).T
         scale = np.array([[1.0], [1.0 / profile.cruise], [1.0 / (profile.cruise * profile.ramp)]])
         assert (np.abs(np.array([s, sd, sdd]) - theirs) <= 1e-6 * scale).all()
@@ -71,7 +73,7 @@ def test_synchronised_moves_of_six_axes_take_as_long_as_ruckigs_in_one_phase() -
 @pytest.mark.parametrize("law", [[1, 0.5, 0.05], [1, 0.1, 0.09], [0.1, 0.5, 0.05], [0.1, 0.1, 1]])
 def test_the_jerk_integrates_to_the_samples(law: list[float]) -> None:
     """Three cumulative sums of the bang-zero-bang jerk, made from switching times alone, give the samples."""
-    profile = Profile(*(w.item() for w in fastest(*(np.array(x) for x in law))))
+    profile = Profile(*(w.item() for w in fastest_profile(*(np.array(x) for x in law))))
     cruise, ramp, ease = profile
     n = 200_000
     t = np.linspace(0.0, profile.duration, n + 1)
@@ -85,7 +87,7 @@ def test_the_jerk_integrates_to_the_samples(law: list[float]) -> None:
     acceleration = np.concatenate([[0.0], np.cumsum(sign / (cruise * ramp * ease)) * step])
     speed = np.concatenate([[0.0], np.cumsum(0.5 * (acceleration[1:] + acceleration[:-1])) * step])
     s = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1])) * step])
-    ours = sample(profile, t)
+    ours = sample_profile(profile, t)
     for found, truth in zip(ours, (s, speed, acceleration), strict=True):
         assert np.abs(found - truth).max() <= 1e-4 * np.abs(truth).max()
 
@@ -94,7 +96,7 @@ def test_no_jerk_limit_is_the_limit_of_large_ones() -> None:
     """Times fall with the jerk limit towards those without, and never below."""
     rng = np.random.default_rng(2)
     a, b = rng.uniform(-6, 6, (2, 500, 6))
-    bound = move_time(a, b, jerk_free(LIMITS))
+    bound = move_time(a, b, without_jerk_limit(LIMITS))
     before = move_time(a, b, LIMITS)
     assert (before > bound).all()
     for factor in (10.0, 1e3, 1e6):

@@ -7,7 +7,7 @@ import pytest
 
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
-from planner.tour.view_times import home_share, least_moves, moves_in
+from planner.tour.view_times import insertion_times, least_home_time, least_move_times
 
 RANGE = np.full(6, 3.0)
 # The ratio of velocity to acceleration differs from axis to axis: no axis' times order the others'.
@@ -33,7 +33,7 @@ def rows_of(solutions: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 def check(M: np.ndarray, solutions: list[np.ndarray], standing: float) -> None:
     """The cheapest cover at the least seconds is never above the cheapest cover with its shortest tour."""
     q, offsets = rows_of(solutions)
-    costs = standing + least_moves(q, offsets, HOME, LIMITS)
+    costs = standing + least_move_times(q, offsets, HOME, LIMITS)
     bound = truth = np.inf
     usable = [v for v in range(M.shape[1]) if len(solutions[v])]
     for size in range(1, 5):
@@ -42,7 +42,7 @@ def check(M: np.ndarray, solutions: list[np.ndarray], standing: float) -> None:
                 bound = min(bound, float(costs[list(views)].sum()))
                 truth = min(truth, standing * size + tour_time([solutions[v] for v in views]))
     assert np.isfinite(truth), "the example must have a cover of four views"
-    assert bound + home_share(q, HOME, LIMITS) <= truth * (1 + 1e-12) + 1e-12
+    assert bound + least_home_time(q, HOME, LIMITS) <= truth * (1 + 1e-12) + 1e-12
 
 
 @pytest.mark.parametrize("standing", [0.0, 0.3, 2.5])
@@ -81,7 +81,7 @@ def test_only_the_nearest_moves_are_timed_and_the_bound_still_holds() -> None:
     rng = np.random.default_rng(0)
     q, offsets = rows_of([rng.uniform(-1.5, 1.5, (2, 6)) for _ in range(120)])
     for limits in (LIMITS, JointLimits(-RANGE, RANGE, LIMITS.velocity, 2 * LIMITS.velocity)):
-        found = least_moves(q, offsets, HOME, limits)
+        found = least_move_times(q, offsets, HOME, limits)
         to_view = np.minimum.reduceat(move_time(q[:, None], q, limits), offsets[:-1], axis=1)
         to_view[np.arange(240), np.repeat(np.arange(120), 2)] = np.inf
         home = move_time(HOME, q, limits)
@@ -102,7 +102,7 @@ def test_what_a_view_adds_to_a_tour_and_takes_from_it() -> None:
     def length(at: np.ndarray) -> float:
         return float(move_time(at[:-1], at[1:], LIMITS).sum())
 
-    found = moves_in(stops, views, q, offsets, LIMITS)
+    found = insertion_times(stops, views, q, offsets, LIMITS)
     for place, view in enumerate(views, start=1):
         assert found[view] == pytest.approx(length(stops) - length(np.delete(stops, place, axis=0)))
     for view in {*range(8)} - {*views}:

@@ -18,7 +18,7 @@ from cell.world import virtual_scan
 from cell.world.occluders import caster_of, occluder_triangles
 from planner.kinematics import reach
 from planner.measurability import coverage
-from planner.measurability.visibility import occlude
+from planner.measurability.visibility import apply_occluders
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,9 @@ def test_sampled_coverage_view_by_view_is_that_of_the_merged_cloud(bench: Bench)
     """Leaving out samples that were near an earlier view changes nothing."""
     views = bench.zone.T_object_scanner[[0, 17, 40, 63]]
     points = [virtual_scan.scan(bench.scanner, T, bench.caster, bench.part.reference).points for T in views[:, 0]]
-    merged = coverage.sampled(np.concatenate(points), bench.samples, coverage.sampling_radius(bench.part.reference))
+    merged = coverage.sampled_coverage(
+        np.concatenate(points), bench.samples, coverage.sampling_radius(bench.part.reference)
+    )
     assert 0.05 < merged.fraction < 1.0
     assert bench.sampled(views) == pytest.approx(merged.fraction, abs=1e-12)
 
@@ -133,13 +135,13 @@ def test_a_placement_s_numbers_are_those_of_its_steps(tables: dict[str, Any]) ->
     a = np.deg2rad(30)
     T = np.array([[np.cos(a), -np.sin(a), 0, 1.1], [np.sin(a), np.cos(a), 0, 0.4], [0, 0, 1, 0.1], [0, 0, 0, 1]])
     placed = bench.world.placed(T)
-    reached = reach.solve(
+    reached = reach.solve_reach(
         bench.zone, placed, bench.world.T_flange_scanner, bench.kinematics, bench.checker(placed)
     ).reachable
     casters = caster_of(occluder_triangles(bench.world, placed))
-    M = occlude(bench.matrix("aimed", bench.zone), bench.zone, bench.scanner, casters).matrix()
+    M = apply_occluders(bench.matrix("aimed", bench.zone), bench.zone, bench.scanner, casters).matrix()
     measured = M.toarray()[:, reached].any(axis=1)
-    areas = bench.matrix("aimed", bench.zone).features.areas
+    areas = bench.matrix("aimed", bench.zone).samples.areas
     assert 0.1 < values["coverable"] < 1.0
     assert values["reachable"] == pytest.approx(reached.mean())
     assert values["coverable"] == pytest.approx(areas[measured].sum() / areas.sum())

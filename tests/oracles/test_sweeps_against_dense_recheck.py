@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cell.robot.kinematics import Kr16Kinematics
-from planner.path.sweeps import TUBE, DrivenSweep, SweepPath, sweeps_of
+from planner.path.sweeps import TUBE, SweepPath, TimedSweep, find_sweeps
 from planner.values import Floats
-from planner.viewpoints.viewpoints import straight_poses, turned_poses
+from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_poses
 
 KINEMATICS = Kr16Kinematics.load()
 LIMITS = KINEMATICS.limits
@@ -14,10 +14,10 @@ MOUNT = np.eye(4)
 MOUNT[:3, 3] = (0.02, -0.03, 0.12)
 
 COLUMNS = {
-    "along the baseline": straight_poses(0.15, 8),
-    "across": straight_poses(0.12, 5, (0, 1, 0)),
-    "towards the part": straight_poses(0.2, 6, (0, 0, 1)),
-    "turned": turned_poses(np.radians(24.0), 5),
+    "along the baseline": straight_sweep_poses(0.15, 8),
+    "across": straight_sweep_poses(0.12, 5, (0, 1, 0)),
+    "towards the part": straight_sweep_poses(0.2, 6, (0, 0, 1)),
+    "turned": turned_sweep_poses(np.radians(24.0), 5),
 }
 
 
@@ -30,14 +30,14 @@ def _paths(column: Floats, rng: np.random.Generator, count: int) -> list[SweepPa
         if T[2, 3] < 0.1:
             continue
         by_branch = {
-            (path.branch, path.pose[-1]): path for path in sweeps_of(T @ column, MOUNT, KINEMATICS, LIMITS).paths
+            (path.branch, path.pose[-1]): path for path in find_sweeps(T @ column, MOUNT, KINEMATICS, LIMITS).paths
         }
         found += [by_branch[key] for key in sorted(by_branch)[:2]]
     return found
 
 
-def _driven(path: SweepPath) -> DrivenSweep:
-    return DrivenSweep(path, MOUNT, KINEMATICS)
+def _driven(path: SweepPath) -> TimedSweep:
+    return TimedSweep(path, MOUNT, KINEMATICS)
 
 
 @pytest.mark.parametrize("name", COLUMNS)

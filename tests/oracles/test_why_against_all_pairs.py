@@ -11,7 +11,7 @@ from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.ports import Rejection
-from planner.viewpoints.lines_of_sight import Targets
+from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import optimal_scanning_zone
 from planner.why import why
 from planner.why.reasons import Reason
@@ -32,7 +32,7 @@ def test_every_reason_is_that_of_the_pair_that_comes_farthest(blob: Callable[[in
     rng = np.random.default_rng(2)
     last = [Reason.OUT_OF_REACH, Reason.JOINT_LIMIT, Reason.COLLISION, Reason.NO_PATH, Reason.NOT_SELECTED]
     fails = np.array(last, dtype=np.uint8)[rng.integers(0, len(last), len(views))]
-    targets = Targets.of(samples.points, samples.normals)
+    targets = RayTargets.of(samples.points, samples.normals)
     rows = np.flatnonzero(rng.random(len(samples)) < 0.9)
     found = why.diagnose(targets, rows, views, scanner, caster, other, fails)
 

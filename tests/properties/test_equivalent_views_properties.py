@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
 from planner.tour import equivalent_views, visits
-from planner.tour.equivalent_views import Exchange, Matrix, exchange
+from planner.tour.equivalent_views import ViewExchange, VisibilityIndex, exchange_views
 
 LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.arange(1.0, 7.0), np.arange(2.0, 8.0))
 HOME = np.full(6, 0.25)
@@ -33,11 +33,11 @@ class Case:
             chosen.append(int(usable[int(np.argmax(gain))]))
         self.views = np.array(chosen)
 
-    def exchanged(self, **arguments: object) -> Exchange:
+    def exchanged(self, **arguments: object) -> ViewExchange:
         """The exchange with these arguments."""
-        matrix = Matrix(sp.csr_array(self.M), self.areas, self.usable)
+        matrix = VisibilityIndex(sp.csr_array(self.M), self.areas, self.usable)
         rng = np.random.default_rng(0)
-        return exchange(matrix, self.views, lambda v: self.q[v], HOME, LIMITS, rng, **arguments)  # type: ignore[arg-type]
+        return exchange_views(matrix, self.views, lambda v: self.q[v], HOME, LIMITS, rng, **arguments)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -92,7 +92,7 @@ def test_the_joint_solutions_that_are_kept_are_the_best(monkeypatch: pytest.Monk
     monkeypatch.setattr(visits, "_NODES", 10)
     longer = np.random.default_rng(0).random(9)
     for n_views, count in ((2, 5), (100, 4), (1, 9)):
-        assert visits.best_on_tour(longer, n_views).tolist() == sorted(np.argsort(longer)[:count].tolist())
+        assert visits.best_nodes_on_tour(longer, n_views).tolist() == sorted(np.argsort(longer)[:count].tolist())
 
 
 def test_pinned_views_stay_and_stand_in_for_nobody() -> None:
@@ -126,7 +126,7 @@ def test_no_view_and_one_view(count: int) -> None:
     if count:
         alone = case.M[:, case.views[0]]
         expected = np.flatnonzero(case.usable & case.M[alone].all(axis=0))
-        assert set(found.groups[0]) == set(expected[: equivalent_views.STAND_INS])
+        assert set(found.groups[0]) == set(expected[: equivalent_views.MAX_ALTERNATIVES])
 
 
 def test_a_candidate_without_joint_solutions_stands_in_for_nobody() -> None:
@@ -160,5 +160,5 @@ def test_stand_ins_are_ranked_between_the_neighbours_of_the_tour_that_is_given(s
             ]
             return float(min(ways))
 
-        expected = sorted(others.tolist(), key=through)[: equivalent_views.STAND_INS - 1]
+        expected = sorted(others.tolist(), key=through)[: equivalent_views.MAX_ALTERNATIVES - 1]
         assert ranked[group].tolist() == [case.views[group], *expected]

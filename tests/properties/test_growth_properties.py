@@ -9,9 +9,9 @@ from cell.scanners.laser_line import LaserLine
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import draw_samples
-from planner.measurability.visibility import measured
-from planner.viewpoints.growth import Arm, Stage, grow
-from planner.viewpoints.lines_of_sight import Targets
+from planner.measurability.visibility import find_measured
+from planner.viewpoints.growth import SearchStage, ViewEvaluator, grow
+from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import optimal_scanning_zone, view_sphere
 
 
@@ -30,14 +30,14 @@ def mug():
 
 
 def _arm(caster, scanner, takes_up=_above):
-    return Arm(scanner, (caster,), takes_up, getattr(scanner, "T_view_scanner", np.eye(4)[None]))
+    return ViewEvaluator(scanner, (caster,), takes_up, getattr(scanner, "T_view_scanner", np.eye(4)[None]))
 
 
 def test_what_a_dense_pool_of_reachable_views_measures_is_measured(mug):
     """Against views along all normals and all directions, at several distances and rolls: 0.5 points at most."""
     part, planning, scouts, caster = mug
     scanner = LaserArea(range_mm=(50, 150), baseline_mm=25, sensor_grazing_max_deg=75)
-    targets = Targets.of(scouts.points, scouts.normals)
+    targets = RayTargets.of(scouts.points, scouts.normals)
     grown = grow(targets, np.zeros(len(targets), dtype=bool), _arm(caster, scanner))
     assert _above(grown.T_object_scanner[:, None]).all()
     rolls = tuple(np.radians([0, 90, 180, 270]))
@@ -47,8 +47,8 @@ def test_what_a_dense_pool_of_reachable_views_measures_is_measured(mug):
     ]
     pool = np.concatenate([p.T_object_scanner for p in pools])
     pool = pool[_above(pool)]
-    best = measured(pool, scouts, scanner, (caster,)).mean()
-    mine = measured(grown.T_object_scanner[:, None], scouts, scanner, (caster,), each=True)
+    best = find_measured(pool, scouts, scanner, (caster,)).mean()
+    mine = find_measured(grown.T_object_scanner[:, None], scouts, scanner, (caster,), each=True)
     assert mine.any(axis=1).mean() >= best - 0.005
     assert mine[grown.row, np.arange(len(grown))].all()  # each measures what it is aimed at
     assert len(grown) < len(pool) / 5
@@ -58,13 +58,13 @@ def test_only_what_is_open_is_grown_for(mug):
     """Nothing open, nothing grown; one point open, every view measures it; equal inputs give equal views."""
     _, _, scouts, caster = mug
     arm = _arm(caster, LaserArea(range_mm=(50, 150), baseline_mm=25))
-    targets = Targets.of(scouts.points, scouts.normals)
+    targets = RayTargets.of(scouts.points, scouts.normals)
     seen = np.ones(len(targets), dtype=bool)
     assert not len(grow(targets, seen, arm))
     seen[np.argmax(scouts.points[:, 2])] = False
     some, again = grow(targets, seen, arm), grow(targets, seen, arm)
     assert 1 <= len(some) <= 3
-    views = measured(some.T_object_scanner[:, None], scouts, arm.scanner, (caster,), each=True)
+    views = find_measured(some.T_object_scanner[:, None], scouts, arm.scanner, (caster,), each=True)
     assert views[~seen].all()
     np.testing.assert_array_equal(some.T_object_scanner, again.T_object_scanner)
 
@@ -79,8 +79,8 @@ def test_nothing_is_grown_that_the_arm_does_not_take_up(mug):
         return np.zeros(len(T), dtype=bool)
 
     arm = _arm(caster, LaserArea(range_mm=(50, 150), baseline_mm=25), nowhere)
-    targets = Targets.of(scouts.points, scouts.normals)
-    schedule = (Stage((0, 8), False, 4000), Stage((0, 8), True, 4000))
+    targets = RayTargets.of(scouts.points, scouts.normals)
+    schedule = (SearchStage((0, 8), False, 4000), SearchStage((0, 8), True, 4000))
     assert not len(grow(targets, np.zeros(len(targets), dtype=bool), arm, schedule=schedule))
     assert 0 < sum(asked) <= 4000
 
@@ -90,10 +90,10 @@ def test_views_of_a_sensor_that_sweeps_measure_in_the_middle_of_their_sweep(mug)
     _, _, scouts, caster = mug
     scanner = LaserLine(range_mm=(50, 150), baseline_mm=25, sweep_mm=40.0, sweep_steps=4)
     arm = _arm(caster, scanner)
-    targets = Targets.of(scouts.points, scouts.normals)
-    schedule = (Stage((0, 16), False, 20_000), Stage((0, 8), True, 20_000))
+    targets = RayTargets.of(scouts.points, scouts.normals)
+    schedule = (SearchStage((0, 16), False, 20_000), SearchStage((0, 8), True, 20_000))
     grown = grow(targets, np.zeros(len(targets), dtype=bool), arm, schedule=schedule)
     sweeps = grown.T_object_scanner[:, None] @ scanner.T_view_scanner
     assert len(grown)
     assert _above(sweeps).all()
-    assert measured(sweeps, scouts, scanner, (caster,), each=True)[grown.row, np.arange(len(grown))].all()
+    assert find_measured(sweeps, scouts, scanner, (caster,), each=True)[grown.row, np.arange(len(grown))].all()

@@ -12,9 +12,9 @@ from cell.world.embree import EmbreeRayCaster
 from cell.world.virtual_scan import scan
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
-from planner.measurability.visibility import fill, measured, occlude
+from planner.measurability.visibility import apply_occluders, fill_matrix, find_measured
 from planner.ports import Rejection
-from planner.viewpoints.lines_of_sight import Targets, flat_poses, in_view
+from planner.viewpoints.lines_of_sight import RayTargets, flatten_poses, in_view
 from planner.viewpoints.viewpoints import Viewpoints
 
 seeds = st.integers(0, 2**32 - 1)
@@ -105,8 +105,8 @@ def test_moving_part_and_scanner_together_changes_nothing(seed):
     )
     other_views = _as_viewpoints(motion @ views.T_object_scanner)
     scanner = _scanner()
-    here = _dense(fill(views, features, scanner, caster))
-    there = _dense(fill(other_views, other_features, scanner, other_caster))
+    here = _dense(fill_matrix(views, features, scanner, caster))
+    there = _dense(fill_matrix(other_views, other_features, scanner, other_caster))
     assert (here == there).all()
     a = scan(scanner, views.T_object_scanner[0, 0], caster, part)
     b = scan(scanner, other_views.T_object_scanner[0, 0], other_caster, other_part)
@@ -122,15 +122,18 @@ def test_an_added_occluder_never_adds_an_entry(seed, K):
     rng, _, caster, features, views = _scene(seed, K)
     scanner = _scanner()
     first, second = (EmbreeRayCaster(*_hull(rng, rng.normal(size=3) * 0.15, 0.03)) for _ in range(2))
-    bare = fill(views, features, scanner, caster)
-    once = occlude(bare, views, scanner, first, ray_caster=caster)
+    bare = fill_matrix(views, features, scanner, caster)
+    once = apply_occluders(bare, views, scanner, first, ray_caster=caster)
     assert (_dense(once) <= _dense(bare)).all()
-    joint = measured(views.T_object_scanner, features, scanner, [caster, first], each=True)
+    joint = find_measured(views.T_object_scanner, features, scanner, [caster, first], each=True)
     assert (_dense(once) == joint).all()
     if K == 1:
-        twice = occlude(once, views, scanner, second)
+        twice = apply_occluders(once, views, scanner, second)
         assert (_dense(twice) <= _dense(once)).all()
-        assert (_dense(occlude(occlude(bare, views, scanner, second), views, scanner, first)) == _dense(twice)).all()
+        assert (
+            _dense(apply_occluders(apply_occluders(bare, views, scanner, second), views, scanner, first))
+            == _dense(twice)
+        ).all()
 
 
 @few
@@ -164,8 +167,8 @@ def test_an_occluder_never_adds_a_point_to_a_scan(seed):
 def test_widening_a_limit_never_loses_an_entry(seed, wider):
     """A larger field of view, range or grazing limit keeps all that the narrower one measures."""
     _, _, caster, features, views = _scene(seed)
-    narrow = _dense(fill(views, features, _scanner(), caster))
-    wide = _dense(fill(views, features, _scanner(**wider), caster))
+    narrow = _dense(fill_matrix(views, features, _scanner(), caster))
+    wide = _dense(fill_matrix(views, features, _scanner(**wider), caster))
     assert (narrow <= wide).all()
 
 
@@ -174,8 +177,8 @@ def test_widening_a_limit_never_loses_an_entry(seed, wider):
 def test_a_narrower_sensor_limit_never_adds_an_entry(seed):
     """The sensor leg's own grazing limit works like the others."""
     _, _, caster, features, views = _scene(seed)
-    wide = _dense(fill(views, features, _scanner(), caster))
-    narrow = _dense(fill(views, features, _scanner(sensor_grazing_max_deg=60), caster))
+    wide = _dense(fill_matrix(views, features, _scanner(), caster))
+    narrow = _dense(fill_matrix(views, features, _scanner(sensor_grazing_max_deg=60), caster))
     assert (narrow <= wide).all()
     assert narrow.sum() < wide.sum()
 
@@ -186,13 +189,13 @@ def test_without_a_baseline_the_sensor_leg_blocks_nothing(seed):
     """M equals the conditions and the source leg alone; no ray of a scan is in the sensor's shadow."""
     _, part, caster, features, views = _scene(seed)
     scanner = _scanner(baseline_mm=0, grazing_max_deg=90)
-    targets = Targets.of(features.points, features.normals)
+    targets = RayTargets.of(features.points, features.normals)
     expected = np.zeros((len(features), len(views)), dtype=bool)
-    for j, T in enumerate(flat_poses(views.T_object_scanner)):
+    for j, T in enumerate(flatten_poses(views.T_object_scanner)):
         rows = in_view(targets, T, scanner)
         free = ~caster.blocked(np.tile(T[:3, 3], (len(rows), 1)), targets.lifted[rows])
         expected[rows[free], j] = True
-    assert (_dense(fill(views, features, scanner, caster)) == expected).all()
+    assert (_dense(fill_matrix(views, features, scanner, caster)) == expected).all()
     for T in views.T_object_scanner[:, 0]:
         assert scan(scanner, T, caster, part).counts()[Rejection.SENSOR_BLOCKED] == 0
 
@@ -209,7 +212,7 @@ def test_the_ray_grid_sets_exactly_the_rows_that_its_scans_hit(seed):
     for j, T in enumerate(views.T_object_scanner[:, 0]):
         rows = row_of_face[scan(scanner, T, caster, part).face]
         expected[rows[rows >= 0], j] = True
-    got = fill(views, features, scanner, caster, method="rays", part=part, row_of_face=row_of_face)
+    got = fill_matrix(views, features, scanner, caster, method="rays", part=part, row_of_face=row_of_face)
     assert (_dense(got) == expected).all()
 
 
@@ -220,12 +223,12 @@ def test_the_size_of_bundles_does_not_matter(seed, bundle):
     _, part, caster, features, views = _scene(seed)
     scanner = _scanner()
     keys = {"method": "rays", "part": part, "row_of_face": np.arange(len(part.faces)) % len(features)}
-    usual = fill(views, features, scanner, caster), fill(views, features, scanner, caster, **keys)
+    usual = fill_matrix(views, features, scanner, caster), fill_matrix(views, features, scanner, caster, **keys)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("planner.measurability.visibility.BUNDLE", bundle)
         patch.setattr("planner.measurability.visibility._OPEN_BUNDLE", bundle)
-        other = fill(views, features, scanner, caster), fill(views, features, scanner, caster, **keys)
-        predicted = measured(views.T_object_scanner, features, scanner, [caster])
+        other = fill_matrix(views, features, scanner, caster), fill_matrix(views, features, scanner, caster, **keys)
+        predicted = find_measured(views.T_object_scanner, features, scanner, [caster])
     for a, b in zip(usual, other, strict=True):
         assert a.indices.tobytes() == b.indices.tobytes()
         assert a.indptr.tobytes() == b.indptr.tobytes()
@@ -243,9 +246,9 @@ def test_rolls_share_the_source_s_legs_to_the_bit(seed):
     scanner = _scanner(fov_deg=(60, 60))
     counted = _Counting(caster)
     for order in (np.arange(len(rolled)), rng.permutation(len(rolled))):
-        together = _dense(fill(_as_viewpoints(rolled[order]), features, scanner, counted))
+        together = _dense(fill_matrix(_as_viewpoints(rolled[order]), features, scanner, counted))
         shared, counted.legs = counted.legs, 0
-        alone = [_dense(fill(_as_viewpoints(rolled[[i]]), features, scanner, counted))[:, 0] for i in order]
+        alone = [_dense(fill_matrix(_as_viewpoints(rolled[[i]]), features, scanner, counted))[:, 0] for i in order]
         assert (together == np.stack(alone, axis=1)).all()
         assert shared < counted.legs or not together.any() or not np.array_equal(order, np.arange(len(order)))
         counted.legs = 0
@@ -272,7 +275,7 @@ def test_more_samples_never_change_the_truth_beyond_their_error(seed):
     counts = (300, 3000, 30_000)
     for count in counts:
         samples = draw_samples(part, part, count, rng)
-        shares.append(measured(views.T_object_scanner[:4], samples, scanner, [caster]).mean())
+        shares.append(find_measured(views.T_object_scanner[:4], samples, scanner, [caster]).mean())
     truth = shares[-1]
     assert 0 < truth < 1
     for share, count in zip(shares[:-1], counts[:-1], strict=True):

@@ -6,10 +6,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from planner.ports import JointLimits
-from planner.timing.limits import jerk_free, scaled
+from planner.timing.limits import scale_limits, without_jerk_limit
 from planner.timing.motion import retime
 from planner.timing.move_time import RESOLUTION, move_time
-from planner.timing.s_curve import Profile, fastest, sample
+from planner.timing.s_curve import Profile, fastest_profile, sample_profile
 
 angles = arrays(float, 6, elements=st.floats(-13.0, 13.0))
 positive = arrays(float, 6, elements=st.floats(0.01, 50.0))
@@ -24,7 +24,7 @@ def limits(velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> 
 
 def widths(v: float, a: float, j: float) -> Profile:
     """The fastest profile as floats."""
-    return Profile(*(width.item() for width in fastest(np.array(v), np.array(a), np.array(j))))
+    return Profile(*(width.item() for width in fastest_profile(np.array(v), np.array(a), np.array(j))))
 
 
 @settings(max_examples=4 * settings.default.max_examples)
@@ -58,10 +58,10 @@ def test_samples_rise_from_0_to_1_and_are_symmetric(v: float, a: float, j: float
     """Monotone, point-symmetric about the middle, speeds and accelerations at most the peaks."""
     profile = widths(v, max(a, 1e-9), j)
     t = np.sort(np.concatenate([[0.0, 1.0], shares])) * profile.duration
-    s, sd, sdd = sample(profile, t)
+    s, sd, sdd = sample_profile(profile, t)
     assert (s[0], s[-1], sd[0], sd[-1]) == (0.0, 1.0, 0.0, 0.0)
     assert (np.diff(s) >= -1e-12).all()
-    back = sample(profile, profile.duration - t)
+    back = sample_profile(profile, profile.duration - t)
     np.testing.assert_allclose(s + back[0], 1.0, atol=1e-9)
     rounded = 4 * np.spacing(profile.duration)  # of a time: all of a ramp that is ten decades shorter than the move
     np.testing.assert_allclose(sd, back[1], atol=(1e-6 + rounded / profile.ramp) / profile.cruise)
@@ -76,7 +76,7 @@ def test_move_time_is_a_metric(
     """Symmetric, zero exactly between equal angles, and no way over a third configuration is faster."""
     law = limits(v, acc, jerk)
     ab = float(move_time(a, b, law))
-    assert ab == float(move_time(b, a, law)) >= float(move_time(a, b, jerk_free(law))) >= 0
+    assert ab == float(move_time(b, a, law)) >= float(move_time(a, b, without_jerk_limit(law))) >= 0
     assert (ab == 0) == bool((np.abs(a - b) <= RESOLUTION).all())
     assert ab <= (float(move_time(a, c, law)) + float(move_time(c, b, law))) * (1 + 1e-12) + 1e-3 * RESOLUTION ** (
         1 / 3
@@ -95,7 +95,7 @@ def test_samples_never_exceed_a_limit(
     assert (np.abs(motion.qdd) <= acc).all()
     assert (np.abs(np.diff(motion.qd, axis=0)) <= acc * steps + 1e-13).all()
     assert (np.abs(np.diff(motion.qdd, axis=0)) <= jerk * steps + 1e-13).all()
-    assert (motion.limits.velocity == scaled(law, override).velocity).all()
+    assert (motion.limits.velocity == scale_limits(law, override).velocity).all()
     assert motion.duration >= retime(np.array(via), [0] * len(via), [-1] * len(via), law, 0.5).duration * (1 - 1e-12)
 
 

@@ -10,8 +10,8 @@ from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
-from planner.measurability.quality import Limited
-from planner.measurability.visibility import measured
+from planner.measurability.quality import LimitedScanner
+from planner.measurability.visibility import find_measured
 from planner.ports import Rejection
 from planner.viewpoints.viewpoints import optimal_scanning_zone
 
@@ -64,7 +64,9 @@ def test_a_larger_limit_on_sigma_never_loses_a_point(limits, limit, factor, seed
     """And no limit on sigma measures what the scanner without one does not."""
     cloud = _cloud(seed)
     scanner = LaserArea(resolution_deg=(5, 5), **limits)
-    tight, loose = (Limited(scanner, bound).reject(*cloud) == Rejection.MEASURED for bound in (limit, factor * limit))
+    tight, loose = (
+        LimitedScanner(scanner, bound).reject(*cloud) == Rejection.MEASURED for bound in (limit, factor * limit)
+    )
     assert (loose | ~tight).all()
     assert (_measured(limits, cloud) | ~loose).all()
 
@@ -99,12 +101,12 @@ def test_an_arm_in_the_way_never_adds_a_sample_and_hides_only_its_own_view():
         own.append(EmbreeRayCaster(block.vertices, block.faces))
     own[0] = None
     T = views.T_object_scanner
-    free = measured(T, samples, scanner, (caster,), each=True)
-    hidden = measured(T, samples, scanner, (caster,), each=True, own=own)
+    free = find_measured(T, samples, scanner, (caster,), each=True)
+    hidden = find_measured(T, samples, scanner, (caster,), each=True, own=own)
     assert (free | ~hidden).all()
     np.testing.assert_array_equal(free[:, 0], hidden[:, 0])
     for view in range(1, len(T)):
-        alone = measured(T[[view]], samples, scanner, (caster, own[view]))
+        alone = find_measured(T[[view]], samples, scanner, (caster, own[view]))
         np.testing.assert_array_equal(hidden[:, view], alone)
         assert hidden[:, view].sum() < free[:, view].sum()
-    np.testing.assert_array_equal(measured(T, samples, scanner, (caster,), own=own), hidden.any(axis=1))
+    np.testing.assert_array_equal(find_measured(T, samples, scanner, (caster,), own=own), hidden.any(axis=1))

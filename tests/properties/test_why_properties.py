@@ -142,11 +142,11 @@ class _Cell:
         self.casters = [part, *(EmbreeRayCaster(o.vertices, o.faces) for o in occluder_triangles(self.world))]
 
     def measured(self, views: Viewpoints, scanner: LaserArea, answer: Answer) -> np.ndarray:
-        reached = reach.solve(
+        reached = reach.solve_reach(
             views, self.world.T_base_object, self.world.T_flange_scanner,
             kinematics_of(self.world.model), MujocoCollisionChecker(self.world),
         ).reachable  # fmt: skip
-        return coverage.visible(views.T_object_scanner[reached], answer.samples, scanner, self.casters).covered
+        return coverage.visible_coverage(views.T_object_scanner[reached], answer.samples, scanner, self.casters).covered
 
 
 def test_every_change_that_is_named_measures_what_it_claims_when_it_is_made(

@@ -10,7 +10,7 @@ from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
-from planner.measurability.visibility import fill, occlude
+from planner.measurability.visibility import apply_occluders, fill_matrix
 from planner.ports import Rejection
 from planner.viewpoints.viewpoints import Viewpoints, view_sphere
 
@@ -52,18 +52,18 @@ def test_measured_share_of_a_ball(case: str) -> None:
     scanner = LaserLine(**{"fan_deg": 30, "baseline_mm": 75, "range_mm": (150, 450), **keys})
     samples, caster = _ball()
     views = swept(scanner, _views())
-    M = fill(views, samples, scanner, caster)
+    M = fill_matrix(views, samples, scanner, caster)
     share = (np.diff(M.indptr) > 0).mean()
     assert least <= share <= most
     empty = EmbreeRayCaster(_BALL.vertices + 10.0, _BALL.faces)
-    assert (occlude(M, views, scanner, empty, ray_caster=caster).indices == M.indices).all()
+    assert (apply_occluders(M, views, scanner, empty, ray_caster=caster).indices == M.indices).all()
 
 
 def test_sensor_inside_the_part_measures_nothing() -> None:
     """From within, every outward normal looks away."""
     scanner = LaserLine(range_mm=(1, 100), baseline_mm=5, sweep_mm=20)
     samples, caster = _ball()
-    assert len(fill(swept(scanner, _views(0.01)), samples, scanner, caster).indices) == 0
+    assert len(fill_matrix(swept(scanner, _views(0.01)), samples, scanner, caster).indices) == 0
 
 
 def test_nothing_to_judge() -> None:
@@ -86,14 +86,14 @@ def test_a_part_ten_metres_from_the_origin_is_measured_alike() -> None:
     """Part and views moved together: at most a few samples on a limit change."""
     scanner = LaserLine(fan_deg=30, baseline_mm=75, range_mm=(150, 450), sweep_mm=120)
     samples, caster = _ball()
-    here = fill(swept(scanner, _views()), samples, scanner, caster).matrix().toarray()
+    here = fill_matrix(swept(scanner, _views()), samples, scanner, caster).matrix().toarray()
     shift = np.array([10.0, -7.0, 3.0])
     there_samples = SurfaceSamples(
         samples.points + shift, samples.normals, samples.areas, samples.face, samples.planning_face
     )
     views = view_sphere(shift, 0.3, np.pi / 3, np.pi / 2)
     there_caster = EmbreeRayCaster(_BALL.vertices + shift, _BALL.faces)
-    there = fill(swept(scanner, views), there_samples, scanner, there_caster).matrix().toarray()
+    there = fill_matrix(swept(scanner, views), there_samples, scanner, there_caster).matrix().toarray()
     assert (here != there).sum() <= 2e-3 * here.sum()
 
 

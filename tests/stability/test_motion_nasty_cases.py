@@ -11,7 +11,7 @@ from planner.path.path import PathStatus, connect
 from planner.ports import JointLimits
 from planner.timing.motion import retime
 from planner.timing.move_time import move_time
-from planner.tour.tour import DropReason, MotionBudget, Tour, TourStatus, plan_motion
+from planner.tour.tour import DropReason, MotionBudget, Tour, TourStatus, plan_tour
 from planner.tour.visits import Visits
 
 RANGE = np.radians([185, 150, 150, 350, 130, 350])
@@ -77,7 +77,7 @@ def motion_over(views: list[np.ndarray], checker: Boxes, **arguments: object) ->
     poses = np.tile(np.eye(4), (len(views), 1, 1))
     for pose, q in zip(poses, views, strict=True):
         pose[:3, 3] = q[0, :3] if len(q) else 0.0
-    return plan_motion(Visits(views, HOME, poses), checker, LIMITS, rng(), **arguments)  # type: ignore[arg-type]
+    return plan_tour(Visits(views, HOME, poses), checker, LIMITS, rng(), **arguments)  # type: ignore[arg-type]
 
 
 def test_both_ends_equal() -> None:
@@ -268,7 +268,7 @@ def test_broken_input_is_refused_in_one_sentence(change: Callable[[dict], None],
     arguments = {"configurations": [at(1)[None]], "home": HOME, "T_base_scanner": np.eye(4)[None]}
     change(arguments)
     with pytest.raises(PlannerError, match=message):
-        plan_motion(Visits(**arguments), Boxes(), LIMITS, rng())
+        plan_tour(Visits(**arguments), Boxes(), LIMITS, rng())
 
 
 def test_more_work_never_makes_the_motion_longer() -> None:

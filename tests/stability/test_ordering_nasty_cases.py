@@ -16,8 +16,8 @@ from planner.ports import JointLimits
 from planner.timing.move_time import move_time
 from planner.tour import bounds
 from planner.tour import generalised_tsp as gtsp
-from planner.tour.orderings import OrderStatus, Sequence, sequence
-from planner.tour.visits import Moves
+from planner.tour.orderings import OrderedViews, OrderStatus, order_views
+from planner.tour.visits import TourProblem
 
 RANGE = np.radians([185, 150, 150, 350, 130, 350])
 LIMITS = JointLimits(
@@ -33,17 +33,17 @@ def degrees(*angles: float) -> np.ndarray:
 
 def ordered(
     views: Many[np.ndarray], prices: Mapping[tuple[int, int], float] | None = None, **arguments: int
-) -> Sequence:
+) -> OrderedViews:
     """Order views, some moves at a price; all scanner poses are the same, so that task space says nothing."""
     poses = np.tile(np.eye(4), (len(views), 1, 1))
-    moves = Moves.straight(views, HOME, LIMITS)
+    moves = TourProblem.straight(views, HOME, LIMITS)
     times = moves.times.copy()
     for (a, b), time in (prices or {}).items():
         times[a, b] = times[b, a] = time
-    return sequence(replace(moves, times=times), poses, np.random.default_rng(0), **arguments)
+    return order_views(replace(moves, times=times), poses, np.random.default_rng(0), **arguments)
 
 
-def stops(found: Sequence) -> np.ndarray:
+def stops(found: OrderedViews) -> np.ndarray:
     """(n + 2, 6) joint angles from home to home."""
     return np.concatenate((HOME[None], found.q, HOME[None]))
 
@@ -52,8 +52,8 @@ def exactly_ordered(views: Many[np.ndarray]) -> bool:
     """Whether the default budget lets these views be ordered exactly."""
     nodes = 1 + sum(map(len, views))
     cost = np.zeros((nodes, nodes))
-    problem = gtsp.instance(cost, np.cumsum([0, 1, *map(len, views)]))
-    return gtsp.exact_work(problem) <= gtsp.ALWAYS_EXACT
+    problem = gtsp.make_instance(cost, np.cumsum([0, 1, *map(len, views)]))
+    return gtsp.exact_effort(problem) <= gtsp.ALWAYS_EXACT
 
 
 @pytest.mark.parametrize("n", [2, 18])
@@ -201,11 +201,11 @@ def test_fewer_clusters_than_a_tour_has_corners(clusters: int) -> None:
     """One, two and three clusters of two nodes each: exact search, search and bounds agree."""
     rng = np.random.default_rng(clusters)
     places = rng.uniform(0, 1, (2 * clusters, 2))
-    problem = gtsp.instance(np.linalg.norm(places[:, None] - places, axis=2), np.arange(0, 2 * clusters + 1, 2))
-    exact = gtsp.exact(problem)
+    problem = gtsp.make_instance(np.linalg.norm(places[:, None] - places, axis=2), np.arange(0, 2 * clusters + 1, 2))
+    exact = gtsp.solve_exactly(problem)
     _, start = gtsp.best_nodes(problem, np.arange(1, clusters))
     assert gtsp.search(problem, start, 0, 100)[0] == pytest.approx(exact.cost)
-    assert bounds.one_tree(problem.cost, problem.first) <= exact.cost * (1 + 1e-12)
+    assert bounds.one_tree_bound(problem.cost, problem.first) <= exact.cost * (1 + 1e-12)
 
 
 @pytest.mark.parametrize(
@@ -220,4 +220,4 @@ def test_fewer_clusters_than_a_tour_has_corners(clusters: int) -> None:
 def test_broken_instances_are_refused(cost: np.ndarray, first: list[int], message: str) -> None:
     """Each with one sentence."""
     with pytest.raises(PlannerError, match=message):
-        gtsp.instance(cost, np.array(first))
+        gtsp.make_instance(cost, np.array(first))

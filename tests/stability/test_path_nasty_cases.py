@@ -12,7 +12,7 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.path.certified_edge import STEP, certify, quantise
 from planner.path.path import PathStatus, connect
-from planner.tour.tour import DropReason, plan_motion
+from planner.tour.tour import DropReason, plan_tour
 from planner.tour.visits import Visits
 
 BALL = 0.02 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])  # a part that is out of the way
@@ -95,7 +95,7 @@ def test_a_part_that_fills_the_workspace() -> None:
     assert (found.status, found.via) == (PathStatus.NO_PATH_FOUND, None)
     assert 3000 <= found.checks < 10_000
     ahead = quantise(np.radians([[a, -60.0, 80, 0, 60, 0] for a in (-20.0, -10, 0, 10, 20)]))
-    tour = plan_motion(
+    tour = plan_tour(
         Visits([ahead[:3], ahead[3:]], left, np.tile(np.eye(4), (2, 1, 1))),
         checker,
         world.limits,

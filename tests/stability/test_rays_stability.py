@@ -8,7 +8,7 @@ from cell.world.embree import EmbreeRayCaster
 from cell.world.virtual_scan import scan
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
-from planner.measurability.visibility import fill, measured
+from planner.measurability.visibility import fill_matrix, find_measured
 from planner.ports import Rejection
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
@@ -62,7 +62,7 @@ def test_coplanar_neighbours_do_not_shade_each_other():
     n = len(points)
     features = SurfaceSamples(points, np.tile([0, 0, 1.0], (n, 1)), np.ones(n), np.zeros(n), np.zeros(n))
     for position in ([0.01, 0.02, 0.3], [0.25, 0.01, 0.002], [-0.3, 0.2, 0.0002]):
-        assert measured(_pose(position, [0, 0, 0])[None, None], features, ONE_EYE, [caster]).all()
+        assert find_measured(_pose(position, [0, 0, 0])[None, None], features, ONE_EYE, [caster]).all()
 
 
 @pytest.mark.parametrize("thickness", [1e-3, 1e-5, 2e-6])
@@ -73,7 +73,7 @@ def test_a_thin_wall_is_opaque_and_its_front_is_seen(thickness):
     features = draw_samples(wall, wall, 2000, np.random.default_rng(0))
     inner = np.abs(features.normals[:, 2]) > 0.9
     for side in (1, -1):
-        seen = measured(_pose([0.02, 0.01, 0.3 * side], [0, 0, 0])[None, None], features, WIDE, [caster])
+        seen = find_measured(_pose([0.02, 0.01, 0.3 * side], [0, 0, 0])[None, None], features, WIDE, [caster])
         assert (seen == (features.normals[:, 2] * side > 0.9))[inner].all()
         origins = np.tile([0.02, 0.01, 0.3 * side], (2000, 1))
         behind = features.points - [0, 0, 2 * thickness * side]
@@ -101,8 +101,8 @@ def test_faces_without_area_and_faces_that_repeat_change_nothing():
     features = draw_samples(clean, clean, 500, np.random.default_rng(0))
     views = optimal_scanning_zone(clean, [0.3], [0.4])
     scanner = LaserArea(resolution_deg=(2, 2))
-    a = fill(views, features, scanner, _caster(clean))
-    b = fill(views, features, scanner, _caster(dirty))
+    a = fill_matrix(views, features, scanner, _caster(clean))
+    b = fill_matrix(views, features, scanner, _caster(dirty))
     assert (a.matrix().toarray() == b.matrix().toarray()).all()
     assert len(a.indices) > 0
     T = views.T_object_scanner[0, 0]
@@ -122,8 +122,8 @@ def test_a_part_far_from_the_origin_is_measured_like_one_at_the_origin(distance)
     T[..., :3, 3] += shift
     there = Viewpoints(T, views.face, views.standoff, views.roll)
     scanner = LaserArea(range_mm=(100, 300))
-    a = fill(views, features, scanner, _caster(part))
-    b = fill(there, moved, scanner, _caster(far))
+    a = fill_matrix(views, features, scanner, _caster(part))
+    b = fill_matrix(there, moved, scanner, _caster(far))
     assert (a.matrix().toarray() == b.matrix().toarray()).all()
     near = scan(scanner, views.T_object_scanner[0, 0], _caster(part), part)
     away = scan(scanner, T[0, 0], _caster(far), far)
@@ -140,7 +140,7 @@ def test_a_part_of_9_mm_and_one_of_5_m_are_measured_alike(size):
         features = draw_samples(part, part, 500, np.random.default_rng(0))
         views = optimal_scanning_zone(part, [2.0 * scale], [0.1])
         scanner = LaserArea((60, 60), (1, 1), (1000 * scale, 3000 * scale), 500 * scale)
-        return fill(views, features, scanner, _caster(part)).matrix().toarray()
+        return fill_matrix(views, features, scanner, _caster(part)).matrix().toarray()
 
     assert (matrix(size) == matrix(0.1)).all()
     assert matrix(size).any()
@@ -173,7 +173,7 @@ def test_a_source_inside_the_part_measures_nothing():
     part = _box((0.4, 0.4, 0.4))
     features = draw_samples(part, part, 500, np.random.default_rng(0))
     T = _pose([0.01, 0, -0.1], [0, 0, 0.2])
-    assert not measured(T[None, None], features, WIDE, [_caster(part)]).any()
+    assert not find_measured(T[None, None], features, WIDE, [_caster(part)]).any()
     assert scan(WIDE, T, _caster(part), part).counts()[Rejection.MEASURED] == 0
 
 
@@ -188,7 +188,7 @@ def test_a_sensor_inside_the_part_measures_nothing():
     features = _feature([-0.05, 0.001, 0], [0, 0, 1])
     for baseline, seen in ((30, True), (110, False)):
         scanner = LaserArea(baseline_mm=baseline)
-        assert measured(T[None, None], features, scanner, [_caster(part)]).tolist() == [seen]
+        assert find_measured(T[None, None], features, scanner, [_caster(part)]).tolist() == [seen]
     counts = scan(LaserArea(resolution_deg=(1, 1), baseline_mm=110), T, _caster(part), part).counts()
     assert counts[Rejection.MEASURED] == 0
     assert counts[Rejection.SENSOR_BLOCKED] > 0
@@ -200,7 +200,9 @@ def test_a_grazing_limit_of_0_keeps_head_on_points_only():
     scanner = LaserArea(baseline_mm=0, grazing_max_deg=0)
     T = _pose([0.01, 0.02, 0.3], [0.01, 0.02, 0])
     for x, seen in ((0.01, True), (0.01 + 0.3 * np.tan(np.radians(1)), False)):
-        assert measured(T[None, None], _feature([x, 0.02, 0], [0, 0, 1]), scanner, [_caster(plate)]).tolist() == [seen]
+        assert find_measured(T[None, None], _feature([x, 0.02, 0], [0, 0, 1]), scanner, [_caster(plate)]).tolist() == [
+            seen
+        ]
 
 
 def test_a_grazing_limit_of_90_keeps_everything_in_front_and_nothing_behind():
@@ -209,7 +211,7 @@ def test_a_grazing_limit_of_90_keeps_everything_in_front_and_nothing_behind():
     features = draw_samples(plate, plate, 500, np.random.default_rng(0))
     for height, seen in ((1e-3, True), (-1e-3, False)):
         T = _pose([-0.3, 0.0, height], [0, 0, height])
-        found = measured(T[None, None], features, ONE_EYE, [_caster(plate)])
+        found = find_measured(T[None, None], features, ONE_EYE, [_caster(plate)])
         assert (found == seen).all()
 
 
@@ -221,4 +223,4 @@ def test_a_plate_exactly_at_the_end_of_the_range_is_in_range(limit):
     plate = _grid_plate(3, 0.9)
     plate = TriangleMesh(plate.vertices + np.array([0, 0, 0.7 - distance]), plate.faces)
     T = np.array([[1.0, 0, 0, 0.1], [0, -1, 0, 0.2], [0, 0, -1, 0.7], [0, 0, 0, 1]])
-    assert measured(T[None, None], features, LaserArea(), [_caster(plate)]).all()
+    assert find_measured(T[None, None], features, LaserArea(), [_caster(plate)]).all()

@@ -10,7 +10,7 @@ from cell.world import virtual_scan
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
-from planner.measurability.visibility import measured
+from planner.measurability.visibility import find_measured
 from planner.ports import Rejection
 
 BACK = np.array([[0.0, 0.0, -1.0]])
@@ -138,7 +138,7 @@ def test_a_fixture_that_touches_the_part_hides_what_it_covers_and_nothing_else()
     face = np.zeros(4, dtype=np.int32)
     samples = SurfaceSamples(points, directions, np.full(4, 1e-4), face, face)
     T = _before(0.3)[None, None]
-    bare = measured(T, samples, scanner, [])
-    covered = measured(T, samples, scanner, casters[1:])
+    bare = find_measured(T, samples, scanner, [])
+    covered = find_measured(T, samples, scanner, casters[1:])
     assert bare.tolist() == [True] * 4
     assert covered.tolist() == [False, False, True, True]

@@ -7,10 +7,10 @@ import pytest
 
 from cell.robot.kinematics import Kr16Kinematics
 from planner.path.sweep_line import SweepRefusal
-from planner.path.sweeps import sweeps_of
+from planner.path.sweeps import find_sweeps
 from planner.ports import JointLimits
 from planner.values import Floats
-from planner.viewpoints.viewpoints import straight_poses, turned_poses
+from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_poses
 
 KINEMATICS = Kr16Kinematics.load()
 LIMITS = KINEMATICS.limits
@@ -25,7 +25,7 @@ def _pose(*angles_deg: float) -> Floats:
 
 
 def _reasons(column: Floats, limits: JointLimits = LIMITS) -> tuple[int, dict[int, SweepRefusal]]:
-    found = sweeps_of(column, MOUNT, KINEMATICS, limits)
+    found = find_sweeps(column, MOUNT, KINEMATICS, limits)
     return len(found.paths), {refused.branch: refused.reason for refused in found.refused}
 
 
@@ -36,11 +36,11 @@ def test_through_the_wrist_singularity(off_deg: float) -> None:
     Turning the flange about its own y axis at A4 = 0 moves A5 alone: a path through the singularity exists there, but
     not on one slot; off it A4 must turn half a turn at once.
     """
-    column = _pose(10, -60, 80, 40, off_deg, 30) @ straight_poses(0.1, 5, (0, 1, 0))
+    column = _pose(10, -60, 80, 40, off_deg, 30) @ straight_sweep_poses(0.1, 5, (0, 1, 0))
     paths, reasons = _reasons(column)
     assert reasons[0] in (SweepRefusal.SINGULAR, SweepRefusal.TOO_FAST)
     assert reasons[1] in (SweepRefusal.SINGULAR, SweepRefusal.TOO_FAST)
-    assert 0 not in {path.branch for path in sweeps_of(column, MOUNT, KINEMATICS, LIMITS).paths}
+    assert 0 not in {path.branch for path in find_sweeps(column, MOUNT, KINEMATICS, LIMITS).paths}
     assert paths >= 0
 
 
@@ -49,15 +49,15 @@ def test_through_the_wrist_singularity(off_deg: float) -> None:
 )
 def test_axes_without_a_jerk_limit_are_those_of_an_enormous_one(pose: tuple[float, ...]) -> None:
     """A line through singularities has bounds without end; where jerk has none either, nothing is made of the two."""
-    column = _pose(*pose) @ turned_poses(np.radians(24.0), 5)
+    column = _pose(*pose) @ turned_sweep_poses(np.radians(24.0), 5)
     free, enormous = (replace(LIMITS, jerk=np.full(6, jerk)) for jerk in (np.inf, 1e15))
     assert _reasons(column, free) == _reasons(column, enormous)
 
 
 def test_through_the_wrist_singularity_the_axes_are_named() -> None:
     """A4 and A6 are what turns against each other there."""
-    column = _pose(10, -60, 80, 40, 0.0, 30) @ straight_poses(0.1, 5, (0, 1, 0))
-    found = {refused.branch: refused for refused in sweeps_of(column, MOUNT, KINEMATICS, LIMITS).refused}
+    column = _pose(10, -60, 80, 40, 0.0, 30) @ straight_sweep_poses(0.1, 5, (0, 1, 0))
+    found = {refused.branch: refused for refused in find_sweeps(column, MOUNT, KINEMATICS, LIMITS).refused}
     assert "A4" in found[0].detail
     assert found[0].detail in found[0].sentence
 
@@ -65,15 +65,15 @@ def test_through_the_wrist_singularity_the_axes_are_named() -> None:
 @pytest.mark.parametrize("elbow", [-2.990345, -2.990345 + 1e-7])
 def test_through_the_stretched_elbow(elbow: float) -> None:
     """The line crosses the boundary of the reach: no branch follows it."""
-    paths, reasons = _reasons(_pose(0, -45, elbow, 0, 40, 0) @ straight_poses(0.1, 5, (0, 0, 1)))
+    paths, reasons = _reasons(_pose(0, -45, elbow, 0, 40, 0) @ straight_sweep_poses(0.1, 5, (0, 0, 1)))
     assert paths == 0
     assert set(reasons.values()) == {SweepRefusal.OUT_OF_REACH}
 
 
 def test_through_the_shoulder_singularity() -> None:
     """The wrist centre crosses the axis of A1, which would have to turn half round at once."""
-    column = _pose(0, -120, 33.857864, 0, 60, 0) @ straight_poses(0.1, 4, (1, 0, 0))
-    found = sweeps_of(column, MOUNT, KINEMATICS, LIMITS)
+    column = _pose(0, -120, 33.857864, 0, 60, 0) @ straight_sweep_poses(0.1, 4, (1, 0, 0))
+    found = find_sweeps(column, MOUNT, KINEMATICS, LIMITS)
     assert not found.paths
     assert any(r.reason is SweepRefusal.SINGULAR and "A1" in r.detail for r in found.refused)
 
@@ -82,7 +82,7 @@ def test_through_the_shoulder_singularity() -> None:
 def test_a_sweep_of_zero_length_is_a_stop(count: int) -> None:
     """All poses equal: every free branch stands there, for no time, in one direction."""
     column = np.tile(_pose(12, -75, 110, 35, -60, 140), (count, 1, 1))
-    found = sweeps_of(column, MOUNT, KINEMATICS, LIMITS)
+    found = find_sweeps(column, MOUNT, KINEMATICS, LIMITS)
     assert found.paths
     for path in found.paths:
         assert path.duration == 0.0
@@ -95,7 +95,7 @@ def test_a_sweep_of_zero_length_is_a_stop(count: int) -> None:
 
 def test_a_sweep_longer_than_the_reach() -> None:
     """Three metres: out of reach on every branch, or beyond a limit on the way."""
-    paths, reasons = _reasons(_pose(12, -75, 110, 35, -60, 140) @ straight_poses(3.0, 8))
+    paths, reasons = _reasons(_pose(12, -75, 110, 35, -60, 140) @ straight_sweep_poses(3.0, 8))
     assert paths == 0
     assert SweepRefusal.OUT_OF_REACH in reasons.values()
 
@@ -104,7 +104,7 @@ def test_a_sweep_all_of_whose_branches_jump() -> None:
     """Past the axis of A1 at 2 mm: every branch needs half a turn of A1 within a few millimetres."""
     column = _pose(0, -120, 33.857864, 0, 60, 0)
     column[1, 3] += 0.002
-    paths, reasons = _reasons(column @ straight_poses(0.3, 6, (1, 0, 0)))
+    paths, reasons = _reasons(column @ straight_sweep_poses(0.3, 6, (1, 0, 0)))
     assert paths == 0
     assert reasons
     assert set(reasons.values()) <= {SweepRefusal.SINGULAR, SweepRefusal.TOO_FAST, SweepRefusal.OUT_OF_REACH}
@@ -112,27 +112,27 @@ def test_a_sweep_all_of_whose_branches_jump() -> None:
 
 def test_a_sweep_that_only_just_keeps_a_joint_limit() -> None:
     """The limits moved onto what the sweep takes: it stays; a hundredth of a degree nearer: the axis is named."""
-    column = _pose(12, -75, 110, 35, -60, 140) @ straight_poses(0.15, 8)
-    path = next(path for path in sweeps_of(column, MOUNT, KINEMATICS, LIMITS).paths if path.branch == 1)
+    column = _pose(12, -75, 110, 35, -60, 140) @ straight_sweep_poses(0.15, 8)
+    path = next(path for path in find_sweeps(column, MOUNT, KINEMATICS, LIMITS).paths if path.branch == 1)
     low, high = path.q.min(axis=0), path.q.max(axis=0)
     room = np.radians(0.3)  # what the bounds between two samples need
     wide = JointLimits(low - room, high + room, LIMITS.velocity, LIMITS.acceleration, LIMITS.jerk)
-    assert any(found.branch == 1 for found in sweeps_of(column, MOUNT, KINEMATICS, wide).paths)
+    assert any(found.branch == 1 for found in find_sweeps(column, MOUNT, KINEMATICS, wide).paths)
     upper = high + room
     upper[0] = high[0] - np.radians(0.01)
     narrow = JointLimits(low - room, upper, LIMITS.velocity, LIMITS.acceleration, LIMITS.jerk)
-    refused = {r.branch: r for r in sweeps_of(column, MOUNT, KINEMATICS, narrow).refused}
+    refused = {r.branch: r for r in find_sweeps(column, MOUNT, KINEMATICS, narrow).refused}
     assert refused[1].reason is SweepRefusal.JOINT_LIMIT
     assert refused[1].detail == "A1"
 
 
 def test_slow_axes_slow_the_sweep_down_and_then_refuse_it() -> None:
     """Axes too slow for the speed: the sweep is slower, up to four times; then it is refused."""
-    column = _pose(12, -75, 110, 35, -60, 140) @ straight_poses(0.15, 8)
+    column = _pose(12, -75, 110, 35, -60, 140) @ straight_sweep_poses(0.15, 8)
     durations = []
     for factor in (1.0, 0.012, 0.008):
         slow = JointLimits(LIMITS.lower, LIMITS.upper, LIMITS.velocity * factor, LIMITS.acceleration, LIMITS.jerk)
-        paths = [path for path in sweeps_of(column, MOUNT, KINEMATICS, slow).paths if path.branch == 1]
+        paths = [path for path in find_sweeps(column, MOUNT, KINEMATICS, slow).paths if path.branch == 1]
         durations.append(paths[0].duration)
     assert durations[0] < durations[1] < durations[2]
     crawl = JointLimits(LIMITS.lower, LIMITS.upper, LIMITS.velocity * 1e-3, LIMITS.acceleration, LIMITS.jerk)
@@ -143,9 +143,9 @@ def test_slow_axes_slow_the_sweep_down_and_then_refuse_it() -> None:
 
 def test_poses_that_are_no_line() -> None:
     """An arc cannot be driven as a line; the whole sweep is refused, once."""
-    bent = straight_poses(0.1, 5) @ turned_poses(0.2, 5)
+    bent = straight_sweep_poses(0.1, 5) @ turned_sweep_poses(0.2, 5)
     bent[2, 1, 3] += 0.001
-    found = sweeps_of(_pose(12, -75, 110, 35, -60, 140) @ bent, MOUNT, KINEMATICS, LIMITS)
+    found = find_sweeps(_pose(12, -75, 110, 35, -60, 140) @ bent, MOUNT, KINEMATICS, LIMITS)
     assert [refused.reason for refused in found.refused] == [SweepRefusal.NO_LINE]
 
 
@@ -172,10 +172,10 @@ class _Wall:
 
 def test_a_line_that_collides_is_refused_with_what_is_in_the_way() -> None:
     """One vertex too near to the wall is enough."""
-    column = _pose(12, -75, 110, 35, -60, 140) @ straight_poses(0.15, 8)
-    free = sweeps_of(column, MOUNT, KINEMATICS, LIMITS, checker=_Wall(10.0))
+    column = _pose(12, -75, 110, 35, -60, 140) @ straight_sweep_poses(0.15, 8)
+    free = find_sweeps(column, MOUNT, KINEMATICS, LIMITS, checker=_Wall(10.0))
     assert free.paths
     highest = max(float(path.q[:, 0].max()) for path in free.paths if path.branch == 1)
-    found = sweeps_of(column, MOUNT, KINEMATICS, LIMITS, checker=_Wall(highest))
+    found = find_sweeps(column, MOUNT, KINEMATICS, LIMITS, checker=_Wall(highest))
     refused = {r.branch: r for r in found.refused}
     assert refused[1].sentence == "the line comes nearer to something than the clearance (housing with wall)"

@@ -7,7 +7,7 @@ import pytest
 
 from planner.errors import PlannerError
 from planner.ports import JointLimits
-from planner.timing.limits import jerk_free, scaled
+from planner.timing.limits import scale_limits, without_jerk_limit
 from planner.timing.motion import jerk_free_duration, retime
 from planner.timing.move_time import move_time
 from planner.timing.s_curve import Profile
@@ -118,7 +118,7 @@ def test_a_turn_of_700_degrees_reaches_every_limit() -> None:
 
 def test_an_override_leaves_acceleration_and_jerk() -> None:
     """As $OV_PRO: the speed is a percentage; ramps are the shorter, and both bounds follow."""
-    slow = scaled(LIMITS, 0.1)
+    slow = scale_limits(LIMITS, 0.1)
     np.testing.assert_array_equal(slow.velocity, 0.1 * LIMITS.velocity)
     np.testing.assert_array_equal(slow.jerk, LIMITS.jerk)
     time = float(move_time(REST, turned(0, 3.0), slow))
@@ -130,7 +130,7 @@ def test_an_override_leaves_acceleration_and_jerk() -> None:
 def test_limits_decades_apart() -> None:
     """Jerks from 1e-6 to 1e12 times the acceleration: finite, ordered times that approach the bound."""
     a, b = REST, np.linspace(0.1, 1.0, 6)
-    bound, before = float(move_time(a, b, jerk_free(LIMITS))), np.inf
+    bound, before = float(move_time(a, b, without_jerk_limit(LIMITS))), np.inf
     for power in range(-6, 13, 2):
         time = float(move_time(a, b, replace(LIMITS, jerk=LIMITS.acceleration * 10.0**power)))
         assert bound <= time <= before

@@ -13,10 +13,10 @@ from cell.session import Effort, effort_of
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.coverage import Coverage
-from planner.viewpoints.attainable import _first_taken_up, attainable
-from planner.viewpoints.growth import Arm
-from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.pose_sampling import Aimed
+from planner.viewpoints.attainable import _first_taken_up, probe_attainable
+from planner.viewpoints.growth import ViewEvaluator
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.pose_sampling import AimedPoses
 
 SCANNER = LaserArea(range_mm=(50, 150), baseline_mm=25, sensor_grazing_max_deg=75)
 
@@ -26,7 +26,7 @@ def _ball(takes_up, *around):
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.04)
     casters = [EmbreeRayCaster(mesh.vertices, mesh.faces) for mesh in (ball, *around)]
     points, faces = trimesh.sample.sample_surface(ball, 300, seed=0)
-    return Targets.of(points, ball.face_normals[faces]), Arm(SCANNER, casters, takes_up, np.eye(4)[None])
+    return RayTargets.of(points, ball.face_normals[faces]), ViewEvaluator(SCANNER, casters, takes_up, np.eye(4)[None])
 
 
 def _anywhere(T):
@@ -35,15 +35,15 @@ def _anywhere(T):
 
 def test_all_of_a_ball_is_measured_from_anywhere():
     """Nothing hides a convex body."""
-    found = attainable(*_ball(_anywhere))
+    found = probe_attainable(*_ball(_anywhere))
     assert found.measured.all()
 
 
 def test_from_above_the_lowest_points_of_a_ball_are_seen_but_not_reached():
     """Sources above a plane through the ball's lowest point see what leans from it by less than the limit allows."""
     targets, arm = _ball(lambda T: (T[:, :, 2, 3] > -0.04).all(axis=1))
-    found = attainable(targets, arm)
-    assert found.sighted.all()
+    found = probe_attainable(targets, arm)
+    assert found.visible.all()
     # From height z of a point, 150 mm away at most and within 75 deg of its normal, the source must rise to -40 mm.
     height, lean = targets.points[2], np.arccos(np.clip(targets.normals[2], -1, 1))
     highest = height + 0.15 * np.cos(np.maximum(lean - np.radians(75), 0))
@@ -53,17 +53,17 @@ def test_from_above_the_lowest_points_of_a_ball_are_seen_but_not_reached():
 
 def test_in_a_closed_box_nothing_is_seen_from_outside():
     """A box near about the ball leaves poses inside it that are nearer than the range."""
-    found = attainable(*_ball(_anywhere, trimesh.creation.box((0.09, 0.09, 0.09))))
-    assert not found.sighted.any()
+    found = probe_attainable(*_ball(_anywhere, trimesh.creation.box((0.09, 0.09, 0.09))))
+    assert not found.visible.any()
 
 
 def test_an_arm_that_takes_up_nothing_measures_nothing_of_what_is_seen():
     """And equal inputs give equal answers."""
     targets, arm = _ball(lambda T: np.zeros(len(T), dtype=bool))
-    found, again = attainable(targets, arm), attainable(targets, arm)
-    assert found.sighted.all()
+    found, again = probe_attainable(targets, arm), probe_attainable(targets, arm)
+    assert found.visible.all()
     assert not found.measured.any()
-    np.testing.assert_array_equal(found.sighted, again.sighted)
+    np.testing.assert_array_equal(found.visible, again.visible)
 
 
 def test_of_each_point_the_arm_is_asked_until_it_takes_up_a_pose():
@@ -76,7 +76,7 @@ def test_of_each_point_the_arm_is_asked_until_it_takes_up_a_pose():
         asked.extend(pose := T[:, 0, 0, 3].astype(int))
         return taken[pose]
 
-    found = _first_taken_up(Aimed(T, row), _ball(takes_up)[1])
+    found = _first_taken_up(AimedPoses(T, row), _ball(takes_up)[1])
     first = {point: np.flatnonzero(taken & (row == point))[:1] for point in range(40)}
     expected = [index for point in range(40) for index in first[point].tolist()]
     assert found.T_object_scanner[:, 0, 3].tolist() == expected
@@ -96,7 +96,7 @@ def test_the_share_of_a_plan_is_that_of_asking_every_sample(monkeypatch):
     problem = SimpleNamespace(prediction=prediction, world=None, kinematics=None, checker=None)
     monkeypatch.setattr("cell.plan.attainable.arm_of", lambda *_: arm)
     whole = of_plan(problem, some, np.random.default_rng(0))
-    truth = attainable(targets, arm)
+    truth = probe_attainable(targets, arm)
     assert whole.standard_error == 0
     assert whole.share == pytest.approx((covered | truth.measured).mean(), abs=0.01)
     assert whole.share + whole.out_of_reach + whole.out_of_sight == pytest.approx(1.0)

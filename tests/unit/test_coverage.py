@@ -11,7 +11,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.measurability import coverage
 from planner.measurability import visibility as remembered_views
-from planner.measurability.visibility import Remembered, measured
+from planner.measurability.visibility import VisibilityMemo, find_measured
 from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 SCANNER = LaserArea(resolution_deg=(1, 1))
@@ -33,7 +33,7 @@ def _slab():
 def test_fractions_are_of_area_not_of_count():
     """One large sample that is covered outweighs three small ones that are not."""
     samples = _samples([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], [7, 1, 1, 1])
-    near = coverage.sampled(np.array([[0, 0, 0.05]]), samples, 0.1)
+    near = coverage.sampled_coverage(np.array([[0, 0, 0.05]]), samples, 0.1)
     assert near.fraction == 0.7
     assert near.covered.sum() == 1
     assert near.covered.tolist() == [True, False, False, False]
@@ -42,15 +42,15 @@ def test_fractions_are_of_area_not_of_count():
 def test_the_radius_is_inclusive_and_sharp():
     """A scan point exactly at the radius covers, one beyond it does not."""
     samples = _samples([[0, 0, 0]], [1])
-    assert coverage.sampled(np.array([[0.5, 0, 0]]), samples, 0.5).fraction == 1
-    assert coverage.sampled(np.array([[np.nextafter(0.5, 1), 0, 0]]), samples, 0.5).fraction == 0
+    assert coverage.sampled_coverage(np.array([[0.5, 0, 0]]), samples, 0.5).fraction == 1
+    assert coverage.sampled_coverage(np.array([[np.nextafter(0.5, 1), 0, 0]]), samples, 0.5).fraction == 0
 
 
 def test_sampled_coverage_equals_all_distances():
     """The tree's answer equals the matrix of all distances."""
     rng = np.random.default_rng(3)
     points, scan_points = rng.random((500, 3)), rng.random((80, 3))
-    result = coverage.sampled(scan_points, _samples(points, np.ones(500)), 0.12)
+    result = coverage.sampled_coverage(scan_points, _samples(points, np.ones(500)), 0.12)
     nearest = np.linalg.norm(points[:, None] - scan_points, axis=2).min(axis=1)
     assert (result.covered == (nearest <= 0.12)).all()
     assert 0.1 < result.fraction < 0.9
@@ -64,11 +64,11 @@ def test_the_radius_is_one_percent_of_the_diagonal():
 def test_no_scan_point_covers_nothing_and_broken_input_is_refused():
     """Empty clouds are data, NaN and a radius of zero are errors."""
     samples = _samples([[0, 0, 0]], [1])
-    assert coverage.sampled(np.zeros((0, 3)), samples, 0.1).fraction == 0
+    assert coverage.sampled_coverage(np.zeros((0, 3)), samples, 0.1).fraction == 0
     with pytest.raises(PlannerError, match="finite"):
-        coverage.sampled(np.full((1, 3), np.nan), samples, 0.1)
+        coverage.sampled_coverage(np.full((1, 3), np.nan), samples, 0.1)
     with pytest.raises(PlannerError, match="above 0"):
-        coverage.sampled(np.zeros((1, 3)), samples, 0.0)
+        coverage.sampled_coverage(np.zeros((1, 3)), samples, 0.0)
 
 
 def test_visible_coverage_of_a_slab():
@@ -78,9 +78,9 @@ def test_visible_coverage_of_a_slab():
     samples = draw_samples(slab, slab, 5000, np.random.default_rng(0))
     candidates = optimal_scanning_zone(slab, [0.3], [0.0]).T_object_scanner
     above = candidates[candidates[:, 0, 2, 3] > 0.2]
-    plan = coverage.visible(above, samples, SCANNER, [caster])
+    plan = coverage.visible_coverage(above, samples, SCANNER, [caster])
     assert plan.fraction == pytest.approx((samples.normals[:, 2] > 0.9).mean(), abs=1e-12)
-    best = coverage.visible(candidates[candidates[:, 0, 2, 3] > 0], samples, SCANNER, [caster])
+    best = coverage.visible_coverage(candidates[candidates[:, 0, 2, 3] > 0], samples, SCANNER, [caster])
     assert best.fraction == pytest.approx((samples.normals[:, 2] > -0.9).mean(), abs=1e-12)
     assert best.total_area == plan.total_area
 
@@ -93,7 +93,7 @@ def test_coverable_is_what_any_candidate_measures_asked_alone():
         EmbreeRayCaster(part.vertices, part.faces),
     )
     poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
-    alone = [coverage.visible(pose[None], samples, SCANNER, [caster]).covered for pose in poses]
+    alone = [coverage.visible_coverage(pose[None], samples, SCANNER, [caster]).covered for pose in poses]
     found = Prediction.of(samples, SCANNER, [caster], poses).coverable.covered
     assert (found == np.any(alone, axis=0)).all()
     assert found.sum() > 0
@@ -109,11 +109,11 @@ def test_what_is_remembered_of_views_is_what_they_measure_when_asked_anew():
     )
     poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
     for views in (poses, np.stack([poses[k : k + 3, 0] for k in range(len(poses) - 2)])):
-        remembered = Remembered(samples, SCANNER, [caster])
+        remembered = VisibilityMemo(samples, SCANNER, [caster])
         for count in (1, 3, 3, 5, 2, 5):
             some = views[draws.permutation(len(views))[:count]]
             found = remembered.measured(some)
-            np.testing.assert_array_equal(found, measured(some, samples, SCANNER, [caster]))
+            np.testing.assert_array_equal(found, find_measured(some, samples, SCANNER, [caster]))
             np.testing.assert_array_equal(found, remembered.measured(some[::-1]))
 
 
@@ -127,10 +127,10 @@ def test_views_asked_long_ago_are_forgotten_and_asked_again(monkeypatch):
         EmbreeRayCaster(part.vertices, part.faces),
     )
     poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
-    remembered = Remembered(samples, SCANNER, [caster])
+    remembered = VisibilityMemo(samples, SCANNER, [caster])
     for count in (1, 4, 4, 2):
         some = poses[draws.integers(0, len(poses), count)]
-        np.testing.assert_array_equal(remembered.measured(some), measured(some, samples, SCANNER, [caster]))
+        np.testing.assert_array_equal(remembered.measured(some), find_measured(some, samples, SCANNER, [caster]))
         assert len(remembered._known) <= 2
     known = remembered.measured(poses[:2])
     remembered._casters = ()  # whose absence would free every leg

@@ -15,8 +15,8 @@ from cell.robot.frames import kuka_abc_from_pose
 from cell.scene.options import flag, read
 from planner.ports import JointLimits
 from planner.tour import generalised_tsp as gtsp
-from planner.tour.orderings import in_order
-from planner.tour.visits import Moves
+from planner.tour.orderings import fixed_order
+from planner.tour.visits import TourProblem
 
 POSE = (812.0, 430.0, 655.0, 90.0, 0.0, 180.0)
 
@@ -143,10 +143,10 @@ def test_given_orders_against_all_choices(seed: int) -> None:
     """Joint solutions as good as the best of all; what is left out goes, one by one, where it costs least."""
     rng = np.random.default_rng(seed)
     limits = JointLimits(*(sign * np.full(6, size) for sign, size in ((-1, 9.0), (1, 9.0), (1, 2.0), (1, 4.0))))
-    moves = Moves.straight([rng.uniform(-2, 2, (2, 6)) for _ in range(5)], np.zeros(6), limits)
+    moves = TourProblem.straight([rng.uniform(-2, 2, (2, 6)) for _ in range(5)], np.zeros(6), limits)
     problem = moves.instance()
     for given in ([3, 0, 4, 1, 2], [3, 0, 4, 1], [2]):
-        found = in_order(given)(moves, np.tile(np.eye(4), (5, 1, 1)), rng, bound_work=None)
+        found = fixed_order(given)(moves, np.tile(np.eye(4), (5, 1, 1)), rng, bound_work=None)
         assert [view for view in found.order if view in given] == given
         assert sorted(found.order) == list(range(5))
         choices = np.stack(np.meshgrid(*[[0, 1]] * 5), axis=-1).reshape(-1, 5)

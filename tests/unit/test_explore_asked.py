@@ -29,7 +29,7 @@ from planner.explore.space import OCCUPIED, VoxelSpace
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.values import Bools, Floats
-from planner.viewpoints.viewpoints import looking_at
+from planner.viewpoints.viewpoints import aim_viewpoints
 
 UNKNOWN = VoxelSpace.of_cylinder(0.06, 0.06, 0.003, 0.002)
 LAW = LaserArea(range_mm=(50, 900), baseline_mm=60.0, grazing_max_deg=75.0, sensor_grazing_max_deg=75.0)
@@ -47,7 +47,7 @@ def balls() -> TriangleMesh:
 def _poses() -> Floats:
     """(3, 4, 4) from one side, from above and from a corner."""
     out = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.6, 0.48, 0.64]])
-    return np.asarray(looking_at(np.zeros((3, 3)), out, np.full(3, -1), [0.3], [0.0]).T_object_scanner[:, 0])
+    return np.asarray(aim_viewpoints(np.zeros((3, 3)), out, np.full(3, -1), [0.3], [0.0]).T_object_scanner[:, 0])
 
 
 def _measured(samples: SurfaceSamples, poses: Floats, mesh: TriangleMesh, grazing_deg: float) -> Bools:

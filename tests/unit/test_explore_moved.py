@@ -12,9 +12,9 @@ from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
-from planner.measurability.visibility import measured
-from planner.viewpoints.growth import Arm
-from planner.viewpoints.viewpoints import join_viewpoints, looking_at
+from planner.measurability.visibility import find_measured
+from planner.viewpoints.growth import ViewEvaluator
+from planner.viewpoints.viewpoints import aim_viewpoints, join_viewpoints
 
 _GROWN, _NOT = (SimpleNamespace(plan=SimpleNamespace(candidates=kind)) for kind in ("grown", "view-sphere"))
 
@@ -28,9 +28,9 @@ def problem(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     casters = (EmbreeRayCaster(mesh.vertices, mesh.faces),)
     outward = np.random.default_rng(2).normal(size=(12, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    candidates = looking_at(0.03 * outward, outward, np.arange(12), [0.1], [0.0])
+    candidates = aim_viewpoints(0.03 * outward, outward, np.arange(12), [0.1], [0.0])
     scouts = draw_samples(mesh, mesh, 300, np.random.default_rng(1))
-    arm = Arm(scanner, casters, lambda T: np.ones(len(T), dtype=bool), np.eye(4)[None])
+    arm = ViewEvaluator(scanner, casters, lambda T: np.ones(len(T), dtype=bool), np.eye(4)[None])
     monkeypatch.setattr(moved, "arm_of", lambda *_: arm)
     prediction = SimpleNamespace(samples=scouts, scanner=scanner, casters=casters)
     return SimpleNamespace(
@@ -53,7 +53,9 @@ def test_poses_that_measure_more_stand_behind_the_candidates(problem: SimpleName
     faces = after.candidates.face[12:].tolist()
     assert set(faces) <= {7, 2, 4}
     assert after.candidates.standoff[12:] == pytest.approx(0.1)
-    area = scouts.areas @ measured(after.candidates.T_object_scanner, scouts, known.scanner, known.casters, each=True)
+    area = scouts.areas @ find_measured(
+        after.candidates.T_object_scanner, scouts, known.scanner, known.casters, each=True
+    )
     assert (area[12:] > area[faces]).all()
 
 

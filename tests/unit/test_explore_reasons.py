@@ -9,7 +9,7 @@ from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import Open
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics.reach import Reach, Verdict
-from planner.viewpoints.viewpoints import looking_at
+from planner.viewpoints.viewpoints import aim_viewpoints
 from planner.why.reasons import Reason
 
 _FAR = EmbreeRayCaster(np.array([[9.0, 0, 0], [9, 1, 0], [9, 0, 1]]), np.array([[0, 1, 2]], dtype=np.int32))
@@ -30,7 +30,7 @@ _OF = Open(np.array([0, 0, 1, 1]), np.array([1.0, 9.0, 1.0, 9.0]), np.zeros(4, d
 @pytest.mark.parametrize("verdict", [Verdict.REACHABLE, Verdict.OUT_OF_REACH])
 def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) -> None:
     """Tried and near is a rest whatever became of the view; else it is the view's verdict, and whether it was tried."""
-    views = looking_at(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
+    views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     q = np.zeros((1 if verdict == Verdict.REACHABLE else 0, 6))
     reached = Reach(np.array([verdict], dtype=np.uint8), q, np.array([0, len(q)]), ("",))
     found = still_open(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), (_FAR, _FAR))
@@ -44,7 +44,7 @@ def test_what_views_left_is_a_rest_where_what_the_part_stands_on_seems_to_shade_
     casters: tuple[EmbreeRayCaster, EmbreeRayCaster], near: int
 ) -> None:
     """A voxel more or less lies within the stand; farther off, untried, or shaded by the part, it is the reason."""
-    views = looking_at(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
+    views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     reached = Reach(np.array([Verdict.REACHABLE], dtype=np.uint8), np.zeros((1, 6)), np.array([0, 1]), ("",))
     found = still_open(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), casters)
     told = [sentence(code) for code in found.reason.tolist()]
@@ -53,7 +53,9 @@ def test_what_views_left_is_a_rest_where_what_the_part_stands_on_seems_to_shade_
 
 def test_what_no_view_looks_at_squarely_is_no_rest() -> None:
     """A view from beside it is too grazing, tried or not."""
-    views = looking_at(np.zeros((1, 3)), np.array([[0.995, 0, np.sqrt(1 - 0.995**2)]]), np.array([-1]), [0.1], [0.0])
+    views = aim_viewpoints(
+        np.zeros((1, 3)), np.array([[0.995, 0, np.sqrt(1 - 0.995**2)]]), np.array([-1]), [0.1], [0.0]
+    )
     reached = Reach(np.array([Verdict.REACHABLE], dtype=np.uint8), np.zeros((1, 6)), np.array([0, 1]), ("",))
     scanner = LaserArea(range_mm=(50, 900), baseline_mm=0, fov_deg=(60, 60))
     found = still_open(_samples(4), _OF, views, reached, scanner, (_FAR, _FAR))
@@ -63,7 +65,7 @@ def test_what_no_view_looks_at_squarely_is_no_rest() -> None:
 def test_sentences_that_are_the_same_are_told_once() -> None:
     """Areas [mm2] of codes with one sentence are summed; the largest comes first."""
     codes = np.array([Reason.SOURCE_SHADED_BY_PART, NOT_TAKEN, Reason.SENSOR_SHADED, TRIED])
-    views = looking_at(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
+    views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     told = StillOpen(_samples(4), codes, views).by_area()
     assert [(each.reason, each.area_mm2) for each in told] == [
         (sentence(Reason.SENSOR_SHADED), 4.0), (sentence(TRIED), 4.0), (sentence(NOT_TAKEN), 2.0)

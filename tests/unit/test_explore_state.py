@@ -30,7 +30,7 @@ from planner.explore.space import FREE, UNKNOWN, VoxelSpace
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
-from planner.viewpoints.viewpoints import looking_at
+from planner.viewpoints.viewpoints import aim_viewpoints
 
 
 def _scene(**wishes: float) -> Scene:
@@ -186,7 +186,7 @@ def test_what_the_model_misses_of_the_limits() -> None:
     square = trimesh.creation.box((0.08, 0.08, 0.002))
     mesh = TriangleMesh(np.asarray(square.vertices, dtype=np.float64), np.asarray(square.faces, dtype=np.int32))
     up = np.array([[0.0, 0.0, 1.0]])
-    poses = looking_at(np.zeros((1, 3)), up, np.array([-1]), [0.1], [0.0]).T_object_scanner[:, 0]
+    poses = aim_viewpoints(np.zeros((1, 3)), up, np.array([-1]), [0.1], [0.0]).T_object_scanner[:, 0]
     step = 0.1 * np.radians(0.25)
     shares = [
         specification.missed(_scene(max_spacing=1000 * limit * step), mesh, poses)
@@ -227,7 +227,7 @@ class Stub:
 def test_a_batch_is_of_as_many_views_as_each_add_what_is_asked_of_them() -> None:
     """Where nothing is expected as batches brought nothing, it is one view that is told to be too little."""
     areas = np.array([3.0, 2.0, 1.0])
-    M = SimpleNamespace(matrix=lambda: csr_array(np.eye(3, dtype=bool)), features=SimpleNamespace(areas=areas))
+    M = SimpleNamespace(matrix=lambda: csr_array(np.eye(3, dtype=bool)), samples=SimpleNamespace(areas=areas))
     problem = Stub(M, Request(PlanSettings()), lambda _: np.ones(3, dtype=bool))
     for came, worth, views in ((1.0, 1.0, 3), (1.0, 50.0, 2), (0.5, 50.0, 1), (0.0, 1.0, 1)):
         asked = stage.Asked(None, None, Batch(None, worth=worth), 0.01, 3.0, came)

@@ -17,12 +17,12 @@ def _columns(planned: Path) -> tuple[Bools, Floats, float]:
     run = open_finished(planned)
     M = run.measurability
     sees = M.matrix().toarray()[:, run.reach.reachable]
-    total = float(M.features.areas.sum())
+    total = float(M.samples.areas.sum())
     more = np.array([
         [(~one | other).all() and ((one != other).any() or i > j) for j, other in enumerate(sees.T)]
         for i, one in enumerate(sees.T)
     ])  # fmt: skip
-    return sees[:, ~more.any(axis=1)], M.features.areas / total, total
+    return sees[:, ~more.any(axis=1)], M.samples.areas / total, total
 
 
 def _most(sees: Bools, areas: Floats, count: int) -> float:

@@ -17,7 +17,7 @@ from cell.world.embree import EmbreeRayCaster
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
-from planner.viewpoints.viewpoints import looking_at
+from planner.viewpoints.viewpoints import aim_viewpoints
 
 RADIUS, HEIGHT, EDGE, SPACING = 0.05, 0.08, 0.0015, 0.0015
 NEAR, FAR = 0.05, 0.2
@@ -73,7 +73,7 @@ def _poses(count: int = 14) -> Floats:
     k = np.arange(count) + 0.5
     z, turn = 1 - 2 * k / count, np.pi * (1 + np.sqrt(5)) * k
     out = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
-    views = looking_at(np.zeros((count, 3)), out, np.full(count, -1), [(NEAR + FAR) / 2], [0.0])
+    views = aim_viewpoints(np.zeros((count, 3)), out, np.full(count, -1), [(NEAR + FAR) / 2], [0.0])
     return np.asarray(views.T_object_scanner[:, 0])
 
 

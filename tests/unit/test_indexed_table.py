@@ -13,13 +13,13 @@ from planner.path.certified_edge import quantise, quantise_inside, subdivide
 from planner.path.path import PathStatus, connect, path_time, shorten
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
-from planner.tour.tour import TourStatus, plan_motion
+from planner.tour.tour import TourStatus, plan_tour
 from planner.tour.visits import Visits
 
 HOME = quantise([2.0, 0, 0, 0, 0, 0, 0])
 LIMITS = JointLimits(
     lower=np.full(7, -3.0), upper=np.full(7, 3.0), velocity=np.full(7, 2.0), acceleration=np.full(7, 4.0),
-    jerk=np.full(7, np.inf), turns_at=HOME,
+    jerk=np.full(7, np.inf), table_turn_q=HOME,
 )  # fmt: skip
 
 
@@ -85,7 +85,7 @@ def test_the_table_turns_where_the_arm_is_clear(
     np.testing.assert_array_equal(found.via[[0, -1]], [q_from, q_to])
     assert one_after_the_other(found.via)
     assert found.duration == path_time(found.via, LIMITS) >= move_time(q_from, q_to, LIMITS) * (1 - 1e-12)
-    assert indexed.broken(found.via, Lobe(), LIMITS) == ""
+    assert indexed.find_violation(found.via, Lobe(), LIMITS) == ""
     assert np.array_equal(shorten(found.via, Lobe(), LIMITS, rng(), 1000)[0], found.via)
 
 
@@ -108,7 +108,7 @@ def test_a_turn_that_is_found_is_certified_itself() -> None:
         def free(self, q: np.ndarray) -> np.ndarray:
             return super().free(q) & (np.abs(q[:, 6] - dip) > 0.002)
 
-    assert indexed.clear(HOME, Dip(), LIMITS)[0]
+    assert indexed.may_turn(HOME, Dip(), LIMITS)[0]
     refused = 0
     for table in np.linspace(2.2, 2.8, 7):
         found = connect(at(-1, 0), at(-1, table), Dip(), LIMITS, rng())
@@ -119,9 +119,11 @@ def test_a_turn_that_is_found_is_certified_itself() -> None:
 
 def test_a_way_that_breaks_the_rule_is_told() -> None:
     """Both at once, and a turn where the arm is in reach of the lobe, free as the way itself may be."""
-    assert "at once" in indexed.broken(np.stack([at(1, 0), at(2, 0.5)]), Lobe(), LIMITS)
-    assert "does not stand clear" in indexed.broken(np.stack([at(-1, 0), at(-1, 0.5)]), Lobe(), LIMITS)
-    assert indexed.broken(np.stack([at(1, 0), at(1 + 1e-4, 0.5)]), Lobe(), LIMITS) == ""  # off by less than it may be
+    assert "at once" in indexed.find_violation(np.stack([at(1, 0), at(2, 0.5)]), Lobe(), LIMITS)
+    assert "does not stand clear" in indexed.find_violation(np.stack([at(-1, 0), at(-1, 0.5)]), Lobe(), LIMITS)
+    assert (
+        indexed.find_violation(np.stack([at(1, 0), at(1 + 1e-4, 0.5)]), Lobe(), LIMITS) == ""
+    )  # off by less than it may be
 
 
 def test_a_tour_groups_views_by_angle() -> None:
@@ -130,7 +132,7 @@ def test_a_tour_groups_views_by_angle() -> None:
              ((-1, 0), (1, 0), (1, 1), (-1, 1))]  # fmt: skip
     views[0], views[3] = views[0][:1], views[3][1:]
     T = np.repeat(np.eye(4)[None], 4, axis=0)
-    tour = plan_motion(Visits(views, HOME, T), Lobe(), LIMITS, rng())
+    tour = plan_tour(Visits(views, HOME, T), Lobe(), LIMITS, rng())
     assert tour.status is TourStatus.COMPLETE
     assert one_after_the_other(tour.via)
     assert int((np.diff(tour.via[:, 6]) != 0).sum()) == 2

@@ -14,7 +14,7 @@ from cell.world.embree import EmbreeRayCaster
 from cell.world.measurability import PartSurface, cache_folder, part_matrix
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import draw_samples, samples_at_face_centres
-from planner.measurability.visibility import fill
+from planner.measurability.visibility import fill_matrix
 from planner.viewpoints.viewpoints import optimal_scanning_zone, pick_viewpoints
 
 
@@ -37,9 +37,9 @@ def asked(part, part_file, tmp_path, monkeypatch):
 
     def counted(views, *args, **keys):
         calculated.append(len(views))
-        return fill(views, *args, **keys)
+        return fill_matrix(views, *args, **keys)
 
-    monkeypatch.setattr("cell.world.measurability.fill", counted)
+    monkeypatch.setattr("cell.world.measurability.fill_matrix", counted)
 
     def ask(views, *, method="aimed", **keys):
         tables = {"plan": {"fill": method}, "scanner": {"resolution_deg": [1.0, 1.0]}}

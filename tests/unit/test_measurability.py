@@ -9,7 +9,7 @@ from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples, samples_at_face_centres
 from planner.measurability.matrix import Measurability
-from planner.measurability.visibility import fill, measured, occlude
+from planner.measurability.visibility import apply_occluders, fill_matrix, find_measured
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 SCANNER = LaserArea(resolution_deg=(2, 2))
@@ -41,7 +41,7 @@ def cube():
 def test_a_cube_s_side_is_measured_from_in_front_of_it_and_from_nowhere_else(cube):
     """Row i, column j is set exactly where sample and viewpoint belong to the same side: the other sides graze."""
     _, caster, features, views = cube
-    result = fill(views, features, SCANNER, caster)
+    result = fill_matrix(views, features, SCANNER, caster)
     assert result.shape == (600, 24)
     side_of_view = -views.T_object_scanner[:, 0, :3, 2]
     expected = features.normals @ side_of_view.T > 0.99
@@ -51,7 +51,7 @@ def test_a_cube_s_side_is_measured_from_in_front_of_it_and_from_nowhere_else(cub
 def test_the_ray_grid_sets_the_rows_of_the_faces_that_it_hits(cube):
     """The paper's fill of the same cube: each view measures its own side's two faces."""
     mesh, caster, _, views = cube
-    result = fill(views, samples_at_face_centres(mesh, mesh), SCANNER, caster, method="rays", part=mesh)
+    result = fill_matrix(views, samples_at_face_centres(mesh, mesh), SCANNER, caster, method="rays", part=mesh)
     side_of_view = -views.T_object_scanner[:, 0, :3, 2]
     normals = samples_at_face_centres(mesh, mesh).normals
     assert (result.matrix().toarray() == (normals @ side_of_view.T > 0.99)).all()
@@ -64,7 +64,7 @@ def test_faces_map_to_rows_and_minus_one_to_none(cube):
     rows[rows == 3] = -1
     features = samples_at_face_centres(mesh, mesh)
     picked = pick_samples(features, np.arange(0, len(features), 2))
-    result = fill(views, picked, SCANNER, caster, method="rays", part=mesh, row_of_face=rows)
+    result = fill_matrix(views, picked, SCANNER, caster, method="rays", part=mesh, row_of_face=rows)
     assert np.diff(result.indptr).tolist() == [4, 4, 4, 0, 4, 4]
 
 
@@ -75,8 +75,8 @@ def test_a_column_of_several_poses_measures_what_any_of_them_measures(cube):
     pairs = _views(np.concatenate([T[:12], T[12:]], axis=1))
     for method, rows in (("aimed", features), ("rays", samples_at_face_centres(mesh, mesh))):
         keys = {"method": method, "part": mesh}
-        single = fill(views, rows, SCANNER, caster, **keys).matrix().toarray()
-        double = fill(pairs, rows, SCANNER, caster, **keys).matrix().toarray()
+        single = fill_matrix(views, rows, SCANNER, caster, **keys).matrix().toarray()
+        double = fill_matrix(pairs, rows, SCANNER, caster, **keys).matrix().toarray()
         assert (double == (single[:, :12] | single[:, 12:])).all()
         assert double.any()
 
@@ -84,28 +84,28 @@ def test_a_column_of_several_poses_measures_what_any_of_them_measures(cube):
 def test_prediction_equals_the_matrix_for_all_views_and_for_each(cube):
     """`measured` on the matrix's own rows gives its columns, and their union."""
     _, caster, features, views = cube
-    matrix = fill(views, features, SCANNER, caster).matrix().toarray()
+    matrix = fill_matrix(views, features, SCANNER, caster).matrix().toarray()
     chosen = [0, 5, 14, 20]
     T = views.T_object_scanner[chosen]
-    assert (measured(T, features, SCANNER, [caster], each=True) == matrix[:, chosen]).all()
-    assert (measured(T, features, SCANNER, [caster]) == matrix[:, chosen].any(axis=1)).all()
-    assert not measured(T[:0], features, SCANNER, [caster]).any()
+    assert (find_measured(T, features, SCANNER, [caster], each=True) == matrix[:, chosen]).all()
+    assert (find_measured(T, features, SCANNER, [caster]) == matrix[:, chosen].any(axis=1)).all()
+    assert not find_measured(T[:0], features, SCANNER, [caster]).any()
 
 
 def test_an_occluder_removes_exactly_what_it_hides(cube):
     """A wall in front of one side empties that side's rows and nothing else; for one and for two poses per column."""
     _, caster, features, views = cube
     wall = _caster(_box((0.01, 0.5, 0.5), (0.15, 0, 0)))
-    part_only = fill(views, features, SCANNER, caster)
-    hidden = occlude(part_only, views, SCANNER, wall).matrix().toarray()
+    part_only = fill_matrix(views, features, SCANNER, caster)
+    hidden = apply_occluders(part_only, views, SCANNER, wall).matrix().toarray()
     on_that_side = features.normals[:, 0] > 0.99
     assert not hidden[on_that_side].any()
     assert (hidden[~on_that_side] == part_only.matrix().toarray()[~on_that_side]).all()
     T = views.T_object_scanner
     pairs = _views(np.concatenate([T[:12], T[12:]], axis=1))
-    double = occlude(fill(pairs, features, SCANNER, caster), pairs, SCANNER, wall, ray_caster=caster)
+    double = apply_occluders(fill_matrix(pairs, features, SCANNER, caster), pairs, SCANNER, wall, ray_caster=caster)
     assert (double.matrix().toarray() == (hidden[:, :12] | hidden[:, 12:])).all()
-    joint = measured(T, features, SCANNER, [caster, wall], each=True)
+    joint = find_measured(T, features, SCANNER, [caster, wall], each=True)
     assert (joint == hidden).all()
 
 
@@ -113,7 +113,7 @@ def test_progress_ends_at_all_poses(cube):
     """The last call says that everything is done, and the numbers rise."""
     _, caster, features, views = cube
     calls = []
-    fill(views, features, SCANNER, caster, progress=lambda done, total: calls.append((done, total)))
+    fill_matrix(views, features, SCANNER, caster, progress=lambda done, total: calls.append((done, total)))
     assert calls[-1] == (24, 24)
     assert calls == sorted(calls)
 
@@ -121,31 +121,31 @@ def test_progress_ends_at_all_poses(cube):
 def test_no_viewpoint_and_a_view_of_nothing_give_empty_matrices(cube):
     """Zero columns, and one column that looks away."""
     _, caster, features, views = cube
-    assert fill(_views(np.zeros((0, 1, 4, 4))), features, SCANNER, caster).shape == (600, 0)
+    assert fill_matrix(_views(np.zeros((0, 1, 4, 4))), features, SCANNER, caster).shape == (600, 0)
     away = np.array(views.T_object_scanner[:1])
     away[:, :, :3, [0, 2]] *= -1
-    assert len(fill(_views(away), features, SCANNER, caster).indices) == 0
+    assert len(fill_matrix(_views(away), features, SCANNER, caster).indices) == 0
 
 
 def test_wrong_arguments_are_named(cube):
     """Each message says what would be valid."""
     mesh, caster, features, views = cube
     with pytest.raises(PlannerError, match="'pencil' is unknown; valid are: aimed, rays"):
-        fill(views, features, SCANNER, caster, method="pencil")
+        fill_matrix(views, features, SCANNER, caster, method="pencil")
     with pytest.raises(PlannerError, match="needs `part`"):
-        fill(views, features, SCANNER, caster, method="rays")
+        fill_matrix(views, features, SCANNER, caster, method="rays")
     with pytest.raises(PlannerError, match="12 faces and there are 600 rows"):
-        fill(views, features, SCANNER, caster, method="rays", part=mesh)
+        fill_matrix(views, features, SCANNER, caster, method="rays", part=mesh)
     with pytest.raises(PlannerError, match="valid are -1 to 599"):
-        fill(views, features, SCANNER, caster, method="rays", part=mesh, row_of_face=np.full(12, 600))
+        fill_matrix(views, features, SCANNER, caster, method="rays", part=mesh, row_of_face=np.full(12, 600))
     with pytest.raises(PlannerError, match="not a rigid motion"):
-        fill(_views(2 * np.array(views.T_object_scanner)), features, SCANNER, caster)
-    part_only = fill(views, features, SCANNER, caster)
+        fill_matrix(_views(2 * np.array(views.T_object_scanner)), features, SCANNER, caster)
+    part_only = fill_matrix(views, features, SCANNER, caster)
     with pytest.raises(PlannerError, match="24 viewpoints and 12"):
-        occlude(part_only, _views(views.T_object_scanner[:12]), SCANNER, caster)
+        apply_occluders(part_only, _views(views.T_object_scanner[:12]), SCANNER, caster)
     pairs = _views(np.repeat(np.array(views.T_object_scanner), 2, axis=1))
     with pytest.raises(PlannerError, match="need `ray_caster`"):
-        occlude(part_only, pairs, SCANNER, caster)
+        apply_occluders(part_only, pairs, SCANNER, caster)
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def test_a_saved_matrix_comes_back_whole(tmp_path, parts, matrix):
     for name in ("indptr", "indices"):
         assert (getattr(found.measurability, name) == getattr(matrix, name)).all()
     for name in _FEATURES:
-        ours, theirs = getattr(matrix.features, name), getattr(found.measurability.features, name)
+        ours, theirs = getattr(matrix.samples, name), getattr(found.measurability.samples, name)
         assert ours.dtype == theirs.dtype
         assert (ours == theirs).all()
     assert [entry.name for entry in path.parent.iterdir()] == ["m.npz"]
@@ -166,7 +166,7 @@ def test_no_flipped_byte_gets_through(tmp_path, parts, matrix):
         if found is not None:
             assert (found.indices == matrix.indices).all()
             assert (load(path, key).columns == column_hashes(parts[2])).all()
-            assert (found.features.points == matrix.features.points).all()
+            assert (found.samples.points == matrix.samples.points).all()
     assert refused > 0.5 * len(range(0, len(good), 5))
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from planner.ports import JointLimits
 from planner.tour import generalised_tsp as gtsp
-from planner.tour.orderings import grown, keeps, overlapping, sequence
-from planner.tour.visits import Moves
+from planner.tour.orderings import grow_order, is_connected_order, order_views, overlapping_order
+from planner.tour.visits import TourProblem
 
 LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 1.0), np.full(6, 2.0))
 HOME = np.zeros(6)
@@ -27,7 +27,9 @@ def instance(seed, n=6):
 def solved(configurations, joined, seed=0):
     """The ordering's answer."""
     poses = np.broadcast_to(np.eye(4), (len(configurations), 4, 4))
-    return overlapping(joined)(Moves.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(seed))
+    return overlapping_order(joined)(
+        TourProblem.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(seed)
+    )
 
 
 def test_every_order_keeps_the_wish_and_few_take_longer_than_the_best() -> None:
@@ -36,13 +38,13 @@ def test_every_order_keeps_the_wish_and_few_take_longer_than_the_best() -> None:
     for seed in range(25):
         configurations, joined = instance(seed)
         found = solved(configurations, joined)
-        assert keeps(joined, found.order)
+        assert is_connected_order(joined, found.order)
         assert sorted(found.order.tolist()) == list(range(len(configurations)))
-        problem = Moves.straight(configurations, HOME, LIMITS).instance()
+        problem = TourProblem.straight(configurations, HOME, LIMITS).instance()
         best = min(
             gtsp.best_nodes(problem, np.array(order) + 1)[0]
             for order in permutations(range(len(configurations)))
-            if keeps(joined, np.array(order))
+            if is_connected_order(joined, np.array(order))
         )
         assert found.duration >= best - 1e-9
         np.testing.assert_allclose(
@@ -59,7 +61,7 @@ def test_an_order_that_keeps_the_wish_by_itself_is_not_touched() -> None:
     configurations, _ = instance(3)
     everything = ~np.eye(len(configurations), dtype=bool)
     poses = np.broadcast_to(np.eye(4), (len(configurations), 4, 4))
-    free = sequence(Moves.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(0))
+    free = order_views(TourProblem.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(0))
     np.testing.assert_array_equal(solved(configurations, everything).order, free.order)
 
 
@@ -68,14 +70,14 @@ def test_views_that_do_not_hang_together_are_ordered_freely() -> None:
     configurations, joined = instance(1)
     found = solved(configurations, np.zeros_like(joined))
     assert sorted(found.order.tolist()) == list(range(len(configurations)))
-    assert grown(np.zeros_like(joined), found.order, 0) is None
+    assert grow_order(np.zeros_like(joined), found.order, 0) is None
 
 
 @pytest.mark.parametrize("first", range(4))
 def test_growing_follows_the_wanted_order_where_it_may(first: int) -> None:
     """A chain 0 - 1 - 2 - 3: from each end along it, from the middle outwards."""
     chain = np.eye(4, k=1, dtype=bool) | np.eye(4, k=-1, dtype=bool)
-    order = grown(chain, np.array([0, 2, 1, 3]), first)
+    order = grow_order(chain, np.array([0, 2, 1, 3]), first)
     assert order is not None
     assert order[0] == first
-    assert keeps(chain, order)
+    assert is_connected_order(chain, order)

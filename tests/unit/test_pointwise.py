@@ -6,16 +6,16 @@ import pytest
 from cell.scanners.laser_area import LaserArea
 from cell.scanners.laser_line import LaserLine
 from planner.ports import Rejection
-from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.pose_sampling import Frustum, carried, drawn, frustum
-from planner.viewpoints.viewpoints import looking_at, standing_at
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.pose_sampling import Frustum, draw_poses, find_frustum, transfer_poses
+from planner.viewpoints.viewpoints import aim_viewpoints, viewpoints_from_poses
 
 
 def _sphere(count):
     """Points of the unit sphere scaled to 50 mm, with their normals."""
     normals = np.random.default_rng(3).normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Targets.of(0.05 * normals, normals)
+    return RayTargets.of(0.05 * normals, normals)
 
 
 def _codes(scanner, T, points, normals):
@@ -34,7 +34,7 @@ def test_the_frustum_is_the_law_s(fov, near, far, limit):
     scanner = LaserArea(
         fov_deg=fov, range_mm=(near, far), baseline_mm=10, grazing_max_deg=limit, sensor_grazing_max_deg=90
     )
-    found = frustum(scanner)
+    found = find_frustum(scanner)
     distance = 1000 * np.linalg.norm(found.points, axis=1)
     across, along = (np.degrees(np.arctan2(found.points[:, k], found.points[:, 2])) for k in (0, 1))
     assert distance.min() >= near
@@ -49,7 +49,7 @@ def test_the_frustum_is_the_law_s(fov, near, far, limit):
 
 def test_the_frustum_of_a_line_sensor_is_its_sheet():
     """All places are in the plane of the sheet, where no field of view across it is."""
-    found = frustum(LaserLine(range_mm=(100, 300), sweep_steps=8, sensor_grazing_max_deg=90))
+    found = find_frustum(LaserLine(range_mm=(100, 300), sweep_steps=8, sensor_grazing_max_deg=90))
     assert np.abs(found.points[:, 0]).max() < 0.01 < np.ptp(found.points[:, 1])
 
 
@@ -61,17 +61,17 @@ def test_a_law_that_measures_nothing_has_no_frustum():
             return np.full(len(points), Rejection.OUT_OF_FOV, dtype=np.uint8)
 
     scanner, targets = Blind(), _sphere(4)
-    found = frustum(scanner)
+    found = find_frustum(scanner)
     assert not len(found.points)
-    assert not len(drawn(targets, np.arange(4), (0, 10), found, scanner))
+    assert not len(draw_poses(targets, np.arange(4), (0, 10), found, scanner))
 
 
 @pytest.mark.parametrize("scanner", [LaserArea(sensor_grazing_max_deg=75.0), LaserLine()])
 def test_what_is_drawn_is_rigid_and_measures_its_point_but_for_lines_of_sight(scanner):
     """The law, asked of one pose and its point at a time, agrees; two stretches are those of the whole."""
     targets, rows = _sphere(12), np.array([2, 5, 11])
-    within = frustum(scanner)
-    whole = drawn(targets, rows, (0, 200), within, scanner)
+    within = find_frustum(scanner)
+    whole = draw_poses(targets, rows, (0, 200), within, scanner)
     R = whole.T_object_scanner[:, :3, :3]
     np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
     assert (np.linalg.det(R) > 0).all()
@@ -79,7 +79,7 @@ def test_what_is_drawn_is_rigid_and_measures_its_point_but_for_lines_of_sight(sc
     assert (_codes(scanner, whole.T_object_scanner, points, normals) == Rejection.MEASURED).all()
     assert set(whole.row.tolist()) == set(rows.tolist())
     for row in rows:
-        parts = [drawn(targets, np.array([row]), part, within, scanner) for part in ((0, 77), (77, 200))]
+        parts = [draw_poses(targets, np.array([row]), part, within, scanner) for part in ((0, 77), (77, 200))]
         joined = np.concatenate([part.T_object_scanner for part in parts])
         np.testing.assert_array_equal(joined, whole.T_object_scanner[whole.row == row])
 
@@ -88,7 +88,7 @@ def test_draws_fill_the_family():
     """Distances, tilts and rolls of many draws go from one end of what the law allows to the other."""
     scanner = LaserArea(range_mm=(50, 150), baseline_mm=0, grazing_max_deg=60, sensor_grazing_max_deg=60)
     targets = _sphere(1)
-    poses = drawn(targets, np.array([0]), (0, 4000), frustum(scanner), scanner).T_object_scanner
+    poses = draw_poses(targets, np.array([0]), (0, 4000), find_frustum(scanner), scanner).T_object_scanner
     legs = poses[:, :3, 3] - targets.points[:, 0]
     distance = np.linalg.norm(legs, axis=1)
     tilt = np.degrees(np.arccos(legs @ targets.normals[:, 0] / distance))
@@ -103,9 +103,9 @@ def test_poses_are_carried_over_to_neighbours():
     """From one pose of one point, its neighbours get poses that the law accepts, none of them the pose itself."""
     scanner = LaserArea(range_mm=(50, 150), baseline_mm=25, sensor_grazing_max_deg=75)
     targets = _sphere(300)
-    known = drawn(targets, np.array([7]), (0, 8), frustum(scanner), scanner)
+    known = draw_poses(targets, np.array([7]), (0, 8), find_frustum(scanner), scanner)
     near = np.argsort(np.linalg.norm(targets.points.T - targets.points[:, 7], axis=1))[1:6]
-    found = carried(targets, near, (0, 8), known, 4, scanner)
+    found = transfer_poses(targets, near, (0, 8), known, 4, scanner)
     assert set(found.row.tolist()) == set(near.tolist())
     codes = _codes(scanner, found.T_object_scanner, targets.points[:, found.row].T, targets.normals[:, found.row].T)
     assert (codes == Rejection.MEASURED).all()
@@ -118,8 +118,8 @@ def test_poses_become_the_viewpoints_that_they_were():
     outward = rng.normal(size=(6, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     points = rng.normal(size=(6, 3))
-    made = looking_at(points, outward, np.arange(6), (0.1, 0.3), (0.0, 1.0, 4.0))
-    back = standing_at(made.T_object_scanner[:, 0], points[made.face], made.face)
+    made = aim_viewpoints(points, outward, np.arange(6), (0.1, 0.3), (0.0, 1.0, 4.0))
+    back = viewpoints_from_poses(made.T_object_scanner[:, 0], points[made.face], made.face)
     np.testing.assert_allclose(back.standoff, made.standoff)
     np.testing.assert_allclose(np.cos(back.roll - made.roll), 1.0)
     np.testing.assert_array_equal(back.T_object_scanner, made.T_object_scanner)

@@ -10,13 +10,13 @@ from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.pose_ensemble import (
     PoseError,
     ProbabilityLayer,
-    credited,
+    credited_probability,
     probability_layer,
-    times_measured,
+    simulate_executions,
 )
-from planner.measurability.visibility import fill
+from planner.measurability.visibility import fill_matrix
 from planner.ports import Hits, Rejection
-from planner.viewpoints.viewpoints import Viewpoints, rotations
+from planner.viewpoints.viewpoints import Viewpoints, rotation_matrices
 
 
 class Cone:
@@ -58,7 +58,7 @@ def test_a_drawn_error_moves_a_pose_as_an_execution_does() -> None:
     """The same normal numbers give the pose from which `cell scan` would trace its rays."""
     T = np.eye(4)
     T[:3, 3] = 0.3, -0.2, 0.9
-    T[:3, :3] = rotations(np.array([[0.4, -1.1, 0.6]]))[0]
+    T[:3, :3] = rotation_matrices(np.array([[0.4, -1.1, 0.6]]))[0]
     for seed in range(5):
         mine = T @ PoseError(0.002, 0.01).draw(1, np.random.default_rng(seed))[0]
         theirs = Disturbance(position=0.002, rotation=0.01).true_pose(T, np.random.default_rng(seed))
@@ -68,7 +68,7 @@ def test_a_drawn_error_moves_a_pose_as_an_execution_does() -> None:
 def test_rotations_are_rotations_also_at_zero() -> None:
     """Orthonormal, of determinant 1, by the angle of the vector; none for the zero vector."""
     vectors = np.concatenate([np.zeros((1, 3)), np.random.default_rng(0).normal(size=(20, 3))])
-    R = rotations(vectors)
+    R = rotation_matrices(vectors)
     np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-14)
     np.testing.assert_allclose(np.linalg.det(R), 1.0)
     np.testing.assert_array_equal(R[0], np.eye(3))
@@ -78,15 +78,15 @@ def test_rotations_are_rotations_also_at_zero() -> None:
 
 def test_credit_is_capped_and_nothing_counts_for_no_hit() -> None:
     """(hits + 1/2) / (members + 1), 0 for none at all, 1 where poses are exact."""
-    np.testing.assert_allclose(credited(np.array([0, 1, 16, 32]), 32), [0.0, 1.5 / 33, 0.5, 32.5 / 33])
-    np.testing.assert_array_equal(credited(np.array([0, 0]), 0), [1.0, 1.0])
+    np.testing.assert_allclose(credited_probability(np.array([0, 1, 16, 32]), 32), [0.0, 1.5 / 33, 0.5, 32.5 / 33])
+    np.testing.assert_array_equal(credited_probability(np.array([0, 0]), 0), [1.0, 1.0])
 
 
 def test_the_layer_is_the_share_of_a_normal_distribution() -> None:
     """At the edge of a cone half of the turned poses measure the sample; 1 sigma inside 84 %; far inside all."""
     sd = 0.5
     samples, views = scene([10.0, 10.0 - sd, 5.0, 14.0])
-    M = fill(views, samples, Cone(), Nothing())
+    M = fill_matrix(views, samples, Cone(), Nothing())
     members = 4000
     errors = PoseError(0.0, np.radians(sd)).draw(members, np.random.default_rng(0))
     layer = probability_layer(M, views, Cone(), (Nothing(),), errors)
@@ -98,7 +98,7 @@ def test_the_layer_is_the_share_of_a_normal_distribution() -> None:
 def test_only_asked_columns_are_looked_at() -> None:
     """Entries of columns that are not asked about get no hit; no errors mean exact poses."""
     samples, views = scene([0.0, 5.0])
-    M = fill(views, samples, Cone(), Nothing())
+    M = fill_matrix(views, samples, Cone(), Nothing())
     errors = PoseError(0.0, 0.001).draw(3, np.random.default_rng(0))
     assert probability_layer(M, views, Cone(), (Nothing(),), errors).hits.tolist() == [3, 3]
     unasked = probability_layer(M, views, Cone(), (Nothing(),), errors, columns=np.zeros(1, bool))
@@ -111,10 +111,10 @@ def test_a_sweep_measures_from_any_of_its_poses() -> None:
     """A column of two poses that look 8 degrees apart: the ensemble of the union, not of the first pose."""
     samples, _ = scene([12.0])
     turned = np.eye(4)
-    turned[:3, :3] = rotations(np.array([[0.0, np.radians(8.0), 0.0]]))[0]
+    turned[:3, :3] = rotation_matrices(np.array([[0.0, np.radians(8.0), 0.0]]))[0]
     both = Viewpoints(np.stack([np.eye(4), turned])[None], np.zeros(1, int), np.ones(1), np.zeros(1))
     errors = PoseError(0.0, np.radians(0.2)).draw(50, np.random.default_rng(0))
-    layer = probability_layer(fill(both, samples, Cone(), Nothing()), both, Cone(), (Nothing(),), errors)
+    layer = probability_layer(fill_matrix(both, samples, Cone(), Nothing()), both, Cone(), (Nothing(),), errors)
     assert layer.hits.tolist() == [50]
 
 
@@ -124,7 +124,7 @@ def test_simulated_executions_find_the_probability_again() -> None:
     executions = 2000
     errors = PoseError(0.0, np.radians(0.5)).draw(2 * executions, np.random.default_rng(1))
     poses = np.broadcast_to(np.eye(4), (2, 1, 4, 4))
-    times, share = times_measured(poses, samples, Cone(), (Nothing(),), errors.reshape(executions, 2, 4, 4))
+    times, share = simulate_executions(poses, samples, Cone(), (Nothing(),), errors.reshape(executions, 2, 4, 4))
     assert times[1:].tolist() == [executions, 0]
     assert times[0] / executions == pytest.approx(0.75, abs=4 * np.sqrt(0.75 * 0.25 / executions))
     np.testing.assert_allclose(share.mean(), (times / executions).mean())

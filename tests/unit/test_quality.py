@@ -10,8 +10,8 @@ from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.measurability.matrix import Measurability
-from planner.measurability.quality import Limited, best_sigma, sigma_layer, within
-from planner.measurability.visibility import fill, measured
+from planner.measurability.quality import LimitedScanner, best_sigma, sigma_layer, within_sigma
+from planner.measurability.visibility import fill_matrix, find_measured
 from planner.ports import Rejection
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
@@ -48,11 +48,13 @@ def test_every_entry_has_the_sigma_of_its_best_measuring_pose(part, caster, pose
     """Entry by entry: the smallest `scanner.sigma` over the poses that `measured` says see the feature."""
     views = _views(part, poses)
     features = draw_samples(part, part, 300, np.random.default_rng(0))
-    M = sigma_layer(fill(views, features, SCANNER, caster), views, SCANNER, casters=(caster,))
+    M = sigma_layer(fill_matrix(views, features, SCANNER, caster), views, SCANNER, casters=(caster,))
     assert M.sigma is not None
     assert M.sigma.dtype == np.float32
     assert len(M.sigma) > 1000
-    sees = [measured(views.T_object_scanner[:, [k]], features, SCANNER, (caster,), each=True) for k in range(poses)]
+    sees = [
+        find_measured(views.T_object_scanner[:, [k]], features, SCANNER, (caster,), each=True) for k in range(poses)
+    ]
     for row in range(0, 300, 7):
         for entry in range(M.indptr[row], M.indptr[row + 1]):
             view, found = M.indices[entry], []
@@ -68,12 +70,12 @@ def test_the_limit_keeps_exactly_the_entries_below_it_and_grows_with_it(part, ca
     """`within` is the entry-wise comparison; a larger limit never loses an entry; an infinite one keeps all."""
     views = _views(part, 1)
     features = draw_samples(part, part, 300, np.random.default_rng(0))
-    M = sigma_layer(fill(views, features, SCANNER, caster), views, SCANNER)
+    M = sigma_layer(fill_matrix(views, features, SCANNER, caster), views, SCANNER)
     dense = np.full(M.shape, np.inf)
     dense[np.repeat(np.arange(300), np.diff(M.indptr)), M.indices] = M.sigma
     before = np.zeros(M.shape, dtype=bool)
     for limit in np.quantile(M.sigma, [0.0, 0.3, 0.7, 1.0]):
-        kept = within(M, float(limit)).matrix().toarray()
+        kept = within_sigma(M, float(limit)).matrix().toarray()
         np.testing.assert_array_equal(kept, dense <= limit)
         assert (kept | ~before).all()
         assert kept.sum() > before.sum()
@@ -85,10 +87,10 @@ def test_layer_and_limited_scanner_agree(part, caster):
     """Filling with the scanner that keeps the limit gives the matrix that the limit on the layer gives."""
     views = _views(part, 1)
     features = draw_samples(part, part, 300, np.random.default_rng(0))
-    M = sigma_layer(fill(views, features, SCANNER, caster), views, SCANNER)
+    M = sigma_layer(fill_matrix(views, features, SCANNER, caster), views, SCANNER)
     limit = float(np.median(M.sigma)) * (1 + 1e-6)  # off any entry's own value: the layer is rounded to float32
-    direct = fill(views, features, Limited(SCANNER, limit), caster)
-    assert (direct.matrix() != within(M, limit).matrix()).nnz == 0
+    direct = fill_matrix(views, features, LimitedScanner(SCANNER, limit), caster)
+    assert (direct.matrix() != within_sigma(M, limit).matrix()).nnz == 0
     assert 0 < len(direct.indices) < len(M.indices)
 
 
@@ -96,7 +98,7 @@ def test_a_plan_gives_each_feature_its_best_chosen_view(part, caster):
     """The minimum over chosen columns; NaN where none measures."""
     views = _views(part, 1)
     features = draw_samples(part, part, 300, np.random.default_rng(0))
-    M = sigma_layer(fill(views, features, SCANNER, caster), views, SCANNER)
+    M = sigma_layer(fill_matrix(views, features, SCANNER, caster), views, SCANNER)
     dense = np.full(M.shape, np.nan)
     dense[np.repeat(np.arange(300), np.diff(M.indptr)), M.indices] = M.sigma
     chosen = np.array([3, 11, 20])
@@ -112,9 +114,9 @@ def test_too_uncertain_comes_after_the_scanner_s_own_conditions():
     points = np.array([[0, 0, 0.2], [0, 0, 0.3], [0, 0, 0.9]])
     normals = np.tile([0.0, 0, -1], (3, 1))
     limit = float(SCANNER.sigma(points, normals)[0])
-    codes = Limited(SCANNER, limit).reject(points, normals)
+    codes = LimitedScanner(SCANNER, limit).reject(points, normals)
     assert codes.tolist() == [Rejection.MEASURED, Rejection.TOO_UNCERTAIN, Rejection.OUT_OF_RANGE]
-    assert Limited(SCANNER, limit).parameters() == SCANNER.parameters()
+    assert LimitedScanner(SCANNER, limit).parameters() == SCANNER.parameters()
 
 
 def test_what_cannot_be_is_refused(part, caster):
@@ -125,14 +127,14 @@ def test_what_cannot_be_is_refused(part, caster):
 
     views = _views(part, 1)
     features = draw_samples(part, part, 10, np.random.default_rng(0))
-    M = fill(views, features, SCANNER, caster)
+    M = fill_matrix(views, features, SCANNER, caster)
     few = Viewpoints(views.T_object_scanner[:3], views.face[:3], views.standoff[:3], views.roll[:3])
     for work, words in [
-        (lambda: within(M, 1e-3), "sigma_layer"),
+        (lambda: within_sigma(M, 1e-3), "sigma_layer"),
         (lambda: best_sigma(M, np.array([0])), "sigma_layer"),
-        (lambda: within(sigma_layer(M, views, SCANNER), 0.0), "above 0"),
-        (lambda: Limited(SCANNER, 0.0), "above 0"),
-        (lambda: Limited(Bare(), 1.0), "does not know its sigma"),
+        (lambda: within_sigma(sigma_layer(M, views, SCANNER), 0.0), "above 0"),
+        (lambda: LimitedScanner(SCANNER, 0.0), "above 0"),
+        (lambda: LimitedScanner(Bare(), 1.0), "does not know its sigma"),
         (lambda: sigma_layer(M, few, SCANNER), "must be the same"),
         (lambda: sigma_layer(M, _views(part, 2), SCANNER), "casters"),
         (lambda: Measurability(M.indptr, M.indices, features, len(views), np.zeros(3)), "sigma has shape"),

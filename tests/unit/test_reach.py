@@ -6,7 +6,15 @@ import pytest
 from cell.robot.frames import pose_from_kuka_abc
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
-from planner.kinematics.reach import Reach, Verdict, join_reach, pick_reach, solve, takes_up, with_solutions
+from planner.kinematics.reach import (
+    Reach,
+    Verdict,
+    add_configurations,
+    are_reachable,
+    join_reach,
+    pick_reach,
+    solve_reach,
+)
 from planner.viewpoints.viewpoints import Viewpoints
 
 KINEMATICS = Kr16Kinematics.load()
@@ -56,7 +64,7 @@ def random_flanges(count, seed=1):
 
 def solved(viewpoints, checker, **options):
     """`solve` at this file's placement and mount."""
-    return solve(viewpoints, T_BASE_OBJECT, T_FLANGE_SCANNER, KINEMATICS, checker, **options)
+    return solve_reach(viewpoints, T_BASE_OBJECT, T_FLANGE_SCANNER, KINEMATICS, checker, **options)
 
 
 def test_each_solution_puts_the_scanner_on_its_viewpoint():
@@ -106,7 +114,7 @@ def test_verdicts():
     assert reach.blocker[3] == "housing with wall"
     assert reach.blockers() == {"housing with wall": 1}
     assert reach.counts() == dict.fromkeys(Verdict, 1)
-    assert [len(reach.q_of(v)) > 0 for v in range(4)] == [False, False, True, False]
+    assert [len(reach.configurations_of(v)) > 0 for v in range(4)] == [False, False, True, False]
 
 
 def test_the_blocker_is_what_is_nearest_in_most_solutions():
@@ -142,7 +150,7 @@ def test_taking_up_is_being_reachable(poses):
     expected = solved(viewpoints, Wall(0.1)).reachable
     assert 0 < expected.sum() < 1200
     T = viewpoints.T_object_scanner
-    np.testing.assert_array_equal(takes_up(T, T_BASE_OBJECT, T_FLANGE_SCANNER, KINEMATICS, Wall(0.1)), expected)
+    np.testing.assert_array_equal(are_reachable(T, T_BASE_OBJECT, T_FLANGE_SCANNER, KINEMATICS, Wall(0.1)), expected)
 
 
 def test_chunks_and_progress_change_nothing():
@@ -177,9 +185,9 @@ def test_broken_input_is_named():
     """A transform that is not rigid, and a checker that contradicts itself, raise and say so."""
     viewpoints = viewpoints_of(random_flanges(3)[:, None])
     with pytest.raises(PlannerError, match="T_base_object is not a rigid transform"):
-        solve(viewpoints, 2 * np.eye(4), T_FLANGE_SCANNER, KINEMATICS, Wall())
+        solve_reach(viewpoints, 2 * np.eye(4), T_FLANGE_SCANNER, KINEMATICS, Wall())
     with pytest.raises(PlannerError, match="T_flange_scanner is not a rigid transform"):
-        solve(viewpoints, T_BASE_OBJECT, np.diag([1.0, 1, -1, 1]), KINEMATICS, Wall())
+        solve_reach(viewpoints, T_BASE_OBJECT, np.diag([1.0, 1, -1, 1]), KINEMATICS, Wall())
     liar = Wall(9.0)
     liar.contacts = lambda q: ()
     with pytest.raises(PlannerError, match="names no contact"):
@@ -202,7 +210,7 @@ def test_picked_and_joined_solutions_are_their_viewpoints_own():
     which = np.random.default_rng(0).permutation(60)[:40]
     some = pick_reach(reach, which)
     for place, view in enumerate(which):
-        np.testing.assert_array_equal(some.q_of(place), reach.q_of(view))
+        np.testing.assert_array_equal(some.configurations_of(place), reach.configurations_of(view))
     np.testing.assert_array_equal(some.verdict, reach.verdict[which])
     parts = [pick_reach(reach, np.arange(25)), pick_reach(reach, np.arange(25, 60))]
     np.testing.assert_array_equal(join_reach(parts).q, reach.q)
@@ -214,7 +222,7 @@ def test_one_more_solution_goes_behind_those_of_its_viewpoint():
     q = np.arange(30.0).reshape(5, 6)
     reach = Reach(np.array([0, 1, 0, 0], dtype=np.uint8), q, [0, 2, 2, 4, 5], ("", "", "", ""))
     more = np.array([q[3], np.full(6, 7.0), np.full(6, 9.0)])
-    found = with_solutions(reach, np.array([2, 3, 0]), more)
+    found = add_configurations(reach, np.array([2, 3, 0]), more)
     due = [[*q[:2], more[2]], [], [*q[2:4]], [q[4], more[1]]]
     for view, solutions in enumerate(due):
-        np.testing.assert_array_equal(found.q_of(view), np.array(solutions).reshape(-1, 6))
+        np.testing.assert_array_equal(found.configurations_of(view), np.array(solutions).reshape(-1, 6))

@@ -9,14 +9,14 @@ from cell.world.embree import EmbreeRayCaster
 from planner.cover import Problem, solve
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
-from planner.measurability.visibility import fill, measured
+from planner.measurability.visibility import fill_matrix, find_measured
 from planner.ports import Rejection
 from planner.viewpoints import growth, refinement
-from planner.viewpoints.growth import Arm
-from planner.viewpoints.lines_of_sight import Targets, in_view, in_view_of
-from planner.viewpoints.pose_sampling import moved
-from planner.viewpoints.refinement import Standing, better, fewer
-from planner.viewpoints.viewpoints import looking_at
+from planner.viewpoints.growth import ViewEvaluator
+from planner.viewpoints.lines_of_sight import RayTargets, in_view, in_view_matrix
+from planner.viewpoints.pose_sampling import perturb_pose
+from planner.viewpoints.refinement import ViewState, improve_views, reduce_views
+from planner.viewpoints.viewpoints import aim_viewpoints
 
 STANDOFF = 0.1
 
@@ -31,10 +31,10 @@ def case():
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
     outward = np.random.default_rng(2).normal(size=(40, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    candidates = looking_at(0.03 * outward, outward, np.full(40, -1), [STANDOFF], [0.0])
-    M = fill(candidates, features, scanner, caster)
+    candidates = aim_viewpoints(0.03 * outward, outward, np.full(40, -1), [STANDOFF], [0.0])
+    M = fill_matrix(candidates, features, scanner, caster)
     chosen = solve(Problem(M.matrix(), features.areas, coverage=0.98), rng=np.random.default_rng(0)).views
-    views = Standing(
+    views = ViewState(
         candidates.T_object_scanner[chosen, 0], np.full(len(chosen), STANDOFF), np.arange(len(chosen)),
         np.zeros(len(chosen), dtype=bool), M.matrix().tocsc()[:, chosen].toarray(),
     )  # fmt: skip
@@ -42,16 +42,16 @@ def case():
 
 
 def _arm(scanner, caster, takes_up=lambda T: np.ones(len(T), dtype=bool)):
-    return Arm(scanner, (caster,), takes_up, np.eye(4)[None])
+    return ViewEvaluator(scanner, (caster,), takes_up, np.eye(4)[None])
 
 
 def _fewer(case, *, takes_up=lambda T: np.ones(len(T), dtype=bool), short=lambda views: 0.0, work=20_000):
     features, scanner, caster, views = case
     areas = features.areas / features.areas.sum()
     goal = float(areas[views.measured.any(axis=1)].sum())
-    targets = Targets.of(features.points, features.normals)
+    targets = RayTargets.of(features.points, features.normals)
     arm = _arm(scanner, caster, takes_up)
-    return goal, fewer(views, targets, areas, lambda view: arm, goal=goal, short=short, work=work)
+    return goal, reduce_views(views, targets, areas, lambda view: arm, goal=goal, short=short, work=work)
 
 
 def test_fewer_views_measure_as_much(case):
@@ -59,7 +59,7 @@ def test_fewer_views_measure_as_much(case):
     features, scanner, caster, views = case
     goal, after = _fewer(case)
     assert len(after) < len(views)
-    alone = measured(after.T_object_scanner[:, None], features, scanner, (caster,), each=True)
+    alone = find_measured(after.T_object_scanner[:, None], features, scanner, (caster,), each=True)
     np.testing.assert_array_equal(after.measured, alone)
     assert features.areas[alone.any(axis=1)].sum() / features.areas.sum() >= goal * (1 - 1e-12)
     still = ~after.moved
@@ -78,9 +78,9 @@ def test_equal_input_gives_equal_views(case):
 def test_what_the_arm_does_not_take_up_is_not_taken(case):
     """Of an arm that reaches one half of space, no view leaves it; of one that reaches nothing, none moves."""
     _, _, _, views = case
-    _, after = _fewer(case, takes_up=lambda T: T[:, 0, 2, 3] > 0)
+    _, after = _fewer(case, are_reachable=lambda T: T[:, 0, 2, 3] > 0)
     assert (after.T_object_scanner[after.moved, 2, 3] > 0).all()
-    _, after = _fewer(case, takes_up=lambda T: np.zeros(len(T), dtype=bool))
+    _, after = _fewer(case, are_reachable=lambda T: np.zeros(len(T), dtype=bool))
     assert not after.moved.any()
     assert len(after) <= len(views)
 
@@ -95,8 +95,8 @@ def test_views_that_fall_short_elsewhere_are_not_taken(case):
 
 def _better(case, wanted, takes_up=lambda T: np.ones(len(T), dtype=bool), which=slice(None)):
     features, scanner, caster, views = case
-    targets, arm = Targets.of(features.points, features.normals), _arm(scanner, caster, takes_up)
-    return better(views.T_object_scanner[which], views.distance[which], targets, wanted, arm)
+    targets, arm = RayTargets.of(features.points, features.normals), _arm(scanner, caster, takes_up)
+    return improve_views(views.T_object_scanner[which], views.distance[which], targets, wanted, arm)
 
 
 def test_each_view_alone_measures_more_where_it_is_moved_to(case):
@@ -104,7 +104,7 @@ def test_each_view_alone_measures_more_where_it_is_moved_to(case):
     features, scanner, caster, views = case
     wanted = features.areas * (features.points[:, 0] > 0)
     T, moved_ = _better(case, wanted)
-    more = wanted @ measured(T[:, None], features, scanner, (caster,), each=True) > wanted @ views.measured
+    more = wanted @ find_measured(T[:, None], features, scanner, (caster,), each=True) > wanted @ views.measured
     np.testing.assert_array_equal(more, moved_)
     assert more.mean() > 0.5
     np.testing.assert_array_equal(T[~moved_], views.T_object_scanner[~moved_])
@@ -118,12 +118,14 @@ def test_each_round_measures_more(case, monkeypatch):
     features, _, _, views = case
     rounds = []
     for count in (1, 2, 3):
-        monkeypatch.setattr(refinement, "ALONE", (1.0, 0.5, 0.25)[:count])
+        monkeypatch.setattr(refinement, "SINGLE_SCALES", (1.0, 0.5, 0.25)[:count])
         T, _ = _better(case, features.areas)
         way = np.linalg.norm(T[:, :3, 3] - views.T_object_scanner[:, :3, 3], axis=1)
         turn = 2 * np.sin(np.sqrt(3) * np.radians(15) / 2)
-        assert way.max() <= STANDOFF * sum(refinement.ALONE) * (turn + np.sqrt(3) * 0.15)
-        rounds.append(float(np.sum(features.areas @ measured(T[:, None], features, *case[1:2], (case[2],), each=True))))
+        assert way.max() <= STANDOFF * sum(refinement.SINGLE_SCALES) * (turn + np.sqrt(3) * 0.15)
+        rounds.append(
+            float(np.sum(features.areas @ find_measured(T[:, None], features, *case[1:2], (case[2],), each=True)))
+        )
     assert rounds == sorted(rounds)
     assert rounds[0] < rounds[2]
 
@@ -141,9 +143,11 @@ def test_what_the_arm_does_not_take_up_is_not_better(case):
 
 def test_moved_poses_stay_about_their_aim():
     """Turned about the point, then shifted by no more than the share; a share of 0 moves nothing."""
-    T = looking_at(np.zeros((1, 3)), np.array([[0.6, 0.0, 0.8]]), np.array([-1]), [0.2], [0.3]).T_object_scanner[0, 0]
+    T = aim_viewpoints(np.zeros((1, 3)), np.array([[0.6, 0.0, 0.8]]), np.array([-1]), [0.2], [0.3]).T_object_scanner[
+        0, 0
+    ]
     for share in (0.0, 0.5, 1.0):
-        found = moved(T, 0.2, share, (0, 200), 3)
+        found = perturb_pose(T, 0.2, share, (0, 200), 3)
         aim = found[:, :3, 3] + 0.2 * found[:, :3, 2]
         assert np.abs(aim).max() <= 0.15 * share * 0.2 + 1e-12
         turn = np.arccos(np.clip((np.einsum("nij,ij->n", found[:, :3, :3], T[:3, :3]) - 1) / 2, -1, 1))
@@ -153,11 +157,11 @@ def test_moved_poses_stay_about_their_aim():
 def test_a_view_that_may_be_worth_more_is_asked_in_full(case):
     """Where a bound is named, all that measure more than that stay as they are, and nothing else counts."""
     features, scanner, caster, views = case
-    targets, rows = Targets.of(features.points, features.normals), np.arange(0, 300, 2)
-    T, area = moved(views.T_object_scanner[0], STANDOFF, 1.0, (0, 60), 0), features.areas[rows]
+    targets, rows = RayTargets.of(features.points, features.normals), np.arange(0, 300, 2)
+    T, area = perturb_pose(views.T_object_scanner[0], STANDOFF, 1.0, (0, 60), 0), features.areas[rows]
     arm = _arm(scanner, caster)
     whole = arm.measured(T, targets, rows)
-    np.testing.assert_array_equal(whole, measured(T[:, None], features, scanner, (caster,), each=True)[rows])
+    np.testing.assert_array_equal(whole, find_measured(T[:, None], features, scanner, (caster,), each=True)[rows])
     least = float(np.median(area @ whole)) * (1 + 1e-9)
     asked = arm.measured(T, targets, rows, (area, least))
     for pose in range(60):
@@ -170,9 +174,9 @@ def test_poses_that_are_asked_together_are_asked_as_alone(case, monkeypatch):
     """Whatever goes into one look; also where each point has the limits of its region."""
     features, scanner, caster, views = case
     region = (np.arange(len(features.points)) % 3).astype(np.int32)
-    targets, rows = Targets.of(features.points, features.normals, region), np.arange(1, 300, 2)
-    T, arm = moved(views.T_object_scanner[0], STANDOFF, 1.0, (0, 12), 0), _arm(_OfRegions(scanner), caster)
-    sighted = in_view_of(targets, T, arm.scanner, rows)
+    targets, rows = RayTargets.of(features.points, features.normals, region), np.arange(1, 300, 2)
+    T, arm = perturb_pose(views.T_object_scanner[0], STANDOFF, 1.0, (0, 12), 0), _arm(_OfRegions(scanner), caster)
+    sighted = in_view_matrix(targets, T, arm.scanner, rows)
     for pose, seen in zip(T, sighted, strict=True):
         np.testing.assert_array_equal(rows[seen], in_view(targets, pose, arm.scanner, rows))
     assert not sighted[:, region[rows] == 1].any()

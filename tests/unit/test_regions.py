@@ -24,7 +24,7 @@ from planner.cover import Problem
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
-from planner.measurability.quality import Limited, Limits
+from planner.measurability.quality import LimitedScanner, QualityLimits
 from planner.ports import Rejection
 from tests.step_files import StepFile, bored_block
 
@@ -225,8 +225,12 @@ def test_limits_of_regions_are_conditions_of_their_points() -> None:
     points, normals = np.stack([0 * z, 0 * z, z], axis=1), np.tile([0.0, 0.0, -1.0], (500, 1))
     region = rng.integers(0, 3, 500).astype(np.int32)
     spacing, sigma = bare.spacing(points, normals), bare.sigma(points, normals)
-    limits = Limits(spacing=float(np.median(spacing))), Limits(sigma=float(np.median(sigma))), Limits()
-    codes = Limited(bare, regions=limits).reject_in(points, normals, region)
+    limits = (
+        QualityLimits(spacing=float(np.median(spacing))),
+        QualityLimits(sigma=float(np.median(sigma))),
+        QualityLimits(),
+    )
+    codes = LimitedScanner(bare, regions=limits).reject_in(points, normals, region)
     wanted = np.full(500, Rejection.MEASURED)
     wanted[(region == 0) & (spacing > limits[0].spacing)] = Rejection.TOO_SPARSE
     wanted[(region == 1) & (sigma > limits[1].sigma)] = Rejection.TOO_UNCERTAIN

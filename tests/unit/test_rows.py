@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 
 from planner.errors import PlannerError
 from planner.geometry.sampling import SurfaceSamples
-from planner.measurability.matrix import Measurability, add_rows
+from planner.measurability.matrix import Measurability, append_rows
 
 
 def _matrix(dense, planning_face, area):
@@ -28,7 +28,7 @@ def _matrix(dense, planning_face, area):
 def _spread(face_areas, region=None):
     """A sample on each planning face that has an area."""
     faces = np.flatnonzero(face_areas)
-    made = _matrix(np.zeros((len(faces), 1)), faces, 0.0).features
+    made = _matrix(np.zeros((len(faces), 1)), faces, 0.0).samples
     return replace(made, areas=face_areas[faces], region=region)
 
 
@@ -37,12 +37,12 @@ def test_entries_stand_below_each_other_and_share_the_area_of_their_face():
     M = _matrix([[1, 0, 1], [0, 0, 0]], [4, 7], 3.0)
     more = _matrix([[0, 1, 0], [1, 1, 1], [0, 0, 1]], [4, 4, 9], 0.5)
     face_areas = np.array([9, 9, 9, 9, 6, 9, 9, 3, 9, 1.0])
-    both = add_rows(M, more, _spread(face_areas))
+    both = append_rows(M, more, _spread(face_areas))
     dense = [[1, 0, 1], [0, 0, 0], [0, 1, 0], [1, 1, 1], [0, 0, 1]]
     np.testing.assert_array_equal(both.matrix().toarray(), np.array(dense, dtype=bool))
-    np.testing.assert_allclose(both.features.areas, np.array([2.0, 3.0, 2.0, 2.0, 1.0]) * 0.6)
-    np.testing.assert_array_equal(both.features.planning_face, [4, 7, 4, 4, 9])
-    np.testing.assert_array_equal(both.features.points, np.concatenate([M.features.points, more.features.points]))
+    np.testing.assert_allclose(both.samples.areas, np.array([2.0, 3.0, 2.0, 2.0, 1.0]) * 0.6)
+    np.testing.assert_array_equal(both.samples.planning_face, [4, 7, 4, 4, 9])
+    np.testing.assert_array_equal(both.samples.points, np.concatenate([M.samples.points, more.samples.points]))
 
 
 def test_two_regions_on_a_face_keep_their_areas():
@@ -51,12 +51,12 @@ def test_two_regions_on_a_face_keep_their_areas():
     By face alone the six would stand for 4 / 6 each, and a target of the small region for 3.3 of 4.
     """
     M, more = _matrix([[1], [0]], [0, 0], 2.0), _matrix([[1], [0], [1], [0]], [0, 0, 0, 0], 0.1)
-    M = replace(M, features=replace(M.features, areas=np.array([1.0, 3.0]), region=np.array([0, 1], dtype=np.int32)))
-    more = replace(more, features=replace(more.features, region=np.zeros(4, dtype=np.int32)))
+    M = replace(M, samples=replace(M.samples, areas=np.array([1.0, 3.0]), region=np.array([0, 1], dtype=np.int32)))
+    more = replace(more, samples=replace(more.samples, region=np.zeros(4, dtype=np.int32)))
     spread = replace(
-        _matrix(np.zeros((4, 1)), [0, 0, 0, 0], 1.0).features, region=np.array([1, 0, 1, 1], dtype=np.int32)
+        _matrix(np.zeros((4, 1)), [0, 0, 0, 0], 1.0).samples, region=np.array([1, 0, 1, 1], dtype=np.int32)
     )
-    both = add_rows(M, more, spread).features
+    both = append_rows(M, more, spread).samples
     np.testing.assert_allclose(both.areas, [0.2, 3.0, 0.2, 0.2, 0.2, 0.2])
     np.testing.assert_allclose(np.bincount(both.region, both.areas), [1.0, 3.0])
 
@@ -65,8 +65,10 @@ def test_sigma_is_kept_or_refused():
     """Both matrices have the layer or neither; other columns are refused."""
     M, more = _matrix([[1, 1]], [0], 1.0), _matrix([[0, 1]], [0], 1.0)
     layered = [replace(m, sigma=np.full(len(m.indices), s, dtype=np.float32)) for m, s in ((M, 1.0), (more, 2.0))]
-    np.testing.assert_array_equal(add_rows(*layered, _spread(np.ones(1))).sigma, np.array([1, 1, 2], dtype=np.float32))
+    np.testing.assert_array_equal(
+        append_rows(*layered, _spread(np.ones(1))).sigma, np.array([1, 1, 2], dtype=np.float32)
+    )
     with pytest.raises(PlannerError, match="only one"):
-        add_rows(M, layered[1], _spread(np.ones(1)))
+        append_rows(M, layered[1], _spread(np.ones(1)))
     with pytest.raises(PlannerError, match="of 3 viewpoints"):
-        add_rows(M, _matrix([[0, 1, 0]], [0], 1.0), _spread(np.ones(1)))
+        append_rows(M, _matrix([[0, 1, 0]], [0], 1.0), _spread(np.ones(1)))

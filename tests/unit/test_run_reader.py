@@ -36,7 +36,7 @@ def test_the_parts_agree_with_each_other(planned: Path) -> None:
     T_base_object = run.scene.T_base_object
     for view, q in zip(views, motion.via_q[motion.view >= 0], strict=True):
         np.testing.assert_allclose(view.q, q, atol=1e-12)
-        assert np.isclose(reached.q_of(view.id), view.q, atol=1e-9).all(axis=1).any()
+        assert np.isclose(reached.configurations_of(view.id), view.q, atol=1e-9).all(axis=1).any()
         np.testing.assert_allclose(view.T_base_scanner, T_base_object @ view.T_object_scanner, atol=1e-12)
         np.testing.assert_allclose(view.T_object_scanner, candidates.T_object_scanner[view.id, 0], atol=2e-5)
 

@@ -20,7 +20,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.kinematics.reach import Reach, Verdict
 from planner.measurability.matrix import Measurability
-from planner.measurability.visibility import fill
+from planner.measurability.visibility import fill_matrix
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
 BALL = trimesh.creation.icosphere(2, 0.05)
@@ -48,7 +48,7 @@ def _cell(world: World) -> tuple[Measurability, Reach, Viewpoints]:
     verdict = np.full(len(views), Verdict.REACHABLE, dtype=np.uint8)
     reached = Reach(verdict, np.concatenate(solutions), offsets, ("",) * len(views))
     features = draw_samples(PART, PART, 800, np.random.default_rng(0))
-    return fill(views, features, SCANNER, EmbreeRayCaster(PART.vertices, PART.faces)), reached, views
+    return fill_matrix(views, features, SCANNER, EmbreeRayCaster(PART.vertices, PART.faces)), reached, views
 
 
 def _column(M: Measurability, view: int) -> np.ndarray:
@@ -83,7 +83,7 @@ def test_a_scanner_at_the_end_of_the_arm_is_never_shaded():
     arm = OwnArm(M, reached, views, world, SCANNER)
     chosen = np.arange(len(views))
     assert len(chosen) > 10
-    assert arm.look(chosen, np.stack([reached.q_of(v)[0] for v in chosen])) is Look.CLEAR
+    assert arm.look(chosen, np.stack([reached.configurations_of(v)[0] for v in chosen])) is Look.CLEAR
     assert arm.M is M
     assert not arm.reasons
 
@@ -102,7 +102,7 @@ def test_what_is_left_is_exactly_what_the_arm_does_not_hide():
     assert looks[0] is Look.LESS_MEASURED
     assert looks[-1] is Look.CLEAR
     assert arm.reasons
-    points = M.features.points
+    points = M.samples.points
     for view in chosen:
         before, after = _column(M, view), _column(arm.M, view)
         assert set(after) <= set(before)
@@ -131,7 +131,7 @@ def test_another_joint_solution_is_taken_before_anything_is_given_up(monkeypatch
         return [Occluder("link_4", wall if q[3] > 0 else wall + 50.0, faces)]
 
     monkeypatch.setattr(self_occlusion, "arm_triangles", fake)
-    solutions = reached.q_of(view)
+    solutions = reached.configurations_of(view)
     good = solutions[:, 3] <= 0
     assert 0 < good.sum() < len(solutions)
     arm = OwnArm(M, reached, views, world, SCANNER)
@@ -148,8 +148,8 @@ def test_shade_on_what_another_view_measures_is_no_loss(monkeypatch: pytest.Monk
     twice = Viewpoints(*(
         np.repeat(getattr(views, name)[:1], 2, axis=0) for name in ("T_object_scanner", "face", "standoff", "roll")
     ))  # fmt: skip
-    M = fill(twice, M.features, SCANNER, EmbreeRayCaster(PART.vertices, PART.faces))
-    q = np.stack([reached.q_of(0)[0], reached.q_of(0)[-1]])
+    M = fill_matrix(twice, M.samples, SCANNER, EmbreeRayCaster(PART.vertices, PART.faces))
+    q = np.stack([reached.configurations_of(0)[0], reached.configurations_of(0)[-1]])
     both = Reach(np.zeros(2, dtype=np.uint8), q, np.array([0, 1, 2]), ("", ""))
     T = world.T_base_object @ twice.T_object_scanner[0, 0]
     block, faces = box(np.array([0.2, 0.2, 0.01]))
@@ -176,9 +176,10 @@ def test_coverage_with_the_arm_is_never_more(monkeypatch: pytest.MonkeyPatch):
     world = _world(mount=SIDEWAYS, housing={"bracket_diameter_mm": 0.0, "size_mm": [100.0, 60.0, 40.0]})
     M, reached, views = _cell(world)
     caster = EmbreeRayCaster(PART.vertices, PART.faces)
-    prediction = Prediction.of(M.features, SCANNER, [caster], views.T_object_scanner[:6])
+    prediction = Prediction.of(M.samples, SCANNER, [caster], views.T_object_scanner[:6])
     arms = [
-        self_occlusion.arm_caster(world, reached.q_of(v)[0], views.T_object_scanner[v, 0], SCANNER) for v in range(6)
+        self_occlusion.arm_caster(world, reached.configurations_of(v)[0], views.T_object_scanner[v, 0], SCANNER)
+        for v in range(6)
     ]
     assert any(arm is not None for arm in arms)
     visible = prediction.coverable.covered
@@ -210,8 +211,8 @@ def test_a_shorter_motion_that_hides_more_is_not_taken(monkeypatch: pytest.Monke
     view, good, bad = next(
         (v, a, b)
         for v in range(len(views))
-        for a in reached.q_of(v)
-        for b in reached.q_of(v)
+        for a in reached.configurations_of(v)
+        for b in reached.configurations_of(v)
         if not hides(v, a, b[None])[0]
     )
 

@@ -281,7 +281,7 @@ def test_the_curve_leaves_out_views_that_were_moved_for_plans_that_were_not_take
     plans: Any = {
         row: (None, SimpleNamespace(candidate=np.zeros(1, np.int64), matrix=SimpleNamespace(
             n_viewpoints=2, matrix=lambda row=row: csr_array(columns[row]),
-            features=SimpleNamespace(areas=np.array([3.0, 2.0, 1.0])),
+            samples=SimpleNamespace(areas=np.array([3.0, 2.0, 1.0])),
         ))) for row in columns
     }  # fmt: skip
     own.curve(plans)

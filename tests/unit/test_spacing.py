@@ -9,7 +9,7 @@ from cell.scanners.laser_line import LaserLine
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.measurability import coverage
-from planner.measurability.quality import best_of_views
+from planner.measurability.quality import best_values
 from planner.ports import Rejection
 
 AREA = LaserArea(fov_deg=(60, 40), resolution_deg=(0.02, 0.05), range_mm=(1, 2000), grazing_max_deg=90)
@@ -157,7 +157,7 @@ def test_of_several_views_the_densest_that_measures_counts() -> None:
     seen = np.stack([samples.points[:, 0] < 0.01, samples.points[:, 0] > -0.01], axis=1)
     seen[0] = False
     scanner = LaserArea()
-    (best,) = best_of_views([scanner.spacing], np.stack([near, far])[:, None], samples, seen, scanner)
+    (best,) = best_values([scanner.spacing], np.stack([near, far])[:, None], samples, seen, scanner)
     for T, rows in ((near, seen[:, 0]), (far, seen[:, 1] & ~seen[:, 0])):
         points, normals = (samples.points[rows] - T[:3, 3]) @ T[:3, :3], samples.normals[rows] @ T[:3, :3]
         np.testing.assert_array_equal(best[rows], scanner.spacing(points, normals))
@@ -174,7 +174,7 @@ def test_dense_coverage_against_all_pairs() -> None:
     spacing = rng.uniform(0.001, 0.005, 500)
     spacing[:20] = np.nan
     nearest = np.linalg.norm(samples.points[:, None] - points[None], axis=2).min(axis=1)
-    found = coverage.dense(points, samples, spacing)
+    found = coverage.dense_coverage(points, samples, spacing)
     np.testing.assert_array_equal(found.covered, nearest <= 1.5 * spacing)
-    assert not coverage.dense(np.empty((0, 3)), samples, spacing).covered.any()
-    assert not coverage.dense(points, samples, np.full(500, np.nan)).covered.any()
+    assert not coverage.dense_coverage(np.empty((0, 3)), samples, spacing).covered.any()
+    assert not coverage.dense_coverage(points, samples, np.full(500, np.nan)).covered.any()

@@ -16,7 +16,7 @@ class _Bench:
     """Five views cover 86 % of the matrix and measure 84 %, six cover and measure 95 %."""
 
     def matrix(self, fill: str, candidates: Any, density: int) -> Any:
-        return SimpleNamespace(matrix=lambda: csc_array(np.ones((4, 9))), features=SimpleNamespace(areas=np.ones(4)))
+        return SimpleNamespace(matrix=lambda: csc_array(np.ones((4, 9))), samples=SimpleNamespace(areas=np.ones(4)))
 
     def select(self, fill: str, candidates: Any, allowed: Any, *, solver: str, share: float, density: int) -> Any:
         few = share <= _COVERED

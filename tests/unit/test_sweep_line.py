@@ -5,7 +5,7 @@ import pytest
 
 from planner.path.sweep_line import DEFAULT_SPEED, SweepSpeed, line_through, rotation_vectors, rotations
 from planner.values import Floats
-from planner.viewpoints.viewpoints import straight_poses, turned_poses
+from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_poses
 
 
 def _somewhere(seed: int) -> Floats:
@@ -21,12 +21,14 @@ def _somewhere(seed: int) -> Floats:
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_poses_stand_in_the_middles_of_the_lines_cells(count: int, turned: bool) -> None:
     """At u = (k + 0.5) / K; the line is as long as the sweep that was asked for."""
-    poses = _somewhere(count) @ (turned_poses(0.4, count) if turned else straight_poses(0.15, count, (1, 2, 0.5)))
+    poses = _somewhere(count) @ (
+        turned_sweep_poses(0.4, count) if turned else straight_sweep_poses(0.15, count, (1, 2, 0.5))
+    )
     line = line_through(poses)
     assert line is not None
     np.testing.assert_allclose(line.at((np.arange(count) + 0.5) / count), poses, atol=1e-12)
     assert (line.length, line.angle) == pytest.approx((0.0, 0.4) if turned else (0.15, 0.0), abs=1e-12)
-    assert not line.stands
+    assert not line.is_stationary
 
 
 def test_a_screw_is_a_line_too() -> None:
@@ -43,7 +45,7 @@ def test_a_screw_is_a_line_too() -> None:
 
 def test_what_is_no_line_is_none() -> None:
     """A bend, unequal steps, a single pose, more than half a turn."""
-    straight = straight_poses(0.1, 5)
+    straight = straight_sweep_poses(0.1, 5)
     bent = straight.copy()
     bent[3, 1, 3] += 1e-4
     uneven = straight.copy()
@@ -51,28 +53,28 @@ def test_what_is_no_line_is_none() -> None:
     assert line_through(bent) is None
     assert line_through(uneven) is None
     assert line_through(straight[:1]) is None
-    assert line_through(turned_poses(3.1, 3) @ turned_poses(3.1, 3)) is None
+    assert line_through(turned_sweep_poses(3.1, 3) @ turned_sweep_poses(3.1, 3)) is None
 
 
 def test_a_sweep_without_length_stands() -> None:
     """All poses equal: no speed is asked of it."""
     line = line_through(np.tile(_somewhere(2), (4, 1, 1)))
     assert line is not None
-    assert line.stands
+    assert line.is_stationary
 
 
 @pytest.mark.parametrize("count", [2, 8, 64])
 @pytest.mark.parametrize("length", [1e-3, 0.15, 2.0])
 def test_the_ramps_end_before_the_first_pose_and_keep_the_acceleration(count: int, length: float) -> None:
     """Between the first and the last pose the speed is constant, and at most what was asked for."""
-    from planner.timing.s_curve import sample
+    from planner.timing.s_curve import sample_profile
 
-    line = line_through(straight_poses(length, count))
+    line = line_through(straight_sweep_poses(length, count))
     assert line is not None
     speed = SweepSpeed(linear=0.2)
     profile = line.profile(line.cruise(speed))
     t = np.linspace(0, float(profile.duration), 4001)
-    u, ud, udd = sample(profile, t)
+    u, ud, udd = sample_profile(profile, t)
     between = (u >= 0.5 / count - 1e-12) & (u <= 1 - 0.5 / count + 1e-12)
     np.testing.assert_allclose(ud[between], 1 / float(profile.cruise), rtol=1e-9)
     assert ud.max() * length <= speed.linear * (1 + 1e-9)

@@ -30,10 +30,10 @@ from drivers.errors import FaultError
 from drivers.limits import Limits
 from drivers.setpoints import from_rad
 from planner.geometry.mesh import TriangleMesh
-from planner.path.sweeps import DrivenSweep, SweepPath, sweeps_of
+from planner.path.sweeps import SweepPath, TimedSweep, find_sweeps
 from planner.timing.motion import Motion, retime
 from planner.values import Floats
-from planner.viewpoints.viewpoints import straight_poses, turned_poses
+from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_poses
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 
@@ -46,7 +46,7 @@ SCANNER = LaserLine(sweep_mm=80.0, sweep_steps=4, line_points=50)
 def path() -> SweepPath:
     """A sweep of four poses around home."""
     T = KINEMATICS.forward(HOME[None])[0]
-    return sweeps_of(T @ SCANNER.T_view_scanner, np.eye(4), KINEMATICS, KINEMATICS.limits).paths[0]
+    return find_sweeps(T @ SCANNER.T_view_scanner, np.eye(4), KINEMATICS, KINEMATICS.limits).paths[0]
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def _motion(path: SweepPath) -> Motion:
     pose = np.concatenate([[-1], path.pose, back.pose, [-1]])
     leg = np.concatenate([[0], np.zeros(len(path.q)), np.ones(len(path.q)), [2]]).astype(np.int64)
     view = np.where(pose >= 0, 70 + leg, -1)
-    lines = {k: DrivenSweep(p, np.eye(4), KINEMATICS) for k, p in ((1, path), (1 + len(path.q), back))}
+    lines = {k: TimedSweep(p, np.eye(4), KINEMATICS) for k, p in ((1, path), (1 + len(path.q), back))}
     return retime(via, leg, view, KINEMATICS.limits, pose=pose, lines=lines)
 
 
@@ -164,7 +164,9 @@ def test_a_sweep_that_breaks_off_leaves_no_scan(path: SweepPath, scene: RunCell,
     assert [file.name for file in (folder.path / "scans").iterdir()] == ["0001.npz"]
 
 
-@pytest.mark.parametrize("column", [straight_poses(0.15, 8), turned_poses(0.4, 5), straight_poses(0.02, 2)])
+@pytest.mark.parametrize(
+    "column", [straight_sweep_poses(0.15, 8), turned_sweep_poses(0.4, 5), straight_sweep_poses(0.02, 2)]
+)
 def test_lines_stand_between_the_poses_and_half_a_step_beyond(column: Floats) -> None:
     """As close as wanted, equally far apart, symmetric; a cell's middle lines mean its pose."""
     each = lines_between(column)

@@ -5,11 +5,11 @@ import pytest
 
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
-from planner.path.sweeps import DrivenSweep, SweepPath, sweeps_of
+from planner.path.sweeps import SweepPath, TimedSweep, find_sweeps
 from planner.timing.motion import Motion, jerk_free_duration, retime
 from planner.timing.move_time import move_time
 from planner.values import Floats
-from planner.viewpoints.viewpoints import straight_poses
+from planner.viewpoints.viewpoints import straight_sweep_poses
 
 KINEMATICS = Kr16Kinematics.load()
 LIMITS = KINEMATICS.limits
@@ -22,7 +22,7 @@ HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 def path() -> SweepPath:
     """A sweep along the baseline."""
     T = KINEMATICS.forward(np.radians([[12, -75, 110, 35, -60, 140]]))[0] @ MOUNT
-    return sweeps_of(T @ straight_poses(0.15, 8), MOUNT, KINEMATICS, LIMITS).paths[0]
+    return find_sweeps(T @ straight_sweep_poses(0.15, 8), MOUNT, KINEMATICS, LIMITS).paths[0]
 
 
 def _motion(path: SweepPath) -> Motion:
@@ -34,7 +34,7 @@ def _motion(path: SweepPath) -> Motion:
     view = np.concatenate([[-1], np.where(path.pose >= 0, 5, none), [7], np.where(back.pose >= 0, 9, none), [-1]])
     pose = np.concatenate([[-1], path.pose, [0], back.pose, [-1]])
     segment = np.concatenate([[0], np.zeros(m), [1], np.full(m, 2), [3]]).astype(np.int64)
-    lines = {1: DrivenSweep(path, MOUNT, KINEMATICS), m + 2: DrivenSweep(back, MOUNT, KINEMATICS)}
+    lines = {1: TimedSweep(path, MOUNT, KINEMATICS), m + 2: TimedSweep(back, MOUNT, KINEMATICS)}
     return retime(via, segment, view, LIMITS, pose=pose, lines=lines)
 
 
@@ -79,4 +79,4 @@ def test_a_line_without_room_is_refused(path: SweepPath) -> None:
     """More via points than there are left."""
     with pytest.raises(PlannerError, match="there is no room for them"):
         retime(path.q[:-1], [0] * (len(path.q) - 1), [-1] * (len(path.q) - 1), LIMITS,
-               lines={0: DrivenSweep(path, MOUNT, KINEMATICS)})  # fmt: skip
+               lines={0: TimedSweep(path, MOUNT, KINEMATICS)})  # fmt: skip

@@ -5,7 +5,7 @@ import pytest
 
 from planner.errors import PlannerError
 from planner.ports import JointLimits
-from planner.timing.limits import scaled
+from planner.timing.limits import scale_limits
 from planner.timing.motion import retime
 from planner.timing.move_time import move_time
 
@@ -91,7 +91,7 @@ def test_a_speed_fraction_scales_the_time() -> None:
 def test_a_fraction_outside_zero_to_one_is_refused(fraction: float) -> None:
     """The message names the fraction and what would be valid."""
     with pytest.raises(PlannerError, match=r"speed fraction is .* must be above 0 and at most 1"):
-        scaled(LIMITS, speed=fraction)
+        scale_limits(LIMITS, speed=fraction)
 
 
 def test_a_via_point_outside_the_range_is_refused_by_axis() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from planner.ports import JointLimits
 from planner.tour import generalised_tsp as gtsp
-from planner.tour.orderings import sequence
+from planner.tour.orderings import order_views
 from planner.tour.roadmap import Edge, Roadmap
 from planner.tour.tour_search import _VERY_MANY, MotionBudget, TourSearch
 from planner.tour.visits import Visits
@@ -39,7 +39,7 @@ def search_of(kind: type[TourSearch], views: int) -> TourSearch:
     q = np.round(np.degrees(rng.uniform(-1, 1, (views, 2, 6))), 4)
     visits = Visits([np.radians(own) for own in q], np.zeros(6), np.tile(np.eye(4), (views, 1, 1)))
     roadmap = Roadmap(visits, Open(), LIMITS, 0, 1000, 10_000)
-    return kind(roadmap, visits, LIMITS, 0, MotionBudget(), sequence, None)
+    return kind(roadmap, visits, LIMITS, 0, MotionBudget(), order_views, None)
 
 
 def test_of_very_many_views_a_real_tour_is_enough_where_orderings_promise_little_more() -> None:
@@ -51,7 +51,7 @@ def test_of_very_many_views_a_real_tour_is_enough_where_orderings_promise_little
     assert search.rounds <= 5
 
 
-@pytest.mark.parametrize("views", [3 * gtsp.FULL, 5 * gtsp.FULL])
+@pytest.mark.parametrize("views", [3 * gtsp.MANY_CLUSTERS, 5 * gtsp.MANY_CLUSTERS])
 def test_more_edges_beside_a_tour_are_looked_at_the_more_views_it_has(views: int) -> None:
     """Of more than a hundred: so that the number of orderings does not grow with that of the views."""
     search = search_of(TourSearch, views)

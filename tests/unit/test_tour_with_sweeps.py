@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from cell.robot.kinematics import Kr16Kinematics
 from planner.errors import PlannerError
-from planner.path.sweeps import DrivenSweep, Passage, SweepPath, passages_of, sweeps_of
+from planner.path.sweeps import SweepPath, SweepTraversal, TimedSweep, find_sweeps, sweep_traversals
 from planner.timing.motion import retime
 from planner.timing.move_time import move_time
-from planner.tour.tour import TourStatus, plan_motion
+from planner.tour.tour import TourStatus, plan_tour
 from planner.tour.visits import Visits
 from planner.values import Floats
-from planner.viewpoints.viewpoints import straight_poses
+from planner.viewpoints.viewpoints import straight_sweep_poses
 
 KINEMATICS = Kr16Kinematics.load()
 LIMITS = KINEMATICS.limits
@@ -50,8 +50,8 @@ def _views(count: int) -> tuple[list[tuple[SweepPath, ...]], Floats]:
     paths, poses = [], []
     for k in range(count):
         q = np.radians([12 - 14 * k, -75 + 5 * k, 110, 35, -60, 140])
-        column = KINEMATICS.forward(q[None])[0] @ MOUNT @ straight_poses(0.15, 8)
-        found = sweeps_of(column, MOUNT, KINEMATICS, LIMITS).paths
+        column = KINEMATICS.forward(q[None])[0] @ MOUNT @ straight_sweep_poses(0.15, 8)
+        found = find_sweeps(column, MOUNT, KINEMATICS, LIMITS).paths
         paths.append(tuple(path for path in found if path.branch == 1)[:2])
         poses.append(column[0])
     return paths, np.stack(poses)
@@ -60,13 +60,13 @@ def _views(count: int) -> tuple[list[tuple[SweepPath, ...]], Floats]:
 def _visits(paths: list[tuple[SweepPath, ...]], poses: Floats) -> Visits:
     """The sweeps' begins as joint solutions, with the way along them."""
     begins = [np.stack([path.q[0] for path in view]) for view in paths]
-    return Visits(begins, HOME, poses, passages=[passages_of(view) for view in paths])
+    return Visits(begins, HOME, poses, traversals=[sweep_traversals(view) for view in paths])
 
 
 def test_the_tour_holds_every_sweep_whole_and_takes_the_shortest_way() -> None:
     """Against all orders and directions; timed with its lines it takes the time that the tour says."""
     paths, poses = _views(4)
-    tour = plan_motion(_visits(paths, poses), _FreeSpace(), LIMITS, np.random.default_rng(0))
+    tour = plan_tour(_visits(paths, poses), _FreeSpace(), LIMITS, np.random.default_rng(0))
     assert tour.status is TourStatus.COMPLETE
     best = np.inf
     for order in itertools.permutations(range(4)):
@@ -87,7 +87,7 @@ def test_the_tour_holds_every_sweep_whole_and_takes_the_shortest_way() -> None:
         assert np.ptp(tour.segment[own]) == 0
         np.testing.assert_array_equal(q, path.measured_q[4])
     assert (tour.view >= 0).sum() == 32
-    lines = {int(row): DrivenSweep(path, MOUNT, KINEMATICS) for row, path in zip(tour.entered, chosen, strict=True)}
+    lines = {int(row): TimedSweep(path, MOUNT, KINEMATICS) for row, path in zip(tour.entered, chosen, strict=True)}
     motion = retime(tour.via, tour.segment, tour.view, LIMITS, pose=tour.pose, lines=lines)
     assert motion.duration == pytest.approx(tour.duration, abs=1e-9)
     assert motion.view[motion.stops].tolist() == tour.order.tolist()
@@ -99,7 +99,7 @@ def test_a_sweep_whose_end_cannot_be_left_is_driven_the_other_way_or_dropped() -
     paths, poses = _views(3)
     ends = np.degrees(np.sort([paths[1][0].q[0][0], paths[1][0].q[-1][0]]))
     wall = _FreeSpace((float(ends[0]) - 0.2, float(ends[0]) + 0.2))
-    tour = plan_motion(_visits(paths, poses), wall, LIMITS, np.random.default_rng(0))
+    tour = plan_tour(_visits(paths, poses), wall, LIMITS, np.random.default_rng(0))
     assert 1 in [lost.view for lost in tour.dropped]
     assert 1 not in tour.order.tolist()
 
@@ -107,10 +107,10 @@ def test_a_sweep_whose_end_cannot_be_left_is_driven_the_other_way_or_dropped() -
 def test_passages_must_fit_their_joint_solutions() -> None:
     """As many as there are, each from its own solution to the one it names."""
     q = np.stack([HOME, HOME + 0.1])
-    still = Passage(HOME[None], np.zeros(1, dtype=np.int64), 0.0, 0)
+    still = SweepTraversal(HOME[None], np.zeros(1, dtype=np.int64), 0.0, 0)
     with pytest.raises(PlannerError, match="they must be as many"):
-        Visits([q], HOME, np.eye(4)[None], passages=[[still]])
+        Visits([q], HOME, np.eye(4)[None], traversals=[[still]])
     with pytest.raises(PlannerError, match="does not begin and end"):
-        Visits([q], HOME, np.eye(4)[None], passages=[[still, still]])
+        Visits([q], HOME, np.eye(4)[None], traversals=[[still, still]])
     with pytest.raises(PlannerError, match="passage 1 of view 0 must leave at a joint solution of it, 0 to 1"):
-        Visits([q], HOME, np.eye(4)[None], passages=[[still, replace(still, leaves=2)]])
+        Visits([q], HOME, np.eye(4)[None], traversals=[[still, replace(still, leaves=2)]])

@@ -17,7 +17,7 @@ from planner import cover
 from planner.cover import CoverStatus
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
-from planner.tour.tour import Tour, TourStatus, plan_motion
+from planner.tour.tour import Tour, TourStatus, plan_tour
 from planner.tour.visits import Visits
 
 RANGE = np.full(6, 3.0)
@@ -56,7 +56,7 @@ MATRIX = np.array(
     dtype=bool,
 )
 AREAS = np.array([1.0, 2, 4, 8, 16, 32])
-M = SimpleNamespace(matrix=lambda: sp.csr_array(MATRIX), features=SimpleNamespace(areas=AREAS), shape=MATRIX.shape)
+M = SimpleNamespace(matrix=lambda: sp.csr_array(MATRIX), samples=SimpleNamespace(areas=AREAS), shape=MATRIX.shape)
 
 
 def groups() -> Groups:
@@ -70,7 +70,7 @@ def groups() -> Groups:
 def motion(found: Groups) -> Tour:
     """The motion over the groups; the stand-ins lie nearest to home."""
     poses = np.tile(np.eye(4), (3, 1, 1))
-    return plan_motion(Visits(found.configurations, HOME, poses), Open(), LIMITS, np.random.default_rng(0))
+    return plan_tour(Visits(found.configurations, HOME, poses), Open(), LIMITS, np.random.default_rng(0))
 
 
 def test_the_plan_is_what_the_motion_picked() -> None:
@@ -219,7 +219,7 @@ def test_views_taken_back_have_the_seconds_of_their_own_tour(back: list[int], mo
     """Where seconds decide, a cover is not told shorter by stand-ins that it does not have."""
     q = 0.1 * np.eye(6) * np.array([[6], [5], [4], [3], [2], [1]])  # 3 to 5 stand nearer to home than 0 to 2
     alike = SimpleNamespace(
-        matrix=lambda: sp.csr_array(np.eye(6)[3:] + np.eye(6)[:3]), features=Seen(np.ones(3)).samples, shape=(3, 6)
+        matrix=lambda: sp.csr_array(np.eye(6)[3:] + np.eye(6)[:3]), samples=Seen(np.ones(3)).samples, shape=(3, 6)
     )
     arm = SimpleNamespace(M=alike, configurations=lambda view: q[view][None])
     known = SimpleNamespace(share_of_coverable=lambda views: 0.5)
@@ -309,14 +309,14 @@ def test_views_are_taken_back_until_the_share_is_kept(seed: int) -> None:
     rng = np.random.default_rng(seed)
     known = Seen(rng.random((400, 40)) < 0.1)
     problem = SimpleNamespace(prediction=known, candidates=SimpleNamespace(T_object_scanner=np.arange(40)))
-    own, found = np.arange(20), SimpleNamespace(views=np.arange(20, 39), instead_of=np.arange(1, 20))
+    own, found = np.arange(20), SimpleNamespace(views=np.arange(20, 39), replaces=np.arange(1, 20))
     least, low = known.share_of_coverable(own), known.share_of_coverable(found.views)
     back = []
     for asked in (low, low + 0.25 * (least - low) if least > low else low, least):
         views = _taken_back(problem, own, found, asked)  # type: ignore[arg-type]
         assert known.share_of_coverable(views) >= asked
         if len(views) == len(found.views):
-            assert ((views == found.views) | (views == own[found.instead_of])).all()
+            assert ((views == found.views) | (views == own[found.replaces])).all()
             back.append(int((views != found.views).sum()))
         else:
             np.testing.assert_array_equal(views, own)

@@ -192,7 +192,7 @@ def test_what_is_seen_is_visible_coverage(run: Run) -> None:
     poses = [view.T_object_poses for view in plan.views]
     _, surface = contents.measured(run, cell, poses)
     casters = (cell.part_caster, cell.occluder_caster)
-    expected = coverage.visible(np.stack(poses), surface.samples, cell.scanner, casters)
+    expected = coverage.visible_coverage(np.stack(poses), surface.samples, cell.scanner, casters)
     np.testing.assert_array_equal(surface.seen.any(axis=1), expected.covered)
     assert expected.fraction == pytest.approx(plan.coverage.visible, abs=1e-12)
     for values in surface.layers.values():

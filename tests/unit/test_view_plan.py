@@ -16,7 +16,7 @@ from cell.scene.model import PlanSettings
 def covered(asked: float, share_of_view: list[float]) -> tuple[int, float]:
     """Views and final target where view i measures its own tenth of ten samples and its share of the held-out ones."""
     n = len(share_of_view)
-    M = SimpleNamespace(matrix=lambda: csr_array(np.eye(n, dtype=bool)), features=SimpleNamespace(areas=np.ones(n)))
+    M = SimpleNamespace(matrix=lambda: csr_array(np.eye(n, dtype=bool)), samples=SimpleNamespace(areas=np.ones(n)))
     candidates = SimpleNamespace(T_object_scanner=np.arange(n))
     prediction = SimpleNamespace(share_of_coverable=lambda views: float(np.take(share_of_view, views).sum()))
     selected = select(
@@ -52,7 +52,7 @@ def test_weighted_views_claim_no_more_than_they_were_asked_for() -> None:
         coverage=np.array([0.5]), plain=False, applied=lambda wish, _: replace(wish, weights=weights),
         shares=lambda *_: np.array([0.4]),
     )  # fmt: skip
-    M = SimpleNamespace(matrix=lambda: csr_array(np.eye(11, dtype=bool)), features=SimpleNamespace(areas=areas))
+    M = SimpleNamespace(matrix=lambda: csr_array(np.eye(11, dtype=bool)), samples=SimpleNamespace(areas=areas))
     looked = select(
         Request(PlanSettings(coverage=0.5), goals=goals), M, SimpleNamespace(reachable=np.ones(11, dtype=bool)),
         SimpleNamespace(T_object_scanner=np.arange(11)), SimpleNamespace(),

@@ -6,8 +6,8 @@ import pytest
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
-from planner.viewpoints.lines_of_sight import Targets
-from planner.viewpoints.viewpoints import Viewpoints, looking_at
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.viewpoints import Viewpoints, aim_viewpoints
 from planner.why import what_if, why
 from planner.why.reasons import Reason
 from planner.why.what_if import Kind, WhatIf, choose
@@ -34,15 +34,15 @@ _WALL = _rectangle([0, -0.05, 0], [0, 0.1, 0], [0, 0, 0.02])  # 20 mm high, in t
 
 def _down(x: float, height: float, roll: float = 0.0) -> Viewpoints:
     """A scanner over the plate at (x, 0, height) that looks straight down; at roll 0 the sensor is towards +x."""
-    return looking_at(np.array([[x, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([0]), [height], [roll])
+    return aim_viewpoints(np.array([[x, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([0]), [height], [roll])
 
 
-def _on_plate(x: np.ndarray) -> Targets:
+def _on_plate(x: np.ndarray) -> RayTargets:
     points = np.stack([x, np.full(len(x), 0.003), np.zeros(len(x))], axis=1)
-    return Targets.of(points, np.tile([0.0, 0.0, 1.0], (len(x), 1)))
+    return RayTargets.of(points, np.tile([0.0, 0.0, 1.0], (len(x), 1)))
 
 
-def _reasons(targets: Targets, views: Viewpoints, scanner: LaserArea, part, other=_FAR, fails=Reason.NOT_SELECTED):
+def _reasons(targets: RayTargets, views: Viewpoints, scanner: LaserArea, part, other=_FAR, fails=Reason.NOT_SELECTED):
     rows = np.arange(len(targets))
     return why.diagnose(targets, rows, views, scanner, part, other, np.full(len(views), fails, np.uint8))
 
@@ -125,7 +125,7 @@ def test_grazing_is_told_by_its_exact_angle_and_the_smallest_limit_that_helps_is
     """One candidate at a known angle: its reason, its angle, and of all whole degrees the first that measures."""
     targets = _on_plate(np.array([0.0, 0.01]))  # legs need an extent to end a hair above the plate
     outward = np.array([[np.sin(np.radians(angle_deg)), 0, np.cos(np.radians(angle_deg))]])
-    views = looking_at(np.array([[0.0, 0.003, 0.0]]), outward, np.array([0]), [0.2], [0.0])
+    views = aim_viewpoints(np.array([[0.0, 0.003, 0.0]]), outward, np.array([0]), [0.2], [0.0])
     rows, part = np.array([0]), _caster(_PLATE)
     found = why.diagnose(
         targets, rows, views, LaserArea(baseline_mm=0), part, _FAR, np.array([Reason.NOT_SELECTED], np.uint8)
@@ -202,14 +202,14 @@ def test_a_candidate_must_fail_at_something_beyond_measuring() -> None:
 
 def test_the_middle_of_a_sweep_stays_when_it_backs_off_and_rolls() -> None:
     """A sweep of eight poses, turned or straight, moved as a whole: what is made is the sweep of the moved view."""
-    from planner.viewpoints.viewpoints import straight_poses, swept, turned_poses
+    from planner.viewpoints.viewpoints import straight_sweep_poses, sweep_viewpoints, turned_sweep_poses
 
     start = np.concatenate([_down(0.01, 0.2).T_object_scanner, _down(-0.02, 0.2, 0.3).T_object_scanner])
     views = Viewpoints(start, np.zeros(2, np.int32), np.full(2, 0.2), np.array([0.0, 0.3]))
-    for poses in (straight_poses(0.1, 8), turned_poses(0.5, 8)):
-        columns = swept(views, poses)
+    for poses in (straight_sweep_poses(0.1, 8), turned_sweep_poses(0.5, 8)):
+        columns = sweep_viewpoints(views, poses)
         np.testing.assert_allclose(what_if.middle(columns.T_object_scanner), start[:, 0], atol=1e-12)
         for change in (lambda v: what_if.backed_off(v, 0.26), lambda v: what_if.rolled(v, 1.1)):
             np.testing.assert_allclose(
-                change(columns).T_object_scanner, swept(change(views), poses).T_object_scanner, atol=1e-12
+                change(columns).T_object_scanner, sweep_viewpoints(change(views), poses).T_object_scanner, atol=1e-12
             )
