@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from cell.part.workpiece import load
-from cell.reconstruction.deviation import area_samples
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
+from planner.registration.surface import sample_by_area
 from planner.values import Floats
 
 FACES = (5_000, 20_000, 80_000, None)
@@ -28,7 +28,7 @@ def run() -> list[dict[str, Any]]:
     for count in FACES:
         mesh = reference if count is None else decimate(reference, count)
         rng = np.random.default_rng(0)
-        near = area_samples(mesh, NEAR, rng) + rng.normal(0, 0.004 * mesh.diagonal, (NEAR, 3))
+        near = sample_by_area(mesh, NEAR, rng) + rng.normal(0, 0.004 * mesh.diagonal, (NEAR, 3))
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         far = rng.uniform(1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low, (FAR, 3))
         rows += [_row(mesh, "near", near), _row(mesh, "far", far)]

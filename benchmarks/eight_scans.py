@@ -3,10 +3,10 @@
 import numpy as np
 
 from cell.part.workpiece import Workpiece
-from cell.reconstruction.cloud import ScanCloud
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from cell.world.virtual_scan import scan
+from planner.registration.cloud import ScanCloud
 
 STANDOFF = 0.3
 """Of the scanner from the part's middle [m]."""

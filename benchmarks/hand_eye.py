@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cell.calibrate import targets
-from cell.calibrate.hand_eye import Observed, PoseError, solve
-from cell.reconstruction.rigid import RigidFit
+from planner.registration import hand_eye
+from planner.registration.hand_eye import PoseError, TargetScans, solve_hand_eye
+from planner.registration.observability import RigidFit
 from planner.values import Floats
 
 _RADIUS, _NOISE_M, _POSE_M, _POSE_RAD = 0.01905, 3e-5, 3e-5, float(np.radians(0.02))
@@ -80,7 +80,7 @@ def _degenerate() -> Iterator[dict[str, Any]]:
         fit = mount_of("ball", None, views, 0)
         yield {
             "target and poses": f"ball, {name}",
-            "told": "; ".join(motion.sentence for motion in fit.undetermined(5e-4)) or "nothing",
+            "told": "; ".join(motion.sentence for motion in fit.undetermined_motions(5e-4)) or "nothing",
         }
 
 
@@ -90,10 +90,10 @@ def mount_of(target: str, radius: float | None, views: list[View], draw: int) ->
     scans = [_ball(view, rng) if target == "ball" else _plane(view, rng) for view in views]
     poses = [_flange(view, rng) for view in views]
     if target == "ball":
-        points = np.stack([each.centre[None] for each in targets.spheres_in(scans, radius, rng)])
+        points = np.stack([each.centre[None] for each in hand_eye.fit_spheres(scans, radius, rng)])
     else:
-        points = np.stack([each.points for each in targets.planes_in(scans, rng)])
-    return solve(Observed(np.stack(poses), points, target == "plane"), PoseError(_POSE_M, _POSE_RAD), rng)
+        points = np.stack([each.points for each in hand_eye.fit_planes(scans, rng)])
+    return solve_hand_eye(TargetScans(np.stack(poses), points, target == "plane"), PoseError(_POSE_M, _POSE_RAD), rng)
 
 
 def corners() -> list[View]:

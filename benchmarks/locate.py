@@ -21,15 +21,14 @@ from benchmarks.edits import no_pictures
 from benchmarks.parts import parts, place
 from cell.api import plan
 from cell.errors import CellError
-from cell.reconstruction.cloud import ScanCloud
-from cell.reconstruction.freedom import FreeKind
-from cell.reconstruction.matching import small_motion
-from cell.reconstruction.rigid import RigidFit, motion_of, screw_of, told
-from cell.reconstruction.surface_fit import Search, fit
 from cell.runs.cell import RunCell, read_cell
 from cell.runs.run import Run
 from cell.world import virtual_scan
 from planner.geometry.closest import ClosestPointQuery
+from planner.registration.cloud import ScanCloud
+from planner.registration.localisation import SearchRange, fit_surface
+from planner.registration.observability import FreeKind, RigidFit, describe
+from planner.registration.rigid import motion_from_screw, motion_from_vector, screw_from_motion
 from planner.values import Floats
 
 _OFF_M, _OFF_DEG, _NOISE_M, _WITHIN_M = 0.02, 5.0, 3e-5, 1e-4
@@ -63,19 +62,19 @@ def _row(planned: Run, count: int) -> dict[str, Any]:
         seen.append(len(cloud))
         begin = process_time()
         try:
-            found = fit([cloud], nearest, centre, Search(), np.random.default_rng(draw))
+            found = fit_surface([cloud], nearest, centre, SearchRange(), np.random.default_rng(draw))
         except CellError as error:
             open_.append(str(error).split(";")[0])
             continue
         seconds += process_time() - begin
         error = farthest(found, T_moved, vertices)
-        motions = found.undetermined(_WITHIN_M)
-        said = [*([told(motions)] if motions else []), *found.rivals, *found.doubts]
+        motions = found.undetermined_motions(_WITHIN_M)
+        said = [*([describe(motions)] if motions else []), *found.alternatives, *found.doubts]
         open_ += said
         if said and error > _WITHIN_M:  # it was said that this may be so
             continue
         errors.append(1000 * error)
-        deviations.append(1000 * (found.deviation_of(vertices) or 0.0))
+        deviations.append(1000 * (found.worst_point_sd(vertices) or 0.0))
         wrong += error > _WITHIN_M
     return {
         "placements": count,
@@ -93,7 +92,7 @@ def scanned(cell: RunCell, T_object_scanner: Floats, centre: Floats, draw: int) 
     """How the part was moved (4, 4) and its scan from a planned view, in the object frame as if it had not been."""
     rng = np.random.default_rng([draw, 5])
     shift, axis = (each / np.linalg.norm(each) for each in (rng.standard_normal(3), rng.standard_normal(3)))
-    T_moved = small_motion(np.concatenate([_OFF_M * shift, np.radians(_OFF_DEG) * axis]), centre)
+    T_moved = motion_from_vector(np.concatenate([_OFF_M * shift, np.radians(_OFF_DEG) * axis]), centre)
     T = np.linalg.inv(T_moved) @ T_object_scanner
     seen = virtual_scan.scan(cell.scanner, T, cell.part_caster, cell.reference)
     rays = seen.points - (T[:3, :3] @ cell.scanner.source + T[:3, 3])
@@ -105,8 +104,8 @@ def scanned(cell: RunCell, T_object_scanner: Floats, centre: Floats, draw: int) 
 def farthest(found: RigidFit, T_moved: Floats, points: Floats) -> float:
     """How far off the point is that is farthest off [m], after a turn about the one axis that is free, if one is."""
     T_off = found.T @ T_moved
-    motions = [motion for motion in found.undetermined(_WITHIN_M) if motion.kind is FreeKind.ROTATION]
+    motions = [motion for motion in found.undetermined_motions(_WITHIN_M) if motion.kind is FreeKind.ROTATION]
     for motion in motions[:1]:
-        turn = float(screw_of(T_off, motion.point)[3:] @ motion.direction)
-        T_off = motion_of(np.concatenate([np.zeros(3), -turn * motion.direction]), motion.point) @ T_off
+        turn = float(screw_from_motion(T_off, motion.point)[3:] @ motion.direction)
+        T_off = motion_from_screw(np.concatenate([np.zeros(3), -turn * motion.direction]), motion.point) @ T_off
     return float(np.linalg.norm(points @ T_off[:3, :3].T + T_off[:3, 3] - points, axis=1).max())

@@ -18,13 +18,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.eight_scans import eight_scans, noisy
+from cell.metrology.reconstruct import REACH, reconstruct
 from cell.part.workpiece import Workpiece, load
-from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
-from cell.reconstruction.deviation import Deviation, deviation
-from cell.reconstruction.reconstruct import REACH, reconstruct
-from cell.reconstruction.registration import RegistrationStatus, register
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
+from planner.registration.cloud import ScanCloud, merge, point_spacing
+from planner.registration.registration import RegistrationStatus, register
+from planner.registration.surface import Deviation, measure_deviation
 from planner.values import Floats
 
 GRIDS = (0.8, 1.25, 2.0, 3.0, 5.0)
@@ -123,7 +123,7 @@ def _mesh_rows(part: Workpiece, nearest: ClosestPointQuery) -> list[dict[str, An
 
 
 def _errors(mesh: TriangleMesh, nearest: ClosestPointQuery) -> dict[str, Any]:
-    measured: Deviation = deviation(mesh, nearest, np.random.default_rng(0))
+    measured: Deviation = measure_deviation(mesh, nearest, np.random.default_rng(0))
     return {
         "rms um": measured.rms * 1e6,
         "95 % um": measured.quantile_95 * 1e6,
@@ -159,7 +159,7 @@ def _registration_rows(part: Workpiece, nearest: ClosestPointQuery) -> list[dict
         start = time.perf_counter()
         result = register(disturbed, nearest)
         seconds = time.perf_counter() - start
-        registered = [s.moved(r.T_correction) for s, r in zip(disturbed, result.scans, strict=True)]
+        registered = [s.transformed(r.T_correction) for s, r in zip(disturbed, result.scans, strict=True)]
         before, after = _rms(disturbed, nearest), _rms(registered, nearest)
         good = sum(scan.status is RegistrationStatus.CONVERGED for scan in result.scans)
         rows.append(
@@ -184,7 +184,7 @@ def _disturbed(cloud: ScanCloud, shift: Floats, turn_deg: Floats) -> ScanCloud:
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(turn_deg, degrees=True).as_matrix()
     T[:3, 3] = cloud.sensor + shift - T[:3, :3] @ cloud.sensor
-    return cloud.moved(T)
+    return cloud.transformed(T)
 
 
 def _rms(scans: list[ScanCloud], nearest: ClosestPointQuery) -> float:

@@ -22,13 +22,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import trimesh
 
-    from cell.calibrate.mounted import Mounted
-    from cell.calibrate.options import HandEye
     from cell.edit.editable import EditableRun
     from cell.explore.exploration import Exploration
     from cell.explore.options import ExploreOptions
-    from cell.locate.located import Located
-    from cell.locate.options import Locating
+    from cell.metrology.hand_eye import HandEyeResult
+    from cell.metrology.locate import LocateResult
+    from cell.metrology.options import HandEyeOptions, LocateOptions
     from cell.runs.run import Execution, Run
     from cell.scan.of_setups import SetupsOutcome
     from cell.scan.options import ScanOptions
@@ -268,11 +267,11 @@ def explore(
 
 def locate(
     run: "Run | str | Path",
-    wanted: "Locating | None" = None,
+    wanted: "LocateOptions | None" = None,
     *,
     progress: "Progress | ProgressReporter | None" = None,
     **wishes: object,
-) -> "Located":
+) -> "LocateResult":
     """Find where the part of a plan really stands; `run.edited(T_base_object=found.T_base_object)` plans it there.
 
     Args:
@@ -287,22 +286,22 @@ def locate(
     Raises:
         CellError: in one sentence.
     """
-    from cell.locate.locate import locate as found
-    from cell.locate.options import Locating
+    from cell.metrology.locate import locate as found
+    from cell.metrology.options import LocateOptions
     from cell.runs.run import open_finished as opened
     from cell.scene.options import read
 
     planned = opened(Path(run)) if isinstance(run, str | Path) else run
-    return found(planned, read(Locating, wishes) if wanted is None else wanted, _reporter(progress))
+    return found(planned, read(LocateOptions, wishes) if wanted is None else wanted, _reporter(progress))
 
 
 def hand_eye(
     files: "Sequence[str | Path]",
-    wanted: "HandEye | None" = None,
+    wanted: "HandEyeOptions | None" = None,
     *,
     progress: "Progress | ProgressReporter | None" = None,
     **wishes: object,
-) -> "Mounted":
+) -> "HandEyeResult":
     """Find the mount (flange to scanner) from scans of a sphere or a plane from several poses of the flange.
 
     Args:
@@ -314,12 +313,12 @@ def hand_eye(
     Raises:
         CellError: in one sentence.
     """
-    from cell.calibrate.calibrate import hand_eye as found
-    from cell.calibrate.options import HandEye
+    from cell.metrology.hand_eye import calibrate_hand_eye as found
+    from cell.metrology.options import HandEyeOptions
     from cell.scene.options import read
 
     return found(
-        [Path(file) for file in files], read(HandEye, wishes) if wanted is None else wanted, _reporter(progress)
+        [Path(file) for file in files], read(HandEyeOptions, wishes) if wanted is None else wanted, _reporter(progress)
     )
 
 

@@ -198,7 +198,7 @@ def _only_where_looked_at(draw: Callable[..., object], instead: object) -> Calla
 
 
 _PICTURES = (
-    "matplotlib.figure.Figure.savefig", "cell.plan.pictures.cover_curve", "cell.reconstruction.deviation_picture.draw",
+    "matplotlib.figure.Figure.savefig", "cell.plan.pictures.cover_curve", "cell.report.deviation_picture.draw",
     "cell.scan.post_processing.part_and_views", "cell.view.pictures.reasons",
 )  # fmt: skip
 _PAGES = (

@@ -15,10 +15,8 @@ from benchmarks.best_of import best_of
 from benchmarks.claimed_coverage import claim
 from benchmarks.eight_scans import eight_scans, noisy
 from cell.errors import UsageError
+from cell.metrology.reconstruct import Reconstruction, reconstruct
 from cell.plan.candidates import first
-from cell.reconstruction.cloud import ScanCloud, merge
-from cell.reconstruction.deviation import deviation
-from cell.reconstruction.reconstruct import Reconstruction, reconstruct
 from cell.scene.model import PlanSettings, Scanner
 from cell.study.bench import Bench
 from cell.study.scenes import bench_of
@@ -30,6 +28,8 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.measurability import coverage
 from planner.measurability.visibility import fill_matrix, find_measured
+from planner.registration.cloud import ScanCloud, merge
+from planner.registration.surface import measure_deviation
 from planner.viewpoints.viewpoints import Viewpoints
 
 FINEST = 4
@@ -140,7 +140,7 @@ def scan(bench: Bench, step_deg: float, repeats: int) -> KnobResult:
     result, seconds = best_of(work, repeats)
     if result.mesh is None:
         raise PlannerError(f"{result.status.value}; scan more finely")
-    off = deviation(result.mesh, _nearest(bench), np.random.default_rng(0))
+    off = measure_deviation(result.mesh, _nearest(bench), np.random.default_rng(0))
     found = np.concatenate([each.points for each in points])
     sampled = coverage.sampled_coverage(found, bench.samples, coverage.sampling_radius(bench.part.reference)).fraction
     more = {"grid mm": 1000 * result.grid, "faces": len(result.mesh.faces), "points": len(found)}

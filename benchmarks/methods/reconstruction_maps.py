@@ -12,13 +12,13 @@ import numpy as np
 from benchmarks.eight_scans import eight_scans, noisy
 from benchmarks.methods.bumpy_body import body
 from benchmarks.methods.stability_map import Map, MapPoint
+from cell.metrology.reconstruct import Reconstruction, reconstruct
 from cell.part.workpiece import Workpiece
-from cell.reconstruction.cloud import ScanCloud, merge, point_spacing
-from cell.reconstruction.deviation import deviation
-from cell.reconstruction.reconstruct import Reconstruction, reconstruct
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.sampling import draw_samples
+from planner.registration.cloud import ScanCloud, merge, point_spacing
+from planner.registration.surface import measure_deviation
 from planner.values import Floats
 
 _FINEST_DEG = 1.0
@@ -66,7 +66,7 @@ def _judged(result: Reconstruction, count: int) -> MapPoint:
         return MapPoint(0.0, None, says, spacing)
     places = _in_sight(count)
     near = ClosestPointQuery(result.mesh).closest(places).distance <= _NEAR * _diagonal()
-    off = deviation(result.mesh, _nearest(), np.random.default_rng(0), count=count)
+    off = measure_deviation(result.mesh, _nearest(), np.random.default_rng(0), count=count)
     return MapPoint(
         float(near.mean()), 100 * off.rms / _diagonal(), says,
         {**spacing, "rms mm": 1e3 * off.rms, "holes": result.holes, "outliers": result.outliers,

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.acquisition import point_files
 from cell.acquisition.files import frame_and_units
 from cell.acquisition.sources import Acquired, Context, View
 from cell.errors import FileError, UsageError
+from cell.metrology import point_files
 from planner.ports import ARM_AXES
 
 log = logging.getLogger(__name__)

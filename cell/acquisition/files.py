@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from cell.acquisition import point_files
 from cell.acquisition.sources import Acquired, Context, Frame, View
 from cell.errors import FileError, UsageError
+from cell.metrology import point_files
 from cell.part.workpiece import UNITS
 
 _LOOK_S = 0.2  # between two looks at a folder that is waited for

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from cell.calibrate.options import HandEye
 from cell.commands.options import AsJson, from_fields, print_json
+from cell.metrology.options import HandEyeOptions
 
 app = typer.Typer(
     no_args_is_help=True, rich_markup_mode="rich", help="Measure what the scene file says of the cell itself."
@@ -35,7 +35,7 @@ def hand_eye(
         list[Path],
         typer.Argument(metavar="SCAN...", help="Scans of the target, scanner frame (PLY, XYZ, TXT or PCD)."),
     ],
-    wanted: HandEye,
+    wanted: HandEyeOptions,
     as_json: AsJson = False,
 ) -> None:
     """Find the mount (flange to scanner) from scans of a sphere or a plane from several poses."""

@@ -8,7 +8,7 @@ import typer
 
 from cell.commands.options import AsJson, RunFolder, from_fields, print_json
 from cell.errors import UsageError
-from cell.locate.options import Locating
+from cell.metrology.options import LocateOptions
 
 _THERE = "The plan there"
 
@@ -28,7 +28,7 @@ EPILOG = (
 def locate(
     *,
     run: RunFolder,
-    wanted: Locating,
+    wanted: LocateOptions,
     out: Annotated[
         Path | None,
         typer.Option(help="Run folder to make: the plan with its views where the part stands.", rich_help_panel=_THERE),

@@ -5,10 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cell.reconstruction.deviation import Deviation
-from cell.reconstruction.reconstruct import REACH, Reconstruction
-from cell.reconstruction.registration import Registration
-from cell.reconstruction.rigid import told
+from cell.metrology.reconstruct import REACH, Reconstruction
 from cell.runs.cell import RunCell
 from cell.runs.run import ExecutedScan
 from cell.runs.schema import (
@@ -32,6 +29,9 @@ from cell.scan.executed_scans import counts_by_reason, source_of
 from cell.scan.merging import Merged
 from cell.scan.pose_error import difference
 from planner.geometry.mesh import TriangleMesh
+from planner.registration.observability import describe
+from planner.registration.registration import Registration
+from planner.registration.surface import Deviation
 
 DETERMINED = 5e-5
 """A direction is determined where two standard deviations move the part by less [m]."""
@@ -189,16 +189,19 @@ def place_of(merged: Merged, scans: Sequence[ExecutedScan]) -> ExecutedPlace | N
     centre = fit.centre
     moved = fit.T[:3, :3] @ centre + fit.T[:3, 3] - centre
     truth = [
-        fit.off(scan.T_true @ np.linalg.inv(T), DETERMINED)
+        fit.determined_part(scan.T_true @ np.linalg.inv(T), DETERMINED)
         for scan, T in zip(scans, merged.poses, strict=True)
         if scan.T_true is not None
     ]
-    worst = fit.deviation_of(merged.cloud.points[:: max(1, len(merged.cloud) // _LOOKED_AT)])
+    worst = fit.worst_point_sd(merged.cloud.points[:: max(1, len(merged.cloud) // _LOOKED_AT)])
     return ExecutedPlace(
         moved_mm=_mm(float(np.linalg.norm(moved))),
         turned_deg=_deg(difference(fit.T, np.eye(4))[1]),
         worst_point_mm=None if worst is None else _mm(worst),
-        undetermined=(*([told(open_)] if (open_ := fit.undetermined(DETERMINED)) else []), *fit.rivals),
+        undetermined=(
+            *([describe(open_)] if (open_ := fit.undetermined_motions(DETERMINED)) else []),
+            *fit.alternatives,
+        ),
         off_mm=_mm(max(shift for shift, _ in truth)) if truth else None,
         off_deg=_deg(max(turn for _, turn in truth)) if truth else None,
     )

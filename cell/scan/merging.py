@@ -7,14 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.acquisition import SIMULATED
-from cell.reconstruction.cloud import PointCloud, ScanCloud, merge, point_spacing
-from cell.reconstruction.registration import Registration, register
-from cell.reconstruction.rigid import RigidFit
-from cell.reconstruction.surface_fit import Search
-from cell.reconstruction.surface_fit import fit as fitted
+from cell.errors import FileError
 from cell.runs.run import ExecutedScan
+from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
 from planner.ports import Scanner
+from planner.registration.cloud import PointCloud, ScanCloud, merge, point_spacing
+from planner.registration.localisation import SearchRange
+from planner.registration.localisation import fit_surface as fitted
+from planner.registration.observability import RigidFit
+from planner.registration.registration import Registration, register
 from planner.values import Bools, Floats
 
 _NOISE = 5.0  # robust sigma of the distances to the reference, beyond which a point is no noise
@@ -50,7 +52,7 @@ class Merged:
 
 
 def merged(
-    scans: Sequence[ExecutedScan], nearest: ClosestPointQuery, *, registered: bool, search: Search | None = None,
+    scans: Sequence[ExecutedScan], nearest: ClosestPointQuery, *, registered: bool, search: SearchRange | None = None,
     rng: np.random.Generator | None = None,
 ) -> Merged:  # fmt: skip
     """Bring the scans into the object frame by their reported poses, and register them if asked.
@@ -72,13 +74,16 @@ def merged(
     if search is not None and rng is not None and clouds:
         vertices = nearest.mesh.vertices
         centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-        fit = fitted(clouds, nearest, centre, search, rng)
-        clouds, poses = [cloud.moved(fit.T) for cloud in clouds], [fit.T @ pose for pose in poses]
+        try:
+            fit = fitted(clouds, nearest, centre, search, rng)
+        except PlannerError as error:
+            raise FileError(str(error)) from error
+        clouds, poses = [cloud.transformed(fit.T) for cloud in clouds], [fit.T @ pose for pose in poses]
         after = _rms_to(nearest, clouds)
     if registered and clouds:
         registration = register(clouds, nearest)
         corrections = [result.T_correction for result in registration.scans]
-        clouds = [cloud.moved(T) for cloud, T in zip(clouds, corrections, strict=True)]
+        clouds = [cloud.transformed(T) for cloud, T in zip(clouds, corrections, strict=True)]
         poses = [T @ pose for T, pose in zip(corrections, poses, strict=True)]
         after = _rms_to(nearest, clouds)
     cloud, count = merge(clouds), sum(map(len, clouds))

@@ -13,8 +13,8 @@ from typing import Self
 
 import numpy as np
 
-from cell.reconstruction.matching import small_motion
 from cell.scan.options import ScanOptions
+from planner.registration.rigid import motion_from_vector
 from planner.values import Floats
 
 
@@ -49,7 +49,7 @@ class Disturbance:
         if options.search is not None:
             axes = rng.standard_normal((2, 3))
             sizes = np.array(options.search) / np.linalg.norm(axes, axis=1)
-            part = small_motion((sizes[:, None] * axes).ravel(), centre)
+            part = motion_from_vector((sizes[:, None] * axes).ravel(), centre)
         return cls(
             options.range_noise_mm / 1000, options.pose_error_mm / 1000, rotation, options.noise == "model", part
         )

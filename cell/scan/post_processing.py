@@ -11,10 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import FileError
-from cell.reconstruction import cloud_files
-from cell.reconstruction.deviation import deviation
-from cell.reconstruction.reconstruct import reconstruct
-from cell.reconstruction.surface_fit import Search
+from cell.metrology import point_files
+from cell.metrology.reconstruct import reconstruct
 from cell.runs import folder as process
 from cell.runs.cell import RunCell, read_cell
 from cell.runs.run import ExecutedScan, Execution, RecordedExecution, Run, open_finished, read_execution, reading
@@ -34,6 +32,8 @@ from cell.view.contents import NAME
 from cell.view.pictures import part_and_views
 from cell.view.surface import canvas_of
 from planner.geometry.closest import ClosestPointQuery
+from planner.registration.localisation import SearchRange
+from planner.registration.surface import measure_deviation
 from planner.timing.motion import Motion
 
 
@@ -110,13 +110,13 @@ def results(
         doubts = causes.doubts(scans, cell, nearest, options.points_units)
         for doubt in doubts:
             session.note(doubt)
-        search = None if options.search is None else Search(*options.search)
+        search = None if options.search is None else SearchRange(*options.search)
         rng = random_stream(seed, Stream.REGISTRATION_STARTS)
         cloud = merged(scans, nearest, registered=options.registers, search=search, rng=rng)
         if cloud.fit is not None:
             cell = cell.about_part(cloud.fit.T)
         source, sigma = source_of(scans), sigma_of(cloud, scans, cell.scanner)
-        folder.write_bytes("cloud.ply", cloud_files.cloud_ply(cloud.cloud, cloud.stop, sigma, source))
+        folder.write_bytes("cloud.ply", point_files.cloud_ply(cloud.cloud, cloud.stop, sigma, source))
 
     with session.stage("reconstruct"):
         model = reconstruct(cloud.cloud, close=options.close_holes)
@@ -129,10 +129,10 @@ def results(
         if model.mesh is None:
             folder.remove("mesh.ply")
         else:
-            off = deviation(model.mesh, nearest, random_stream(seed, Stream.DEVIATION_SAMPLES), closed=model.closed,
-                count=session.effort.deviation_samples,
-            )  # fmt: skip
-            folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed, off.at_vertices, source))
+            rng = random_stream(seed, Stream.DEVIATION_SAMPLES)
+            count = session.effort.deviation_samples
+            off = measure_deviation(model.mesh, nearest, rng, closed=model.closed, count=count)
+            folder.write_bytes("mesh.ply", point_files.mesh_ply(model.mesh, model.closed, off.at_vertices, source))
 
     with session.stage("report"):
         legs = legs_of(motion, options.view)
@@ -164,7 +164,7 @@ def _draw(
     found: Results,
 ) -> None:
     """The page, part and views, the cover curve, the deviation: as far as there is a scan and a surface."""
-    from cell.reconstruction import deviation_picture
+    from cell.report import deviation_picture
 
     if found.model.mesh is None or found.deviation is None:
         folder.remove("deviation.png")

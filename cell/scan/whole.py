@@ -14,12 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import FileError
-from cell.reconstruction import cloud_files
-from cell.reconstruction.cloud import PointCloud
-from cell.reconstruction.deviation import deviation
-from cell.reconstruction.reconstruct import reconstruct
-from cell.reconstruction.registration import Registration, register
-from cell.reconstruction.surface_fit import Search
+from cell.metrology import point_files
+from cell.metrology.reconstruct import reconstruct
 from cell.runs.cell import RunCell, read_cell
 from cell.runs.folder import RunFolder
 from cell.runs.run import ExecutedScan, Run, open_finished, read_execution
@@ -39,6 +35,10 @@ from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability import coverage
 from planner.measurability.visibility import find_measured
+from planner.registration.cloud import PointCloud
+from planner.registration.localisation import SearchRange
+from planner.registration.registration import Registration, register
+from planner.registration.surface import measure_deviation
 from planner.values import Bools, Floats
 
 FOLDER = "scanned"
@@ -75,7 +75,7 @@ class _Body:
         """The whole body after a rigid motion (4, 4)."""
         now = replace(
             self.merged,
-            cloud=self.merged.cloud.moved(T),
+            cloud=self.merged.cloud.transformed(T),
             poses=tuple(T @ pose for pose in self.merged.poses),
             fit=None if self.merged.fit is None else replace(self.merged.fit, T=T @ self.merged.fit.T),
         )
@@ -153,9 +153,9 @@ def _body(number: int, folder: Path, name: str, session: Session[None]) -> _Body
     for sentence in left_out:
         session.note(f"set-up {number}: {sentence}")
     nearest = ClosestPointQuery(cell.reference)
-    search = None if options.search is None else Search(*options.search)
+    search = None if options.search is None else SearchRange(*options.search)
     if search is None and any(scan.T_true is None for scan in scans):
-        search = Search()  # nobody sets a part down to a tenth of a millimetre
+        search = SearchRange()  # nobody sets a part down to a tenth of a millimetre
     rng = random_stream(recorded.manifest.require_seed(recorded.folder), Stream.REGISTRATION_STARTS)
     cloud = merged(scans, nearest, registered=options.registers, search=search, rng=rng)
     return _Body(number, name, run, cell, plan, scans, cloud, causes.doubts(scans, cell, nearest, options.points_units))
@@ -174,19 +174,21 @@ def _written(
     nearest: ClosestPointQuery, session: Session[None],
 ) -> ScannedSetups:  # fmt: skip
     """Cloud, surface, deviation, report, into the open folder."""
-    from cell.reconstruction import deviation_picture  # matplotlib
+    from cell.report import deviation_picture  # matplotlib
 
     first, source = bodies[0], source_of([scan for body in bodies for scan in body.scans])
     cloud, numbers, sigma = _joined(bodies)
-    folder.write_bytes("cloud.ply", cloud_files.cloud_ply(cloud, numbers, sigma, source))
+    folder.write_bytes("cloud.ply", point_files.cloud_ply(cloud, numbers, sigma, source))
     with session.stage("reconstruct"):
         model = reconstruct(cloud)
     off = None
     with session.stage("measure"):
         if model.mesh is not None:
             rng = random_stream(first.run.seed, Stream.DEVIATION_SAMPLES)
-            off = deviation(model.mesh, nearest, rng, closed=model.closed, count=session.effort.deviation_samples)
-            folder.write_bytes("mesh.ply", cloud_files.mesh_ply(model.mesh, model.closed, off.at_vertices, source))
+            off = measure_deviation(
+                model.mesh, nearest, rng, closed=model.closed, count=session.effort.deviation_samples
+            )
+            folder.write_bytes("mesh.ply", point_files.mesh_ply(model.mesh, model.closed, off.at_vertices, source))
             deviation_picture.draw(folder.path / "deviation.png", model.mesh, off, source)
             folder.adopt("deviation.png")
         samples = held_out(first.cell.reference, first.cell.planning, first.run.seed)

@@ -5,11 +5,10 @@ from itertools import combinations
 
 import numpy as np
 
-from cell.reconstruction.freedom import FreeMotion, of_surface
-from cell.reconstruction.rigid import told
 from cell.runs.schema import SharedSurface
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
+from planner.registration.observability import FreeMotion, describe, free_motions_of_surface
 from planner.values import Bools, Ints
 
 _TRIED = 200  # views that are asked whether they hold two set-ups together, those that share the largest area first
@@ -26,7 +25,7 @@ def shared(seen: Mapping[int, Bools], samples: SurfaceSamples) -> tuple[SharedSu
         SharedSurface(
             setups=(one, other),
             share=float((seen[one] & seen[other]).mean()),
-            free=(told(free),) if (free := left_free(seen[one], seen[other], samples)) else (),
+            free=(describe(free),) if (free := left_free(seen[one], seen[other], samples)) else (),
         )
         for one, other in combinations(sorted(seen), 2)
     )
@@ -38,8 +37,8 @@ def left_free(one: Bools, other: Bools, samples: SurfaceSamples) -> tuple[FreeMo
     None where all that they measure shows no more: a ball that both see turns as it likes, and nothing is lost by it.
     """
     both, any_ = one & other, one | other
-    free = of_surface(samples.points[both], samples.normals[both])
-    return free if len(free) > len(of_surface(samples.points[any_], samples.normals[any_])) else ()
+    free = free_motions_of_surface(samples.points[both], samples.normals[both])
+    return free if len(free) > len(free_motions_of_surface(samples.points[any_], samples.normals[any_])) else ()
 
 
 def apart(pairs: Iterable[SharedSurface], numbers: Sequence[int]) -> tuple[int, ...]:

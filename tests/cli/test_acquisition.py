@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.acquisition import point_files
 from cell.acquisition.files import Files
 from cell.acquisition.sources import Acquired, Context, View
 from cell.commands.terminal import Terminal
 from cell.errors import FileError, UsageError
+from cell.metrology import point_files
 from cell.runs import ply
 from cell.runs.run import open_run, read_scan
 from cell.scan import scan as scan_command
@@ -308,12 +308,12 @@ def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, t
     ("name", "content", "words"),
     [
         ("a.stl", b"solid", "'.stl'"),
-        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\n", "no whole PLY"),
+        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\n", "no complete PLY"),
         ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\nend_header\n12", "ends"),
         ("a.pcd", b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 1\nDATA binary_compressed\n", "binary_compressed"),
         ("a.xyz", b"1 2\n", "fewer than three"),
         ("a.xyz", b"one two three\n", "could not convert"),
-        ("a.ply", b"ply\nelement vertex 1\nproperty float x\nend_header\n", "does not know 'format'"),
+        ("a.ply", b"ply\nelement vertex 1\nproperty float x\nend_header\n", "lacks 'format'"),
         (
             "a.ply",
             b"ply\nformat middle_endian 1.0\nelement vertex 1\nproperty float x\nend_header\n",
@@ -321,7 +321,7 @@ def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, t
         ),
         ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty half x\nend_header\n", "'half'"),
         ("a.pcd", b"WIDTH 1\nHEIGHT 1\nDATA ascii\n1 2 3\n", "'FIELDS'"),
-        ("a.pcd", b"FIELDS x\nSIZE 3\nTYPE F\nPOINTS 1\nDATA binary\n123", "holds no points that can be read"),
+        ("a.pcd", b"FIELDS x\nSIZE 3\nTYPE F\nPOINTS 1\nDATA binary\n123", "has no readable points"),
     ],
 )
 def test_a_file_without_points_is_one_sentence(tmp_path: Path, name: str, content: bytes, words: str) -> None:

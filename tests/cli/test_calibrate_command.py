@@ -62,7 +62,7 @@ def test_what_cannot_say_a_mount(run_cell: Run, scans: Path, tmp_path: Path) -> 
     for words, code, told in (
         ((*files[:3], "--points-units", "mm"), 2, "at least 5"),
         (files, 2, "--points-units is missing"),
-        ((*files, "--points-units", "mm", "--target", "plane", "--diameter", "3"), 2, "is of a sphere"),
+        ((*files, "--points-units", "mm", "--target", "plane", "--diameter", "3"), 2, "is for a sphere"),
         ((*files[:4], "--points-units", "mm", "--poses", scans / "poses.csv"), 2, "12 poses for 4 scans"),
         ((*files, "--points-units", "mm", "--poses", files[0]), 6, "six numbers"),
         ((*files, tmp_path / "gone.ply", "--points-units", "mm"), 6, "cannot be read"),

@@ -11,10 +11,10 @@ import pytest
 from cell.api import locate, open_run
 from cell.errors import FileError, UsageError
 from cell.proof.proof import prove
-from cell.reconstruction.rigid import motion_of
 from cell.runs.cell import read_cell
 from cell.runs.run import Run
 from cell.world import virtual_scan
+from planner.registration.rigid import motion_from_screw
 from planner.values import Floats
 
 Command = Callable[..., Any]
@@ -23,7 +23,7 @@ Command = Callable[..., Any]
 def _set_down(run: Run, mm: tuple[float, float, float], deg: tuple[float, float, float]) -> Floats:
     """T_base_object of a part that was set down off its place, turned about its centre; axes of base."""
     centre = (run.T_base_object @ run.scene.T_object_centre)[:3, 3]
-    return motion_of(np.concatenate([np.array(mm) / 1000, np.radians(deg)]), centre) @ run.T_base_object
+    return motion_from_screw(np.concatenate([np.array(mm) / 1000, np.radians(deg)]), centre) @ run.T_base_object
 
 
 def _scanned(run: Run, T_base_object: Floats, view: int) -> Floats:
@@ -117,7 +117,7 @@ def test_a_part_in_the_way_of_the_motion_is_told(planned: Path, tmp_path: Path) 
     ("content", "told"),
     [
         ("a 1 2 3 4 5", "line 1: it must be a name and six numbers"),
-        ("a 1 2 3 4 5 6\na 1 2 3 4 5 6", "line 2: the point 'a' stands there twice"),
+        ("a 1 2 3 4 5 6\na 1 2 3 4 5 6", "line 2: the point 'a' occurs twice"),
         ("a 1 2 3 4 5 nan", "line 1: it must be"),
     ],
 )
@@ -134,7 +134,7 @@ def test_files_of_named_points_that_are_none(content: str, told: str, planned: P
         ({"points": "x.ply", "points_frame": "base"}, "points_units is missing"),
         ({"points": "x.ply", "points_units": "mm"}, "points_frame is missing"),
         ({"points": "x.ply", "pairs": "y.csv"}, "give one of them"),
-        ({"points_units": "mm"}, "which knows its own"),
+        ({"points_units": "mm"}, "which records its own"),
         ({"points": "x.ply", "points_frame": "base", "points_units": "mm", "view": 99}, "there is no view 99"),
     ],
 )

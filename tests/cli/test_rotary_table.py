@@ -18,7 +18,7 @@ from cell.api import locate
 from cell.edit.editable import EditableRun
 from cell.emulate.memory import SCHEMA
 from cell.errors import FileError, SceneError
-from cell.locate.locate import _checked
+from cell.metrology.locate import _check_motion
 from cell.proof.files_now import FilesNow
 from cell.proof.proof import prove
 from cell.proof.scene_now import require_same
@@ -340,8 +340,8 @@ def test_a_located_part_is_kept_clear_of_while_an_indexed_table_turns(
     indexed = dataclasses.replace(world, limits=dataclasses.replace(world.limits, table_turn_q=world.home))
     found = []
     for each in (world, indexed):
-        monkeypatch.setattr("cell.locate.locate.world_of", lambda *_, each=each, **__: each)
-        found.append(_checked(run, run.T_base_object))
+        monkeypatch.setattr("cell.metrology.locate.world_of", lambda *_, each=each, **__: each)
+        found.append(_check_motion(run, run.T_base_object))
     assert [each.keeps_clearance for each in found] == [True, False]
     assert "moves arm and table at once" in found[1].problem
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.reconstruction.deviation import deviation
 from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
+from planner.registration.surface import measure_deviation
 
 
 def _mesh(mesh: trimesh.Trimesh) -> TriangleMesh:
@@ -173,7 +173,7 @@ def test_deviation_of_a_grown_ball_is_its_growth() -> None:
     rng = np.random.default_rng(4)
     sagitta = 0.05 * (0.05 / 0.05 / 2**5) ** 2  # generous: facets of an edge of about R / 2^5
     for growth in (3e-4, -3e-4):
-        result = deviation(_mesh(trimesh.creation.icosphere(5, 0.05 + growth)), reference, rng, count=20_000)
+        result = measure_deviation(_mesh(trimesh.creation.icosphere(5, 0.05 + growth)), reference, rng, count=20_000)
         assert result.mean == pytest.approx(growth, abs=sagitta)
         assert result.rms == pytest.approx(abs(growth), abs=sagitta)
         assert result.quantile_95 == pytest.approx(abs(growth), abs=sagitta)

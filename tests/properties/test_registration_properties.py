@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from cell.reconstruction.cloud import ScanCloud
-from cell.reconstruction.registration import register
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
+from planner.registration.cloud import ScanCloud
+from planner.registration.registration import register
 
 _BOX = trimesh.creation.box((0.06, 0.04, 0.03)).subdivide().subdivide()
 _MODEL = TriangleMesh(_BOX.vertices, _BOX.faces)
@@ -50,7 +50,7 @@ def test_corrections_move_with_the_frame(drawn: tuple[int, float, float]) -> Non
     front = np.stack([rng.uniform(-0.029, 0.029, 300), np.full(300, 0.02), rng.uniform(-0.014, 0.014, 300)], axis=1)
     scan = ScanCloud(np.concatenate([top, side, front]) + np.array([4e-4, -3e-4, 2e-4]), np.array([0.3, 0.3, 0.3]))
     here = register([scan], _MODEL).scans[0]
-    there = register([scan.moved(T)], _placed(_MODEL, T)).scans[0]
+    there = register([scan.transformed(T)], _placed(_MODEL, T)).scans[0]
     assert here.rank == there.rank == 6
     np.testing.assert_allclose(here.T_correction[:3, 3], [-4e-4, 3e-4, -2e-4], atol=2e-6)
     np.testing.assert_allclose(np.linalg.inv(T) @ there.T_correction @ T, here.T_correction, atol=2e-6)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cell.reconstruction.cloud import PointCloud, ScanCloud, merge
-from cell.reconstruction.reconstruct import ReconstructionStatus, reconstruct
+from cell.metrology.reconstruct import ReconstructionStatus, reconstruct
+from planner.registration.cloud import PointCloud, ScanCloud, merge
 
 SENSOR = np.array([0.0, 0.0, 0.3])
 

@@ -5,11 +5,11 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from cell.reconstruction.cloud import ScanCloud
-from cell.reconstruction.freedom import FreeKind
-from cell.reconstruction.registration import RegistrationStatus, register
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
+from planner.registration.cloud import ScanCloud
+from planner.registration.observability import FreeKind
+from planner.registration.registration import RegistrationStatus, register
 
 SENSOR = np.array([0.0, 0.0, 0.3])
 
@@ -73,7 +73,7 @@ def test_what_the_surface_does_not_show_is_said_and_not_corrected(shape: str, no
     error = np.eye(4)
     error[:3, :3] = Rotation.from_rotvec([0.002, -0.001, 0.003]).as_matrix()
     error[:3, 3] = [0.0003, -0.0002, 0.0004]
-    result = register([ScanCloud(true, SENSOR).moved(error)], _model(shape)).scans[0]
+    result = register([ScanCloud(true, SENSOR).transformed(error)], _model(shape)).scans[0]
     kinds, name = FREE[shape]
     assert [motion.kind for motion in result.free] == kinds
     assert result.rank == 6 - len(kinds)
@@ -82,8 +82,8 @@ def test_what_the_surface_does_not_show_is_said_and_not_corrected(shape: str, no
     assert name in result.sentence
     assert result.rms_after < max(result.rms_before / 20, 1.2 * noise)
     # The correction has no part along a free motion: its velocity field is at right angles to the motion's.
-    moved = ScanCloud(true, SENSOR).moved(error).points
-    field = ScanCloud(moved, SENSOR).moved(result.T_correction).points - moved
+    moved = ScanCloud(true, SENSOR).transformed(error).points
+    field = ScanCloud(moved, SENSOR).transformed(result.T_correction).points - moved
     for motion in result.free:
         if motion.kind is T:
             slide = np.broadcast_to(motion.direction, moved.shape)
@@ -171,7 +171,8 @@ def test_outliers_of_one_percent_do_not_pull() -> None:
     model = _model("saddle and ripples")
     a, b = (register([ScanCloud(points, SENSOR)], model, samples=10_000).scans[0] for points in (clean, dirty))
     difference = (
-        ScanCloud(clean, SENSOR).moved(a.T_correction).points - ScanCloud(clean, SENSOR).moved(b.T_correction).points
+        ScanCloud(clean, SENSOR).transformed(a.T_correction).points
+        - ScanCloud(clean, SENSOR).transformed(b.T_correction).points
     )
     assert np.linalg.norm(difference, axis=1).max() < 5e-6
     assert 0.9 < b.used < 1
@@ -185,7 +186,7 @@ def test_a_large_error_on_a_surface_with_features_is_found() -> None:
     assert (doubted.T_correction == np.eye(4)).all()
     result = register([scan], _model("saddle and ripples"), samples=500, reach=0.01).scans[0]
     assert result.status is RegistrationStatus.CONVERGED
-    np.testing.assert_allclose(scan.moved(result.T_correction).points, _patch("saddle and ripples"), atol=2e-6)
+    np.testing.assert_allclose(scan.transformed(result.T_correction).points, _patch("saddle and ripples"), atol=2e-6)
 
 
 def test_too_few_steps_are_said() -> None:

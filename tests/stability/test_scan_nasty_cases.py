@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from cell.reconstruction.cloud import ScanCloud, merge
-from cell.reconstruction.reconstruct import ReconstructionStatus, reconstruct
-from cell.reconstruction.registration import RegistrationStatus, register
+from cell.metrology.reconstruct import ReconstructionStatus, reconstruct
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from cell.world.virtual_scan import Scan, scan
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import Rejection
+from planner.registration.cloud import ScanCloud, merge
+from planner.registration.registration import RegistrationStatus, register
 
 PLATE = TriangleMesh(
     np.array([[-0.05, -0.05, 0.0], [0.05, -0.05, 0.0], [0.05, 0.05, 0.0], [-0.05, 0.05, 0.0]]),
@@ -92,5 +92,5 @@ def test_a_thin_sheet_is_registered_up_to_half_its_thickness(off_mm: float, stat
     moved = [ScanCloud(s.points + shift, s.sensor) for s, shift in zip(exact, inward, strict=True)]
     for before, wanted, one in zip(moved, exact, register(moved, model).scans, strict=True):
         assert one.status is status
-        error = np.linalg.norm(before.moved(one.T_correction).points - wanted.points, axis=1).max()
+        error = np.linalg.norm(before.transformed(one.T_correction).points - wanted.points, axis=1).max()
         assert error < (10e-6 if status is RegistrationStatus.CONVERGED else off_mm * 1.001e-3)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cell.reconstruction.cloud import ScanCloud, estimate_normals, merge, point_spacing
 from planner.errors import PlannerError
+from planner.registration.cloud import ScanCloud, estimate_normals, merge, point_spacing
 
 
 def _ball(count: int, rng: np.random.Generator) -> np.ndarray:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.reconstruction.deviation import area_samples, deviation
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
+from planner.registration.surface import measure_deviation, sample_by_area
 
 BOX = trimesh.creation.box((0.1, 0.1, 0.1))
 REFERENCE = TriangleMesh(BOX.vertices, BOX.faces)
@@ -14,7 +14,7 @@ REFERENCE = TriangleMesh(BOX.vertices, BOX.faces)
 
 def test_a_mesh_that_is_the_reference_deviates_by_nothing() -> None:
     """Every number is zero up to rounding and the histogram still holds the whole area."""
-    result = deviation(REFERENCE, REFERENCE, np.random.default_rng(0), count=1000)
+    result = measure_deviation(REFERENCE, REFERENCE, np.random.default_rng(0), count=1000)
     assert max(result.rms, abs(result.mean), result.quantile_95, result.largest) < 1e-15
     assert result.histogram.sum() == pytest.approx(1)
 
@@ -31,7 +31,9 @@ def test_area_counts_not_faces() -> None:
     lifted = strip + np.array([0.2, 0, 0.001])
     mesh = TriangleMesh(np.concatenate([flat, lifted]), np.concatenate([[[0, 1, 2], [0, 2, 3]], fine + 4]))
     plane = np.array([[-1, -1, 0], [2, -1, 0], [2, 2, 0], [-1, 2, 0.0]])
-    result = deviation(mesh, TriangleMesh(plane, [[0, 1, 2], [0, 2, 3]]), np.random.default_rng(1), count=10_000)
+    result = measure_deviation(
+        mesh, TriangleMesh(plane, [[0, 1, 2], [0, 2, 3]]), np.random.default_rng(1), count=10_000
+    )
     assert result.mean == pytest.approx(0.0005, rel=1e-3)
     assert result.rms == pytest.approx(0.001 / np.sqrt(2), rel=1e-3)
     assert result.largest == pytest.approx(0.001)
@@ -47,19 +49,19 @@ def test_closing_faces_are_counted_apart() -> None:
     )
     reference = TriangleMesh(flat, [[0, 1, 2], [0, 2, 3]])
     closed = np.array([False, False, True, True])
-    result = deviation(mesh, reference, np.random.default_rng(3), closed=closed, count=1000)
+    result = measure_deviation(mesh, reference, np.random.default_rng(3), closed=closed, count=1000)
     assert (result.rms, result.largest) == pytest.approx((0, 0), abs=1e-15)
     assert result.closed is not None
     assert [result.closed.rms, result.closed.mean, result.closed.largest] == pytest.approx([0.003] * 3)
     np.testing.assert_allclose(result.at_vertices, np.repeat([0, 0.003], 4), atol=1e-15)
-    none = deviation(mesh, reference, np.random.default_rng(3), closed=np.zeros(4, dtype=bool), count=1000)
+    none = measure_deviation(mesh, reference, np.random.default_rng(3), closed=np.zeros(4, dtype=bool), count=1000)
     assert none.closed is None
     assert none.rms == pytest.approx(0.003 / np.sqrt(2))
 
 
 def test_samples_lie_on_the_mesh_and_follow_its_area() -> None:
     """Each sixth of a cube's area holds a sixth of the samples to within one or two strata."""
-    points = area_samples(REFERENCE, 6000, np.random.default_rng(2))
+    points = sample_by_area(REFERENCE, 6000, np.random.default_rng(2))
     assert np.abs(np.abs(points).max(axis=1) - 0.05).max() < 1e-12
     sides = [(np.abs(points[:, axis] - side) < 1e-12).sum() for axis in range(3) for side in (-0.05, 0.05)]
     assert np.abs(np.array(sides) - 1000).max() <= 4
@@ -67,7 +69,7 @@ def test_samples_lie_on_the_mesh_and_follow_its_area() -> None:
 
 def test_equal_seeds_give_equal_numbers() -> None:
     """The same generator state gives bit-equal results."""
-    first, second = (deviation(REFERENCE, REFERENCE, np.random.default_rng(5), count=500) for _ in range(2))
+    first, second = (measure_deviation(REFERENCE, REFERENCE, np.random.default_rng(5), count=500) for _ in range(2))
     assert (first.rms, first.largest) == (second.rms, second.largest)
     assert first.histogram.tobytes() == second.histogram.tobytes()
 
@@ -75,7 +77,7 @@ def test_equal_seeds_give_equal_numbers() -> None:
 def test_what_cannot_be_measured_is_refused() -> None:
     """No samples, and a mesh without area, are named."""
     with pytest.raises(PlannerError, match="count is 0"):
-        deviation(REFERENCE, REFERENCE, np.random.default_rng(0), count=0)
+        measure_deviation(REFERENCE, REFERENCE, np.random.default_rng(0), count=0)
     line = TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]])
     with pytest.raises(PlannerError, match="no area"):
-        area_samples(line, 10, np.random.default_rng(0))
+        sample_by_area(line, 10, np.random.default_rng(0))

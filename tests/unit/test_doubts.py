@@ -3,15 +3,15 @@
 import numpy as np
 import trimesh
 
+from cell.metrology.reconstruct import NOISIEST, SPARSEST, reconstruct
 from cell.part import workpiece
 from cell.part.workpiece import FARTHEST_SIZES, Kind
 from cell.plant.servo import COARSEST_STEP, Settings
-from cell.reconstruction.cloud import ScanCloud, merge
-from cell.reconstruction.reconstruct import NOISIEST, SPARSEST, reconstruct
 from cell.scene import validation
 from cell.scene.model import Scene
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import draw_samples
+from planner.registration.cloud import ScanCloud, merge
 
 
 def test_a_time_step_that_is_too_long_is_told() -> None:

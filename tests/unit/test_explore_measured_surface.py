@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from cell.explore import belief, measured_surface
-from cell.reconstruction.cloud import PointCloud
-from cell.reconstruction.reconstruct import ReconstructionStatus
+from cell.metrology.reconstruct import ReconstructionStatus
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.geometry.mesh import TriangleMesh
+from planner.registration.cloud import PointCloud
 from planner.values import Floats
 
 EDGE, RADIUS, SEEN = 0.001, 0.005, 0.006

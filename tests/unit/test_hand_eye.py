@@ -5,11 +5,11 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from cell.calibrate import targets
-from cell.calibrate.hand_eye import Observed, PoseError, _linearised, solve
-from cell.errors import UsageError
-from cell.reconstruction.freedom import FreeKind
-from cell.reconstruction.rigid import motion_of
+from planner.errors import PlannerError
+from planner.registration import hand_eye
+from planner.registration.hand_eye import PoseError, TargetScans, _linearise, solve_hand_eye
+from planner.registration.observability import FreeKind
+from planner.registration.rigid import motion_from_screw
 from planner.values import Floats
 
 TARGET, NORMAL = np.array([1.1, 0.3, 0.0]), np.array([0.1, -0.2, 0.97])
@@ -25,7 +25,7 @@ def _pose(R: Floats, t: Floats) -> Floats:
 MOUNT = _pose(Rotation.from_euler("zyx", [30, 10, -15], degrees=True).as_matrix(), np.array([0.03, -0.02, 0.12]))
 
 
-def _seen(plane: bool, seed: int = 0, count: int = 8, tilt: float = 50.0, noise: float = 0.0) -> Observed:
+def _seen(plane: bool, seed: int = 0, count: int = 8, tilt: float = 50.0, noise: float = 0.0) -> TargetScans:
     """Exact scans from random poses, then the flange's poses off by `noise` [rad] and 1 m times that."""
     rng = np.random.default_rng(seed)
     normal = NORMAL / np.linalg.norm(NORMAL)
@@ -41,32 +41,32 @@ def _seen(plane: bool, seed: int = 0, count: int = 8, tilt: float = 50.0, noise:
             points.append((on + TARGET - (TARGET - R @ place)) @ R)
         else:
             points.append(place[None])
-    return Observed(np.stack(poses), np.stack(points), plane)
+    return TargetScans(np.stack(poses), np.stack(points), plane)
 
 
 @pytest.mark.parametrize("plane", [False, True])
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_exact_scans_give_the_mount(plane: bool, seed: int) -> None:
     """To rounding, from any beginning; nothing is open and no other mount fits."""
-    found = solve(_seen(plane, seed), PoseError(), np.random.default_rng(seed))
+    found = solve_hand_eye(_seen(plane, seed), PoseError(), np.random.default_rng(seed))
     np.testing.assert_allclose(found.T, MOUNT, atol=1e-8)
-    assert found.undetermined(1e-4) == ()
-    assert found.rivals == ()
+    assert found.undetermined_motions(1e-4) == ()
+    assert found.alternatives == ()
 
 
 @pytest.mark.parametrize("plane", [False, True])
 def test_the_equations_are_the_differences_of_the_residuals(plane: bool) -> None:
     """Gradient of half the sum of squares, the target put where it fits best at each mount: central differences."""
     seen = _seen(plane, noise=1e-3)
-    T = motion_of(np.array([1e-3, -2e-3, 1e-3, 0.002, 0.001, -0.003]), MOUNT[:3, 3]) @ MOUNT
+    T = motion_from_screw(np.array([1e-3, -2e-3, 1e-3, 0.002, 0.001, -0.003]), MOUNT[:3, 3]) @ MOUNT
 
     def half(change: Floats) -> float:
-        left = _linearised(seen, motion_of(change, T[:3, 3]) @ T).left
+        left = _linearise(seen, motion_from_screw(change, T[:3, 3]) @ T).residual
         return 0.5 * float(left @ left)
 
     step = 1e-6
     slope = [(half(step * each) - half(-step * each)) / (2 * step) for each in np.eye(6)]
-    np.testing.assert_allclose(_linearised(seen, T).slope, slope, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(_linearise(seen, T).slope, slope, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("plane", [False, True])
@@ -88,7 +88,7 @@ def test_against_least_squares_in_other_coordinates(plane: bool) -> None:
     target = [np.arctan2(n[1], n[0]), np.arcsin(n[2]), n @ TARGET] if plane else TARGET
     begin = np.concatenate([MOUNT[:3, 3], Rotation.from_matrix(MOUNT[:3, :3]).as_euler("xyz"), target])
     solved = least_squares(off, begin, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac").x
-    found = solve(seen, PLAIN, np.random.default_rng(0))
+    found = solve_hand_eye(seen, PLAIN, np.random.default_rng(0))
     np.testing.assert_allclose(found.T[:3, 3], solved[:3], atol=2e-6)
     np.testing.assert_allclose(found.T[:3, :3], Rotation.from_euler("xyz", solved[3:6]).as_matrix(), atol=2e-5)
 
@@ -102,7 +102,7 @@ def test_the_standard_deviations_are_the_scatter_of_mounts(sets: int, factor: fl
         off = np.stack(
             [_pose(Rotation.from_rotvec(rng.normal(0, 3e-4, 3)).as_matrix(), rng.normal(0, 3e-5, 3)) for _ in range(12)]
         )
-        found = solve(Observed(exact.T_base_flange @ off, exact.points, False), PoseError(3e-5, 3e-4), rng)
+        found = solve_hand_eye(TargetScans(exact.T_base_flange @ off, exact.points, False), PoseError(3e-5, 3e-4), rng)
         assert found.covariance is not None
         ratios.append((found.T[:3, 3] - MOUNT[:3, 3]) ** 2 / np.diag(found.covariance)[:3])
     assert 1 / factor < float(np.mean(ratios)) < factor
@@ -114,32 +114,32 @@ def test_degenerate_sets_are_told() -> None:
     turned = many.T_base_flange.copy()
     turned[:, :3, :3] = turned[0, :3, :3]
     points = (TARGET - turned[:, :3, 3]) @ turned[0, :3, :3]  # of the flange; then of the scanner
-    still = Observed(turned, ((points - MOUNT[:3, 3]) @ MOUNT[:3, :3])[:, None], False)
-    kinds = [motion.kind for motion in solve(still, PoseError(), rng).undetermined(5e-4)]
+    still = TargetScans(turned, ((points - MOUNT[:3, 3]) @ MOUNT[:3, :3])[:, None], False)
+    kinds = [motion.kind for motion in solve_hand_eye(still, PoseError(), rng).undetermined_motions(5e-4)]
     assert kinds == [FreeKind.TRANSLATION] * 3
 
     axis = np.array([0.0, 0.0, 1.0])
     spun = turned.copy()
     spun[:, :3, :3] = Rotation.from_rotvec(np.linspace(0, 5, 12)[:, None] * axis).as_matrix() @ turned[0, :3, :3]
     points = np.einsum("kba,kb->ka", spun[:, :3, :3], TARGET - spun[:, :3, 3])
-    one_axis = Observed(spun, ((points - MOUNT[:3, 3]) @ MOUNT[:3, :3])[:, None], False)
-    (slide,) = solve(one_axis, PoseError(), rng).undetermined(5e-4)
+    one_axis = TargetScans(spun, ((points - MOUNT[:3, 3]) @ MOUNT[:3, :3])[:, None], False)
+    (slide,) = solve_hand_eye(one_axis, PoseError(), rng).undetermined_motions(5e-4)
     assert slide.kind is FreeKind.TRANSLATION
     assert abs(slide.direction @ (turned[0, :3, :3].T @ axis)) == pytest.approx(1.0, abs=1e-6)
 
     spot = np.array([0.01, 0.0, 0.3])
     about = many.T_base_flange.copy()
     about[:, :3, 3] = TARGET - about[:, :3, :3] @ (MOUNT[:3, :3] @ spot + MOUNT[:3, 3])
-    pivoted = Observed(about, np.tile(spot, (12, 1, 1)), False)
-    kinds = [motion.kind for motion in solve(pivoted, PoseError(), rng).undetermined(5e-4)]
+    pivoted = TargetScans(about, np.tile(spot, (12, 1, 1)), False)
+    kinds = [motion.kind for motion in solve_hand_eye(pivoted, PoseError(), rng).undetermined_motions(5e-4)]
     assert kinds == [FreeKind.ROTATION] * 3
 
 
 def test_too_few_scans_are_refused() -> None:
     """Three scans are met exactly by several mounts."""
     few = _seen(plane=False, count=4)
-    with pytest.raises(UsageError, match="at least 5"):
-        solve(few, PoseError(), np.random.default_rng(0))
+    with pytest.raises(PlannerError, match="at least 5"):
+        solve_hand_eye(few, PoseError(), np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -153,7 +153,7 @@ def test_a_ball_among_other_points(known: bool) -> None:
     table = np.column_stack([rng.uniform(-0.05, 0.05, (400, 2)), np.full(400, 0.33)])
     wild = rng.uniform((-0.05, -0.05, 0.25), (0.05, 0.05, 0.35), (200, 3))
     points = np.concatenate([cap, table, wild])
-    (ball,) = targets.spheres_in([points], radius if known else None, np.random.default_rng(0))
+    (ball,) = hand_eye.fit_spheres([points], radius if known else None, np.random.default_rng(0))
     np.testing.assert_allclose(ball.centre, centre, atol=3e-5)
     assert ball.radius == pytest.approx(radius, abs=3e-5)
     assert ball.used == pytest.approx(len(cap) / len(points), abs=0.05)
@@ -164,7 +164,7 @@ def test_the_points_that_stand_for_a_plane_have_its_moments() -> None:
     rng = np.random.default_rng(1)
     flat = np.column_stack([rng.uniform(-0.1, 0.1, 2000), rng.uniform(-0.02, 0.05, 2000), np.zeros(2000)])
     R = Rotation.random(random_state=3).as_matrix()
-    (plane,) = targets.planes_in([flat @ R.T + [0.1, 0.2, 0.3]], np.random.default_rng(0))
+    (plane,) = hand_eye.fit_planes([flat @ R.T + [0.1, 0.2, 0.3]], np.random.default_rng(0))
     np.testing.assert_allclose(plane.points.mean(axis=0), R @ flat.mean(axis=0) + [0.1, 0.2, 0.3], atol=1e-9)
     spread = (plane.points - plane.points.mean(axis=0)).T @ (plane.points - plane.points.mean(axis=0)) / 4
     np.testing.assert_allclose(spread, R @ np.cov(flat.T, bias=True) @ R.T, atol=1e-9)
@@ -173,7 +173,7 @@ def test_the_points_that_stand_for_a_plane_have_its_moments() -> None:
 @pytest.mark.parametrize("points", [np.zeros((5, 3)), np.zeros((100, 3)), np.linspace(0, 1, 300).reshape(100, 3)])
 def test_what_is_no_target_is_told(points: Floats) -> None:
     """Too few points, all in one place, on a line: a sentence."""
-    for find in (lambda: targets.spheres_in([points], None, np.random.default_rng(0)),
-                 lambda: targets.planes_in([points], np.random.default_rng(0))):  # fmt: skip
-        with pytest.raises(targets.NoTargetError):
+    for find in (lambda: hand_eye.fit_spheres([points], None, np.random.default_rng(0)),
+                 lambda: hand_eye.fit_planes([points], np.random.default_rng(0))):  # fmt: skip
+        with pytest.raises(hand_eye.TargetNotFoundError):
             find()

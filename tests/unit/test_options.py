@@ -13,14 +13,13 @@ import pytest
 import typer
 from pydantic import BaseModel
 
-from cell.calibrate.options import HandEye
 from cell.cli import app
 from cell.commands import options
 from cell.emulate.options import EmulateOptions
 from cell.errors import SceneError, UsageError
 from cell.explore.options import ExploreOptions
 from cell.export.options import ExportOptions
-from cell.locate.options import Locating
+from cell.metrology.options import HandEyeOptions, LocateOptions
 from cell.replay.options import ReplayOptions
 from cell.scan.options import ScanOptions
 from cell.scene.file import scene_of, tables
@@ -35,8 +34,18 @@ FILE_ONLY = {
     "ensemble": "more of it changes seconds, hardly a plan",
 }
 MODELS = (
-    *(Scene, ScanOptions, ExploreOptions, PlaceRange, StudyRun, ReplayOptions, ExportOptions, EmulateOptions, Locating),
-    HandEye,
+    *(
+        Scene,
+        ScanOptions,
+        ExploreOptions,
+        PlaceRange,
+        StudyRun,
+        ReplayOptions,
+        ExportOptions,
+        EmulateOptions,
+        LocateOptions,
+    ),
+    HandEyeOptions,
 )
 ROOT: Any = typer.main.get_command(app)
 

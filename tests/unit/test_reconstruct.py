@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from cell.reconstruction.cloud import PointCloud, ScanCloud, merge
-from cell.reconstruction.deviation import area_samples
-from cell.reconstruction.holes import boundary_loops
-from cell.reconstruction.reconstruct import Reconstruction, ReconstructionStatus, reconstruct
+from cell.metrology.reconstruct import Reconstruction, ReconstructionStatus, reconstruct
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
+from planner.registration.cloud import PointCloud, ScanCloud, merge
+from planner.registration.surface import boundary_loops, sample_by_area
 
 RADIUS = 0.05
 VIEWS = 0.3 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
@@ -64,7 +63,7 @@ def test_nothing_is_invented_beyond_two_spacings(views: int) -> None:
     result = reconstruct(cloud)
     mesh = _mesh_of(result)
     tree = cKDTree(cloud.points)
-    spread = area_samples(mesh, 50_000, np.random.default_rng(0))
+    spread = sample_by_area(mesh, 50_000, np.random.default_rng(0))
     assert tree.query(np.concatenate([mesh.vertices, spread]))[0].max() <= 2 * result.spacing
     longest = np.linalg.norm(np.diff(mesh.vertices[mesh.faces[:, [0, 1, 2, 0]]], axis=1), axis=2).max()
     assert longest < np.sqrt(3) * 2 * result.grid
@@ -108,7 +107,7 @@ def test_nothing_is_invented_on_a_displaced_ball_with_a_hole_and_noise(noise: fl
     result = reconstruct(cloud)
     mesh = _mesh_of(result)
     assert result.holes >= 1
-    spread = area_samples(mesh, 100_000, np.random.default_rng(1))
+    spread = sample_by_area(mesh, 100_000, np.random.default_rng(1))
     distance = cKDTree(cloud.points).query(np.concatenate([mesh.vertices, spread]))[0]
     assert 1.2 * result.spacing < distance.max() <= 2 * result.spacing
 

@@ -7,13 +7,13 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from cell.reconstruction.cloud import ScanCloud, merge
-from cell.reconstruction.reconstruct import reconstruct
-from cell.reconstruction.registration import RegistrationStatus, register
+from cell.metrology.reconstruct import reconstruct
 from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
+from planner.registration.cloud import ScanCloud, merge
+from planner.registration.registration import RegistrationStatus, register
 
 VIEWS = 0.25 * np.array([[1, 0, 0.2], [-1, 0.1, 0], [0, 1, 0], [0, -1, 0.1], [0.3, 0, 1], [0, 0.2, -1]])
 
@@ -60,7 +60,7 @@ def _moved(scan: ScanCloud, shift: np.ndarray, turn: np.ndarray) -> ScanCloud:
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
     T[:3, 3] = scan.sensor + shift - T[:3, :3] @ scan.sensor
-    return scan.moved(T)
+    return scan.transformed(T)
 
 
 def _disturbed(scans: Sequence[ScanCloud], mm: float, deg: float, seed: int) -> list[ScanCloud]:
@@ -82,7 +82,7 @@ def test_pose_error_is_reduced_at_least_four_times(
     assert {scan.status for scan in result.scans} == {RegistrationStatus.CONVERGED}
     assert {scan.rank for scan in result.scans} == {6}
     before = _rms(disturbed, nearest)
-    after = _rms([s.moved(r.T_correction) for s, r in zip(disturbed, result.scans, strict=True)], nearest)
+    after = _rms([s.transformed(r.T_correction) for s, r in zip(disturbed, result.scans, strict=True)], nearest)
     assert before > 0.3e-3
     assert after < before / 4
     assert after == pytest.approx(_rms(scans, nearest), rel=0.05)
@@ -94,7 +94,7 @@ def test_the_correction_undoes_the_error(scans: list[ScanCloud], head: TriangleM
     """Every point comes back to where it was, to about the noise of one point, not only onto the surface."""
     disturbed = _disturbed(scans, 0.5, 0.1, 4)
     for true, wrong, result in zip(scans, disturbed, register(disturbed, head).scans, strict=True):
-        back = wrong.moved(result.T_correction).points
+        back = wrong.transformed(result.T_correction).points
         assert np.linalg.norm(wrong.points - true.points, axis=1).mean() > 0.2e-3
         assert np.linalg.norm(back - true.points, axis=1).max() < 20e-6
 
@@ -105,7 +105,7 @@ def test_without_a_model_the_scans_come_together(scans: list[ScanCloud], nearest
     result = register(disturbed, None)
     assert len(result.overlaps) >= 6
     assert result.rms_after < result.rms_before / 4
-    back = [s.moved(r.T_correction) for s, r in zip(disturbed, result.scans, strict=True)]
+    back = [s.transformed(r.T_correction) for s, r in zip(disturbed, result.scans, strict=True)]
     source, target = (np.concatenate([s.points for s in group]) for group in (back, scans))
     turn, _ = Rotation.align_vectors(target - target.mean(axis=0), source - source.mean(axis=0))
     left = turn.apply(source - source.mean(axis=0)) - (target - target.mean(axis=0))
@@ -122,7 +122,7 @@ def test_registered_scans_give_a_better_mesh(
     """The mesh of the registered cloud deviates four times less than that of the disturbed one."""
     disturbed = _disturbed(scans, 0.5, 0.1, 6)
     result = register(disturbed, head)
-    registered = [s.moved(r.T_correction) for s, r in zip(disturbed, result.scans, strict=True)]
+    registered = [s.transformed(r.T_correction) for s, r in zip(disturbed, result.scans, strict=True)]
     rms = []
     for group in (disturbed, registered):
         mesh = reconstruct(merge(group)).mesh
@@ -134,7 +134,7 @@ def test_registered_scans_give_a_better_mesh(
 def test_scans_that_fit_are_left_where_they_are(scans: list[ScanCloud], head: TriangleMesh) -> None:
     """Without pose error no point moves by more than a fifth of the noise."""
     for scan, result in zip(scans, register(scans, head).scans, strict=True):
-        assert np.linalg.norm(scan.moved(result.T_correction).points - scan.points, axis=1).max() < 10e-6
+        assert np.linalg.norm(scan.transformed(result.T_correction).points - scan.points, axis=1).max() < 10e-6
 
 
 def test_corrections_are_rigid_and_repeat(scans: list[ScanCloud], head: TriangleMesh) -> None:
@@ -158,7 +158,7 @@ def test_a_huge_pose_error_is_never_made_larger(
     kept = [scan for scan in result.scans if not scan.is_corrected]
     for true, wrong, scan in zip(scans, disturbed, result.scans, strict=True):
         before, after = (
-            np.linalg.norm(s.points - true.points, axis=1).mean() for s in (wrong, wrong.moved(scan.T_correction))
+            np.linalg.norm(s.points - true.points, axis=1).mean() for s in (wrong, wrong.transformed(scan.T_correction))
         )
         assert after <= before
     for scan in kept:

@@ -6,10 +6,10 @@ from scipy.linalg import expm, logm
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from cell.errors import UsageError
-from cell.locate.points_fit import of_pairs, of_six
-from cell.reconstruction.freedom import FreeKind
-from cell.reconstruction.rigid import about, hat, motion_of, screw_of, without_free
+from planner.errors import PlannerError
+from planner.registration.localisation import fit_pairs, fit_three_two_one
+from planner.registration.observability import FreeKind
+from planner.registration.rigid import motion_from_screw, recentring_matrix, remove_free_motion, screw_from_motion, skew
 from planner.values import Floats
 
 CENTRE, LENGTH = np.array([0.02, -0.01, 0.03]), 0.06
@@ -32,28 +32,28 @@ def _by_angles(first: Floats, x: Floats) -> Floats:
 
 @pytest.mark.parametrize("size", [1e-7, 1e-3, 0.5, 3.0])
 def test_screws_are_the_matrix_logarithm(size: float) -> None:
-    """`screw_of` is the logarithm about the centre, and `motion_of` the exponential."""
+    """`screw_from_motion` is the logarithm about the centre, `motion_from_screw` the exponential."""
     rng = np.random.default_rng(1)
     turn = rng.standard_normal(3)
     screw = np.concatenate([rng.standard_normal(3), size * turn / np.linalg.norm(turn)])
-    T = motion_of(screw, CENTRE)
-    np.testing.assert_allclose(screw_of(T, CENTRE), screw, atol=1e-9)
+    T = motion_from_screw(screw, CENTRE)
+    np.testing.assert_allclose(screw_from_motion(T, CENTRE), screw, atol=1e-9)
     shifted = T.copy()
     shifted[:3, 3] += T[:3, :3] @ CENTRE - CENTRE
     np.testing.assert_allclose(np.real(logm(shifted))[:3, 3], screw[:3], atol=1e-8)
     generator = np.zeros((4, 4))
-    generator[:3, :3], generator[:3, 3] = hat(screw[3:]), screw[:3]
+    generator[:3, :3], generator[:3, 3] = skew(screw[3:]), screw[:3]
     np.testing.assert_allclose(shifted, expm(generator), atol=1e-14)
 
 
 def test_a_small_motion_about_another_centre_moves_points_alike() -> None:
-    """`about` by its definition, and `hat` by numpy's cross product."""
+    """`recentring_matrix` by its definition, `skew` by numpy's cross product."""
     rng = np.random.default_rng(0)
     change, offset, points = rng.standard_normal(6), rng.standard_normal(3), rng.standard_normal((20, 3))
     here = change[:3] + np.cross(change[3:], points)
-    there = about(offset) @ change
+    there = recentring_matrix(offset) @ change
     np.testing.assert_allclose(there[:3] + np.cross(there[3:], points - offset), here, atol=1e-12)
-    np.testing.assert_allclose(hat(offset) @ change[:3], np.cross(offset, change[:3]))
+    np.testing.assert_allclose(skew(offset) @ change[:3], np.cross(offset, change[:3]))
 
 
 def test_free_motions_are_taken_back_to_the_least() -> None:
@@ -61,15 +61,17 @@ def test_free_motions_are_taken_back_to_the_least() -> None:
     axis, through = np.array([0.0, 0.6, 0.8]), CENTRE + np.array([0.03, 0.0, 0.0])
     free = np.concatenate([np.cross(axis, CENTRE - through), LENGTH * axis])[:, None]
     free /= np.linalg.norm(free)
-    small = motion_of(np.array([0.01, 0.002, -0.004, 0.03, -0.05, 0.02]), CENTRE)
+    small = motion_from_screw(np.array([0.01, 0.002, -0.004, 0.03, -0.05, 0.02]), CENTRE)
     least = [
-        without_free(motion_of(angle * np.concatenate([np.zeros(3), axis]), through) @ small, free, CENTRE, LENGTH)
+        remove_free_motion(
+            motion_from_screw(angle * np.concatenate([np.zeros(3), axis]), through) @ small, free, CENTRE, LENGTH
+        )
         for angle in (0.0, 0.4, -0.3)
     ]
     np.testing.assert_allclose(least[1], least[0], atol=1e-6)
     np.testing.assert_allclose(least[2], least[0], atol=1e-6)
     scale = np.array([1, 1, 1, LENGTH, LENGTH, LENGTH])
-    assert abs(float(free[:, 0] @ (scale * screw_of(least[0], CENTRE)))) < 1e-6
+    assert abs(float(free[:, 0] @ (scale * screw_from_motion(least[0], CENTRE)))) < 1e-6
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -84,7 +86,7 @@ def test_pairs_against_least_squares_in_other_coordinates(seed: int) -> None:
         return np.asarray((nominal @ pose[:3, :3].T + pose[:3, 3] - measured).ravel())
 
     solved = least_squares(off, np.zeros(6), xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    found = of_pairs(nominal, measured, CENTRE, LENGTH)
+    found = fit_pairs(nominal, measured, CENTRE, LENGTH)
     np.testing.assert_allclose(found.T, _by_angles(T, solved.x), atol=1e-7)
     assert (found.residuals**2).sum() == pytest.approx(2 * solved.cost, rel=1e-9)
 
@@ -94,8 +96,8 @@ def test_the_covariance_of_pairs_is_the_scatter_of_fits() -> None:
     rng = np.random.default_rng(3)
     T, nominal = _random_pose(5), rng.uniform(-0.1, 0.1, (6, 3))
     there = nominal @ T[:3, :3].T + T[:3, 3]
-    fits = [of_pairs(nominal, there + rng.normal(0, 1e-4, (6, 3)), CENTRE, LENGTH, 1e-4) for _ in range(2000)]
-    screws = np.stack([screw_of(np.linalg.inv(T) @ each.T, CENTRE) for each in fits])
+    fits = [fit_pairs(nominal, there + rng.normal(0, 1e-4, (6, 3)), CENTRE, LENGTH, 1e-4) for _ in range(2000)]
+    screws = np.stack([screw_from_motion(np.linalg.inv(T) @ each.T, CENTRE) for each in fits])
     scale = np.array([1, 1, 1, LENGTH, LENGTH, LENGTH])
     seen, said = np.cov((screws * scale).T), fits[0].covariance * scale[:, None] * scale  # type: ignore[operator]
     np.testing.assert_allclose(seen, said, atol=0.1 * np.abs(said).max())
@@ -105,8 +107,8 @@ def test_pairs_on_a_line_turn_about_it() -> None:
     """What points on a line cannot say is told as a turn about that line; the rest is found."""
     T, axis = _random_pose(2), np.array([0.6, 0.0, 0.8])
     nominal = CENTRE + np.linspace(-0.1, 0.1, 4)[:, None] * axis
-    found = of_pairs(nominal, nominal @ T[:3, :3].T + T[:3, 3], CENTRE, LENGTH)
-    (motion,) = found.undetermined(1e-4)
+    found = fit_pairs(nominal, nominal @ T[:3, :3].T + T[:3, 3], CENTRE, LENGTH)
+    (motion,) = found.undetermined_motions(1e-4)
     assert motion.kind is FreeKind.ROTATION
     assert abs(motion.direction @ axis) == pytest.approx(1.0)
     np.testing.assert_allclose(nominal @ found.T[:3, :3].T + found.T[:3, 3], nominal @ T[:3, :3].T + T[:3, 3])
@@ -132,7 +134,9 @@ def test_six_points_meet_their_planes(seed: int) -> None:
 
     solved = least_squares(off, np.zeros(6), xtol=1e-15, ftol=1e-15, gtol=1e-15)
     assert solved.cost < 1e-20
-    np.testing.assert_allclose(of_six(nominal, measured, CENTRE, LENGTH).T, _by_angles(T, solved.x), atol=1e-7)
+    np.testing.assert_allclose(
+        fit_three_two_one(nominal, measured, CENTRE, LENGTH).T, _by_angles(T, solved.x), atol=1e-7
+    )
 
 
 def test_the_covariance_of_six_points_is_the_scatter_of_fits() -> None:
@@ -141,8 +145,8 @@ def test_the_covariance_of_six_points_is_the_scatter_of_fits() -> None:
     T = _random_pose(7)
     nominal = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.02], [0.1, 0, 0.02], [0, 0.04, 0.02]])
     there = nominal @ T[:3, :3].T + T[:3, 3]
-    fits = [of_six(nominal, there + rng.normal(0, 1e-4, (6, 3)), CENTRE, LENGTH, 1e-4) for _ in range(2000)]
-    screws = np.stack([screw_of(np.linalg.inv(T) @ each.T, CENTRE) for each in fits])
+    fits = [fit_three_two_one(nominal, there + rng.normal(0, 1e-4, (6, 3)), CENTRE, LENGTH, 1e-4) for _ in range(2000)]
+    screws = np.stack([screw_from_motion(np.linalg.inv(T) @ each.T, CENTRE) for each in fits])
     scale = np.array([1, 1, 1, LENGTH, LENGTH, LENGTH])
     seen, said = np.cov((screws * scale).T), fits[0].covariance * scale[:, None] * scale  # type: ignore[operator]
     np.testing.assert_allclose(seen, said, atol=0.1 * np.abs(said).max())
@@ -151,18 +155,18 @@ def test_the_covariance_of_six_points_is_the_scatter_of_fits() -> None:
 def test_points_that_say_no_placement_are_refused() -> None:
     """Too few, all one, three on a line, two above each other: a sentence each."""
     some = np.random.default_rng(0).uniform(-0.1, 0.1, (6, 3))
-    with pytest.raises(UsageError, match="at least three"):
-        of_pairs(some[:2], some[:2], CENTRE, LENGTH)
-    with pytest.raises(UsageError, match="one point only"):
-        of_pairs(some[[0, 0, 0]], some[:3], CENTRE, LENGTH)
-    with pytest.raises(UsageError, match="six pairs"):
-        of_six(some[:5], some[:5], CENTRE, LENGTH)
+    with pytest.raises(PlannerError, match="at least three"):
+        fit_pairs(some[:2], some[:2], CENTRE, LENGTH)
+    with pytest.raises(PlannerError, match="name the same point"):
+        fit_pairs(some[[0, 0, 0]], some[:3], CENTRE, LENGTH)
+    with pytest.raises(PlannerError, match="six pairs"):
+        fit_three_two_one(some[:5], some[:5], CENTRE, LENGTH)
     line = some.copy()
     line[2] = (line[0] + line[1]) / 2
-    with pytest.raises(UsageError, match="first three nominal points lie on a line"):
-        of_six(line, some, CENTRE, LENGTH)
+    with pytest.raises(PlannerError, match="first three nominal points lie on a line"):
+        fit_three_two_one(line, some, CENTRE, LENGTH)
     above = some.copy()
     normal = np.cross(some[1] - some[0], some[2] - some[0])
     above[4] = above[3] + 0.05 * normal / np.linalg.norm(normal)
-    with pytest.raises(UsageError, match="above each other"):
-        of_six(some, above, CENTRE, LENGTH)
+    with pytest.raises(PlannerError, match="on a normal of the plane"):
+        fit_three_two_one(some, above, CENTRE, LENGTH)

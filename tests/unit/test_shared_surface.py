@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from cell.reconstruction.freedom import of_surface
 from cell.runs.schema import SharedSurface
 from cell.setups.shared import apart, joining, left_free, shared
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
+from planner.registration.observability import free_motions_of_surface
 from planner.values import Bools
 
 
@@ -38,14 +38,14 @@ def test_sides_of_a_box_leave_free_what_slides_along_them(sides: tuple[int, ...]
     """One plane leaves three motions, two one along their edge, three none; four slide; nothing leaves six."""
     samples, side = _box()
     seen = side[:, list(sides)].any(axis=1)
-    assert len(of_surface(samples.points[seen], samples.normals[seen])) == free
+    assert len(free_motions_of_surface(samples.points[seen], samples.normals[seen])) == free
 
 
 def test_a_ball_turns_and_nothing_is_lost_by_it() -> None:
     """A cap of it turns three ways, and so does all of it: what set-ups share of a ball holds them together."""
     samples = _ball()
     lower, upper = samples.normals[:, 2] < 0.2, samples.normals[:, 2] > -0.2
-    assert len(of_surface(samples.points, samples.normals)) == 3
+    assert len(free_motions_of_surface(samples.points, samples.normals)) == 3
     assert left_free(lower, upper, samples) == ()
 
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.errors import FileError
-from cell.reconstruction.cloud import ScanCloud
-from cell.reconstruction.freedom import FreeKind, shape_of
-from cell.reconstruction.rigid import motion_of, screw_of
-from cell.reconstruction.surface_fit import Search, fit
 from cell.world.embree import EmbreeRayCaster
+from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
+from planner.registration.cloud import ScanCloud
+from planner.registration.localisation import SearchRange, fit_surface
+from planner.registration.observability import FreeKind, surface_type
+from planner.registration.rigid import motion_from_screw, screw_from_motion
 from planner.values import Floats
 
 SENSOR = np.array([0.05, 0.1, 0.28])
@@ -51,32 +51,34 @@ def _scan(mesh: TriangleMesh, T_moved: Floats, seed: int = 0, step: float = 0.5)
 def _moved(seed: int, mm: float = 20.0, deg: float = 5.0) -> Floats:
     shift, axis = np.random.default_rng(seed).standard_normal((2, 3))
     shift *= mm / 1000 / np.linalg.norm(shift)
-    return motion_of(np.concatenate([shift, np.radians(deg) * axis / np.linalg.norm(axis)]), np.zeros(3))
+    return motion_from_screw(np.concatenate([shift, np.radians(deg) * axis / np.linalg.norm(axis)]), np.zeros(3))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_part_is_found_20_mm_and_5_deg_away(seed: int) -> None:
     """Every point of it to 0.05 mm and to five of its standard deviations; nothing is open."""
     mesh, T_moved = _blob(), _moved(seed)
-    found = fit([_scan(mesh, T_moved, seed)], ClosestPointQuery(mesh), np.zeros(3), Search(), np.random.default_rng(0))
+    found = fit_surface(
+        [_scan(mesh, T_moved, seed)], ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0)
+    )
     T_off = found.T @ T_moved
     off = np.linalg.norm(mesh.vertices @ T_off[:3, :3].T + T_off[:3, 3] - mesh.vertices, axis=1).max()
     assert off < 5e-5
-    assert off < 5 * found.deviation_of(mesh.vertices)  # type: ignore[operator]
-    assert found.undetermined(1e-4) == ()
-    assert found.rivals == found.doubts == ()
+    assert off < 5 * found.worst_point_sd(mesh.vertices)  # type: ignore[operator]
+    assert found.undetermined_motions(1e-4) == ()
+    assert found.alternatives == found.doubts == ()
     assert found.rms == pytest.approx(NOISE, rel=0.35)  # along the normals, on which the rays stand askew
 
 
 def test_the_standard_deviations_are_the_scatter_of_fits() -> None:
     """Of 12 noisy scans of one placement, each coordinate scatters by what is said of it, to a factor of two."""
     mesh, T_moved = _blob(), _moved(0, mm=1.0, deg=0.3)
-    nearest, search = ClosestPointQuery(mesh), Search(0.002, 0.01)
+    nearest, search = ClosestPointQuery(mesh), SearchRange(0.002, 0.01)
     fits = [
-        fit([_scan(mesh, T_moved, seed, 2.5)], nearest, np.zeros(3), search, np.random.default_rng(0))
+        fit_surface([_scan(mesh, T_moved, seed, 2.5)], nearest, np.zeros(3), search, np.random.default_rng(0))
         for seed in range(12)
     ]
-    scatter = np.stack([screw_of(each.T @ T_moved, np.zeros(3)) for each in fits]).std(axis=0)
+    scatter = np.stack([screw_from_motion(each.T @ T_moved, np.zeros(3)) for each in fits]).std(axis=0)
     said = np.mean([np.sqrt(np.diag(each.covariance)) for each in fits], axis=0)
     assert (scatter < 2 * said).all()
     assert (said < 2 * scatter).all()
@@ -85,10 +87,12 @@ def test_the_standard_deviations_are_the_scatter_of_fits() -> None:
 def test_a_ball_turns_every_way() -> None:
     """Three turns are open, its centre is found, and it is not turned from how it was planned."""
     mesh, T_moved = _of(trimesh.creation.icosphere(5, 0.04)), _moved(1)
-    found = fit([_scan(mesh, T_moved)], ClosestPointQuery(mesh), np.zeros(3), Search(), np.random.default_rng(0))
-    assert shape_of(found.undetermined(1e-4)) == "a sphere"
+    found = fit_surface(
+        [_scan(mesh, T_moved)], ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0)
+    )
+    assert surface_type(found.undetermined_motions(1e-4)) == "a sphere"
     assert np.linalg.norm((found.T @ T_moved)[:3, 3]) < 5e-5
-    assert np.linalg.norm(screw_of(found.T, np.zeros(3))[3:]) < 1e-3
+    assert np.linalg.norm(screw_from_motion(found.T, np.zeros(3))[3:]) < 1e-3
 
 
 def test_a_cylinder_seen_from_the_side_turns_and_slides() -> None:
@@ -97,9 +101,11 @@ def test_a_cylinder_seen_from_the_side_turns_and_slides() -> None:
     T = np.eye(4)
     T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
     mesh = TriangleMesh(mesh.vertices @ T[:3, :3].T, mesh.faces)
-    found = fit([_scan(mesh, T_moved)], ClosestPointQuery(mesh), np.zeros(3), Search(), np.random.default_rng(0))
-    motions = found.undetermined(1e-4)
-    assert shape_of(motions) == "a cylinder"
+    found = fit_surface(
+        [_scan(mesh, T_moved)], ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0)
+    )
+    motions = found.undetermined_motions(1e-4)
+    assert surface_type(motions) == "a cylinder"
     assert all(abs(motion.direction[0]) > 0.999 for motion in motions)
     (turn,) = (motion for motion in motions if motion.kind is FreeKind.ROTATION)
     assert np.linalg.norm(turn.point[1:]) < 1e-4
@@ -109,9 +115,11 @@ def test_a_plate_slides_on_itself() -> None:
     """Its edges are out of sight: a plane, and the height is found."""
     mesh = _of(trimesh.creation.box((1.0, 1.0, 0.02)))
     T_moved = _moved(3, mm=5.0, deg=2.0)
-    found = fit([_scan(mesh, T_moved)], ClosestPointQuery(mesh), np.zeros(3), Search(), np.random.default_rng(0))
-    motions = found.undetermined(1e-4)
-    assert shape_of(motions) == "a plane"
+    found = fit_surface(
+        [_scan(mesh, T_moved)], ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0)
+    )
+    motions = found.undetermined_motions(1e-4)
+    assert surface_type(motions) == "a plane"
     assert [motion.kind for motion in motions].count(FreeKind.TRANSLATION) == 2
     seen = _scan(mesh, T_moved).points
     back = seen @ found.T[:3, :3].T + found.T[:3, 3]
@@ -128,19 +136,21 @@ def test_a_row_of_pins_has_a_rival() -> None:
     mesh = _of(trimesh.util.concatenate(pins))
     cloud = _scan(mesh, np.eye(4))
     middle = np.linalg.norm(cloud.points[:, :2], axis=1) < 0.03
-    found = fit(
-        [ScanCloud(cloud.points[middle], SENSOR)], ClosestPointQuery(mesh), np.zeros(3), Search(0.012, 0.01),
+    found = fit_surface(
+        [ScanCloud(cloud.points[middle], SENSOR)], ClosestPointQuery(mesh), np.zeros(3), SearchRange(0.012, 0.01),
         np.random.default_rng(0),
     )  # fmt: skip
-    assert any("fit as well" in sentence for sentence in found.rivals)
+    assert any("fit as well" in sentence for sentence in found.alternatives)
 
 
 def test_points_of_something_else_are_refused_or_doubted() -> None:
     """None near the part is an error; a fit that leaves much is doubted."""
     mesh = _blob()
     far = ScanCloud(np.random.default_rng(0).uniform(1, 2, (100, 3)), SENSOR)
-    with pytest.raises(FileError, match="only 0 points lie within"):
-        fit([far], ClosestPointQuery(mesh), np.zeros(3), Search(), np.random.default_rng(0))
+    with pytest.raises(PlannerError, match="only 0 points lie within"):
+        fit_surface([far], ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0))
     noise = np.random.default_rng(0).uniform(-0.06, 0.06, (200, 3))
-    found = fit([ScanCloud(noise, SENSOR)], ClosestPointQuery(mesh), np.zeros(3), Search(), np.random.default_rng(0))
+    found = fit_surface(
+        [ScanCloud(noise, SENSOR)], ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0)
+    )
     assert found.doubts

@@ -11,11 +11,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 
-from cell.reconstruction.deviation import Deviation
 from cell.view import rays
 from cell.view.palette import SIGNED
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
+from planner.registration.surface import Deviation
 from planner.values import Floats
 
 _PIXELS = 560  # along the longer side

@@ -1,1 +1,0 @@
-"""What is measured of the cell itself: how the scanner sits on the flange."""

@@ -1,1 +1,0 @@
-"""From scans to a surface: registration, signed distance, marching cubes, deviation."""

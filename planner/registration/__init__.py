@@ -1,0 +1,1 @@
+"""Registration and localisation of point clouds, and the geometry of reconstructed surfaces."""
