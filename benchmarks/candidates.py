@@ -169,7 +169,7 @@ class Bench:
         """The fewest views for a share of the coverable area."""
         areas = M.samples.areas
         return cover.solve(
-            cover.Problem(M.matrix(), areas, reached.reachable, coverage=share), rng=np.random.default_rng(0)
+            cover.CoverProblem(M.matrix(), areas, reached.reachable, coverage=share), rng=np.random.default_rng(0)
         )
 
 

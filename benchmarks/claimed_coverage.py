@@ -49,7 +49,9 @@ def claim(
         caster: casts on the part.
     """
     areas = M.samples.areas
-    plan = cover.solve(cover.Problem(M.matrix(), areas), rng=np.random.default_rng(0), solver="greedy", budget=0)
+    plan = cover.solve(
+        cover.CoverProblem(M.matrix(), areas), rng=np.random.default_rng(0), solver="greedy", effort_budget=0
+    )
     claimed = float(areas[M.matrix()[:, plan.views].sum(axis=1) > 0].sum() / areas.sum())
     poses = candidates.T_object_scanner[plan.views]
     return Claim(len(plan.views), claimed, coverage.visible_coverage(poses, held_out, scanner, [caster]).fraction)

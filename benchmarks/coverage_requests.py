@@ -52,7 +52,7 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
 
 
 def _of_part(part: str) -> Iterator[dict[str, Any]]:
-    from planner.cover import Overlap, Problem, solve
+    from planner.cover import CoverProblem, Overlap, solve
     from planner.cover.curve import coverage_curve
     from planner.cover.robust import robust_cover
     from planner.measurability.pose_ensemble import PoseError, probability_layer, simulate_executions
@@ -60,11 +60,14 @@ def _of_part(part: str) -> Iterator[dict[str, Any]]:
     M, views, scanner, caster, samples = _matrix(part)
     areas, size = M.samples.areas, f"{M.shape[0]} x {M.shape[1]}"
     matrix = M.matrix()
-    plain, seconds = _timed(lambda: solve(Problem(matrix, areas), rng=np.random.default_rng(0)))
+    plain, seconds = _timed(lambda: solve(CoverProblem(matrix, areas), rng=np.random.default_rng(0)))
     yield _row(part, "fewest", size, "", plain, plain.sentence, seconds)
     curve, seconds = _timed(
         lambda: coverage_curve(
-            Problem(matrix, areas), rng=np.random.default_rng(0), known=[plain.views], fewest_for_all=plain.lower_bound
+            CoverProblem(matrix, areas),
+            rng=np.random.default_rng(0),
+            known_selections=[plain.views],
+            min_views_full_coverage=plain.lower_bound,
         )
     )
     share = 100 / curve.coverable_area
@@ -81,7 +84,7 @@ def _of_part(part: str) -> Iterator[dict[str, Any]]:
     for least in SHARES:
         found, seconds = _timed(
             lambda least=least: solve(
-                Problem(matrix, areas, overlap=Overlap(share=least), coverage=0.98), rng=np.random.default_rng(0)
+                CoverProblem(matrix, areas, overlap=Overlap(share=least), coverage=0.98), rng=np.random.default_rng(0)
             )
         )
         yield _row(
@@ -90,7 +93,7 @@ def _of_part(part: str) -> Iterator[dict[str, Any]]:
             size,
             least,
             found,
-            f"{len(found.views) - found.unconnected_views} more; {found.sentence}",
+            f"{len(found.views) - found.n_views_without_overlap} more; {found.sentence}",
             seconds,
         )
     for position, orientation in ERRORS:
@@ -98,7 +101,9 @@ def _of_part(part: str) -> Iterator[dict[str, Any]]:
         errors = error.draw(32, np.random.default_rng(1))
         layer, filled = _timed(lambda errors=errors: probability_layer(M, views, scanner, (caster,), errors))
         robust, seconds = _timed(
-            lambda layer=layer: robust_cover(Problem(matrix, areas, coverage=0.98), layer, rng=np.random.default_rng(0))
+            lambda layer=layer: robust_cover(
+                CoverProblem(matrix, areas, coverage=0.98), layer, rng=np.random.default_rng(0)
+            )
         )
         chosen = views.T_object_scanner[robust.cover.views]
         drawn = error.draw(200 * len(chosen), np.random.default_rng(2)).reshape(200, len(chosen), 4, 4)

@@ -133,7 +133,7 @@ def _covered(number: int) -> tuple[Bench, reach.Reach, Measurability, cover.Cove
         caster = caster_of(occluder_triangles(world))
         M = apply_occluders(M, candidates, bench.scanner, caster, ray_caster=bench.caster)
         chosen = cover.solve(
-            cover.Problem(M.matrix(), M.samples.areas, reached.reachable), rng=np.random.default_rng(number)
+            cover.CoverProblem(M.matrix(), M.samples.areas, reached.reachable), rng=np.random.default_rng(number)
         )
         if len(chosen.views) >= 2:
             return bench, reached, M, chosen

@@ -67,7 +67,7 @@ def _mseke() -> list[tuple[str, generalised_tsp.Instance]]:
     M = bench.matrix("aimed", candidates)
     M = apply_occluders(M, candidates, bench.scanner, caster_of(occluder_triangles(world)), ray_caster=bench.caster)
     rng = np.random.default_rng(0)
-    chosen = cover.solve(cover.Problem(M.matrix(), M.samples.areas, reached.reachable), rng=rng)
+    chosen = cover.solve(cover.CoverProblem(M.matrix(), M.samples.areas, reached.reachable), rng=rng)
     matrix = equivalent_views.VisibilityIndex(M.matrix(), M.samples.areas, np.asarray(reached.reachable))
     found = equivalent_views.exchange_views(
         matrix, chosen.views, reached.configurations_of, world.home, world.limits, rng

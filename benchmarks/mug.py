@@ -48,7 +48,7 @@ def run() -> list[dict[str, Any]]:
 
     def judged(name: str, step: float, M: Measurability, seconds: float) -> dict[str, Any]:
         scanner = _scanner(step)
-        plan = cover.solve(cover.Problem(M.matrix(), M.samples.areas), rng=np.random.default_rng(0))
+        plan = cover.solve(cover.CoverProblem(M.matrix(), M.samples.areas), rng=np.random.default_rng(0))
         T = views.T_object_scanner[plan.views]
         points = np.concatenate([scan(scanner, pose, caster, reference).points for pose in T[:, 0]])
         sampled = coverage.sampled_coverage(points, held_out, coverage.sampling_radius(reference)).fraction

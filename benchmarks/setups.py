@@ -26,7 +26,7 @@ from cell.setups.fewest import Rows, fewest_setups
 from cell.setups.joint import JointCover, joint_cover
 from cell.world.prediction import held_out
 from planner import cover
-from planner.cover import Problem
+from planner.cover import CoverProblem
 from planner.geometry.sampling import pick_samples
 from planner.values import Floats
 from planner.viewpoints.attainable import N_PROBED_SAMPLES, probe_attainable
@@ -43,7 +43,7 @@ def run() -> list[dict[str, Any]]:
 
 def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     wishes: dict[str, object] = {"place": place()} | ({"units": words[2]} if len(words) > 1 else {})
-    asked: list[tuple[Problem, JointCover]] = []
+    asked: list[tuple[CoverProblem, JointCover]] = []
     searches: list[search.Search] = []
 
     class Kept(search.Search):
@@ -51,7 +51,7 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
             super().__init__(*known)
             searches.append(self)
 
-    def told(wish: Problem, targets: Floats, *rest: Any, **options: Any) -> JointCover:
+    def told(wish: CoverProblem, targets: Floats, *rest: Any, **options: Any) -> JointCover:
         found = joint_cover(wish, targets, *rest, **options)
         asked.append((wish, found))
         return found
@@ -88,7 +88,7 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     }
 
 
-def _after_another(wish: Problem, joint: JointCover) -> tuple[int, int]:
+def _after_another(wish: CoverProblem, joint: JointCover) -> tuple[int, int]:
     """Set-ups and views where each set-up in turn is the one that adds most, covered by itself."""
     rows, group, areas = Rows(wish, joint.targets), np.asarray(wish.group), np.asarray(wish.areas)
     left, setups, views = rows.need > 0, 0, 0
@@ -99,17 +99,17 @@ def _after_another(wish: Problem, joint: JointCover) -> tuple[int, int]:
         columns = np.flatnonzero((group == best) & np.asarray(wish.allowed))
         part = wish.matrix[:, columns][left]
         share = min(1.0, (float(areas[left].sum()) - missing) / float(adds[best]))
-        found = cover.solve(Problem(part, areas[left], coverage=share), rng=np.random.default_rng(0))
+        found = cover.solve(CoverProblem(part, areas[left], coverage=share), rng=np.random.default_rng(0))
         left = left & ~(np.asarray(wish.matrix[:, columns[found.views]].sum(axis=1)).ravel() > 0)
         setups, views = setups + 1, views + len(found.views)
     return setups, views
 
 
-def _views_first(wish: Problem, joint: JointCover, poses: Floats) -> tuple[int, int]:
+def _views_first(wish: CoverProblem, joint: JointCover, poses: Floats) -> tuple[int, int]:
     """Set-ups and views where the (V, 4, 4) poses are chosen first, of all that some set-up reaches."""
     _, pose = np.unique(poses.reshape(-1, 16).round(9), axis=0, return_inverse=True)
     some = np.flatnonzero(np.asarray(wish.allowed))
-    alone = Problem(wish.matrix[:, some], wish.areas, coverage=float(joint.targets[0]))
+    alone = CoverProblem(wish.matrix[:, some], wish.areas, coverage=float(joint.targets[0]))
     views = some[cover.solve(alone, rng=np.random.default_rng(0)).views]
     again = np.asarray(wish.allowed) & np.isin(pose, pose[views])
     rows = Rows(replace(wish, allowed=again), joint.targets)

@@ -62,7 +62,7 @@ def _at(record: Run, share: float) -> str:
     coverable = float(areas[np.diff(M.indptr) > 0].sum())
     less = share - coverable / float(areas.sum())
     asked = min(1.0, share * float(areas.sum()) / coverable)
-    wish = cover.Problem(M.matrix(), areas, record.reach.reachable, coverage=asked)
+    wish = cover.CoverProblem(M.matrix(), areas, record.reach.reachable, coverage=asked)
     found = cover.solve(wish, rng=np.random.default_rng(0))
     told = f", which are all: {100 * less:.2f} points less" if less > 0 else ""
     return f"{len(found.views)} ({found.lower_bound}){told}"

@@ -15,8 +15,8 @@ from typing import Generic, Protocol, TypeVar, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.cover.budget import DEFAULT_WORK
-from planner.cover.curve import CURVE_WORK
+from planner.cover.budget import DEFAULT_EFFORT
+from planner.cover.curve import CURVE_EFFORT
 from planner.measurability.coverage import N_SAMPLES
 from planner.ports import Progress
 from planner.viewpoints.attainable import N_PROBED_SAMPLES
@@ -89,11 +89,11 @@ class Effort:
     deviation_samples: int = 100_000
     searched_samples: int = N_PROBED_SAMPLES
     clearance_share: float = 0.05
-    probe_work: int = DEFAULT_WORK // 25
-    selection_work: int = 2 * DEFAULT_WORK // 5
-    repeat_work: int = DEFAULT_WORK // 5
-    constrained_work: int = 3 * DEFAULT_WORK
-    curve_work: int = CURVE_WORK
+    probe_work: int = DEFAULT_EFFORT // 25
+    selection_work: int = 2 * DEFAULT_EFFORT // 5
+    repeat_work: int = DEFAULT_EFFORT // 5
+    constrained_work: int = 3 * DEFAULT_EFFORT
+    curve_work: int = CURVE_EFFORT
 
 
 _effort = Effort()

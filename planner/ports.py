@@ -163,7 +163,7 @@ class JointLimits(Value):
         velocity: (axes,) largest joint speeds [rad/s].
         acceleration: (axes,) largest joint accelerations [rad/s^2].
         jerk: (axes,) largest joint jerks [rad/s^3]; inf: no limit.
-        turns_at: (axes,) where the arm stands clear while a table turns that never moves together with it, at any
+        q_table_turn: (axes,) where the arm stands clear while a table turns that never moves together with it, at any
             other place that is as clear too [rad]; None: all axes move together.
     """
 

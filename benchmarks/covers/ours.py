@@ -9,12 +9,12 @@ from planner import cover
 
 def ours(instance: Instance, task: Task) -> Answer:
     """The planner at a budget of so many seconds' worth of work; None: its default."""
-    problem = cover.Problem(
+    problem = cover.CoverProblem(
         instance.M, instance.area, instance.usable, coverage=task.coverage, max_views=task.max_views,
         costs=instance.costs if task.weighted else None,
     )  # fmt: skip
-    work = None if task.seconds is None else round(task.seconds * cover.WORK_PER_SECOND)
-    found = cover.solve(problem, rng=np.random.default_rng(task.seed), budget=work)
+    work = None if task.seconds is None else round(task.seconds * cover.EFFORT_PER_SECOND)
+    found = cover.solve(problem, rng=np.random.default_rng(task.seed), effort_budget=work)
     unit = found.total_area / instance.units.sum()
     bound = found.cost_bound if task.max_views is None else found.upper_area / unit
     return Answer(found.views.tolist(), bound, [])

@@ -39,7 +39,7 @@ class CellArm:
     @classmethod
     def of(cls, work: Exploring, settings: Settings, scanner: Scanner) -> "CellArm":
         """The cell of the first stage of an exploration."""
-        believed = belief.part_of(belief.surface_about(work.unknown, work.unknown.believed()), work.name)
+        believed = belief.part_of(belief.surface_about(work.unknown, work.unknown.belief_voxels()), work.name)
         with tempfile.TemporaryDirectory() as folder:
             unseen = Path(folder) / "unseen.ply"
             belief.write_unseen(work.unknown, unseen)

@@ -137,7 +137,7 @@ class Lab:
         ends = (self.eye.source, self.eye.sensor)
 
         def stands(T: Floats) -> Bools:
-            near = np.min([space.at(T[:, :3, :3] @ at + T[:, :3, 3], away) for at in ends], axis=0)
+            near = np.min([space.values_at(T[:, :3, :3] @ at + T[:, :3, 3], away) for at in ends], axis=0)
             found = np.asarray(near >= CLEARANCE)
             if self.arm is not None:
                 found[found] = self.arm.are_reachable(T[found])
@@ -151,8 +151,8 @@ class Lab:
         eye, source, sensor = self.eye, *(T[:3, :3] @ at + T[:3, 3] for at in (self.eye.source, self.eye.sensor))
         space = known.space
         if len(points):
-            space = space.seen_from(points, [source, sensor]).joined(eye.between(points, T, space.gap))
-        space = space.judged_from(points, source, sensor, eye.blank(points, T), eye.near, eye.far)
+            space = space.with_points(points, [source, sensor]).with_surface_between(eye.between(points, T, space.gap))
+        space = space.with_votes(points, source, sensor, eye.blank(points, T), eye.near, eye.far)
         return Known(space, (*known.poses, T), (*known.points, points))
 
     def by_views(self, poses: tuple[Floats, ...]) -> Floats:
@@ -167,7 +167,7 @@ class Lab:
         """
         planning = decimate(self.part, min(self.settings.faces, len(self.part.faces)))
         space = replace(self.unknown, state=np.full_like(self.unknown.state, FREE))
-        free = self.free(space.seen_from(self.samples.points, []))
+        free = self.free(space.with_points(self.samples.points, []))
         scouts = draw_samples(self.part, planning, growth.N_SCOUTS, np.random.default_rng(0))
         casters = (self.caster,)
         poses, _ = self.candidates(planning, scouts, casters, free)

@@ -16,7 +16,7 @@ from cell.explore.policies import Batch
 from cell.explore.stage import DRAWN, ROWS_KEPT, SCHEDULE, SCOUTS_KEPT, STARTS
 from cell.explore.too_near import BeyondNear, keep_off, too_near
 from cell.world.embree import EmbreeRayCaster
-from planner.explore.gain import Record, most_per_second
+from planner.explore.gain import GainRecord, select_by_gain_per_second
 from planner.explore.space import VoxelSpace
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
@@ -32,13 +32,13 @@ class _Ours:
 
     def __init__(self, lab: Lab, rng: Generator) -> None:
         self._lab, self._rng = lab, rng
-        self._record, self._before = Record.empty(), lab.unknown
+        self._record, self._before = GainRecord.empty(), lab.unknown
         self._expected: tuple[SurfaceSamples, float] | None = None
         self._near = list[tuple[float, float]]()
 
     def __call__(self, known: Known) -> Floats | None:
         lab, space = self._lab, self._learned(known)
-        mesh = belief.surface_about(space, space.believed())
+        mesh = belief.surface_about(space, space.belief_voxels())
         planning = decimate(belief.rough(space), lab.settings.faces)
         asked = Asked(space, self._record, Batch(1), 0.0)
         rows, scouts = (
@@ -54,7 +54,9 @@ class _Ours:
         M = find_measured(poses[:, None], rows, lab.scanner, casters, each=True)
         if not M.any():
             return None
-        starts = most_per_second(csr_array(M), rows.areas, np.ones(len(M.T)), np.ones(len(M.T), np.bool_), STARTS)
+        starts = select_by_gain_per_second(
+            csr_array(M), rows.areas, np.ones(len(M.T)), np.ones(len(M.T), np.bool_), STARTS
+        )
         targets, arm = RayTargets.of(scouts.points, scouts.normals), lab.holder(casters, free)
         T, moved = improve_views(poses[starts], distance[starts], targets, scouts.areas, arm)
         poses = np.concatenate([poses, T[moved]])
@@ -69,14 +71,14 @@ class _Ours:
         if self._expected is None:
             return space
         (rows, surface), before = self._expected, self._before
-        new = known.points[-1][before.fresh(known.points[-1])]
+        new = known.points[-1][before.is_new(known.points[-1])]
         found = self._lab.eye.answered(rows.points, new, known.poses[-1]).astype(np.float64)
-        of = before.open_at(rows.points, rows.normals)
-        self._record = self._record.with_stage(of, rows.areas / self._record.weights(of) / surface, found)
+        of = before.open_samples_at(rows.points, rows.normals)
+        self._record = self._record.with_batch(of, rows.areas / self._record.weights(of) / surface, found)
         last = [(known.points[-1], known.poses[-1])]
         near = too_near(rows, np.ones((len(rows), 1), np.bool_), last, before, self._lab.eye)
         self._near.append((near, float(rows.areas.sum())))
-        return space.tried(rows.points[space.open_still(rows.points, rows.normals)])
+        return space.with_tries(rows.points[space.is_still_open(rows.points, rows.normals)])
 
 
 def stepwise(lab: Lab, rng: Generator) -> NextView:

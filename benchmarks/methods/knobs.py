@@ -111,7 +111,7 @@ def decimation(bench: Bench, share: float, repeats: int) -> KnobResult:
         features = draw_samples(bench.part.reference, planning, count, rng)
         M = fill_matrix(candidates, features, bench.scanner, bench.caster)
         rng = np.random.default_rng([bench.scene.plan.seed, _SELECTION])
-        return candidates, cover.solve(cover.Problem(M.matrix(), features.areas), rng=rng)
+        return candidates, cover.solve(cover.CoverProblem(M.matrix(), features.areas), rng=rng)
 
     (candidates, plan), seconds = best_of(work, repeats)
     visible = bench.visible(candidates.T_object_scanner[plan.views])

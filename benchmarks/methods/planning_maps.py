@@ -188,7 +188,7 @@ def _measured_by(line: str, faces: int, samples: int) -> tuple[float, int, int, 
     features = draw_samples(mesh, planning, 4 * len(planning.faces), np.random.default_rng(0))
     M = fill_matrix(views, features, scanner, caster)
     plan = cover.solve(
-        cover.Problem(M.matrix(), features.areas), rng=np.random.default_rng(0), solver="greedy", budget=0
+        cover.CoverProblem(M.matrix(), features.areas), rng=np.random.default_rng(0), solver="greedy", effort_budget=0
     )
     visible = coverage.visible_coverage(views.T_object_scanner[plan.views], judged, scanner, (caster,)).fraction
     return visible, len(plan.views), len(planning.faces), validation.off_mesh(features, planning)
@@ -212,11 +212,11 @@ def selection(line: str, percent: float, count: int) -> MapPoint:
         M = rows @ columns.T >= 1 - 2 * percent / 100
     else:
         M = rng.random((count, count)) < percent / 100
-    found = cover.solve(cover.Problem(csr_array(M), np.ones(count)), rng=np.random.default_rng(0))
+    found = cover.solve(cover.CoverProblem(csr_array(M), np.ones(count)), rng=np.random.default_rng(0))
     proven = found.status in (CoverStatus.PROVEN, CoverStatus.NOTHING_COVERABLE)
     return MapPoint(
         1.0, 100 * found.gap, "" if proven else found.sentence,
-        {"views": len(found.views), "bound": found.lower_bound, "work": found.work, "proven": proven},
+        {"views": len(found.views), "bound": found.lower_bound, "work": found.effort, "proven": proven},
     )  # fmt: skip
 
 

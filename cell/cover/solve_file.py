@@ -10,10 +10,10 @@ from cell.cover.cover_files import CoverFile, read
 from cell.cover.options import CoverOptions
 from cell.errors import FileError, UsageError
 from planner import cover
-from planner.cover.budget import DEFAULT_WORK, UNLIMITED_WORK, WORK_PER_SECOND
+from planner.cover.budget import DEFAULT_EFFORT, EFFORT_PER_SECOND, UNLIMITED_EFFORT
 from planner.errors import PlannerError
 
-DEFAULT_S = DEFAULT_WORK / WORK_PER_SECOND
+DEFAULT_S = DEFAULT_EFFORT / EFFORT_PER_SECOND
 """Work where none is asked for [seconds of a usual core]."""
 
 
@@ -51,7 +51,7 @@ class CoverOutcome:
             "status": self.result.status.name.lower(),
             "sentence": self.sentence,
             "uncoverable_rows": [int(row) + 1 for row in self.result.uncoverable_rows],
-            "work": self.result.work,
+            "work": self.result.effort,
             "seconds": round(self.seconds, 3),
         }
 
@@ -68,7 +68,7 @@ class CoverOutcome:
         return [
             ("problem", f"{rows} rows, {columns} columns, {self.problem.matrix.nnz} ones ({self.problem.format})"),
             ("columns", str(len(result.views))),
-            *([] if result.price is None else [("cost", f"{result.cost:.10g}")]),
+            *([] if result.cost_and_bound is None else [("cost", f"{result.cost:.10g}")]),
             ("lower bound", f"{result.cost_bound:.10g}"),
             ("gap", f"{100 * result.gap:.1f} %"),
             *([("rows without a column", str(len(result.uncoverable_rows)))] if len(result.uncoverable_rows) else []),
@@ -90,7 +90,7 @@ def solve_file(path: Path, wanted: CoverOptions, *, unicost: bool) -> CoverOutco
         FileError: if the file is not a set-cover file.
         UsageError: for an option out of its range.
     """
-    most = UNLIMITED_WORK // WORK_PER_SECOND
+    most = UNLIMITED_EFFORT // EFFORT_PER_SECOND
     if wanted.budget_s is not None and wanted.budget_s > most:
         raise UsageError(f"--budget is {wanted.budget_s:g}; it must be from 0 to {most} seconds' worth of work")
     problem = read(path, wanted.form)
@@ -99,15 +99,19 @@ def solve_file(path: Path, wanted: CoverOptions, *, unicost: bool) -> CoverOutco
             f"{path} has {problem.matrix.shape[0]} rows and {problem.matrix.shape[1]} columns; both must be 1 or more"
         )
     if wanted.budget_s is not None:
-        budget = round(wanted.budget_s * WORK_PER_SECOND)
+        budget = round(wanted.budget_s * EFFORT_PER_SECOND)
     else:
-        budget = DEFAULT_WORK if wanted.time_limit_s is None else UNLIMITED_WORK
+        budget = DEFAULT_EFFORT if wanted.time_limit_s is None else UNLIMITED_EFFORT
     rows, costs = np.ones(problem.matrix.shape[0]), None if unicost else problem.costs
     start = time.perf_counter()
     try:
-        asked = cover.Problem(problem.matrix, rows, coverage=wanted.coverage, demand=wanted.multiplicity, costs=costs)
+        asked = cover.CoverProblem(
+            problem.matrix, rows, coverage=wanted.coverage, demand=wanted.multiplicity, costs=costs
+        )
         rng = np.random.default_rng(wanted.seed)
-        result = cover.solve(asked, rng=rng, solver=wanted.solver, budget=budget, time_limit_s=wanted.time_limit_s)
+        result = cover.solve(
+            asked, rng=rng, solver=wanted.solver, effort_budget=budget, time_limit_s=wanted.time_limit_s
+        )
     except PlannerError as error:
         raise UsageError(str(error)) from error
     return CoverOutcome(path, problem, result, time.perf_counter() - start)

@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 
 from cell.explore.policies import Batch
-from planner.explore.gain import Record, came
+from planner.explore.gain import GainRecord, gain_ratio
 from planner.explore.space import VoxelSpace
 from planner.geometry.sampling import SurfaceSamples, pick_samples
 from planner.measurability.visibility import find_measured
@@ -41,7 +41,7 @@ class Asked(Value):
     """
 
     space: VoxelSpace
-    record: Record
+    record: GainRecord
     batch: Batch
     least_gain: float
     measured_area: float = 0.0
@@ -90,19 +90,19 @@ def came_of(samples: SurfaceSamples, asked: Asked, scanner: Scanner, caster: Ray
     casters, poses = (caster,), asked.poses[:, None]
     seen = find_measured(poses[before:], samples, scanner, casters, each=True)
     new = np.flatnonzero(seen.any(axis=1))
-    new = new[asked.space.near(samples.points[new])]
+    new = new[asked.space.is_near_measured(samples.points[new])]
     if before:
         new = new[~find_measured(poses[:before], pick_samples(samples, new), scanner, casters)]
     first = seen[new] & (np.cumsum(seen[new], axis=1) == 1)
     brought = [float(areas.sum()) for areas in np.split(samples.areas[new] @ first, np.cumsum(views)[:-1])]
-    return came([(expected, area) for (_, expected), area in zip(asked.latest, brought, strict=True)])
+    return gain_ratio([(expected, area) for (_, expected), area in zip(asked.latest, brought, strict=True)])
 
 
 def probable(samples: SurfaceSamples, asked: Asked, most: int) -> SurfaceSamples:
     """What is asked for of a believed surface's samples, areas times probabilities."""
     space = asked.space
-    unseen = ~space.seen(samples.points, samples.normals)
-    likely = asked.record.weights(space.open_at(samples.points, samples.normals))
+    unseen = ~space.is_measured(samples.points, samples.normals)
+    likely = asked.record.weights(space.open_samples_at(samples.points, samples.normals))
     weights = np.where(unseen, likely, float(asked.batch.whole))
     return _kept(samples, weights * samples.areas, most)
 

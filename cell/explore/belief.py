@@ -41,7 +41,7 @@ def rough(space: VoxelSpace, *, whole: bool = False) -> TriangleMesh:
 
     `whole` as in `VoxelSpace.believed`.
     """
-    return _about(space.low, _BLOCK * space.edge, _blocks(space.believed(whole=whole)), _ROUGH, _SMOOTH)
+    return _about(space.low, _BLOCK * space.edge, _blocks(space.belief_voxels(unlimited=whole)), _ROUGH, _SMOOTH)
 
 
 def write_unseen(space: VoxelSpace, path: Path) -> None:

@@ -31,7 +31,7 @@ from cell.scan.options import ScanOptions
 from cell.scan.safety import EVERY
 from cell.scene.model import Scene
 from cell.session import Session
-from planner.explore.gain import LATEST, came
+from planner.explore.gain import N_LATEST_BATCHES, gain_ratio
 from planner.explore.space import OCCUPIED, VoxelSpace
 from planner.geometry.sampling import SurfaceSamples, pick_samples
 from planner.values import Bools, Floats
@@ -75,8 +75,8 @@ def explore(session: Session[None], scene: Scene, options: ExploreOptions, scann
             try:
                 folder = _planned(work, file, known, *_next(work, file))
             except EnoughError as error:
-                open_still = () if error.open is None else error.open.by_area()
-                file = _finished(work, file, known.scans, str(error), open_still)
+                is_still_open = () if error.open is None else error.open.by_area()
+                file = _finished(work, file, known.scans, str(error), is_still_open)
                 break
             on = MEASURED if work.paths.measured(number).is_file() else BELIEVED
             scans = _executed(work, folder)
@@ -126,7 +126,7 @@ def stays_open(work: Exploring, file: ExploreFile, known: Known) -> StillOpen | 
     """What stays open of all that the part may be, and why; None where nothing does."""
     number, asked = len(file.stages) + 1, Asked(known.space, known.record, Batch(0), 0.0)
     work.paths.clear(number)
-    whole = known.space.believed(whole=True)
+    whole = known.space.belief_voxels(unlimited=True)
     try:
         _stage(work, asked, number, belief.part_of(belief.surface_about(known.space, whole), work.name))
     except EnoughError as error:
@@ -165,7 +165,9 @@ def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch)
         raise EnoughError("the points describe no surface")
     work.paths.measured(number).write_bytes(ply.mesh_bytes(surface))
     poses = np.stack([scan.T_reported for scan in known.scans])
-    latest = tuple((s.views, s.expected_mm2 / 1e6 if s.planned_on == MEASURED else 0.0) for s in file.stages[-LATEST:])
+    latest = tuple(
+        (s.views, s.expected_mm2 / 1e6 if s.planned_on == MEASURED else 0.0) for s in file.stages[-N_LATEST_BATCHES:]
+    )
     asked = Asked(
         known.space, known.record, batch, work.options.least_gain, _measured_area(file), poses=poses, latest=latest
     )
@@ -193,7 +195,7 @@ def _came(file: ExploreFile) -> float:
     they looked at; they say nothing of the rest. Nor does the ring, planned for the cylinder: no guess at the part.
     """
     batches = [(s.expected_mm2, s.new_mm2) for s in file.stages[1:] if s.planned_on == BELIEVED]
-    return max(1.0, came(batches))
+    return max(1.0, gain_ratio(batches))
 
 
 def _nearness(file: ExploreFile) -> list[tuple[float, float]]:
@@ -252,17 +254,21 @@ def _learned(known: Known, asked: _Expected, scans: Sequence[ExecutedScan], eye:
     for view, scan in enumerate(scans):
         T = scan.T_reported
         source, sensor = (T[:3, :3] @ place + T[:3, 3] for place in (eye.source, eye.sensor))
-        after = after.seen_from(scan.points, [source, sensor]).joined(eye.between(scan.points, T, before.gap))
-        after = after.judged_from(scan.points, source, sensor, eye.blank(scan.points, T), eye.near, eye.far)
-        found |= asked.sees[:, view] & eye.answered(expected.points, scan.points[before.fresh(scan.points)], T)
+        after = after.with_points(scan.points, [source, sensor]).with_surface_between(
+            eye.between(scan.points, T, before.gap)
+        )
+        after = after.with_votes(scan.points, source, sensor, eye.blank(scan.points, T), eye.near, eye.far)
+        found |= asked.sees[:, view] & eye.answered(expected.points, scan.points[before.is_new(scan.points)], T)
     taken = (*known.scans, *scans)
     if asked.on == MEASURED:  # what lies between points is no news of what is believed
         return Known(after, known.record, taken)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part
-        of = before.open_at(expected.points, expected.normals)
-        record = record.with_stage(of, expected.areas / record.weights(of) / asked.surface, found.astype(np.float64))
-    return Known(after.tried(expected.points[after.open_still(expected.points, expected.normals)]), record, taken)
+        of = before.open_samples_at(expected.points, expected.normals)
+        record = record.with_batch(of, expected.areas / record.weights(of) / asked.surface, found.astype(np.float64))
+    return Known(
+        after.with_tries(expected.points[after.is_still_open(expected.points, expected.normals)]), record, taken
+    )
 
 
 def require_plausible(space: VoxelSpace, folder: Path, views: Sequence[tuple[Floats, Floats]], eye: Eye) -> None:
@@ -289,7 +295,7 @@ def require_plausible(space: VoxelSpace, folder: Path, views: Sequence[tuple[Flo
             "points"
         )
     moved = "the part was moved, or the poses are off; nothing more is moved: explore anew"
-    if (gone := space.contradicted(points)) > _OUTSIDE:
+    if (gone := space.contradicted_share(points)) > _OUTSIDE:
         raise FileError(f"{100 * gone:.1f} % of the points of {folder} lie in space that was seen free; {moved}")
     passed = max(eye.passed(space.points, points, T, _MARGIN * space.edge) for points, T in views)
     if passed > _PASSED:
@@ -303,7 +309,7 @@ def _expected(folder: Path, before: VoxelSpace, on: SurfaceName) -> _Expected:
     sees = M.matrix()[:, [view.id for view in views]].toarray()
     rows = np.asarray(sees.any(axis=1))
     if on == BELIEVED:  # a batch may be asked for what was seen as well
-        rows = rows & ~before.seen(M.samples.points, M.samples.normals)
+        rows = rows & ~before.is_measured(M.samples.points, M.samples.normals)
     surface = float(run.mesh("reference.ply").areas.sum())
     return _Expected(pick_samples(M.samples, rows), sees[rows], surface, on)
 
@@ -314,7 +320,7 @@ def _stage_of(
     """What explore.json says of a stage."""
     run, mesh = open_finished(folder), known.believed
     taken = [(scan.points, scan.T_reported) for scan in scans]
-    seen, new = known.space.seen_since(before, mesh.centres, mesh.normals)
+    seen, new = known.space.measured_since(before, mesh.centres, mesh.normals)
     return ExploredStage(
         folder=f"{folder.parent.name}/{folder.name}",
         digest=run.digest,
@@ -327,7 +333,7 @@ def _stage_of(
         surface_mm2=round(1e6 * float(mesh.areas.sum()), 3),
         new_mm2=round(1e6 * float(mesh.areas[new].sum()), 3),
         open_mm2=round(1e6 * float(mesh.areas[~seen].sum()), 3),
-        never_entered_mm3=round(1e9 * known.space.never_entered, 3),
+        never_entered_mm3=round(1e9 * known.space.unseen_volume, 3),
     )
 
 

@@ -61,7 +61,7 @@ def continued(scans: Sequence[ExecutedScan], space: VoxelSpace, believed: Bools)
     if found.mesh is not None:
         middles = found.mesh.centres
         near = tree.query(middles, distance_upper_bound=REACH * found.spacing, workers=2)[0]
-        parts += _chosen(found.mesh, np.isfinite(near) | space.at(middles, space.possible).astype(np.bool_))
+        parts += _chosen(found.mesh, np.isfinite(near) | space.values_at(middles, space.maybe_part).astype(np.bool_))
     lids = belief.surface_about(space, believed & ~_ahead_of(found.cloud, tree, space, believed))
     parts += _chosen(lids, ~_looks_alike(lids, parts[0], _BESIDE * space.edge)) if parts else [lids]
     vertices, faces, _ = concatenate_meshes([(each.vertices, each.faces) for each in parts])

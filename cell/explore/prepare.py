@@ -274,7 +274,7 @@ def _unknown(options: ExploreOptions, scanning: ScanOptions, settings: Settings,
     usual = max(2 * cylinder.radius / VOXELS, cylinder.height / VOXELS, SPACINGS * spacing)
     try:
         edge = usual if options.voxel_mm is None else options.voxel_mm / 1000
-        return VoxelSpace.of_cylinder(cylinder.radius, cylinder.height, edge, spacing)
+        return VoxelSpace.from_cylinder(cylinder.radius, cylinder.height, edge, spacing)
     except PlannerError as error:
         raise UsageError(f"--voxel or --cylinder cannot be: {error}") from error
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from cell.runs.schema import OpenReason
-from planner.explore.gain import Open
+from planner.explore.gain import OpenSamples
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics.reach import Reach
 from planner.ports import RayCaster, Scanner
@@ -15,7 +15,7 @@ from planner.values import Ints, Value
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import why
-from planner.why.reasons import OF_VERDICT, Reason
+from planner.why.reasons import REASON_OF_VERDICT, Reason
 
 SMALL, TRIED, NOT_TAKEN = -3, -2, -1
 """Beside `Reason`: what views that were to measure it left, near what was measured and far from it; and what a view
@@ -70,7 +70,7 @@ def sentence(code: int) -> str:
 
 def still_open(
     samples: SurfaceSamples,
-    of: Open,
+    of: OpenSamples,
     candidates: Viewpoints,
     reached: Reach,
     scanner: Scanner,
@@ -89,7 +89,7 @@ def still_open(
     found = closest(samples, candidates, reached, scanner, casters)
     reason = np.where(found == Reason.NOT_SELECTED, np.where(of.tries > 0, TRIED, NOT_TAKEN), found)
     # What is shaded by others than the part is, that near, a voxel of belief in what the part stands on.
-    reason[(of.tries > 0) & (of.beside <= BESIDE) & (found >= Reason.SOURCE_SHADED)] = SMALL
+    reason[(of.tries > 0) & (of.distance_edges <= BESIDE) & (found >= Reason.SOURCE_SHADED)] = SMALL
     return StillOpen(samples, reason, candidates)
 
 
@@ -97,7 +97,7 @@ def closest(
     samples: SurfaceSamples, candidates: Viewpoints, reached: Reach, scanner: Scanner, casters: Sequence[RayCaster]
 ) -> Ints:
     """(S,) the `Reason` at which the candidate fails that comes closest to measuring each; as in `still_open`."""
-    fails = np.array([OF_VERDICT[verdict] for verdict in OF_VERDICT], dtype=np.uint8)[reached.verdict]
+    fails = np.array([REASON_OF_VERDICT[verdict] for verdict in REASON_OF_VERDICT], dtype=np.uint8)[reached.verdict]
     targets, rows = RayTargets.of(samples.points, samples.normals), np.arange(len(samples))
     found = why.diagnose(targets, rows, candidates, scanner, casters[0], casters[1], fails)
     return found.reason.astype(np.int64)

@@ -34,7 +34,7 @@ from cell.session import Origin, Session, Stream
 from cell.world.embree import EmbreeRayCaster
 from cell.world.measurability import PartSurface
 from cell.world.prediction import Prediction
-from planner.explore.gain import most_per_second
+from planner.explore.gain import select_by_gain_per_second
 from planner.geometry.decimation import cluster_vertices, decimate
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.kinematics.reach import Reach, join_reach
@@ -217,7 +217,7 @@ def _best(problem: Problem, count: int) -> Ints:
     """So many candidates, each with the most per second after those before it."""
     seconds = seconds_of_views(problem.request.plan, problem.reached, problem.world.home, problem.limits)
     M = problem.M
-    return most_per_second(M.matrix(), M.samples.areas, seconds, problem.usable(()), count)
+    return select_by_gain_per_second(M.matrix(), M.samples.areas, seconds, problem.usable(()), count)
 
 
 def _each_worth(problem: Problem, asked: Asked) -> Ints:
@@ -225,7 +225,7 @@ def _each_worth(problem: Problem, asked: Asked) -> Ints:
     M, usable = problem.M, problem.usable(())
     most = len(usable) if asked.batch.views is None else asked.batch.views
     gains = asked.came * M.samples.areas
-    return most_per_second(M.matrix(), gains, np.ones(len(usable)), usable, most, asked.least_area)
+    return select_by_gain_per_second(M.matrix(), gains, np.ones(len(usable)), usable, most, asked.least_area)
 
 
 def _worth(problem: Problem, asked: Asked) -> Problem:
@@ -251,8 +251,8 @@ def _explained(
     casters: Sequence[RayCaster],
 ) -> StillOpen:  # fmt: skip
     """What is open with the reasons why it stays open."""
-    left = pick_samples(scouts, ~asked.space.seen(scouts.points, scouts.normals))
-    of = asked.space.open_at(left.points, left.normals)
+    left = pick_samples(scouts, ~asked.space.is_measured(scouts.points, scouts.normals))
+    of = asked.space.open_samples_at(left.points, left.normals)
     left = replace(left, areas=left.areas / asked.record.weights(of))
     return still_open(left, of, candidates, reached, scanner, casters)
 

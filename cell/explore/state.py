@@ -27,7 +27,7 @@ from cell.runs import schema
 from cell.runs.folder import json_text
 from cell.runs.run import ExecutedScan, npz_arrays, open_finished, reading
 from cell.runs.schema import ExploredStage, ExploreFile
-from planner.explore.gain import Record
+from planner.explore.gain import GainRecord
 from planner.explore.space import VoxelSpace
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Bools
@@ -44,13 +44,13 @@ class Known:
     """
 
     space: VoxelSpace
-    record: Record
+    record: GainRecord
     scans: tuple[ExecutedScan, ...] = ()
 
     @cached_property
     def solid(self) -> Bools:
         """(X, Y, Z) the voxels that the part is believed to fill."""
-        return self.space.believed()
+        return self.space.belief_voxels()
 
     @cached_property
     def believed(self) -> TriangleMesh:
@@ -149,7 +149,7 @@ class Paths:
             FileError: if it is missing or damaged.
         """
         if number == 0:
-            return Known(unknown, Record.empty())
+            return Known(unknown, GainRecord.empty())
         path = self.voxels(number)
         if not path.is_file():
             raise FileError(f"{path} is missing; explore anew")
@@ -158,7 +158,7 @@ class Paths:
             state, votes, tries = (stored[name] for name in ("state", "votes", "tries"))
             points, between = (stored[name] for name in ("points", "between"))
             space = replace(unknown, state=state, votes=votes, tries=tries, points=points, between=between)
-            return Known(space, Record(stored["expected"], stored["found"]))
+            return Known(space, GainRecord(stored["expected"], stored["found"]))
 
     def clear(self, number: int) -> None:
         """Take away what is left of a stage's plan that did not finish."""

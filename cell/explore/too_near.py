@@ -14,7 +14,7 @@ import numpy as np
 from cell.explore import belief
 from cell.explore.prepare import Eye
 from cell.world.embree import EmbreeRayCaster
-from planner.explore.gain import LATEST
+from planner.explore.gain import N_LATEST_BATCHES
 from planner.explore.space import VoxelSpace
 from planner.geometry.sampling import SurfaceSamples
 from planner.ports import Hits, RayCaster
@@ -38,7 +38,7 @@ def too_near(
     """
     hidden, answered = np.zeros((2, len(samples)), dtype=np.bool_)
     for (points, T), its in zip(views, sees.T, strict=True):
-        hidden |= its & ~before.clear(eye.source_at(T), eye.towards(samples.points, T), eye.near)
+        hidden |= its & ~before.is_ray_clear(eye.source_at(T), eye.towards(samples.points, T), eye.near)
         answered |= its & eye.answered(samples.points, points, T)
     return float(samples.areas[hidden & ~answered].sum())
 
@@ -49,7 +49,7 @@ def keep_off(batches: Sequence[tuple[float, float]]) -> bool:
     Args:
         batches: of each what was too near (`too_near`), and what it was to measure [the same unit].
     """
-    return any(near > _MOST * expected for near, expected in batches[-LATEST:])
+    return any(near > _MOST * expected for near, expected in batches[-N_LATEST_BATCHES:])
 
 
 class BeyondNear:
@@ -62,7 +62,7 @@ class BeyondNear:
     """
 
     def __init__(self, occluders: RayCaster | None, space: VoxelSpace, near: float) -> None:
-        surface = belief.enclosing(space, space.possible)
+        surface = belief.enclosing(space, space.maybe_part)
         self._occluders, self._near = occluders, near
         self._possible = EmbreeRayCaster(surface.vertices, surface.faces)
 

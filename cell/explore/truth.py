@@ -25,7 +25,7 @@ from cell.session import Origin, Session, Stream, random_stream
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.prediction import held_out
-from planner.cover.problem import Problem
+from planner.cover.problem import CoverProblem
 from planner.cover.selection import solve
 from planner.measurability.coverage import marginal_coverage
 from planner.measurability.matrix import Measurability
@@ -138,7 +138,7 @@ def _fewest(run: Run, M: Measurability, coverage: float) -> tuple[int, int]:
     coverable = float(areas[matrix[:, np.flatnonzero(reachable)].sum(axis=1) > 0].sum())
     share = min(coverage * float(areas.sum()) / coverable, 1.0)
     rng = random_stream(run.seed, Stream.FEWEST_VIEWS)
-    cover = solve(Problem(matrix, areas, reachable, coverage=share), rng=rng)
+    cover = solve(CoverProblem(matrix, areas, reachable, coverage=share), rng=rng)
     return cover.lower_bound, len(cover.views)
 
 

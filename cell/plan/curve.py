@@ -8,7 +8,7 @@ from cell.plan.request import Request, Selected
 from cell.runs.folder import RunFolder
 from cell.runs.schema import Curve, Fewest
 from cell.session import PlotQueue
-from planner.cover import Problem
+from planner.cover import CoverProblem
 from planner.cover.curve import CoverageCurve, coverage_curve
 from planner.kinematics.reach import Reach
 from planner.measurability.matrix import Measurability
@@ -33,9 +33,11 @@ def curve_of(
     chosen = selected.cover
     full = request.exchangeable and selected.target == 1.0 and request.costs is None
     plan = request.plan
-    problem = Problem(M.matrix(), M.samples.areas, reached.reachable, pinned=plan.pinned, banned=plan.banned)
+    problem = CoverProblem(M.matrix(), M.samples.areas, reached.reachable, pinned=plan.pinned, banned=plan.banned)
     fewest_for_all = chosen.lower_bound if full else 0
-    return coverage_curve(problem, rng=rng, known=[chosen.views], fewest_for_all=fewest_for_all, budget=work)
+    return coverage_curve(
+        problem, rng=rng, known_selections=[chosen.views], min_views_full_coverage=fewest_for_all, effort_budget=work
+    )
 
 
 def fewest_of(curve: CoverageCurve) -> Curve:

@@ -11,7 +11,7 @@ import numpy as np
 from cell.errors import UnreachableError
 from cell.scene.model import PlanSettings, RegionWishes
 from cell.world.prediction import Prediction
-from planner.cover import Problem
+from planner.cover import CoverProblem
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
 from planner.values import Bools, Floats, Ints
@@ -77,7 +77,7 @@ class RegionGoals:
         """Whether a selection that knows of no regions answers them: they limit what counts, and no more."""
         return len(self.coverage) == 1 and bool((self.views == 1).all() and (self.weight == 1).all())
 
-    def applied(self, wish: Problem, rows: SurfaceSamples) -> Problem:
+    def applied(self, wish: CoverProblem, rows: SurfaceSamples) -> CoverProblem:
         """A wish that asks for what the regions of its rows do."""
         assert rows.region is not None, "the part has regions"
         region = rows.region.astype(np.int64)
@@ -89,7 +89,7 @@ class RegionGoals:
             return wish
         wish = replace(wish, coverage=float(self.coverage[0]))
         if len(self.coverage) > 1:
-            wish = replace(wish, part=self.part[region])
+            wish = replace(wish, region=self.part[region])
         return wish
 
     def shares(self, prediction: Prediction, T_object_scanner: Floats) -> Floats:

@@ -11,7 +11,7 @@ from planner.geometry.sampling import pick_samples
 from planner.measurability.quality import best_values
 from planner.values import Bools, Ints
 from planner.viewpoints.lines_of_sight import RayTargets
-from planner.why.reasons import OF_VERDICT, Reason
+from planner.why.reasons import REASON_OF_VERDICT, Reason
 from planner.why.why import diagnose
 
 _ASKED = 300  # samples of a region whose reasons are looked for
@@ -60,7 +60,9 @@ def _reason(region: RegionWishes, lost: Ints, share: float, problem: Problem) ->
     samples, scanner, casters = (getattr(problem.prediction, name) for name in ("samples", "scanner", "casters"))
     asked = lost[np.linspace(0, len(lost) - 1, min(_ASKED, len(lost))).round().astype(np.int64)]
     targets = RayTargets.of(samples.points, samples.normals, samples.region)
-    fails = np.array([OF_VERDICT[verdict] for verdict in OF_VERDICT], dtype=np.uint8)[problem.reached.verdict]
+    fails = np.array([REASON_OF_VERDICT[verdict] for verdict in REASON_OF_VERDICT], dtype=np.uint8)[
+        problem.reached.verdict
+    ]
     why = diagnose(targets, asked, problem.candidates, scanner, casters[0], casters[1], fails)
     number = int(np.argmax(np.bincount(why.reason)))
     told = f"{100 * share:.1f} % of it no reachable candidate measures, mostly: {Reason(number).sentence}"

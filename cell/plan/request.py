@@ -17,8 +17,8 @@ from cell.plan.region_goals import RegionGoals
 from cell.scene.model import PlanSettings
 from cell.world.prediction import Prediction
 from planner import cover
-from planner.cover import Cover, CoverStatus, Overlap, Problem
-from planner.cover.overlap import Connection, connection
+from planner.cover import Cover, CoverProblem, CoverStatus, Overlap
+from planner.cover.overlap import OverlapGraph, overlap_graph
 from planner.cover.robust import RobustCover, robust_cover
 from planner.kinematics.reach import Reach
 from planner.measurability.matrix import Measurability
@@ -38,10 +38,10 @@ _STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim
 RAISED = 0.002
 """Share by which a target is raised on the matrix before samples are added to it: one raise is usual."""
 
-LOOK_WORK, WORK, AGAIN_WORK = cover.DEFAULT_WORK // 25, 2 * cover.DEFAULT_WORK // 5, cover.DEFAULT_WORK // 5
+LOOK_WORK, WORK, AGAIN_WORK = cover.DEFAULT_EFFORT // 25, 2 * cover.DEFAULT_EFFORT // 5, cover.DEFAULT_EFFORT // 5
 """Of a look, of the search that goes on from it, and of each after that, should its views fall short by little."""
 
-_MOST_WORK = 3 * cover.DEFAULT_WORK  # for the most area with k views, and for views that hang together
+_MOST_WORK = 3 * cover.DEFAULT_EFFORT  # for the most area with k views, and for views that hang together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +117,7 @@ class Selected:
     cover: Cover
     targets: Floats
     sentence: str
-    answer: Connection | RobustCover | None = None
+    answer: OverlapGraph | RobustCover | None = None
     cost_bound: float = 0.0
     shares: Floats = field(default_factory=lambda: np.ones(1))
     weighted: bool = False
@@ -154,7 +154,7 @@ class Selected:
         known = replace(self, cost_bound=easier.cost_bound)
         bound = min(easier.cover.lower_bound, len(self.cover.views))
         less = bool((easier.targets <= self.targets).all())
-        if not less or self.cover.price is not None or bound <= self.cover.lower_bound:
+        if not less or self.cover.cost_and_bound is not None or bound <= self.cover.lower_bound:
             return known
         status = CoverStatus.PROVEN if bound >= len(self.cover.views) else self.cover.status
         cover = replace(self.cover, lower_bound=bound, status=status)
@@ -168,7 +168,7 @@ class Selected:
     @property
     def note(self) -> str:
         """What the user should be told although the work goes on; empty where all is well."""
-        if isinstance(self.answer, Connection) and not self.answer.connected:
+        if isinstance(self.answer, OverlapGraph) and not self.answer.is_connected:
             return f"{self.answer.sentence}; ask for less overlap, or allow more candidates (standoffs, rolls)"
         return ""
 
@@ -206,7 +206,7 @@ def select(
         look: work of a search that is enough, and whose views may miss the promise; 0: the views of a plan.
     """
     plan = request.plan
-    wish = Problem(
+    wish = CoverProblem(
         M.matrix(), M.samples.areas, reached.reachable, coverage=plan.coverage, max_views=plan.max_views,
         demand=plan.multiplicity, costs=request.costs, pinned=plan.pinned, banned=(*banned, *plan.banned),
         overlap=request.overlap,
@@ -214,17 +214,17 @@ def select(
     if request.goals is not None:
         wish = request.goals.applied(wish, M.samples)
     if plan.max_views is not None:
-        most = cover.solve(wish, rng=rng, budget=cover.grown(_MOST_WORK, wish.matrix.nnz))
+        most = cover.solve(wish, rng=rng, effort_budget=cover.scaled_effort(_MOST_WORK, wish.matrix.nnz))
         return Selected(most, np.ones(1), most.sentence)
     if request.layer is not None:
         robust = robust_cover(wish, request.layer.within(M), alpha=plan.alpha, rng=rng)
         return Selected(robust.cover, request.asked, robust.sentence, robust)
     if not request.promises:  # of the matrix' samples that is all that it can be asked
-        return _cover(request, wish, request.asked, rng, cover.DEFAULT_WORK, looked)
+        return _cover(request, wish, request.asked, rng, cover.DEFAULT_EFFORT, looked)
 
     def solve(targets: Floats, work: int, start: Selected | None) -> Selected:
         short = request.brief or (request.costs is not None and start is not None)
-        found = _cover(request, wish, targets, rng, work if short else cover.DEFAULT_WORK, start)
+        found = _cover(request, wish, targets, rng, work if short else cover.DEFAULT_EFFORT, start)
         poses = candidates.T_object_scanner[found.cover.views]
         if request.goals is None:
             return replace(found, shares=np.array([prediction.share_of_coverable(poses)]))
@@ -249,18 +249,18 @@ def _raised(asked: Floats, looked: Selected, solve: Callable[[Floats, int, Selec
 
 
 def _cover(
-    request: Request, wish: Problem, targets: Floats, rng: np.random.Generator, work: int, start: Selected | None
+    request: Request, wish: CoverProblem, targets: Floats, rng: np.random.Generator, work: int, start: Selected | None
 ) -> Selected:
     """The fewest or cheapest views for the targets of all parts, which hang together where that is asked."""
     one = len(targets) == 1
-    wish = replace(wish, coverage=float(targets[0]), part_coverage=() if one else tuple(targets.tolist()))
+    wish = replace(wish, coverage=float(targets[0]), region_coverage=() if one else tuple(targets.tolist()))
     if request.overlap is not None:
-        joined = cover.solve(wish, rng=rng, budget=cover.grown(_MOST_WORK, wish.matrix.nnz))
-        how = connection(wish, joined)
-        return Selected(joined, targets, joined.sentence if how.connected else how.sentence, how)
+        joined = cover.solve(wish, rng=rng, effort_budget=cover.scaled_effort(_MOST_WORK, wish.matrix.nnz))
+        how = overlap_graph(wish, joined)
+        return Selected(joined, targets, joined.sentence if how.is_connected else how.sentence, how)
     known = None if start is None or request.plan.solver != "auto" else start.cover.views
-    work = cover.grown(work, wish.matrix.nnz)
-    chosen = cover.solve(wish, rng=rng, solver=request.plan.solver, start=known, budget=work)
+    work = cover.scaled_effort(work, wish.matrix.nnz)
+    chosen = cover.solve(wish, rng=rng, solver=request.plan.solver, start=known, effort_budget=work)
     weighted = wish.weights is not None
     return Selected(chosen, targets, chosen.sentence, cost_bound=chosen.cost_bound, weighted=weighted)
 

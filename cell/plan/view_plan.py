@@ -19,7 +19,7 @@ from cell.plan.sweeping_views import SweepingViews
 from cell.plan.views import Groups, Next, Views
 from cell.plan.views_at_rest import ViewsAtRest
 from planner.cover import Cover, CoverStatus
-from planner.cover.overlap import Connection
+from planner.cover.overlap import OverlapGraph
 from planner.measurability.coverage import coverage_of_views
 from planner.ports import Progress
 from planner.tour import tour
@@ -259,7 +259,7 @@ def _priced(problem: Problem, selected: Selected, cover: Cover, motion: Tour) ->
     bound = min(selected.cost_bound + share, seconds)
     status = CoverStatus.BOUNDED if cover.status is CoverStatus.PROVEN else cover.status
     return replace(
-        cover, price=(seconds, bound), status=CoverStatus.PROVEN if seconds <= bound * (1.0 + 1e-9) else status
+        cover, cost_and_bound=(seconds, bound), status=CoverStatus.PROVEN if seconds <= bound * (1.0 + 1e-9) else status
     )
 
 
@@ -292,6 +292,6 @@ def _ordering(request: Request, selected: Selected) -> Ordering:
     """How the views are ordered: as they are told, by time alone, or so that each overlaps an earlier one as well."""
     if request.order is not None:
         return fixed_order([int(np.flatnonzero(selected.cover.views == candidate)[0]) for candidate in request.order])
-    if request.plan.overlap_in_order and isinstance(selected.answer, Connection):
-        return overlapping_order(selected.answer.joined)
+    if request.plan.overlap_in_order and isinstance(selected.answer, OverlapGraph):
+        return overlapping_order(selected.answer.adjacent)
     return order_views

@@ -8,8 +8,8 @@ from cell.plan.request import Selected
 from cell.runs import schema
 from cell.scene.model import PlanSettings
 from planner.cover import Cover
-from planner.cover.overlap import Connection
-from planner.cover.robust import RobustCover, views_for_promise
+from planner.cover.overlap import OverlapGraph
+from planner.cover.robust import RobustCover, min_views_at_confidence
 
 
 def settings(plan: PlanSettings) -> dict[str, JsonValue]:
@@ -37,7 +37,7 @@ def most_coverage_of(selected: Selected, total_area: float) -> schema.MostCovera
         max_views=cover.max_views,
         covered=cover.covered_area / total_area,
         upper_bound=cover.upper_area / total_area,
-        gap_points=cover.gap_points,
+        gap_points=cover.gap_percent,
     )
 
 
@@ -50,18 +50,18 @@ def overlap_of(selected: Selected, order: NDArray[np.int64], total_area: float) 
         total_area: of the surface [m^2].
     """
     answer = selected.answer
-    if not isinstance(answer, Connection):
+    if not isinstance(answer, OverlapGraph):
         return None
-    without = selected.cover.unconnected_views or 0
+    without = selected.cover.n_views_without_overlap or 0
     return schema.Overlap(
-        connected=answer.connected,
+        connected=answer.is_connected,
         extra_views=len(selected.cover.views) - without,
         views_without=without,
         # The first of all overlaps none before it and does not count.
-        without_earlier=sum(not answer.joined[order[k], order[:k]].any() for k in range(1, len(order))),
+        without_earlier=sum(not answer.adjacent[order[k], order[:k]].any() for k in range(1, len(order))),
         parts=[
-            schema.OverlapPart(views=(answer.part == k).sum(), covered=area / total_area)
-            for k, area in enumerate(answer.part_area)
+            schema.OverlapPart(views=(answer.component == k).sum(), covered=area / total_area)
+            for k, area in enumerate(answer.component_area)
         ],
     )
 
@@ -78,8 +78,8 @@ def robust_of(selected: Selected, total_area: float) -> schema.RobustSelection |
         return None
     return schema.RobustSelection(
         alpha=answer.alpha,
-        members=answer.members,
-        views_needed=views_for_promise(answer.alpha, answer.members),
+        members=answer.ensemble_size,
+        views_needed=min_views_at_confidence(answer.alpha, answer.ensemble_size),
         robust_on_features=answer.robust_area / total_area,
         robust_coverable_on_features=answer.robust_coverable_area / total_area,
     )
@@ -90,9 +90,11 @@ def multiplicity_of(selected: Selected) -> schema.Multiplicity | None:
     cover = selected.cover
     if cover.demand == 1:
         return None
-    return schema.Multiplicity(views_per_sample=cover.demand, samples_with_fewer_candidates=len(cover.short_rows))
+    return schema.Multiplicity(
+        views_per_sample=cover.demand, samples_with_fewer_candidates=len(cover.unsatisfiable_rows)
+    )
 
 
 def cost_of(cover: Cover) -> schema.Cost | None:
     """What they say of seconds; None where the number of views counts."""
-    return None if cover.price is None else schema.Cost(seconds=cover.cost, bound_seconds=cover.cost_bound)
+    return None if cover.cost_and_bound is None else schema.Cost(seconds=cover.cost, bound_seconds=cover.cost_bound)

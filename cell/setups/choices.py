@@ -14,7 +14,7 @@ import numpy as np
 
 from cell.setups.fewest import Rows
 from planner import cover
-from planner.cover import Cover, Problem
+from planner.cover import Cover, CoverProblem
 from planner.values import Bools, Ints
 
 _EACH = 24
@@ -58,10 +58,10 @@ class Bound:
 class Choices:
     """What is asked, of some of the columns, answered by `planner.cover`."""
 
-    def __init__(self, wish: Problem, rows: Rows, rng: np.random.Generator, solver: str) -> None:
+    def __init__(self, wish: CoverProblem, rows: Rows, rng: np.random.Generator, solver: str) -> None:
         self._wish, self._rows, self._rng, self._solver = wish, rows, rng, solver
         hard = wish.overlap is not None or wish.max_views is not None
-        self._work = cover.DEFAULT_WORK * (3 if hard else 1)  # as for one plan
+        self._work = cover.DEFAULT_EFFORT * (3 if hard else 1)  # as for one plan
         self._group, self._allowed = np.asarray(wish.group), np.asarray(wish.allowed)
         self._costs = np.ones(len(self._group)) if wish.costs is None else np.asarray(wish.costs, dtype=np.float64)
 
@@ -122,7 +122,7 @@ class Choices:
     def groups_go(self) -> bool:
         """Whether set-ups may have a cost in one problem (`planner.cover.targets`, `planner.cover.canonical`)."""
         wish = self._wish
-        return wish.part is None and wish.weights is None and wish.max_views is None and wish.overlap is None
+        return wish.region is None and wish.weights is None and wish.max_views is None and wish.overlap is None
 
     def _by(self, setups: tuple[int, ...], work: float, start: Ints) -> Cover:
         return self.of(self._of_setups(setups), work, start=start)
@@ -173,13 +173,13 @@ class Choices:
             costs=None if wish.costs is None else self._costs[some],
             pinned=np.searchsorted(some, list(wish.pinned)).tolist(),
             weights=None if wish.weights is None else rows.worth[kept],
-            part=None if wish.part is None else rows.part[kept],
-            part_coverage=() if wish.part is None else tuple(shares.tolist()),
+            region=None if wish.region is None else rows.part[kept],
+            region_coverage=() if wish.region is None else tuple(shares.tolist()),
             overlap=None if together else wish.overlap,
             group=None if setup_cost is None else self._group[some],
             group_costs=None if setup_cost is None else np.full(len(rows.brought), setup_cost),
         )  # fmt: skip
         begin = np.searchsorted(some, start) if start is not None and len(start) and columns[start].all() else None
-        solver, whole = ("exact", cover.DEFAULT_WORK) if together else (self._solver, self._work)
-        found = cover.solve(problem, rng=self._rng, solver=solver, budget=int(work * whole), start=begin)
+        solver, whole = ("exact", cover.DEFAULT_EFFORT) if together else (self._solver, self._work)
+        found = cover.solve(problem, rng=self._rng, solver=solver, effort_budget=int(work * whole), start=begin)
         return replace(found, views=some[found.views])

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
-from planner.cover import Problem
+from planner.cover import CoverProblem
 from planner.values import Bools, Floats, Ints
 
 _LOOKED_AT = 200_000
@@ -17,17 +17,19 @@ class Rows:
     """What all columns of each set-up bring to the rows, and what these need.
 
     Args:
-        wish: the columns of all set-ups, those of each a group; see `planner.cover.Problem`.
+        wish: the columns of all set-ups, those of each a group; see `planner.cover.CoverProblem`.
         targets: (P,) share of what they all can measure of each part of the rows.
     """
 
-    def __init__(self, wish: Problem, targets: Floats) -> None:
+    def __init__(self, wish: CoverProblem, targets: Floats) -> None:
         group = np.asarray(wish.group)
         own = np.asarray(wish.allowed)[:, None] & (group[:, None] == np.arange(int(group.max(initial=-1)) + 1))
         self.brought: Ints = np.asarray(wish.matrix @ own.astype(np.int64)).T
         self.need: Ints = np.minimum(self.brought.sum(axis=0), wish.demand)
         self.worth: Floats = np.asarray(wish.areas if wish.weights is None else wish.weights, dtype=np.float64)
-        self.part: Ints = np.zeros(len(self.worth), np.int64) if wish.part is None else np.asarray(wish.part, np.int64)
+        self.part: Ints = (
+            np.zeros(len(self.worth), np.int64) if wish.region is None else np.asarray(wish.region, np.int64)
+        )
         self.wanted: Floats = targets * self.worth_of(self.need > 0)
 
     def worth_of(self, which: Bools) -> Floats:

@@ -1,8 +1,9 @@
 """The cover over all set-ups: fewest set-ups, then fewest views, each with a bound.
 
-The columns of all set-ups stand side by side over one set of samples, as the groups of one `planner.cover.Problem`. How
-few set-ups do is looked up: all choices of so many are asked whether all their columns bring what is asked for, so that
-number is exact. How the choices of so many that do are covered: `cell.setups.choices`.
+The columns of all set-ups stand side by side over one set of samples, as the groups of one
+`planner.cover.CoverProblem`. How few set-ups do is looked up: all choices of so many are asked whether all their
+columns bring what is asked for, so that number is exact. How the choices of so many that do are covered:
+`cell.setups.choices`.
 
 Views may have costs (seconds) in place of 1, and be so many at most; where a set-up has a cost in the same unit, its
 number no longer comes first, and all together are one problem.
@@ -15,7 +16,7 @@ import numpy as np
 
 from cell.setups.choices import SHORT, Choices
 from cell.setups.fewest import Rows, fewest_setups
-from planner.cover import Problem
+from planner.cover import CoverProblem
 from planner.values import Floats, Ints
 
 _BELOW_ALL_VIEWS = 0.01
@@ -92,7 +93,7 @@ class JointCover:
 
 
 def joint_cover(
-    wish: Problem,
+    wish: CoverProblem,
     targets: Floats,
     rng: np.random.Generator,
     *,
@@ -148,7 +149,7 @@ def joint_cover(
     )
 
 
-def views_first(wish: Problem, targets: Floats, rng: np.random.Generator) -> tuple[int, int] | None:
+def views_first(wish: CoverProblem, targets: Floats, rng: np.random.Generator) -> tuple[int, int] | None:
     """Set-ups and views by a short search for fewest views, in as few set-ups as these take: what few set-ups cost.
 
     None where views have costs or are so many at most, must hang together, or rows weigh or have parts.

@@ -28,9 +28,9 @@ from cell.setups.options import named
 from cell.setups.shared import joining
 from cell.setups.wishes import Asked
 from cell.world.measurability import PartSurface
-from planner.cover import CoverStatus, Problem
+from planner.cover import CoverProblem, CoverStatus
 from planner.cover.curve import coverage_curve
-from planner.cover.overlap import Connection
+from planner.cover.overlap import OverlapGraph
 from planner.geometry.sampling import draw_samples, pick_samples
 from planner.measurability.matrix import append_rows
 from planner.values import Floats, Ints
@@ -131,9 +131,12 @@ class Search:
         allowed = np.concatenate(
             [self._usable[row][: plan.matrix.n_viewpoints] for row, (_, plan) in connected.items()]
         )
-        wish = Problem(matrix, areas, allowed, pinned=[place[name] for name in self._asked.own.pins])
+        wish = CoverProblem(matrix, areas, allowed, pinned=[place[name] for name in self._asked.own.pins])
         curve = coverage_curve(
-            wish, rng=self._session.rng(Stream.COVERAGE_CURVE), known=[views], budget=self._session.effort.curve_work
+            wish,
+            rng=self._session.rng(Stream.COVERAGE_CURVE),
+            known_selections=[views],
+            effort_budget=self._session.effort.curve_work,
         )
         covered = float(areas[np.asarray(matrix[:, views].sum(axis=1)).ravel() > 0].sum())
         curves.write(self._session.folder, self._session.plots, curve, len(views), covered, lambda k: named(names[k]))
@@ -295,7 +298,7 @@ class Search:
         cover = replace(chosen.cover, lower_bound=1, status=CoverStatus.BOUNDED, solver="joint")
         problem = problem.taking(chosen.candidate, chosen.tour.q)
         how = chosen.selected.answer
-        if isinstance(how, Connection) and not how.connected:
+        if isinstance(how, OverlapGraph) and not how.is_connected:
             how = None  # through views of other set-ups all may hang together; it is not told of these alone
         return problem, replace(
             chosen, cover=cover, selected=replace(chosen.selected, targets=self._targets, answer=how)

@@ -15,7 +15,7 @@ from cell.plan.steps import PlanSession
 from cell.scene.model import Scene, complete
 from cell.setups.measured import Setup
 from cell.setups.options import SetupOptions, named
-from planner.cover import Problem
+from planner.cover import CoverProblem
 from planner.cover.robust import DEMAND, loads
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
@@ -105,7 +105,7 @@ class Asked:
         one = self.request.goals is None and self.request.plan.cost == "views" and self.request.brief
         return one and not of_user and self.request.exchangeable and pose_error(self.request.plan).none
 
-    def problem(self, M: Mapping[int, Measurability], usable: Mapping[int, Bools]) -> Problem:
+    def problem(self, M: Mapping[int, Measurability], usable: Mapping[int, Bools]) -> CoverProblem:
         """The columns of all set-ups side by side, those of each a group, and all wishes but the coverage.
 
         Args:
@@ -122,7 +122,7 @@ class Asked:
             matrix.data = matrix.data * (matrix @ allowed.astype(np.int64) >= DEMAND)[matrix.indices]
         else:
             matrix = hstack([M[row].matrix() for row in numbers], format="csc")
-        wish = Problem(
+        wish = CoverProblem(
             matrix, features.areas, allowed, max_views=request.plan.max_views, demand=demand,
             costs=np.concatenate([self.seconds[row] for row in numbers]) if self.seconds else None,
             pinned=[int(first[row]) + column for row, column in self.own.pins],

@@ -28,7 +28,7 @@ from cell.world.measurability import PartSurface, part_matrix, surface_features
 from cell.world.model import World, compile_world
 from cell.world.prediction import held_out
 from planner import cover
-from planner.cover import Cover, Problem
+from planner.cover import Cover, CoverProblem
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
@@ -199,7 +199,7 @@ class Bench:
         """
         M = self.matrix(fill, candidates, density)
         rng = np.random.default_rng(self.scene.plan.seed)
-        found = cover.solve(Problem(M.matrix(), M.samples.areas, allowed, coverage=share), rng=rng, solver=solver)
+        found = cover.solve(CoverProblem(M.matrix(), M.samples.areas, allowed, coverage=share), rng=rng, solver=solver)
         return replace(self.judged(found, candidates), density=density)
 
     def judged(self, found: Cover, candidates: Viewpoints) -> Judged:

@@ -6,7 +6,7 @@ import numpy as np
 
 from cell.study.bench import Bench, Judged, Mask
 from planner import cover
-from planner.cover import Problem
+from planner.cover import CoverProblem
 from planner.viewpoints.viewpoints import Viewpoints
 
 DENSER = 4
@@ -70,6 +70,6 @@ def most_with(bench: Bench, candidates: Viewpoints, allowed: Mask | None, views:
     enough = len(full.cover.views) <= views
     M = bench.matrix("aimed", candidates, DENSER if enough else 1)
     rng = np.random.default_rng(bench.scene.plan.seed)
-    most = cover.solve(Problem(M.matrix(), M.samples.areas, allowed, max_views=views), rng=rng)
+    most = cover.solve(CoverProblem(M.matrix(), M.samples.areas, allowed, max_views=views), rng=rng)
     found = replace(bench.judged(most, candidates), density=DENSER if enough else 1)
     return full if enough and full.visible >= found.visible else found

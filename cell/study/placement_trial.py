@@ -73,7 +73,7 @@ def placement(settings: JsonTable) -> dict[str, object]:
         return values
     rng = np.random.default_rng(bench.scene.plan.seed)
     share, solver = bench.scene.plan.coverage, settings["solver"]
-    found = cover.solve(cover.Problem(M.matrix(), M.samples.areas, coverage=share), rng=rng, solver=solver)
+    found = cover.solve(cover.CoverProblem(M.matrix(), M.samples.areas, coverage=share), rng=rng, solver=solver)
     poses = views.T_object_scanner[found.views]
     configurations = [reached.configurations_of(int(view)) for view in found.views]
     limits = scale_limits(world.limits, bench.scene.robot.speed_scaling, bench.scene.robot.acceleration_scaling)

@@ -30,7 +30,7 @@ from cell.world.prediction import held_out
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import why
-from planner.why.reasons import OF_VERDICT, Reason
+from planner.why.reasons import REASON_OF_VERDICT, Reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +88,7 @@ def answer_of(run: Run, reporter: ProgressReporter, count: int) -> Answer:
             targets, rows, candidates, scanner, part_caster, occluder_caster, fails, progress=progress
         )
         casters = {piece.name: EmbreeRayCaster(piece.vertices, piece.faces) for piece in cell.occluders}
-        what = why.names_in_the_way(targets, rows, diagnosis, candidates, scanner, casters)
+        what = why.occluders_of(targets, rows, diagnosis, candidates, scanner, casters)
         K = candidates.T_object_scanner.shape[1]
         of_robot = (diagnosis.reason >= Reason.OUT_OF_REACH) & (diagnosis.reason < Reason.NOT_SELECTED)
         for i in np.flatnonzero(of_robot):
@@ -115,7 +115,7 @@ def _as_executed(candidates: Viewpoints, views: Sequence[PlanView]) -> Viewpoint
 def _failing(run: Run, plan: PlanFile, count: int) -> tuple[NDArray[np.uint8], list[str]]:
     """At what each candidate fails even for a point that it would measure, and what is in its way."""
     reached = run.reach
-    fails = np.array([OF_VERDICT[verdict] for verdict in OF_VERDICT], dtype=np.uint8)[reached.verdict]
+    fails = np.array([REASON_OF_VERDICT[verdict] for verdict in REASON_OF_VERDICT], dtype=np.uint8)[reached.verdict]
     blockers = list(reached.blocker)
     with reading(run.folder / "plan.json"):
         if len(fails) != count:

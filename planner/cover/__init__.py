@@ -23,9 +23,19 @@ budget                     work, clock, Ctrl-C, best so far
 """
 
 from planner.cover.answer import Cover, CoverStatus
-from planner.cover.budget import DEFAULT_WORK, WORK_PER_SECOND, grown
-from planner.cover.problem import Overlap, Problem
+from planner.cover.budget import DEFAULT_EFFORT, EFFORT_PER_SECOND, scaled_effort
+from planner.cover.problem import CoverProblem, Overlap
 from planner.cover.selection import solve
 from planner.cover.solvers import SOLVERS
 
-__all__ = ["DEFAULT_WORK", "SOLVERS", "WORK_PER_SECOND", "Cover", "CoverStatus", "Overlap", "Problem", "grown", "solve"]
+__all__ = [
+    "DEFAULT_EFFORT",
+    "EFFORT_PER_SECOND",
+    "SOLVERS",
+    "Cover",
+    "CoverProblem",
+    "CoverStatus",
+    "Overlap",
+    "scaled_effort",
+    "solve",
+]

@@ -41,12 +41,12 @@ class Cover(Value):
         upper_area: no selection of as many views as were asked for covers more [m^2]; without `max_views` that is the
             coverable area.
         solver: name of the solver.
-        work: units of work spent (see `planner.cover.budget`).
+        effort: units of work spent (see `planner.cover.budget`).
         demand: load that every row was asked to have; the least where they were asked for different ones.
-        short_rows: rows that some columns cover, but all of them together not as much as is demanded.
-        price: cost of the views together, and what no selection that meets the target undercuts; None without costs.
+        unsatisfiable_rows: rows that some columns cover, but all of them together not as much as is demanded.
+        cost_and_bound: cost of the views and a lower bound on it; None without costs.
         max_views: how many were allowed; None: as many as it takes.
-        unconnected_views: views of the selection that need not hang together; None where no overlap was asked for.
+        n_views_without_overlap: views of the best selection without the overlap constraint; None without one.
     """
 
     views: Annotated[Ints, "n"]
@@ -60,25 +60,25 @@ class Cover(Value):
     lower_bound: int
     upper_area: float
     solver: str
-    work: int
+    effort: int
     demand: int = 1
-    short_rows: Annotated[Ints, "_"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    price: tuple[float, float] | None = None
+    unsatisfiable_rows: Annotated[Ints, "_"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    cost_and_bound: tuple[float, float] | None = None
     max_views: int | None = None
-    unconnected_views: int | None = None
+    n_views_without_overlap: int | None = None
 
     @property
     def cost(self) -> float:
         """What the views cost together; their number where no costs were given."""
-        return len(self.views) if self.price is None else self.price[0]
+        return len(self.views) if self.cost_and_bound is None else self.cost_and_bound[0]
 
     @property
     def cost_bound(self) -> float:
         """No selection that meets the target (and contains the pinned views) costs less."""
-        return self.lower_bound if self.price is None else self.price[1]
+        return self.lower_bound if self.cost_and_bound is None else self.cost_and_bound[1]
 
     @property
-    def excess(self) -> int:
+    def excess_views(self) -> int:
         """The plan has at most this many views more than the fewest."""
         return len(self.views) - self.lower_bound
 
@@ -88,7 +88,7 @@ class Cover(Value):
         return (self.cost - self.cost_bound) / self.cost if len(self.views) else 0.0
 
     @property
-    def gap_points(self) -> float:
+    def gap_percent(self) -> float:
         """With `max_views`: points of coverage (percent of the coverable area) that other views could add at most."""
         coverable = self.coverable_area
         return 100.0 * max(self.upper_area - self.covered_area, 0.0) / coverable if coverable > 0 else 0.0
@@ -100,14 +100,14 @@ class Cover(Value):
             return self.status.sentence
         if self.max_views is not None:
             return self._sentence_of_area()
-        best = "fewest" if self.price is None else "cheapest"
-        best += " that hang together" if self.unconnected_views is not None else ""
+        best = "fewest" if self.cost_and_bound is None else "cheapest"
+        best += " that hang together" if self.n_views_without_overlap is not None else ""
         if self.status is CoverStatus.PROVEN:
             return f"proven {best} for these candidates and samples"
-        if self.price is not None:
+        if self.cost_and_bound is not None:
             within = f"costs at most {100 * self.gap / (1 - self.gap):.3g} % more than the {best}"
         else:
-            within = f"at most {self.excess} {'view' if self.excess == 1 else 'views'} more than the {best}"
+            within = f"at most {self.excess_views} {'view' if self.excess_views == 1 else 'views'} more than the {best}"
         return f"{self.beginning}{within} for these candidates and samples"
 
     def _sentence_of_area(self) -> str:
@@ -116,7 +116,7 @@ class Cover(Value):
         if self.status is CoverStatus.PROVEN:
             return "proven most that so many of these candidates measure of these samples"
         views = "1 view" if self.max_views == 1 else f"{self.max_views} views"
-        points = max(self.gap_points, 0.01)
+        points = max(self.gap_percent, 0.01)
         return f"{self.beginning}at most {points:.2f} points of coverage below the most that {views} can measure"
 
     @property

@@ -8,7 +8,7 @@ from planner.cover.answer import Cover, CoverStatus
 from planner.cover.budget import Budget
 from planner.cover.canonical import Canonical
 from planner.cover.greedy import by_marginal_area
-from planner.cover.problem import Problem
+from planner.cover.problem import CoverProblem
 from planner.values import Ints
 
 PRICE_ROUNDING = 1e-4
@@ -19,8 +19,8 @@ FLOAT_ERROR = 1e-12
 
 
 def told(
-    found: Canonical, columns: Ints, bound: int, *, solver: str, work: Budget, problem: Problem, fewest: int = 0,
-    unconnected_views: int | None = None,
+    found: Canonical, columns: Ints, bound: int, *, solver: str, work: Budget, problem: CoverProblem, fewest: int = 0,
+    n_views_without_overlap: int | None = None,
 ) -> Cover:  # fmt: skip
     """The answer.
 
@@ -32,7 +32,7 @@ def told(
         work: what was spent.
         problem: as the caller told it.
         fewest: with a number of views allowed: no fewer views, pinned ones included, cover as much.
-        unconnected_views: with an overlap: views of the cover that need not hang together.
+        n_views_without_overlap: with an overlap: views of the cover that need not hang together.
     """
     whole = found.whole
     order, added = by_marginal_area(whole, columns)
@@ -78,23 +78,29 @@ def told(
         lower_bound=min(least, len(views)),
         upper_area=upper,
         solver=solver,
-        work=work.spent,
+        effort=work.spent,
         demand=int(np.min(problem.demand, initial=2**30)),
-        short_rows=found.short_rows,
-        price=price,
+        unsatisfiable_rows=found.unsatisfiable_rows,
+        cost_and_bound=price,
         max_views=problem.max_views,
-        unconnected_views=unconnected_views,
+        n_views_without_overlap=n_views_without_overlap,
     )
 
 
-def retold(found: Canonical, cover: Cover, views: Ints, problem: Problem) -> Cover:
+def retold(found: Canonical, cover: Cover, views: Ints, problem: CoverProblem) -> Cover:
     """Views told in the areas of another problem, with status, bound, price and work of the cover that they are of."""
     columns = np.flatnonzero(np.isin(found.columns, views))
     other = told(found, columns, 0, solver=cover.solver, work=Budget(0), problem=problem)
-    return replace(other, status=cover.status, lower_bound=cover.lower_bound, price=cover.price, work=cover.work)
+    return replace(
+        other,
+        status=cover.status,
+        lower_bound=cover.lower_bound,
+        cost_and_bound=cover.cost_and_bound,
+        effort=cover.effort,
+    )
 
 
-def _price(found: Canonical, views: Ints, bound: int, problem: Problem) -> tuple[float, float]:
+def _price(found: Canonical, views: Ints, bound: int, problem: CoverProblem) -> tuple[float, float]:
     """What the views cost as the costs were given, and what no selection undercuts.
 
     The bound is on rounded costs: what rounding may have added to them is taken off, by the column on which it added

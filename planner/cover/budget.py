@@ -20,10 +20,10 @@ import numpy as np
 from planner.errors import PlannerError
 from planner.values import Ints
 
-WORK_PER_SECOND = 500_000_000
+EFFORT_PER_SECOND = 500_000_000
 """Units that one core does in about a second; a budget of so many seconds is this many times that."""
 
-DEFAULT_WORK = 1_000_000_000
+DEFAULT_EFFORT = 1_000_000_000
 """Default budget of a selection: about two seconds; most end long before."""
 
 LARGE = 5_000_000
@@ -33,13 +33,13 @@ canonical form, the first choice, reductions)."""
 LARGE_PACE = 1.25
 """What work on a larger one costs: no cache holds it."""
 
-UNLIMITED_WORK = 10**15
+UNLIMITED_EFFORT = 10**15
 """A budget that only a clock ends."""
 
 Result = TypeVar("Result")
 
 
-def grown(work: int, n_entries: int) -> int:
+def scaled_effort(work: int, n_entries: int) -> int:
     """A budget meant for matrices of up to `LARGE` entries, in proportion more for one of more."""
     return work * max(n_entries, LARGE) // LARGE
 
@@ -61,7 +61,7 @@ class Budget:
 
     def __init__(
         self,
-        limit: int = DEFAULT_WORK,
+        limit: int = DEFAULT_EFFORT,
         time_limit_s: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:

@@ -24,7 +24,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from planner.cover.graph import NO_GRAPH, joined_columns
-from planner.cover.problem import Problem
+from planner.cover.problem import CoverProblem
 from planner.cover.sets import Sets, both_ways, of_slices, set_hash
 from planner.errors import PlannerError
 from planner.values import Bools, Floats, Ints, Value, freeze
@@ -52,7 +52,7 @@ class Canonical(Value):
         columns: (v,) column of the matrix of each of its columns.
         areas: (S,) area of every row of the matrix [m^2].
         uncoverable_rows: rows that no usable column covers.
-        short_rows: rows whose columns together bring less than was demanded.
+        unsatisfiable_rows: rows whose columns together bring less than was demanded.
         cost_unit: what a cost of 1 stands for in the caller's unit.
         pinned: pinned columns of the matrix, ascending.
         fixed: those of them that cover something, as columns of `whole`.
@@ -65,7 +65,7 @@ class Canonical(Value):
     columns: Annotated[Ints, "v"]
     areas: Annotated[Floats, "S"]
     uncoverable_rows: Annotated[Ints, "_"]
-    short_rows: Annotated[Ints, "_"]
+    unsatisfiable_rows: Annotated[Ints, "_"]
     cost_unit: float
     pinned: Annotated[Ints, "_"]
     fixed: Annotated[Ints, "_"]
@@ -81,7 +81,7 @@ class Canonical(Value):
         return np.setdiff1d(self.pinned, self.columns)
 
 
-def canonical(problem: Problem) -> Canonical:
+def canonical(problem: CoverProblem) -> Canonical:
     """Check a problem and bring it into canonical form.
 
     Raises:
@@ -135,12 +135,12 @@ def canonical(problem: Problem) -> Canonical:
     return Canonical(
         whole, rows, columns, areas,
         uncoverable_rows=np.flatnonzero(available == 0),
-        short_rows=np.flatnonzero((available > 0) & (available < asked)),
+        unsatisfiable_rows=np.flatnonzero((available > 0) & (available < asked)),
         cost_unit=cost_unit, pinned=pinned, fixed=fixed, rest=rest, rest_columns=left,
     )  # fmt: skip
 
 
-def _checked(problem: Problem) -> tuple[Any, Bools, Ints]:
+def _checked(problem: CoverProblem) -> tuple[Any, Bools, Ints]:
     """The loads by column, which columns may be used, and the pinned ones."""
     given: Any = problem.matrix if sp.issparse(problem.matrix) else np.asarray(problem.matrix)
     matrix: Any = sp.csc_array(given)
@@ -181,7 +181,7 @@ def _checked(problem: Problem) -> tuple[Any, Bools, Ints]:
     return matrix, usable, pinned
 
 
-def _check_most(problem: Problem, pins: int) -> None:
+def _check_most(problem: CoverProblem, pins: int) -> None:
     if problem.max_views is not None and problem.max_views < pins:
         raise PlannerError(
             f"max_views is {problem.max_views}; it must be 0 or more"
@@ -200,7 +200,7 @@ def _named(name: str, values: Iterable[int], n_columns: int) -> Ints:
     return indices
 
 
-def _groups(problem: Problem, n_columns: int) -> tuple[Ints, Floats]:
+def _groups(problem: CoverProblem, n_columns: int) -> tuple[Ints, Floats]:
     """(V,) group of each column and (G,) fixed cost of each group; one group without a cost where none are given."""
     if problem.group is None:
         return np.zeros(n_columns, dtype=np.int64), np.zeros(1)

@@ -16,13 +16,13 @@ from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
 from planner.cover.greedy import complete
-from planner.cover.problem import Problem
+from planner.cover.problem import CoverProblem
 from planner.cover.search import Search
 from planner.cover.sets import Sets
 from planner.errors import PlannerError
 from planner.values import Floats, Ints, Value, freeze, readonly
 
-CURVE_WORK = 2_500_000_000
+CURVE_EFFORT = 2_500_000_000
 """Default budget: some five seconds for a thousand candidates and four thousand samples."""
 
 SEARCH_SHARE = 0.4
@@ -84,12 +84,12 @@ class CoverageCurve(Value):
 
 
 def coverage_curve(
-    problem: Problem,
+    problem: CoverProblem,
     *,
     rng: np.random.Generator,
-    known: Sequence[ArrayLike] = (),
-    fewest_for_all: int = 0,
-    budget: int = CURVE_WORK,
+    known_selections: Sequence[ArrayLike] = (),
+    min_views_full_coverage: int = 0,
+    effort_budget: int = CURVE_EFFORT,
 ) -> CoverageCurve:
     """The curve from the pinned views on to everything, or to a number of views.
 
@@ -97,9 +97,9 @@ def coverage_curve(
         problem: matrix, areas, allowed, pinned and banned columns; where it has `max_views` the curve ends there at the
             latest. Its coverage is not looked at.
         rng: random choices of the search.
-        known: selections that are known (columns of the matrix), for instance the plan: the curve is nowhere below.
-        fewest_for_all: no fewer views cover everything (`Cover.lower_bound` of a full cover).
-        budget: units of work for search and bound together.
+        known_selections: selections (columns of the matrix), for instance the plan: the curve is nowhere below.
+        min_views_full_coverage: no fewer views cover everything (`Cover.lower_bound` of a full cover).
+        effort_budget: units of work for search and bound together.
 
     Raises:
         PlannerError: for a problem that `planner.cover.solve` refuses, or a known selection that leaves out a pinned
@@ -107,10 +107,10 @@ def coverage_curve(
     """
     most = np.shape(problem.matrix)[1] if problem.max_views is None else problem.max_views
     found = canonical(replace(problem, max_views=most, coverage=1.0))
-    work = Budget(budget)
+    work = Budget(effort_budget)
     whole, sets, pins = found.whole, found.rest, len(found.pinned)
     selections = [np.zeros(0, dtype=np.int64)]
-    for views in known:
+    for views in known_selections:
         if len(missing := np.setdiff1d(found.pinned, views)):
             raise PlannerError(f"a known selection leaves out column {missing[0]}, which is pinned")
         columns = np.flatnonzero(np.isin(found.columns[found.rest_columns], views))
@@ -125,7 +125,9 @@ def coverage_curve(
     if ends:
         bounds = _bounds(sets, open_units, work)
         some = int(sets.units.min())  # what is not everything lacks a row at least
-        bounds[: max(fewest_for_all - pins, 0)] = np.maximum(bounds[: max(fewest_for_all - pins, 0)], some)
+        bounds[: max(min_views_full_coverage - pins, 0)] = np.maximum(
+            bounds[: max(min_views_full_coverage - pins, 0)], some
+        )
     elif sets.n_rows:
         bounds[0] = sets.total
     chosen = [np.concatenate((found.fixed, found.rest_columns[columns])) for columns in selections]

@@ -16,7 +16,7 @@ from planner.cover.budget import Budget
 from planner.cover.canonical import Canonical
 from planner.cover.graph import NO_GRAPH, joined_columns, parts_of
 from planner.cover.greedy import complete, prune
-from planner.cover.problem import Problem
+from planner.cover.problem import CoverProblem
 from planner.cover.search import Search
 from planner.cover.sets import Sets
 from planner.cover.solvers import answer
@@ -27,40 +27,40 @@ UNCONNECTED_SHARE = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Connection(Value):
+class OverlapGraph(Value):
     """How the views of a cover hang together.
 
     Attributes:
-        part: (n,) number of the connected part that each view belongs to; 0 is the one that measures most.
-        part_area: (p,) area that each part measures [m^2].
-        joined: (n, n) which of the views are joined, in the order of `Cover.views`.
+        component: (n,) number of the connected part that each view belongs to; 0 is the one that measures most.
+        component_area: (p,) area that each part measures [m^2].
+        adjacent: (n, n) which of the views are joined, in the order of `Cover.views`.
         coverable_area: area of the rows that some usable column covers [m^2].
     """
 
-    part: Annotated[Ints, "n"]
-    part_area: Annotated[Floats, "p"]
-    joined: Annotated[Bools, "n n"]
+    component: Annotated[Ints, "n"]
+    component_area: Annotated[Floats, "p"]
+    adjacent: Annotated[Bools, "n n"]
     coverable_area: float
 
     @property
-    def connected(self) -> bool:
+    def is_connected(self) -> bool:
         """Whether every view overlaps others so far that all scans hang together."""
-        return len(self.part_area) < 2
+        return len(self.component_area) < 2
 
     @property
     def sentence(self) -> str:
         """In words with its numbers."""
-        if self.connected:
+        if self.is_connected:
             return "every view overlaps others so far that all scans hang together"
-        share = 100 * self.part_area[0] / self.coverable_area if self.coverable_area else 0.0
+        share = 100 * self.component_area[0] / self.coverable_area if self.coverable_area else 0.0
         return (
             "no choice of these candidates both covers what is asked for and hangs together: they fall into "
-            f"{len(self.part_area)} parts, and the largest, of {int((self.part == 0).sum())} of {len(self.part)} "
-            f"views, measures {share:.2f} % of what can be measured"
+            f"{len(self.component_area)} parts, and the largest, of {int((self.component == 0).sum())} of "
+            f"{len(self.component)} views, measures {share:.2f} % of what can be measured"
         )
 
 
-def connection(problem: Problem, cover: Cover) -> Connection:
+def overlap_graph(problem: CoverProblem, cover: Cover) -> OverlapGraph:
     """The graph of a cover's views and its parts, the one that measures most first; the problem has an overlap."""
     assert problem.overlap is not None, "without an overlap there is no graph"
     measured = np.asarray(sp.csc_array(problem.matrix, dtype=bool)[:, cover.views].toarray())
@@ -72,10 +72,12 @@ def connection(problem: Problem, cover: Cover) -> Connection:
     order = sorted(range(len(by_part)), key=lambda k: (-by_part[k], k))
     rank = np.argsort(np.array(order, dtype=np.int64), kind="stable")
     part = rank[labels] if len(labels) else labels
-    return Connection(part, np.array([by_part[k] for k in order]), joined.astype(bool), cover.coverable_area)
+    return OverlapGraph(part, np.array([by_part[k] for k in order]), joined.astype(bool), cover.coverable_area)
 
 
-def connected_cover(problem: Problem, found: Canonical, rng: np.random.Generator, work: Budget, solver: str) -> Cover:
+def connected_cover(
+    problem: CoverProblem, found: Canonical, rng: np.random.Generator, work: Budget, solver: str
+) -> Cover:
     """Choose few columns that cover the required share and hang together.
 
     Where no choice does both, the parts of the candidates' graph are covered one after the other, the one that measures
@@ -98,7 +100,7 @@ def connected_cover(problem: Problem, found: Canonical, rng: np.random.Generator
     chosen = start if whole.trivial and not len(start) else _choice(whole, start, rng, work, bound)
     return told(
         found, chosen, bound, solver=solver, work=work, problem=problem,
-        unconnected_views=len(start) + len(found.idle),
+        n_views_without_overlap=len(start) + len(found.idle),
     )  # fmt: skip
 
 

@@ -47,7 +47,7 @@ class Overlap:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class CoverProblem:
     """What is to be covered, by what, at what cost; checked when it is solved.
 
     Attributes:
@@ -67,8 +67,8 @@ class Problem:
         overlap: chosen columns must hang together by this measure; None: they need not.
         weights: (S,) what each row counts in place of its area in what is asked for; None: its area. With `max_views`
             the areas of the answer are of these weights.
-        part: (S,) part 0, 1, ... of each row, where each part has a target of its own.
-        part_coverage: in place of `coverage`, for each part: share of its coverable area (or weight).
+        region: (S,) part 0, 1, ... of each row, where each part has a target of its own.
+        region_coverage: in place of `coverage`, for each part: share of its coverable area (or weight).
     """
 
     matrix: Any
@@ -84,5 +84,5 @@ class Problem:
     group_costs: ArrayLike | None = None
     overlap: Overlap | None = None
     weights: ArrayLike | None = None
-    part: ArrayLike | None = None
-    part_coverage: tuple[float, ...] = ()
+    region: ArrayLike | None = None
+    region_coverage: tuple[float, ...] = ()

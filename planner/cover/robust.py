@@ -6,7 +6,7 @@ misses it with probability prod (1 - p_ij). It counts as robustly covered where 
 
     sum_{j in C} -log(1 - p_ij) >= -log(alpha)
 
-a cover whose columns bring different loads (`planner.cover.Problem`): each view brings its own part, cut at the whole.
+a cover whose columns bring different loads (`planner.cover.CoverProblem`): each brings its own part, cut at the whole.
 Parts are rounded down to multiples of 2^-16 of the demand, so that the promise is kept exactly.
 """
 
@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from planner.cover.answer import Cover
 from planner.cover.answer_of_columns import retold
 from planner.cover.canonical import canonical
-from planner.cover.problem import Problem
+from planner.cover.problem import CoverProblem
 from planner.cover.selection import solve
 from planner.errors import PlannerError
 from planner.measurability.pose_ensemble import ProbabilityLayer, credited_probability
@@ -32,7 +32,7 @@ ALPHA = 0.05
 DEMAND = 2**16
 """What a row demands, in whole parts."""
 
-ROBUST_WORK = 1_500_000_000
+ROBUST_EFFORT = 1_500_000_000
 """Default budget: three to six seconds."""
 
 
@@ -43,7 +43,7 @@ class RobustCover(Value):
     Attributes:
         cover: the views, with their nominal areas (exact poses); its lower bound is on plans with this promise.
         alpha: probability with which a robustly covered sample may be missed.
-        members: size of the ensemble that the probabilities are from; 0 for exact poses.
+        ensemble_size: size of the ensemble that the probabilities are from; 0 for exact poses.
         robust_area: area of the rows that the views measure with probability 1 - alpha or more [m^2].
         robust_coverable_area: the same for all usable columns together [m^2].
         probability: (S,) of each row of the matrix, that any of the views measures it; none of more than credited.
@@ -51,7 +51,7 @@ class RobustCover(Value):
 
     cover: Cover
     alpha: float
-    members: int
+    ensemble_size: int
     robust_area: float
     robust_coverable_area: float
     probability: Annotated[Floats, "S"]
@@ -62,11 +62,12 @@ class RobustCover(Value):
         cover = self.cover
         if self.robust_coverable_area == 0.0:
             return "no sample can be measured with the probability that is asked for"
-        if cover.excess <= 0:
+        if cover.excess_views <= 0:
             return "proven fewest with this promise, for these candidates and samples"
-        views = "view" if cover.excess == 1 else "views"
+        views = "view" if cover.excess_views == 1 else "views"
         return cover.beginning + (
-            f"at most {cover.excess} {views} more than the fewest with this promise, for these candidates and samples"
+            f"at most {cover.excess_views} {views} more than the fewest with this promise, for these candidates and "
+            "samples"
         )
 
 
@@ -83,7 +84,7 @@ def check_alpha(alpha: float) -> None:
         )
 
 
-def views_for_promise(alpha: float, members: int) -> int:
+def min_views_at_confidence(alpha: float, members: int) -> int:
     """Views that must measure a sample at least, each in every member of the ensemble, for the promise to hold."""
     check_alpha(alpha)
     if members == 0:
@@ -102,12 +103,12 @@ def loads(layer: ProbabilityLayer, alpha: float, shape: tuple[int, int]) -> Any:
 
 
 def robust_cover(
-    problem: Problem,
+    problem: CoverProblem,
     layer: ProbabilityLayer,
     *,
     alpha: float = ALPHA,
     rng: np.random.Generator,
-    budget: int = ROBUST_WORK,
+    effort_budget: int = ROBUST_EFFORT,
 ) -> RobustCover:
     """Choose few columns with which enough area is measured with probability 1 - alpha or more.
 
@@ -118,7 +119,7 @@ def robust_cover(
         layer: probabilities of the entries of its matrix.
         alpha: probability with which a sample may be missed, above 0 and below 1.
         rng: random choices of the search.
-        budget: units of work.
+        effort_budget: units of work.
 
     Raises:
         PlannerError: for input that `planner.cover.solve` refuses, or an alpha that is no probability of a miss.
@@ -134,7 +135,7 @@ def robust_cover(
         kept = sp.csr_array(brought)
         kept.data = kept.data * np.repeat(enough, np.diff(kept.indptr))
         asked = replace(problem, matrix=kept, demand=DEMAND)
-        promised = solve(asked, rng=rng, budget=budget)
+        promised = solve(asked, rng=rng, effort_budget=effort_budget)
         cover = retold(nominal, replace(promised, solver="robust"), promised.views, problem)
     sums = np.asarray(brought[:, cover.views].sum(axis=1)).ravel()
     p = sp.csr_array((layer.probability, layer.indices, layer.indptr), shape=brought.shape)[:, cover.views]
@@ -144,7 +145,7 @@ def robust_cover(
     return RobustCover(
         cover=cover,
         alpha=alpha,
-        members=layer.members,
+        ensemble_size=layer.members,
         robust_area=float(nominal.areas[sums >= DEMAND].sum()),
         robust_coverable_area=float(nominal.areas[enough].sum()),
         probability=-np.expm1(missed),

@@ -7,10 +7,10 @@ import numpy as np
 
 from planner.cover.answer import Cover
 from planner.cover.answer_of_columns import told
-from planner.cover.budget import DEFAULT_WORK, LARGE, LARGE_PACE, Budget, grown
+from planner.cover.budget import DEFAULT_EFFORT, LARGE, LARGE_PACE, Budget, scaled_effort
 from planner.cover.canonical import canonical
 from planner.cover.overlap import connected_cover
-from planner.cover.problem import Problem
+from planner.cover.problem import CoverProblem
 from planner.cover.solvers import SOLVERS, answer
 from planner.cover.targets import solve_parts
 from planner.errors import PlannerError
@@ -21,12 +21,12 @@ CANONICAL_WORK = 25
 
 
 def solve(
-    problem: Problem,
+    problem: CoverProblem,
     *,
     rng: np.random.Generator,
     solver: str = "auto",
     start: Ints | None = None,
-    budget: int | None = None,
+    effort_budget: int | None = None,
     time_limit_s: float | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Cover:
@@ -41,7 +41,7 @@ def solve(
         solver: a name in `SOLVERS`.
         start: (n,) columns of a choice to begin with, which need not meet what is asked for; others are left out where
             they may not be used. None, and where views have to hang together: the greedy choice.
-        budget: units of work for everything together (500 million are about a second of one core); None:
+        effort_budget: units of work for everything together (500 million are about a second of one core); None:
             `DEFAULT_WORK`, `grown` with the matrix where there are no targets for parts and no weights.
         time_limit_s: wall-clock guard [s]; reported in the status when it fires.
         clock: seconds, for the guard.
@@ -51,19 +51,21 @@ def solve(
     """
     if solver not in SOLVERS:
         raise PlannerError(f"there is no solver {solver!r}; choose one of {', '.join(SOLVERS)}")
-    if problem.part_coverage or problem.weights is not None:
+    if problem.region_coverage or problem.weights is not None:
         since = clock()
 
-        def ask(single: Problem, share: float) -> Cover:
+        def ask(single: CoverProblem, share: float) -> Cover:
             left = None if time_limit_s is None else max(time_limit_s - (clock() - since), 0.0)
-            work = int(share * (DEFAULT_WORK if budget is None else budget))
-            return solve(single, rng=rng, solver=solver, start=start, budget=work, time_limit_s=left, clock=clock)
+            work = int(share * (DEFAULT_EFFORT if effort_budget is None else effort_budget))
+            return solve(
+                single, rng=rng, solver=solver, start=start, effort_budget=work, time_limit_s=left, clock=clock
+            )
 
         return solve_parts(problem, ask, start)
-    work = Budget(DEFAULT_WORK if budget is None else budget, time_limit_s, clock)
+    work = Budget(DEFAULT_EFFORT if effort_budget is None else effort_budget, time_limit_s, clock)
     found = canonical(problem)
-    if budget is None:
-        work.limit = grown(work.limit, found.whole.n_entries)
+    if effort_budget is None:
+        work.limit = scaled_effort(work.limit, found.whole.n_entries)
     work.pace = LARGE_PACE if found.whole.n_entries > LARGE else 1.0
     work.spend(CANONICAL_WORK * found.whole.n_entries)
     if len(found.rest.adjacent):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.cover.bound import Relaxation
-from planner.cover.budget import WORK_PER_SECOND, Budget
+from planner.cover.budget import EFFORT_PER_SECOND, Budget
 from planner.cover.greedy import complete, greedy, prune
 from planner.cover.meta_raps import meta_raps
 from planner.cover.reductions import Reduction, reduce
@@ -28,7 +28,7 @@ EARLY_SHARE, EARLY_CHUNKS = 0.15, 4
 """`auto` begins with a search on the problem as it is: with at most this share, and until it finds nothing better in so
 many chunks of work."""
 
-SCARCE, SCARCE_PER_ENTRY, SCARCE_SHARE = WORK_PER_SECOND // 2, 100, 0.6
+SCARCE, SCARCE_PER_ENTRY, SCARCE_SHARE = EFFORT_PER_SECOND // 2, 100, 0.6
 """With no more work left than this, or than this for each entry (which reductions take), hardly anything can be proven:
 the share of the first search then, which goes to its end."""
 

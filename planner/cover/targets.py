@@ -23,11 +23,11 @@ import numpy as np
 from planner.cover.answer import Cover, CoverStatus
 from planner.cover.answer_of_columns import retold
 from planner.cover.canonical import canonical
-from planner.cover.problem import Problem
+from planner.cover.problem import CoverProblem
 from planner.errors import PlannerError
 from planner.values import Bools, Floats, Ints
 
-Ask = Callable[[Problem, float], Cover]
+Ask = Callable[[CoverProblem, float], Cover]
 """Answers a problem with one target, with a share of the work that there is."""
 
 _ROUNDS = 5  # in which parts gain weight; few instances change after three
@@ -36,11 +36,11 @@ _LOOK, _LAST = 0.1, 0.5  # of the work: for each look, and for the weights that 
 _SLACK = 1e-9  # relative, when a target counts as met
 
 
-def solve_parts(problem: Problem, ask: Ask, start: Ints | None = None) -> Cover:
+def solve_parts(problem: CoverProblem, ask: Ask, start: Ints | None = None) -> Cover:
     """Answer a problem with targets for parts, or with weights.
 
     Args:
-        problem: with `part_coverage` or `weights`.
+        problem: with `region_coverage` or `weights`.
         ask: answers one with one target.
         start: (n,) columns of a choice that is taken where it meets every target and none that was found costs less.
 
@@ -85,21 +85,23 @@ def solve_parts(problem: Problem, ask: Ask, start: Ints | None = None) -> Cover:
 class _Parts:
     """The rows of a problem by their parts."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: CoverProblem) -> None:
         areas = np.array(problem.areas, dtype=np.float64)
         self.worth: Floats = np.array(areas if problem.weights is None else problem.weights, dtype=np.float64)
-        self.coverage = np.array(problem.part_coverage, dtype=np.float64)
-        self.part: Ints = np.zeros(len(areas), np.int64) if problem.part is None else np.array(problem.part, np.int64)
+        self.coverage = np.array(problem.region_coverage, dtype=np.float64)
+        self.part: Ints = (
+            np.zeros(len(areas), np.int64) if problem.region is None else np.array(problem.region, np.int64)
+        )
         if self.worth.shape != areas.shape or not (np.isfinite(self.worth) & (self.worth >= 0)).all():
             raise PlannerError(f"weights must be {len(areas)} finite numbers, zero or above, one for each row")
         count = max(len(self.coverage), 1)
         if self.part.shape != areas.shape or not 0 <= self.part.min(initial=0) <= self.part.max(initial=0) < count:
             raise PlannerError(f"part must give each of {len(areas)} rows a part from 0 to {count - 1}")
         if not ((self.coverage >= 0) & (self.coverage <= 1)).all():
-            raise PlannerError("each of part_coverage is a share of what is coverable and must be from 0 to 1")
+            raise PlannerError("each of region_coverage is a share of what is coverable and must be from 0 to 1")
         self.problem = replace(problem, pinned=list(problem.pinned), banned=list(problem.banned))
         self._nominal = canonical(
-            replace(self.problem, coverage=0.0, max_views=None, weights=None, part=None, part_coverage=())
+            replace(self.problem, coverage=0.0, max_views=None, weights=None, region=None, region_coverage=())
         )
         self.slack = (1 - self.coverage) * self._by_part(np.ones(self._nominal.whole.n_rows, dtype=bool))
 
@@ -136,13 +138,13 @@ class _Parts:
         costs = self.problem.costs
         return len(views) if costs is None else float(np.asarray(costs, dtype=np.float64)[views].sum())
 
-    def surrogate(self, u: Floats, most: float) -> Problem:
+    def surrogate(self, u: Floats, most: float) -> CoverProblem:
         """The problem with one target: sum_g u_g open_g / slack_g <= most, and nothing open where there is no slack."""
         scale = np.divide(u, self.slack, out=np.zeros(len(u)), where=self.slack > 0)
         weight = np.where((self.slack > 0)[self.part], scale[self.part] * self.worth, 2.0)
         whole = float(weight[self._nominal.rows].sum())
         coverage = max(1.0 - most / whole, 0.0) if whole > 0 and (self.slack > 0).any() else 1.0
-        return replace(self.problem, areas=weight, coverage=coverage, weights=None, part=None, part_coverage=())
+        return replace(self.problem, areas=weight, coverage=coverage, weights=None, region=None, region_coverage=())
 
     def told(self, found: Cover, views: Ints) -> Cover:
         """The answer in areas, the view that satisfies the largest area first."""
@@ -159,11 +161,11 @@ def _with_bounds(parts: _Parts, found: Cover, bounds: list[Cover]) -> Cover:
     told = parts.told(found, views)
     least = min(max(each.lower_bound for each in bounds), len(views))
     price = None
-    if found.price is not None:
+    if found.cost_and_bound is not None:
         paid = parts.cost(views)
         price = (paid, min(max(each.cost_bound for each in bounds), paid))
     proven = least == len(views) if price is None else price[1] >= price[0] * (1 - 1e-9)
     ended = [each.status for each in bounds if each.status in (CoverStatus.INTERRUPTED, CoverStatus.TIME_LIMITED)]
     status = CoverStatus.PROVEN if proven else ended[0] if ended else CoverStatus.BOUNDED
-    work = sum(each.work for each in bounds)
-    return replace(told, lower_bound=least, price=price, status=status, work=work)
+    work = sum(each.effort for each in bounds)
+    return replace(told, lower_bound=least, cost_and_bound=price, status=status, effort=work)

@@ -16,13 +16,13 @@ from planner.values import Bools, Floats, Ints, Value
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-MOST_TRIES = 2
+MAX_TRIES = 2
 """Tries beyond this many are as this many."""
 
 REACHES = (1.1, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Distances from the nearest measured voxel between the classes [edges of a voxel]; the first is of gaps in it."""
 
-_PRIOR = 0.5 * 0.5 ** np.arange(MOST_TRIES + 1)[:, None] * 0.7 ** np.maximum(np.arange(len(REACHES) + 1) - 1, 0)
+_PRIOR = 0.5 * 0.5 ** np.arange(MAX_TRIES + 1)[:, None] * 0.7 ** np.maximum(np.arange(len(REACHES) + 1) - 1, 0)
 """Probability before anything is known of it: halved with each try, less by a third with each class of distance ..."""
 
 _WORTH = 0.01
@@ -35,12 +35,12 @@ _BETWEEN = 0.2
 """Share of its probability that surface between points of neighbouring rays has: most of it is measured already."""
 
 
-LATEST = 4
+N_LATEST_BATCHES = 4
 """Batches of which the last are asked how much came: what is left then is of another kind than what was first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Open(Value):
+class OpenSamples(Value):
     """Which class open samples of a believed surface are of.
 
     Attributes:
@@ -50,17 +50,17 @@ class Open(Value):
     """
 
     tries: Annotated[Ints, "N"]
-    beside: Annotated[Floats, "N"]
+    distance_edges: Annotated[Floats, "N"]
     between: Annotated[Bools, "N"]
 
     @property
     def classes(self) -> tuple[Ints, Ints]:
         """(N,) row and column of each in tables by class."""
-        return np.minimum(self.tries, MOST_TRIES), np.digitize(self.beside, REACHES)
+        return np.minimum(self.tries, MAX_TRIES), np.digitize(self.distance_edges, REACHES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Record(Value):
+class GainRecord(Value):
     """What became of what was open where views should have measured it, by class.
 
     Attributes:
@@ -72,11 +72,11 @@ class Record(Value):
     found: Annotated[Floats, "T R"]
 
     @classmethod
-    def empty(cls) -> "Record":
+    def empty(cls) -> "GainRecord":
         """Before anything was executed."""
         return cls(np.zeros(_PRIOR.shape), np.zeros(_PRIOR.shape))
 
-    def with_stage(self, still_open: Open, shares: Floats, found: Floats) -> "Record":
+    def with_batch(self, still_open: OpenSamples, shares: Floats, found: Floats) -> "GainRecord":
         """With a stage more; what lies between neighbouring rays says nothing of what was not seen.
 
         Args:
@@ -89,13 +89,13 @@ class Record(Value):
         np.add.at(came, still_open.classes, shares * found)
         return replace(self, expected=expected, found=came)
 
-    def weights(self, still_open: Open) -> Floats:
+    def weights(self, still_open: OpenSamples) -> Floats:
         """(N,) probability that a view which should measure each finds something: the share that did, and the prior."""
         learned = ((self.found + _WORTH * _PRIOR) / (self.expected + _WORTH))[still_open.classes]
         return np.where(still_open.between, _BETWEEN * learned, learned)
 
 
-def came(batches: Sequence[tuple[float, float]]) -> float:
+def gain_ratio(batches: Sequence[tuple[float, float]]) -> float:
     """How many times as much as expected comes: the median of the latest batches, and of one more that brought it.
 
     Args:
@@ -103,10 +103,10 @@ def came(batches: Sequence[tuple[float, float]]) -> float:
             does not count.
     """
     ratios = [measured / expected for expected, measured in batches if expected > 0]
-    return float(np.median([1.0, *ratios[-LATEST:]]))
+    return float(np.median([1.0, *ratios[-N_LATEST_BATCHES:]]))
 
 
-def most_per_second(
+def select_by_gain_per_second(
     measured: "csr_array", areas: Floats, seconds: Floats, usable: Bools, count: int, least: float = 0.0
 ) -> Ints:
     """Up to `count` views, each with the most open area per second after those before it; ties go to the smaller.

@@ -28,7 +28,7 @@ from scipy.spatial import cKDTree
 
 from planner.errors import PlannerError
 from planner.explore.cubes import first_in_cubes
-from planner.explore.gain import Open
+from planner.explore.gain import OpenSamples
 from planner.values import Bools, Floats, Ints, Value
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
@@ -86,7 +86,7 @@ class VoxelSpace(Value):
     height: float
 
     @classmethod
-    def of_cylinder(cls, radius: float, height: float, edge: float, spacing: float) -> "VoxelSpace":
+    def from_cylinder(cls, radius: float, height: float, edge: float, spacing: float) -> "VoxelSpace":
         """All unknown.
 
         Args:
@@ -117,7 +117,7 @@ class VoxelSpace(Value):
         return np.asarray(self.low + self.edge * (np.argwhere(chosen) + 0.5))
 
     @property
-    def never_entered(self) -> float:
+    def unseen_volume(self) -> float:
         """Volume that no leg crossed and no point lies in [m^3]: the part's inside, solid or hollow, and what hides."""
         return float((self.state == UNKNOWN).sum() * self.edge**3)
 
@@ -126,17 +126,17 @@ class VoxelSpace(Value):
         beyond = np.hypot(points[:, 0], points[:, 1]) > self.radius + self.edge
         return np.asarray(beyond | (np.abs(points[:, 2]) > self.height / 2 + self.edge))
 
-    def at(self, points: Floats, values: NDArray[np.generic]) -> NDArray[np.generic]:
+    def values_at(self, points: Floats, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """(N,) the value of an (X, Y, Z) array at each of the points (N, 3) [m]; beyond the grid that of its border."""
         found: NDArray[np.generic] = values[tuple(self._place(points).T)]
         return found
 
     @property
-    def possible(self) -> Bools:
+    def maybe_part(self) -> Bools:
         """(X, Y, Z) where the part may be: hit, or neither crossed nor voted down."""
         return np.asarray((self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0)))
 
-    def seen_from(self, points: Floats, stands: Sequence[Floats]) -> "VoxelSpace":
+    def with_points(self, points: Floats, stands: Sequence[Floats]) -> "VoxelSpace":
         """With the points of one view, and its legs.
 
         Args:
@@ -155,11 +155,11 @@ class VoxelSpace(Value):
         state[tuple(self._place(within).T)] = OCCUPIED
         return replace(self, state=state, points=self._thinned(np.concatenate([self.points, within])))
 
-    def joined(self, places: Floats) -> "VoxelSpace":
+    def with_surface_between(self, places: Floats) -> "VoxelSpace":
         """With (N, 3) places between points of neighbouring rays of one view, on one surface with them [m]."""
         return replace(self, between=self._thinned(np.concatenate([self.between, places[~self.outside(places)]])))
 
-    def judged_from(
+    def with_votes(
         self, points: Floats, source: Floats, sensor: Floats, blank: Floats, near: float, far: float
     ) -> "VoxelSpace":
         """With the votes of one view; what points hide from the sensor would not have come back.
@@ -176,11 +176,11 @@ class VoxelSpace(Value):
             far: to where they would have [m].
         """
         behind, hidden = (self._behind(points, stand, far) for stand in (source, sensor))
-        blank = blank[self.clear(source, blank, near)]
+        blank = blank[self.is_ray_clear(source, blank, near)]
         through = self._crossed(source + near * blank, source + far * blank)
         return replace(self, votes=self.votes + _BLANK * (through & ~behind & ~hidden) - behind)
 
-    def clear(self, source: Floats, rays: Floats, length: float) -> Bools:
+    def is_ray_clear(self, source: Floats, rays: Floats, length: float) -> Bools:
         """(N,) along which rays nothing that may be the part's stands so far from their source.
 
         Args:
@@ -188,20 +188,20 @@ class VoxelSpace(Value):
             rays: (N, 3) unit vectors.
             length: [m].
         """
-        clear, possible = np.arange(len(rays)), self.possible
+        clear, possible = np.arange(len(rays)), self.maybe_part
         outside = np.linalg.norm(source) - np.linalg.norm(self.low)  # as far no ray is in the grid
         for distance in np.arange(0.0, length, _LOOKED * self.edge):
             if distance < outside:
                 continue
-            clear = clear[~self.at(source + distance * rays[clear], possible).astype(np.bool_)]
+            clear = clear[~self.values_at(source + distance * rays[clear], possible).astype(np.bool_)]
         return np.isin(np.arange(len(rays)), clear)
 
-    def contradicted(self, points: Floats) -> float:
+    def contradicted_share(self, points: Floats) -> float:
         """Share of points (N, 3) [m] in space that is free, all its neighbours too: what moved has such points."""
         far = ~ndimage.binary_dilation(self.state != FREE, _ALL_ROUND)
-        return float(self.at(points, far & self._within(0.0)).mean()) if len(points) else 0.0
+        return float(self.values_at(points, far & self._within(0.0)).mean()) if len(points) else 0.0
 
-    def believed(self, *, whole: bool = False) -> Bools:
+    def belief_voxels(self, *, unlimited: bool = False) -> Bools:
         """(X, Y, Z) where the part is believed to be: not free, not voted down, in one piece with a point of it.
 
         A part, or each body of it, that was hit hangs together; what hangs together with nothing that was hit is space
@@ -209,12 +209,12 @@ class VoxelSpace(Value):
         space no leg enters it. Before the first point it is the middle of the cylinder, `_LIKELY`, two voxels at least.
 
         Args:
-            whole: however far it is from what was measured: where the part may be at most.
+            unlimited: however far it is from what was measured: where the part may be at most.
         """
         if not (self.state == OCCUPIED).any():
             return self._cylinder(*(max(_LIKELY * half, self.edge) for half in (self.radius, self.height / 2)))
-        solid = self.possible
-        if not whole:
+        solid = self.maybe_part
+        if not unlimited:
             about = ndimage.maximum_filter((self.state == OCCUPIED).view(np.uint8), 2 * _BOX + 1)
             solid &= ndimage.binary_dilation(about, iterations=_STEPS)
         labels, count = ndimage.label(solid, _ALL_ROUND)
@@ -222,7 +222,7 @@ class VoxelSpace(Value):
         hit[labels[self.state == OCCUPIED]] = True
         return np.asarray(ndimage.binary_fill_holes(hit[labels]) & (self.state != FREE))
 
-    def seen(self, points: Floats, normals: Floats) -> Bools:
+    def is_measured(self, points: Floats, normals: Floats) -> Bools:
         """(N,) which points of a believed surface have a measured point beside them, looked at along their normals.
 
         Args:
@@ -231,26 +231,26 @@ class VoxelSpace(Value):
         """
         return self._beside(self.points, points, normals)
 
-    def near(self, points: Floats) -> Bools:
+    def is_near_measured(self, points: Floats) -> Bools:
         """(N,) which points (N, 3) [m] are at most an edge from a measured one."""
         tree = cKDTree(self.points, balanced_tree=False, compact_nodes=False)  # builds faster than it is asked
         return np.isfinite(tree.query(points, distance_upper_bound=self.edge)[0])
 
-    def seen_since(self, before: "VoxelSpace", points: Floats, normals: Floats) -> tuple[Bools, Bools]:
+    def measured_since(self, before: "VoxelSpace", points: Floats, normals: Floats) -> tuple[Bools, Bools]:
         """(N,) what is seen, and what of it was not `before`, of which this is what followed; `points` as in `seen`."""
-        seen, new = self.seen(points, normals), np.zeros(len(points), dtype=np.bool_)
+        seen, new = self.is_measured(points, normals), np.zeros(len(points), dtype=np.bool_)
         added = cKDTree(self.points[len(before.points) :])
         near = np.isfinite(added.query(points[seen], distance_upper_bound=self._farthest)[0])
         some = np.flatnonzero(seen)[near]  # without a point more beside it nothing is new
-        new[some] = ~before.seen(points[some], normals[some])
+        new[some] = ~before.is_measured(points[some], normals[some])
         return seen, new
 
-    def fresh(self, points: Floats) -> Bools:
+    def is_new(self, points: Floats) -> Bools:
         """(N,) which points (N, 3) of a view [m] lie in a gap between those that were measured before, or beyond."""
         near = cKDTree(self.points).query(points, distance_upper_bound=self.gap)[0]
         return np.asarray(~np.isfinite(near))
 
-    def open_still(self, points: Floats, normals: Floats) -> Bools:
+    def is_still_open(self, points: Floats, normals: Floats) -> Bools:
         """(N,) which points of an earlier believed surface are neither seen nor free.
 
         Args:
@@ -258,22 +258,24 @@ class VoxelSpace(Value):
             normals: (N, 3) outward unit normals.
         """
         inside = points - self.edge * normals
-        return np.asarray(~self.seen(points, normals) & (self.at(inside, self.state) != FREE), dtype=np.bool_)
+        return np.asarray(
+            ~self.is_measured(points, normals) & (self.values_at(inside, self.state) != FREE), dtype=np.bool_
+        )
 
-    def tried(self, points: Floats) -> "VoxelSpace":
+    def with_tries(self, points: Floats) -> "VoxelSpace":
         """With one more try for the voxels of points (N, 3) [m], each voxel once."""
         tries = np.array(self.tries)
         place = tuple(np.unique(self._place(points), axis=0).T)
         tries[place] = np.minimum(tries[place].astype(np.int64) + 1, 255).astype(np.uint8)
         return replace(self, tries=tries)
 
-    def open_at(self, points: Floats, normals: Floats) -> Open:
+    def open_samples_at(self, points: Floats, normals: Floats) -> OpenSamples:
         """What class points of a believed surface are of, as in `seen`; tries within two voxels are of one patch."""
         measured = self.centres(self.state == OCCUPIED)
         beside = cKDTree(measured).query(points)[0] / self.edge if len(measured) else np.full(len(points), np.inf)
-        tries = self.at(points, ndimage.maximum_filter(self.tries, 5))
+        tries = self.values_at(points, ndimage.maximum_filter(self.tries, 5))
         between = self._beside(self.between, points, normals)
-        return Open(np.asarray(tries, dtype=np.int64), np.asarray(beside), between)
+        return OpenSamples(np.asarray(tries, dtype=np.int64), np.asarray(beside), between)
 
     def _beside(self, known: Floats, points: Floats, normals: Floats) -> Bools:
         """(N,) whether one of the `known` places (P, 3) next to each is within a gap of its normal."""

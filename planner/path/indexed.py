@@ -1,7 +1,7 @@
 """An indexed table: it turns only while the arm stands still, clear of everything that it turns at any angle.
 
-`JointLimits.turns_at` asks for it. Every move is then one of the arm or one of the table, and where the table moves,
-its whole range is certified free for the arm's posture: whoever turns the table need not know where to.
+`JointLimits.q_table_turn` asks for it. Every move is then one of the arm or one of the table, and where the table
+moves, its whole range is certified free for the arm's posture: whoever turns the table need not know where to.
 """
 
 from dataclasses import replace
@@ -66,7 +66,7 @@ def find_violation(via: Floats, checker: CollisionChecker, limits: JointLimits) 
     Args:
         via: (N, axes) via points [rad].
         checker: of the cell.
-        limits: with or without `turns_at`.
+        limits: with or without `q_table_turn`.
     """
     if limits.table_turn_q is None:
         return ""

@@ -109,7 +109,7 @@ def _searched(
 def _indexed(
     ends: Floats, checker: CollisionChecker, limits: JointLimits, rng: np.random.Generator, budget: int
 ) -> PathResult:
-    """Arm, table and arm between free ends (2, axes) [rad]: the table turns at a clear end, or at `turns_at`."""
+    """Arm, table and arm between free ends (2, axes) [rad]: the table turns at a clear end, or at `q_table_turn`."""
     if np.array_equal(ends[0, ARM_AXES:], ends[1, ARM_AXES:]):
         return _searched(ends, checker, indexed.fix_table(limits, ends[0]), rng, budget)
     assert limits.table_turn_q is not None, "asked for"

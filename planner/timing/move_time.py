@@ -41,8 +41,8 @@ def move_time(q_from: ArrayLike, q_to: ArrayLike, limits: JointLimits) -> Floats
         limits: limits of velocity, acceleration and jerk.
 
     Returns:
-        (...) time [s]; 0 where both ends are equal. Of arm and table one after the other where `limits.turns_at` says
-        so: no way that keeps to it is faster.
+        (...) time [s]; 0 where both ends are equal. Of arm and table one after the other where `limits.q_table_turn`
+        says so: no way that keeps to it is faster.
     """
     a, b = np.asarray(q_from, dtype=float), np.asarray(q_to, dtype=float)
     if limits.table_turn_q is not None:

@@ -27,7 +27,7 @@ class Reason(Worded):
     NOT_SELECTED = 50, "reachable view not selected"
 
 
-OF_VERDICT = {
+REASON_OF_VERDICT = {
     Verdict.REACHABLE: Reason.NOT_SELECTED,
     Verdict.OUT_OF_REACH: Reason.OUT_OF_REACH,
     Verdict.JOINT_LIMIT: Reason.JOINT_LIMIT,

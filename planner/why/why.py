@@ -234,7 +234,7 @@ def _with_angles(
     return Diagnosis(reason, pose, _angle(normals, source), _angle(normals, sensor), distance)
 
 
-def names_in_the_way(
+def occluders_of(
     targets: RayTargets, rows: Ints, diagnosis: Diagnosis, viewpoints: Viewpoints, scanner: Scanner,
     occluders: Mapping[str, RayCaster],
 ) -> list[str]:  # fmt: skip

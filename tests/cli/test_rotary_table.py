@@ -257,7 +257,7 @@ def test_as_much_as_without_a_table_takes_never_more_views(planned: Path, turned
     for share in (0.5, 0.8, 0.9, 0.95, 0.99, 1.0):
         fixed, table = (
             cover.solve(
-                cover.Problem(M.matrix(), areas, may, coverage=share * coverable[0] / can),
+                cover.CoverProblem(M.matrix(), areas, may, coverage=share * coverable[0] / can),
                 rng=np.random.default_rng(0), solver="exact",
             )
             for M, may, can in zip(matrices, usable, coverable, strict=True)

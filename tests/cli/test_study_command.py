@@ -12,7 +12,7 @@ import pytest
 
 from cell.study.tables import TOLERANCE_POINTS
 from cell.study.trial import Outcome, Trial, compute
-from planner.cover import DEFAULT_WORK, solve
+from planner.cover import DEFAULT_EFFORT, solve
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -53,7 +53,7 @@ def table(run_cell: Run, made_once: Callable[..., Path], drawn: Callable[[], Abs
 
     def make(folder: Path) -> None:
         with drawn(), pytest.MonkeyPatch.context() as patch:
-            patch.setattr(solve, "__kwdefaults__", {**solve.__kwdefaults__, "budget": DEFAULT_WORK // 60})
+            patch.setattr(solve, "__kwdefaults__", {**solve.__kwdefaults__, "budget": DEFAULT_EFFORT // 60})
             done = run_cell(*_TABLE, "--out", "table", cwd=folder)
         assert done.returncode == 0, done.stderr
         assert "4 trials computed now" in done.stdout

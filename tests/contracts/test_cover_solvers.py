@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from planner.cover import SOLVERS, CoverStatus, Problem, solve
+from planner.cover import SOLVERS, CoverProblem, CoverStatus, solve
 from planner.cover.answer_of_columns import PRICE_ROUNDING
 from planner.cover.budget import Budget
 
@@ -20,9 +20,9 @@ def instance(seed, n_rows=60, n_columns=40, density=0.1):
 
 def run(M, areas, solver, coverage=1.0, seed=5, **options):
     """Solve with a fresh generator and the tests' budget; options go to the problem or to `solve`."""
-    told = {name: options.pop(name) for name in ("budget", "time_limit_s", "clock", "start") if name in options}
-    problem = Problem(M, areas, coverage=coverage, **options)
-    return solve(problem, rng=np.random.default_rng(seed), solver=solver, **{"budget": WORK} | told)
+    told = {name: options.pop(name) for name in ("effort_budget", "time_limit_s", "clock", "start") if name in options}
+    problem = CoverProblem(M, areas, coverage=coverage, **options)
+    return solve(problem, rng=np.random.default_rng(seed), solver=solver, **{"effort_budget": WORK} | told)
 
 
 def covered_share(M, areas, views, multiplicity=1):
@@ -66,7 +66,7 @@ def test_covers_several_times_and_needs_every_view(solver, coverage, multiplicit
         rest = np.setdiff1d(result.views, view)
         assert covered_share(M, areas, rest, multiplicity) < coverage - (1e-12 if coverage == 1.0 else 0.0)
     per_row = M.sum(axis=1)
-    np.testing.assert_array_equal(result.short_rows, np.flatnonzero((per_row > 0) & (per_row < multiplicity)))
+    np.testing.assert_array_equal(result.unsatisfiable_rows, np.flatnonzero((per_row > 0) & (per_row < multiplicity)))
     assert result.demand == multiplicity
     assert result.lower_bound <= len(result.views)
 
@@ -117,8 +117,8 @@ def test_bound_is_not_above_the_plan(solver, coverage):
         assert result.gap == pytest.approx(
             1 - result.lower_bound / max(len(result.views), 1) if len(result.views) else 0
         )
-        if result.excess:
-            assert f"at most {result.excess} view" in result.sentence
+        if result.excess_views:
+            assert f"at most {result.excess_views} view" in result.sentence
 
 
 @pytest.mark.parametrize("coverage", [0.9, 1.0])
@@ -127,7 +127,7 @@ def test_same_seed_same_plan(solver, coverage):
     M, areas = instance(8)
     first, second = (run(M, areas, solver, coverage) for _ in range(2))
     np.testing.assert_array_equal(first.views, second.views)
-    assert (first.lower_bound, first.work, first.status) == (second.lower_bound, second.work, second.status)
+    assert (first.lower_bound, first.effort, first.status) == (second.lower_bound, second.effort, second.status)
 
 
 @pytest.mark.parametrize("coverage", [0.9, 1.0])
@@ -188,7 +188,7 @@ def test_clock_guard_stops_the_search_and_says_so(solver):
     """A guard that has run out at once still gives a cover and a bound; a search that was cut says so."""
     M, areas = instance(4, 300, 200, 0.05)
     ticks = iter(np.arange(0, 1e6, 0.5))
-    result = run(M, areas, solver, time_limit_s=0.0, clock=lambda: float(next(ticks)), budget=10**12)
+    result = run(M, areas, solver, time_limit_s=0.0, clock=lambda: float(next(ticks)), effort_budget=10**12)
     assert (M[:, result.views].any(axis=1) == M.any(axis=1)).all()
     assert result.status is CoverStatus.TIME_LIMITED
     assert "time limit" in result.sentence
@@ -210,7 +210,7 @@ def test_ctrl_c_returns_the_best_cover_so_far(solver, monkeypatch):
 
     monkeypatch.setattr(Budget, "spend", interrupted)
     monkeypatch.setattr("planner.cover.search.CHUNK_WORK", 10_000)
-    result = run(M, areas, solver, budget=10**12)
+    result = run(M, areas, solver, effort_budget=10**12)
     assert (M[:, result.views].any(axis=1) == M.any(axis=1)).all()
     assert result.status is CoverStatus.INTERRUPTED
     assert "interrupted" in result.sentence
@@ -237,7 +237,7 @@ def test_a_kill_is_not_taken_for_a_wish_for_the_best_so_far(monkeypatch):
 def test_a_search_that_begins_with_a_choice_is_no_worse(solver, coverage, seed):
     """Whether the choice is a cover or not; what may not be used is left out; a best one stays as it is."""
     M, areas = instance(seed)
-    best = run(M, areas, "exact", coverage, budget=10 * WORK)
+    best = run(M, areas, "exact", coverage, effort_budget=10 * WORK)
     again = run(M, areas, solver, coverage, start=best.views)
     np.testing.assert_array_equal(np.sort(again.views), np.sort(best.views))
     for start in (best.views[:1], np.arange(M.shape[1]), np.zeros(0, dtype=np.int64)):

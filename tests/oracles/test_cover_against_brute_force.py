@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import LinearConstraint, linprog, milp
 
-from planner.cover import SOLVERS, CoverStatus, Problem, solve
+from planner.cover import SOLVERS, CoverProblem, CoverStatus, solve
 from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
@@ -46,7 +46,7 @@ def small(seed):
     n_columns = M.shape[1]
     costs = [None, rng.integers(1, 9, n_columns).astype(float), rng.uniform(1, 9, n_columns)][seed // 9 % 3]
     groups = {"group": rng.integers(0, 3, n_columns), "group_costs": rng.integers(0, 4, 3).astype(float)}
-    return Problem(
+    return CoverProblem(
         M,
         rng.integers(1, 6, len(M)).astype(float) if seed % 4 else rng.lognormal(0, 2, len(M)),
         coverage=[0.5, 0.9, 1.0][seed % 3],
@@ -63,7 +63,7 @@ def test_every_wish_against_all_subsets(solver):
     for seed in range(108):
         problem = small(seed)
         least = cheapest(problem)
-        result = solve(problem, rng=np.random.default_rng(0), solver=solver, budget=100_000_000)
+        result = solve(problem, rng=np.random.default_rng(0), solver=solver, effort_budget=100_000_000)
         assert result.cost_bound <= least * (1 + 1e-12) + 1e-12, seed
         assert least <= result.cost * (1 + 1e-12), seed
         if solver in ("auto", "exact"):
@@ -78,7 +78,7 @@ def test_no_budget_makes_a_bound_wrong(solver, budget):
     """However little work is allowed: bound <= cheapest <= cost."""
     for seed in range(108):
         problem = small(seed)
-        result = solve(problem, rng=np.random.default_rng(1), solver=solver, budget=budget)
+        result = solve(problem, rng=np.random.default_rng(1), solver=solver, effort_budget=budget)
         assert result.cost_bound <= cheapest(problem) * (1 + 1e-12) + 1e-12, seed
         assert cheapest(problem) <= result.cost * (1 + 1e-12), seed
 
@@ -120,7 +120,7 @@ def test_bound_is_the_linear_relaxation(coverage):
     """Row by row it comes within 1e-5 of the whole programme, and never above it."""
     for seed in range(3):
         M, areas = medium(seed)
-        sets = canonical(Problem(M, areas, coverage=coverage)).whole
+        sets = canonical(CoverProblem(M, areas, coverage=coverage)).whole
         bound = Relaxation(sets)
         raise_bound(bound, len(greedy(sets)[0]), Budget(10**9))
         assert relaxation(M, areas, coverage) * (1 - 1e-5) <= bound.dual <= relaxation(M, areas, coverage) + 1e-7
@@ -134,7 +134,7 @@ def test_fewest_equals_an_independent_integer_programme():
         fewest = round(milp(ones, integrality=ones, constraints=LinearConstraint(M.astype(float), lb=1)).fun)
         for solver in SOLVERS:
             budget = 10**9 if solver in ("auto", "exact") else 10**7
-            result = solve(Problem(M, areas), rng=np.random.default_rng(2), solver=solver, budget=budget)
+            result = solve(CoverProblem(M, areas), rng=np.random.default_rng(2), solver=solver, effort_budget=budget)
             assert result.lower_bound <= fewest <= len(result.views)
             if solver in ("auto", "exact"):
                 assert len(result.views) == result.lower_bound == fewest
@@ -150,7 +150,9 @@ def test_local_search_beats_greedy_where_greedy_is_known_to_fail():
     for column, size in enumerate(blocks, start=2):
         M[at : at + size, column] = M[n + at : n + at + size, column] = True
         at += size
-    sets = canonical(Problem(M, np.ones(2 * n))).whole
+    sets = canonical(CoverProblem(M, np.ones(2 * n))).whole
     assert len(greedy(sets)[0]) == 6
-    found = solve(Problem(M, np.ones(2 * n)), rng=np.random.default_rng(0), solver="local-search", budget=10**8)
+    found = solve(
+        CoverProblem(M, np.ones(2 * n)), rng=np.random.default_rng(0), solver="local-search", effort_budget=10**8
+    )
     assert len(found.views) == 2

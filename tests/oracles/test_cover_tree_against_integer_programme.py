@@ -12,7 +12,7 @@ from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
 from planner.cover.exact import close_gap
-from planner.cover.problem import Problem
+from planner.cover.problem import CoverProblem
 from planner.cover.sets import Sets
 from planner.cover.tree import TOUCH_WORK, search
 
@@ -37,7 +37,7 @@ def test_there_is_none_below_the_least_and_one_at_it(seed: int, asked: dict[str,
     rng = np.random.default_rng(seed)
     M = rng.random((90, 60)) < rng.uniform(0.06, 0.15)
     M[np.arange(90), rng.integers(0, 60, 90)] = True
-    sets = canonical(Problem(M, rng.uniform(0.5, 2.0, 90), **asked)).rest
+    sets = canonical(CoverProblem(M, rng.uniform(0.5, 2.0, 90), **asked)).rest
     optimum = least(sets)
     rows = np.ones(90, dtype=bool) if seed % 2 else Relaxation(sets).multipliers > 0
     rows[rng.integers(0, 90, 70)] &= seed % 2 == 1
@@ -61,7 +61,7 @@ def test_a_bound_on_areas_is_not_above_the_least_though_better_ones_are_found_on
     rng = np.random.default_rng(seed)
     M = rng.random((30, 9)) < rng.uniform(0.1, 0.3)
     areas = rng.uniform(0.5, 2.0, 30) if seed % 2 else 10.0 ** rng.uniform(-12, 6, 30)
-    sets = canonical(Problem(M, areas, max_views=1 + seed % 6)).rest
+    sets = canonical(CoverProblem(M, areas, max_views=1 + seed % 6)).rest
     every = range(sets.n_columns)
     optimum = min(sets.objective(np.array(some)) for some in combinations(every, min(sets.most, len(every))))
     budget, relaxation = Budget(10**9), Relaxation(sets)
@@ -77,7 +77,7 @@ def test_what_no_column_reaches_stays_open(seed: int) -> None:
     rng = np.random.default_rng(seed)
     M = rng.random((30, 14)) < 0.15
     areas = rng.uniform(0.5, 2.0, 30) if seed % 2 else 10.0 ** rng.uniform(-12, 6, 30)
-    sets = canonical(Problem(M, areas, coverage=(0.8, 0.6, 0.95, 0.5)[seed % 4])).rest
+    sets = canonical(CoverProblem(M, areas, coverage=(0.8, 0.6, 0.95, 0.5)[seed % 4])).rest
     columns = rng.random(sets.n_columns) < 0.8
     left = np.flatnonzero(columns).tolist()
     sizes = range(len(left) + 1)
@@ -102,7 +102,7 @@ def test_all_work_is_booked(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
     M = rng.random((90, 60)) < 0.1
     M[np.arange(90), rng.integers(0, 60, 90)] = True
-    sets = canonical(Problem(M, np.ones(90))).rest
+    sets = canonical(CoverProblem(M, np.ones(90))).rest
     budget = Budget(10**9)
     found, ended = search(sets, np.ones(90, dtype=bool), np.ones(sets.n_columns, dtype=bool), 11, budget)
     assert (found is None, ended) == (True, True)

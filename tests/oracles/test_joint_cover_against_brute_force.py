@@ -11,23 +11,23 @@ from scipy.sparse import csc_array
 from cell.setups import choices, fewest
 from cell.setups.fewest import Rows, fewest_setups
 from cell.setups.joint import JointCover, joint_cover, views_first
-from planner.cover import Overlap, Problem
+from planner.cover import CoverProblem, Overlap
 from planner.values import Bools
 
 ROWS = 14
 
 
-def _wish(rng: np.random.Generator, setups: int, columns: int) -> Problem:
+def _wish(rng: np.random.Generator, setups: int, columns: int) -> CoverProblem:
     """Columns of all set-ups, each of which measures other rows; nine of ten are usable."""
     dense = np.column_stack(
         [(rng.random((ROWS, columns)) < 0.3) & (rng.random(ROWS) < 0.6)[:, None] for _ in range(setups)]
     )
     areas = rng.integers(1, 4, ROWS).astype(float)
     group = np.repeat(np.arange(setups), columns)
-    return Problem(csc_array(dense), areas, allowed=rng.random(setups * columns) < 0.9, group=group)
+    return CoverProblem(csc_array(dense), areas, allowed=rng.random(setups * columns) < 0.9, group=group)
 
 
-def _best(wish: Problem, size: Callable[[list[int], Bools], tuple[float, ...] | None]) -> tuple[float, ...]:
+def _best(wish: CoverProblem, size: Callable[[list[int], Bools], tuple[float, ...] | None]) -> tuple[float, ...]:
     """The smallest size of all choices of usable columns; None is none. Told (S,) rows that have what they need."""
     dense, usable = wish.matrix.toarray(), np.flatnonzero(wish.allowed)
     need = np.minimum(dense[:, usable].sum(axis=1), wish.demand)
@@ -40,12 +40,12 @@ def _best(wish: Problem, size: Callable[[list[int], Bools], tuple[float, ...] | 
     return min(found)
 
 
-def _wanted(wish: Problem, target: float) -> float:
+def _wanted(wish: CoverProblem, target: float) -> float:
     dense = wish.matrix.toarray()[:, wish.allowed]
     return target * float(np.asarray(wish.areas)[dense.any(axis=1)].sum())
 
 
-def _checked(wish: Problem, found: JointCover) -> None:
+def _checked(wish: CoverProblem, found: JointCover) -> None:
     """The views are usable, contain the pinned ones, and cover what is said."""
     group, dense = np.asarray(wish.group), wish.matrix.toarray()
     columns = np.concatenate([np.flatnonzero(group == setup)[views] for setup, views in found.views.items()])
@@ -152,7 +152,7 @@ def test_the_most_area_with_so_many_views(seed: int) -> None:
 def test_parts_of_the_rows_have_targets_of_their_own(seed: int) -> None:
     """All of one part and half of the other, in the fewest set-ups; the bound on views is one."""
     rng = np.random.default_rng(120 + seed)
-    wish = replace(_wish(rng, 3, 4), part=np.arange(ROWS) % 2)
+    wish = replace(_wish(rng, 3, 4), region=np.arange(ROWS) % 2)
     targets, areas, group = np.array([1.0, 0.5]), np.asarray(wish.areas), np.asarray(wish.group)
     can = wish.matrix.toarray()[:, wish.allowed].any(axis=1)
     wanted = [float(share * areas[can & (np.arange(ROWS) % 2 == part)].sum()) for part, share in enumerate(targets)]
@@ -171,7 +171,7 @@ def test_parts_of_the_rows_have_targets_of_their_own(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_views_of_all_set_ups_hang_together(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """One chain of views that share a row, whichever set-up each is of; no bound is above the best."""
-    monkeypatch.setattr(choices.cover, "DEFAULT_WORK", choices.cover.DEFAULT_WORK // 10)  # for twelve columns
+    monkeypatch.setattr(choices.cover, "DEFAULT_EFFORT", choices.cover.DEFAULT_EFFORT // 10)  # for twelve columns
     monkeypatch.setattr(choices, "_BEST", 1)  # so that they are bounded together
     wish = replace(_wish(np.random.default_rng(160 + seed), 3, 4), overlap=Overlap(area=0.5))
     dense, group = wish.matrix.toarray(), np.asarray(wish.group)
@@ -268,7 +268,7 @@ def test_choices_of_set_ups_are_all_that_reach_the_area() -> None:
     """Against all subsets of the fewest; those that must be used are in each."""
     rng = np.random.default_rng(5)
     can, areas = rng.random((7, 60)) < 0.45, rng.random(60)
-    wish = Problem(csc_array(can.T), areas, allowed=np.ones(7, dtype=bool), group=np.arange(7))
+    wish = CoverProblem(csc_array(can.T), areas, allowed=np.ones(7, dtype=bool), group=np.arange(7))
     wanted = 0.9 * float(areas[can.any(axis=0)].sum())
     for must in ((), (3,)):
         count, members, every = fewest_setups(Rows(wish, np.array([0.9])), must, None)

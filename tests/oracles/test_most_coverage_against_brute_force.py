@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from planner.cover import CoverStatus, Problem, solve
+from planner.cover import CoverProblem, CoverStatus, solve
 from planner.cover.curve import coverage_curve
 
 
@@ -36,7 +36,9 @@ def test_the_most_area_is_found_and_proven(pins):
         pinned = np.random.default_rng(seed).choice(M.shape[1], min(pins, M.shape[1]), replace=False).tolist()
         for k in range(len(pinned), M.shape[1] + 2):
             found = solve(
-                Problem(M, areas, max_views=k, pinned=pinned), rng=np.random.default_rng(0), budget=20_000_000
+                CoverProblem(M, areas, max_views=k, pinned=pinned),
+                rng=np.random.default_rng(0),
+                effort_budget=20_000_000,
             )
             best = most(M, areas, k, pinned)
             assert found.covered_area == pytest.approx(best, rel=1e-9, abs=1e-12), (seed, k)
@@ -52,7 +54,7 @@ def test_the_curve_lies_between_a_selection_and_the_bound(budget):
     """At every k and budget: a real selection of k views <= the most possible <= the bound; the fewest follow."""
     for seed in range(30):
         M, areas = small(seed)
-        curve = coverage_curve(Problem(M, areas), rng=np.random.default_rng(0), budget=budget)
+        curve = coverage_curve(CoverProblem(M, areas), rng=np.random.default_rng(0), effort_budget=budget)
         best = [most(M, areas, int(k)) for k in curve.n_views]
         for views, k, area in zip(curve.views, curve.n_views, curve.covered_area, strict=True):
             assert len(views) == k
@@ -87,7 +89,7 @@ def test_one_set_of_multipliers_bounds_every_number_of_views_near_the_relaxation
     M = rng.random((150, 70)) < 0.12
     M = M[M.any(axis=1)]
     areas = rng.uniform(0.5, 2.0, len(M))
-    curve = coverage_curve(Problem(M, areas), rng=np.random.default_rng(0), budget=10**9)
+    curve = coverage_curve(CoverProblem(M, areas), rng=np.random.default_rng(0), effort_budget=10**9)
     for k in range(1, len(curve.views)):
         value = min(relaxation(M, areas, k), areas.sum())
         assert curve.covered_area[k] * (1 - 1e-9) <= curve.upper_area[k] <= value * (1 + 1e-6)
@@ -108,7 +110,7 @@ def test_search_beats_greedy_where_greedy_is_known_to_fail():
     M[4:16, 2] = True
     areas = np.ones(20)
     assert most_greedy(M, areas, 2) == 16
-    found = solve(Problem(M, areas, max_views=2), rng=np.random.default_rng(0))
+    found = solve(CoverProblem(M, areas, max_views=2), rng=np.random.default_rng(0))
     assert sorted(found.views.tolist()) == [0, 1]
     assert found.covered_area == found.coverable_area
 
@@ -120,7 +122,7 @@ def test_below_full_coverage_the_selection_profits_from_searching_by_area():
         M = rng.random((150, 60)) < 0.15
         M = M[M.any(axis=1)]
         areas = np.ones(len(M))
-        curve = coverage_curve(Problem(M, areas), rng=np.random.default_rng(0), budget=10_000_000)
+        curve = coverage_curve(CoverProblem(M, areas), rng=np.random.default_rng(0), effort_budget=10_000_000)
         suffices, possible = curve.fewest(0.9)
-        found = solve(Problem(M, areas, coverage=0.9), rng=np.random.default_rng(0), budget=10_000_000)
+        found = solve(CoverProblem(M, areas, coverage=0.9), rng=np.random.default_rng(0), effort_budget=10_000_000)
         assert possible <= len(found.views) <= suffices

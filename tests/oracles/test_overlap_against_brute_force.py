@@ -6,8 +6,8 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from planner.cover import Overlap, Problem, solve
-from planner.cover.overlap import connection
+from planner.cover import CoverProblem, Overlap, solve
+from planner.cover.overlap import overlap_graph
 
 
 def hangs_together(M, areas, views, overlap):
@@ -62,24 +62,24 @@ def test_the_fewest_that_hang_together_are_found(coverage, overlap):
     for seed in range(40):
         M, areas = small(seed)
         best = fewest(M, areas, coverage, overlap)
-        problem = Problem(M, areas, overlap=overlap, coverage=coverage)
-        found = solve(problem, rng=np.random.default_rng(0), budget=3_000_000)
-        how, views = connection(problem, found), found.views.tolist()
+        problem = CoverProblem(M, areas, overlap=overlap, coverage=coverage)
+        found = solve(problem, rng=np.random.default_rng(0), effort_budget=3_000_000)
+        how, views = overlap_graph(problem, found), found.views.tolist()
         covered, coverable = M[:, views].any(axis=1), M.any(axis=1)
         assert areas[covered].sum() >= coverage * areas[coverable].sum() - 1e-9
         if best is None:
             impossible += 1
-            assert not how.connected, seed
+            assert not how.is_connected, seed
             assert not hangs_together(M, areas, views, overlap)
-            assert len(set(how.part.tolist())) == len(how.part_area) > 1
+            assert len(set(how.component.tolist())) == len(how.component_area) > 1
             continue
         feasible += 1
-        assert how.connected
+        assert how.is_connected
         assert hangs_together(M, areas, views, overlap), seed
         assert found.lower_bound <= best == len(views), seed
-        priced += len(views) > found.unconnected_views
-        unconnected = solve(Problem(M, areas, coverage=coverage), rng=np.random.default_rng(0))
-        assert found.unconnected_views == len(unconnected.views)
+        priced += len(views) > found.n_views_without_overlap
+        unconnected = solve(CoverProblem(M, areas, coverage=coverage), rng=np.random.default_rng(0))
+        assert found.n_views_without_overlap == len(unconnected.views)
     assert min(feasible, priced, impossible) > 1  # the instances ask everything
 
 
@@ -91,7 +91,11 @@ def test_pinned_views_stay_and_hang_together():
         pinned = [int(np.random.default_rng(seed).integers(M.shape[1]))]
         overlap = Overlap(area=2.0)
         best = fewest(M, areas, 1.0, overlap, pinned)
-        found = solve(Problem(M, areas, overlap=overlap, pinned=pinned), rng=np.random.default_rng(0), budget=2_000_000)
+        found = solve(
+            CoverProblem(M, areas, overlap=overlap, pinned=pinned),
+            rng=np.random.default_rng(0),
+            effort_budget=2_000_000,
+        )
         assert set(pinned) <= set(found.views.tolist())
         if best is not None:
             asked += 1
@@ -107,7 +111,7 @@ def test_a_view_is_exchanged_where_adding_alone_would_cost_more():
     M[:7, 2] = M[6:, 3] = True  # the two that touch in row 6
     M[3:5, 4] = M[4:8, 5] = M[7:9, 6] = True  # a chain
     areas = np.ones(12)
-    found = solve(Problem(M, areas, overlap=Overlap(area=1.0)), rng=np.random.default_rng(0))
+    found = solve(CoverProblem(M, areas, overlap=Overlap(area=1.0)), rng=np.random.default_rng(0))
     assert len(found.views) == 2
-    assert found.unconnected_views == 2
+    assert found.n_views_without_overlap == 2
     assert hangs_together(M, areas, found.views.tolist(), Overlap(area=1.0))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from planner.cover import Problem, solve
+from planner.cover import CoverProblem, solve
 from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
-from planner.cover.robust import DEMAND, loads, robust_cover, views_for_promise
+from planner.cover.robust import DEMAND, loads, min_views_at_confidence, robust_cover
 from planner.cover.row_generation import raise_bound
 from planner.measurability.pose_ensemble import ProbabilityLayer, credited_probability
 
@@ -53,7 +53,11 @@ def test_the_fewest_that_keep_the_promise_are_found(alpha, coverage):
         M, layer, areas = small(seed)
         best = fewest(M, layer, areas, alpha, coverage)
         found = robust_cover(
-            Problem(M, areas, coverage=coverage), layer, alpha=alpha, rng=np.random.default_rng(0), budget=20_000_000
+            CoverProblem(M, areas, coverage=coverage),
+            layer,
+            alpha=alpha,
+            rng=np.random.default_rng(0),
+            effort_budget=20_000_000,
         )
         kept = missed(M, layer, found.cover.views) <= alpha * (1 + 1e-9)
         possible = missed(M, layer, list(range(M.shape[1]))) <= alpha * (1 + 1e-9)
@@ -72,7 +76,11 @@ def test_pinned_views_enter_the_optimum():
         M, layer, areas = small(seed)
         pinned = [seed % M.shape[1]]
         found = robust_cover(
-            Problem(M, areas, pinned=pinned), layer, alpha=0.05, rng=np.random.default_rng(0), budget=20_000_000
+            CoverProblem(M, areas, pinned=pinned),
+            layer,
+            alpha=0.05,
+            rng=np.random.default_rng(0),
+            effort_budget=20_000_000,
         )
         best = fewest(M, layer, areas, 0.05, 1.0, pinned)
         assert set(pinned) <= set(found.cover.views.tolist())
@@ -85,7 +93,7 @@ def test_two_views_together_promise_what_the_closed_form_says():
     layer = ProbabilityLayer(M.indptr, M.indices, np.array([8, 16]), 32)
     together = 1 - (24.5 / 33) * (16.5 / 33)
     for alpha, possible in ((1 - together + 1e-4, True), (1 - together - 1e-4, False)):
-        found = robust_cover(Problem(M, [1.0]), layer, alpha=alpha, rng=np.random.default_rng(0))
+        found = robust_cover(CoverProblem(M, [1.0]), layer, alpha=alpha, rng=np.random.default_rng(0))
         assert (found.robust_coverable_area > 0) == possible
         assert len(found.cover.views) == (2 if possible else 0)
         if possible:
@@ -95,7 +103,7 @@ def test_two_views_together_promise_what_the_closed_form_says():
 @pytest.mark.parametrize(("alpha", "members", "views"), [(0.05, 32, 1), (0.01, 32, 2), (0.001, 32, 2), (1e-4, 32, 3)])
 def test_how_many_sure_views_a_promise_needs(alpha, members, views):
     """The credit of a view is capped: 32 hits of 32 give 1 - 0.5 / 33, and its powers say how many are needed."""
-    assert views_for_promise(alpha, members) == views
+    assert min_views_at_confidence(alpha, members) == views
     assert (0.5 / 33) ** views <= alpha < (0.5 / 33) ** (views - 1)
 
 
@@ -106,8 +114,10 @@ def test_exact_poses_give_the_nominal_plan_to_the_bit():
     areas = rng.uniform(1, 2, 60)
     certain = ProbabilityLayer(M.indptr, M.indices, np.zeros(M.nnz, dtype=int), 0)
     for coverage in (0.9, 1.0):
-        robust = robust_cover(Problem(M, areas, coverage=coverage), certain, alpha=0.01, rng=np.random.default_rng(7))
-        plain = solve(Problem(M, areas, coverage=coverage), rng=np.random.default_rng(7))
+        robust = robust_cover(
+            CoverProblem(M, areas, coverage=coverage), certain, alpha=0.01, rng=np.random.default_rng(7)
+        )
+        plain = solve(CoverProblem(M, areas, coverage=coverage), rng=np.random.default_rng(7))
         for name in ("views", "marginal_area"):
             np.testing.assert_array_equal(getattr(robust.cover, name), getattr(plain, name))
         assert (robust.cover.lower_bound, robust.cover.status) == (plain.lower_bound, plain.status)
@@ -119,7 +129,7 @@ def test_the_promise_holds_when_the_layer_is_the_truth():
     """Entries drawn with the credited probabilities 4,000 times: misses are at most alpha, within 4 sigma."""
     M, layer, areas = small(11)
     alpha = 0.1
-    found = robust_cover(Problem(M, areas), layer, alpha=alpha, rng=np.random.default_rng(0))
+    found = robust_cover(CoverProblem(M, areas), layer, alpha=alpha, rng=np.random.default_rng(0))
     p = np.zeros(M.shape)
     p[np.repeat(np.arange(M.shape[0]), np.diff(M.indptr)), M.indices] = layer.probability
     p = p[:, found.cover.views]
@@ -133,7 +143,7 @@ def test_the_promise_holds_when_the_layer_is_the_truth():
 def test_the_second_rows_of_the_bound_pay():
     """Ten rows, disjoint pairs of columns of 0.9 each: sums of shares ask for 12 columns, all 20 are needed."""
     M = csr_array((0.9 * DEMAND * np.kron(np.eye(10), np.ones((1, 3)))).astype(np.int64))
-    found = canonical(Problem(M, np.ones(10), demand=DEMAND))
+    found = canonical(CoverProblem(M, np.ones(10), demand=DEMAND))
     bound = Relaxation(found.whole)
     raise_bound(bound, 20, Budget(10**8))
     assert bound.value == 20

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner.cover import Problem, search_kernels
+from planner.cover import CoverProblem, search_kernels
 from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
@@ -23,7 +23,7 @@ def moves(draw):
     M[0, 0] = True
     loads = rng.integers(1, 5, M.shape) * M if draw(st.booleans()) else M
     sets = canonical(
-        Problem(
+        CoverProblem(
             loads,
             rng.lognormal(0, 1, len(M)),
             coverage=draw(st.sampled_from([0.7, 1.0])),
@@ -77,7 +77,7 @@ def test_running_numbers_are_those_computed_from_scratch(case, seed):
 
 def test_draws_are_even_and_in_range():
     """Ten thousand draws of seven numbers: none outside, each about as often as the others."""
-    sets = canonical(Problem(np.eye(2, dtype=bool), np.ones(2))).whole
+    sets = canonical(CoverProblem(np.eye(2, dtype=bool), np.ones(2))).whole
     state = Search(sets, np.zeros(0, dtype=np.int64), np.random.default_rng(0))._state
     drawn = np.bincount([search_kernels.draw(state.random, 7) for _ in range(10_000)], minlength=7)
     assert len(drawn) == 7
@@ -90,7 +90,7 @@ def test_a_core_that_begins_with_the_best_choice_ends_its_search(seed):
     rng = np.random.default_rng(seed)
     M = rng.random((40, 50)) < 0.08
     M[np.arange(40), rng.integers(0, 50, 40)] = True
-    sets = canonical(Problem(M, np.ones(40), costs=rng.integers(1, 20, 50).astype(float))).rest
+    sets = canonical(CoverProblem(M, np.ones(40), costs=rng.integers(1, 20, 50).astype(float))).rest
     budget = Budget(10**9)
     first, _ = greedy(sets)
     budget.offer(first, sets.objective(first))

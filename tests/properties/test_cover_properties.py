@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import planner.cover.sets as sets_module
-from planner.cover import Problem, reductions, solve
+from planner.cover import CoverProblem, reductions, solve
 from planner.cover.bound import Relaxation
 from planner.cover.budget import Budget
 from planner.cover.canonical import canonical
@@ -32,8 +32,8 @@ def problems(draw):
 def test_every_claimed_cover_covers(problem, solver, seed):
     """Whatever the matrix, areas and target: the target is met and the bound is not above the plan."""
     M, areas, coverage = problem
-    asked = Problem(M, areas, coverage=coverage)
-    result = solve(asked, rng=np.random.default_rng(seed), solver=solver, budget=300_000)
+    asked = CoverProblem(M, areas, coverage=coverage)
+    result = solve(asked, rng=np.random.default_rng(seed), solver=solver, effort_budget=300_000)
     covered, coverable = M[:, result.views].any(axis=1), M.any(axis=1)
     if coverage == 1.0:
         assert (covered == coverable).all()
@@ -46,7 +46,7 @@ def test_every_claimed_cover_covers(problem, solver, seed):
 def test_any_multipliers_give_a_bound_below_any_cover(problem, data):
     """L(u) <= columns of every cover, for arbitrary u >= 0, full and partial."""
     M, areas, coverage = problem
-    sets = canonical(Problem(M, areas, coverage=coverage)).whole
+    sets = canonical(CoverProblem(M, areas, coverage=coverage)).whole
     if sets.trivial:
         return
     bound = Relaxation(sets)
@@ -58,7 +58,7 @@ def test_any_multipliers_give_a_bound_below_any_cover(problem, data):
 def test_pruned_covers_are_covers_without_a_redundant_column(problem):
     """Pruning all columns leaves a cover of which no column can go."""
     M, areas, coverage = problem
-    sets = canonical(Problem(M, areas, coverage=coverage)).whole
+    sets = canonical(CoverProblem(M, areas, coverage=coverage)).whole
     cover = prune(sets, np.arange(sets.n_columns))
     assert sets.met(cover)
     for column in cover:
@@ -69,7 +69,7 @@ def test_pruned_covers_are_covers_without_a_redundant_column(problem):
 def test_the_canonical_problem_is_the_matrix(problem):
     """Rows and columns of the canonical problem, mapped back, are the matrix without its empty rows and columns."""
     M, areas, coverage = problem
-    found = canonical(Problem(M, areas, coverage=coverage))
+    found = canonical(CoverProblem(M, areas, coverage=coverage))
     again = np.zeros(M.shape, dtype=bool)
     again[np.ix_(found.rows, found.columns)] = found.whole.matrix().toarray() > 0
     np.testing.assert_array_equal(again, M)
@@ -82,7 +82,7 @@ def test_the_canonical_problem_is_the_matrix(problem):
 def test_reduced_problems_cannot_be_reduced_and_lift_to_covers(problem):
     """No dominated column is left, no dominated row at full cover, and all reduced columns together lift to a cover."""
     M, areas, coverage = problem
-    sets = canonical(Problem(M, areas, coverage=coverage)).whole
+    sets = canonical(CoverProblem(M, areas, coverage=coverage)).whole
     reduction = reduce(sets, Budget(10**9))
     rest = reduction.sets
     lifted = reduction.lift(np.arange(rest.n_columns) if not rest.trivial else np.zeros(0, dtype=np.int64))
@@ -126,7 +126,7 @@ def test_set_hash_ignores_order_and_sees_members(members, random):
 def test_marginal_order_keeps_the_columns_and_their_rows(problem):
     """Ordering by marginal area is a permutation whose marginal rows partition what the columns cover."""
     M, areas, _ = problem
-    sets = canonical(Problem(M, areas)).whole
+    sets = canonical(CoverProblem(M, areas)).whole
     order, added = by_marginal_area(sets, np.arange(sets.n_columns))
     assert sorted(order.tolist()) == list(range(sets.n_columns))
     together = np.concatenate(added) if added else np.zeros(0, dtype=np.int64)
@@ -150,7 +150,7 @@ def test_what_slices_come_to_does_not_depend_on_how_many_are_looked_at_together(
 def test_rows_are_merged_by_their_columns_and_not_by_their_hash(monkeypatch):
     """With one hash for all: rows of as many columns stay apart where these differ, in blocks of any length."""
     M = np.array([[1, 1, 0, 0], [1, 1, 0, 0], [1, 0, 1, 0], [0, 1, 0, 1], [0, 1, 0, 1]], dtype=bool)
-    sets = canonical(Problem(M, np.array([16.0, 8.0, 4.0, 2.0, 1.0]))).whole
+    sets = canonical(CoverProblem(M, np.array([16.0, 8.0, 4.0, 2.0, 1.0]))).whole
     monkeypatch.setattr(reductions, "set_hash", lambda start, items: np.zeros(len(start) - 1, dtype=np.uint64))
     for block in (1, 3, 100_000):
         monkeypatch.setattr(sets_module, "_BLOCK", block)

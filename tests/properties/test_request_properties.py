@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.sparse import csr_array
 
-from planner.cover import Overlap, Problem, solve
+from planner.cover import CoverProblem, Overlap, solve
 from planner.cover.curve import coverage_curve
 from planner.cover.graph import joined_columns
-from planner.cover.overlap import connection
+from planner.cover.overlap import overlap_graph
 from planner.cover.robust import DEMAND, loads, robust_cover
 from planner.measurability.pose_ensemble import ProbabilityLayer
 
@@ -29,13 +29,15 @@ def problems(draw):
 def test_no_answer_exceeds_its_bound_or_its_number(problem, k, seed):
     """At most k views, none twice; the area is theirs; no selection of the curve exceeds the bound."""
     M, areas = problem
-    found = solve(Problem(M, areas, max_views=k), rng=np.random.default_rng(seed), budget=WORK)
+    found = solve(CoverProblem(M, areas, max_views=k), rng=np.random.default_rng(seed), effort_budget=WORK)
     views = found.views
     assert len(views) <= k
     assert len(set(views.tolist())) == len(views)
     np.testing.assert_allclose(found.covered_area, areas[M[:, views].any(axis=1)].sum(), rtol=1e-9)
     assert found.upper_area >= found.covered_area
-    curve = coverage_curve(Problem(M, areas), rng=np.random.default_rng(seed), known=[views], budget=WORK)
+    curve = coverage_curve(
+        CoverProblem(M, areas), rng=np.random.default_rng(seed), known_selections=[views], effort_budget=WORK
+    )
     assert (np.diff(curve.covered_area) >= -1e-9 * max(curve.coverable_area, 1.0)).all()
     assert (np.diff(curve.upper_area) >= -1e-9 * max(curve.coverable_area, 1.0)).all()
     if len(views) < len(curve.views):
@@ -47,9 +49,9 @@ def test_no_answer_exceeds_its_bound_or_its_number(problem, k, seed):
 def test_what_is_called_connected_is(problem, share, coverage, seed):
     """By networkx; the cover covers in either case; the parts are those of the graph."""
     M, areas = problem
-    asked = Problem(M, areas, overlap=Overlap(share=share), coverage=coverage)
-    found = solve(asked, rng=np.random.default_rng(seed), budget=WORK)
-    how, views = connection(asked, found), found.views.tolist()
+    asked = CoverProblem(M, areas, overlap=Overlap(share=share), coverage=coverage)
+    found = solve(asked, rng=np.random.default_rng(seed), effort_budget=WORK)
+    how, views = overlap_graph(asked, found), found.views.tolist()
     covered, coverable = M[:, views].any(axis=1), M.any(axis=1)
     if coverage == 1.0:
         assert (covered == coverable).all()
@@ -58,8 +60,8 @@ def test_what_is_called_connected_is(problem, share, coverage, seed):
     adjacent = joined_columns(M, areas, Overlap(share=share))
     graph = nx.from_numpy_array(adjacent[np.ix_(views, views)])
     parts = nx.number_connected_components(graph)
-    assert parts == len(how.part_area) == len(set(how.part.tolist()))
-    assert how.connected == (parts <= 1)
+    assert parts == len(how.component_area) == len(set(how.component.tolist()))
+    assert how.is_connected == (parts <= 1)
     assert found.lower_bound <= len(views)
 
 
@@ -70,7 +72,9 @@ def test_every_promise_is_kept_by_the_layer(M, data, alpha, seed):
     hits = np.array(data.draw(st.lists(st.integers(0, 8), min_size=matrix.nnz, max_size=matrix.nnz)), dtype=int)
     layer = ProbabilityLayer(matrix.indptr, matrix.indices, hits, 8)
     areas = np.ones(len(M))
-    found = robust_cover(Problem(matrix, areas), layer, alpha=alpha, rng=np.random.default_rng(seed), budget=WORK)
+    found = robust_cover(
+        CoverProblem(matrix, areas), layer, alpha=alpha, rng=np.random.default_rng(seed), effort_budget=WORK
+    )
     brought = loads(layer, alpha, M.shape).toarray()
     promised = brought[:, found.cover.views].sum(axis=1) >= DEMAND
     assert promised.sum() == found.robust_area == found.robust_coverable_area

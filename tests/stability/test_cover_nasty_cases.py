@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from planner.cover import SOLVERS, CoverStatus, Problem, solve
+from planner.cover import SOLVERS, CoverProblem, CoverStatus, solve
 from planner.errors import PlannerError
 
 
@@ -19,9 +19,9 @@ def solver(request):
 
 def run(M, areas, solver="auto", **options):
     """Solve with a fresh generator and the tests' budget; options go to the problem or to `solve`."""
-    told = {name: options.pop(name) for name in ("budget", "time_limit_s", "clock") if name in options}
-    problem = Problem(M, areas, **options)
-    return solve(problem, rng=np.random.default_rng(0), solver=solver, **{"budget": 30_000_000} | told)
+    told = {name: options.pop(name) for name in ("effort_budget", "time_limit_s", "clock") if name in options}
+    problem = CoverProblem(M, areas, **options)
+    return solve(problem, rng=np.random.default_rng(0), solver=solver, **{"effort_budget": 30_000_000} | told)
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (5, 0), (5, 5)])
@@ -123,7 +123,7 @@ def test_one_ulp_below_full_coverage_still_needs_every_row_of_weight(solver):
 def test_a_share_of_equal_areas_means_that_many(percent):
     """With p % of 100 equal rows p rows are meant, whichever way the float p / 100 is rounded."""
     assert (
-        len(run(np.eye(100, dtype=bool), np.full(100, 0.1), "greedy", coverage=percent / 100, budget=0).views)
+        len(run(np.eye(100, dtype=bool), np.full(100, 0.1), "greedy", coverage=percent / 100, effort_budget=0).views)
         == percent
     )
 
@@ -152,7 +152,7 @@ def test_bad_areas_are_refused_with_their_row(bad):
         ({"pinned": [0], "banned": [0]}, "banned or not among"),
         ({"pinned": [0], "allowed": np.array([False, True])}, "banned or not among"),
         ({"solver": "gready"}, "choose one of"),
-        ({"budget": -1}, "budget is -1"),
+        ({"effort_budget": -1}, "budget is -1"),
         ({"time_limit_s": float("nan")}, "time limit"),
         ({"demand": 0}, "at least once"),
         ({"costs": [1.0]}, r"must be \(2,\)"),
@@ -177,7 +177,7 @@ def test_areas_of_another_length_are_refused():
 def test_budget_zero_gives_greedy_and_a_bound(solver):
     """Without any work there is still a cover and a positive bound (`exact` always solves its root)."""
     M = np.random.default_rng(1).random((200, 100)) < 0.06
-    result = run(M, np.ones(200), solver, budget=0)
+    result = run(M, np.ones(200), solver, effort_budget=0)
     assert (M[:, result.views].any(axis=1) == M.any(axis=1)).all()
     assert 1 <= result.lower_bound <= len(result.views)
 
@@ -211,7 +211,7 @@ def test_steiner_triples(solver, points, fewest):
     """Highly symmetric covers with a weak relaxation (points / 3): solved by the exact ones, never undercut."""
     M = steiner_triples(points)
     budget = 400_000_000 if solver in ("auto", "exact") else 30_000_000
-    result = run(M, np.ones(len(M)), solver, budget=budget)
+    result = run(M, np.ones(len(M)), solver, effort_budget=budget)
     assert points / 3 <= result.lower_bound <= fewest <= len(result.views)
     if solver in ("auto", "exact"):
         assert (len(result.views), result.status) == (fewest, CoverStatus.PROVEN)
@@ -266,7 +266,7 @@ def test_columns_whose_areas_sum_beyond_an_int64():
     rng = np.random.default_rng(0)
     M = np.argsort(rng.random((80, 9000)), axis=0) < 40
     M[:, 4001] = ~M[:, 17]
-    result = run(M, np.ones(80), "greedy", budget=0)
+    result = run(M, np.ones(80), "greedy", effort_budget=0)
     assert result.lower_bound == 2
 
 
@@ -299,7 +299,7 @@ def test_a_multiplicity_beyond_all_columns_takes_every_column_that_covers(solver
     M[:, 7] = False
     result = run(M, np.ones(20), solver, demand=2**70)
     assert sorted(result.views.tolist()) == [j for j in range(8) if M[:, j].any()]
-    np.testing.assert_array_equal(result.short_rows, np.flatnonzero(M.any(axis=1)))
+    np.testing.assert_array_equal(result.unsatisfiable_rows, np.flatnonzero(M.any(axis=1)))
     assert result.status is CoverStatus.PROVEN
 
 

@@ -4,22 +4,24 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from planner.cover import CoverStatus, Problem, solve
+from planner.cover import CoverProblem, CoverStatus, solve
 from planner.cover.curve import coverage_curve
 from planner.errors import PlannerError
 
 
 def ask(M, areas, k, **options):
     """The most area with a fresh generator and the tests' budget."""
-    told = {name: options.pop(name) for name in ("budget", "time_limit_s") if name in options}
-    problem = Problem(M, areas, max_views=k, **options)
-    return solve(problem, rng=np.random.default_rng(0), **{"budget": 20_000_000} | told)
+    told = {name: options.pop(name) for name in ("effort_budget", "time_limit_s") if name in options}
+    problem = CoverProblem(M, areas, max_views=k, **options)
+    return solve(problem, rng=np.random.default_rng(0), **{"effort_budget": 20_000_000} | told)
 
 
 def draw(M, areas, **options):
     """The curve with a fresh generator and the tests' budget."""
-    told = {name: options.pop(name) for name in ("budget", "known") if name in options}
-    return coverage_curve(Problem(M, areas, **options), rng=np.random.default_rng(0), **{"budget": 20_000_000} | told)
+    told = {name: options.pop(name) for name in ("effort_budget", "known_selections") if name in options}
+    return coverage_curve(
+        CoverProblem(M, areas, **options), rng=np.random.default_rng(0), **{"effort_budget": 20_000_000} | told
+    )
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (5, 0), (5, 5)])
@@ -27,7 +29,7 @@ def test_empty_matrix(shape):
     """Nothing to cover: no views, a status, a curve of one point; no exception."""
     M = sp.csr_array(shape, dtype=bool)
     found = ask(M, np.ones(shape[0]), 3)
-    assert (found.status, len(found.views), found.gap_points) == (CoverStatus.NOTHING_COVERABLE, 0, 0.0)
+    assert (found.status, len(found.views), found.gap_percent) == (CoverStatus.NOTHING_COVERABLE, 0, 0.0)
     curve = draw(M, np.ones(shape[0]))
     assert (curve.covered_area.tolist(), curve.upper_area.tolist()) == ([0.0], [0.0])
     assert curve.fewest(1.0) == (0, 0)
@@ -87,7 +89,7 @@ def test_areas_over_eighteen_decades():
 def test_all_areas_zero():
     """Rows without area: every row counts alike, the area is 0."""
     found = ask(np.eye(3, dtype=bool), np.zeros(3), 2)
-    assert (len(found.views), found.covered_area, found.gap_points) == (2, 0.0, 0.0)
+    assert (len(found.views), found.covered_area, found.gap_percent) == (2, 0.0, 0.0)
 
 
 def test_pinned_views_that_measure_nothing_stay():
@@ -129,11 +131,11 @@ def test_a_known_plan_is_on_the_curve_and_ends_it():
     M = rng.random((80, 30)) < 0.15
     M = M[M.any(axis=1)]
     full = draw(M, np.ones(len(M))).views[-1]
-    curve = draw(M, np.ones(len(M)), budget=0, known=[full])
+    curve = draw(M, np.ones(len(M)), effort_budget=0, known_selections=[full])
     assert curve.n_views[-1] == len(full)
     assert curve.covered_area[-1] == curve.coverable_area
     with pytest.raises(PlannerError, match="pinned"):
-        draw(M, np.ones(len(M)), known=[full], pinned=np.setdiff1d(np.arange(30), full)[:1].tolist())
+        draw(M, np.ones(len(M)), known_selections=[full], pinned=np.setdiff1d(np.arange(30), full)[:1].tolist())
 
 
 def test_a_clock_that_has_run_out_is_said():

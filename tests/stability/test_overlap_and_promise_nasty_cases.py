@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from planner.cover import CoverStatus, Overlap, Problem, solve
+from planner.cover import CoverProblem, CoverStatus, Overlap, solve
 from planner.cover.budget import Budget
-from planner.cover.overlap import connection
+from planner.cover.overlap import overlap_graph
 from planner.cover.robust import robust_cover
 from planner.errors import PlannerError
 from planner.measurability.pose_ensemble import ProbabilityLayer
@@ -16,19 +16,19 @@ from planner.measurability.pose_ensemble import ProbabilityLayer
 
 def joined(M, areas, overlap, **options):
     """A cover that hangs together, with the tests' budget."""
-    told = {name: options.pop(name) for name in ("budget", "time_limit_s", "clock") if name in options}
-    problem = Problem(M, areas, overlap=overlap, **options)
-    found = solve(problem, rng=np.random.default_rng(0), **{"budget": 2_000_000} | told)
-    return found, connection(problem, found)
+    told = {name: options.pop(name) for name in ("effort_budget", "time_limit_s", "clock") if name in options}
+    problem = CoverProblem(M, areas, overlap=overlap, **options)
+    found = solve(problem, rng=np.random.default_rng(0), **{"effort_budget": 2_000_000} | told)
+    return found, overlap_graph(problem, found)
 
 
 def promised(M, hits, members=32, **options):
     """A robust cover of a dense matrix with hits of its entries."""
     matrix = csr_array(np.asarray(M, dtype=bool))
     layer = ProbabilityLayer(matrix.indptr, matrix.indices, np.broadcast_to(hits, matrix.nnz), members)
-    told = {name: options.pop(name) for name in ("budget", "alpha") if name in options}
-    problem = Problem(matrix, np.ones(len(M)), **options)
-    return robust_cover(problem, layer, rng=np.random.default_rng(0), **{"budget": 2_000_000} | told)
+    told = {name: options.pop(name) for name in ("effort_budget", "alpha") if name in options}
+    problem = CoverProblem(matrix, np.ones(len(M)), **options)
+    return robust_cover(problem, layer, rng=np.random.default_rng(0), **{"effort_budget": 2_000_000} | told)
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 3), (3, 0), (3, 3)])
@@ -46,10 +46,10 @@ def test_two_islands_cannot_be_connected():
     M = np.zeros((10, 4), dtype=bool)
     M[:4, 0] = M[3:7, 1] = M[7:9, 2] = M[8:, 3] = True
     found, how = joined(M, np.ones(10), Overlap(area=1.0))
-    assert not how.connected
+    assert not how.is_connected
     assert sorted(found.views.tolist()) == [0, 1, 2, 3]
-    assert how.part_area.tolist() == [7.0, 3.0]
-    assert set(found.views[how.part == 0].tolist()) == {0, 1}
+    assert how.component_area.tolist() == [7.0, 3.0]
+    assert set(found.views[how.component == 0].tolist()) == {0, 1}
     assert "fall into 2 parts" in how.sentence
     assert "2 of 4 views" in how.sentence
     assert "70.00 %" in how.sentence
@@ -60,7 +60,7 @@ def test_part_of_the_coverage_connects_where_all_of_it_cannot():
     M = np.zeros((10, 4), dtype=bool)
     M[:4, 0] = M[3:7, 1] = M[7:9, 2] = M[8:, 3] = True
     found, how = joined(M, np.ones(10), Overlap(area=1.0), coverage=0.7)
-    assert how.connected
+    assert how.is_connected
     assert sorted(found.views.tolist()) == [0, 1]
 
 
@@ -69,7 +69,7 @@ def test_pinned_views_on_both_islands_cannot_be_connected():
     M = np.zeros((10, 4), dtype=bool)
     M[:4, 0] = M[3:7, 1] = M[7:9, 2] = M[8:, 3] = True
     found, how = joined(M, np.ones(10), Overlap(area=1.0), coverage=0.7, pinned=[3])
-    assert not how.connected
+    assert not how.is_connected
     assert 3 in found.views
 
 
@@ -77,7 +77,7 @@ def test_one_view_hangs_together_with_itself():
     """A column that covers all needs no neighbour."""
     M = np.ones((5, 3), dtype=bool)
     found, how = joined(M, np.ones(5), Overlap(share=1.0))
-    assert (len(found.views), found.unconnected_views, how.connected) == (1, 1, True)
+    assert (len(found.views), found.n_views_without_overlap, how.is_connected) == (1, 1, True)
     assert found.sentence.startswith("proven fewest")
 
 
@@ -136,7 +136,7 @@ def test_identical_columns_and_budget_zero():
     """Ties and no work: greedy's answer, a bound that holds, the promise kept."""
     M = np.repeat(np.eye(4, dtype=bool), 5, axis=1)
     for budget in (0, 2_000_000):
-        found = promised(M, 20, alpha=0.05, budget=budget)
+        found = promised(M, 20, alpha=0.05, effort_budget=budget)
         assert found.robust_area == 4.0
         assert found.cover.lower_bound <= 16 == len(found.cover.views)  # four of each: (13.5/33)^4 < 0.05 < (13.5/33)^3
 
@@ -144,7 +144,7 @@ def test_identical_columns_and_budget_zero():
 def test_nothing_is_asked_for():
     """A coverage of 0 needs no view, and the sentence does not say that nothing can be measured."""
     found, how = joined(np.eye(3, dtype=bool), np.ones(3), Overlap(area=1.0), coverage=0.0)
-    assert (len(found.views), how.connected) == (0, True)
+    assert (len(found.views), how.is_connected) == (0, True)
     assert found.sentence.startswith("proven fewest")
 
 
@@ -155,7 +155,7 @@ def test_one_time_limit_holds_for_both_searches_and_is_said():
     M[:, 0] |= ~M.any(axis=1)
     ticks = count()
     found, _ = joined(
-        M, np.ones(150), Overlap(area=2.0), budget=10**12, time_limit_s=60.0, clock=lambda: float(next(ticks))
+        M, np.ones(150), Overlap(area=2.0), effort_budget=10**12, time_limit_s=60.0, clock=lambda: float(next(ticks))
     )
     assert next(ticks) <= 70
     assert found.sentence.startswith("the time limit stopped the search; at most")
@@ -188,13 +188,13 @@ def test_ctrl_c_gives_the_best_so_far(ask, after, monkeypatch):
     monkeypatch.setattr(Budget, "spend", interrupted)
     monkeypatch.setattr("planner.cover.search.CHUNK_WORK", 100_000)
     if ask == "overlap":
-        found, how = joined(M, np.ones(150), Overlap(area=2.0), budget=10**11)
-        assert how.connected
+        found, how = joined(M, np.ones(150), Overlap(area=2.0), effort_budget=10**11)
+        assert how.is_connected
     elif ask == "promise":
-        found = promised(M, 20, alpha=0.5, budget=10**11)
+        found = promised(M, 20, alpha=0.5, effort_budget=10**11)
         assert found.robust_area == found.robust_coverable_area
     else:
-        found = solve(Problem(M, np.ones(150), max_views=9), rng=rng, budget=10**11)
+        found = solve(CoverProblem(M, np.ones(150), max_views=9), rng=rng, effort_budget=10**11)
         assert found.covered_area < found.upper_area
     assert next(calls) > after
     cover = found.cover if ask == "promise" else found

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from planner.cover import CoverStatus, Problem, solve, solvers
-from planner.cover.budget import LARGE, Budget, grown, interruptible
+from planner.cover import CoverProblem, CoverStatus, solve, solvers
+from planner.cover.budget import LARGE, Budget, interruptible, scaled_effort
 from planner.cover.canonical import canonical
 from planner.cover.greedy import greedy
 from planner.cover.search import CHUNK_WORK, Search
@@ -28,7 +28,7 @@ def test_budget_counts_work_and_portions_nest():
 
 def test_budget_grows_with_matrices_beyond_the_usual_only():
     """Any part of the default is left as it is up to `LARGE` entries, and grows in proportion from there on."""
-    assert [grown(400, n) for n in (0, LARGE // 2, LARGE, 3 * LARGE)] == [400, 400, 400, 1200]
+    assert [scaled_effort(400, n) for n in (0, LARGE // 2, LARGE, 3 * LARGE)] == [400, 400, 400, 1200]
 
 
 def test_clock_guard_is_split_with_the_work():
@@ -63,7 +63,8 @@ def test_meta_raps_improves_on_greedy():
         rng = np.random.default_rng(seed)
         M = rng.random((100, 100)) < 0.08
         found, first = (
-            solve(Problem(M, np.ones(100)), rng=rng, solver=name, budget=2 * 10**7) for name in ("meta-raps", "greedy")
+            solve(CoverProblem(M, np.ones(100)), rng=rng, solver=name, effort_budget=2 * 10**7)
+            for name in ("meta-raps", "greedy")
         )
         better += len(found.views) < len(first.views)
     assert better >= 7
@@ -74,13 +75,13 @@ def test_every_status_is_a_sentence():
     for status in CoverStatus:
         assert " " in status.sentence
     M = np.eye(3, dtype=bool)
-    said = solve(Problem(M, np.ones(3)), rng=np.random.default_rng(0)).sentence
+    said = solve(CoverProblem(M, np.ones(3)), rng=np.random.default_rng(0)).sentence
     assert said == "proven fewest for these candidates and samples"
 
 
 def test_results_are_read_only():
     """Arrays of a Cover cannot be changed in place."""
-    result = solve(Problem(np.eye(3, dtype=bool), np.ones(3)), rng=np.random.default_rng(0))
+    result = solve(CoverProblem(np.eye(3, dtype=bool), np.ones(3)), rng=np.random.default_rng(0))
     with pytest.raises(ValueError, match="read-only"):
         result.views[0] = 1
 
@@ -114,7 +115,7 @@ def test_interruptible_hands_over_results_and_errors():
 def test_guard_overrun_is_one_chunk():
     """With a clock that jumps past the limit the search ends at the next look, after one chunk of work at most."""
     rng = np.random.default_rng(0)
-    sets = canonical(Problem(rng.random((200, 300)) < 0.03, np.ones(200))).whole
+    sets = canonical(CoverProblem(rng.random((200, 300)) < 0.03, np.ones(200))).whole
     ticks = iter([0.0, *[0.5] * 3, *[2.0] * 1000])
     budget = Budget(10**12, time_limit_s=1.0, clock=lambda: next(ticks))
     first, _ = greedy(sets)

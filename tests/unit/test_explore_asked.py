@@ -24,14 +24,14 @@ from cell.scan.safety import EVERY
 from cell.scanners.laser_area import LaserArea
 from cell.session import Session
 from cell.world.embree import EmbreeRayCaster
-from planner.explore.gain import Record, came
+from planner.explore.gain import GainRecord, gain_ratio
 from planner.explore.space import OCCUPIED, VoxelSpace
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.values import Bools, Floats
 from planner.viewpoints.viewpoints import aim_viewpoints
 
-UNKNOWN = VoxelSpace.of_cylinder(0.06, 0.06, 0.003, 0.002)
+UNKNOWN = VoxelSpace.from_cylinder(0.06, 0.06, 0.003, 0.002)
 LAW = LaserArea(range_mm=(50, 900), baseline_mm=60.0, grazing_max_deg=75.0, sensor_grazing_max_deg=75.0)
 
 
@@ -69,7 +69,7 @@ def _measured(samples: SurfaceSamples, poses: Floats, mesh: TriangleMesh, grazin
 
 
 def _asked(poses: Floats | None, whole: bool = False, space: VoxelSpace = UNKNOWN) -> Asked:
-    return Asked(space, Record.empty(), Batch(1, whole=whole), 0.001, poses=poses)
+    return Asked(space, GainRecord.empty(), Batch(1, whole=whole), 0.001, poses=poses)
 
 
 def test_of_the_measured_surface_is_wanted_what_no_view_measures(balls: TriangleMesh) -> None:
@@ -101,7 +101,7 @@ def test_what_came_is_what_the_latest_views_measured_first(views: tuple[int, ...
     asked = replace(_asked(_poses(), space=space), latest=latest)
     areas = np.split(np.array(firsts[-sum(views) :]), np.cumsum(views)[:-1])
     batches = [(expected, float(area.sum())) for (_, expected), area in zip(latest, areas, strict=True)]
-    assert came_of(samples, asked, LAW, caster) == pytest.approx(came(batches))
+    assert came_of(samples, asked, LAW, caster) == pytest.approx(gain_ratio(batches))
     assert came_of(samples, replace(asked, poses=None, came=1.5), LAW, caster) == 1.5
     assert came_of(samples, replace(asked, latest=[(2, 0.0)]), LAW, caster) == 1.0
 
@@ -124,9 +124,11 @@ def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls:
     space = replace(UNKNOWN, points=samples.points[right])
     asked = _asked(None, whole, space)
     kept = wanted(samples, asked, 3000, LAW, EmbreeRayCaster(balls.vertices, balls.faces))
-    seen = space.seen(samples.points, samples.normals)
+    seen = space.is_measured(samples.points, samples.normals)
     assert seen[right].all()
-    weights = np.where(seen, float(whole), Record.empty().weights(space.open_at(samples.points, samples.normals)))
+    weights = np.where(
+        seen, float(whole), GainRecord.empty().weights(space.open_samples_at(samples.points, samples.normals))
+    )
     assert np.array_equal(kept.points, samples.points[weights > 0])
     assert kept.areas == pytest.approx((weights * samples.areas)[weights > 0])
     assert np.array_equal(probable(samples, asked, 3000).areas, kept.areas)
@@ -232,7 +234,7 @@ def test_the_next_batches_are_the_policys_within_the_budget(
 def test_a_batch_that_is_not_worth_its_views_says_what_was_asked_of_it(batch: Batch, said: str) -> None:
     """Of two views that are expected to add 0.08 % each: a little more comes than is expected."""
     chosen: Any = SimpleNamespace(cover=SimpleNamespace(covered_area=0.0001, views=(3, 7)))
-    asked = Asked(UNKNOWN, Record.empty(), batch, 0.001, measured_area=0.1, came=1.6)
+    asked = Asked(UNKNOWN, GainRecord.empty(), batch, 0.001, measured_area=0.1, came=1.6)
     told = stage._too_little(chosen, asked)
     assert told.endswith(said)
     assert ("to add 0.080 % of what" in told) == bool(said)
@@ -250,7 +252,7 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     monkeypatch.setattr(explore, "_stage", lambda work, asked, number, part: (asked, number, part))
     (tmp_path / "stages").mkdir()
     work: Any = SimpleNamespace(paths=Paths(tmp_path), options=SimpleNamespace(least_gain=0.25), name="balls")
-    known: Any = SimpleNamespace(space=UNKNOWN, record=Record.empty(), scans=scans, solid=None, believed=balls)
+    known: Any = SimpleNamespace(space=UNKNOWN, record=GainRecord.empty(), scans=scans, solid=None, believed=balls)
     told = {"expected_mm2": 1.0, "new_mm2": 3.0, "measured_mm2": 7.0, "too_near_mm2": 0.4, "planned_on": BELIEVED}
     told["views"] = 1
     stages = [SimpleNamespace(**told)] * 2
@@ -297,15 +299,15 @@ def test_what_stays_open_is_of_all_that_the_part_may_be(tmp_path: Path, monkeypa
 
     def stage(work: Any, asked: Any, number: int, part: Any) -> None:
         work.paths.unseen(number).touch()
-        whole = belief.surface_about(space, space.believed(whole=True))
+        whole = belief.surface_about(space, space.belief_voxels(unlimited=True))
         assert asked.batch == Batch(0)
         assert np.array_equal(part.reference.vertices, whole.vertices)
-        assert whole.areas.sum() > 2 * belief.surface_about(space, space.believed()).areas.sum()
+        assert whole.areas.sum() > 2 * belief.surface_about(space, space.belief_voxels()).areas.sum()
         raise EnoughError("", told)  # type: ignore[arg-type]
 
     monkeypatch.setattr(explore, "_stage", stage)
     given: Any = (SimpleNamespace(paths=paths, name="ball"), SimpleNamespace(stages=[]))
-    known: Any = SimpleNamespace(space=space, record=Record.empty())
+    known: Any = SimpleNamespace(space=space, record=GainRecord.empty())
     assert explore.stays_open(*given, known) is told
     assert list((tmp_path / "stages").iterdir()) == []
 
@@ -376,7 +378,7 @@ def test_who_keeps_off_sees_nothing_through_what_may_begin_before_the_range(
     nothing = EmbreeRayCaster(np.eye(3) + 10, np.array([[0, 1, 2]]))
     monkeypatch.setattr(stage.steps, "casters_of", lambda surface, cell: [nothing, nothing])
     job: Any = SimpleNamespace(scene=SimpleNamespace(scanner=SimpleNamespace(range_mm=(150.0, 450.0))))
-    asked = Asked(UNKNOWN, Record.empty(), Batch(1), 0.0, cautious=cautious)
+    asked = Asked(UNKNOWN, GainRecord.empty(), Batch(1), 0.0, cautious=cautious)
     part, others = stage._casters(job, asked, None, None)  # type: ignore[arg-type]
     assert part is nothing
     stands, middle = np.array([[0.14, 0.0, 0.0], [0.5, 0.0, 0.0]]), np.zeros((2, 3))

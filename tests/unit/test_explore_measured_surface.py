@@ -31,7 +31,7 @@ def _wall(deepest: float, apart: float = 0.0004) -> Floats:
 
 
 def _space() -> VoxelSpace:
-    return VoxelSpace.of_cylinder(0.02, 0.05, EDGE, 0.0005)
+    return VoxelSpace.from_cylinder(0.02, 0.05, EDGE, 0.0005)
 
 
 def _looked_into() -> VoxelSpace:
@@ -47,7 +47,7 @@ def _looked_into() -> VoxelSpace:
 
 
 def _continued(scans: list[Any], space: VoxelSpace) -> TriangleMesh | None:
-    return measured_surface.continued(scans, space, space.believed())
+    return measured_surface.continued(scans, space, space.belief_voxels())
 
 
 def _plate(z: float, side: float = 0.008, apart: float = 0.0004) -> Floats:
@@ -126,7 +126,7 @@ def test_the_side_of_a_sheet_that_nobody_saw_is_believed() -> None:
     assert sheet is not None
     below = sheet.normals[:, 2] < -0.7
     assert sheet.areas[below].sum() == pytest.approx(0.016**2, rel=0.3)
-    assert space.seen(sheet.centres[below], sheet.normals[below]).mean() > 0.9  # for voxels, which have no sides
+    assert space.is_measured(sheet.centres[below], sheet.normals[below]).mean() > 0.9  # for voxels, which have no sides
 
 
 def test_what_lies_before_a_wall_is_not_believed() -> None:

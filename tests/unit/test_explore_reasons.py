@@ -6,7 +6,7 @@ import pytest
 from cell.explore.reasons import NOT_TAKEN, SMALL, TRIED, StillOpen, sentence, still_open
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
-from planner.explore.gain import Open
+from planner.explore.gain import OpenSamples
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics.reach import Reach, Verdict
 from planner.viewpoints.viewpoints import aim_viewpoints
@@ -24,7 +24,7 @@ def _samples(count: int) -> SurfaceSamples:
 _WALL = EmbreeRayCaster(
     np.array([[-9.0, -9, 0.05], [9, -9, 0.05], [0, 9, 0.05]]), np.array([[0, 1, 2]], dtype=np.int32)
 )
-_OF = Open(np.array([0, 0, 1, 1]), np.array([1.0, 9.0, 1.0, 9.0]), np.zeros(4, dtype=bool))
+_OF = OpenSamples(np.array([0, 0, 1, 1]), np.array([1.0, 9.0, 1.0, 9.0]), np.zeros(4, dtype=bool))
 
 
 @pytest.mark.parametrize("verdict", [Verdict.REACHABLE, Verdict.OUT_OF_REACH])

@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import csr_array
 
 from planner.errors import PlannerError
-from planner.explore.gain import MOST_TRIES, Open, Record, came, most_per_second
+from planner.explore.gain import MAX_TRIES, GainRecord, OpenSamples, gain_ratio, select_by_gain_per_second
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.explore.traverse import cross
 from planner.values import Bools, Floats, Ints
@@ -50,7 +50,7 @@ def test_a_leg_along_an_axis_crosses_its_row(axis: int) -> None:
 
 
 def _space() -> VoxelSpace:
-    return VoxelSpace.of_cylinder(0.05, 0.06, 0.004, 0.003)
+    return VoxelSpace.from_cylinder(0.05, 0.06, 0.004, 0.003)
 
 
 def test_the_cylinder_alone_is_unknown_at_first() -> None:
@@ -73,7 +73,7 @@ def test_the_cylinder_alone_is_unknown_at_first() -> None:
 def test_cylinders_that_cannot_be_are_refused(sizes: tuple[float, float, float, float], said: str) -> None:
     """In a sentence that says what would be valid."""
     with pytest.raises(PlannerError, match=said):
-        VoxelSpace.of_cylinder(*sizes)
+        VoxelSpace.from_cylinder(*sizes)
 
 
 def _ball_seen_from(space: VoxelSpace, stand: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -91,15 +91,15 @@ def test_space_is_free_only_where_the_part_is_not() -> None:
     for direction in rng.standard_normal((40, 3)):
         direction = direction / np.linalg.norm(direction)
         points, stand = _ball_seen_from(space, 0.3 * direction, rng)
-        space = space.seen_from(points, [stand])
+        space = space.with_points(points, [stand])
         everything.append(points)
     depth = 0.03 - np.linalg.norm(space.centres(space.state == FREE), axis=1)
     assert depth.max() < np.sqrt(3) * space.edge
     points = np.concatenate(everything)
-    assert (space.at(points, space.state) == OCCUPIED).all()
-    assert space.seen(points, points / 0.03).all()
-    assert space.contradicted(points) == 0
-    assert space.contradicted(points + np.array([0.02, 0.0, 0.0])) > 0.05  # the ball was moved
+    assert (space.values_at(points, space.state) == OCCUPIED).all()
+    assert space.is_measured(points, points / 0.03).all()
+    assert space.contradicted_share(points) == 0
+    assert space.contradicted_share(points + np.array([0.02, 0.0, 0.0])) > 0.05  # the ball was moved
     assert not space.outside(points).any()
     assert space.outside(points + np.array([0.05, 0.0, 0.0])).any()
 
@@ -126,9 +126,9 @@ def test_what_is_seen_has_a_point_beside_it_along_its_normal() -> None:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     expected = np.array([_seen(space, *each) for each in zip(samples, normals, strict=True)])
     assert 0.2 < expected.mean() < 0.8
-    assert np.array_equal(space.seen(samples, normals), expected)
+    assert np.array_equal(space.is_measured(samples, normals), expected)
     near = np.linalg.norm(samples[:, None] - points, axis=2).min(axis=1) <= space.gap
-    assert np.array_equal(space.fresh(samples), ~near)
+    assert np.array_equal(space.is_new(samples), ~near)
 
 
 @pytest.mark.parametrize("more", [0, 40, 300])
@@ -141,9 +141,9 @@ def test_what_is_seen_since_is_what_was_not_seen_before(more: int) -> None:
     normals = rng.standard_normal((400, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     after = replace(before, points=points)
-    seen, new = after.seen_since(before, samples, normals)
-    assert np.array_equal(seen, after.seen(samples, normals))
-    assert np.array_equal(new, seen & ~before.seen(samples, normals))
+    seen, new = after.measured_since(before, samples, normals)
+    assert np.array_equal(seen, after.is_measured(samples, normals))
+    assert np.array_equal(new, seen & ~before.is_measured(samples, normals))
     assert new.any() == (more > 0)
 
 
@@ -153,36 +153,46 @@ def test_a_strip_without_points_is_open_though_its_voxels_are_occupied(spacing: 
 
     The strip is less than two voxels wide, so that each of its voxels, or the next one, has a point.
     """
-    space = VoxelSpace.of_cylinder(0.05, 0.06, 0.004, spacing)
+    space = VoxelSpace.from_cylinder(0.05, 0.06, 0.004, spacing)
     assert space.gap == pytest.approx(gap)
     x, y = (axis.ravel() for axis in np.meshgrid(*[np.arange(-0.02, 0.02, 0.00025)] * 2))
     kept = np.abs(x) > 0.0035
-    space = space.seen_from(np.column_stack([x, y, np.zeros_like(x)])[kept], [])
+    space = space.with_points(np.column_stack([x, y, np.zeros_like(x)])[kept], [])
     across = np.linspace(-0.01, 0.01, 201)
     above = np.column_stack([across, np.zeros(201), np.full(201, 0.5 * space.edge)])
     up = np.tile([0.0, 0.0, 1.0], (201, 1))
-    open_now = ~space.seen(above, up)
+    open_now = ~space.is_measured(above, up)
     sure = space.gap * 0.7 + 0.0003  # of the points that are kept one lies within a cube's side
     assert open_now[np.abs(across) < 0.0035 - space.gap].all()
     assert not open_now[np.abs(across) > 0.0035 - space.gap + sure].any()
-    assert np.array_equal(space.open_still(above, up), open_now)
+    assert np.array_equal(space.is_still_open(above, up), open_now)
 
 
 def test_between_points_of_neighbouring_rays_a_surface_is_open_as_what_was_seen_steeply() -> None:
     """Places there make nothing seen, and are kept from view to view; what is beside neither is open as ever."""
     space = _space()
-    space = space.seen_from(np.array([[0.0, 0.0, 0.0], [0.012, 0.0, 0.0]]), [])
+    space = space.with_points(np.array([[0.0, 0.0, 0.0], [0.012, 0.0, 0.0]]), [])
     places = np.array([[0.004, 0.0, 0.0], [0.008, 0.0, 0.0]])
-    joined = space.joined(places).seen_from(np.array([[0.03, 0.0, 0.0]]), []).joined(np.array([[0.03, 0.003, 0.0]]))
+    joined = (
+        space.with_surface_between(places)
+        .with_points(np.array([[0.03, 0.0, 0.0]]), [])
+        .with_surface_between(np.array([[0.03, 0.003, 0.0]]))
+    )
     above = np.array([[x, 0.0, 0.5 * space.edge] for x in (0.0, 0.004, 0.008, 0.012, 0.02)])
     up = np.tile([0.0, 0.0, 1.0], (5, 1))
-    assert joined.seen(above, up).tolist() == space.seen(above, up).tolist() == [True, False, False, True, False]
-    assert joined.open_at(above, up).between.tolist() == [False, True, True, False, False]
+    assert (
+        joined.is_measured(above, up).tolist()
+        == space.is_measured(above, up).tolist()
+        == [True, False, False, True, False]
+    )
+    assert joined.open_samples_at(above, up).between.tolist() == [False, True, True, False, False]
     beyond = np.array([[0.004, 0.0, space.edge]])  # the place lies an edge below it, which is near; above it is not
-    assert [joined.open_at(beyond, side * up[:1]).between[0] for side in (1, -1)] == [True, False]
-    assert not space.open_at(above, up).between.any()
+    assert [joined.open_samples_at(beyond, side * up[:1]).between[0] for side in (1, -1)] == [True, False]
+    assert not space.open_samples_at(above, up).between.any()
     outside = np.array([[1.0, 0.0, 0.0]])
-    assert np.array_equal(joined.joined(joined.between + 1e-9).joined(outside).between, joined.between)
+    assert np.array_equal(
+        joined.with_surface_between(joined.between + 1e-9).with_surface_between(outside).between, joined.between
+    )
     assert np.array_equal(joined.between, [*places, [0.03, 0.003, 0.0]])
 
 
@@ -190,25 +200,25 @@ def test_each_small_cube_keeps_its_first_point() -> None:
     """Points that came before stay, in order; the same points again change nothing; one beyond the cylinder is none."""
     rng = np.random.default_rng(6)
     first, second = rng.uniform(-0.01, 0.01, (2, 500, 3))
-    once = _space().seen_from(np.concatenate([first, [[0.2, 0.0, 0.0]]]), [])
-    twice = once.seen_from(second, [])
+    once = _space().with_points(np.concatenate([first, [[0.2, 0.0, 0.0]]]), [])
+    twice = once.with_points(second, [])
     for space, points in ((once, first), (twice, np.concatenate([once.points, second]))):
         side, taken = 0.7 * space.gap, dict[tuple[int, ...], Floats]()
         for point in points:
             taken.setdefault(tuple(np.floor((point - space.low) / side).astype(int).tolist()), point)
         assert np.array_equal(space.points, np.array(list(taken.values())))
-    assert np.array_equal(twice.seen_from(first, []).points, twice.points)
+    assert np.array_equal(twice.with_points(first, []).points, twice.points)
 
 
 def test_what_was_never_crossed_and_touches_no_point_is_not_believed() -> None:
     """An unknown voxel apart from all points is no part of the belief; before the first point the middle is."""
     space = _space()
-    first = space.believed()
+    first = space.belief_voxels()
     assert (space.state[first] == UNKNOWN).all()
     assert 0.1 < first.sum() / (space.state == UNKNOWN).sum() < 0.5
     state = np.full(space.state.shape, FREE, dtype=np.uint8)
     state[10, 10, 10], state[11, 11, 11], state[20, 20, 12] = OCCUPIED, UNKNOWN, UNKNOWN
-    believed = replace(space, state=state).believed()
+    believed = replace(space, state=state).belief_voxels()
     assert believed.sum() == 2
     assert believed[11, 11, 11]
 
@@ -216,8 +226,8 @@ def test_what_was_never_crossed_and_touches_no_point_is_not_believed() -> None:
 @pytest.mark.parametrize(("radius", "height"), [(0.0003, 0.1), (0.1, 0.0005), (0.0002, 0.0002)])
 def test_what_is_thinner_than_voxels_is_believed_at_first(radius: float, height: float) -> None:
     """A wire, a sheet and a pin: the middle of the cylinder holds some voxels, so that a view can be planned."""
-    space = VoxelSpace.of_cylinder(radius, height, 0.0012, 0.001)
-    first = space.believed()
+    space = VoxelSpace.from_cylinder(radius, height, 0.0012, 0.001)
+    first = space.belief_voxels()
     assert first.any()
     assert (np.abs(space.centres(first)) <= np.array([max(radius, 0.0012)] * 2 + [max(height / 2, 0.0012)])).all()
 
@@ -228,10 +238,10 @@ def test_a_ray_without_an_answer_counts_where_the_sensor_sees() -> None:
     wall, ahead = np.array([[0.0, y, 0.0] for y in np.arange(0.006, 0.02, 0.001)]), np.array([[1.0, 0.0, 0.0]])
     at = np.array([[-0.02, 0.001, 0.001], [0.02, 0.001, 0.001], [0.02, 0.015, 0.001]])
     votes = {
-        name: space.judged_from(wall, source, eye, ahead, 0.1, 0.3) for name, eye in (("both", source), ("", sensor))
+        name: space.with_votes(wall, source, eye, ahead, 0.1, 0.3) for name, eye in (("both", source), ("", sensor))
     }
-    assert votes["both"].at(at, votes["both"].votes).tolist() == [2, 2, -1]
-    assert votes[""].at(at, votes[""].votes).tolist() == [2, 0, -1]
+    assert votes["both"].values_at(at, votes["both"].votes).tolist() == [2, 2, -1]
+    assert votes[""].values_at(at, votes[""].votes).tolist() == [2, 0, -1]
 
 
 def test_a_ray_that_may_have_met_the_part_too_near_says_nothing() -> None:
@@ -244,8 +254,8 @@ def test_a_ray_that_may_have_met_the_part_too_near_says_nothing() -> None:
     source, far = np.array([-0.2, 0.0, 0.0]), np.array([[0.03, 0.001, 0.001]])
 
     def voted(known: VoxelSpace, near: float) -> int:
-        after = known.judged_from(np.empty((0, 3)), source, source, ahead, near, 0.3)
-        return int(after.at(far, after.votes)[0])
+        after = known.with_votes(np.empty((0, 3)), source, source, ahead, near, 0.3)
+        return int(after.values_at(far, after.votes)[0])
 
     assert voted(space, 0.14) == 2  # the cylinder begins at 0.15
     assert voted(space, 0.19) == 0
@@ -261,14 +271,14 @@ def test_a_ray_that_may_have_met_the_part_too_near_says_nothing() -> None:
 
 def test_tries_are_counted_once_a_stage_and_reach_to_neighbours() -> None:
     """Two points of one voxel are one try; a class knows the distance to the nearest measured voxel."""
-    space = _space().tried(np.array([[0.0, 0.0, 0.001], [0.0, 0.0, 0.0015], [0.02, 0.0, 0.001]]))
+    space = _space().with_tries(np.array([[0.0, 0.0, 0.001], [0.0, 0.0, 0.0015], [0.02, 0.0, 0.001]]))
     assert space.tries.max() == 1
     points, up = np.array([[0.0, 0.004, 0.001], [0.0, 0.03, 0.001]]), np.tile([0.0, 0.0, 1.0], (2, 1))
-    assert space.open_at(points, up).tries.tolist() == [1, 0]
-    assert np.isinf(space.open_at(points, up).beside).all()
+    assert space.open_samples_at(points, up).tries.tolist() == [1, 0]
+    assert np.isinf(space.open_samples_at(points, up).distance_edges).all()
     state = np.array(space.state)
     state[tuple(np.floor((points[1] - space.low) / space.edge).astype(int))] = OCCUPIED
-    beside = replace(space, state=state).open_at(points, up).beside
+    beside = replace(space, state=state).open_samples_at(points, up).distance_edges
     assert beside[1] <= np.sqrt(3) / 2
     assert beside[0] == pytest.approx(0.026 / space.edge, abs=2)
 
@@ -277,18 +287,20 @@ def test_the_probability_follows_the_record() -> None:
     """Nothing known: less with each try, and with distance. Much known: the share of each class that was found."""
     tries, beside = np.repeat(np.arange(3), 2), np.tile([1.0, 20.0], 3)
     unseen = np.zeros(6, dtype=bool)
-    before = Record.empty().weights(Open(tries, beside, unseen))
+    before = GainRecord.empty().weights(OpenSamples(tries, beside, unseen))
     assert (np.diff(before[::2]) < 0).all()
     assert (before[1::2] < before[::2]).all()
-    assert Record.empty().weights(Open(np.array([MOST_TRIES, MOST_TRIES + 5]), np.ones(2), unseen[:2])).std() == 0
-    often = Open(np.repeat(tries, 1000), np.repeat(beside, 1000), np.repeat(unseen, 1000))
+    assert (
+        GainRecord.empty().weights(OpenSamples(np.array([MAX_TRIES, MAX_TRIES + 5]), np.ones(2), unseen[:2])).std() == 0
+    )
+    often = OpenSamples(np.repeat(tries, 1000), np.repeat(beside, 1000), np.repeat(unseen, 1000))
     shares = [0.6, 0.1, 0.7, 0.0, 1.0, 0.2]
     found = np.concatenate([np.arange(1000) < 1000 * share for share in shares]).astype(float)
-    known = Record.empty().with_stage(often, np.ones(6000), found)
-    assert known.weights(Open(tries, beside, unseen)) == pytest.approx(shares, abs=1e-3)
-    steep = Open(tries, beside, ~unseen)
-    assert known.weights(steep) == pytest.approx(0.2 * known.weights(Open(tries, beside, unseen)))
-    after = known.with_stage(steep, np.ones(6), np.ones(6))
+    known = GainRecord.empty().with_batch(often, np.ones(6000), found)
+    assert known.weights(OpenSamples(tries, beside, unseen)) == pytest.approx(shares, abs=1e-3)
+    steep = OpenSamples(tries, beside, ~unseen)
+    assert known.weights(steep) == pytest.approx(0.2 * known.weights(OpenSamples(tries, beside, unseen)))
+    after = known.with_batch(steep, np.ones(6), np.ones(6))
     assert after.expected == pytest.approx(0.7 * known.expected)
     assert after.found == pytest.approx(0.7 * known.found)
 
@@ -298,32 +310,32 @@ def test_the_views_of_most_gain_per_second() -> None:
     rng = np.random.default_rng(2)
     measured, areas = rng.random((200, 12)) < 0.2, rng.random(200)
     seconds, usable = rng.uniform(1, 4, 12), np.arange(12) != 5
-    chosen = most_per_second(csr_array(measured), areas, seconds, usable, 4)
+    chosen = select_by_gain_per_second(csr_array(measured), areas, seconds, usable, 4)
     left = areas.copy()
     for view in chosen:
         rates = [usable[v] * left[measured[:, v]].sum() / seconds[v] for v in range(12)]
         assert view == int(np.argmax(rates))
         left[measured[:, view]] = 0
     assert len(chosen) == 4
-    assert len(most_per_second(csr_array(measured), np.zeros(200), seconds, usable, 4)) == 0
+    assert len(select_by_gain_per_second(csr_array(measured), np.zeros(200), seconds, usable, 4)) == 0
     last = float((measured[:, chosen[3]] & ~measured[:, chosen[:3]].any(axis=1)) @ areas) / seconds[chosen[3]]
     for least, views in ((last * (1 + 1e-9), 3), (last * (1 - 1e-9), 4)):
-        assert len(most_per_second(csr_array(measured), areas, seconds, usable, 4, least)) == views
+        assert len(select_by_gain_per_second(csr_array(measured), areas, seconds, usable, 4, least)) == views
 
 
 def test_how_much_more_comes_than_was_expected() -> None:
     """As much at first; then the median, which one batch that met a whole side of the part does not move far."""
-    assert came([]) == 1
-    assert came([(1.0, 2.0), (1.0, 2.0), (1.0, 30.0), (0.5, 1.0), (0.0, 7.0)]) == 2
-    assert came([(1.0, 3.0)]) == 2
-    assert came([(2.0, 0.0)]) == 0.5
-    assert came([(1.0, 0.0), (1.0, 0.0)]) == 0
-    assert came([(1.0, 9.0)] * 9 + [(1.0, 3.0)] * 4) == 3  # what came long ago is of another kind
+    assert gain_ratio([]) == 1
+    assert gain_ratio([(1.0, 2.0), (1.0, 2.0), (1.0, 30.0), (0.5, 1.0), (0.0, 7.0)]) == 2
+    assert gain_ratio([(1.0, 3.0)]) == 2
+    assert gain_ratio([(2.0, 0.0)]) == 0.5
+    assert gain_ratio([(1.0, 0.0), (1.0, 0.0)]) == 0
+    assert gain_ratio([(1.0, 9.0)] * 9 + [(1.0, 3.0)] * 4) == 3  # what came long ago is of another kind
 
 
 def _block() -> VoxelSpace:
     """A grid of which nothing is known to be free but its border."""
-    return VoxelSpace.of_cylinder(0.08, 0.16, 0.004, 0.003)
+    return VoxelSpace.from_cylinder(0.08, 0.16, 0.004, 0.003)
 
 
 def _shell(space: VoxelSpace, radius: float) -> Bools:
@@ -351,7 +363,7 @@ def test_the_believed_part_is_that_of_brute_force(seed: int) -> None:
 
     Random voxels of all kinds and votes, pockets that nothing leads to among them.
     """
-    rng, space = np.random.default_rng(seed), VoxelSpace.of_cylinder(0.012, 0.022, 0.001, 0.001)
+    rng, space = np.random.default_rng(seed), VoxelSpace.from_cylinder(0.012, 0.022, 0.001, 0.001)
     state = np.array(space.state)
     inside = state == UNKNOWN
     state[inside & (rng.random(state.shape) < 0.25)] = FREE
@@ -369,7 +381,7 @@ def test_the_believed_part_is_that_of_brute_force(seed: int) -> None:
     expected = ~outside & (state != FREE)
     assert (expected & ~hit).any()
     assert (~expected & (state == UNKNOWN)).any()
-    assert np.array_equal(replace(space, state=state, votes=votes).believed(), expected)
+    assert np.array_equal(replace(space, state=state, votes=votes).belief_voxels(), expected)
 
 
 def test_the_part_is_believed_to_go_eight_edges_behind_what_was_measured() -> None:
@@ -378,11 +390,11 @@ def test_the_part_is_believed_to_go_eight_edges_behind_what_was_measured() -> No
     state = np.array(space.state)
     state[:, :, 30][state[:, :, 30] == UNKNOWN] = OCCUPIED
     state[:, :, 31:] = FREE
-    believed = replace(space, state=state).believed()
+    believed = replace(space, state=state).belief_voxels()
     middle = believed[space.state.shape[0] // 2, space.state.shape[1] // 2]
     assert np.flatnonzero(middle).tolist() == list(range(22, 31))
     assert not believed[:, :, :22].any()
-    whole = replace(space, state=state).believed(whole=True)
+    whole = replace(space, state=state).belief_voxels(unlimited=True)
     assert np.array_equal(whole, state != FREE)
 
 
@@ -395,10 +407,10 @@ def test_what_a_closed_surface_encloses_is_believed_however_deep() -> None:
     deep = (middle[0] + 3, *middle[1:])
     closed = replace(space, state=state)
     assert state[middle] == FREE
-    assert not closed.believed()[middle]
-    assert closed.believed()[deep]
+    assert not closed.belief_voxels()[middle]
+    assert closed.belief_voxels()[deep]
     voted = replace(closed, votes=np.full(state.shape, 2, dtype=np.int16))
-    assert voted.believed()[deep]
+    assert voted.belief_voxels()[deep]
     opened = np.array(state)
     opened[middle[0] :, middle[1], middle[2]] = FREE
-    assert not replace(closed, state=opened).believed()[middle[0] - 3, middle[1], middle[2]]
+    assert not replace(closed, state=opened).belief_voxels()[middle[0] - 3, middle[1], middle[2]]

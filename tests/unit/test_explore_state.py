@@ -25,7 +25,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.scene.file import scene_of
 from cell.scene.model import PlanSettings, Scene
 from cell.session import Session
-from planner.explore.gain import Record
+from planner.explore.gain import GainRecord
 from planner.explore.space import FREE, UNKNOWN, VoxelSpace
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
@@ -82,7 +82,7 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
 )
 def test_points_that_cannot_be_stop_an_exploration(points: Floats, told: str) -> None:
     """In one sentence that names the stage and what to do."""
-    space = VoxelSpace.of_cylinder(0.1, 0.1, 0.004, 0.003)
+    space = VoxelSpace.from_cylinder(0.1, 0.1, 0.004, 0.003)
     space = replace(space, state=np.full_like(space.state, FREE))
     with pytest.raises(FileError, match=told):
         require_plausible(space, Path("stages/0001"), [(points, np.eye(4))], _eye())
@@ -102,12 +102,12 @@ def test_a_part_that_was_moved_away_stops_an_exploration(away: float, told: bool
         points = T[:3, 3] + rays * ((height - T[2, 3]) / rays[:, 2:])
         return np.asarray(points[np.abs(points[:, :2]).max(axis=1) < 0.05])
 
-    space = VoxelSpace.of_cylinder(0.1, 0.1, 0.004, 0.003).seen_from(plate(0.01), [])
+    space = VoxelSpace.from_cylinder(0.1, 0.1, 0.004, 0.003).with_points(plate(0.01), [])
     views = [(plate(0.01 - away), T)]
     if not told:
         require_plausible(space, Path("stages/0002"), views, eye)
         return
-    assert space.contradicted(views[0][0]) == 0
+    assert space.contradicted_share(views[0][0]) == 0
     views.append((plate(0.01), T))  # of a batch one view is enough
     with pytest.raises(FileError, match=r"100.0 % of the known points .* are gone; the part was moved"):
         require_plausible(space, Path("stages/0002"), views, eye)
@@ -130,13 +130,13 @@ def test_what_a_view_cannot_see_was_not_moved() -> None:
 
 def test_a_view_of_what_is_not_there_is_no_reason_to_stop() -> None:
     """Once something was hit, a batch without points is one that was believed wrongly, and the voxels take it."""
-    space, stand = VoxelSpace.of_cylinder(0.1, 0.1, 0.004, 0.003), np.array([0.3, 0.0, 0.0])
-    space, nothing = space.seen_from(np.zeros((1, 3)), [stand]), np.empty((0, 3))
+    space, stand = VoxelSpace.from_cylinder(0.1, 0.1, 0.004, 0.003), np.array([0.3, 0.0, 0.0])
+    space, nothing = space.with_points(np.zeros((1, 3)), [stand]), np.empty((0, 3))
     require_plausible(space, Path("stages/0002"), [(nothing, np.eye(4))], _eye())
-    after = space.seen_from(nothing, [stand]).judged_from(nothing, stand, stand, np.array([[-1.0, 0, 0]]), 0.1, 0.5)
+    after = space.with_points(nothing, [stand]).with_votes(nothing, stand, stand, np.array([[-1.0, 0, 0]]), 0.1, 0.5)
     assert np.array_equal(after.state, space.state)
     assert after.votes.max() == 2
-    assert not space.fresh(nothing).any()
+    assert not space.is_new(nothing).any()
 
 
 def test_limits_hold_in_the_fine_stage_alone() -> None:
@@ -201,7 +201,7 @@ def test_what_the_model_misses_of_the_limits() -> None:
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.3])
 def test_what_the_arm_keeps_away_from_holds_every_voxel_that_is_not_free(share: float, tmp_path: Path) -> None:
     """With all of its corners, also of a voxel that stands alone, and of the whole cylinder."""
-    space = VoxelSpace.of_cylinder(0.02, 0.05, 0.002, 0.002)
+    space = VoxelSpace.from_cylinder(0.02, 0.05, 0.002, 0.002)
     state = np.where(np.random.default_rng(1).random(space.state.shape) < share, UNKNOWN, FREE).astype(np.uint8)
     if share:
         space = replace(space, state=np.where(space.state == UNKNOWN, state, space.state))
@@ -246,22 +246,26 @@ def test_what_came_is_held_against_what_was_expected() -> None:
 
 def test_what_the_part_is_believed_to_fill_is_the_spaces() -> None:
     """And the believed surface is about that."""
-    space = VoxelSpace.of_cylinder(0.02, 0.05, 0.002, 0.002).seen_from(np.zeros((1, 3)), [np.array([0.2, 0.0, 0.0])])
-    known = Known(space, Record.empty())
-    assert not np.array_equal(space.believed(), space.possible)
-    assert np.array_equal(known.solid, space.believed())
-    assert np.array_equal(known.believed.vertices, belief.surface_about(space, space.believed()).vertices)
+    space = VoxelSpace.from_cylinder(0.02, 0.05, 0.002, 0.002).with_points(
+        np.zeros((1, 3)), [np.array([0.2, 0.0, 0.0])]
+    )
+    known = Known(space, GainRecord.empty())
+    assert not np.array_equal(space.belief_voxels(), space.maybe_part)
+    assert np.array_equal(known.solid, space.belief_voxels())
+    assert np.array_equal(known.believed.vertices, belief.surface_about(space, space.belief_voxels()).vertices)
 
 
 def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
     """Every voxel, every point and the record come back as they were."""
     (tmp_path / "stages").mkdir()
-    rng, unknown = np.random.default_rng(3), VoxelSpace.of_cylinder(0.02, 0.05, 0.002, 0.002)
+    rng, unknown = np.random.default_rng(3), VoxelSpace.from_cylinder(0.02, 0.05, 0.002, 0.002)
     points = rng.uniform(-0.01, 0.01, (100, 3))
-    space = unknown.seen_from(points, [np.array([0.2, 0.0, 0.0])]).tried(points[:5]).joined(points / 2)
+    space = (
+        unknown.with_points(points, [np.array([0.2, 0.0, 0.0])]).with_tries(points[:5]).with_surface_between(points / 2)
+    )
     space = replace(space, votes=rng.integers(-3, 4, space.votes.shape).astype(np.int16))
-    of = space.open_at(points, np.tile([0.0, 0.0, 1.0], (100, 1)))
-    record = Record.empty().with_stage(of, rng.random(100), rng.random(100))
+    of = space.open_samples_at(points, np.tile([0.0, 0.0, 1.0], (100, 1)))
+    record = GainRecord.empty().with_batch(of, rng.random(100), rng.random(100))
     Paths(tmp_path).keep(1, Known(space, record))
     again = Paths(tmp_path).known(1, unknown)
     for one, other in ((again.space, space), (again.record, record)):

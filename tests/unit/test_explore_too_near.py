@@ -9,7 +9,7 @@ from cell.explore.prepare import Eye
 from cell.explore.too_near import BeyondNear, keep_off, too_near
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
-from planner.explore.gain import LATEST
+from planner.explore.gain import N_LATEST_BATCHES
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
@@ -27,7 +27,7 @@ def _wall(x: float) -> EmbreeRayCaster:
 
 def _space(state: int = FREE, votes: int = 0) -> VoxelSpace:
     """Free but for a point in the middle and a block before it, from 60 to 80 mm along x."""
-    space = VoxelSpace.of_cylinder(0.1, 0.1, 0.004, 0.003)
+    space = VoxelSpace.from_cylinder(0.1, 0.1, 0.004, 0.003)
     x = space.centres(np.ones(space.state.shape, dtype=bool))[:, 0].reshape(space.state.shape)
     known = np.where((x > 0.06) & (x < 0.08), state, FREE).astype(np.uint8)
     known[tuple(np.floor((TARGET[0] - space.low) / space.edge).astype(int))] = OCCUPIED
@@ -106,5 +106,5 @@ def test_views_keep_off_for_some_batches_after_one_that_stood_too_near() -> None
     """More than half of what it was to measure may have been hidden before the range."""
     assert not keep_off([])
     assert not keep_off([(0.5, 1.0), (0.0, 0.0)])
-    assert keep_off([(0.6, 1.0), *[(0.0, 1.0)] * (LATEST - 1)])
-    assert not keep_off([(0.6, 1.0), *[(0.0, 1.0)] * LATEST])
+    assert keep_off([(0.6, 1.0), *[(0.0, 1.0)] * (N_LATEST_BATCHES - 1)])
+    assert not keep_off([(0.6, 1.0), *[(0.0, 1.0)] * N_LATEST_BATCHES])

@@ -86,22 +86,22 @@ def _learned(space: VoxelSpace, points: Floats, T: Floats) -> VoxelSpace:
     source, sensor = np.asarray(_SCANNER.source), np.asarray(_SCANNER.sensor)
     eye = Eye(source, sensor, rays, _SCANNER.grid_shape[1], NEAR, FAR, float(np.arccos(rays[0] @ rays[1])))
     stands = [T[:3, :3] @ at + T[:3, 3] for at in (source, sensor)]
-    space = space.seen_from(points, stands) if len(points) else space
-    return space.judged_from(points, *stands, eye.blank(points, T), NEAR, FAR)
+    space = space.with_points(points, stands) if len(points) else space
+    return space.with_votes(points, *stands, eye.blank(points, T), NEAR, FAR)
 
 
 @cache
 def _explored(name: str, noise: float = 0.0, pose: float = 0.0) -> VoxelSpace:
     """What is known after views from all round, their points with noise and their reported poses off [m]."""
     mesh = PARTS[name]
-    rng, space = np.random.default_rng(0), VoxelSpace.of_cylinder(RADIUS, HEIGHT, EDGE, SPACING)
+    rng, space = np.random.default_rng(0), VoxelSpace.from_cylinder(RADIUS, HEIGHT, EDGE, SPACING)
     for T in _poses():
         points = _points(mesh, T)
         off = rng.normal(0, pose, 3)
         reported = np.array(T)
         reported[:3, 3] += off
         points = points + off + rng.normal(0, noise, points.shape)
-        assert space.contradicted(points) < 0.01
+        assert space.contradicted_share(points) < 0.01
         space = _learned(space, points, reported)
     return space
 
@@ -116,23 +116,23 @@ def test_no_surface_is_farther_than_the_clearance_from_what_the_arm_keeps_away_f
     """Of wires too, of which rays miss most: what was seen free ends within a clearance of the true surface."""
     space = _explored(name)
     away = ndimage.distance_transform_edt(space.state == FREE) * space.edge
-    assert space.at(_surface(PARTS[name]), away).max() < CLEARANCE
+    assert space.values_at(_surface(PARTS[name]), away).max() < CLEARANCE
 
 
 def test_what_is_believed_has_the_hole_of_a_ring() -> None:
     """Views through it vote: its middle is not believed, and nearly all of the ring was seen."""
     space = _explored("ring")
     middle = np.zeros((1, 3))
-    assert not space.at(middle, space.believed())[0]
+    assert not space.values_at(middle, space.belief_voxels())[0]
     points = _surface(PARTS["ring"])
     middle = 0.03 * points[:, :2] / np.linalg.norm(points[:, :2], axis=1, keepdims=True)
     normals = points - np.column_stack([middle, np.zeros(len(points))])
-    assert space.seen(points, normals / np.linalg.norm(normals, axis=1, keepdims=True)).mean() > 0.95
+    assert space.is_measured(points, normals / np.linalg.norm(normals, axis=1, keepdims=True)).mean() > 0.95
 
 
 def test_two_bodies_are_believed_as_two() -> None:
     """Each with points of its own, and nothing believed between them."""
-    labels, count = ndimage.label(_explored("two bodies").believed(), np.ones((3, 3, 3)))
+    labels, count = ndimage.label(_explored("two bodies").belief_voxels(), np.ones((3, 3, 3)))
     sizes = np.bincount(labels.ravel())[1:]
     assert (sizes > 0.2 * sizes.max()).sum() == 2, (count, sizes)
 
@@ -143,8 +143,8 @@ def test_the_inside_of_a_closed_box_stays_unknown_and_is_told() -> None:
     x, y, z = np.abs(space.centres(space.state == FREE)).T
     assert not ((x < 0.02) & (y < 0.02) & (z < 0.015)).any()
     inside = trimesh.creation.box((0.03, 0.03, 0.02))
-    assert (space.at(np.asarray(inside.vertices), space.state) == UNKNOWN).all()
-    assert space.never_entered >= 0.8 * 0.04 * 0.04 * 0.03
+    assert (space.values_at(np.asarray(inside.vertices), space.state) == UNKNOWN).all()
+    assert space.unseen_volume >= 0.8 * 0.04 * 0.04 * 0.03
 
 
 def test_noise_and_pose_errors_are_no_part_that_moved() -> None:
@@ -159,15 +159,15 @@ def test_a_part_that_was_moved_is_noticed(name: str, shift: tuple[float, float, 
     """Points of views after the move lie in space that was free, or behind surface that was measured."""
     space, moved = _explored(name), PARTS[name].vertices + np.array(shift)
     mesh = replace(PARTS[name], vertices=moved)
-    shares = [space.contradicted(points) for T in _poses(5) if len(points := _points(mesh, T))]
+    shares = [space.contradicted_share(points) for T in _poses(5) if len(points := _points(mesh, T))]
     assert np.mean(shares) > 0.01
 
 
 def test_a_believed_surface_is_closed_before_and_after() -> None:
     """Marching cubes about voxels within the grid: each edge has two faces, of tight and of rough surfaces."""
-    unknown = VoxelSpace.of_cylinder(RADIUS, HEIGHT, EDGE, SPACING)
+    unknown = VoxelSpace.from_cylinder(RADIUS, HEIGHT, EDGE, SPACING)
     for space in (unknown, _explored("ring")):
-        for mesh in (belief.surface_about(space, space.believed()), belief.rough(space)):
+        for mesh in (belief.surface_about(space, space.belief_voxels()), belief.rough(space)):
             assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
 
 
@@ -175,7 +175,7 @@ def test_a_believed_surface_is_closed_before_and_after() -> None:
 def test_a_believed_surface_needs_no_repair(name: str) -> None:
     """The checks that a mesh of a file goes through find nothing to turn or drop in it, cavities included."""
     space = _explored(name)
-    surface = belief.surface_about(space, space.believed())
+    surface = belief.surface_about(space, space.belief_voxels())
     checked = workpiece.from_arrays(name, surface.vertices, surface.faces, "m").reference
     volumes = [trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume for mesh in (surface, checked)]
     assert volumes[0] > 0

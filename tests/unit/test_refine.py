@@ -6,7 +6,7 @@ import trimesh
 
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
-from planner.cover import Problem, solve
+from planner.cover import CoverProblem, solve
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.measurability.visibility import fill_matrix, find_measured
@@ -33,7 +33,7 @@ def case():
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     candidates = aim_viewpoints(0.03 * outward, outward, np.full(40, -1), [STANDOFF], [0.0])
     M = fill_matrix(candidates, features, scanner, caster)
-    chosen = solve(Problem(M.matrix(), features.areas, coverage=0.98), rng=np.random.default_rng(0)).views
+    chosen = solve(CoverProblem(M.matrix(), features.areas, coverage=0.98), rng=np.random.default_rng(0)).views
     views = ViewState(
         candidates.T_object_scanner[chosen, 0], np.full(len(chosen), STANDOFF), np.arange(len(chosen)),
         np.zeros(len(chosen), dtype=bool), M.matrix().tocsc()[:, chosen].toarray(),

@@ -20,7 +20,7 @@ from cell.scene.regions import areas_of, limited, with_regions
 from cell.scene.validation import require_attainable
 from cell.world.measurability import REGION_ROWS, surface_features
 from cell.world.prediction import held_out
-from planner.cover import Problem
+from planner.cover import CoverProblem
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
@@ -268,9 +268,9 @@ def test_regions_become_demands_weights_and_parts(box: Path) -> None:
     assert not goals.plain
     part = with_regions(load(box, "mm"), scene)
     rows = draw_samples(part.reference, part.reference, 300, np.random.default_rng(0))
-    wish = goals.applied(Problem(np.ones((300, 2), bool), rows.areas), rows)
+    wish = goals.applied(CoverProblem(np.ones((300, 2), bool), rows.areas), rows)
     assert (wish.demand == np.array([1, 3, 1])[rows.region]).all()
-    assert (wish.part == np.array([1, 0, 0])[rows.region]).all()
+    assert (wish.region == np.array([1, 0, 0])[rows.region]).all()
     assert wish.weights == pytest.approx(rows.areas * np.array([1, 1, 2])[rows.region])
     assert RegionGoals.of((), scene.plan) is None
     huge = scene.region[0].model_copy(update={"views": 10**20})

@@ -29,7 +29,7 @@ from cell.setups.search import Search
 from cell.why import advise
 from cell.world.model import compile_world
 from cell.world.occluders import Occluder
-from planner.cover import Problem
+from planner.cover import CoverProblem
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 
@@ -209,7 +209,7 @@ def test_the_command_for_a_further_set_up_names_those_there_are(tmp_path: Path) 
 
 def _cover(views: dict[int, int], setups_bound: int) -> JointCover:
     columns = {row: np.arange(count) for row, count in views.items()}
-    wish = Problem(np.ones((1, 1)), np.ones(1), np.ones(1, dtype=bool), group=np.zeros(1, dtype=np.int64))
+    wish = CoverProblem(np.ones((1, 1)), np.ones(1), np.ones(1, dtype=bool), group=np.zeros(1, dtype=np.int64))
     return JointCover(columns, setups_bound, 1, 1.0, Rows(wish, np.ones(1)), np.ones(1), enough=True)
 
 

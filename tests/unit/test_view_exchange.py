@@ -76,7 +76,7 @@ def motion(found: Groups) -> Tour:
 def test_the_plan_is_what_the_motion_picked() -> None:
     """Cover and motion name the same candidates at the same stops; areas add up; the number of views stays."""
     rows = MATRIX[:, :3].any(axis=1)
-    chosen = cover.solve(cover.Problem(MATRIX[:, :3], AREAS), rng=np.random.default_rng(0))
+    chosen = cover.solve(cover.CoverProblem(MATRIX[:, :3], AREAS), rng=np.random.default_rng(0))
     found = groups()
     tour = motion(found)
     picks = found.picked(tour)
@@ -94,7 +94,7 @@ def test_the_plan_is_what_the_motion_picked() -> None:
 
 def test_nothing_changes_where_nothing_was_exchanged() -> None:
     """The same objects come back."""
-    chosen = cover.solve(cover.Problem(MATRIX[:, :3], AREAS), rng=np.random.default_rng(0))
+    chosen = cover.solve(cover.CoverProblem(MATRIX[:, :3], AREAS), rng=np.random.default_rng(0))
     found = groups()
     tour = motion(found)
     assert settled(chosen, M, tour, np.array(chosen.views)) == (chosen, tour)  # type: ignore[arg-type]

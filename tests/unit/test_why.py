@@ -113,7 +113,7 @@ def test_what_stands_in_the_way_is_named() -> None:
     shaded = np.abs(x) < 0.01 * 0.2 / 0.15
     np.testing.assert_array_equal(found.reason == Reason.SOURCE_SHADED, shaded)
     casters = {"mast": _FAR, "clamp": clamp}
-    names = why.names_in_the_way(targets, np.arange(len(x)), found, views, scanner, casters)
+    names = why.occluders_of(targets, np.arange(len(x)), found, views, scanner, casters)
     assert {name for name, dark in zip(names, shaded, strict=True) if dark} == {"clamp"}
     assert {name for name, dark in zip(names, shaded, strict=True) if not dark} == {""}
     without = WhatIf(Kind.FIXTURE, 0.0, "", "", views.T_object_scanner, scanner, (part, _FAR))
