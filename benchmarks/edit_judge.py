@@ -18,9 +18,9 @@ from benchmarks.motion_recheck import excess
 from benchmarks.random_edits import RandomEdit
 from benchmarks.triangle_cell import TriangleCell
 from cell.errors import CellError
-from cell.proof.proof import prove
 from cell.runs.cell import world_of
 from cell.runs.run import Run
+from cell.runs.verification import verify_plan
 from planner.timing.motion import retime
 from planner.values import Floats
 
@@ -142,7 +142,7 @@ class EditJudge:
         if said is not None and 1000 * nearest < said - 1000 * CLEARANCE_M:
             yield f"{1000 * nearest:.2f} mm near, said to be {said:.2f}"
         try:
-            prove(made.folder)
+            verify_plan(made.folder)
         except CellError as error:
             yield f"would not be driven: {error}"
 

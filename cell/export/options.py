@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from cell.proof.files_now import FilesNow
+from cell.runs.current_scene import CurrentFiles
 from cell.scene.options import Option
 
 _KRL = "KRL"
@@ -13,7 +13,7 @@ _Signal = Annotated[int, Field(ge=1, le=4096)]  # of $IN and $OUT on a KR C4
 _Percent = Annotated[int, Field(ge=1, le=100)]
 
 
-class ExportOptions(FilesNow):
+class ExportOptions(CurrentFiles):
     """What is written, how fast it moves, what stands between controller and scanner."""
 
     kind: Annotated[Literal["krl", "csv", "json"], Option("What to write: krl, csv or json.", name="format")] = "krl"

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from cell.errors import UsageError
 from cell.export.krl_names import check_name
-from cell.proof import scene_now
-from cell.proof.files_now import FilesNow
-from cell.proof.proof import prove
 from cell.robot.arm import kinematics_of
 from cell.robot.kinematics import Kr16Kinematics
+from cell.runs import current_scene
+from cell.runs.current_scene import CurrentFiles
+from cell.runs.verification import verify_plan
 from cell.session import ProgressReporter
 from planner.kinematics.setpoints import STEPS_PER_DEGREE, to_steps
 from planner.path.sweep_line import rotation_vectors
@@ -132,7 +132,7 @@ class Program(Value):
         return int(self.stop.max())
 
 
-def load(run_folder: Path, name: str | None, now: FilesNow, reporter: ProgressReporter | None) -> Program:
+def load(run_folder: Path, name: str | None, now: CurrentFiles, reporter: ProgressReporter | None) -> Program:
     """Read the program of a finished run.
 
     Args:
@@ -145,12 +145,12 @@ def load(run_folder: Path, name: str | None, now: FilesNow, reporter: ProgressRe
     Raises:
         UsageError: if the name is none in KRL.
         SceneError: if the cell is described otherwise now.
-        FileError: if the run is not finished, or its plan may not be driven (`cell.proof.proof`).
+        FileError: if the run is not finished, or its plan may not be driven (`cell.runs.verification`).
     """
     if name is not None:
         check_name(name)
-    proven = prove(run_folder)
-    scene_now.require_same(proven, now, reporter, wire=False)
+    proven = verify_plan(run_folder)
+    current_scene.require_current_scene(proven, now, reporter, wire=False)
     scene = proven.scene
     clearance, between = proven.run.min_clearance
     folder = run_folder.resolve().name

@@ -12,7 +12,7 @@ from cell.errors import FileError, SceneError, UsageError
 from cell.metrology import point_files
 from cell.metrology.options import LocateOptions
 from cell.part.workpiece import UNITS
-from cell.proof.motion_again import require_free
+from cell.runs.verification import find_collision
 from cell.robot.frames import kuka_abc_from_pose
 from cell.runs.cell import world_of
 from cell.runs.run import Run, read_execution
@@ -329,7 +329,7 @@ def _check_motion(run: Run, T_base_object: Floats) -> CheckedMotion:
         problem = str(error)
         checker = MujocoCollisionChecker(world_of(run, run.reference), T_base_object)
     try:
-        problem = problem or require_free(motion.via_q, checker, limits)
+        problem = problem or find_collision(motion.via_q, checker, limits)
     except PlannerError as error:
         problem = str(error)
     found = clearance.of_motion(checker, motion.via_q, motion.segment, int(motion.segment[-1]) + 1)

@@ -14,16 +14,16 @@ from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.report import markdown
 from cell.robot import model as robot
 from cell.robot.mesh_paths import mesh_files
-from cell.run.plan_facts import (
+from cell.runs.facts import (
     degrees,
     fixture_file,
     limits_deg,
     mm,
+    resolved_fixtures,
     resolved_robot,
     resolved_table,
-    standing_fixtures,
-    sweep_of,
-    turned_at,
+    sweep_values,
+    table_values,
 )
 from cell.runs.folder import RunFolder
 from cell.runs.run import split_axes
@@ -144,7 +144,7 @@ def write_cell(
         ),
         robot=resolved_robot(scene),
         table=resolved_table(scene, world),
-        fixtures=standing_fixtures(scene, world),
+        fixtures=resolved_fixtures(scene, world),
         home_deg=world.scene.robot.settled_home_deg,
         **limits_deg(world.limits),
         speed_scaling=scene.robot.speed_scaling,
@@ -234,8 +234,8 @@ def write_plan(
             T_base_scanner=chosen.T_base_scanner[stop],
             T_base_flange=chosen.T_base_flange[stop],
             q_deg=degrees(chosen.tour.q[stop][:ARM_AXES]),
-            **turned_at(world, chosen.tour.q[stop]),
-            sweep=sweep_of(chosen.T_object_poses[stop], chosen.sweeps[stop]) if chosen.sweeps else None,
+            **table_values(world, chosen.tour.q[stop]),
+            sweep=sweep_values(chosen.T_object_poses[stop], chosen.sweeps[stop]) if chosen.sweeps else None,
         )
         for stop, candidate in enumerate(chosen.candidate.tolist())
     ]

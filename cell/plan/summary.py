@@ -11,7 +11,7 @@ from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.plan.region_results import results_of
 from cell.plan.steps import Job
-from cell.run.plan_facts import degrees
+from cell.runs.facts import degrees
 from cell.runs.schema import (
     Attainable,
     Coverage,

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, JsonValue, ValidationError, field_validator, model_validator
 
 from cell.acquisition import SIMULATED
-from cell.proof.files_now import FilesNow
+from cell.runs.current_scene import CurrentFiles
 from cell.runs.digest import SHORT_DIGEST
 from cell.scene.fields import NotNegative, Positive, Units, sentences
 from cell.scene.options import Option
@@ -42,7 +42,7 @@ OF_EACH_TIME = frozenset(
 """What is said anew where an execution is resumed; all else stays as it was begun."""
 
 
-class ScanOptions(FilesNow):
+class ScanOptions(CurrentFiles):
     """What `cell scan` was asked for; what None means, each option says."""
 
     driver: Annotated[str, Option("Which controller drives.", metavar="URL")] = "sim://"
@@ -158,7 +158,7 @@ class ScanOptions(FilesNow):
     def kept(self) -> dict[str, JsonValue]:
         """For the manifest: all that a report made later needs, settled."""
         said = self.model_dump(mode="json", exclude={"registration", "confirm_motion"})
-        now = {name: said.pop(name) for name in FilesNow.model_fields}
+        now = {name: said.pop(name) for name in CurrentFiles.model_fields}
         return {**said, **now, "register": self.registers}
 
     @classmethod

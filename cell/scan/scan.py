@@ -15,11 +15,11 @@ from cell import signals
 from cell.acquisition import SIMULATED
 from cell.errors import FileError, UsageError
 from cell.plant import factory
-from cell.proof import scene_now
-from cell.proof.proof import prove
+from cell.runs import current_scene
 from cell.runs import folder as process
 from cell.runs.cell import RunCell, read_cell
 from cell.runs.run import RecordedExecution, Run, read_execution, read_manifest, reading
+from cell.runs.verification import verify_plan
 from cell.scan import driver as scan_driver
 from cell.scan import execute, lock, resources, safety
 from cell.scan.driven import (
@@ -84,8 +84,8 @@ def execute_and(
         options: what was asked for.
         stands: the part on which simulated rays fall [m], object frame; None is the plan's.
     """
-    proven = prove(run_folder)
-    scene_now.require_same(proven, options, session.reporter, wire=scan_driver.on_a_wire(options.driver))
+    proven = verify_plan(run_folder)
+    current_scene.require_current_scene(proven, options, session.reporter, wire=scan_driver.on_a_wire(options.driver))
     run, motion = proven.run, proven.motion
     legs = legs_of(motion, options.view)
     released = of_plan(proven) if options.view is None else of_legs(proven, legs, _VIEW.format(options.view))
@@ -156,13 +156,13 @@ def _resumed(
     options: ScanOptions | None,
     stands: TriangleMesh | None,
 ) -> Outcome:
-    proven = prove(run_folder)
+    proven = verify_plan(run_folder)
     run, motion = proven.run, proven.motion
     recorded = read_execution(run, execution)
     scans, left_out = usable(recorded, proven.plan.views)
     begun = resumable(run, recorded)
     settled = begun.resumed(options or ScanOptions())
-    scene_now.require_same(proven, settled, session.reporter, wire=scan_driver.on_a_wire(settled.driver))
+    current_scene.require_current_scene(proven, settled, session.reporter, wire=scan_driver.on_a_wire(settled.driver))
     cell = cell_with(stands, read_cell(run, begun.resolution_deg))
     seed = recorded.manifest.require_seed(recorded.folder)
     legs, done = legs_of(motion, begun.view), {scan.stop for scan in scans}

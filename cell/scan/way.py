@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cell.proof.proof import Proven
 from cell.runs import digest
+from cell.runs.verification import VerifiedPlan
 from cell.scan.legs import Legs
 from drivers.setpoints import from_rad
 
@@ -35,12 +35,12 @@ class Released:
         return self.digest[: digest.SHORT_DIGEST]
 
 
-def of_plan(proven: Proven) -> Released:
+def of_plan(proven: VerifiedPlan) -> Released:
     """The plan's motion."""
     return Released("the plan", proven.digest)
 
 
-def of_legs(proven: Proven, legs: Legs, what: str) -> Released:
+def of_legs(proven: VerifiedPlan, legs: Legs, what: str) -> Released:
     """A way of its own, found to keep the limits and to be free of collision.
 
     Args:
@@ -53,7 +53,7 @@ def of_legs(proven: Proven, legs: Legs, what: str) -> Released:
     """
     limits = proven.motion.limits
     start = np.clip(legs.start, limits.lower, limits.upper)  # a count beyond a limit is a rounded limit
-    proven.require_way(np.concatenate([start[None], *(leg.via for leg in legs.legs)]))
+    proven.require_path_free(np.concatenate([start[None], *(leg.via for leg in legs.legs)]))
     rows = [[0, 0, -1, *from_rad(legs.start).tolist()]]
     for number, leg in enumerate(legs.legs, start=1):
         last = len(leg.via) - 1

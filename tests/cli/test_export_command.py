@@ -229,7 +229,7 @@ def test_runs_that_cannot_be_exported(
     resealed(still)
     done = run_cell("export", str(still), cwd=tmp_path)
     assert done.returncode == 6
-    assert "holds no motion" in done.stderr
+    assert "has no motion" in done.stderr
     assert not (still / "export").exists()
 
 

@@ -10,9 +10,9 @@ import pytest
 
 from cell.api import locate, open_run
 from cell.errors import FileError, UsageError
-from cell.proof.proof import prove
 from cell.runs.cell import read_cell
 from cell.runs.run import Run
+from cell.runs.verification import verify_plan
 from cell.world import virtual_scan
 from planner.registration.rigid import motion_from_screw
 from planner.values import Floats
@@ -59,7 +59,7 @@ def test_one_scan_finds_the_part_and_the_plan_is_taken_there(run_cell: Command, 
         np.testing.assert_allclose(one, other, atol=2e-5)
     np.testing.assert_allclose(there.T_base_object, found["T_base_object"], atol=1e-9)
     assert there.digest != run.digest
-    assert prove(there.folder).digest == there.digest
+    assert verify_plan(there.folder).digest == there.digest
     assert run_cell("scan", there.folder, "--view", "1", "--resolution", "2", cwd=tmp_path).returncode == 0
 
 

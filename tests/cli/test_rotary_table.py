@@ -19,13 +19,12 @@ from cell.edit.editable import EditableRun
 from cell.emulate.memory import SCHEMA
 from cell.errors import FileError, SceneError
 from cell.metrology.locate import _check_motion
-from cell.proof.files_now import FilesNow
-from cell.proof.proof import prove
-from cell.proof.scene_now import require_same
 from cell.replay.replay import load_show
 from cell.robot.frames import kuka_abc_from_pose
 from cell.runs.cell import read_cell, world_of
+from cell.runs.current_scene import CurrentFiles, require_current_scene
 from cell.runs.run import open_run, read_execution
+from cell.runs.verification import verify_plan
 from cell.scene.file import scene_of
 from cell.session import LoggedProgress
 from cell.study.placement_trial import placement
@@ -98,13 +97,13 @@ def test_the_slowest_of_seven_axes_sets_the_time(turned: Path) -> None:
 
 def test_the_certificate_is_made_again_and_a_changed_table_is_told(turned: Path, tmp_path: Path) -> None:
     """What may be driven is proven from the folder; an angle or a table that was changed is not."""
-    assert prove(turned).world.table is not None
+    assert verify_plan(turned).world.table is not None
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     text = (copy / "scene.resolved.json").read_text(encoding="utf-8")
     (copy / "scene.resolved.json").write_text(text.replace('"diameter_mm": 400.0', '"diameter_mm": 300.0'))
     with pytest.raises(Exception, match=r"scene\.resolved\.json"):
-        prove(copy)
+        verify_plan(copy)
 
 
 def test_an_execution_measures_what_was_predicted(turned: Path) -> None:
@@ -192,7 +191,7 @@ def test_an_endless_table_is_driven_from_the_turn_on_which_it_stands(
 
 def test_a_table_that_is_another_now_is_told(turned: Path, tmp_path: Path) -> None:
     """Faster, elsewhere, indexed, none at all: a difference that has a name, as every other of the cell has."""
-    proven = prove(turned)
+    proven = verify_plan(turned)
     for text in (
         "[table]\nvelocity_deg_s = 77",
         "[table]\nposition_mm = [1200, 500, -900]",
@@ -200,8 +199,8 @@ def test_a_table_that_is_another_now_is_told(turned: Path, tmp_path: Path) -> No
         "",
     ):
         (tmp_path / "now.toml").write_text(text)
-        with pytest.raises(SceneError, match="the table is another than the plan's"):
-            require_same(proven, FilesNow(scene=tmp_path / "now.toml"), None, wire=False)
+        with pytest.raises(SceneError, match="the table differs from the plan"):
+            require_current_scene(proven, CurrentFiles(scene=tmp_path / "now.toml"), None, wire=False)
 
 
 def test_the_show_turns_the_part(turned: Path) -> None:
@@ -277,7 +276,7 @@ def test_a_further_set_up_takes_the_table_with_it(turned: Path, run_cell: RunCel
     first, second = (_json(run / "scene.resolved.json") for run in (turned, tmp_path / "over"))
     assert second["table"]["post_mm"] == first["table"]["post_mm"]
     assert second["table"]["T_base_table"] != first["table"]["T_base_table"]
-    assert prove(tmp_path / "over").world.table is not None
+    assert verify_plan(tmp_path / "over").world.table is not None
 
 
 def test_views_are_edited_and_the_motion_of_seven_axes_certified_again(
@@ -296,10 +295,10 @@ def test_views_are_edited_and_the_motion_of_seven_axes_certified_again(
         for each in _json(tmp_path / "same" / "plan.json")["views"]
     )
     assert again < 1e-4  # set-points are rounded
-    assert prove(tmp_path / "same").world.table is not None
+    assert verify_plan(tmp_path / "same").world.table is not None
     fewer = EditableRun.opened(turned).edited(drop=[1], out=tmp_path / "fewer", use_cache=False)
     assert len(fewer.plan.views) == len(_json(turned / "plan.json")["views"]) - 1
-    assert prove(fewer.folder).world.table is not None
+    assert verify_plan(fewer.folder).world.table is not None
 
 
 def test_the_place_at_angle_0_is_found_from_points_of_a_turned_part(turned: Path, tmp_path: Path) -> None:
@@ -431,7 +430,7 @@ def test_an_indexed_table_is_planned_proven_and_gone_on_with(
     moved = np.diff(via, axis=0) != 0
     assert not (moved[:, :6].any(axis=1) & moved[:, 6]).any()
     assert moved[:, 6].any()
-    assert prove(run).motion.limits.table_turn_q is not None
+    assert verify_plan(run).motion.limits.table_turn_q is not None
     start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(via[0, :6]), 60.0])
     done = run_cell("scan", run, "--resolution", "1", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -442,7 +441,7 @@ def test_an_indexed_table_is_planned_proven_and_gone_on_with(
     moved = np.abs(np.diff(np.array(resumed["way_deg"]), axis=0)) > 1e-3
     assert not (moved[:, :6].any(axis=1) & moved[:, 6]).any()
     with pytest.raises(FileError, match="the way moves arm and table at once"):
-        prove(run).require_way(np.stack([via[0], quantise(via[0] + np.radians([1, 0, 0, 0, 0, 0, 1]))]))
+        verify_plan(run).require_path_free(np.stack([via[0], quantise(via[0] + np.radians([1, 0, 0, 0, 0, 0, 1]))]))
 
 
 def test_about_a_tilted_axis_a_plan_is_proven_scanned_and_placed_as_about_an_upright_one(
@@ -464,7 +463,7 @@ def test_about_a_tilted_axis_a_plan_is_proven_scanned_and_placed_as_about_an_upr
         np.testing.assert_allclose(np.array(view["T_base_object"])[:3, 3], at, atol=1e-9)
         turned_by.add(view["e_deg"][0])
     assert len(turned_by) > 1
-    proven = prove(tmp_path / "run")
+    proven = verify_plan(tmp_path / "run")
     again = world_of(proven.run, proven.world.part_mesh).table
     assert again is not None
     np.testing.assert_allclose(again.T_base_table, T_base_table, atol=1e-9)

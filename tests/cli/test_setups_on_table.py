@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.proof.proof import prove
 from cell.runs.schema import SetupsFile
+from cell.runs.verification import verify_plan
 from cell.setups.planned_setups import PlannedSetups
 from tests.seen_samples import seen_samples
 
@@ -57,7 +57,7 @@ def test_each_set_up_is_a_plan_of_seven_axes_on_the_same_table(folder: Path) -> 
         assert json.loads((run / "manifest.json").read_text())["schema"] == "scan-cell/run/2"
         stored = np.load(run / "motion.npz")
         assert (stored["via_q"].shape[1], stored["via_e"].shape[1]) == (6, 1)
-        proven = prove(run)
+        proven = verify_plan(run)
         assert proven.world.table is not None
         tables.append(proven.world.table.T_base_table)
     for table in tables[1:]:

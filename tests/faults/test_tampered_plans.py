@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from cell.errors import CellError
-from cell.proof.proof import prove
+from cell.runs.verification import verify_plan
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 Reseal = Callable[[Path], str]
@@ -172,7 +172,7 @@ def judged(run: Path, changes: list[Callable[[], Change]], resealed: Reseal) -> 
                 _digest_anew(path)
             else:
                 resealed(run)
-            prove(run)
+            verify_plan(run)
         except CellError:
             pass
         else:
@@ -271,7 +271,7 @@ def test_a_via_point_inside_the_part_is_refused_by_the_certificate(
     from cell.robot.kinematics import Kr16Kinematics
     from planner.kinematics.setpoints import from_steps, to_steps
 
-    proven = prove(planned)
+    proven = verify_plan(planned)
     row = int(np.flatnonzero(proven.motion.view >= 0)[0])
     inside = proven.plan.views[0].T_base_flange.copy()  # from 250 mm off the surface to 50 mm behind it
     inside[:3, 3] += 0.3 * proven.plan.views[0].T_base_scanner[:3, 2]
@@ -286,15 +286,15 @@ def test_a_via_point_inside_the_part_is_refused_by_the_certificate(
     for command in (("scan", run, "--confirm-motion", digest), ("export", run)):
         done = run_cell(*command, cwd=tmp_path)
         assert done.returncode == 6, done.stderr
-        assert re.search(r"motion.npz (comes nearer than the clearance|is not free of collision)", done.stderr)
+        assert re.search(r"motion.npz (violates the clearance|is not certified collision-free)", done.stderr)
     free = tmp_path / "free"
     shutil.copytree(planned, free)
     via = proven.motion.via_q
     _with_via(free, from_steps(to_steps((via[row - 1] + via[row]) / 2)), row)
     assert resealed(free) != proven.digest
-    assert prove(free).digest != proven.digest
+    assert verify_plan(free).digest != proven.digest
     with pytest.raises(CellError, match="nothing was moved"):
-        proven.require_way(np.stack([via[0], from_steps(to_steps(q))]))
+        proven.require_path_free(np.stack([via[0], from_steps(to_steps(q))]))
 
 
 def test_limits_are_the_model_s_even_where_both_files_agree(planned: Path, tmp_path: Path, resealed: Reseal) -> None:
@@ -313,7 +313,7 @@ def test_limits_are_the_model_s_even_where_both_files_agree(planned: Path, tmp_p
         np.savez_compressed(run / "motion.npz", **arrays | {name: arrays[name] * factor})
         resealed(run)
         with pytest.raises(CellError, match=words):
-            prove(run)
+            verify_plan(run)
 
 
 def test_a_plan_without_a_digest_is_read_and_replayed_and_never_driven(

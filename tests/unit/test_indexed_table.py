@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.proof.motion_again import require_free
+from cell.runs.verification import find_collision
 from cell.scene.model import Scene
 from cell.world.checks import impossible
 from cell.world.model import compile_world
@@ -113,7 +113,7 @@ def test_a_turn_that_is_found_is_certified_itself() -> None:
     for table in np.linspace(2.2, 2.8, 7):
         found = connect(at(-1, 0), at(-1, table), Dip(), LIMITS, rng())
         refused += found.via is None
-        assert found.via is None or require_free(found.via, Dip(), LIMITS) == ""
+        assert found.via is None or find_collision(found.via, Dip(), LIMITS) == ""
     assert refused
 
 

@@ -10,9 +10,8 @@ import pytest
 import trimesh
 
 from cell.errors import SceneError
-from cell.proof.files_now import FilesNow
-from cell.proof.proof import Proven, prove
-from cell.proof.scene_now import require_same
+from cell.runs.current_scene import CurrentFiles, require_current_scene
+from cell.runs.verification import VerifiedPlan, verify_plan
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -53,9 +52,9 @@ def cell_of_files(made_once: Callable[..., Path], part_file: Path, run_cell: Run
 
 
 @pytest.fixture(scope="module")
-def proven(cell_of_files: Path) -> Proven:
+def proven(cell_of_files: Path) -> VerifiedPlan:
     """Its plan."""
-    return prove(cell_of_files / "run")
+    return verify_plan(cell_of_files / "run")
 
 
 @pytest.fixture
@@ -66,19 +65,19 @@ def now(cell_of_files: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def _refused(proven: Proven, files: FilesNow, *, wire: bool = False) -> str:
+def _refused(proven: VerifiedPlan, files: CurrentFiles, *, wire: bool = False) -> str:
     """Names that the refusal asks to accept."""
-    with pytest.raises(SceneError, match="no longer the one of the plan") as refusal:
-        require_same(proven, files, None, wire=wire)
+    with pytest.raises(SceneError, match="the cell differs from the plan") as refusal:
+        require_current_scene(proven, files, None, wire=wire)
     return str(refusal.value).rpartition(" ")[2]
 
 
-def test_files_as_they_were_are_driven(proven: Proven, now: Path) -> None:
+def test_files_as_they_were_are_driven(proven: VerifiedPlan, now: Path) -> None:
     """Those that the manifest names, and others of the same content."""
-    require_same(proven, FilesNow(), None, wire=True)
-    require_same(proven, FilesNow(scene=now / "cell.toml", part=str(now / "part.stl")), None, wire=True)
+    require_current_scene(proven, CurrentFiles(), None, wire=True)
+    require_current_scene(proven, CurrentFiles(scene=now / "cell.toml", part=str(now / "part.stl")), None, wire=True)
     (now / "cell.toml").write_text("# moved nothing\n" + _SCENE)
-    require_same(proven, FilesNow(scene=now / "cell.toml"), None, wire=True)
+    require_current_scene(proven, CurrentFiles(scene=now / "cell.toml"), None, wire=True)
 
 
 @pytest.mark.parametrize(
@@ -96,26 +95,28 @@ def test_files_as_they_were_are_driven(proven: Proven, now: Path) -> None:
         ("[plan]", "plan", "scene"),
     ],
 )
-def test_what_differs_is_named_and_can_be_accepted(was: str, is_now: str, name: str, proven: Proven, now: Path) -> None:
+def test_what_differs_is_named_and_can_be_accepted(
+    was: str, is_now: str, name: str, proven: VerifiedPlan, now: Path
+) -> None:
     """Part, placement, mount, housing, post, pedestal, table, fixtures: by name; another name does not help."""
     (now / "cell.toml").write_text(_SCENE.replace(was, is_now))
-    assert _refused(proven, FilesNow(scene=now / "cell.toml")) == name
-    assert _refused(proven, FilesNow(scene=now / "cell.toml", accept_changed_scene=("missing", "nothing"))) == name
-    require_same(
-        proven, FilesNow(scene=now / "cell.toml", accept_changed_scene=tuple(name.split(","))), None, wire=True
+    assert _refused(proven, CurrentFiles(scene=now / "cell.toml")) == name
+    assert _refused(proven, CurrentFiles(scene=now / "cell.toml", accept_changed_scene=("missing", "nothing"))) == name
+    require_current_scene(
+        proven, CurrentFiles(scene=now / "cell.toml", accept_changed_scene=tuple(name.split(","))), None, wire=True
     )
 
 
-def test_another_surface_is_another_part_and_another_header_is_not(proven: Proven, now: Path) -> None:
+def test_another_surface_is_another_part_and_another_header_is_not(proven: VerifiedPlan, now: Path) -> None:
     """The same triangles in another file are the same part."""
     content = (now / "part.stl").read_bytes()
     (now / "part.stl").write_bytes(b"exported again".ljust(80) + content[80:])
-    require_same(proven, FilesNow(part=str(now / "part.stl")), None, wire=True)
+    require_current_scene(proven, CurrentFiles(part=str(now / "part.stl")), None, wire=True)
     mesh = trimesh.load(now / "part.stl")
     mesh.apply_translation([0, 0, 0.1])
     mesh.export(now / "part.stl")
-    assert _refused(proven, FilesNow(part=str(now / "part.stl"))) == "part"
-    assert _refused(proven, FilesNow(part="mug")) == "part"
+    assert _refused(proven, CurrentFiles(part=str(now / "part.stl"))) == "part"
+    assert _refused(proven, CurrentFiles(part="mug")) == "part"
 
 
 def test_the_files_of_the_manifest_are_looked_at_again(cell_of_files: Path, tmp_path: Path, run_cell: Run) -> None:
@@ -132,10 +133,10 @@ def test_the_files_of_the_manifest_are_looked_at_again(cell_of_files: Path, tmp_
     (tmp_path / "cell.toml").write_text(_SCENE.replace("[1100, 400, 100]", "[1100, 401, 100]"))
     done = run_cell("export", "run", cwd=tmp_path)
     assert done.returncode == 2
-    assert "the placement is another than the plan's" in done.stderr
+    assert "the placement differs from the plan" in done.stderr
     done = run_cell("export", "run", "--accept-changed-scene", "placement", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "the placement is another" in done.stderr
+    assert "the placement differs" in done.stderr
 
     (tmp_path / "cell.toml").write_text(_SCENE)
     (tmp_path / "clamp.stl").write_bytes(b"solid")
@@ -143,7 +144,7 @@ def test_the_files_of_the_manifest_are_looked_at_again(cell_of_files: Path, tmp_
     (tmp_path / "clamp.stl").unlink()
     done = run_cell("export", "run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert f"{tmp_path / 'clamp.stl'} is gone" in done.stderr
+    assert f"{tmp_path / 'clamp.stl'} is missing" in done.stderr
     word = ("--confirm-motion", manifest["digest"], "--driver", "modbus://127.0.0.1:1")
     done = run_cell("scan", "run", *word, cwd=tmp_path)
     assert done.returncode == 2
@@ -162,7 +163,7 @@ def test_what_the_command_line_said_is_no_difference(cell_of_files: Path, tmp_pa
         cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    placed = prove(tmp_path / "run")
+    placed = verify_plan(tmp_path / "run")
     (tmp_path / "cell.toml").write_text(_SCENE.replace("[60, 50, 40]", "[60, 50, 42]"))
-    assert _refused(placed, FilesNow()) == "fixture:box"
-    assert _refused(placed, FilesNow(scene=tmp_path / "cell.toml")) == "placement,fixture:box"
+    assert _refused(placed, CurrentFiles()) == "fixture:box"
+    assert _refused(placed, CurrentFiles(scene=tmp_path / "cell.toml")) == "placement,fixture:box"

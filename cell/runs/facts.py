@@ -43,7 +43,7 @@ def limits_deg(limits: JointLimits) -> LimitsDeg:
     }
 
 
-def standing_fixtures(scene: Scene, world: World) -> list[StandingFixture]:
+def resolved_fixtures(scene: Scene, world: World) -> list[StandingFixture]:
     """All that stands in the cell: the scene's fixtures, then post, pedestal and floor."""
     return [*(_fixture(fixture, world) for fixture in scene.fixtures), *_built_in(scene, world)]
 
@@ -68,21 +68,21 @@ def resolved_table(scene: Scene, world: World) -> ResolvedTable | None:
     return ResolvedTable(T_base_table=world.table.T_base_table, turn_deg=(low, high), **said)
 
 
-class Turned(TypedDict, total=False):
+class TableValues(TypedDict, total=False):
     """The keys of a view that a rotary table adds."""
 
     e_deg: tuple[float, ...]
     T_base_object: Floats
 
 
-def turned_at(world: World, q: Floats) -> Turned:
+def table_values(world: World, q: Floats) -> TableValues:
     """What a view at (axes,) joint angles [rad] says of the table; nothing where there is none."""
     if world.table is None:
         return {}
     return {"e_deg": tuple(degrees(q[ARM_AXES:])), "T_base_object": world.T_base_part(q)}
 
 
-def sweep_of(T_object_poses: Floats, path: SweepPath) -> Sweep:
+def sweep_values(T_object_poses: Floats, path: SweepPath) -> Sweep:
     """What is driven at a view of a line sensor.
 
     Args:

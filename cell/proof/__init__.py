@@ -1,1 +1,0 @@
-"""What must hold of a plan before it is driven or exported, from its run folder alone."""
