@@ -208,9 +208,9 @@ def _scanner_as_planned(now: Scene, planned: Scene) -> Scene:
         left = {"scanner": ("baseline_mm",), "housing": ("size_mm", "bracket_diameter_mm")}
         update = {}
         for table, keys in left.items():
-            own, planned = getattr(now, table), getattr(planned, table)
+            own, default = getattr(now, table), getattr(planned, table)
             update[table] = own.model_copy(
-                update={key: getattr(planned, key) for key in keys if getattr(own, key) is None}
+                update={key: getattr(default, key) for key in keys if getattr(own, key) is None}
             )
         return now.model_copy(update=update)
     return settle.settled(now.model_copy(update={"plan": planned.plan}), planned.part.name, 0.0)
