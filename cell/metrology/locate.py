@@ -12,11 +12,11 @@ from cell.errors import FileError, SceneError, UsageError
 from cell.metrology import point_files
 from cell.metrology.options import LocateOptions
 from cell.part.workpiece import UNITS
-from cell.runs.verification import find_collision
 from cell.robot.frames import kuka_abc_from_pose
 from cell.runs.cell import world_of
 from cell.runs.run import Run, read_execution
 from cell.runs.schema import JsonTable, Transform, Triple
+from cell.runs.verification import find_collision
 from cell.session import ProgressReporter, Stream, random_stream
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
