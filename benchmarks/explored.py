@@ -3,13 +3,14 @@
 SCAN_CELL_PARTS names built-in parts and meshes of the folder SCAN_CELL_MESHES (default "mug,petanque"; "all": all of
 them), SCAN_CELL_SEEDS (default 1) is the number of seeds, SCAN_CELL_POLICIES names policies (default both). Contact is
 judged by `benchmarks.triangle_cell`, true triangles in python-fcl at every sample of the motions. SCAN_CELL_REASONS=1
-has the stated reasons judged as well (`benchmarks.exploring.reasons`). Each row is told as soon as it is there.
+has the stated reasons judged as well (`benchmarks.exploring.reasons`). Each row is printed when it is complete;
+`--charts` draws coverage over views with the bound for the true model (`benchmarks.exploring.evaluation`).
 """
 
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
@@ -18,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.exploring import reasons
+from benchmarks.exploring import evaluation, reasons
+from benchmarks.exploring.chart import draw_evaluations
 from benchmarks.parts import parts
 from benchmarks.triangle_cell import TriangleCell
 from cell.explore.explore import LAST_STAGE, explore
@@ -53,6 +55,11 @@ def run() -> list[dict[str, Any]]:
     return rows
 
 
+def chart(rows: Sequence[dict[str, Any]], folder: Path) -> None:
+    """Draw coverage over the number of views, with the bound of the plan that knows the model."""
+    draw_evaluations(rows, folder / "explored.png")
+
+
 def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         out, clock = Path(folder) / "explored", _Clock()
@@ -60,12 +67,12 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
         scene = scene_of(None, {"place": (1200, 500, 0), "seed": seed} | units, words[0])
         options = read(ExploreOptions, {"policy": policy})
         file = explore(Session(None, clock, out), scene, options, ScanOptions())
-        known = file.truth
-        assert known is not None
-        checked, contacts = _judged(out, file)
-        said = {}
-        if os.environ.get("SCAN_CELL_REASONS"):
-            said = reasons.judged(prepared(Session(None, out=out), scene, options, ScanOptions()), file)
+        work = prepared(Session(None, out=out), scene, options, ScanOptions())
+        known_model = Path(folder) / "known"
+        evaluation.plan_known_model(work, known_model)
+        known = evaluation.evaluate(work, file, known_model)
+        checked, contacts = _judged(out, file, known_model)
+        said = reasons.judged(work, file, known_model) if os.environ.get("SCAN_CELL_REASONS") else {}
     limit = _LIMIT[policy] * known.fewest + 2
     return {
         "part": part,
@@ -87,6 +94,8 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
         "nearest mm": round(known.nearest_mm, 1),
         "step s": round(clock.exploring / len(file.stages), 2),
         **_told(said),
+        "by views": list(known.by_views),
+        "bound": [(point.views, point.found, point.at_most) for point in known.bound],
     }
 
 
@@ -120,11 +129,11 @@ def _share(by_views: tuple[float, ...], n: int) -> float:
     return round(100 * by_views[min(n, len(by_views)) - 1], 2)
 
 
-def _judged(out: Path, file: ExploreFile) -> tuple[int, int]:
-    """Configurations along all motions, and those in which triangles meet, the true part in its place."""
-    truth = open_finished(out / "truth")
-    part = truth.mesh("reference.ply")
-    judge, checked, found = TriangleCell(world_of(truth, part), part), 0, 0
+def _judged(out: Path, file: ExploreFile, known_model: Path) -> tuple[int, int]:
+    """Return the number of configurations along all motions, and of those in contact with the true part in place."""
+    known = open_finished(known_model)
+    part = known.mesh("reference.ply")
+    judge, checked, found = TriangleCell(world_of(known, part), part), 0, 0
     for stage in file.stages:
         q = open_finished(out / stage.folder).motion.q
         checked += len(q)

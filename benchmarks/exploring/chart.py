@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from cell.view.palette import BLUE, GREEN, GREY, ORANGE, PURPLE
+from cell.view.palette import BETWEEN, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION
 
 _COLOURS = {"stepwise": BLUE, "uniform": GREEN, "random": GREY, "volumetric": ORANGE, "density": PURPLE}
 
@@ -37,6 +38,26 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         for axes in row:
             axes.set_xlabel(label, fontsize=8.5)
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=6, frameon=False)
+    figure.savefig(path, metadata={"Software": "scan-cell"})
+
+
+def draw_evaluations(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Draw the coverage of explorations over their views, and what the model's candidates reach, a panel each."""
+    figure = Figure(figsize=(7.2, 4.0 * len(rows)), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, row in zip(figure.subplots(len(rows), 1, squeeze=False)[:, 0], rows, strict=True):
+        n, found, at_most = np.array(row["bound"]).T
+        axes.fill_between(n, 100 * found, 100 * at_most, color=BETWEEN, lw=0, label="not excluded by the bound")
+        axes.plot(n, 100 * at_most, "-", color=VERMILION, lw=1, label="upper bound for the model's candidates")
+        axes.plot(n, 100 * found, "-", color=ORANGE, lw=1, label="best selection found with the model")
+        shares = 100 * np.array([0.0, *row["by views"]])
+        axes.plot(range(len(shares)), shares, "o-", color=BLUE, ms=4, lw=1.2, label="explored")
+        axes.set(ylabel="visible coverage [% of the true surface]", xlabel="number of views", ylim=(0, 103))
+        axes.set_xlim(0, len(shares) - 1)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.grid(alpha=0.3)
+        axes.set_title(f"{row['part']}, {row['policy']}, seed {row['seed']}", fontsize=9.5, loc="left")
+        axes.legend(fontsize=8, loc="lower right")
     figure.savefig(path, metadata={"Software": "scan-cell"})
 
 

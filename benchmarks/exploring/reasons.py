@@ -9,6 +9,7 @@ surface within a voxel's edge of the sample is measured by the executed views, "
 """
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -31,17 +32,18 @@ from planner.values import Bools, Floats
 from planner.why.reasons import Reason
 
 
-def judged(work: Exploring, file: ExploreFile) -> dict[str, tuple[float, float]]:
+def judged(work: Exploring, file: ExploreFile, known_model: Path) -> dict[str, tuple[float, float]]:
     """Area [mm2] of what is open by stated sentence, and of it the area for which the sentence is true.
 
     Args:
         work: what the exploration was begun with, its folder finished.
         file: its explore.json.
+        known_model: run folder of the plan of the true part.
     """
     said = stays_open(work, file, work.paths.known(len(file.stages), work.unknown))
     if said is None:
         return {}
-    true = _true(work, file, said)
+    true = _true(work, file, said, known_model)
     found: dict[str, tuple[float, float]] = {}
     for code in np.unique(said.reason).tolist():
         here = said.reason == code
@@ -51,9 +53,9 @@ def judged(work: Exploring, file: ExploreFile) -> dict[str, tuple[float, float]]
     return found
 
 
-def _true(work: Exploring, file: ExploreFile, said: StillOpen) -> Bools:
+def _true(work: Exploring, file: ExploreFile, said: StillOpen, known_model: Path) -> Bools:
     """(N,) for which samples the reason is true."""
-    run = open_finished(work.paths.root / "truth")
+    run = open_finished(known_model)
     cell, part = read_cell(run), run.mesh("reference.ply")
     assert work.hidden is not None
     to_object = np.asarray(np.linalg.inv(work.hidden.T_explored_object), dtype=np.float64)

@@ -42,8 +42,7 @@ def explore(
 ) -> None:
     """Measure a part that nobody has a model of: a first ring of views, then what stays open, a batch at a time.
 
-    PART stands in the cell and is hidden from the planning; in simulation the truth is told beside. --max-views is the
-    budget of views.
+    PART stands in the cell and is hidden from the planning. --max-views is the budget of views.
     """
     from cell import api
     from cell.commands.terminal import Terminal

@@ -15,7 +15,7 @@ class Exploration:
 
     Attributes:
         folder: of it.
-        file: explore.json: batches, what stays open and why; in simulation the truth beside it.
+        file: explore.json: batches, what stays open and why.
     """
 
     folder: Path

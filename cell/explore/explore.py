@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import FileError, UnreachableError
-from cell.explore import belief, report, specification, truth
+from cell.explore import belief, report, specification
 from cell.explore.asked import Asked
 from cell.explore.execution import executed
 from cell.explore.measured_surface import continued
@@ -340,13 +340,13 @@ def _stage_of(
 def _finished(
     work: Exploring, file: ExploreFile, scans: tuple[ExecutedScan, ...], ended: str, still_open: tuple[OpenReason, ...]
 ) -> ExploreFile:
-    """The model of all scans, the truth in simulation, and the report."""
+    """Write the model of all scans, the report and the finished explore.json."""
     if not file.stages:
         raise UnreachableError(f"nothing can be explored here: {ended}; move the part (--place), or change the scanner")
     with work.session.stage(LAST_STAGE):
         model = report.write_model(work.paths.root, scans)
     middle = None if model is None else report.middle_of(model, np.asarray(work.scene.placement.position_mm))
-    missed = found = None
+    missed = None
     if model is not None and specification.asked(work.scene):
         missed = specification.missed(work.scene, model, np.stack([scan.T_reported for scan in scans]))
         if missed > _MISSED:
@@ -354,14 +354,9 @@ def _finished(
                 f"{100 * missed:.1f} % of what was measured is worse than the sigma or spacing asked for; plan on "
                 f"{report.MODEL} with the same limits"
             )
-    if work.part is not None and work.hidden is not None:
-        folder = truth.plan_truth(work.session, work.scene, work.part, work.paths.root)
-        with work.session.stage("the truth beside it"):
-            stages = tuple(work.paths.root / stage.folder for stage in file.stages)
-            found = truth.truth_of(folder, work.hidden, truth.Explored(stages, scans))
     file = file.model_copy(
         update={
-            "status": "finished", "ended": ended, "open": still_open, "truth": found,
+            "status": "finished", "ended": ended, "open": still_open,
             "model": "" if middle is None else report.MODEL, "model_middle_mm": middle, "misses_limits": missed,
         }
     )  # fmt: skip

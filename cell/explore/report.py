@@ -6,7 +6,7 @@ from pathlib import Path
 from cell.explore.measured_surface import surface_of
 from cell.runs import ply
 from cell.runs.run import ExecutedScan
-from cell.runs.schema import ExploreFile, Truth
+from cell.runs.schema import ExploreFile
 from cell.view import coverage_curve, explore_page
 from cell.view.contents import NAME as PAGE
 from planner.geometry.mesh import TriangleMesh
@@ -42,22 +42,7 @@ def write(folder: Path, file: ExploreFile) -> None:
             for stage in file.stages
         ),
     ]  # fmt: skip
-    lines += ["", "## Coverage over views", "", f"![Coverage over views]({PICTURE})"]
-    if file.truth is not None:
-        lines += ["", *_table(file.truth)]
+    lines += ["", "## Measured surface over views", "", f"![Measured surface over views]({PICTURE})"]
     coverage_curve.draw(folder / PICTURE, file)
     (folder / PAGE).write_text(explore_page.explore_page(folder, file), encoding="utf-8")
     (folder / REPORT).write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _table(known: Truth) -> list[str]:
-    at = {point.views: point for point in known.bound}
-    return [
-        "The bound: no so many of the true model's candidates measure more (truth/).", "",
-        "| views | explored % | best found with the model % | at most % |", "|---|---|---|---|",
-        *(
-            f"| {n} | {100 * share:.2f} | "
-            + (f"{100 * at[n].found:.2f} | {100 * at[n].at_most:.2f} |" if n in at else "| |")
-            for n, share in enumerate(known.by_views, start=1)
-        ),
-    ]  # fmt: skip

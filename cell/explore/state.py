@@ -5,7 +5,6 @@
     stages/0001.unseen.ply     what arm and housing kept away from
     stages/0001.measured.ply   the surface of all points before it and where it leads, where it was planned on that
     stages/0001.voxels.npz     the voxels after it
-    truth/                     in simulation: the plan that knows the model
 
 explore.json is written last, so a stage is in it whole or not at all. A plan whose stage is not in it is gone on with.
 """

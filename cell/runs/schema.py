@@ -1097,37 +1097,6 @@ class OpenReason(JsonTable):
     area_mm2: float = Field(description="area of the belief surface")
 
 
-class BoundAt(JsonTable):
-    """A point of the bounded coverage curve."""
-
-    views: int = Field(description="number of views")
-    found: float = Field(description="coverage of the best selection found")
-    at_most: float = Field(description="upper bound over all selections of this number of candidates")
-
-
-class Truth(JsonTable):
-    """Comparison with the true part in simulation; shares of its surface."""
-
-    visible: float = Field(description="visible coverage of the executed views")
-    by_views: tuple[float, ...] = Field(description="the same after each view in execution order")
-    known_model_visible: float = Field(description="visible coverage of the plan with the known model (truth/)")
-    known_model_views: int = Field(description="number of views of that plan")
-    coverable: float = Field(description="coverage of its reachable candidates")
-    fewest: int = Field(
-        description="lower bound on the views of its candidates for the reached coverage, or for all they measure"
-    )
-    fewest_found: int = Field(description="best cover found among its candidates for the same coverage")
-    bound: tuple[BoundAt, ...] = Field(description="bounded coverage curve of the true model's candidates")
-    nearest_mm: float = Field(description="smallest distance of arm or tool to any object, the true part included")
-    nearest: str = Field(description="pair of objects")
-
-    @property
-    def fewest_words(self) -> str:
-        """The fewest views for the reached coverage, in words."""
-        least = f"at least {self.fewest}" if self.fewest < self.fewest_found else f"{self.fewest} (proven)"
-        return f"{least} for this coverage, over the true model's candidates and samples"
-
-
 class ExploreFile(JsonTable):
     """explore.json: the exploration of a part without a model, batch by batch."""
 
@@ -1150,7 +1119,6 @@ class ExploreFile(JsonTable):
     model: str = Field(default="", description='mesh of all scans, explored frame; "" if there is none yet')
     model_middle_mm: Triple | None = optional("centre of its bounding box in base, as used by cell plan --place")
     misses_limits: float | None = optional("with a sigma or spacing limit: share of the measured surface beyond it")
-    truth: Truth | None = optional()
 
     @property
     def views(self) -> int:
@@ -1172,20 +1140,6 @@ class ExploreFile(JsonTable):
         if self.misses_limits is not None:
             share = f"{100 * self.misses_limits:.2f} % of the measured surface exceeds the sigma or spacing limit"
             rows.append(("beyond limits", share))
-        if (known := self.truth) is not None:
-            rows += [
-                (
-                    "visible coverage",
-                    f"{100 * known.visible:.2f} % of the true surface; reachable candidates of the true model measure "
-                    f"{100 * known.coverable:.2f} %",
-                ),
-                (
-                    "with the model",
-                    f"{known.known_model_views} views measure {100 * known.known_model_visible:.2f} %",
-                ),
-                ("fewest views", known.fewest_words),
-                ("nearest", f"{known.nearest_mm:.1f} mm ({known.nearest}), with the true part"),
-            ]
         return rows
 
 

@@ -1,9 +1,9 @@
-"""The page of an exploration: the explored mesh, the views in order with what each brought, coverage over views."""
+"""The page of an exploration: the explored mesh, the views in order, the measured surface over the views."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -48,9 +48,7 @@ def explore_page(folder: Path, file: ExploreFile | None = None) -> str:
         surfaces.append(Shown("part", mesh, [_views_of(mesh, scans, _BESIDE * file.voxel_mm / 1000)]))
     views, motion = _views(file, runs, scans)
     curve = coverage_curve.data_url(file)
-    play = Play(
-        views, motion, rows=[*file.rows(), *_brought(file)], notes=_notes(file), next=_next(file), inside=0, curve=curve
-    )
+    play = Play(views, motion, rows=file.rows(), notes=_notes(file), next=_next(file), inside=0, curve=curve)
     return html_of(Stage(f"Exploration of {file.part}", cell, surfaces, rays.direction(*_SIDE)), play)
 
 
@@ -58,29 +56,17 @@ def _views(file: ExploreFile, runs: list[Run], scans: list[ExecutedScan]) -> tup
     """The views of all batches in order, and the motions of the batches one after the other."""
     said: list[View] = []
     times, angles, begin = [], [], 0.0
-    brought = dict(_brought(file))
     for batch, run in enumerate(runs, start=1):
         timeline = timelines.plan_timeline(run.motion, rest=0.0)
         planned = {view.id: view for view in run.plan.views}
         for stop in timeline.stops:
             number = len(said) + 1
             rows = [("view", f"{number}, batch {batch}"), ("points", f"{len(scans[number - 1].points):,}")]
-            if (adds := brought.get(f"view {number}")) is not None:
-                rows.insert(1, ("adds", adds))
             said.append(View(str(number), planned[stop.candidate].T_base_scanner, begin + stop.begin, rows))
         times.append(begin + timeline.t)
         angles.append(timeline.q)
         begin += timeline.duration
     return said, (np.concatenate(times), np.concatenate(angles))
-
-
-def _brought(file: ExploreFile) -> list[tuple[str, str]]:
-    """What each view added to true coverage, in order; nothing where that is not known."""
-    by_views = () if file.truth is None else file.truth.by_views
-    return [
-        (f"view {number}", f"{100 * (after - before):.2f} % of the true surface, {100 * after:.2f} % by then")
-        for number, (before, after) in enumerate(pairwise((0.0, *by_views)), start=1)
-    ]
 
 
 def _views_of(mesh: TriangleMesh, scans: list[ExecutedScan], beside: float) -> Layer:

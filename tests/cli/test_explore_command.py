@@ -1,4 +1,4 @@
-"""`cell explore` end to end on the small part: what is on disk, the same bytes again, the truth, what is refused."""
+"""`cell explore` end to end on the small part: what is on disk, the same bytes again, what is refused."""
 
 import base64
 import json
@@ -25,12 +25,13 @@ from cell.explore.stage import EnoughError
 from cell.part import workpiece
 from cell.plan.problem import Problem
 from cell.runs import ply, schema
-from cell.runs.cell import read_cell, world_of
+from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
 from cell.runs.schema import BELIEVED, MEASURED, ExploreFile
 from cell.scan.options import ScanOptions
 from cell.scene.file import scene_of
 from cell.session import Session
+from cell.study.bench import Bench
 from cell.view.explore_page import explore_page
 from planner.explore.space import FREE
 from planner.geometry.closest import ClosestPointQuery
@@ -123,50 +124,12 @@ def test_views_are_moved_to_where_they_measure_more(
     assert moved > 0
 
 
-def test_the_truth_beside_it_is_that_of_the_part(explored: Path) -> None:
-    """Coverage grows with the views and stays below what no views exceed; nothing came near the true part."""
-    known = schema.read_explore_file(explored / "explore.json").truth
-    assert known is not None
-    assert (np.diff(known.by_views) >= 0).all()
-    assert known.visible == pytest.approx(known.by_views[-1])
-    at_most = {point.views: point.at_most for point in known.bound}
-    assert all(share <= at_most[n] + 0.02 for n, share in enumerate(known.by_views, start=1) if n in at_most)
-    assert 1 <= known.fewest <= 5
-    assert known.visible > 0.6
-    assert known.nearest_mm > 0
-
-
-def _contacts(exploration: Path) -> dict[str, int]:
-    """Configurations along all motions in which triangles meet, by pair, the true part in its place."""
-    truth = open_finished(exploration / "truth")
-    part = truth.mesh("reference.ply")
-    judge, found = TriangleCell(world_of(truth, part), part), dict[str, int]()
-    for stage in schema.read_explore_file(exploration / "explore.json").stages:
-        found |= judge.contacts(open_finished(exploration / stage.folder).motion.q)
-    return found
-
-
-def test_nothing_touches_the_part_that_the_planning_does_not_know(explored: Path) -> None:
+def test_nothing_touches_the_part_that_the_planning_does_not_know(explored: Path, part_file: Path) -> None:
     """Triangles of arm, tool and true part in python-fcl, at every sample of the motions."""
-    assert _contacts(explored) == {}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["mug", "petanque"])
-@pytest.mark.parametrize("policy", ["stepwise", "two-stage"])
-def test_nothing_touches_a_built_in_part(
-    name: str, policy: str, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
-) -> None:
-    """The same of the default options; and the views measure most of what reachable ones do."""
-    done = run_cell(
-        "explore", name, "--place", "1200,500,0", "--policy", policy, "--max-views", "16", "--out", "out", cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
-    known = schema.read_explore_file(tmp_path / "out" / "explore.json").truth
-    assert known is not None
-    assert known.nearest_mm > 0
-    assert known.visible > 0.85 * known.coverable
-    assert _contacts(tmp_path / "out") == {}
+    bench = Bench(scene_of(None, {"place": (1100, 400, 100), "standoff": 250, "units": "mm"}, part_file))
+    judge = TriangleCell(bench.world, bench.part.reference)
+    for stage in schema.read_explore_file(explored / "explore.json").stages:
+        assert judge.contacts(open_finished(explored / stage.folder).motion.q) == {}
 
 
 def test_no_point_of_the_part_is_in_space_that_counts_as_free(explored: Path, part_file: Path) -> None:
@@ -187,7 +150,7 @@ def _stopped_after_the_first(explored: Path, tmp_path: Path) -> Path:
     again = tmp_path / "explored"
     shutil.copytree(explored, again)
     file = schema.read_explore_file(again / "explore.json")
-    before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1], "truth": None})
+    before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1]})
     (again / "explore.json").write_text(json.dumps(before.as_json()))
     return again
 
@@ -348,7 +311,7 @@ def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
     again = tmp_path / "explored"
     shutil.copytree(on_measured, again)
     file = schema.read_explore_file(again / "explore.json")
-    before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1], "truth": None})
+    before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1]})
     (again / "explore.json").write_text(json.dumps(before.as_json()))
     for left in (again / "stages").glob("0003*"):
         shutil.rmtree(left) if left.is_dir() else left.unlink()
@@ -368,7 +331,7 @@ def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
 def test_points_of_files_need_no_model(
     explored: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    """The first stage's points from files, one folder a stage: a model comes out, and no truth, as none is known."""
+    """The first stage's points from files, one folder a stage: a model comes out."""
     cylinder = schema.read_explore_file(explored / "explore.json").cylinder
     scans = sorted((explored / "stages" / "0001" / "executions" / "0001" / "scans").glob("*.npz"))
     (tmp_path / "points" / "0001").mkdir(parents=True)
@@ -381,7 +344,6 @@ def test_points_of_files_need_no_model(
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     file = schema.read_explore_file(tmp_path / "out" / "explore.json")
-    assert file.truth is None
     assert file.source == "files:points"
     assert file.stages[0].points == sum(len(np.load(scan)["points"]) for scan in scans)
     assert (tmp_path / "out" / "model.ply").is_file()
@@ -441,13 +403,13 @@ def test_a_cylinder_that_does_not_hold_the_part_is_told_after_the_ring(
 
 
 @pytest.mark.usefixtures("drawn_pictures")
-def test_the_page_shows_the_views_in_order_and_what_each_brought(
+def test_the_page_shows_the_views_in_order(
     explored: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]],
     data_of: Callable[[str], dict[str, Any]],
 ) -> None:  # fmt: skip
-    """Views of all batches on one motion, their additions as in explore.json, colours by view, the curve as a picture.
+    """Views of all batches on one motion, colours by view, the curve as a picture.
 
-    It is the same page each time, and asks for nothing from outside. An exploration that knows no truth has one too.
+    It is the same page each time, and asks for nothing from outside.
     """
     done = run_cell("view", explored, "--no-open", "--out", tmp_path / "page.html", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -459,16 +421,14 @@ def test_the_page_shows_the_views_in_order_and_what_each_brought(
     times = [view["time"] for view in shown["views"]]
     assert times == sorted(times)
     assert times[-1] < sum(stage.seconds for stage in file.stages)
-    assert file.truth is not None
-    added = np.diff([0.0, *file.truth.by_views])
-    assert [dict(view["rows"])["adds"].split(" %")[0] for view in shown["views"]] == [f"{100 * a:.2f}" for a in added]
+    assert [dict(view["rows"])["view"] for view in shown["views"]] == [
+        "1, batch 1", "2, batch 1", "3, batch 1", "4, batch 2", "5, batch 2",
+    ]  # fmt: skip
     assert "unseen" not in {piece["name"] for piece in shown["pieces"]}
     layer = shown["surfaces"][0]["layers"][0]
     assert (layer["kind"], layer["width"]) == ("views", 1)
     seen = np.frombuffer(base64.b64decode(layer["values"]["base64"]), np.uint8)
     assert (seen > 0).mean() > 0.7  # what closes holes has no point beside it
     assert base64.b64decode(shown["curve"].partition("base64,")[2]).startswith(b"\x89PNG")
-    blind = explore_page(explored, file.model_copy(update={"truth": None}))
-    assert [len(view["rows"]) for view in data_of(blind)["views"]] == [2] * 5
     with pytest.raises(FileError, match="no finished batch yet"):
         explore_page(explored, file.model_copy(update={"stages": ()}))
