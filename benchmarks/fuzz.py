@@ -19,14 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from drivers.commands import Answer, Move, Reset, Stop
-from drivers.contract import Mode, RobotState
+from drivers.contract import Answer, Mode, Move, Reset, RobotState, Stop
+from drivers.emulated import stations
 from drivers.errors import ProtocolError
-from drivers.wire import Stage, pieces
-from drivers.wires.modbus import adu
-from drivers.wires.modbus import register_map as registers
-from drivers.wires.serial import messages
-from drivers.wires.serial.frames import decode, encode, split
+from drivers.wire import Stage, split_move
+from drivers.wires import modbus_protocol as registers
+from drivers.wires import serial_protocol as messages
+from drivers.wires.serial_protocol import decode_frame, encode_frame, split_frames
 
 GOOD = 500
 """Different good frames of each form, each mangled many times."""
@@ -74,34 +73,34 @@ def serial_frames(rng: np.random.Generator) -> list[bytes]:
         state = RobotState(Mode(k % 5), axes, bool(k % 2), number, 0, number, 20, 1, 4001, "a fault", 1)
         frames = (
             messages.request_frame(number, 0, messages.Hello()),
-            messages.request_frame(number, number, messages.Beat()),
+            messages.request_frame(number, number, messages.ReadState()),
             messages.request_frame(number, number, messages.Take(1000) if k % 2 else messages.Give()),
             messages.request_frame(number, number, Stage(number, points)),
-            messages.request_frame(number, number, pieces(Move(points, 0.5), 12)[1]),
+            messages.request_frame(number, number, split_move(Move(points, 0.5), 12)[1]),
             messages.request_frame(number, number, Stop() if k % 2 else Reset()),
             messages.status_frame(number, state),
             messages.answer_frame(number, "MOVE", Answer(number, 3, "via point 0 has A1 at 185.0001 deg")),
         )
-        made.append(encode(frames[k % len(frames)]))
+        made.append(encode_frame(frames[k % len(frames)]))
     return made
 
 
 def accepted_frames(data: bytes) -> set[bytes]:
     """What the serial line's receivers take, all the way to its meaning."""
     found = set()
-    for candidate in split(data)[0]:
-        frame = decode(candidate)
+    for candidate in split_frames(data)[0]:
+        frame = decode_frame(candidate)
         if frame is None:
             continue
-        found.add(encode(frame))
-        messages.request_of(frame)
-        messages.status_of(frame)
-        messages.answer_of(frame, frame.kind)
-        messages.hello_of(frame)
+        found.add(encode_frame(frame))
+        messages.parse_request(frame)
+        messages.parse_status(frame)
+        messages.parse_answer(frame, frame.kind)
+        messages.parse_hello(frame)
     return found
 
 
-_COMMAND = registers.COMMAND.of(6)
+_COMMAND = registers.COMMAND.for_axes(6)
 
 
 def command_blocks(rng: np.random.Generator) -> list[list[int]]:
@@ -123,18 +122,18 @@ def telegrams(rng: np.random.Generator, transaction: int | None) -> list[bytes]:
     made = []
     for block in command_blocks(rng):
         pdu = struct.pack(f">BHHB{len(block)}H", 16, 0, len(block), 2 * len(block), *block)
-        made.append(adu.pack(adu.Header(1, transaction), pdu))
+        made.append(stations.pack(stations.Header(1, transaction), pdu))
     return made
 
 
 def accepted_blocks(data: bytes, rtu: bool) -> set[bytes]:
     """Command blocks that a controller would take from these bytes."""
-    cut = adu.split_rtu(data) if rtu else adu.split_tcp(data)
+    cut = stations.split_rtu(data) if rtu else stations.split_tcp(data)
     found = set()
     for packet in cut[0] if cut else []:
-        unpacked = adu.unpack_rtu(packet) if rtu else adu.unpack_tcp(packet)
-        request = adu.request_of(unpacked[1]) if unpacked else None
-        if not isinstance(request, adu.Write) or request.address != registers.COMMAND.address:
+        unpacked = stations.parse_rtu(packet) if rtu else stations.parse_tcp(packet)
+        request = stations.parse_pdu(unpacked[1]) if unpacked else None
+        if not isinstance(request, stations.Write) or request.address != registers.COMMAND.address:
             continue
         try:
             values, points = _COMMAND.decode(request.values)

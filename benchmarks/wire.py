@@ -23,10 +23,10 @@ import numpy as np
 
 from cell.robot import model as robot
 from drivers.client import ControllerClient
-from drivers.commands import Reset, next_sequence
+from drivers.contract import Reset, next_sequence
 from drivers.limits import Limits
 from drivers.registry import Context, open_driver
-from drivers.wires.modbus import register_map as registers
+from drivers.wires import modbus_protocol as registers
 
 FIGURE_MS = {"modbus": 3.0, "modbus-rtu": 15.0, "serial": 5.0}
 """Medians [ms] that are to be kept."""
@@ -58,7 +58,7 @@ def _bytes(backend: str) -> tuple[int, int]:
     """Bytes there and back of a state, and bits of each."""
     if backend == "serial":
         return len(">00502,0010,STATE,4711*E559936D\r\n") + 100, 10
-    fc16, fc04 = 9 + 2 * registers.COMMAND.registers + 8, 8 + 5 + 2 * registers.STATUS.of(6).registers
+    fc16, fc04 = 9 + 2 * registers.COMMAND.registers + 8, 8 + 5 + 2 * registers.STATUS.for_axes(6).registers
     return fc16 + fc04, 11
 
 

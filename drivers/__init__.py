@@ -1,1 +1,1 @@
-"""Wires to robot controllers: joint set-points and a speed go out, states come back. No geometry, no engine."""
+"""Wires to robot controllers: send joint set-points and a speed, receive states. No geometry, no physics engine."""

@@ -1,20 +1,20 @@
-"""The client's half of the contract, the same over every wire: numbering, waiting, refusing, knowing the unknown.
+"""The client's half of the contract, the same over every wire: numbering, waiting, refusing, resolving lost answers.
 
-A wire implements `Link`, a few small methods; `ControllerClient` makes a `Driver` of it. What it adds:
+A wire implements `Link`, a few small methods; `ControllerClient` turns it into a `Driver`. It adds:
 
-- **Both sides refuse.** What the capabilities or the arm's own limits exclude is not even sent.
-- **One owner.** Moves and resets need the session, which is taken before the first and given back at the end. Who loses
-  it (another client stopped the arm, or took it over from a client that was silent) sends nothing more.
-- **A status is doubted** (`drivers.status`): before each move and scan and while waiting, faults, contradictions and a
-  heartbeat that stands still end the work; every wait has its limit; who arrives sooner than it can has not arrived.
-- **A lost answer** to a move is looked into, never guessed: the state says which number the controller answered last.
-  If it is the move's, the move was accepted (or refused: the state says that too). If it is the old one, the same
-  number is sent once more, which executes at most once. If the state cannot be read, or says neither, a
-  `StateUnknownError` says so, and until a stop has been confirmed and the arm seen standing only `state()` and
-  `stop()` are possible.
-- **A restarted controller, or another client**, is noticed before the next command by the boot number, the owner or the
-  last number; then too only `state()` and `stop()` are possible until a stop was confirmed.
-- **Ctrl-C**, or any other exception while waiting, is a stop with one second for its answer before it goes on.
+- **Refusals.** A move outside the capabilities or the arm's own limits is not sent.
+- **One owner.** Moves and resets need the session. The client takes it before the first of them and gives it back at
+  the end. A client that loses it (another client stopped the arm, or took it over from a silent owner) sends nothing
+  more.
+- **Checks of the status** (`drivers.status`): before each move and scan and while waiting, a fault, a contradiction or
+  a frozen heartbeat ends the work. Every wait has a limit. An arrival sooner than possible is an error.
+- **Lost answers** to a move are resolved, never guessed: the state holds the last answered number. If it is the move's,
+  the move was accepted (or refused; the state says which). If it is the previous one, the client sends the same number
+  once more, which executes at most once. If the state is unreadable or says neither, the client raises
+  `StateUnknownError`. Until a stop is confirmed and the arm is at rest, only `state()` and `stop()` are allowed.
+- **A restarted controller or another client** is detected before the next command by the boot number, the owner or the
+  last number; again only `state()` and `stop()` are allowed until a stop is confirmed.
+- **Ctrl-C**, or any other exception while waiting, sends a stop and waits one second for its answer.
 """
 
 import contextlib
@@ -23,31 +23,200 @@ import secrets
 import threading
 from collections.abc import Callable, Iterator
 from types import TracebackType
-from typing import Self
+from typing import Final, Protocol, Self
 
-from drivers import arrival, status
-from drivers.account import Account
+from drivers import status
 from drivers.clock import Clock
-from drivers.commands import Move, Reset, Result, Stop
-from drivers.contract import Capabilities, RobotState
+from drivers.contract import (
+    Answer,
+    Capabilities,
+    Command,
+    Move,
+    Reset,
+    Result,
+    RobotState,
+    Stop,
+    describe_result,
+    next_sequence,
+)
 from drivers.errors import (
     ArrivalError,
     ContradictionError,
     DriverError,
     LinkError,
+    LinkLostError,
     NotConnectedError,
+    NotOwnerError,
     OverdueError,
     ProtocolError,
     RefusedError,
+    StateUnknownError,
 )
-from drivers.limits import Limits, refuse
-from drivers.link import Link
-from drivers.setpoints import SetPoints
+from drivers.limits import Limits, check_move
+from drivers.setpoints import SetPoints, format_axes
 
-_STOP_TRIES = 4
-"""How often a stop is sent before its failure is raised."""
+_STOP_TRIES: Final = 4  # attempts to send a stop before its failure is raised
+_MIN_PAUSE: Final = 0.001  # s, for a link without a better value: time must pass for a limit to be reached
+_TAKE_PAUSE: Final = 0.1  # s between two attempts to take a session
+_RESTRICTED: Final = "only state() and stop() are allowed"
 
-_SHORTEST_PAUSE = 0.001  # s, where a link knows no better: time has to pass for a limit to be reached
+
+class Link(Protocol):
+    """One wire to one controller. It raises only `LinkError`s, and never repeats a command by itself.
+
+    Attributes:
+        deadline: time of the client's clock after which the link does not retry by itself.
+    """
+
+    deadline: float
+
+    def open(self) -> Capabilities:
+        """Open the wire and check that a controller of this protocol answers."""
+
+    def close(self) -> None:
+        """Release the wire; allowed twice."""
+
+    def take(self, session: int) -> int:
+        """Take or keep the arm; return the result of the answer. After OK all messages belong to this session."""
+
+    def give(self) -> None:
+        """Give the session back if there is one."""
+
+    def send(self, sequence: int, command: Command) -> Answer:
+        """Send one command once and wait for the answer with its number."""
+
+    def state(self) -> RobotState:
+        """Read the state. Reading is harmless, so a link may retry by itself before it gives up."""
+
+    def time_to_wait(self) -> float:
+        """Return the time [s] after which another reading of the state is useful."""
+
+
+class SequenceLedger:
+    """The client's record of its controller: session, boot number and the last sequence numbers.
+
+    Nothing is guessed: an unresolved question is an *uncertainty* in words. While there is one, only reading and
+    stopping are allowed.
+
+    Args:
+        link: the wire.
+        session: session number of the client.
+        read: reads the state.
+
+    Attributes:
+        session: session number of the client.
+        owns: whether the session owns the arm, to the client's knowledge.
+        boot: boot number of the controller at the last reconciliation.
+        uncertainty: the unresolved question in words; empty if there is none.
+    """
+
+    def __init__(self, link: Link, session: int, read: Callable[[], RobotState]) -> None:
+        self._link, self._read = link, read
+        self.session, self.owns, self.boot, self.uncertainty = session, False, 0, ""
+        self._sequence = 0  # the last used number
+        self._acknowledged = 0  # the last number with a known answer
+
+    def reconcile(self, state: RobotState) -> None:
+        """Adopt the controller's state; every uncertainty ends."""
+        self.uncertainty, self.owns, self.boot = "", state.owner == self.session, state.boot
+        self._sequence = self._acknowledged = state.ack_sequence
+
+    def next_number(self) -> int:
+        """Return a new sequence number."""
+        self._sequence = next_sequence(self._sequence)
+        return self._sequence
+
+    def require_certain(self) -> None:
+        """Raise StateUnknownError while there is an uncertainty."""
+        if self.uncertainty:
+            raise StateUnknownError(f"{self.uncertainty}; {_RESTRICTED}, so call stop() first")
+
+    def take(self, clock: Clock, notify: Callable[[str], None] | None) -> None:
+        """Become the owner of the arm; wait for a silent owner as long as its watchdog may last.
+
+        Raises:
+            NotOwnerError: if another client owns the arm and is active.
+            RefusedError: if the controller refuses for another reason.
+            StateUnknownError: in an uncertainty, and if the controller was restarted since it was connected.
+        """
+        self.require_certain()
+        if self.owns:
+            return
+        began, has_notified = clock.now(), False
+        while (result := self._link.take(self.session)) != Result.OK:
+            waited, owner = clock.now() - began, self._link.state().owner
+            if result != Result.NOT_OWNER:
+                raise RefusedError(f"the controller does not give the arm: {describe_result(result)}", result)
+            if waited > status.TAKE_LIMIT:
+                raise NotOwnerError(f"session {owner} owns the arm and its client is active; end that client first")
+            if notify and waited > status.NOTIFY_AFTER and not has_notified:
+                has_notified = True
+                notify(f"waiting for the client of session {owner}, which owns the arm, to fall silent")
+            clock.wait(_TAKE_PAUSE)
+        state = self._read()
+        if state.boot != self.boot:
+            self.uncertainty = "the controller was restarted"
+            self.require_certain()
+        self.reconcile(state)
+
+    def describe_intervention(self, state: RobotState) -> str:
+        """Return why this is not the controller as this client left it; empty if it is."""
+        if state.boot != self.boot:
+            return "the controller was restarted"
+        if self.owns and state.owner != self.session:
+            cause = f"session {state.owner} owns the arm now" if state.owner else "another client has stopped the arm"
+            return f"{cause}; session {self.session} of this client has ended"
+        if state.ack_sequence not in (self._acknowledged, self._sequence):
+            return (
+                f"the controller last answered command {state.ack_sequence}, neither {self._acknowledged} nor "
+                f"{self._sequence}: it was restarted, or another client sends commands"
+            )
+        return ""
+
+    def send(self, command: Command) -> int:
+        """Send a command under a new number, resolve a lost answer, and return the number.
+
+        Raises:
+            RefusedError: if it was refused.
+            NotOwnerError: if the session has ended.
+            StateUnknownError: if the answer cannot be resolved.
+        """
+        sequence = self.next_number()
+        answer = self._answer_to(sequence, command)
+        if answer.result == Result.NOT_OWNER:
+            self.uncertainty = f"session {self.session} of this client has ended"
+            raise NotOwnerError(f"{answer.message}: {self.uncertainty}, and nothing is sent before a stop")
+        self._acknowledged = sequence
+        if answer.result != Result.OK:
+            raise RefusedError(f"the controller refused command {sequence}: {answer.message}", answer.result)
+        return sequence
+
+    def _answer_to(self, sequence: int, command: Command) -> Answer:
+        failure: LinkError
+        for _ in range(2):
+            try:
+                return self._link.send(sequence, command)
+            except LinkLostError as error:
+                failure = error
+                break
+            except LinkError as error:  # no answer, or an unreadable one
+                failure = error
+            try:
+                state = self._read()
+            except LinkError as error:
+                failure = error
+                break
+            if intervention := self.describe_intervention(state):
+                failure = ProtocolError(intervention)
+                break
+            if state.ack_sequence == sequence:
+                return Answer(sequence, state.ack_result)
+        raise self.mark_unknown(f"the execution of command {sequence} is unknown", failure) from failure
+
+    def mark_unknown(self, uncertainty: str, failure: LinkError) -> StateUnknownError:
+        """Record an uncertainty and return the error that reports it."""
+        self.uncertainty = f"{uncertainty} ({failure})"
+        return StateUnknownError(f"{self.uncertainty}; {_RESTRICTED}")
 
 
 class ControllerClient:
@@ -55,9 +224,9 @@ class ControllerClient:
 
     Args:
         link: the wire.
-        clock: with which it waits.
-        limits: what the arm can do at most, by which moves are refused and arrivals judged.
-        say: told what is waited for where nothing happens.
+        clock: used for all waiting.
+        limits: limits of the arm, by which moves are refused and arrivals checked.
+        notify: receives a message about a long wait.
     """
 
     def __init__(
@@ -66,44 +235,44 @@ class ControllerClient:
         clock: Clock,
         limits: Limits,
         *,
-        say: Callable[[str], None] | None = None,
+        notify: Callable[[str], None] | None = None,
     ) -> None:
         self._link, self._clock = link, clock
-        self._limits, self._say = limits, say
+        self._limits, self._notify = limits, notify
         self._lock = threading.RLock()  # around each exchange, never while waiting: a stop gets through
-        self._account = Account(link, secrets.randbelow(65535) + 1, self._read)
+        self._ledger = SequenceLedger(link, secrets.randbelow(65535) + 1, self._read)
         self._capabilities: Capabilities | None = None
-        self._beat: int | None = None  # its last heartbeat
-        self._leaving = False  # told to end: no second stop is tried
+        self._heartbeat: int | None = None  # the controller's last one
+        self._is_halted = False  # a stop was sent because this client has to end: no second stop is tried
 
     def connect(self) -> None:
-        """Open the wire and learn the state."""
+        """Open the wire and read the state."""
         with self._lock:
             if self._capabilities is not None:
                 return
             capabilities = self._link.open()
             try:
-                status.require_possible(capabilities, len(self._limits.lower))
+                status.require_valid_capabilities(capabilities, len(self._limits.lower))
                 state = self._link.state()
-                status.believe(state, capabilities)
+                status.require_consistent(state, capabilities)
             except BaseException:
                 self._link.close()
                 raise
-            self._leaving = False
-            self._account.agree(state)
+            self._is_halted = False
+            self._ledger.reconcile(state)
             self._capabilities = capabilities
 
     def close(self) -> None:
-        """Stop an arm that moves for this client, and give session and wire back."""
+        """Stop an arm that moves for this client, and release session and wire."""
         if self._capabilities is None:
             return
         try:
-            with self._within(status.HALT if self._leaving else math.inf):
-                if self._account.owns and not self._leaving:
+            with self._deadline_in(status.HALT_LIMIT if self._is_halted else math.inf):
+                if self._ledger.owns and not self._is_halted:
                     state = self._link.state()
-                    if state.owner == self._account.session and (self._account.doubt or state.busy):
+                    if state.owner == self._ledger.session and (self._ledger.uncertainty or state.is_busy):
                         self.stop()
-                if self._account.owns:
+                if self._ledger.owns:
                     self._link.give()
         except (LinkError, OverdueError):
             pass  # the wire is gone; the controller's own watchdog stops the arm
@@ -122,101 +291,107 @@ class ControllerClient:
 
     @property
     def capabilities(self) -> Capabilities:
-        """What the controller accepts."""
+        """Limits of the controller."""
         if self._capabilities is None:
             raise NotConnectedError("the driver is not connected; use it inside 'with', or call connect() first")
         return self._capabilities
 
     def state(self) -> RobotState:
-        """The controller's state now, as it says."""
+        """Return the current state as the controller reports it."""
         with self._lock:
             _ = self.capabilities
             return self._read()
 
     def take(self) -> None:
-        """Become the owner; a silent one is waited for, as long as its watchdog may be."""
+        """Become the owner; wait for a silent owner as long as its watchdog may last."""
         with self._lock:
             _ = self.capabilities
-            self._account.take(self._clock, self._say)
+            self._ledger.take(self._clock, self._notify)
 
-    def ready(self) -> RobotState:
-        """The state of an arm that stands without a fault."""
+    def require_ready(self) -> RobotState:
+        """Return the state if the arm is at rest without a fault."""
         with self._lock:
             state = self._require_known()
-            if fault := status.latched(state):
+            if fault := status.latched_fault(state):
                 raise RefusedError(f"{fault}; reset first", Result.IN_FAULT)
-            if state.busy:
-                raise RefusedError("the arm moves, or is about to; wait until it stands", Result.BUSY)
+            if state.is_busy:
+                raise RefusedError("the arm moves or will move; wait until it is at rest", Result.BUSY)
             return state
 
     def move(self, set_points: SetPoints, speed: float) -> RobotState:
-        """Drive through via points and return when the arm stands at the last one."""
+        """Drive through via points and return when the arm is at rest at the last one."""
         command = Move(set_points, speed)
         with self._lock:
             self.take()
-            self._leaving = False
-            state = self.ready()
+            self._is_halted = False
+            state = self.require_ready()
             for bounds in (self.capabilities, self._limits):
-                result, detail = refuse(command, state.axes, bounds)
+                result, detail = check_move(command, state.axes, bounds)
                 if result is not Result.OK:
                     raise RefusedError(detail, result)
-            profile = arrival.profile_of(command, state, self._limits)
-            watch = arrival.watch_of(command, profile, self._clock, self.capabilities.time_scale, self._say)
+            fastest = status.fastest_duration(command, state, self._limits)
+            goal = f"the end of a move to {format_axes(command.set_points[-1])}"
+            monitor = status.MotionMonitor(self._clock, goal, fastest, self.capabilities.time_scale, self._notify)
             try:
-                sequence = self._account.send(command)
+                sequence = self._ledger.send(command)
             except DriverError:
                 raise
-            except BaseException:  # Ctrl-C while the answer was on its way: the arm may move
+            except BaseException:  # Ctrl-C before the answer: the arm may move
                 self._halt()
                 raise
-        return self._wait_for_end(sequence, command, watch, profile)
+        return self._wait_for_end(sequence, command, monitor, fastest)
 
     def stop(self) -> RobotState:
-        """Brake on the path and return when the arm stands."""
-        return self._stop(status.STANDS_AFTER / min(self.capabilities.time_scale, 1.0))
+        """Brake on the path and return when the arm is at rest."""
+        return self._stop(status.STOP_LIMIT / min(self.capabilities.time_scale, 1.0))
 
     def reset(self) -> RobotState:
         """Clear a latched fault."""
         with self._lock:
             self.take()
             _ = self._require_known()
-            self._account.send(Reset())
+            self._ledger.send(Reset())
             return self._read()
 
     def _read(self) -> RobotState:
         state = self._link.state()
-        self._beat = state.heartbeat
+        self._heartbeat = state.heartbeat
+        return state
+
+    def _read_consistent(self) -> RobotState:
+        state = self.state()
+        status.require_consistent(state, self.capabilities)
         return state
 
     def _stop(self, limit: float) -> RobotState:
-        with self._within(limit):
+        with self._deadline_in(limit):
             with self._lock:
                 _ = self.capabilities
-                number = self._account.number()
+                number = self._ledger.next_number()
                 for left in reversed(range(_STOP_TRIES)):
                     try:
                         self._link.send(number, Stop())
                         break
-                    except LinkError:  # stopping twice is stopping
+                    except LinkError:  # a repeated stop is harmless
                         if not left or self._clock.now() >= self._link.deadline:
                             raise
-            while not status.stands(state := self.state()):
+            while not status.is_at_rest(state := self.state()):
                 if self._clock.now() >= self._link.deadline:
-                    wrong = status.contradiction(state, self.capabilities)
+                    wrong = status.find_contradiction(state, self.capabilities)
                     raise OverdueError(
-                        f"{limit:g} s after a stop the controller does not say that the arm stands"
+                        f"{limit:g} s after a stop the controller does not report the arm at rest"
                         + f" ({wrong})" * bool(wrong)
                         + "; press the emergency stop"
                     )
                 self._pause()
         with self._lock:
-            self._account.agree(state)
-            self._leaving = False
+            self._ledger.reconcile(state)
+            self._is_halted = False
         return state
 
     @contextlib.contextmanager
-    def _within(self, seconds: float) -> Iterator[None]:
-        """Let the link give up after so long [s]; the nearer of two limits counts."""
+    def _deadline_in(self, seconds: float) -> Iterator[None]:
+        """Set the link's deadline after `seconds`, unless it already has an earlier one."""
         before = self._link.deadline
         self._link.deadline = min(before, self._clock.now() + seconds)
         try:
@@ -225,53 +400,48 @@ class ControllerClient:
             self._link.deadline = before
 
     def _halt(self) -> None:
-        """Stop, with one second for it; what keeps it from being confirmed is said and not raised."""
+        """Stop within one second; a failure is notified, not raised."""
         try:
-            self._stop(status.HALT)
+            self._stop(status.HALT_LIMIT)
         except DriverError as error:
-            if self._say:
-                self._say(f"the stop was not confirmed ({error}); the controller's watchdog stops the arm")
-        self._leaving = True
+            if self._notify:
+                self._notify(f"the stop was not confirmed ({error}); the controller's watchdog stops the arm")
+        self._is_halted = True
 
     def _require_known(self) -> RobotState:
-        """The state now, if it is the one that this client left, of a controller that lives.
-
-        Raises:
-            StateUnknownError: if not.
-            ContradictionError: if it cannot be true.
-        """
-        able, before = self.capabilities, self._beat
-        self._account.require_no_doubt()
+        """Return the state if this is the controller as this client left it, alive and consistent."""
+        capabilities, before = self.capabilities, self._heartbeat
+        self._ledger.require_certain()
         state = self._read()
-        while state.heartbeat is not None and state.heartbeat == before:  # the link knows how long that may last
+        while state.heartbeat is not None and state.heartbeat == before:  # the link limits this wait
             self._pause()
             state = self._read()
-        status.believe(state, able)
-        self._account.doubt = self._account.foreign(state)
-        self._account.require_no_doubt()
+        status.require_consistent(state, capabilities)
+        self._ledger.uncertainty = self._ledger.describe_intervention(state)
+        self._ledger.require_certain()
         return state
 
-    def _wait_for_end(self, sequence: int, move: Move, watch: status.Watch, profile: float) -> RobotState:
-        """Wait until a move ended and the arm stands."""
+    def _wait_for_end(self, sequence: int, move: Move, monitor: status.MotionMonitor, fastest: float) -> RobotState:
+        """Wait until a move has ended and the arm is at rest."""
         try:
-            while (state := self._believed()).busy:
-                ended = state.done_sequence == sequence  # it brakes, on whosever word
-                if not ended and (foreign := self._account.foreign(state)):
-                    raise ProtocolError(foreign)
-                watch.see(state)
+            while (state := self._read_consistent()).is_busy:
+                has_ended = state.done_sequence == sequence  # the arm brakes, on any client's command
+                if not has_ended and (intervention := self._ledger.describe_intervention(state)):
+                    raise ProtocolError(intervention)
+                monitor.update(state)
                 self._pause()
-            if state.done_sequence != sequence or state.boot != self._account.boot:
+            if state.done_sequence != sequence or state.boot != self._ledger.boot:
                 raise ProtocolError(
-                    f"the controller says that move {state.done_sequence} ended last: it was restarted, or another "
-                    "client moved it"
+                    f"the controller reports move {state.done_sequence} as the last ended one: it was restarted, or "
+                    "another client moved it"
                 )
-            arrival.require_ended_well(state)
-            arrival.require_arrived(move, state, watch.elapsed, profile)
+            status.require_completed(state)
+            status.require_arrived(move, state, monitor.elapsed, fastest)
         except LinkError as error:
-            raise self._account.unknown(f"how far move {sequence} went is not known", error) from error
+            raise self._ledger.mark_unknown(f"the progress of move {sequence} is unknown", error) from error
         except (ContradictionError, OverdueError, ArrivalError) as error:
             self._halt()
-            self._account.doubt = str(error)
+            self._ledger.uncertainty = str(error)
             raise
         except DriverError:
             raise
@@ -280,12 +450,7 @@ class ControllerClient:
             raise
         return state
 
-    def _believed(self) -> RobotState:
-        state = self.state()
-        status.believe(state, self.capabilities)
-        return state
-
     def _pause(self) -> None:
         with self._lock:
             seconds = self._link.time_to_wait()
-        self._clock.wait(seconds or _SHORTEST_PAUSE)
+        self._clock.wait(seconds or _MIN_PAUSE)

@@ -1,4 +1,4 @@
-"""Clocks: time is an argument, so that a simulation jumps and a test never sleeps."""
+"""Clocks. Time is an argument, so that a simulation can skip it and a test never sleeps."""
 
 import math
 import time
@@ -6,26 +6,30 @@ from typing import Protocol
 
 from drivers.errors import DriverError
 
-LONGEST_WAIT = 0.05
-"""Longest real time [s] that one wait blocks: a stop from another thread, or Ctrl-C, is seen within it."""
+MAX_WAIT = 0.05
+"""Longest real time [s] of one wait: a stop from another thread or Ctrl-C takes effect within it."""
 
 
 class Clock(Protocol):
-    """Monotonic time of a controller, from any zero."""
+    """Monotonic time of a controller, with an arbitrary zero."""
 
     @property
     def simulated(self) -> bool:
-        """True where waiting takes no real time."""
+        """True if waiting takes no real time."""
 
     def now(self) -> float:
-        """Time [s]."""
+        """Return the time [s]."""
 
     def wait(self, seconds: float) -> None:
-        """Let up to `seconds` pass. May return early, so the caller looks again and waits for the rest."""
+        """Let up to `seconds` pass. May return early: the caller checks the time and waits again.
+
+        Raises:
+            DriverError: if `seconds` is negative or not finite.
+        """
 
 
 class SimulatedClock:
-    """A clock that stands still unless somebody waits: it jumps by exactly what is asked for."""
+    """A clock that advances only in `wait`, by exactly the given time."""
 
     simulated = True
 
@@ -33,24 +37,20 @@ class SimulatedClock:
         self._now = float(start)
 
     def now(self) -> float:
-        """Simulated time [s]."""
+        """Return the simulated time [s]."""
         return self._now
 
     def wait(self, seconds: float) -> None:
-        """Jump ahead.
-
-        Raises:
-            DriverError: if `seconds` is negative or not finite.
-        """
+        """Advance by `seconds`."""
         _require_duration(seconds)
         self._now += seconds
 
 
 class RealTimeClock:
-    """The computer's monotonic clock, optionally faster or slower.
+    """The monotonic clock of the computer, optionally scaled.
 
     Args:
-        speed: seconds of this clock per real second; 1 is real time.
+        speed: seconds of this clock per real second.
     """
 
     simulated = False
@@ -61,19 +61,15 @@ class RealTimeClock:
         self._speed, self._zero = float(speed), time.monotonic()
 
     def now(self) -> float:
-        """Time since the clock was made [s]."""
+        """Return the time since the clock was made [s]."""
         return (time.monotonic() - self._zero) * self._speed
 
     def wait(self, seconds: float) -> None:
-        """Block, at most `LONGEST_WAIT` of real time.
-
-        Raises:
-            DriverError: if `seconds` is negative or not finite.
-        """
+        """Block for `seconds`, at most `MAX_WAIT` of real time."""
         _require_duration(seconds)
-        time.sleep(min(seconds / self._speed, LONGEST_WAIT))
+        time.sleep(min(seconds / self._speed, MAX_WAIT))
 
 
 def _require_duration(seconds: float) -> None:
     if not 0 <= seconds < math.inf:
-        raise DriverError(f"a clock was asked to wait {seconds} s; it must be a finite time of at least 0")
+        raise DriverError(f"a clock cannot wait {seconds} s; the time must be finite and at least 0")

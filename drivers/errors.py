@@ -1,39 +1,39 @@
-"""The drivers' errors: every failure of a driver, a wire or a controller is one of these.
+"""Driver errors: every failure of a driver, a wire or a controller is one of these.
 
     DriverError                     root
-    |-- DriverUrlError              the URL cannot be used: no such scheme, an option that does not exist, a bad value
-    |-- SetPointError               broken set-points, found before anything was sent: shape, type, NaN, overflow
+    |-- DriverUrlError              the URL is unusable: unknown scheme, unknown option, invalid value
+    |-- SetPointError               invalid set-points, found before anything was sent: shape, type, NaN, overflow
     |-- NotConnectedError           used outside connect() .. close()
-    |-- RefusedError                the controller (or the client, for it) refused a command; nothing moved
-    |-- MoveEndedError              a move began and did not end at its last set-point; the arm stands
-    |   |-- StoppedError            it was stopped on command
-    |   `-- FaultError              the controller latched a fault; only reset helps
+    |-- RefusedError                the controller (or the client for it) refused a command; nothing moved
+    |-- MoveEndedError              a move began and did not end at its last set-point; the arm is at rest
+    |   |-- StoppedError            the move was stopped on command
+    |   `-- FaultError              the controller latched a fault; only a reset clears it
     |       `-- EmergencyStopError  the emergency stop is or was pressed; release it, then reset
-    |-- LinkError                   the wire
-    |   |-- AnswerTimeoutError      no answer in time; the line itself looks alive
+    |-- LinkError                   the wire failed
+    |   |-- AnswerTimeoutError      no answer in time; the line itself seems to work
     |   |-- LinkLostError           the line is gone: port vanished, connection closed, heartbeat frozen
-    |   `-- ProtocolError           what answers does not speak our protocol, or not in our word order
-    |-- ContradictionError          fields of the controller's status contradict each other, or cannot be
-    |-- OverdueError                what was waited for did not come within its limit
-    |-- ArrivalError                the arm stands elsewhere than commanded, or sooner than it can
+    |   `-- ProtocolError           the peer does not speak this protocol, or not in this word order
+    |-- ContradictionError          fields of the controller's status contradict each other or are impossible
+    |-- OverdueError                an expected event did not happen within its limit
+    |-- ArrivalError                the arm is elsewhere than commanded, or arrived sooner than possible
     |-- NotOwnerError               another client owns the arm, or has stopped it
-    `-- StateUnknownError           whether the last command was executed is unknown; only state(), stop() are possible
+    `-- StateUnknownError           the execution of the last command is unknown; only state() and stop() are allowed
 
-Third-party errors (of a serial or Modbus library) appear as these, with the original as their cause. Every message is
-one sentence: the fact, and what would be valid or what to do.
+Errors of the serial and Modbus libraries are raised as these, with the original as cause. Every message states the
+fact, then a valid value or a remedy.
 """
 
 
 class DriverError(Exception):
-    """Root of everything that a driver raises on purpose."""
+    """Root of all errors that a driver raises."""
 
 
 class DriverUrlError(DriverError):
-    """The driver URL names no installed driver, or an option that the driver does not have."""
+    """The driver URL names no installed driver, an unknown option or an invalid value."""
 
 
 class SetPointError(DriverError):
-    """Set-points that no controller could execute: wrong type or shape, NaN, beyond int32."""
+    """The set-points have a wrong type or shape, or a value is NaN or does not fit an int32."""
 
 
 class NotConnectedError(DriverError):
@@ -44,7 +44,7 @@ class RefusedError(DriverError):
     """A command was refused and nothing moved.
 
     Attributes:
-        result: the controller's result code (`drivers.commands.Result`, or a foreign controller's own number).
+        result: result code of the controller: a `drivers.contract.Result`, or another controller's own number.
     """
 
     def __init__(self, message: str, result: int) -> None:
@@ -53,18 +53,18 @@ class RefusedError(DriverError):
 
 
 class MoveEndedError(DriverError):
-    """A move began, but the arm does not stand at its last set-point."""
+    """A move began, but did not end at its last set-point."""
 
 
 class StoppedError(MoveEndedError):
-    """The move was stopped on command, on its path."""
+    """The move was stopped on its path by a command."""
 
 
 class FaultError(MoveEndedError):
     """The controller latched a fault.
 
     Attributes:
-        code: the controller's fault code (`drivers.contract.Fault`, or a foreign controller's own number).
+        code: fault code of the controller: a `drivers.contract.Fault`, or another controller's own number.
     """
 
     def __init__(self, message: str, code: int) -> None:
@@ -89,19 +89,19 @@ class LinkLostError(LinkError):
 
 
 class ProtocolError(LinkError):
-    """The peer's answer cannot be one of ours."""
+    """The peer's answer does not follow the protocol."""
 
 
 class ContradictionError(DriverError):
-    """The controller's status cannot be true: its fields contradict each other."""
+    """Fields of the controller's status contradict each other or are impossible."""
 
 
 class OverdueError(DriverError):
-    """What was waited for did not come within its limit."""
+    """An expected event did not happen within its time limit."""
 
 
 class ArrivalError(DriverError):
-    """A move is said to have ended, and the arm stands elsewhere, or came there sooner than it can."""
+    """The controller reports the end of a move, but the arm is elsewhere or arrived sooner than possible."""
 
 
 class NotOwnerError(DriverError):
@@ -109,4 +109,4 @@ class NotOwnerError(DriverError):
 
 
 class StateUnknownError(DriverError):
-    """Nobody can tell whether the last command was executed; only reading and stopping are possible."""
+    """The execution of the last command is unknown; only state() and stop() are allowed."""

@@ -1,23 +1,22 @@
-"""Limits on the controller's own side: position, speed, acceleration and step size of the axes."""
+"""Limits of a controller: position, speed, acceleration, jerk and step size of the axes."""
 
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
-from drivers.commands import Move, Result
-from drivers.contract import Capabilities
+from drivers.contract import Capabilities, Move, Result
 from drivers.errors import DriverError
 from drivers.setpoints import AXES, PER_DEGREE, Floats, SetPoints, axis_name, frozen
 
-ENDLESS = 36_000 * PER_DEGREE
-"""Counts to either side of 0 that an axis without limits has: a hundred turns."""
+ENDLESS_RANGE = 36_000 * PER_DEGREE
+"""Range of an axis without limits to either side of 0, counts: a hundred turns."""
 
-_ROUNDING = 1e-3  # counts; a limit that is a count but for the rounding of its radians is that count
+_ROUNDING = 1e-3  # counts; a limit this near to a count is that count: its radians are rounded
 
 
 class JointLimits(Protocol):
-    """What the axes of an arm can do, as its model says it (`planner.ports.JointLimits`)."""
+    """Limits of the axes of an arm, n axes (`planner.ports.JointLimits`)."""
 
     @property
     def lower(self) -> Floats:
@@ -42,17 +41,17 @@ class JointLimits(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Limits:
-    """What a controller lets its arm do; n axes, at least 6.
+    """Limits of a controller with n axes, n at least 6.
 
     Attributes:
         lower: (n,) smallest set-points, int32 counts of 1e-4 deg; a set-point on the limit is inside.
         upper: (n,) largest set-points, counts.
         velocity: (n,) axis speeds at speed fraction 1 [rad/s].
         acceleration: (n,) axis accelerations at every speed fraction [rad/s^2].
-        max_step: (n,) largest change of an axis from one via point to the next, counts.
+        max_step: (n,) largest change of an axis between two via points, counts.
         max_speed: largest speed fraction, in (0, 1].
-        max_via: most via points in one move; None: no bound.
-        jerk: (n,) axis jerks at every speed fraction [rad/s^3]; inf: not limited. One number is that of every axis.
+        max_via: largest number of via points of a move; None: no bound.
+        jerk: (n,) axis jerks at every speed fraction [rad/s^3]; inf: not limited. A scalar holds for every axis.
     """
 
     lower: SetPoints
@@ -75,8 +74,7 @@ class Limits:
             kind = np.float64 if name in ("velocity", "acceleration", "jerk") else np.int32
             object.__setattr__(self, name, frozen(values, kind))
         if not (self.lower <= self.upper).all():
-            axis = int(np.argmax(self.lower > self.upper))
-            name = axis_name(axis)
+            name = axis_name(int(np.argmax(self.lower > self.upper)))
             raise DriverError(f"the range of {name} is empty; its lower limit must not be above its upper limit")
         for name in ("velocity", "acceleration"):
             values = getattr(self, name)
@@ -87,42 +85,46 @@ class Limits:
         if not (self.max_step > 0).all():
             raise DriverError("max_step of a controller's limits must be at least one count on every axis")
         if self.max_via is not None and self.max_via < 1:
-            raise DriverError(f"the most via points of a move are {self.max_via}; they must be at least 1")
+            raise DriverError(f"the largest number of via points is {self.max_via}; it must be at least 1")
         if not 0 < self.max_speed <= 1:
             raise DriverError(f"the largest speed fraction is {self.max_speed}; it must be above 0 and at most 1")
 
     @classmethod
     def from_rad(cls, arm: JointLimits) -> "Limits":
-        """Those of an arm, positions rounded inwards to counts; a step may be the whole range."""
+        """Convert the limits of an arm, positions rounded inwards to counts; a step may be the whole range."""
         low, high = (np.degrees(np.asarray(limit, dtype=np.float64)) * PER_DEGREE for limit in (arm.lower, arm.upper))
         low, high = np.ceil(low - _ROUNDING), np.floor(high + _ROUNDING)
         return cls(low, high, arm.velocity, arm.acceleration, np.maximum(high - low, 1), jerk=arm.jerk)
 
-    def endless(self) -> "Limits":
-        """These with a last axis that turns round and round; what one step of it may be stays."""
-        return replace(self, lower=np.append(self.lower[:-1], -ENDLESS), upper=np.append(self.upper[:-1], ENDLESS))
+    def with_endless_axis(self) -> "Limits":
+        """Return these limits with an endless last axis; its largest step stays the same."""
+        return replace(
+            self,
+            lower=np.append(self.lower[:-1], -ENDLESS_RANGE),
+            upper=np.append(self.upper[:-1], ENDLESS_RANGE),
+        )
 
     def capabilities(self, controller: str, *, hardware: bool, simulated_time: bool) -> Capabilities:
-        """What a driver says of a controller with these limits."""
+        """Return the capabilities of a controller with these limits."""
         return Capabilities(
             controller, self.lower, self.upper, self.max_step, self.max_speed, self.max_via, hardware, simulated_time
         )
 
 
-def refuse(move: Move, start: SetPoints, bounds: Limits | Capabilities) -> tuple[Result, str]:
-    """The first reason against a move, with via point, axis and value, or (OK, ""); the same on both sides of a wire.
+def check_move(move: Move, start: SetPoints, bounds: Limits | Capabilities) -> tuple[Result, str]:
+    """Return the first violated limit of a move and a message, or (OK, ""). Both ends of a wire use this function.
 
     Args:
-        move: what is asked for.
-        start: (n,) where the arm will stand when the move begins, counts.
-        bounds: what is allowed: a controller's limits, or what a driver says of them.
+        move: the move to check.
+        start: (n,) position at the beginning of the move, counts.
+        bounds: limits of the controller, or capabilities of its driver.
     """
     points = move.set_points
     if points.shape[1] != len(bounds.lower):
-        return Result.LIMIT, f"the move is of {points.shape[1]} axes; the controller has {len(bounds.lower)}"
+        return Result.LIMIT, f"the move has {points.shape[1]} axes; the controller has {len(bounds.lower)}"
     if bounds.max_via is not None and len(points) > bounds.max_via:
         return Result.TOO_MANY_POINTS, (
-            f"the move has {len(points)} via points; the controller takes at most {bounds.max_via} at once"
+            f"the move has {len(points)} via points; the controller accepts at most {bounds.max_via}"
         )
     outside = (points < bounds.lower) | (points > bounds.upper)
     if outside.any():

@@ -1,8 +1,8 @@
-"""Joint set-points as integers: int32 counts of 1e-4 deg, the one form in which axes travel on every wire.
+"""Joint set-points as integers: int32 counts of 1e-4 deg, the only representation of axes on every wire.
 
-A plan is quantised to these counts *before* it is checked for collision, so whatever back end executes it executes
-exactly what was checked. `to_rad(from_rad(q))` is that quantisation, bit for bit `radians(round(degrees(q), 4))`; the
-counts survive the way to radians and back. An int32 holds +-214,748 deg.
+A plan is quantised to these counts *before* the collision check, so every driver executes exactly the checked motion.
+`to_rad(from_rad(q))` is this quantisation, bit for bit `radians(round(degrees(q), 4))`. The conversion of counts to
+radians and back is exact. An int32 holds +-214,748 deg.
 """
 
 from typing import Any
@@ -19,19 +19,18 @@ PER_DEGREE = 10_000
 """Counts per degree."""
 
 AXES = 6
-"""Fewest axes of an arm; external axes follow A6."""
+"""Smallest number of axes of an arm; external axes follow A6."""
+
+_MAX_COUNT = np.iinfo(np.int32).max
 
 
 def axis_name(axis: int) -> str:
-    """What a reader calls an axis by its number from 0: A1 to A6, then the external E1 on."""
+    """Return the name of the axis with this 0-based number: A1 to A6, then external axes from E1."""
     return f"A{axis + 1}" if axis < AXES else f"E{axis + 1 - AXES}"
 
 
-_INT32 = np.iinfo(np.int32)
-
-
 def from_rad(q: ArrayLike) -> SetPoints:
-    """Nearest counts of joint angles.
+    """Round joint angles to the nearest counts.
 
     Args:
         q: (..., n) joint angles [rad], n at least 6.
@@ -40,37 +39,37 @@ def from_rad(q: ArrayLike) -> SetPoints:
         (..., n) int32 counts of 1e-4 deg, read-only.
 
     Raises:
-        SetPointError: if the last axis is less than 6 long, a value is not finite, or it does not fit an int32.
+        SetPointError: if the last dimension is below 6, or a value is not finite or does not fit an int32.
     """
     angles = np.asarray(q)
     if angles.dtype.kind not in "fiu":
         raise SetPointError(f"joint angles have type {angles.dtype}; they must be real numbers in radians")
     if angles.ndim == 0 or angles.shape[-1] < AXES:
         raise SetPointError(
-            f"joint angles have shape {angles.shape}; they must be (..., n), n >= {AXES}, A1 on in radians"
+            f"joint angles have shape {angles.shape}; they must be (..., n), n >= {AXES}, in radians from A1 on"
         )
     counts = np.rint(np.degrees(angles.astype(np.float64)) * PER_DEGREE)
-    if not (np.abs(counts) <= _INT32.max).all():
-        axis = int(np.argwhere(~(np.abs(counts) <= _INT32.max))[0][-1])
+    if not (np.abs(counts) <= _MAX_COUNT).all():
+        axis = int(np.argwhere(~(np.abs(counts) <= _MAX_COUNT))[0][-1])
         raise SetPointError(
             f"a joint angle of {axis_name(axis)} is not finite or does not fit 32 bits; it must lie within "
-            f"+-{_INT32.max / PER_DEGREE:.4f} deg"
+            f"+-{_MAX_COUNT / PER_DEGREE:.4f} deg"
         )
     return frozen(counts, np.int32)
 
 
 def to_rad(counts: SetPoints) -> Floats:
-    """Joint angles [rad] of counts of any shape, bit-identical for equal counts."""
+    """Convert counts of any shape to joint angles [rad], bit-identical for equal counts."""
     return np.radians(np.asarray(counts, dtype=np.int32) / PER_DEGREE)
 
 
 def to_deg(counts: SetPoints) -> Floats:
-    """Joint angles [deg] of counts of any shape."""
+    """Convert counts of any shape to joint angles [deg]."""
     return np.asarray(np.asarray(counts, dtype=np.int32) / PER_DEGREE)
 
 
-def check(set_points: Any) -> SetPoints:
-    """Take set-points in, strictly: a cast that could change a number is the caller's to make (`from_rad`).
+def require_set_points(set_points: Any) -> SetPoints:
+    """Validate set-points without any conversion.
 
     Args:
         set_points: (N, n) int32 counts of 1e-4 deg, N at least 1, n at least 6.
@@ -96,12 +95,12 @@ def check(set_points: Any) -> SetPoints:
 
 
 def frozen(values: ArrayLike, dtype: Any) -> NDArray[Any]:
-    """A C-contiguous, read-only copy."""
+    """Return a C-contiguous, read-only copy."""
     array = np.array(values, dtype=dtype, order="C", copy=True)
     array.flags.writeable = False
     return array
 
 
-def text(counts: SetPoints) -> str:
-    """Axes for a message: "(0.0000, -90.0000, 90.0000, 0.0000, 90.0000, 0.0000) deg"."""
+def format_axes(counts: SetPoints) -> str:
+    """Format axes for a message: "(0.0000, -90.0000, 90.0000, 0.0000, 90.0000, 0.0000) deg"."""
     return "(" + ", ".join(f"{angle:.4f}" for angle in to_deg(counts)) + ") deg"

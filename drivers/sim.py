@@ -1,13 +1,13 @@
-"""`sim://`: the simulated controller in this process, with an ideal arm, or with the plant that the opener injects.
+"""`sim://`: the simulated controller in this process, with an ideal arm or an injected plant.
 
 | option | default | meaning |
 |---|---|---|
-| `plant` | `ideal` | which plant moves: `ideal`, or a name that the opener injected |
+| `plant` | `ideal` | the plant that moves: `ideal`, or the name of an injected plant |
 | `realtime` | off | wait as long as the arm would; else time jumps to the end of each move |
 | `time_scale` | 1 | with `realtime`: simulated seconds per real second |
-| `start` | 0,-90,90,0,90,0 | axes at which the arm stands first [deg] |
+| `start` | 0,-90,90,0,90,0 | axes of the arm at the start [deg] |
 
-It has everything that a wire has, numbering and refusals on both sides included, except that nothing can get lost.
+It has everything that a wire has, numbering and refusals at both ends included, but nothing can get lost.
 """
 
 import dataclasses
@@ -18,21 +18,18 @@ import numpy as np
 
 from drivers.client import ControllerClient
 from drivers.clock import Clock, RealTimeClock, SimulatedClock
-from drivers.commands import Answer, Command, Result
-from drivers.contract import Capabilities, RobotState
-from drivers.controller import Controller
+from drivers.contract import Answer, Capabilities, Command, Result, RobotState
+from drivers.controller import Controller, IdealPlant
 from drivers.errors import DriverUrlError
-from drivers.plant import IdealPlant
-from drivers.registry import Context
+from drivers.registry import Context, DriverUrl
 from drivers.setpoints import from_rad, to_rad
-from drivers.url import DriverUrl
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
-"""Where the arm stands first [deg]."""
+"""Axes of the arm at the start [deg]."""
 
 
-class _InProcess:
-    """The link that is a function call: nobody else can own its controller."""
+class _InProcessLink:
+    """A link by function calls; its controller has no other client."""
 
     deadline = math.inf
     _session = 0
@@ -66,39 +63,35 @@ class _InProcess:
 
 
 class SimDriver(ControllerClient):
-    """The simulated controller as a driver. It stands where it was when it is closed and connected again.
+    """The simulated controller as a driver. Its arm keeps its position when it is closed and connected again.
 
     Args:
-        controller: what it talks to.
+        controller: the simulated controller.
         clock: the controller's clock.
-        say: told what is waited for where nothing happens.
+        notify: receives a message about a long wait.
 
     Attributes:
-        controller: for what a wire does not offer: pressing the emergency stop, latching faults.
+        controller: for actions that no wire offers: press the emergency stop, latch a fault.
         clock: simulated or real time.
     """
 
-    def __init__(self, controller: Controller, clock: Clock, say: Callable[[str], None] | None = None) -> None:
-        super().__init__(_InProcess(controller, clock.simulated), clock, controller.limits, say=say)
+    def __init__(self, controller: Controller, clock: Clock, notify: Callable[[str], None] | None = None) -> None:
+        super().__init__(_InProcessLink(controller, clock.simulated), clock, controller.limits, notify=notify)
         self.controller, self.clock = controller, clock
 
     @classmethod
     def from_url(cls, url: DriverUrl, context: Context) -> "SimDriver":
-        """Make the driver that a `sim://` URL describes.
-
-        Args:
-            url: see the table of the module.
-            context: clock, limits and further plants.
+        """Make the driver of a `sim://` URL; the table of this module lists the options.
 
         Raises:
-            DriverUrlError: if an option does not exist or its value cannot be.
+            DriverUrlError: if an option does not exist or its value is invalid.
         """
         plants = {"ideal": IdealPlant, **context.plants}
-        plant = url.word("plant", "ideal", tuple(plants))
+        plant = url.choice("plant", "ideal", tuple(plants))
         realtime = url.flag("realtime")
         time_scale = url.number("time_scale", 0.0, above=0.0)
         limits = context.limits
-        home = (*HOME_DEG, *[0.0] * (len(limits.lower) - len(HOME_DEG)))  # external axes stand at 0
+        home = (*HOME_DEG, *[0.0] * (len(limits.lower) - len(HOME_DEG)))  # external axes start at 0
         start = from_rad(np.radians(url.numbers("start", home)))
         url.finish()
         if url.host or url.path not in ("", "/"):
@@ -106,12 +99,10 @@ class SimDriver(ControllerClient):
                 f"'{url.text}' names a host or a path; the simulated controller has none: sim://?option=value"
             )
         if context.clock is not None and realtime:
-            raise DriverUrlError(f"'{url.text}' asks for real time, but the opener gave a clock of its own; choose one")
+            raise DriverUrlError(f"'{url.text}' has realtime, but the caller injected a clock; use one of the two")
         if time_scale and not realtime:
-            raise DriverUrlError(
-                f"'{url.text}' has time_scale without realtime; add &realtime, or leave time_scale away"
-            )
+            raise DriverUrlError(f"'{url.text}' has time_scale without realtime; add &realtime, or omit time_scale")
         if ((start < limits.lower) | (start > limits.upper)).any():
             raise DriverUrlError(f"'{url.text}' starts the arm outside the axis limits; start= takes A1 on in degrees")
         clock = context.clock or (RealTimeClock(time_scale or 1.0) if realtime else SimulatedClock())
-        return cls(Controller(plants[plant](to_rad(start)), limits, clock), clock, context.say)
+        return cls(Controller(plants[plant](to_rad(start)), limits, clock), clock, context.notify)

@@ -1,7 +1,7 @@
-"""What a client believes of a status, and how long it waits: one table of what is refused, one set of limits.
+"""Checks of the client: consistency of a status, progress of a move, its end and its arrival; all time limits.
 
-A controller that misbehaves is seldom silent: it says what cannot be. So a client looks at all fields before each move,
-each scan and while it waits, and takes the worse of two that disagree. None of the limits is a setting.
+A faulty controller is seldom silent: it reports impossible states. The client therefore checks all fields before each
+move and each scan and while it waits, and uses the worse of two fields that disagree. None of the limits is an option.
 """
 
 import math
@@ -11,186 +11,237 @@ from typing import Final
 import numpy as np
 
 from drivers.clock import Clock
-from drivers.commands import Result, is_newer
-from drivers.contract import WHOLE, Capabilities, Flag, Mode, RobotState
-from drivers.errors import ContradictionError, OverdueError, ProtocolError
-from drivers.setpoints import text
+from drivers.contract import FULL, Capabilities, Flag, Mode, Move, Result, RobotState, describe_result, is_newer
+from drivers.errors import (
+    ArrivalError,
+    ContradictionError,
+    EmergencyStopError,
+    FaultError,
+    OverdueError,
+    ProtocolError,
+    StoppedError,
+)
+from drivers.limits import Limits
+from drivers.profile import interpolate
+from drivers.setpoints import format_axes, to_rad
 
-STALL: Final = 5.0
-"""Longest time [s] without progress of axes or path parameter, unless a hold is reported; of a faster than real clock
-in real seconds, of a slower one in its own."""
+STALL_LIMIT: Final = 5.0
+"""Longest time [s] without progress of axes or path parameter, unless a hold is reported. If the controller's clock is
+faster than real time, in real seconds; if it is slower, in its own."""
 
-LATEST: Final = 3.0
-"""A move may take so many times its profile's time at the reported override, `STALL` at least."""
+MAX_TIME_FACTOR: Final = 3.0
+"""Longest duration of a move, as a multiple of its profile's time at the reported override; at least `STALL_LIMIT`."""
 
-SOONEST: Final = 0.95
-"""Share of the fastest profile's time below which nobody arrives; the rest is for clocks that differ."""
+MIN_TIME_FACTOR: Final = 0.95
+"""Shortest duration of a move, as a fraction of the fastest profile's time; the margin covers differing clocks."""
 
-STANDS_AFTER: Final = 5.0
-"""Longest time [s] from a stop to an arm that stands."""
+STOP_LIMIT: Final = 5.0
+"""Longest time [s] from a stop until the arm is at rest."""
 
-HALT: Final = 1.0
-"""Time [s] that a client which is told to end has for its stop."""
+HALT_LIMIT: Final = 1.0
+"""Time [s] for the stop of a client that has to end."""
 
-TAKE: Final = 5.5
-"""Longest time [s] for which a silent owner is waited for: the longest watchdog, and a little."""
+TAKE_LIMIT: Final = 5.5
+"""Longest time [s] to wait for a silent owner: the longest watchdog, with a margin."""
 
-SAID_AFTER: Final = 2.0
-"""Standstill [s] after which a person is told what is waited for."""
+NOTIFY_AFTER: Final = 2.0
+"""Time [s] without progress after which a person is notified of the wait."""
 
-MOST_OFF: Final = 1000
-"""Farthest from its last set-point that an arm ends a move, counts: 0.1 deg. `cell` asks for far less, in mm."""
+MAX_ARRIVAL_ERROR: Final = 1000
+"""Largest distance of an axis from its last set-point at the end of a move, counts: 0.1 deg. `cell` has a
+narrower limit in mm."""
 
-QUEUE: Final = 1
-"""Moves that a controller holds: the one that is driven. More are another client's."""
+MAX_QUEUE: Final = 1
+"""Moves that a controller holds: only the current one. Any other is another client's."""
 
-_NOISE = 10  # counts: an axis that turns less than 0.001 deg stands
-_SLOWEST = 100  # 1e-4: a smaller override is taken as this one, so that no limit is endless
+_NOISE = 10  # counts: an axis that turns less than 0.001 deg does not move
+_MIN_OVERRIDE = 100  # 1e-4: a smaller override counts as this one, so that every limit is finite
 
 _MODES = {mode: f"mode {int(mode)} ({mode.name.lower().replace('_', ' ')})" for mode in Mode}
-_OF_MODE = ((Flag.IN_POSITION, Mode.IN_POSITION), (Flag.FAULT, Mode.FAULT), (Flag.EMERGENCY_STOP, Mode.EMERGENCY_STOP))
+_FLAG_MODES = (
+    (Flag.IN_POSITION, Mode.IN_POSITION),
+    (Flag.FAULT, Mode.FAULT),
+    (Flag.EMERGENCY_STOP, Mode.EMERGENCY_STOP),
+)
 
 
-def contradiction(state: RobotState, able: Capabilities) -> str:
-    """The first thing in a status that cannot be true, in words; empty where there is none."""
-    stands, moves = bool(state.flags & Flag.STANDS), bool(state.flags & Flag.MOVES)
+def find_contradiction(state: RobotState, capabilities: Capabilities) -> str:
+    """Return the first impossible combination of fields in words; empty if there is none."""
+    rests, moves = bool(state.flags & Flag.AT_REST), bool(state.flags & Flag.MOVING)
     latched, mode = state.mode in (Mode.FAULT, Mode.EMERGENCY_STOP), _MODES[state.mode]
-    at_rest = state.mode is Mode.IN_POSITION and state.queue_depth == 0
-    wrong_flags = [flag for flag, of in _OF_MODE if bool(state.flags & flag) is not (state.mode is of)]
-    table = (
-        (state.flags >= 2 * Flag.HELD, f"its flags 0x{state.flags:04X} have bits that do not exist"),
-        (stands and moves, "the arm stands and moves at once"),
-        (not stands and not moves, "the arm neither stands nor moves"),
-        (state.standing is not stands, "the arm stands, and its flags say that it moves"),
-        (state.mode is Mode.MOVING and stands, f"the arm stands in {mode}"),
+    has_arrived = state.mode is Mode.IN_POSITION and state.queue_depth == 0
+    wrong_flags = [
+        flag.name.lower()
+        for flag, flag_mode in _FLAG_MODES
+        if bool(state.flags & flag) is not (state.mode is flag_mode) and flag.name
+    ]
+    done, ack, n_axes = state.done_sequence, state.ack_sequence, len(capabilities.lower)
+    checks = (
+        (state.flags >= 2 * Flag.HELD, f"its flags 0x{state.flags:04X} have undefined bits"),
+        (rests and moves, "the arm is at rest and moves"),
+        (not rests and not moves, "the arm is neither at rest nor moving"),
+        (state.at_rest is not rests, "the arm is at rest, but its flags say that it moves"),
+        (state.mode is Mode.MOVING and rests, f"the arm is at rest in {mode}"),
         (state.mode in (Mode.IDLE, Mode.IN_POSITION) and moves, f"the arm moves in {mode}"),
-        (bool(wrong_flags), f"{', '.join(f.name.lower() for f in wrong_flags if f.name)} flag and {mode} do not agree"),
+        (bool(wrong_flags), f"{', '.join(wrong_flags)} flag and {mode} do not agree"),
         (bool(state.fault_code) is not latched, f"fault code {state.fault_code} and {mode} do not agree"),
-        (state.override > WHOLE, f"its override is {state.override / 100:g} %"),
-        (state.path > WHOLE, f"{state.path / 100:g} % of the path are passed"),
-        (state.queue_depth > QUEUE, f"{state.queue_depth} moves are queued, and a controller takes {QUEUE} at a time"),
-        (at_rest and state.done_result != Result.OK, f"{mode} after a move that ended with {state.done_result}"),
-        (at_rest and state.path != WHOLE, f"{mode} when {state.path / 100:g} % of the path are passed"),
+        (state.override > FULL, f"its override is {state.override / 100:g} %"),
+        (state.path > FULL, f"it has passed {state.path / 100:g} % of the path"),
+        (state.queue_depth > MAX_QUEUE, f"{state.queue_depth} moves are queued; a controller accepts {MAX_QUEUE}"),
+        (has_arrived and state.done_result != Result.OK, f"{mode} after a move that ended with {state.done_result}"),
+        (has_arrived and state.path != FULL, f"{mode} after {state.path / 100:g} % of the path"),
         (
-            state.done_sequence != state.ack_sequence and bool(state.done_sequence)
-            and is_newer(state.done_sequence, state.ack_sequence),
-            f"move {state.done_sequence} ended, and command {state.ack_sequence} is the last that was answered",
+            done not in (0, ack) and is_newer(done, ack),
+            f"move {done} ended, but {ack} is the last answered command",
         ),
-        (
-            len(state.axes) != len(able.lower),
-            f"it tells {len(state.axes)} axes and said at the start that there are {len(able.lower)}",
-        ),
-    )  # fmt: skip
-    return next((sentence for is_so, sentence in table if is_so), "")
+        (len(state.axes) != n_axes, f"it reports {len(state.axes)} axes instead of {n_axes}"),
+    )
+    return next((message for is_wrong, message in checks if is_wrong), "")
 
 
-def believe(state: RobotState, able: Capabilities) -> None:
-    """Take a status for true.
-
-    Raises:
-        ContradictionError: if it cannot be.
-    """
-    if wrong := contradiction(state, able):
+def require_consistent(state: RobotState, capabilities: Capabilities) -> None:
+    """Raise ContradictionError if the status cannot be true."""
+    if wrong := find_contradiction(state, capabilities):
         raise ContradictionError(
-            f"the controller's status contradicts itself: {wrong}; the arm is not driven until its program is repaired"
+            f"the status of the controller contradicts itself: {wrong}; the arm is not driven any more, correct the "
+            "controller's program"
         )
 
 
-def latched(state: RobotState) -> str:
-    """The fault or emergency stop that any field tells of, in words; empty where none does."""
+def latched_fault(state: RobotState) -> str:
+    """Return the fault or emergency stop that any field reports, in words; empty if there is none."""
     if state.mode is Mode.EMERGENCY_STOP or state.flags & Flag.EMERGENCY_STOP:
-        return state.fault_sentence or "the emergency stop is or was pressed"
+        return state.fault_message or "the emergency stop is or was pressed"
     if state.mode is Mode.FAULT or state.flags & Flag.FAULT or state.fault_code:
-        return state.fault_sentence or f"fault {state.fault_code} of this controller"
+        return state.fault_message or f"fault {state.fault_code} of this controller"
     return ""
 
 
-def stands(state: RobotState) -> bool:
-    """Whether no field of the status says that the arm moves."""
-    return state.standing and not state.flags & Flag.MOVES and state.mode is not Mode.MOVING
+def is_at_rest(state: RobotState) -> bool:
+    """Return whether no field of the status reports motion."""
+    return state.at_rest and not state.flags & Flag.MOVING and state.mode is not Mode.MOVING
 
 
-def require_possible(able: Capabilities, axes: int) -> None:
-    """Look at what a controller says that it accepts.
+def require_valid_capabilities(capabilities: Capabilities, axes: int) -> None:
+    """Raise ProtocolError if capabilities are impossible or the number of axes differs from the client's `axes`."""
+    if len(capabilities.lower) != axes:
+        raise ProtocolError(f"the controller has {len(capabilities.lower)} axes; this client drives {axes}")
+    speed, scale = capabilities.max_speed, capabilities.time_scale
+    checks = {
+        "the lower limit of an axis is above its upper limit": (capabilities.lower > capabilities.upper).any(),
+        "the largest step of an axis is not above 0": (capabilities.max_step <= 0).any(),
+        f"the largest speed fraction is {speed:g}, not above 0 and at most 1": not 0 < speed <= 1,
+        f"its clock is {scale:g} times as fast as real time": not 0 < scale < math.inf,
+    }
+    for message, is_wrong in checks.items():
+        if is_wrong:
+            raise ProtocolError(f"the capabilities of the controller are impossible: {message}")
+
+
+def fastest_duration(move: Move, state: RobotState, limits: Limits) -> float:
+    """Return the time [s] that an arm with these limits needs for a move, at its speed and full override."""
+    velocity = limits.velocity * move.speed
+    start = to_rad(state.axes)
+    return interpolate(start, to_rad(move.set_points), velocity, limits.acceleration, limits.jerk).duration
+
+
+def require_completed(state: RobotState) -> None:
+    """Raise the error of a move that did not end at its last set-point.
 
     Raises:
-        ProtocolError: if it cannot be, or the controller has other axes than the client.
+        StoppedError: if it was stopped on its path.
+        FaultError, EmergencyStopError: if a fault ended it, or was latched just after its end.
     """
-    if len(able.lower) != axes:
-        raise ProtocolError(f"the controller has {len(able.lower)} axes and this client drives {axes}")
-    wrong = {
-        "an axis' lower limit is above its upper one": bool((able.lower > able.upper).any()),
-        "the largest step of an axis is not above 0": bool((able.max_step <= 0).any()),
-        f"the largest speed fraction is {able.max_speed:g}, not above 0 and at most 1": not 0 < able.max_speed <= 1,
-        f"its clock is {able.time_scale:g} times as fast as real time": not 0 < able.time_scale < math.inf,
-    }
-    for sentence, is_so in wrong.items():
-        if is_so:
-            raise ProtocolError(f"the controller's capabilities cannot be: {sentence}")
+    position = f"the arm is at rest at {format_axes(state.axes)}"
+    if state.done_result in (Result.STOPPED, Result.STOPPED_BY_OTHER):
+        raise StoppedError(f"{Result(state.done_result).message}; {position}")
+    fault = latched_fault(state)
+    if state.done_result != Result.OK or fault:
+        kind = EmergencyStopError if state.mode is Mode.EMERGENCY_STOP else FaultError
+        done = "the move had just ended; " if state.done_result == Result.OK else ""
+        raise kind(f"{fault or describe_result(state.done_result)}; {done}{position}", state.fault_code)
 
 
-class Watch:
-    """One wait for an arm to arrive.
+def require_arrived(move: Move, state: RobotState, elapsed: float, fastest: float) -> None:
+    """Raise ArrivalError if the arm is elsewhere at the end of a move, or arrived sooner than possible.
+
+    Args:
+        move: the commanded move.
+        state: the state at its end.
+        elapsed: time from the command to its end [s], controller's clock.
+        fastest: duration of the fastest profile [s].
+    """
+    goal, done = move.set_points[-1], "the controller reports the end of the move"
+    if state.mode is not Mode.IN_POSITION:
+        raise ArrivalError(f"{done}, but its mode is {state.mode.name.lower()}, not in position")
+    if np.abs(state.axes.astype(np.int64) - goal).max() > MAX_ARRIVAL_ERROR:
+        raise ArrivalError(f"{done}, but the arm is at {format_axes(state.axes)}, not {format_axes(goal)}")
+    if elapsed < MIN_TIME_FACTOR * fastest:
+        raise ArrivalError(
+            f"{done} after {elapsed:.3f} s; an arm with these limits needs at least {fastest:.3f} s: the controller "
+            "did not drive it, or is faster than real time and does not report its time scale"
+        )
+
+
+class MotionMonitor:
+    """Monitor of the progress of one move.
 
     Args:
         clock: the client's.
-        what: what is waited for, in words.
-        profile: time [s] of the controller's clock that the move takes at its speed and full override.
+        goal: description of the awaited event.
+        fastest: time [s] of the controller's clock for the move at its speed and full override.
         time_scale: seconds of the controller's clock per second of the client's.
-        say: told what is waited for, when nothing has happened for `SAID_AFTER`.
+        notify: receives a message after `NOTIFY_AFTER` without progress.
     """
 
     def __init__(
-        self, clock: Clock, what: str, profile: float, time_scale: float, say: Callable[[str], None] | None
+        self, clock: Clock, goal: str, fastest: float, time_scale: float, notify: Callable[[str], None] | None
     ) -> None:
-        self._clock, self._what, self._profile, self._say = clock, what, profile, say
+        self._clock, self._goal, self._fastest, self._notify = clock, goal, fastest, notify
         self._time_scale = time_scale
-        self._stall = STALL / min(time_scale, 1.0)
-        self._began = self._seen = clock.now()
-        self._driven = 0.0  # of the controller's clock, at full override
-        self._spent = self._still = self._quiet = 0.0  # of the client's clock; the first two do not count a hold
-        self._said = False
+        self._stall_limit = STALL_LIMIT / min(time_scale, 1.0)
+        self._began = self._updated = clock.now()
+        self._driven = 0.0  # controller's clock, at full override
+        # Client's clock: without holds the total time and the time without progress; the latter with holds.
+        self._spent = self._stalled = self._quiet = 0.0
+        self._has_notified = False
         self._last: RobotState | None = None
 
     @property
     def elapsed(self) -> float:
-        """Time since the wait began [s], controller's clock."""
+        """Time since the start [s], controller's clock."""
         return (self._clock.now() - self._began) * self._time_scale
 
-    def see(self, state: RobotState) -> None:
-        """Take a status of an arm that has not arrived.
-
-        Raises:
-            OverdueError: if it should have.
-        """
+    def update(self, state: RobotState) -> None:
+        """Process the status of an arm that has not arrived; raise OverdueError if it should have arrived."""
         now = self._clock.now()
-        passed, self._seen = max(now - self._seen, 0.0), now
-        if self._last is None or self._moved(self._last, state):
-            self._last, self._still, self._quiet, self._said = state, 0.0, 0.0, False
-            waiting = False
+        passed, self._updated = max(now - self._updated, 0.0), now
+        if self._last is None or _has_moved(self._last, state):
+            self._last, self._stalled, self._quiet, self._has_notified = state, 0.0, 0.0, False
+            is_waiting = False
         else:
-            waiting = state.held
+            is_waiting = state.is_held
             self._quiet += passed
-        if not waiting:
-            self._still += passed
+        if not is_waiting:
+            self._stalled += passed
             self._spent += passed
-            self._driven += passed * self._time_scale * max(state.override, _SLOWEST) / WHOLE
-        told = (
-            f"{self._what}: the arm stands at {text(state.axes)}, {state.path / 100:.0f} % of the path, override "
-            f"{state.override / 100:.0f} %" + ", held" * state.held
+            self._driven += passed * self._time_scale * max(state.override, _MIN_OVERRIDE) / FULL
+        status = (
+            f"{self._goal}: the arm is at {format_axes(state.axes)}, {state.path / 100:.0f} % of the path, override "
+            f"{state.override / 100:.0f} %" + ", held" * state.is_held
         )
-        if self._still > self._stall:
-            raise OverdueError(f"{self._still:.1f} s without progress while waiting for {told}")
-        if self._spent > self._stall and self._driven > LATEST * self._profile:
+        if self._stalled > self._stall_limit:
+            raise OverdueError(f"{self._stalled:.1f} s without progress while waiting for {status}")
+        if self._spent > self._stall_limit and self._driven > MAX_TIME_FACTOR * self._fastest:
             raise OverdueError(
-                f"{self._driven:.1f} s of driving, where {self._profile:.1f} s are enough, while waiting for {told}"
+                f"{self._driven:.1f} s of motion instead of {self._fastest:.1f} s, while waiting for {status}"
             )
-        if self._say and self._quiet > SAID_AFTER and not self._said:
-            self._said = True
-            self._say(f"waiting for {told}")
+        if self._notify and self._quiet > NOTIFY_AFTER and not self._has_notified:
+            self._has_notified = True
+            self._notify(f"waiting for {status}")
 
-    @staticmethod
-    def _moved(before: RobotState, now: RobotState) -> bool:
-        same_axes = len(before.axes) == len(now.axes)
-        off = np.abs(now.axes.astype(np.int64) - before.axes).max() if same_axes else 0
-        return bool(off > _NOISE or now.path > before.path)
+
+def _has_moved(before: RobotState, now: RobotState) -> bool:
+    same_axes = len(before.axes) == len(now.axes)
+    change = np.abs(now.axes.astype(np.int64) - before.axes).max() if same_axes else 0
+    return bool(change > _NOISE or now.path > before.path)

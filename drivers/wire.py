@@ -1,56 +1,74 @@
-"""What every wire has in common: a move cut into what a frame can hold, speeds as whole numbers, patience, a pulse.
+"""Everything that the wires share: staged moves, speeds as integers, timeouts, heartbeats, reopening of a lost line.
 
-A frame is short and a move may have 100,000 via points. So a move is *staged*: its via points go into a buffer of the
-controller, piece by piece, under the sequence number that the move will have. Staging moves nothing, and writing the
-same piece twice is writing it once. The move command itself, the *commit*, carries the speed, how many points there
-are, the CRC-32 of all of them, and the last of them (all, where they fit: then nothing is staged). The controller
-accepts the commit only when what it holds is exactly what was counted and summed.
+A frame is short and a move may have 100,000 via points. A move is therefore *staged*: its via points go into a buffer
+of the controller, piece by piece, under the sequence number of the move. Staging moves nothing, and writing a piece
+twice has no further effect. The move command itself, the *commit*, carries the speed, the number of points, the CRC-32
+of all points, and the last of them (all points if they fit: then nothing is staged). The controller accepts the commit
+only if its buffer matches count and CRC.
 
-So a move stays one command with one number: it is checked as a whole before the arm moves, it is executed once or not
-at all, and a wire that fails while it is sent leaves an arm that stands. Splitting it into several queued moves would
-need none of the buffer, but a fault in the middle would then leave part of it executed, and a refusal of point 70,000
-would come after 69,999 have been driven.
+A move thus stays one command with one number: it is checked as one before the arm moves, it is executed once or not at
+all, and if the wire fails during the transfer the arm is at rest. Several queued moves would need no buffer, but a
+fault between them would leave a partial execution, and a refusal of point 70,000 would follow the motion through
+69,999.
 
 The CRC-32 is the one of zlib, Ethernet and PKZIP (polynomial 0x04C11DB7 reflected, start and final XOR 0xFFFFFFFF),
-taken over the points as big-endian int32, point by point, A1 on.
+over the points as big-endian int32, point by point, from A1 on.
+
+Reopening a line is safe because it only reads: `drivers.client` finds out from the numbers in the state whether the
+controller is still the same and whether the last command was executed.
 """
 
+import math
 import zlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
+from urllib.parse import unquote
 
 import numpy as np
 
 from drivers.clock import Clock
-from drivers.commands import Move
-from drivers.errors import DriverUrlError, LinkLostError
+from drivers.contract import Answer, Capabilities, Move, Result, RobotState
+from drivers.errors import (
+    AnswerTimeoutError,
+    DriverUrlError,
+    LinkError,
+    LinkLostError,
+    NotConnectedError,
+    ProtocolError,
+)
+from drivers.registry import DriverUrl
 from drivers.setpoints import AXES, SetPoints, frozen
-from drivers.url import DriverUrl
+from drivers.status import NOTIFY_AFTER
 
-SPEEDS = 10_000
-"""Speed fractions travel as whole numbers of 1e-4: 10,000 is full speed."""
+FULL_SPEED = 10_000
+"""Speed fraction 1 on the wire: speed fractions are integers in units of 1e-4."""
+
+REAL_TIME = 1000
+"""Time scale 1 on the wire: time scales are integers in units of 1e-3."""
 
 DEFAULT_WATCHDOG_MS = 1000
-"""Silence of the client [ms] after which a moving arm is stopped, where the client says nothing else."""
+"""Default silence of the client [ms] after which a moving arm is stopped."""
 
 WATCHDOG_RANGE_MS = (100, 5000)
-"""Shortest and longest silence [ms] that a client may ask for; what is beyond is refused."""
+"""Shortest and longest watchdog [ms] of a client; others are refused."""
 
-MOST_POINTS = 200_000
-"""Via points of one move that the controller's buffer holds (4.8 MB)."""
+MAX_POINTS = 200_000
+"""Via points that the controller's buffer holds for one move (4.8 MB)."""
 
-MOST_AXES = 12
-"""Axes of an arm that frames and register blocks have room for."""
+MAX_AXES = 12
+"""Largest number of axes in frames and register blocks."""
 
-SCALES = 1000
-"""Time scales travel as whole numbers of 1e-3: 1,000 is real time."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stage:
-    """A piece of the via points of the move to come.
+    """Request to write via points of the next move into the buffer.
 
     Attributes:
-        offset: index of its first point in the move.
+        offset: index of the first point in the move.
         points: (k, n) int32 counts of 1e-4 deg, k at least 1.
     """
 
@@ -60,13 +78,13 @@ class Stage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Commit:
-    """The command to execute a move whose first points are staged.
+    """Request to execute a move whose first points are staged.
 
     Attributes:
         speed: speed fraction in 1e-4.
-        count: via points of the whole move.
+        count: number of via points of the move.
         crc: CRC-32 of all of them.
-        tail: (k, n) the last of them, int32 counts; all of them where count is k.
+        tail: (k, n) the last of them, int32 counts; all of them if count is k.
     """
 
     speed: int
@@ -75,8 +93,8 @@ class Commit:
     tail: SetPoints
 
 
-def pieces(move: Move, size: int) -> tuple[list[Stage], Commit]:
-    """Cut a move into what is staged and what commits it, `size` points at most in each."""
+def split_move(move: Move, size: int) -> tuple[list[Stage], Commit]:
+    """Split a move into stages and a commit of at most `size` points each."""
     points = move.set_points
     n = len(points)
     n_tail = min(n, size)
@@ -85,29 +103,80 @@ def pieces(move: Move, size: int) -> tuple[list[Stage], Commit]:
 
 
 def points_crc(points: SetPoints) -> int:
-    """CRC-32 of set-points."""
+    """Return the CRC-32 of set-points."""
     return zlib.crc32(np.ascontiguousarray(points, dtype=">i4").tobytes())
 
 
 def speed_to_wire(speed: float) -> int:
-    """A speed fraction in 1e-4, never faster than asked; 0, which every controller refuses, for what is no fraction."""
-    return int(speed * SPEEDS + 1e-6) if 0.0 < speed <= 1.0 else 0
+    """Return a speed fraction in 1e-4, never rounded up; 0, which every controller refuses, if it is outside (0, 1]."""
+    return int(speed * FULL_SPEED + 1e-6) if 0.0 < speed <= 1.0 else 0
 
 
 def speed_from_wire(speed: int) -> float:
-    """The speed fraction."""
-    return speed / SPEEDS
+    """Return the speed fraction of a value in 1e-4."""
+    return speed / FULL_SPEED
+
+
+class StagingBuffer:
+    """The controller's buffer of via points.
+
+    It belongs to one sequence number at a time; a piece under another number empties it first.
+
+    Args:
+        axes: number of axes.
+    """
+
+    def __init__(self, axes: int = AXES) -> None:
+        self.sequence, self._axes = 0, axes
+        self._bytes = bytearray()
+
+    def __len__(self) -> int:
+        """Number of points in the buffer."""
+        return len(self._bytes) // (4 * self._axes)
+
+    def write(self, sequence: int, piece: Stage) -> bool:
+        """Write a piece; return False if it would leave a gap or does not fit."""
+        if sequence != self.sequence:
+            self.sequence, self._bytes = sequence, bytearray()
+        if piece.offset > len(self) or piece.offset + len(piece.points) > MAX_POINTS:
+            return False
+        begin = piece.offset * 4 * self._axes
+        data = np.ascontiguousarray(piece.points, dtype=">i4").tobytes()
+        self._bytes[begin : begin + len(data)] = data
+        return True
+
+    def assemble(self, sequence: int, commit: Commit) -> SetPoints | None:
+        """Return all points of a move, or None if the buffer does not match the commit's count and CRC.
+
+        The buffer is unchanged, so that a repeated commit gives the same points.
+        """
+        n_staged = commit.count - len(commit.tail)
+        if not (n_staged >= 0 and len(commit.tail) and commit.count <= MAX_POINTS):
+            return None
+        if n_staged and (sequence != self.sequence or n_staged > len(self)):
+            return None
+        staged = bytes(self._bytes[: n_staged * 4 * self._axes]) if n_staged else b""
+        points = frozen(
+            np.concatenate([np.frombuffer(staged, dtype=">i4").reshape(-1, self._axes), commit.tail]), np.int32
+        )
+        return points if points_crc(points) == commit.crc else None
+
+
+def require_staged(answer: Answer) -> None:
+    """Raise ProtocolError if staged points did not match: nothing was executed, and the client checks the state."""
+    if answer.result == Result.INCOMPLETE:
+        raise ProtocolError(Result.INCOMPLETE.message)
 
 
 @dataclass(frozen=True)
-class Patience:
-    """How long a client waits for what.
+class Timeouts:
+    """Waiting times of a client.
 
     Attributes:
-        answer: longest time from a question to its answer [s], without the time of the bytes on the wire.
-        tries: how often the state is asked for, at least, before it counts as unreadable.
-        watchdog: silence [s] after which either side takes the other for gone.
-        poll: time [s] between two questions for the state of a moving arm.
+        answer: longest time from a request to its answer [s], without the transfer time of the bytes.
+        tries: smallest number of attempts before the state counts as unreadable.
+        watchdog: silence [s] after which either end considers the other gone.
+        poll: time [s] between two readings of the state of a moving arm.
     """
 
     answer: float = 0.25
@@ -121,16 +190,16 @@ class Patience:
         return round(self.watchdog * 1000.0)
 
     @classmethod
-    def from_url(cls, url: DriverUrl) -> "Patience":
+    def from_url(cls, url: DriverUrl) -> "Timeouts":
         """Take the options timeout_ms, watchdog_ms and poll_ms.
 
         Raises:
-            DriverUrlError: if one cannot be, or the watchdog would bite while the client still asks again.
+            DriverUrlError: if one is invalid, or the watchdog would expire while the client still retries.
         """
-        least, most = WATCHDOG_RANGE_MS
+        shortest, longest = WATCHDOG_RANGE_MS
         answer = url.number("timeout_ms", 1000.0 * cls.answer, above=0.0, at_most=60_000.0)
-        watchdog = url.number("watchdog_ms", 1000.0 * cls.watchdog, above=least - 1.0, at_most=most)
-        poll = url.number("poll_ms", 1000.0 * cls.poll, above=0.0, at_most=most)
+        watchdog = url.number("watchdog_ms", 1000.0 * cls.watchdog, above=shortest - 1.0, at_most=longest)
+        poll = url.number("poll_ms", 1000.0 * cls.poll, above=0.0, at_most=longest)
         if cls.tries * answer > watchdog or poll > watchdog / 2.0:
             raise DriverUrlError(
                 f"'{url.text}' has timeout_ms={answer:g}, poll_ms={poll:g} and watchdog_ms={watchdog:g}; the watchdog "
@@ -139,80 +208,191 @@ class Patience:
         return cls(answer / 1000.0, cls.tries, watchdog / 1000.0, poll / 1000.0)
 
 
-class Pulse:
-    """The client's watchdog: a controller whose heartbeat stands still is gone, even where something answers for it.
+class Heartbeat:
+    """Watchdog of the client: a controller with a frozen heartbeat is gone, even if something answers for it.
 
     Args:
         clock: the client's.
-        limit: time [s] for which the heartbeat may stand still.
+        limit: longest time [s] without a change of the heartbeat.
     """
 
     def __init__(self, clock: Clock, limit: float) -> None:
         self._clock, self._limit = clock, limit
         self._last: int | None = None
-        self._since: float | None = None
+        self._frozen_since: float | None = None
 
-    def see(self, heartbeat: int) -> None:
-        """Take the heartbeat of an answer.
-
-        Raises:
-            LinkLostError: if it has stood still for too long, seen three times at least.
-        """
+    def update(self, heartbeat: int) -> None:
+        """Process the heartbeat of an answer; raise LinkLostError if it is frozen, seen at least three times."""
         now = self._clock.now()
         if heartbeat != self._last:
-            self._last, self._since = heartbeat, None
-        elif self._since is None:
-            self._since = now  # from here on: a long pause of ours before is no standstill of theirs
-        elif now - self._since > self._limit:
+            self._last, self._frozen_since = heartbeat, None
+        elif self._frozen_since is None:
+            self._frozen_since = now  # count from here: an earlier pause of the client is no frozen heartbeat
+        elif now - self._frozen_since > self._limit:
             raise LinkLostError(
-                f"the controller's heartbeat has stood still for {now - self._since:.2f} s; what answers is not the "
-                "controller itself"
+                f"the controller's heartbeat has not changed for {now - self._frozen_since:.2f} s; another device "
+                "answers for the controller, or it has crashed"
             )
 
-    def forget(self) -> None:
-        """The line was opened anew."""
+    def restart(self) -> None:
+        """Forget the last heartbeat: the line was opened again."""
         self._last = None
 
 
-class Staging:
-    """The controller's buffer of via points.
+class Line(Protocol):
+    """A port that is opened and closed."""
 
-    It belongs to one sequence number at a time; a piece under another number empties it first.
+    name: str
+
+    def open(self) -> None:
+        """Open the port."""
+
+    def close(self) -> None:
+        """Release the port; allowed twice."""
+
+
+class ReopeningLink(ABC):
+    """A link that opens a lost line again at its next use: opening, closing, retrying, and the client's watchdog.
 
     Args:
-        axes: of a point.
+        line: the port.
+        clock: the client's.
+        timeouts: waiting times.
     """
 
-    def __init__(self, axes: int = AXES) -> None:
-        self.sequence, self._axes = 0, axes
-        self._bytes = bytearray()
+    def __init__(self, line: Line, clock: Clock, timeouts: Timeouts) -> None:
+        self._line, self._clock, self._timeouts = line, clock, timeouts
+        self._heartbeat_monitor = Heartbeat(clock, timeouts.watchdog)
+        self._capabilities: Capabilities | None = None
+        self._is_open = False
+        self._is_busy = False
+        self.session = 0  # the taken session; 0: this client only reads
+        self.deadline = math.inf
+        self.notify: Callable[[str], None] | None = None  # receives a message about a long wait
 
-    def __len__(self) -> int:
-        """Points that it holds."""
-        return len(self._bytes) // (4 * self._axes)
+    @abstractmethod
+    def _request_session(self) -> int:
+        """Take the session, once; return the result of the answer."""
 
-    def put(self, sequence: int, piece: Stage) -> bool:
-        """Write a piece; False where it would leave a gap or not fit."""
-        if sequence != self.sequence:
-            self.sequence, self._bytes = sequence, bytearray()
-        if piece.offset > len(self) or piece.offset + len(piece.points) > MOST_POINTS:
-            return False
-        begin = piece.offset * 4 * self._axes
-        data = np.ascontiguousarray(piece.points, dtype=">i4").tobytes()
-        self._bytes[begin : begin + len(data)] = data
-        return True
+    @abstractmethod
+    def _release_session(self) -> None:
+        """Give the session back, once."""
 
-    def take(self, sequence: int, commit: Commit) -> SetPoints | None:
-        """The whole move's points, or None where what is held is not what the commit counts and sums.
+    @abstractmethod
+    def _handshake(self) -> Capabilities:
+        """Check that a controller of this protocol answers on the open line, and read its capabilities."""
 
-        The buffer stays as it is, so that a repeated commit gives the same points.
+    def open(self) -> Capabilities:
+        """Open the line and read the controller's capabilities."""
+        return self._reopen(self._timeouts.tries)
+
+    def close(self) -> None:
+        """Release the line."""
+        self._capabilities, self.session = None, 0
+        self._drop()
+
+    def take(self, session: int) -> int:
+        """Take a session. Repeating the request has no further effect, so it is retried after a lost answer."""
+        before, self.session, result = self.session, session, -1
+        try:
+            result = self._retry(self._request_session)
+        finally:
+            if result != Result.OK:
+                self.session = before
+        return result
+
+    def give(self) -> None:
+        """Give the session back; if the request is lost, the client's silence ends the session."""
+        if self.session:
+            self._require_open()
+            self._release_session()
+            self.session = 0
+
+    def time_to_wait(self) -> float:
+        """Return the polling period."""
+        return self._timeouts.poll if self._is_busy else 0.0
+
+    def _checked(self, state: RobotState) -> RobotState:
+        """Return a state that was read, after a check of its heartbeat."""
+        try:
+            self._heartbeat_monitor.update(state.heartbeat or 0)
+        except LinkLostError:
+            self._drop()
+            raise
+        self._is_busy = state.is_busy
+        return state
+
+    def _retry(self, request: Callable[[], T]) -> T:
+        """Repeat a harmless request until it is answered; open the line again if necessary.
+
+        It gives up after `tries`, but not before the watchdog's time: until then the controller's own watchdog has not
+        stopped a moving arm, and the result of its move may still become known.
         """
-        before = commit.count - len(commit.tail)
-        if not (before >= 0 and len(commit.tail) and commit.count <= MOST_POINTS):
-            return None
-        if before and (sequence != self.sequence or before > len(self)):
-            return None
-        staged = bytes(self._bytes[: before * 4 * self._axes]) if before else b""
-        points = np.concatenate([np.frombuffer(staged, dtype=">i4").reshape(-1, self._axes), commit.tail])
-        whole = frozen(points, np.int32)
-        return whole if points_crc(whole) == commit.crc else None
+        began, tries, has_notified = self._clock.now(), 0, self.notify is None
+        while True:
+            try:
+                self._require_open()
+                return request()
+            except LinkError as error:
+                tries += 1
+                now = self._clock.now()
+                if now >= self.deadline or (tries >= self._timeouts.tries and now - began >= self._timeouts.watchdog):
+                    raise
+                if self.notify and not has_notified and now - began > NOTIFY_AFTER:
+                    has_notified = True
+                    self.notify(f"waiting for an answer of the controller ({error})")
+                if not isinstance(error, AnswerTimeoutError):  # a timeout has already waited
+                    self._clock.wait(self._timeouts.poll)
+
+    def _require_open(self) -> None:
+        if self._is_open:
+            return
+        if self._capabilities is None:
+            raise NotConnectedError(f"{self._line.name} is not open; call connect() first")
+        before = self._capabilities
+        if not same_capabilities(before, self._reopen(1)):
+            self._drop()
+            self._capabilities = before
+            raise ProtocolError(
+                f"the controller at {self._line.name} has other limits or another clock than before the line was lost"
+            )
+
+    def _reopen(self, tries: int) -> Capabilities:
+        self._drop()
+        failure = LinkError("no attempt was made")
+        for _ in range(tries):
+            try:
+                self._line.open()
+                self._capabilities = self._handshake()
+            except LinkError as error:
+                self._line.close()
+                failure = error
+                continue
+            self._is_open = True
+            self._heartbeat_monitor.restart()
+            return self._capabilities
+        raise failure
+
+    def _drop(self) -> None:
+        self._is_open = False
+        self._line.close()
+
+
+def same_capabilities(a: Capabilities, b: Capabilities) -> bool:
+    """Return whether two controllers accept the same moves."""
+    return (a.max_speed, a.max_via, a.time_scale) == (b.max_speed, b.max_via, b.time_scale) and all(
+        np.array_equal(getattr(a, name), getattr(b, name)) for name in ("lower", "upper", "max_step")
+    )
+
+
+def port_path(url: DriverUrl) -> str:
+    """Return the serial device that a URL names.
+
+    Raises:
+        DriverUrlError: if it names none, or a host.
+    """
+    if url.host or url.path in ("", "/"):
+        raise DriverUrlError(
+            f"'{url.text}' names no port; write three slashes: {url.scheme}:///dev/ttyUSB0?baud=115200"
+        )
+    return unquote(url.path)

@@ -15,15 +15,13 @@ from cell.runs.cell import table_of
 from cell.runs.run import open_run
 from drivers.clock import RealTimeClock
 from drivers.contract import Fault
+from drivers.controller import IdealPlant, PlantFactory
 from drivers.emulated.endpoint import Endpoint
-from drivers.emulated.lines import Line, PtyLine, TcpLine
-from drivers.emulated.modbus_station import ModbusStation
-from drivers.emulated.serial_station import SerialStation
-from drivers.emulated.serve import Server, Station
-from drivers.emulated.wire_faults import Injector, parse
+from drivers.emulated.faults import Injector, parse_faults
+from drivers.emulated.serve import Line, PtyLine, Server, TcpLine
+from drivers.emulated.stations import ModbusStation, SerialStation, Station
 from drivers.errors import DriverError
 from drivers.limits import Limits
-from drivers.plant import IdealPlant, PlantFactory
 from drivers.setpoints import Floats, from_rad, to_rad
 
 PROTOCOLS = ("serial", "modbus", "modbus-rtu")
@@ -59,7 +57,9 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
         FileError: if a file cannot be read or written.
     """
     try:
-        injector = Injector(parse(options.faults), np.random.default_rng(options.seed)) if options.faults else None
+        injector = (
+            Injector(parse_faults(options.faults), np.random.default_rng(options.seed)) if options.faults else None
+        )
     except DriverError as error:
         raise UsageError(f"--faults: {error}") from error
     memory = Memory(options.state, options.log)
@@ -89,9 +89,9 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
         pass  # the usual end
     finally:
         line.close()
-        if not (state := endpoint.tick()).standing:
+        if not (state := endpoint.tick()).at_rest:
             endpoint.controller.latch(Fault.RESTARTED)
-            while not (state := endpoint.tick()).standing:
+            while not (state := endpoint.tick()).at_rest:
                 wire_clock.wait(0.005)
         memory.close(state)
 
@@ -116,7 +116,7 @@ def arm_of(run_folder: Path | None, plant: str) -> Arm:
     if run is None or (table := table_of(scene := run.scene)) is None:
         return Arm(Limits.from_rad(limits), home, plants[plant])
     own = Limits.from_rad(table.limits(limits))
-    return Arm(own.endless() if scene.table_is_endless else own, np.append(home, 0.0), plants[plant])
+    return Arm(own.with_endless_axis() if scene.table_is_endless else own, np.append(home, 0.0), plants[plant])
 
 
 def _line(protocol: str, options: EmulateOptions) -> tuple[Line, str]:

@@ -14,7 +14,7 @@ import numpy as np
 from cell import caches
 from cell.errors import FileError, UsageError
 from drivers.contract import RobotState
-from drivers.emulated.endpoint import Entry
+from drivers.emulated.endpoint import Event
 from drivers.setpoints import AXES, SetPoints
 
 SCHEMA = "cell-emulator-state/1"
@@ -48,7 +48,7 @@ class Memory:
             self.axes, self.boot, self.ended_in_order = _read(state)
         self._written: tuple[object, ...] = ()
 
-    def entry(self, entry: Entry) -> None:
+    def record_event(self, entry: Event) -> None:
         """Append one line."""
         if self._log is None:
             return
@@ -58,7 +58,7 @@ class Memory:
         except OSError as error:
             raise FileError(f"{self._log.name} cannot be written: {error.strerror}; choose another --log") from error
 
-    def seen(self, state: RobotState) -> None:
+    def record_state(self, state: RobotState) -> None:
         """Remember the position, before it is told."""
         self._write(state.axes, state.boot, ended_in_order=False)
 

@@ -59,7 +59,7 @@ _TOO_FAR, _TOO_FAST = FOLLOWING_ERROR**2, OVERSPEED**2
 
 
 class MujocoPlant:
-    """An arm with masses, motors, friction and a servo; implements `drivers.plant.Plant`.
+    """An arm with masses, motors, friction and a servo; implements `drivers.controller.Plant`.
 
     Args:
         start: (axes,) axes at which the arm stands at rest [rad].

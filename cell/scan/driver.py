@@ -11,9 +11,9 @@ from cell.runs.cell import RunCell
 from cell.scan.options import ScanOptions
 from drivers.clock import Clock, RealTimeClock, SimulatedClock
 from drivers.contract import Driver
+from drivers.controller import PlantFactory
 from drivers.errors import DriverError
 from drivers.limits import Limits
-from drivers.plant import PlantFactory
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad, to_deg
 from drivers.sim import SimDriver
@@ -72,7 +72,7 @@ def prepare(
     given: Clock | None = None if own_clock else RealTimeClock() if options.realtime else SimulatedClock()
     try:
         limits = Limits.from_rad(arm)
-        limits = limits.endless() if cell.scene.table_is_endless else limits
+        limits = limits.with_endless_axis() if cell.scene.table_is_endless else limits
         driver = open_driver(url, Context(limits, given, plants or {}, say))
         # A simulated controller has one clock, with its time_scale; of another one only real time is known.
         return driver, driver.clock if isinstance(driver, SimDriver) else RealTimeClock()

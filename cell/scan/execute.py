@@ -23,10 +23,9 @@ from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.legs import AT_START, Leg, Legs
 from cell.scan.whole_turns import WholeTurnsOff
 from drivers.clock import Clock
-from drivers.commands import Move, Result
-from drivers.contract import Driver, RobotState
-from drivers.limits import refuse
-from drivers.setpoints import SetPoints, from_rad, text, to_deg, to_rad
+from drivers.contract import Driver, Move, Result, RobotState
+from drivers.limits import check_move
+from drivers.setpoints import SetPoints, format_axes, from_rad, to_deg, to_rad
 from planner.ports import Progress
 from planner.values import Floats
 
@@ -78,7 +77,7 @@ def run(
         for number, leg in enumerate(legs.legs, start=1):
             set_points = leg.set_points
             if number > 1:  # a scan takes long enough for somebody to drive the arm by hand meanwhile
-                _require_near(legs.legs[number - 2], driver.ready(), cell)
+                _require_near(legs.legs[number - 2], driver.require_ready(), cell)
             say("move", leg=number, stop=leg.stop, via_points=len(set_points))
             left = clock.now()
             state = _drive(driver, set_points, speed)
@@ -193,7 +192,7 @@ def require_drivable(legs: Legs, driver: Driver, speed: float) -> None:
         most = able.max_via or len(points)
         for first in range(0, len(points), most):
             move = Move(points[first : first + most], min(speed, able.max_speed))
-            result, detail = refuse(move, stands, able)
+            result, detail = check_move(move, stands, able)
             if result is not Result.OK:
                 goal = f"to view {leg.stop}" if leg.stop else "home"
                 raise DriverFailureError(f"the controller refuses move {number} ({goal}): {detail}; nothing was moved")
@@ -206,7 +205,7 @@ def stands_at(q: Floats, state: RobotState) -> bool:
 
 
 def _require_still(leg: Leg, driver: Driver, cell: RunCell) -> None:
-    _require_near(leg, driver.ready(), cell)
+    _require_near(leg, driver.require_ready(), cell)
 
 
 def _require_near(leg: Leg, state: RobotState, cell: RunCell) -> None:
@@ -215,8 +214,8 @@ def _require_near(leg: Leg, state: RobotState, cell: RunCell) -> None:
     off = float(cell.travel(to_rad(due)[None], state.q[None])[0]) if (due != state.axes).any() else 0.0
     if off > cell.arrival:
         raise DriverFailureError(
-            f"the arm stands at {text(state.axes)} and its move ended at {text(due)}: a point of arm or tool is up to "
-            f"{1000 * off:.2f} mm off, where {1000 * cell.arrival:g} mm are allowed (arrival_mm); it did not arrive, "
+            f"the arm stands at {format_axes(state.axes)} and its move ended at {format_axes(due)}: a point of arm or "
+            f"tool is up to {1000 * off:.2f} mm off, where {1000 * cell.arrival:g} mm are allowed (arrival_mm); it did not arrive, "
             "or was moved since; nothing more was moved or scanned, and --resume plans a way from where it stands"
         )
 
@@ -224,6 +223,6 @@ def _require_near(leg: Leg, state: RobotState, cell: RunCell) -> None:
 def _require_at(start: Floats, state: RobotState) -> None:
     if not stands_at(start, state):
         raise DriverFailureError(
-            f"the arm stands at {text(state.axes)} and the plan begins at {text(from_rad(start))}; nothing was moved, "
-            "because no path between them was checked: bring the arm there first"
+            f"the arm stands at {format_axes(state.axes)} and the plan begins at {format_axes(from_rad(start))}; nothing "
+            "was moved, because no path between them was checked: bring the arm there first"
         )

@@ -14,7 +14,7 @@ from cell.errors import DriverFailureError
 from cell.scan.execute import stands_at
 from cell.scan.legs import Leg, Legs
 from drivers.contract import RobotState
-from drivers.setpoints import text
+from drivers.setpoints import format_axes
 from planner.path import path
 from planner.ports import CollisionChecker, JointLimits
 from planner.values import Floats
@@ -78,8 +78,8 @@ def _way(leg: Leg, state: RobotState, checker: CollisionChecker, limits: JointLi
     here = np.clip(state.q, limits.lower, limits.upper)  # a count beyond a limit is a rounded limit
     if not stands_at(here, state):
         raise DriverFailureError(
-            f"the arm stands at {text(state.axes)}, outside the joint range of the plan, where no way is checked; "
-            "nothing was moved: drive the arm by hand to a free place, or home, and resume again"
+            f"the arm stands at {format_axes(state.axes)}, outside the joint range of the plan, where no way is "
+            "checked; nothing was moved: drive the arm by hand to a free place, or home, and resume again"
         )
     goal = f"view {leg.stop}" if leg.stop else "home"
     found = path.connect(here, leg.via[-1], checker, limits, np.random.default_rng([seed, leg.stop]))
@@ -87,7 +87,7 @@ def _way(leg: Leg, state: RobotState, checker: CollisionChecker, limits: JointLi
         blocker = next(iter((*checker.contacts(here), *checker.contacts(leg.via[-1]))), "")
         near = f" ({blocker})" if blocker else ""
         raise DriverFailureError(
-            f"no way from where the arm stands, {text(state.axes)}, to {goal}: {found.status.sentence}{near}; "
+            f"no way from where the arm stands, {format_axes(state.axes)}, to {goal}: {found.status.sentence}{near}; "
             "nothing was moved: drive the arm by hand to a free place, or home, and resume again"
         )
     return found.via

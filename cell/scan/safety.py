@@ -8,7 +8,7 @@ from cell.errors import DriverFailureError, UsageError
 from cell.scan.way import Released
 from cell.session import Confirm
 from drivers.contract import Driver, RobotState
-from drivers.status import latched
+from drivers.status import latched_fault
 
 HARDWARE_SPEED = 0.1
 """Fraction of the axis speeds at which hardware moves unless the user asks for another."""
@@ -106,16 +106,16 @@ def ready(driver: Driver, *, reset: bool, stop_first: bool, time_scale: float | 
     """
     require_time_scale(driver, time_scale)
     state = driver.state()
-    if state.busy:
+    if state.is_busy:
         if not stop_first:
             raise DriverFailureError("the arm moves already: another client drives it; stop it first")
         state = driver.stop()
     driver.take()
-    if fault := latched(state):
+    if fault := latched_fault(state):
         if not reset:
             raise DriverFailureError(
                 f"the controller has latched a fault ({fault}); nothing was moved: find its cause, then give --reset "
                 "to clear it"
             )
         driver.reset()
-    return driver.ready()
+    return driver.require_ready()

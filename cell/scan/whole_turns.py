@@ -63,9 +63,9 @@ class WholeTurnsOff(Driver):
         """Become the one client."""
         self._driver.take()
 
-    def ready(self) -> RobotState:
+    def require_ready(self) -> RobotState:
         """The state of an arm that stands without a fault."""
-        return self._as_planned(self._driver.ready())
+        return self._as_planned(self._driver.require_ready())
 
     def move(self, set_points: SetPoints, speed: float) -> RobotState:
         """Drive through via points."""

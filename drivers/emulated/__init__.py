@@ -1,1 +1,1 @@
-"""A simulated controller behind real bytes, with faults on demand, for tests and for trying a cell out."""
+"""A simulated controller behind a real wire, with faults on demand, for tests and for trying a cell."""

@@ -1,53 +1,220 @@
-"""The loop that puts a controller behind a line, with the faults that a test bench asks for.
+"""A controller behind a pseudo-terminal or a TCP socket of the loopback interface, served in one loop with faults.
 
-One thread: bytes come in, are cut into telegrams, answered and sent. Everything that shall happen later (a delayed
-telegram, the end of a restart, the release of the emergency stop) waits in a queue ordered by time.
+One thread: it receives bytes, cuts them into telegrams, answers and sends. Later actions (a delayed telegram, the end
+of a restart, the release of the emergency stop) wait in a queue ordered by time.
 """
 
+import contextlib
 import heapq
 import itertools
 import math
+import os
+import select
+import socket
+import termios
+import tty
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Protocol
 
 from drivers.clock import Clock
-from drivers.emulated.endpoint import Endpoint
-from drivers.emulated.lines import Line
-from drivers.emulated.wire_faults import MOVE_FAULTS, Injector
+from drivers.emulated.faults import MOVE_FAULTS, Injector
+from drivers.emulated.stations import Station
+from drivers.errors import LinkError
 
-LONGEST_TURN = 0.02
-"""Longest time [s] that the loop waits for bytes before it looks at the watchdog and the arm."""
+LOOPBACK = "127.0.0.1"
+
+MAX_STEP = 0.02
+"""Longest time [s] that the loop waits for bytes before it checks the watchdog and the arm."""
+
+_CHUNK = 65536
 
 
-class Station(Protocol):
-    """One protocol of the controller's side."""
+class Line(Protocol):
+    """A line to several peers. A peer is a number that is never used again."""
 
-    endpoint: Endpoint
-    silence: float
-    """Time [s] after which an unfinished telegram is dropped."""
+    name: str
 
-    def split(self, received: bytes) -> tuple[list[bytes], bytes] | None:
-        """Cut a stream into telegrams and the rest; None: it is none of ours, the connection is to be closed."""
+    def receive(self, seconds: float) -> list[tuple[int, bytes]]:
+        """Wait up to `seconds` for bytes of any peer; empty bytes: the peer is gone."""
 
-    def answer(self, packet: bytes) -> bytes:
-        """The answer to a telegram; empty: none."""
+    def send(self, peer: int, data: bytes) -> None:
+        """Send bytes to a peer; bytes that it does not accept are lost, as on a wire."""
 
-    def refuse(self, packet: bytes) -> bytes:
-        """An answer that executes nothing."""
+    def drop_connections(self) -> None:
+        """Close all connections, if the line has any."""
 
-    def forget(self) -> None:
-        """The controller was restarted."""
+    def disconnect(self, peer: int) -> None:
+        """Close the connection of one peer."""
+
+    def close(self) -> None:
+        """Release the line."""
+
+
+class PtyLine:
+    """A pseudo-terminal: a program sees a serial port without a wire.
+
+    Args:
+        link: symbolic link to make for it; an existing link is replaced. None: none.
+        baud: speed of the controller's end. A peer with another speed receives and sends garbage.
+
+    Raises:
+        LinkError: if `link` exists and is no symbolic link, or the speed does not exist.
+
+    Attributes:
+        name: path that a client opens.
+    """
+
+    def __init__(self, link: Path | None = None, baud: int = 115200) -> None:
+        self._controller, self._peer = os.openpty()
+        tty.setraw(self._peer)
+        os.set_blocking(self._controller, False)
+        self._speed = getattr(termios, f"B{baud}", None)
+        if self._speed is None:
+            self._close_both()
+            raise LinkError(f"a serial line has no speed of {baud} baud; choose one like 9600, 38400, 115200")
+        settings = termios.tcgetattr(self._peer)
+        settings[4] = settings[5] = self._speed
+        termios.tcsetattr(self._peer, termios.TCSANOW, settings)
+        self.name, self._link = os.ttyname(self._peer), link
+        if link is not None:
+            if link.is_symlink():
+                link.unlink()
+            elif link.exists():
+                self._close_both()
+                raise LinkError(f"{link} exists and is no link; choose another name")
+            link.symlink_to(self.name)
+            self.name = str(link)
+
+    def receive(self, seconds: float) -> list[tuple[int, bytes]]:
+        """Wait for bytes."""
+        ready, _, _ = select.select([self._controller], [], [], seconds)
+        if not ready:
+            return []
+        try:
+            return [(0, self._distorted(os.read(self._controller, _CHUNK)))]
+        except BlockingIOError:
+            return []
+
+    def send(self, peer: int, data: bytes) -> None:
+        """Send bytes to the reader of the terminal."""
+        with contextlib.suppress(BlockingIOError):  # nobody reads, and the buffer is full
+            os.write(self._controller, self._distorted(data))
+
+    def drop_connections(self) -> None:
+        """Do nothing: a terminal has no connections."""
+
+    def disconnect(self, peer: int) -> None:
+        """Do nothing: a terminal has no connections."""
+
+    def close(self) -> None:
+        """Remove the terminal and its link."""
+        if self._link is not None and self._link.is_symlink():
+            self._link.unlink()
+        self._close_both()
+
+    def _close_both(self) -> None:
+        os.close(self._controller)
+        os.close(self._peer)
+
+    def _distorted(self, data: bytes) -> bytes:
+        """Return bytes as received with another speed, which samples the bits at wrong moments."""
+        if termios.tcgetattr(self._peer)[4] == self._speed:
+            return data
+        return bytes((byte << 1 & 0xFE | byte >> 5 & 1) ^ 0x80 for byte in data)
+
+
+class TcpLine:
+    """A listening socket of the loopback interface: no other machine can reach it.
+
+    Args:
+        port: 0 selects a free one.
+
+    Raises:
+        LinkError: if the port is not available.
+
+    Attributes:
+        name: "127.0.0.1:port".
+        port: the port in use.
+    """
+
+    def __init__(self, port: int = 0) -> None:
+        self._listener = socket.socket()
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            self._listener.bind((LOOPBACK, port))
+        except (OSError, OverflowError) as error:
+            self._listener.close()
+            raise LinkError(
+                f"port {port} of {LOOPBACK} is not available: {error}; --port 0 selects a free one"
+            ) from error
+        self._listener.listen()
+        self._listener.setblocking(False)
+        self.port: int = self._listener.getsockname()[1]
+        self.name = f"{LOOPBACK}:{self.port}"
+        self._peers: dict[int, socket.socket] = {}
+        self._last_peer = 0
+
+    def receive(self, seconds: float) -> list[tuple[int, bytes]]:
+        """Wait for bytes; accept new connections meanwhile."""
+        sockets = [self._listener, *self._peers.values()]
+        ready, _, _ = select.select(sockets, [], [], seconds)
+        received = []
+        for number, peer in list(self._peers.items()):
+            if peer in ready:
+                try:
+                    data = peer.recv(_CHUNK)
+                except BlockingIOError:
+                    continue
+                except OSError:
+                    data = b""
+                if not data:
+                    self.disconnect(number)
+                received.append((number, data))
+        if self._listener in ready:
+            with contextlib.suppress(OSError):  # closed again before it was accepted
+                peer, _ = self._listener.accept()
+                peer.setblocking(False)
+                peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._last_peer += 1
+                self._peers[self._last_peer] = peer
+        return received
+
+    def send(self, peer: int, data: bytes) -> None:
+        """Send bytes to a peer that is still connected."""
+        connection = self._peers.get(peer)
+        if connection is None:
+            return
+        try:
+            connection.sendall(data)
+        except OSError:
+            self.disconnect(peer)
+
+    def drop_connections(self) -> None:
+        """Close all connections."""
+        for peer in list(self._peers):
+            self.disconnect(peer)
+
+    def disconnect(self, peer: int) -> None:
+        """Close the connection of one peer."""
+        if (connection := self._peers.pop(peer, None)) is not None:
+            connection.close()
+
+    def close(self) -> None:
+        """Close all sockets."""
+        self.drop_connections()
+        self._listener.close()
 
 
 class Server:
-    """Serves one station on one line; call `turn` again and again.
+    """Server of one station on one line; call `step` again and again.
 
     Args:
         station: protocol and controller.
-        line: where the clients are.
+        line: the line to the clients.
         clock: real time of the wire.
-        injector: what goes wrong; None: nothing.
+        injector: faults; None: none.
         time_scale: seconds of the controller's clock per second of the wire's.
     """
 
@@ -60,122 +227,122 @@ class Server:
         self._later: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
         self._mute_until = -math.inf
-        self._down = False
+        self._is_down = False
         self._moves = station.endpoint.moves
         if injector:
-            for appointment in injector.faults.appointments:
-                self._at(appointment.at, partial(self._break, appointment.name, appointment.seconds))
+            for fault in injector.faults.scheduled:
+                self._at(fault.at, partial(self._trigger, fault.name, fault.seconds))
 
-    def turn(self) -> None:
-        """Wait a moment for bytes, answer them, and do what is due."""
+    def step(self) -> None:
+        """Wait a moment for bytes, answer them, and execute due actions."""
         now = self._clock.now()
-        next_due = self._later[0][0] - now if self._later else LONGEST_TURN
-        for peer, data in self._line.receive(min(max(next_due, 0.0), LONGEST_TURN)):
-            self._take(peer, data)
+        next_due = self._later[0][0] - now if self._later else MAX_STEP
+        for peer, data in self._line.receive(min(max(next_due, 0.0), MAX_STEP)):
+            self._receive(peer, data)
         while self._later and self._later[0][0] <= self._clock.now():
             heapq.heappop(self._later)[2]()
         self._station.endpoint.tick()
 
     def serve(self, until: Callable[[], bool]) -> None:
-        """Take turns until told otherwise."""
+        """Call `step` until a condition is true."""
         while not until():
-            self.turn()
+            self.step()
 
-    def _mute(self) -> bool:
-        return self._down or self._clock.now() < self._mute_until
+    def _is_mute(self) -> bool:
+        return self._is_down or self._clock.now() < self._mute_until
 
-    def _take(self, peer: int, data: bytes) -> None:
+    def _receive(self, peer: int, data: bytes) -> None:
         now = self._clock.now()
         since, rest = self._rest.pop(peer, (now, b""))
-        if not data or self._mute():
+        if not data or self._is_mute():
             return
         if now - since > self._station.silence:
             rest = b""
         cut = self._station.split(rest + data)
         if cut is None:
-            self._line.end(peer)
+            self._line.disconnect(peer)
             return
         packets, rest = cut
         if rest:
             self._rest[peer] = (now, rest)
         for packet in packets:
-            self._pass("request", packet, partial(self._answer, peer))
+            self._transmit("request", packet, partial(self._answer, peer))
 
     def _answer(self, peer: int, packet: bytes) -> None:
-        """Answer what arrived at the controller."""
-        if self._mute():
+        """Answer a telegram that has reached the controller."""
+        if self._is_mute():
             return
-        refused = self._injector is not None and self._injector.hits("exception")
-        answer = self._station.refuse(packet) if refused else self._spoiled(peer, packet)
+        is_refused = self._injector is not None and self._injector.occurs("exception")
+        answer = self._station.refuse(packet) if is_refused else self._answer_damaged(peer, packet)
         if answer:
-            self._pass("answer", answer, partial(self._send, peer))
+            self._transmit("answer", answer, partial(self._send, peer))
         self._draw_for_moves()
 
-    def _spoiled(self, peer: int, packet: bytes) -> bytes:
-        """The answer to a telegram that may have been cut or changed on its way."""
+    def _answer_damaged(self, peer: int, packet: bytes) -> bytes:
+        """Return the answer to a telegram that may have been cut or changed on its way."""
         cut = self._station.split(packet) if self._injector else ([packet], b"")
         if cut is None:
-            self._line.end(peer)
+            self._line.disconnect(peer)
             return b""
         return b"".join(self._station.answer(part) for part in cut[0])
 
     def _send(self, peer: int, packet: bytes) -> None:
-        if not self._mute():
+        if not self._is_mute():
             self._line.send(peer, packet)
 
-    def _pass(self, direction: str, packet: bytes, arrive: Callable[[bytes], None]) -> None:
-        """Let a telegram go over the wire, whole or not."""
+    def _transmit(self, direction: str, packet: bytes, arrive: Callable[[bytes], None]) -> None:
+        """Send a telegram over the wire, with faults."""
         if self._injector is None:
             arrive(packet)
             return
-        for delay, data in self._injector.through(direction, packet):
+        for delay, data in self._injector.transmit(direction, packet):
             if delay:
                 self._in(delay, partial(arrive, data))
             else:
                 arrive(data)
-        if self._injector.holds(direction):
+        if self._injector.is_holding(direction):
             self._in(self._injector.seconds("reorder"), partial(self._release, direction, arrive))
 
     def _release(self, direction: str, arrive: Callable[[bytes], None]) -> None:
-        if self._injector and (packet := self._injector.late(direction)) is not None:
+        if self._injector and (packet := self._injector.release(direction)) is not None:
             arrive(packet)
 
     def _draw_for_moves(self) -> None:
         moves, self._moves = self._station.endpoint.moves - self._moves, self._station.endpoint.moves
         if self._injector is None or not moves:
             return
-        lasts = self._station.endpoint.controller.time_to_wait() / self._time_scale
+        duration = self._station.endpoint.controller.time_to_wait() / self._time_scale
         for name in MOVE_FAULTS:
-            if self._injector.hits(name):
+            if self._injector.occurs(name):
                 seconds = self._injector.seconds(name)
-                self._in(self._injector.fraction() * lasts, partial(self._break, name, seconds))
+                self._in(self._injector.fraction() * duration, partial(self._trigger, name, seconds))
 
-    def _break(self, name: str, seconds: float) -> None:
-        """The line, the controller or the cell breaks now, for so many seconds."""
+    def _trigger(self, name: str, seconds: float) -> None:
+        """Begin a fault of the line, the controller or the cell that lasts this long [s]."""
         endpoint = self._station.endpoint
         if name == "half-open":
             self._mute_until = max(self._mute_until, self._clock.now() + seconds)
-            self._in(seconds, self._line.drop)
+            self._in(seconds, self._line.drop_connections)
         elif name == "estop":
             endpoint.emergency_stop()
             self._in(seconds, partial(endpoint.emergency_stop, False))
-        elif not self._down:
-            self._down = True
+        elif not self._is_down:
+            self._is_down = True
             endpoint.brake_for_restart()
-            self._line.drop()
-            self._in(seconds, self._come_back)
+            self._line.drop_connections()
+            self._in(seconds, self._restart)
 
-    def _come_back(self) -> None:
-        """Start again, once the arm stands."""
+    def _restart(self) -> None:
+        """Restart the controller once the arm is at rest."""
         endpoint = self._station.endpoint
-        if not endpoint.tick().standing:
-            self._in(LONGEST_TURN, self._come_back)
+        if not endpoint.tick().at_rest:
+            self._in(MAX_STEP, self._restart)
             return
         self._rest.clear()
         endpoint.restart()
         self._moves = endpoint.moves
-        self._station.forget()
-        self._down = False
+        self._station.restart()
+        self._is_down = False
 
     def _in(self, seconds: float, action: Callable[[], None]) -> None:
         self._at(self._clock.now() + seconds, action)

@@ -1,1 +1,1 @@
-"""Links to real controllers: each turns the client's calls into bytes of one wire."""
+"""Links to real controllers: each turns the client's calls into the bytes of one wire."""

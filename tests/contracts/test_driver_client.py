@@ -10,9 +10,8 @@ import pytest
 from cell.robot import model as robot
 from drivers.client import ControllerClient
 from drivers.clock import SimulatedClock
-from drivers.commands import Answer, Command, Move, Reset, Result, Stop
-from drivers.contract import Capabilities, Fault, Mode, RobotState
-from drivers.controller import Controller
+from drivers.contract import Answer, Capabilities, Command, Fault, Mode, Move, Reset, Result, RobotState, Stop
+from drivers.controller import Controller, IdealPlant
 from drivers.errors import (
     AnswerTimeoutError,
     EmergencyStopError,
@@ -24,7 +23,6 @@ from drivers.errors import (
     StoppedError,
 )
 from drivers.limits import Limits
-from drivers.plant import IdealPlant
 from drivers.setpoints import SetPoints, from_rad, to_rad
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
@@ -147,7 +145,7 @@ def test_a_refusal_whose_answer_was_lost_is_still_a_refusal(link: ScriptedLink, 
 def test_two_lost_commands_are_state_unknown_until_a_stop(link: ScriptedLink, client: ControllerClient) -> None:
     """Then only reading and stopping are possible; a confirmed stop makes moves possible under a newer number."""
     link.before = times(2, AnswerTimeoutError("lost"))
-    with pytest.raises(StateUnknownError, match="command 1 was executed is not known"):
+    with pytest.raises(StateUnknownError, match="execution of command 1 is unknown"):
         client.move(at(10), 0.5)
     sent = len(link.sent)
     with pytest.raises(StateUnknownError, match="stop"):
@@ -180,7 +178,7 @@ def test_a_line_lost_while_waiting_is_state_unknown(link: ScriptedLink, client: 
             raise LinkLostError("heartbeat frozen")
 
     link.on_state = lose
-    with pytest.raises(StateUnknownError, match="how far move 1 went"):
+    with pytest.raises(StateUnknownError, match="progress of move 1 is unknown"):
         client.move(at(10), 0.5)
 
 
@@ -279,7 +277,7 @@ def test_ctrl_c_is_a_controlled_stop() -> None:
     with pytest.raises(KeyboardInterrupt):
         client.move(at(90), 1.0)
     state = client.state()
-    assert state.standing
+    assert state.at_rest
     assert state.mode is Mode.IDLE
     assert 0 < state.axes[0] < at(90)[0, 0]
     assert state.axes[1:].tolist() == START[1:].tolist()
@@ -290,7 +288,7 @@ def test_ctrl_c_is_a_controlled_stop() -> None:
 def test_a_stop_from_elsewhere_ends_the_move() -> None:
     """move() raises StoppedError with the place where the arm stands, which is what the state says."""
     _, client = interrupted(lambda link, client: client.stop() and None)
-    with pytest.raises(StoppedError, match="the arm stands at") as stopped:
+    with pytest.raises(StoppedError, match="the arm is at rest at") as stopped:
         client.move(at(90), 1.0)
     state = client.state()
     assert f"({state.axes[0] / 1e4:.4f}, -90.0000" in str(stopped.value)
@@ -330,7 +328,7 @@ def test_closing_stops_an_arm_that_moves(link: ScriptedLink, client: ControllerC
     assert link.controller.state().mode is Mode.MOVING
     client.close()
     client.close()
-    assert link.controller.state().standing
+    assert link.controller.state().at_rest
     assert link.controller.state().axes[0] < at(90)[0, 0]
     assert link.closed == 1
 
@@ -394,6 +392,6 @@ def test_a_fault_right_after_a_move_is_told_by_it() -> None:
     link.controller = Controller(IdealPlant(to_rad(START)), KR16, link.clock)
     client = ControllerClient(link, link.clock, KR16)
     client.connect()
-    with pytest.raises(EmergencyStopError, match="the move was done just before"):
+    with pytest.raises(EmergencyStopError, match="the move had just ended"):
         client.move(at(10), 1.0)
     assert client.state().axes.tolist() == at(10)[-1].tolist()

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from cell.robot import model as robot
-from drivers.commands import Result
-from drivers.contract import Driver, Mode
+from drivers.contract import Driver, Mode, Result
 from drivers.errors import DriverUrlError, NotConnectedError, RefusedError, SetPointError
 from drivers.limits import Limits
 from drivers.registry import Context, open_driver
@@ -57,11 +56,11 @@ def test_a_move_ends_exactly_at_its_last_set_point(driver: Driver) -> None:
     points = near(driver, 1.0, 0.5, 2.0001)
     for state in (driver.move(points, SPEED), driver.state()):
         assert state.mode is Mode.IN_POSITION
-        assert state.standing
+        assert state.at_rest
         assert state.axes.tolist() == points[-1].tolist()
         assert (from_rad(state.q) == points[-1]).all()
         assert state.fault_code == 0
-        assert state.fault_sentence == ""
+        assert state.fault_message == ""
 
 
 def test_a_move_to_where_the_arm_stands_is_done_at_once(driver: Driver) -> None:

@@ -11,23 +11,21 @@ from cell.robot import model as robot
 from drivers.client import ControllerClient
 from drivers.clock import SimulatedClock
 from drivers.contract import RobotState
-from drivers.emulated.endpoint import Endpoint, Entry
-from drivers.emulated.modbus_station import ModbusStation
-from drivers.emulated.serial_station import SerialStation
-from drivers.emulated.serve import Server, Station
-from drivers.emulated.wire_faults import Injector, parse
+from drivers.controller import IdealPlant
+from drivers.emulated import stations
+from drivers.emulated.endpoint import Endpoint, Event
+from drivers.emulated.faults import Injector, parse_faults
+from drivers.emulated.serve import Server
+from drivers.emulated.stations import ModbusStation, SerialStation, Station
 from drivers.errors import AnswerTimeoutError, LinkLostError, ProtocolError
 from drivers.limits import Limits
-from drivers.plant import IdealPlant
-from drivers.reopening import ReopeningLink
-from drivers.wire import Patience
-from drivers.wires.modbus import adu
-from drivers.wires.modbus.link import ModbusLink
-from drivers.wires.serial.link import SerialLink
+from drivers.wire import ReopeningLink, Timeouts
+from drivers.wires.modbus_link import ModbusLink
+from drivers.wires.serial_link import SerialLink
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 
-PATIENCE = Patience(answer=0.08, watchdog=0.5, poll=0.01)
+PATIENCE = Timeouts(answer=0.08, watchdog=0.5, poll=0.01)
 STEP = 0.01
 HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 
@@ -36,21 +34,21 @@ HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 class Journal:
     """A witness that remembers."""
 
-    entries: list[Entry] = field(default_factory=list)
+    entries: list[Event] = field(default_factory=list)
     states: list[RobotState] = field(default_factory=list)
 
-    def entry(self, entry: Entry) -> None:
+    def record_event(self, entry: Event) -> None:
         self.entries.append(entry)
 
-    def seen(self, state: RobotState) -> None:
+    def record_state(self, state: RobotState) -> None:
         self.states.append(state)
 
-    def of(self, event: str) -> list[Entry]:
+    def of(self, event: str) -> list[Event]:
         return [entry for entry in self.entries if entry["event"] == event]
 
 
 class MemoryLine:
-    """Both ends of a wire: `drivers.emulated.lines.Line` for the server, bytes for the client."""
+    """Both ends of a wire: `drivers.emulated.serve.Line` for the server, bytes for the client."""
 
     name = "memory"
 
@@ -68,10 +66,10 @@ class MemoryLine:
         if peer == self.connection:
             self.to_client += data
 
-    def drop(self) -> None:
+    def drop_connections(self) -> None:
         self.lost = True
 
-    def end(self, peer: int) -> None:
+    def disconnect(self, peer: int) -> None:
         self.lost = True
 
     def close(self) -> None:
@@ -81,7 +79,7 @@ class MemoryLine:
 class BenchClock(SimulatedClock):
     """Simulated time in which the server takes its turns."""
 
-    turn: Callable[[], None] = staticmethod(lambda: None)
+    step: Callable[[], None] = staticmethod(lambda: None)
 
     def wait(self, seconds: float) -> None:
         left = seconds
@@ -89,7 +87,7 @@ class BenchClock(SimulatedClock):
             step = min(STEP, left)
             super().wait(step)
             left -= step
-            self.turn()
+            self.step()
 
 
 class FastClock:
@@ -108,7 +106,7 @@ class FastClock:
 
 
 class BytePort:
-    """`drivers.wires.serial.link.Port` on a memory line."""
+    """`drivers.wires.serial_link.Port` on a memory line."""
 
     name = "memory"
 
@@ -129,7 +127,7 @@ class BytePort:
             raise LinkLostError("the port is closed")
         self.line.to_client = b""
         self.line.to_server.append((self.line.connection, data))
-        self.clock.turn()
+        self.clock.step()
 
     def read(self, seconds: float) -> bytes:
         left = seconds
@@ -141,7 +139,7 @@ class BytePort:
 
 
 class RegisterPort:
-    """`drivers.wires.modbus.link.Port` on a memory line: a Modbus client of the tests' own, in place of pymodbus."""
+    """`drivers.wires.modbus_link.Port` on a memory line: a Modbus client of the tests' own, in place of pymodbus."""
 
     name = "memory"
 
@@ -174,10 +172,10 @@ class RegisterPort:
             self.close()
             raise LinkLostError("the connection is closed")
         self.transaction = (self.transaction + 1) % 65536
-        header = adu.Header(self.unit, None if self.rtu else self.transaction)
+        header = stations.Header(self.unit, None if self.rtu else self.transaction)
         self.line.to_client = b"" if self.rtu else self.line.to_client
-        self.line.to_server.append((self.line.connection, adu.pack(header, pdu)))
-        self.clock.turn()
+        self.line.to_server.append((self.line.connection, stations.pack(header, pdu)))
+        self.clock.step()
         waited, received = 0.0, b""
         while waited < PATIENCE.answer:
             received, self.line.to_client = received + self.line.to_client, b""
@@ -194,19 +192,19 @@ class RegisterPort:
             self.close()
         raise AnswerTimeoutError("no answer")
 
-    def _answer(self, received: bytes, header: adu.Header) -> bytes | None:
+    def _answer(self, received: bytes, header: stations.Header) -> bytes | None:
         """The first whole telegram; on TCP the one with our number."""
         if self.rtu:
             sizes = {0x10: 8, 0x84: 5, 0x90: 5}
             for begin in range(len(received) - 4):
                 size = sizes.get(received[begin + 1], 5 + received[begin + 2])
-                unpacked = adu.unpack_rtu(received[begin : begin + size])
+                unpacked = stations.parse_rtu(received[begin : begin + size])
                 if unpacked and unpacked[0].unit == self.unit:
                     return unpacked[1]
             return None
-        cut = adu.split_tcp(received)
+        cut = stations.split_tcp(received)
         for packet in cut[0] if cut else []:
-            unpacked = adu.unpack_tcp(packet)
+            unpacked = stations.parse_tcp(packet)
             if unpacked and unpacked[0] == header:
                 return unpacked[1]
         return None
@@ -254,14 +252,14 @@ def make_bench(backend: str, faults: str = "", seed: int = 0, time_scale: float 
     port: BytePort | RegisterPort
     if backend == "serial":
         station, port = SerialStation(endpoint), BytePort(line, clock)
-        link = SerialLink(port, clock, PATIENCE, first_question=100)
+        link = SerialLink(port, clock, PATIENCE, first_query=100)
     else:
         rtu = backend == "modbus-rtu"
         station, port = ModbusStation(endpoint, rtu=rtu), RegisterPort(line, clock, rtu=rtu)
         link = ModbusLink(port, clock, PATIENCE, first_heartbeat=100)
-    injector = Injector(parse(faults), np.random.default_rng(seed)) if faults else None
+    injector = Injector(parse_faults(faults), np.random.default_rng(seed)) if faults else None
     server = Server(station, line, clock, injector, time_scale)
-    clock.turn = server.turn
+    clock.step = server.step
     return Bench(ControllerClient(link, clock, limits), link, port, line, clock, endpoint, server, journal)
 
 

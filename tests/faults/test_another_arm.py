@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.emulated.modbus_station import ModbusStation
+from drivers.emulated.stations import ModbusStation
 from drivers.errors import ArrivalError, RefusedError
 from drivers.limits import Limits
 from drivers.registry import Context, open_driver

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.soak import EVERY_FAULT, drive, judge
-from drivers.emulated.wire_faults import MOVE_FAULTS, NAMES
+from drivers.emulated.faults import MOVE_FAULTS, NAMES
 
 MOVES = 8
 

@@ -78,7 +78,7 @@ def test_a_client_that_goes_away_leaves_a_standing_arm(emulate: Callable[..., An
     with open_driver(emulated.url + "&" + PATIENT, ARM) as driver:
         deadline = threading.Event()
         for _ in range(200):  # looking feeds no watchdog
-            if driver.state().fault_code and driver.state().standing:
+            if driver.state().fault_code and driver.state().at_rest:
                 break
             deadline.wait(0.05)
         state = driver.state()
@@ -89,7 +89,7 @@ def test_a_client_that_goes_away_leaves_a_standing_arm(emulate: Callable[..., An
 
 
 def _move(degrees: float, speed: float) -> Any:
-    from drivers.commands import Move
+    from drivers.contract import Move
 
     return Move(turned(degrees), speed)
 
@@ -164,7 +164,7 @@ def test_ports_that_cannot_be(tmp_path: Path) -> None:
 @pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
 def test_a_port_that_gives_up_writing_is_a_lost_line() -> None:
     """The other end of a pseudo-terminal is closed under the client."""
-    from drivers.wires.serial.port import SerialPort
+    from drivers.wires.serial_link import SerialPort
 
     controller, peer = os.openpty()
     port = SerialPort(os.ttyname(peer), 115200)

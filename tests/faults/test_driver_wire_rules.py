@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from cell.robot import model as robot
-from drivers.commands import LAST_SEQUENCE, Move, Reset, Result, Stop
-from drivers.contract import Fault, Mode
+from drivers.contract import LAST_SEQUENCE, Fault, Mode, Move, Reset, Result, Stop
 from drivers.errors import (
     FaultError,
     LinkError,
@@ -20,9 +19,9 @@ from drivers.errors import (
 )
 from drivers.limits import Limits
 from drivers.setpoints import SetPoints, from_rad
-from drivers.wire import MOST_POINTS
-from drivers.wires.modbus import register_map as registers
-from drivers.wires.serial.frames import Frame, decode, encode
+from drivers.wire import MAX_POINTS
+from drivers.wires import modbus_protocol as registers
+from drivers.wires.serial_protocol import Frame, decode_frame, encode_frame
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 
@@ -51,7 +50,7 @@ def test_a_silent_client_stops_a_moving_arm_on_its_path(wire: Any) -> None:
     state = wire.driver.state()
     assert (state.mode, state.fault_code) == (Mode.FAULT, Fault.WATCHDOG)
     assert state.done_result == Result.FAULTED
-    assert "heartbeat" in state.fault_sentence
+    assert "heartbeat" in state.fault_message
     assert 0 < state.axes[0] < 900_000
     assert (state.axes[1:] == HOME[1:]).all()
     wire.driver.stop()
@@ -66,7 +65,7 @@ def test_a_silent_client_of_an_arm_that_stands_is_no_fault(wire: Any) -> None:
     wire.driver.move(turned(5.0), 1.0)
     for _ in range(600):
         wire.clock._now += 1.0
-        wire.server.turn()
+        wire.server.step()
     assert wire.driver.state().fault_code == 0
     assert wire.driver.move(turned(0.0), 1.0).mode is Mode.IN_POSITION
 
@@ -97,7 +96,7 @@ def test_the_client_says_how_long_its_silence_may_last(bench: Callable[..., Any]
     """The controller takes 100 ms to 5 s; what is beyond is refused, and the arm is nobody's."""
     for asked in (0.1, 5.0, 0.099, 5.001, 0.0, 65.535):
         made = bench(backend)
-        object.__setattr__(made.link, "_patience", type(made.link._patience)(answer=0.05, watchdog=asked))
+        object.__setattr__(made.link, "_timeouts", type(made.link._timeouts)(answer=0.05, watchdog=asked))
         made.driver.connect()
         if not 0.1 <= asked <= 5.0:
             with pytest.raises(RefusedError, match="outside 100 to 5000 ms") as refused:
@@ -124,13 +123,13 @@ def test_a_frozen_heartbeat_is_a_lost_line(wire: Any) -> None:
 
     begin(wire, 170.0, 0.02)
     wire.endpoint.report = dead
-    while wire.driver.state().standing is False and wire.clock.now() < 0.4:
+    while wire.driver.state().at_rest is False and wire.clock.now() < 0.4:
         wire.clock.wait(0.02)
     wire.clock.wait(0.3)
-    with pytest.raises(LinkLostError, match="stood still"):
+    with pytest.raises(LinkLostError, match="has not changed"):
         wire.driver.state()
     wire.endpoint.report = report
-    assert wire.driver.stop().standing
+    assert wire.driver.stop().at_rest
 
 
 def test_a_frozen_heartbeat_while_waiting_is_state_unknown(wire: Any) -> None:
@@ -143,12 +142,12 @@ def test_a_frozen_heartbeat_while_waiting_is_state_unknown(wire: Any) -> None:
         real_wait(seconds)
 
     wire.clock.wait = freeze
-    with pytest.raises(StateUnknownError, match="stood still"):
+    with pytest.raises(StateUnknownError, match="has not changed"):
         wire.driver.move(turned(170.0), 0.02)
     wire.clock.wait, wire.endpoint.report = real_wait, report
     with pytest.raises(StateUnknownError, match="stop"):
         wire.driver.move(turned(0.0), 1.0)
-    assert wire.driver.stop().standing
+    assert wire.driver.stop().at_rest
     assert wire.driver.reset().fault_code == 0
 
 
@@ -159,9 +158,9 @@ def test_a_clock_that_jumps_ahead_stops_and_one_that_jumps_back_does_not(wire: A
     wire.clock.wait(0.1)
     assert wire.driver.state().mode is Mode.MOVING
     wire.clock._now += 5000.0
-    wire.server.turn()
+    wire.server.step()
     assert wire.endpoint.controller.state().fault_code in (0, Fault.WATCHDOG)
-    assert wire.driver.stop().standing
+    assert wire.driver.stop().at_rest
     wire.driver.reset()
     assert wire.driver.move(turned(0.0), 1.0).mode is Mode.IN_POSITION
 
@@ -205,7 +204,7 @@ def test_a_hundred_thousand_via_points_over_the_serial_line(bench: Callable[...,
 def test_more_via_points_than_the_controller_holds_are_refused_unsent(wire: Any) -> None:
     """By the client, with the number that would be taken."""
     with pytest.raises(RefusedError, match="at most 200000") as refused:
-        wire.driver.move(np.tile(HOME, (MOST_POINTS + 1, 1)), 1.0)
+        wire.driver.move(np.tile(HOME, (MAX_POINTS + 1, 1)), 1.0)
     assert refused.value.result == Result.TOO_MANY_POINTS
     assert wire.driver.state().ack_sequence == 0
 
@@ -266,7 +265,7 @@ def test_a_command_is_executed_once_and_a_repeat_gets_the_old_answer(wire: Any) 
 def test_staged_points_that_went_missing_are_staged_again(wire: Any) -> None:
     """The commit is not taken, the number stays unused, and the client sends all of it once more."""
     wire.link.state()
-    put, spoiled = wire.endpoint._staging.put, [False]
+    put, spoiled = wire.endpoint._staging.write, [False]
 
     def forgetful(sequence: int, piece: Any) -> bool:
         if piece.offset and not spoiled[0]:
@@ -274,7 +273,7 @@ def test_staged_points_that_went_missing_are_staged_again(wire: Any) -> None:
             return True
         return bool(put(sequence, piece))
 
-    wire.endpoint._staging.put = forgetful
+    wire.endpoint._staging.write = forgetful
     points = np.tile(HOME, (60, 1))
     points[:, 5] = np.arange(60) * 100
     assert wire.driver.move(points, 1.0).axes.tolist() == points[-1].tolist()
@@ -308,7 +307,7 @@ def test_a_first_move_that_a_restart_cut_short_is_not_sent_again(wire: Any) -> N
         wire.endpoint.brake_for_restart()
         wire.clock.wait(2.0)
         wire.endpoint.restart()
-        wire.server._station.forget()
+        wire.server._station.restart()
         return b""
 
     wire.server._station.answer = dying
@@ -350,7 +349,7 @@ def test_ctrl_c_while_the_answer_is_awaited_stops_the_arm(wire: Any) -> None:
     with pytest.raises(KeyboardInterrupt):
         wire.driver.move(turned(90.0), 0.5)
     state = wire.driver.state()
-    assert state.standing
+    assert state.at_rest
     assert state.axes[0] < 900_000
     assert state.fault_code == 0
 
@@ -399,22 +398,22 @@ class Replies:
 @pytest.fixture
 def scripted(bench: Callable[..., Any]) -> tuple[Any, Replies]:
     """A serial link whose answers a test rewrites."""
-    from drivers.wire import Patience
-    from drivers.wires.serial.link import SerialLink
+    from drivers.wire import Timeouts
+    from drivers.wires.serial_link import SerialLink
 
     made = bench("serial")
     port = Replies(made.server._station)
     port.clock = made.clock
-    link = SerialLink(port, made.clock, Patience(answer=0.05, watchdog=0.2), first_question=10)
+    link = SerialLink(port, made.clock, Timeouts(answer=0.05, watchdog=0.2), first_query=10)
     link.open()
     return link, port
 
 
 def renumbered(reply: bytes, by: int) -> bytes:
     """The same answer under another number."""
-    frame = decode(reply)
+    frame = decode_frame(reply)
     assert frame is not None
-    return encode(Frame(frame.start, (frame.number + by) % 65536, frame.body))
+    return encode_frame(Frame(frame.start, (frame.number + by) % 65536, frame.body))
 
 
 @pytest.mark.parametrize("name", ["late", "foreign", "echo", "torn", "lower case", "to the controller", "other kind"])
@@ -428,7 +427,7 @@ def test_what_is_not_the_current_answer_is_passed_over(scripted: tuple[Any, Repl
         "torn": lambda reply: reply[: len(reply) // 2],
         "lower case": lambda reply: reply[:-10] + reply[-10:].lower() if reply[-10:].lower() != reply[-10:] else b"",
         "to the controller": lambda reply: b">" + reply[1:],
-        "other kind": lambda reply: encode(Frame("<", decode(reply).number, "MOVE,0,")),  # type: ignore[union-attr] # it is one
+        "other kind": lambda reply: encode_frame(Frame("<", decode_frame(reply).number, "MOVE,0,")),  # type: ignore[union-attr] # it is one
     }
     rewrite = wrong[name]
     port.rewrite = rewrite
@@ -473,7 +472,7 @@ class Rewritten:
 
 def swapped(address: int, values: list[int]) -> list[int]:
     """Every 32-bit value of a block with its words exchanged."""
-    block = next(block for block in registers.BLOCKS if block.kind == "input" and block.address == address).of(6)
+    block = next(block for block in registers.BLOCKS if block.kind == "input" and block.address == address).for_axes(6)
     at, result = 0, list(values)
     if len(values) == registers.HEAD:
         return [*values[:2], values[3], values[2], *values[4:]]
@@ -506,12 +505,12 @@ def test_a_foreign_or_broken_map_is_refused(
     bench: Callable[..., Any], rewrite: Callable[[int, list[int]], list[int]], words: str
 ) -> None:
     """At connecting, with what is wrong; and just so while connected."""
-    from drivers.wire import Patience
-    from drivers.wires.modbus.link import ModbusLink
+    from drivers.wire import Timeouts
+    from drivers.wires.modbus_link import ModbusLink
 
     made = bench("modbus")
     port = Rewritten(made.port)
-    link = ModbusLink(port, made.clock, Patience(answer=0.05, watchdog=0.2))
+    link = ModbusLink(port, made.clock, Timeouts(answer=0.05, watchdog=0.2))
     port.rewrite = rewrite
     with pytest.raises(ProtocolError, match=words):
         link.open()
@@ -540,16 +539,16 @@ def test_words_swapped_on_the_way_to_the_controller_execute_nothing(bench: Calla
 
 def test_a_status_from_before_the_write_is_not_the_current_one(bench: Callable[..., Any]) -> None:
     """It echoes an older heartbeat: read again, and given up where it stays so."""
-    from drivers.wire import Patience
-    from drivers.wires.modbus.link import ModbusLink
+    from drivers.wire import Timeouts
+    from drivers.wires.modbus_link import ModbusLink
 
     made = bench("modbus-rtu")
     port = Rewritten(made.port)
-    link = ModbusLink(port, made.clock, Patience(answer=0.05, watchdog=0.2))
+    link = ModbusLink(port, made.clock, Timeouts(answer=0.05, watchdog=0.2))
     link.open()
     link.state()
     link.session = 7
-    old = made.port.read(0, registers.STATUS.of(6).registers)
+    old = made.port.read(0, registers.STATUS.for_axes(6).registers)
     reads = [0]
 
     def once(address: int, values: list[int]) -> list[int]:
@@ -568,14 +567,14 @@ def test_registers_written_apart_from_their_block_do_nothing(bench: Callable[...
     """A sequence without its command, a block elsewhere, a block with a wrong count: exceptions 2 and 3."""
     made = bench("modbus")
     made.driver.connect()
-    command = registers.COMMAND.of(6)
+    command = registers.COMMAND.for_axes(6)
     block = command.encode({field.name: 0 for field in command.fields} | {"command": 1})
     for address, values in ((1, [5]), (0, [1, 2, 1]), (1, block), (0, block[:-1]), (0, [*block, 0])):
         with pytest.raises(ProtocolError, match=r"exception [23]"):
             made.port.write(address, values)
-    end = registers.CAPABILITIES.address + registers.CAPABILITIES.of(6).registers
+    end = registers.CAPABILITIES.address + registers.CAPABILITIES.for_axes(6).registers
     for address, count in ((50, 1), (30, 20), (99, 3), (end, 1)):
         with pytest.raises(ProtocolError, match="exception 2"):
             made.port.read(address, count)
-    assert made.port.read(18, 12) == made.port.read(0, registers.STATUS.of(6).registers)[18:30]
+    assert made.port.read(18, 12) == made.port.read(0, registers.STATUS.for_axes(6).registers)[18:30]
     assert made.driver.state().ack_sequence == 0

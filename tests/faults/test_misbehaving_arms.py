@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from cell.robot import model as robot
-from drivers.commands import Result
-from drivers.contract import WHOLE, Capabilities, Flag, Mode, RobotState
+from drivers.contract import FULL, Capabilities, Flag, Mode, Result, RobotState
 from drivers.errors import ArrivalError, DriverError, OverdueError
 from drivers.limits import Limits
 from drivers.profile import interpolate
@@ -48,31 +47,31 @@ def goal_of(wire: Any) -> SetPoints:
 
 def waits(state: RobotState, **more: Any) -> RobotState:
     """A move that was accepted and does not begin."""
-    flags = int(Flag.STANDS)
-    return replace(state, mode=Mode.IDLE, standing=True, axes=HOME, queue_depth=1, path=0, flags=flags, **more)
+    flags = int(Flag.AT_REST)
+    return replace(state, mode=Mode.IDLE, at_rest=True, axes=HOME, queue_depth=1, path=0, flags=flags, **more)
 
 
 def moves(state: RobotState, axes: SetPoints, path: int) -> RobotState:
     """A move under way."""
     sequence = state.ack_sequence
     return replace(
-        state, mode=Mode.MOVING, standing=False, axes=axes, queue_depth=1, path=path, flags=int(Flag.MOVES),
+        state, mode=Mode.MOVING, at_rest=False, axes=axes, queue_depth=1, path=path, flags=int(Flag.MOVING),
         done_sequence=sequence - 1, done_result=0,
     )  # fmt: skip
 
 
 def arrived(state: RobotState, axes: SetPoints) -> RobotState:
     """A move that is said to be done."""
-    flags = int(Flag.STANDS | Flag.IN_POSITION)
+    flags = int(Flag.AT_REST | Flag.IN_POSITION)
     return replace(
-        state, mode=Mode.IN_POSITION, standing=True, axes=axes, queue_depth=0, path=WHOLE, flags=flags,
+        state, mode=Mode.IN_POSITION, at_rest=True, axes=axes, queue_depth=0, path=FULL, flags=flags,
         done_sequence=state.ack_sequence, done_result=0,
     )  # fmt: skip
 
 
 def idle(state: RobotState) -> RobotState:
     """Stands, and not in position."""
-    return replace(state, mode=Mode.IDLE, flags=int(Flag.STANDS))
+    return replace(state, mode=Mode.IDLE, flags=int(Flag.AT_REST))
 
 
 def off(axes: SetPoints, by: float) -> SetPoints:
@@ -87,7 +86,7 @@ ARMS: dict[str, tuple[Callable[[Any], Callable[[RobotState, float], RobotState]]
     ),
     "sticks half-way": (
         lambda wire: lambda state, t: moves(state, off(HOME, min(20 * t, 10.0)), min(round(5000 * t), 5000)),
-        OverdueError, "(without progress|of driving).*50 % of the path", 8.5,
+        OverdueError, "(without progress|of motion).*50 % of the path", 8.5,
     ),
     "trembles on the spot": (
         lambda wire: lambda state, t: moves(state, off(HOME, 1e-4 * (round(100 * t) % 5)), 3000),
@@ -95,11 +94,11 @@ ARMS: dict[str, tuple[Callable[[Any], Callable[[RobotState, float], RobotState]]
     ),
     "swings to and fro": (
         lambda wire: lambda state, t: moves(state, off(HOME, 5 * np.sin(t)), 3000),
-        OverdueError, "s of driving, where", 8.5,
+        OverdueError, "s of motion instead of", 8.5,
     ),
     "creeps": (
         lambda wire: lambda state, t: moves(state, off(HOME, 0.1 * t), min(round(50 * t), 9000)),
-        OverdueError, "s of driving, where", 8.5,
+        OverdueError, "s of motion instead of", 8.5,
     ),
     "stands at override 0": (
         lambda wire: lambda state, t: replace(moves(state, HOME, 0), override=0),
@@ -115,7 +114,7 @@ ARMS: dict[str, tuple[Callable[[Any], Callable[[RobotState, float], RobotState]]
     ),
     "says done half-way": (
         lambda wire: lambda state, t: arrived(state, off(HOME, 15.0)) if t > 1.0 else moves(state, HOME, 0),
-        ArrivalError, "said to be done, and the arm stands at", 3.0,
+        ArrivalError, "reports the end of the move, but the arm is at", 3.0,
     ),
     "says done and idle": (
         lambda wire: lambda state, t: idle(arrived(state, goal_of(wire))) if t > 1 else moves(state, HOME, 0),
@@ -143,7 +142,7 @@ def test_an_arm_that_does_something_else(name: str, wire: Any) -> None:
 def test_a_hold_suspends_the_limits_and_is_told(wire: Any) -> None:
     """Held for 8 s before it begins, longer than without progress, then the move is driven; the wait is told."""
     said: list[str] = []
-    wire.driver._say = said.append
+    wire.driver._notify = said.append
     controller = wire.endpoint.controller
     now, held = controller._clock.now, [0.0]
     report = wire.endpoint.report
@@ -152,7 +151,7 @@ def test_a_hold_suspends_the_limits_and_is_told(wire: Any) -> None:
         state = report()
         if not wire.journal.of("move") or wire.clock.now() > 8.0:
             return state
-        return replace(waits(state), flags=int(Flag.STANDS | Flag.HELD))
+        return replace(waits(state), flags=int(Flag.AT_REST | Flag.HELD))
 
     def clock() -> float:
         if wire.journal.of("move") and wire.clock.now() <= 8.0:
@@ -169,7 +168,7 @@ def test_a_hold_suspends_the_limits_and_is_told(wire: Any) -> None:
 
 def test_a_slow_override_is_waited_for(bench: Callable[..., Any], backend: str) -> None:
     """Ten times as slow as its profile, and it says so; the same arm without saying so is overdue."""
-    for told in (1000, WHOLE):
+    for told in (1000, FULL):
         made = bench(backend, time_scale=0.1)
         type_of = type(made.endpoint)
         made.endpoint.__class__ = type("RealTime", (type_of,), {
@@ -178,8 +177,8 @@ def test_a_slow_override_is_waited_for(bench: Callable[..., Any], backend: str) 
         report = made.endpoint.report
         made.endpoint.report = lambda report=report, told=told: replace(report(), override=told)
         made.driver.connect()
-        if told == WHOLE:
-            with pytest.raises(OverdueError, match="of driving"):
+        if told == FULL:
+            with pytest.raises(OverdueError, match="of motion"):
                 made.driver.move(turned(15.0), 0.5)
         else:
             assert made.driver.move(turned(15.0), 0.5).mode is Mode.IN_POSITION
@@ -208,7 +207,7 @@ def test_an_emulator_that_tells_its_factor_is_judged_by_its_clock(
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"lower": KR16.upper + np.int32(1)}, "lower limit is above"),
+        ({"lower": KR16.upper + np.int32(1)}, "lower limit of an axis is above"),
         ({"max_step": KR16.max_step * 0}, "largest step"),
         ({"max_speed": 0.0}, "largest speed fraction"),
         ({"time_scale": 0.0}, "as fast as real time"),
@@ -277,9 +276,9 @@ def test_an_interrupt_at_any_moment_leaves_a_standing_arm(bench: Callable[..., A
     assert gone - came[0] < 2.0
     limits = KR16
     there = interpolate(to_rad(HOME), to_rad(turned(170.0)), limits.velocity * speed, limits.acceleration, limits.jerk)
-    braking.append(there.braked(there.duration / 2).duration)  # from full speed: no brake takes longer
+    braking.append(there.braking_from(there.duration / 2).duration)  # from full speed: no brake takes longer
     until = came[0] + braking[0] + 0.2 + (0.5 + 0.1 if mute else 0.0)  # a mute line is the watchdog's
     if until > gone:
         made.clock.wait(until - gone)
-    assert made.endpoint.controller.state().standing
+    assert made.endpoint.controller.state().at_rest
     assert mute or made.endpoint.controller.state().done_result in (Result.OK, Result.STOPPED)

@@ -111,7 +111,7 @@ class Rig:
     def drive(self) -> None:
         """Connect, drive and scan both views, home, stop, close."""
         driver = self.bench.driver
-        driver._say = self.notes.append
+        driver._notify = self.notes.append
 
         class Phased:
             capabilities = property(lambda _: driver.capabilities)
@@ -119,8 +119,8 @@ class Rig:
             def state(_) -> RobotState:  # noqa: N805 # the rig is self
                 return self.call("standing", driver.state)
 
-            def ready(_) -> RobotState:  # noqa: N805
-                return self.call("standing", driver.ready)
+            def require_ready(_) -> RobotState:  # noqa: N805
+                return self.call("standing", driver.require_ready)
 
             def move(_, points: Any, speed: float) -> RobotState:  # noqa: N805
                 return self.call("move", lambda: driver.move(points, speed))
@@ -150,7 +150,7 @@ class Rig:
         finally:
             self.phase = "standing"
         end = self.truth()
-        self.kept.append((begin.axes, end.axes, goal, begin.standing and end.standing))
+        self.kept.append((begin.axes, end.axes, goal, begin.at_rest and end.at_rest))
         return 1, {}
 
     def judge(self, must_fail: bool, words: str) -> None:
@@ -234,7 +234,7 @@ CAUSES = {
     "fault_code": r"fault",
     "override": r"override|driving",
     "path": r"path",
-    "axes": r"stands at|axes|limit|step|progress|must lie|via point",
+    "axes": r"the arm is at|axes|limit|step|progress|must lie|via point",
 }
 """Words of which one stands in the sentence."""
 
@@ -308,12 +308,12 @@ def test_a_controller_whose_answers_are_wrong(rig: Callable[[str], Rig], kind: s
             for piece in LINES[kind](packet):
                 send(peer, piece)
 
-    def turn(before: Callable[[], None] = clock.turn) -> None:
+    def turn(before: Callable[[], None] = clock.step) -> None:
         before()
         while later and later[0][0] <= clock.now():
             send(*later.pop(0)[1:])
 
-    made.bench.line.send, clock.turn = sent, turn
+    made.bench.line.send, clock.step = sent, turn
     station.answer = lambda packet: (station.refuse if kind == "refusing" and made.phase == phase else answer)(packet)
     made.drive()
     made.judge(

@@ -10,14 +10,13 @@ import pytest
 
 from cell.robot import model as robot
 from drivers.client import ControllerClient
-from drivers.commands import Move, Reset, Result, Stop
-from drivers.contract import Fault, Mode
+from drivers.contract import Fault, Mode, Move, Reset, Result, Stop
+from drivers.controller import IdealPlant
 from drivers.errors import NotOwnerError, ProtocolError, StateUnknownError, StoppedError
 from drivers.limits import Limits
-from drivers.plant import IdealPlant
 from drivers.setpoints import SetPoints, from_rad
-from drivers.wires.modbus import register_map as registers
-from drivers.wires.serial.frames import Frame, decode, encode
+from drivers.wires import modbus_protocol as registers
+from drivers.wires.serial_protocol import Frame, decode_frame, encode_frame
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 
@@ -102,22 +101,22 @@ def test_an_owner_that_is_there_is_waited_for_and_named(bench: Callable[..., Any
     """After the longest watchdog: its session is told; before it, what is waited for."""
     made, said = bench(backend), []
     made.endpoint.take(4711, 5000)
-    made.driver._say = said.append
+    made.driver._notify = said.append
     made.driver.connect()
-    turn = made.clock.turn
+    turn = made.clock.step
 
     def lively() -> None:
-        made.endpoint.hear(4711)
+        made.endpoint.note_activity(4711)
         turn()
 
-    made.clock.turn = lively
+    made.clock.step = lively
     began = made.clock.now()
     with pytest.raises(NotOwnerError, match="session 4711 owns the arm"):
         made.driver.move(turned(1.0), 1.0)
     assert 5.0 < made.clock.now() - began < 6.5
     assert len(said) == 1
     assert "4711" in said[0]
-    made.clock.turn = turn
+    made.clock.step = turn
     made.clock.wait(5.1)
     assert made.driver.move(turned(1.0), 1.0).mode is Mode.IN_POSITION
 
@@ -154,7 +153,7 @@ def test_the_same_status_on_every_wire(bench: Callable[..., Any]) -> None:
     told = []
     for backend in ("serial", "modbus", "modbus-rtu"):
         made = bench(backend)
-        made.driver._account.session = 4711
+        made.driver._ledger.session = 4711
         made.driver.connect()
         made.driver.take()
         assert made.link.send(1, Move(turned(20.0), 0.5)).result == Result.OK
@@ -189,7 +188,7 @@ def test_seven_axes_are_agreed_on(bench: Callable[..., Any], backend: str) -> No
     endpoint.limits = seven
     endpoint._start(False)
     made.server._station.__init__(endpoint, **({"rtu": True} if backend == "modbus-rtu" else {}))
-    with pytest.raises(ProtocolError, match="has 7 axes and this client drives 6"):
+    with pytest.raises(ProtocolError, match="has 7 axes; this client drives 6"):
         made.driver.connect()
     client = ControllerClient(made.link, made.clock, seven)
     client.connect()
@@ -204,11 +203,11 @@ def test_seven_axes_are_agreed_on(bench: Callable[..., Any], backend: str) -> No
 def test_a_client_of_version_1_is_refused_with_a_sentence(bench: Callable[..., Any]) -> None:
     """Its hello is answered by an ERROR that names both versions; its block is too short for exception-free writing."""
     made = bench("serial")
-    frame = decode(made.server._station.answer(encode(Frame(">", 7, "HELLO,1"))))
+    frame = decode_frame(made.server._station.answer(encode_frame(Frame(">", 7, "HELLO,1"))))
     assert frame is not None
     assert re.search(r"ERROR,.*version 2 .*not 1", frame.body)
     for old in ("STATE,1000", "STOP", "RESET", "MOVE,1000,1,00000000,1,0,0,0,0,0,0"):
-        frame = decode(made.server._station.answer(encode(Frame(">", 7, old))))
+        frame = decode_frame(made.server._station.answer(encode_frame(Frame(">", 7, old))))
         assert frame is not None
         assert frame.kind == ("STATE" if old == "STATE,1000" else "ERROR")
     assert made.journal.of("move") == []
@@ -219,7 +218,7 @@ def test_a_controller_of_version_1_is_refused_with_a_sentence(bench: Callable[..
     made = bench(backend)
     if backend == "serial":
         old = "HELLO,1,10000,200000," + ",".join(["0"] * 18) + ",old controller"
-        made.server._station.answer = lambda packet: encode(Frame("<", decode(packet).number, old))  # type: ignore[union-attr] # it is one
+        made.server._station.answer = lambda packet: encode_frame(Frame("<", decode_frame(packet).number, old))  # type: ignore[union-attr] # it is one
     else:
         made.server._station._capabilities = lambda: {
             field.name: {"magic": registers.MAGIC, "version": 1, "word_order": registers.WORD_ORDER}.get(

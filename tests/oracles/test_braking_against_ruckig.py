@@ -27,7 +27,7 @@ def fastest_stop(speed: float, acceleration: float, limit: float, jerk: float) -
 
 def check_stop(driven: Reference, t: float, jerk: np.ndarray, acceleration: np.ndarray) -> Reference:
     """Properties of the stop at time t; returns it."""
-    braked = driven.braked(t)
+    braked = driven.braking_from(t)
     q, qd, qdd = (values[0] for values in driven.sample(np.array([t])))
     times = np.linspace(0.0, braked.duration, 400)[:-1] if braked.duration > 0 else np.zeros(1)
     there, speed, rate = braked.sample(times)
@@ -86,6 +86,6 @@ def test_no_stop_is_faster_or_shorter(override: float) -> None:
         t = rng.uniform(0, driven.duration)
         q, qd, qdd = (values[0, 2] for values in driven.sample(np.array([t])))
         duration, length = fastest_stop(qd, qdd, a, j)
-        braked = driven.braked(t)
+        braked = driven.braking_from(t)
         assert braked.duration == pytest.approx(duration, rel=1e-6, abs=1e-8)
         assert braked.end[2] - q == pytest.approx(length, rel=1e-6, abs=1e-8)

@@ -6,11 +6,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from drivers.clock import SimulatedClock
-from drivers.commands import Command, Move, Reset, Result, Stop, next_sequence
-from drivers.contract import Fault, Mode
-from drivers.controller import Controller
+from drivers.contract import Command, Fault, Mode, Move, Reset, Result, Stop, next_sequence
+from drivers.controller import Controller, IdealPlant
 from drivers.limits import Limits
-from drivers.plant import IdealPlant
 from drivers.setpoints import SetPoints, to_rad
 
 RANGE = 200_000  # counts: 20 deg
@@ -127,11 +125,11 @@ class ControllerMachine(RuleBasedStateMachine):
     def wait_until_the_arm_stands(self) -> None:
         """time_to_wait() leads to standstill in few steps."""
         for _ in range(40):
-            if self.controller.state().standing:
+            if self.controller.state().at_rest:
                 break
             self.clock.wait(self.controller.time_to_wait())
         state = self.controller.state()
-        assert state.standing
+        assert state.at_rest
         assert self.controller.time_to_wait() == 0.0
 
     @precondition(lambda self: self.last is not None)
@@ -185,7 +183,7 @@ class ControllerMachine(RuleBasedStateMachine):
         after = self.controller.state()
         if self.estop:
             assert result is Result.ESTOP_PRESSED
-        elif not before.standing:
+        elif not before.at_rest:
             assert result is Result.BUSY
         else:
             assert result is Result.OK
@@ -226,11 +224,11 @@ class ControllerMachine(RuleBasedStateMachine):
             if state.done_result in (Result.STOPPED, Result.FAULTED):
                 assert self.waiting == []
                 self.cut = True
-            elif state.standing:
+            elif state.at_rest:
                 assert (state.axes == points[-1]).all()
                 assert (self.plant.reported_axes == to_rad(points[-1])).all()
         assert state.queue_depth == len(self.waiting)
-        if self.cut and state.standing:
+        if self.cut and state.at_rest:
             self.corners, self.cut = [self.plant.reported_axes], False  # what comes next begins here
 
     @invariant()
@@ -247,13 +245,13 @@ class ControllerMachine(RuleBasedStateMachine):
         state = self.controller.state()
         assert (state.fault_code == Fault.EMERGENCY_STOP) == (state.mode is Mode.EMERGENCY_STOP)
         assert (state.fault_code != 0) == (state.mode in (Mode.FAULT, Mode.EMERGENCY_STOP))
-        assert bool(state.fault_sentence) == (state.fault_code != 0)
+        assert bool(state.fault_message) == (state.fault_code != 0)
         if self.estop:
             assert state.mode is Mode.EMERGENCY_STOP
         if state.mode is Mode.MOVING:
-            assert not state.standing
+            assert not state.at_rest
         if state.mode in (Mode.IDLE, Mode.IN_POSITION):
-            assert state.standing
+            assert state.at_rest
         assert (state.queue_depth > 0) <= (state.mode is Mode.MOVING)
 
 

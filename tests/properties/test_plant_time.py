@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from cell.plant.mujoco_plant import MujocoPlant
 from cell.plant.servo import Settings
 from cell.robot import model as robot
+from drivers.controller import Plant
 from drivers.limits import Limits
-from drivers.plant import Plant
 from drivers.profile import Reference, interpolate
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
@@ -33,7 +33,7 @@ def driven(first: list[float], second: list[float], cut: float) -> tuple[bytes, 
     for seconds in first:
         plant.advance(seconds)
     settled = plant.settled
-    plant.follow(move.braked(cut))
+    plant.follow(move.braking_from(cut))
     for seconds in second:
         plant.advance(seconds)
     assert isinstance(plant, MujocoPlant)

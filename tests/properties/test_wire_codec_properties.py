@@ -9,23 +9,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cell.robot import model as robot
-from drivers.commands import Answer, Move, Reset, Stop
-from drivers.contract import Mode, RobotState
+from drivers.contract import Answer, Mode, Move, Reset, RobotState, Stop
+from drivers.emulated import stations
 from drivers.errors import ProtocolError
 from drivers.limits import Limits
-from drivers.wire import SPEEDS, Stage, Staging, pieces, points_crc, speed_from_wire, speed_to_wire
-from drivers.wires.modbus import adu
-from drivers.wires.modbus import register_map as registers
-from drivers.wires.serial import messages
-from drivers.wires.serial.frames import (
+from drivers.wire import FULL_SPEED, Stage, StagingBuffer, points_crc, speed_from_wire, speed_to_wire, split_move
+from drivers.wires import modbus_protocol as registers
+from drivers.wires import serial_protocol as messages
+from drivers.wires.serial_protocol import (
     FROM_CONTROLLER,
     MAX_FRAME,
     TO_CONTROLLER,
     Frame,
-    decode,
-    encode,
-    plain,
-    split,
+    decode_frame,
+    encode_frame,
+    split_frames,
+    to_frame_text,
 )
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
@@ -43,11 +42,11 @@ def points(least: int = 1, most: int = 12) -> st.SearchStrategy[np.ndarray]:
 
 requests = st.one_of(
     st.builds(messages.Hello),
-    st.builds(messages.Beat),
+    st.builds(messages.ReadState),
     st.builds(messages.Take, st.integers(0, 65535)),
     st.builds(messages.Give),
     st.builds(Stage, st.integers(0, 10**6), points()),
-    st.tuples(points(), st.floats(1e-4, 1.0)).map(lambda given: pieces(Move(*given), 12)[1]),
+    st.tuples(points(), st.floats(1e-4, 1.0)).map(lambda given: split_move(Move(*given), 12)[1]),
     st.builds(Stop),
     st.builds(Reset),
 )
@@ -56,7 +55,7 @@ states = st.builds(
     st.sampled_from(Mode),
     points(1, 1).map(lambda rows: rows[0]),
     st.booleans(),
-    numbers, numbers, numbers, numbers, numbers, numbers, texts.map(plain), *[numbers] * 6,
+    numbers, numbers, numbers, numbers, numbers, numbers, texts.map(to_frame_text), *[numbers] * 6,
 )  # fmt: skip
 frames = st.one_of(
     st.builds(messages.request_frame, numbers, numbers, requests),
@@ -64,15 +63,15 @@ frames = st.one_of(
     st.builds(
         messages.answer_frame, numbers, st.sampled_from(["MOVE", "STOP"]), st.builds(Answer, numbers, numbers, texts)
     ),
-    st.builds(messages.trouble_frame, numbers, texts),
+    st.builds(messages.error_frame, numbers, texts),
 )
 
 
 @given(frames)
 def test_a_frame_survives_its_bytes(frame: Frame) -> None:
     """Encode, decode: the same frame; it fits MAX_FRAME, is ASCII and one line."""
-    data = encode(frame)
-    assert decode(data) == frame
+    data = encode_frame(frame)
+    assert decode_frame(data) == frame
     assert len(data) <= MAX_FRAME
     assert data.isascii()
     assert data.count(b"\n") == 1
@@ -82,7 +81,7 @@ def test_a_frame_survives_its_bytes(frame: Frame) -> None:
 def test_a_request_survives_its_frame(number: int, session: int, request: messages.Request) -> None:
     """Compared by what is sent, since arrays do not compare."""
     frame = messages.request_frame(number, session, request)
-    again = messages.request_of(frame)
+    again = messages.parse_request(frame)
     assert again is not None
     assert messages.request_frame(number, *again) == frame
 
@@ -91,21 +90,21 @@ def test_a_request_survives_its_frame(number: int, session: int, request: messag
 def test_a_state_survives_its_frame(number: int, state: RobotState) -> None:
     """All of it, text included."""
     frame = messages.status_frame(number, state)
-    again = messages.status_of(frame)
+    again = messages.parse_status(frame)
     assert again is not None
     assert messages.status_frame(number, again) == frame
     assert again.axes.tolist() == state.axes.tolist()
-    assert again.fault_sentence == state.fault_sentence
+    assert again.fault_message == state.fault_message
 
 
 @given(st.sampled_from([TO_CONTROLLER, FROM_CONTROLLER]), numbers, st.text("ASTOPEMVHLR,0123456789-AF ", max_size=60))
 def test_what_is_understood_is_written_in_one_way(start: str, number: int, body: str) -> None:
     """No two bodies mean the same request, state or answer."""
     frame = Frame(start, number, body)
-    request = messages.request_of(frame)
+    request = messages.parse_request(frame)
     if request is not None:
         assert messages.request_frame(number, *request) == frame
-    answer = messages.answer_of(frame, "MOVE")
+    answer = messages.parse_answer(frame, "MOVE")
     if answer is not None:
         assert messages.answer_frame(number, "MOVE", answer) == frame
 
@@ -113,14 +112,14 @@ def test_what_is_understood_is_written_in_one_way(start: str, number: int, body:
 @given(st.binary(max_size=80))
 def test_any_bytes_decode_to_nothing_or_to_what_encodes_to_them(data: bytes) -> None:
     """No crash, and one spelling per frame."""
-    frame = decode(data)
-    assert frame is None or encode(frame) == data
+    frame = decode_frame(data)
+    assert frame is None or encode_frame(frame) == data
 
 
 @given(frames, st.data())
 def test_a_mangled_frame_is_no_frame(frame: Frame, data: st.DataObject) -> None:
     """Bits flipped, cut, or two frames run into each other."""
-    good = encode(frame)
+    good = encode_frame(frame)
     how = data.draw(st.sampled_from(["flip", "cut", "join", "case"]))
     if how == "flip":
         at, bit = data.draw(st.integers(0, len(good) - 1)), data.draw(st.integers(0, 7))
@@ -128,12 +127,12 @@ def test_a_mangled_frame_is_no_frame(frame: Frame, data: st.DataObject) -> None:
     elif how == "cut":
         bad = good[: data.draw(st.integers(0, len(good) - 1))]
     elif how == "join":
-        other = encode(data.draw(frames))
+        other = encode_frame(data.draw(frames))
         bad = good[: data.draw(st.integers(1, len(good) - 1))] + other[data.draw(st.integers(1, len(other) - 1)) :]
     else:
         bad = good[:-11] + good[-11:].lower()
     if bad != good and (how != "join" or bad != other):
-        assert decode(bad) is None
+        assert decode_frame(bad) is None
 
 
 @given(st.lists(frames, max_size=4), st.lists(st.binary(max_size=30), max_size=5), st.data())
@@ -146,12 +145,12 @@ def test_frames_are_found_in_any_stream_however_it_arrives(
         if k < len(noise):
             stream += noise[k].replace(b"\n", b"")
             stream += b"\n" if data.draw(st.booleans()) else b""
-        stream += encode(frame)
+        stream += encode_frame(frame)
     found, rest = [], b""
     while stream:
         size = data.draw(st.integers(1, len(stream)))
-        candidates, rest = split(rest + stream[:size])
-        found += [decoded for decoded in map(decode, candidates) if decoded is not None]
+        candidates, rest = split_frames(rest + stream[:size])
+        found += [decoded for decoded in map(decode_frame, candidates) if decoded is not None]
         stream = stream[size:]
     assert found == sent
 
@@ -160,12 +159,12 @@ def test_frames_are_found_in_any_stream_however_it_arrives(
 def test_what_a_frame_cannot_carry_is_refused(body: str) -> None:
     """With a sentence."""
     with pytest.raises(ProtocolError, match="cannot carry"):
-        encode(Frame(">", 1, body))
+        encode_frame(Frame(">", 1, body))
 
 
 def test_what_never_ends_is_not_kept() -> None:
     """A megabyte without LF leaves no more than a frame behind."""
-    _, rest = split(b">" + b"x" * 1_000_000)
+    _, rest = split_frames(b">" + b"x" * 1_000_000)
     assert len(rest) <= MAX_FRAME
 
 
@@ -174,22 +173,22 @@ def test_a_move_survives_being_staged(
     whole: np.ndarray, speed: float, size: int, sequence: int, random: object
 ) -> None:
     """Cut, written in order with repetitions, committed: the same points; a changed point or count is not taken."""
-    stages, commit = pieces(Move(whole, speed), size)
-    staging = Staging()
+    stages, commit = split_move(Move(whole, speed), size)
+    staging = StagingBuffer()
     for stage in stages:
-        assert staging.put(sequence, stage)
-        assert staging.put(sequence, stage)
-    taken = staging.take(sequence, commit)
+        assert staging.write(sequence, stage)
+        assert staging.write(sequence, stage)
+    taken = staging.assemble(sequence, commit)
     assert taken is not None
     assert (taken == whole).all()
-    assert staging.take(sequence, commit) is not None
+    assert staging.assemble(sequence, commit) is not None
     assert all(len(stage.points) <= size for stage in stages)
     assert len(commit.tail) <= size
     if stages:
-        assert staging.take(sequence % 65535 + 1, commit) is None
-        staging.put(sequence, Stage(0, stages[0].points ^ 1))
-        assert staging.take(sequence, commit) is None
-        assert not Staging().put(sequence, Stage(1, stages[0].points))
+        assert staging.assemble(sequence % 65535 + 1, commit) is None
+        staging.write(sequence, Stage(0, stages[0].points ^ 1))
+        assert staging.assemble(sequence, commit) is None
+        assert not StagingBuffer().write(sequence, Stage(1, stages[0].points))
 
 
 def test_the_points_crc_is_zlibs_over_big_endian_counts() -> None:
@@ -202,17 +201,19 @@ def test_the_points_crc_is_zlibs_over_big_endian_counts() -> None:
 def test_a_speed_is_never_faster_than_asked(speed: float) -> None:
     """What is no fraction travels as 0, which is refused; 1e-4 steps survive exactly."""
     wire = speed_to_wire(speed)
-    assert 0 <= wire <= SPEEDS
+    assert 0 <= wire <= FULL_SPEED
     assert speed_from_wire(wire) <= max(speed, 0.0) + 1e-10 or not speed > 0
     assert wire == 0 or speed - speed_from_wire(wire) < 1e-4
 
 
 def test_every_wire_speed_survives() -> None:
     """All 10,000."""
-    assert all(speed_to_wire(speed_from_wire(k)) == k for k in range(SPEEDS + 1))
+    assert all(speed_to_wire(speed_from_wire(k)) == k for k in range(FULL_SPEED + 1))
 
 
-blocks = st.sampled_from([block.of(6) for block in registers.BLOCKS] + [block.of(9) for block in registers.BLOCKS])
+blocks = st.sampled_from(
+    [block.for_axes(6) for block in registers.BLOCKS] + [block.for_axes(9) for block in registers.BLOCKS]
+)
 
 
 def values_of(block: registers.Block, draw: st.DrawFn) -> dict[str, registers.Value]:
@@ -239,7 +240,7 @@ def written_blocks(draw: st.DrawFn) -> tuple[registers.Block, list[int]]:
     """A block and registers of it."""
     block = draw(blocks)
     via = (
-        draw(st.lists(int32, min_size=block.axes, max_size=block.axes)) * draw(st.integers(0, block.most_points))
+        draw(st.lists(int32, min_size=block.axes, max_size=block.axes)) * draw(st.integers(0, block.max_points))
         if block.optional_points
         else []
     )
@@ -272,30 +273,30 @@ def test_a_block_survives_and_a_mangled_one_does_not(
 @given(numbers, st.integers(0, 255), st.one_of(st.none(), numbers), st.lists(numbers, min_size=1, max_size=123))
 def test_modbus_telegrams_survive(address: int, unit: int, transaction: int | None, values: list[int]) -> None:
     """FC16 and FC04, TCP and RTU."""
-    header = adu.Header(unit, transaction)
+    header = stations.Header(unit, transaction)
     pdu = struct.pack(f">BHHB{len(values)}H", 16, address, len(values), 2 * len(values), *values)
-    packet = adu.pack(header, pdu)
-    unpacked = adu.unpack_rtu(packet) if transaction is None else adu.unpack_tcp(packet)
+    packet = stations.pack(header, pdu)
+    unpacked = stations.parse_rtu(packet) if transaction is None else stations.parse_tcp(packet)
     assert unpacked == (header, pdu)
-    assert adu.request_of(pdu) == adu.Write(address, tuple(values))
-    split_packets = adu.split_rtu(packet) if transaction is None else adu.split_tcp(packet)
+    assert stations.parse_pdu(pdu) == stations.Write(address, tuple(values))
+    split_packets = stations.split_rtu(packet) if transaction is None else stations.split_tcp(packet)
     assert split_packets == ([packet], b"")
 
 
 @given(st.binary(max_size=300))
 def test_any_bytes_make_no_modbus_crash(data: bytes) -> None:
     """Cut and read without an exception; what is kept is what came last."""
-    adu.request_of(data)
-    adu.unpack_tcp(data)
-    adu.unpack_rtu(data)
-    cut = adu.split_tcp(data)
+    stations.parse_pdu(data)
+    stations.parse_tcp(data)
+    stations.parse_rtu(data)
+    cut = stations.split_tcp(data)
     assert cut is None or data.endswith(cut[1])
-    assert data.endswith(adu.split_rtu(data)[1])
+    assert data.endswith(stations.split_rtu(data)[1])
 
 
 def test_crc16_has_its_published_check_value() -> None:
     """0x4B37 over "123456789" (the catalogue of parametrised CRC algorithms)."""
-    assert adu.crc16(b"123456789") == 0x4B37
+    assert stations.crc16(b"123456789") == 0x4B37
 
 
 def test_the_kr16_fits_a_hello() -> None:
@@ -304,7 +305,7 @@ def test_the_kr16_fits_a_hello() -> None:
 
     limits = KR16
     able = Capabilities("emulator", limits.lower, limits.upper, limits.max_step, 0.5, None, True, False)
-    again = messages.hello_of(messages.hello_frame(3, able))
+    again = messages.parse_hello(messages.hello_frame(3, able))
     assert again is not None
     assert again.upper.tolist() == able.upper.tolist()
     assert (again.max_speed, again.max_via, again.controller) == (0.5, None, "emulator")

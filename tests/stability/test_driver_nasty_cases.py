@@ -8,17 +8,14 @@ import pytest
 
 from cell.robot import model as robot
 from drivers.clock import SimulatedClock
-from drivers.commands import LAST_SEQUENCE, Move, Reset, Result, Stop
-from drivers.contract import Fault, Mode
-from drivers.controller import SETTLE_LIMIT, Controller
+from drivers.contract import LAST_SEQUENCE, Fault, Mode, Move, Reset, Result, Stop
+from drivers.controller import SETTLE_LIMIT, Controller, IdealPlant
 from drivers.errors import DriverError, FaultError, RefusedError
 from drivers.limits import Limits
-from drivers.plant import IdealPlant
 from drivers.profile import Reference, interpolate
-from drivers.registry import Context
+from drivers.registry import Context, DriverUrl
 from drivers.setpoints import SetPoints, from_rad, to_rad
 from drivers.sim import SimDriver
-from drivers.url import DriverUrl
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 
@@ -157,7 +154,7 @@ def test_whatever_stops_the_arm_ends_the_move(how: str) -> None:
     assert robot.state().queue_depth == 0
     clock.wait(100.0)
     state = robot.state()
-    assert state.standing
+    assert state.at_rest
     assert 0 < state.axes[0] < 100_000
     assert (state.done_sequence, state.done_result) == (1, Result.STOPPED if how == "stop" else Result.FAULTED)
 
@@ -194,7 +191,7 @@ def test_a_stop_is_obeyed_whatever_its_number(number: int) -> None:
     robot.command(number, Stop())
     clock.wait(1.0)
     state = robot.state()
-    assert state.standing
+    assert state.at_rest
     assert 0 < state.axes[0] < 900_000
     assert state.done_result == Result.STOPPED
 
@@ -205,7 +202,7 @@ def test_a_stop_at_any_phase_brakes_on_the_path_as_fast_as_the_limits_allow(shar
     limits = KR16
     reference = interpolate(to_rad(START), to_rad(turned(120.0)), limits.velocity, limits.acceleration)
     t = share * reference.duration
-    braked = reference.braked(t)
+    braked = reference.braking_from(t)
     (q0,), (v0,), _ = reference.sample(np.array([t]))
     assert braked.sample(np.zeros(1))[0][0] == pytest.approx(q0, abs=1e-12)
     if braked.duration:
@@ -213,7 +210,7 @@ def test_a_stop_at_any_phase_brakes_on_the_path_as_fast_as_the_limits_allow(shar
     assert braked.duration == pytest.approx(abs(v0[0]) / limits.acceleration[0], rel=1e-6, abs=1e-12)
     assert q0[0] - 1e-15 <= braked.end[0] <= to_rad(turned(120.0))[0, 0]
     assert (braked.end[1:] == to_rad(START)[1:]).all()
-    again = braked.braked(braked.duration / 2)
+    again = braked.braking_from(braked.duration / 2)
     assert again.end == pytest.approx(braked.end, abs=1e-12)
 
 
@@ -229,10 +226,10 @@ def test_a_fault_while_braking_does_not_prolong_it_and_the_first_fault_is_kept()
     robot.latch(Fault.RESTARTED)
     assert robot.time_to_wait() == pytest.approx(to_go)
     state = robot.state()
-    assert (state.mode, state.fault_code, state.standing) == (Mode.FAULT, Fault.WATCHDOG, False)
+    assert (state.mode, state.fault_code, state.at_rest) == (Mode.FAULT, Fault.WATCHDOG, False)
     assert robot.command(3, Reset()).result == Result.BUSY
     clock.wait(to_go)
-    assert robot.state().standing
+    assert robot.state().at_rest
     robot.emergency_stop()
     assert robot.state().fault_code == Fault.EMERGENCY_STOP
 
@@ -333,7 +330,7 @@ def test_a_plant_that_stays_broken_stays_a_fault() -> None:
         with pytest.raises(FaultError, match="drive 3 tripped"):
             driver.move(turned(90.0), 1.0)
         for _ in range(2):
-            with pytest.raises(RefusedError, match="drive 3 tripped; the reset did not cure it"):
+            with pytest.raises(RefusedError, match="drive 3 tripped; the reset did not clear it"):
                 driver.reset()
             with pytest.raises(RefusedError, match="reset first"):
                 driver.move(turned(90.0), 1.0)

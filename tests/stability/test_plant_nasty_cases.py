@@ -11,10 +11,9 @@ from cell.plant.servo import Settings
 from cell.robot import model as robot
 from drivers.clock import SimulatedClock
 from drivers.contract import Fault, Mode
-from drivers.controller import Controller
+from drivers.controller import Controller, Plant
 from drivers.errors import DriverError, FaultError
 from drivers.limits import Limits
-from drivers.plant import Plant
 from drivers.profile import Reference, interpolate, resting
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad
@@ -64,7 +63,7 @@ def test_a_simulation_that_diverges_is_a_latched_fault(case: str) -> None:
         state = driver.state()
         assert state.mode is Mode.FAULT
         assert state.fault_code in (Fault.PLANT, Fault.NOT_SETTLED)
-        assert state.fault_sentence in str(raised.value)
+        assert state.fault_message in str(raised.value)
         assert isinstance(driver, SimDriver)
         assert np.isfinite(driver.controller.plant.reported_axes).all()
 

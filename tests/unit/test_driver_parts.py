@@ -8,13 +8,23 @@ import pytest
 from cell.robot import model as robot
 from drivers import clock as clocks
 from drivers.clock import RealTimeClock, SimulatedClock
-from drivers.commands import LAST_SEQUENCE, Move, Reset, Result, Stop, is_newer, next_sequence, same, sentence_of
-from drivers.contract import Fault
+from drivers.contract import (
+    LAST_SEQUENCE,
+    Fault,
+    Move,
+    Reset,
+    Result,
+    Stop,
+    describe_result,
+    is_newer,
+    is_same_command,
+    next_sequence,
+)
+from drivers.controller import IdealPlant
 from drivers.errors import DriverError, SetPointError
 from drivers.limits import Limits
-from drivers.plant import IdealPlant
 from drivers.profile import interpolate
-from drivers.setpoints import check, from_rad, to_deg, to_rad
+from drivers.setpoints import from_rad, require_set_points, to_deg, to_rad
 from planner.ports import JointLimits
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
@@ -55,12 +65,12 @@ def test_what_are_no_joint_angles_is_refused(bad: np.ndarray) -> None:
 def test_set_points_are_copied_and_read_only() -> None:
     """The caller's array may change afterwards; the checked one may not."""
     mine = np.zeros((2, 6), dtype=np.int32)
-    taken = check(mine)
+    taken = require_set_points(mine)
     mine[0, 0] = 7
     assert taken[0, 0] == 0
     with pytest.raises(ValueError, match="read-only"):
         taken[0, 0] = 1
-    assert check(np.asfortranarray(mine)).flags.c_contiguous
+    assert require_set_points(np.asfortranarray(mine)).flags.c_contiguous
 
 
 def test_the_kr16_has_its_data_sheets_limits_to_the_count() -> None:
@@ -120,21 +130,21 @@ def test_numbers_go_round_without_zero_and_half_the_circle_is_newer() -> None:
 def test_commands_are_the_same_only_with_the_same_content() -> None:
     """A NaN speed equals itself here, so that a repeat is a repeat."""
     points = np.zeros((2, 6), dtype=np.int32)
-    assert same(Move(points, 0.5), Move(points.copy(), 0.5))
-    assert same(Move(points, np.nan), Move(points, np.nan))
-    assert not same(Move(points, 0.5), Move(points, 0.50001))
-    assert not same(Move(points, 0.5), Move(points[:1], 0.5))
-    assert not same(Move(points, 0.5), Move(points + np.int32(1), 0.5))
-    assert same(Stop(), Stop())
-    assert not same(Stop(), Reset())
+    assert is_same_command(Move(points, 0.5), Move(points.copy(), 0.5))
+    assert is_same_command(Move(points, np.nan), Move(points, np.nan))
+    assert not is_same_command(Move(points, 0.5), Move(points, 0.50001))
+    assert not is_same_command(Move(points, 0.5), Move(points[:1], 0.5))
+    assert not is_same_command(Move(points, 0.5), Move(points + np.int32(1), 0.5))
+    assert is_same_command(Stop(), Stop())
+    assert not is_same_command(Stop(), Reset())
 
 
 def test_every_code_has_a_sentence() -> None:
     """Ours, and a foreign one."""
     for result in Result:
-        assert sentence_of(result) == result.sentence != ""
-    assert "4711" in sentence_of(4711)
-    assert all(fault.sentence for fault in Fault if fault)
+        assert describe_result(result) == result.message != ""
+    assert "4711" in describe_result(4711)
+    assert all(fault.message for fault in Fault if fault)
 
 
 def test_a_simulated_clock_jumps_by_what_is_asked() -> None:
@@ -162,7 +172,7 @@ def test_a_real_time_clock_scales_and_blocks_briefly(monkeypatch: pytest.MonkeyP
     clock.wait(0.1)
     assert clock.now() == pytest.approx(0.1)
     clock.wait(1000.0)
-    assert slept == pytest.approx([0.025, clocks.LONGEST_WAIT])
+    assert slept == pytest.approx([0.025, clocks.MAX_WAIT])
     with pytest.raises(DriverError, match="speed"):
         RealTimeClock(0.0)
     with pytest.raises(DriverError, match="wait"):
@@ -198,5 +208,5 @@ def test_a_plant_refuses_what_is_no_place_and_no_time() -> None:
             IdealPlant(bad)
     plant = IdealPlant(HOME)
     for seconds in (-1e-9, np.nan):
-        with pytest.raises(DriverError, match="forwards"):
+        with pytest.raises(DriverError, match="at least 0"):
             plant.advance(seconds)

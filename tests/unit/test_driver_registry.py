@@ -9,13 +9,12 @@ import pytest
 
 from cell.robot import model as robot
 from drivers.clock import SimulatedClock
+from drivers.controller import IdealPlant
 from drivers.errors import DriverUrlError
 from drivers.limits import Limits
-from drivers.plant import IdealPlant
-from drivers.registry import Context, open_driver, schemes
+from drivers.registry import Context, DriverUrl, open_driver, schemes
 from drivers.setpoints import to_deg
 from drivers.sim import SimDriver
-from drivers.url import DriverUrl
 from planner.ports import JointLimits
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
@@ -67,7 +66,7 @@ def test_a_third_partys_driver_opens_by_its_scheme(distribution: Path) -> None:
         ("acme-absent", r"acme-robots 2\.1 cannot be imported"),
         ("acme-bare", r"acme-robots 2\.1 is acme_good:bare, which has no from_url"),
         ("acme-half", "gave a Half without connect, close"),
-        ("acme-two", r"offered by .*acme-robots 2\.1 .* and .*|offered by rival 1\.0"),
+        ("acme-two", r"provided by .*acme-robots 2\.1 .* and .*|provided by rival 1\.0"),
         ("nobody", "valid are: .*acme://"),
     ],
 )
@@ -83,7 +82,7 @@ def test_nothing_is_imported_to_list_the_schemes(distribution: Path) -> None:
         f"import sys; sys.path.insert(0, {str(distribution)!r})\n"
         "import drivers.registry as registry\n"
         "assert 'acme' in registry.schemes()\n"
-        "assert not {'acme_good', 'acme_broken', 'drivers.sim', 'drivers.controller'} & set(sys.modules)"
+        "assert not {'acme_good', 'acme_broken', 'drivers.sim', 'drivers.client'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
@@ -111,8 +110,8 @@ def test_nothing_is_imported_to_list_the_schemes(distribution: Path) -> None:
         ("sim", "no scheme"),
         ("sim:", "no scheme"),
         ("", "no scheme"),
-        ("sim://[", "cannot be read"),
-        ("sim://h:99999", "cannot be read"),
+        ("sim://[", "is invalid"),
+        ("sim://h:99999", "is invalid"),
     ],
 )
 def test_a_wrong_url_gets_one_sentence(url: str, words: str) -> None:
@@ -156,5 +155,5 @@ def test_the_opener_injects_clock_limits_and_plants() -> None:
         assert clock.now() > 100.0
     sim("sim://?plant=other&start=0,0,0,0,0,0", context)
     assert len(made) == 1
-    with pytest.raises(DriverUrlError, match="clock of its own"):
+    with pytest.raises(DriverUrlError, match="injected a clock"):
         sim("sim://?realtime&start=0,0,0,0,0,0", context)

@@ -104,7 +104,7 @@ class Recorded:
     def state(self) -> RobotState:
         return RobotState(Mode.IDLE, self.axes, True)
 
-    ready = state
+    require_ready = state
 
     def move(self, set_points, speed) -> RobotState:
         self.before(len(self.moves))
@@ -325,7 +325,7 @@ def test_an_arm_that_was_moved_by_hand_between_two_moves_is_not_moved_on(folder:
             driver.axes = driver.axes + np.int32([2000, 0, 0, 0, 0, 0])
         return driver.state()
 
-    driver.ready = ready  # type: ignore[method-assign]
+    driver.require_ready = ready  # type: ignore[method-assign]
     with pytest.raises(DriverFailureError, match=r"did not arrive, or was moved since.*--resume"):
         _run(driver, _tour(), folder)
     assert len(driver.moves) == 2

@@ -111,7 +111,7 @@ def test_a_stop_brakes_on_the_path_and_settles() -> None:
     plant = MujocoPlant(HOME)
     plant.follow(move)
     plant.advance(0.3)
-    braked = move.braked(0.3)
+    braked = move.braking_from(0.3)
     plant.follow(braked)
     assert not plant.settled
     plant.advance(braked.duration + 0.5)

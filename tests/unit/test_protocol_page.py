@@ -11,17 +11,21 @@ import pytest
 from cell.emulate.memory import Memory
 from cell.robot import model as robot
 from drivers.clock import SimulatedClock
-from drivers.commands import Result
-from drivers.contract import Fault
+from drivers.contract import Fault, Result
+from drivers.controller import IdealPlant
 from drivers.emulated.endpoint import Endpoint
-from drivers.emulated.modbus_station import ModbusStation
-from drivers.emulated.serial_station import SerialStation
+from drivers.emulated.stations import ModbusStation, SerialStation
 from drivers.limits import Limits
-from drivers.plant import IdealPlant
-from drivers.wire import MOST_AXES, MOST_POINTS
-from drivers.wires.modbus import register_map as registers
-from drivers.wires.serial.frames import MAX_FRAME, decode
-from drivers.wires.serial.messages import COUNTS_PER_FRAME, hello_of, request_of, status_of
+from drivers.wire import MAX_AXES, MAX_POINTS
+from drivers.wires import modbus_protocol as registers
+from drivers.wires.serial_protocol import (
+    COUNTS_PER_FRAME,
+    MAX_FRAME,
+    decode_frame,
+    parse_hello,
+    parse_request,
+    parse_status,
+)
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 
@@ -84,14 +88,14 @@ def test_the_pages_frames_can_be_taken_apart_by_its_words(line: str) -> None:
     assert number.isdigit()
     assert int(length) == len(body)
     assert crc == f"{zlib.crc32(head.encode()):08X}"
-    frame = decode(line.encode() + b"\r\n")
+    frame = decode_frame(line.encode() + b"\r\n")
     assert frame is not None
     if start == ">":
-        assert request_of(frame) is not None or frame.kind == "JOG"
+        assert parse_request(frame) is not None or frame.kind == "JOG"
     elif frame.kind == "STATE":
-        assert status_of(frame) is not None
+        assert parse_status(frame) is not None
     elif frame.kind == "HELLO":
-        assert hello_of(frame) is not None
+        assert parse_hello(frame) is not None
 
 
 def rows() -> list[list[str]]:
@@ -131,23 +135,23 @@ def test_the_numbers_in_the_text_are_the_codes() -> None:
     page = " ".join(PAGE.split())
     assert f"{zlib.crc32(b'123456789'):08X}" in page
     assert f"at most {MAX_FRAME} bytes" in page
-    nine = registers.COMMAND.of(6).most_points
+    nine = registers.COMMAND.for_axes(6).max_points
     assert f"a frame holds {COUNTS_PER_FRAME} axes, a register block {nine} points of six axes" in page
-    assert f"its length is {registers.COMMAND.of(6).registers} registers and 2n for each via point" in page
-    assert f"n, 6 to {MOST_AXES}" in page
-    assert f"up to {MOST_POINTS:,} via points" in page
+    assert f"its length is {registers.COMMAND.for_axes(6).registers} registers and 2n for each via point" in page
+    assert f"n, 6 to {MAX_AXES}" in page
+    assert f"up to {MAX_POINTS:,} via points" in page
     for result in Result:
         assert f"| {int(result)} | " in PAGE
     for fault in Fault:
         assert f"| {int(fault)} | " in PAGE
 
 
-@pytest.mark.parametrize("axes", [6, 7, MOST_AXES])
+@pytest.mark.parametrize("axes", [6, 7, MAX_AXES])
 def test_the_blocks_fit_their_telegrams(axes: int) -> None:
     """123 registers in an FC16, 125 in an FC04, for every number of axes."""
-    command, status, able = (block.of(axes) for block in registers.BLOCKS)
-    full = command.registers + command.most_points * 2 * axes
-    assert full <= registers.MOST_WRITTEN < full + 2 * axes
+    command, status, able = (block.for_axes(axes) for block in registers.BLOCKS)
+    full = command.registers + command.max_points * 2 * axes
+    assert full <= registers.MAX_WRITTEN < full + 2 * axes
     assert status.registers <= 125
     assert able.registers <= 125
     assert status.address + status.registers <= able.address

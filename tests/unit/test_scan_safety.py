@@ -24,27 +24,25 @@ _WAY = Released("the new way", "fedcba9876543210" * 4, own=True)
 class _Controller:
     """A controller of steel in a given state; it remembers what was asked of it."""
 
-    def __init__(self, mode: Mode = Mode.IDLE, *, standing: bool = True, hardware: bool = True) -> None:
+    def __init__(self, mode: Mode = Mode.IDLE, *, at_rest: bool = True, hardware: bool = True) -> None:
         limits = KR16
         self.capabilities = Capabilities(
             "KR C4", limits.lower, limits.upper, limits.max_step, 1.0, None, hardware, False
         )  # fmt: skip
-        self.mode, self.standing, self.asked, self.queue = mode, standing, "", 0
+        self.mode, self.at_rest, self.asked, self.queue = mode, at_rest, "", 0
 
     def state(self) -> RobotState:
         latched = "heartbeat lost" if self.mode is Mode.FAULT else ""
-        return RobotState(
-            self.mode, from_rad(np.zeros(6)), self.standing, queue_depth=self.queue, fault_sentence=latched
-        )
+        return RobotState(self.mode, from_rad(np.zeros(6)), self.at_rest, queue_depth=self.queue, fault_message=latched)
 
-    ready = state
+    require_ready = state
 
     def take(self) -> None:
         """It is nobody else's."""
 
     def stop(self) -> RobotState:
         self.asked += "stop "
-        self.standing, self.queue = True, 0
+        self.at_rest, self.queue = True, 0
         return self.state()
 
     def reset(self) -> RobotState:
@@ -131,14 +129,14 @@ def test_a_latched_fault_is_cleared_only_on_demand(mode: Mode) -> None:
 def test_an_arm_that_moves_is_stopped_only_where_an_execution_is_resumed() -> None:
     """A new execution does not take an arm away from another client."""
     with pytest.raises(DriverFailureError, match="another client"):
-        safety.ready(_Controller(Mode.MOVING, standing=False), reset=False, stop_first=False)
+        safety.ready(_Controller(Mode.MOVING, at_rest=False), reset=False, stop_first=False)
     waiting = _Controller()
     waiting.queue = 1
     with pytest.raises(DriverFailureError, match="another client"):
         safety.ready(waiting, reset=False, stop_first=False)
-    moving = _Controller(Mode.MOVING, standing=False)
+    moving = _Controller(Mode.MOVING, at_rest=False)
     moving.mode = Mode.IDLE
-    assert safety.ready(moving, reset=False, stop_first=True).standing
+    assert safety.ready(moving, reset=False, stop_first=True).at_rest
     assert moving.asked == "stop "
 
 

@@ -90,7 +90,7 @@ class _Driver:
     def state(self) -> RobotState:
         return RobotState(Mode.IDLE, self.axes, True)
 
-    ready = state
+    require_ready = state
 
     def move(self, set_points: np.ndarray, speed: float) -> RobotState:
         if self.moves == self.fails_at:

@@ -5,7 +5,7 @@ import pytest
 
 from cell.scan.whole_turns import turns_off
 from drivers.contract import Capabilities, Mode, RobotState
-from drivers.limits import ENDLESS, Limits
+from drivers.limits import ENDLESS_RANGE, Limits
 from planner.ports import JointLimits
 
 
@@ -17,7 +17,7 @@ def _limits(lower_deg: float, upper_deg: float) -> JointLimits:
 def _turns(angle_deg: float, lower_deg: float, upper_deg: float, able: Capabilities | None = None) -> int:
     limits = _limits(lower_deg, upper_deg)
     if able is None:
-        able = Limits.from_rad(limits).endless().capabilities("endless", hardware=False, simulated_time=True)
+        able = Limits.from_rad(limits).with_endless_axis().capabilities("endless", hardware=False, simulated_time=True)
     axes = np.array([0] * 6 + [round(1e4 * angle_deg)], dtype=np.int32)
     return turns_off(RobotState(Mode.IDLE, axes, True), able, limits)
 
@@ -46,7 +46,7 @@ def test_a_controller_that_ends_is_left_where_it_is() -> None:
 def test_an_endless_axis_has_a_hundred_turns_and_the_step_that_it_had() -> None:
     """Only the last axis of the limits changes."""
     before = Limits.from_rad(_limits(-180, 180))
-    after = before.endless()
+    after = before.with_endless_axis()
     np.testing.assert_array_equal(after.lower[:6], before.lower[:6])
-    assert (after.lower[6], after.upper[6]) == (-ENDLESS, ENDLESS)
+    assert (after.lower[6], after.upper[6]) == (-ENDLESS_RANGE, ENDLESS_RANGE)
     np.testing.assert_array_equal(after.max_step, before.max_step)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.emulated.lines import LOOPBACK, PtyLine, TcpLine
-from drivers.emulated.wire_faults import NAMES, WIRE_FAULTS, Appointment, Chance, Injector, parse
+from drivers.emulated.faults import NAMES, WIRE_FAULTS, Injector, RandomFault, ScheduledFault, parse_faults
+from drivers.emulated.serve import LOOPBACK, PtyLine, TcpLine
 from drivers.errors import DriverError, LinkError
 
 TELEGRAM = bytes(range(40))
@@ -17,15 +17,19 @@ TELEGRAM = bytes(range(40))
 
 def injector(text: str, seed: int = 0) -> Injector:
     """Of a list."""
-    return Injector(parse(text), np.random.default_rng(seed))
+    return Injector(parse_faults(text), np.random.default_rng(seed))
 
 
 def test_a_list_of_faults_is_read() -> None:
     """Probabilities, durations, defaults, times; sorted by time; an empty list is no fault."""
-    faults = parse("drop=0.01, delay=0.02:0.3,half-open=1,estop@12.5,reboot@3:1.5")
-    assert faults.chances == {"drop": Chance(0.01, 0.0), "delay": Chance(0.02, 0.3), "half-open": Chance(1.0, 1.5)}
-    assert faults.appointments == (Appointment(3.0, "reboot", 1.5), Appointment(12.5, "estop", NAMES["estop"]))
-    assert parse("").chances == {}
+    faults = parse_faults("drop=0.01, delay=0.02:0.3,half-open=1,estop@12.5,reboot@3:1.5")
+    assert faults.random == {
+        "drop": RandomFault(0.01, 0.0),
+        "delay": RandomFault(0.02, 0.3),
+        "half-open": RandomFault(1.0, 1.5),
+    }
+    assert faults.scheduled == (ScheduledFault(3.0, "reboot", 1.5), ScheduledFault(12.5, "estop", NAMES["estop"]))
+    assert parse_faults("").random == {}
 
 
 @pytest.mark.parametrize(
@@ -35,16 +39,16 @@ def test_a_list_of_faults_is_read() -> None:
 def test_a_list_that_cannot_be_is_refused_with_what_could(text: str) -> None:
     """One sentence."""
     with pytest.raises(DriverError, match=r"fault") as error:
-        parse(text)
+        parse_faults(text)
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("name", WIRE_FAULTS)
 def test_what_a_certain_fault_does_to_a_telegram(name: str) -> None:
     """Nothing, later, twice, after the next, changed, or shorter; and without faults: itself, at once."""
-    assert injector("").through("request", TELEGRAM) == [(0.0, TELEGRAM)]
+    assert injector("").transmit("request", TELEGRAM) == [(0.0, TELEGRAM)]
     wire = injector(f"{name}=1")
-    first = wire.through("request", TELEGRAM)
+    first = wire.transmit("request", TELEGRAM)
     if name == "drop":
         assert first == []
     elif name == "delay":
@@ -53,9 +57,9 @@ def test_what_a_certain_fault_does_to_a_telegram(name: str) -> None:
         assert first == [(0.0, TELEGRAM), (0.02, TELEGRAM)]
     elif name == "reorder":
         assert first == []
-        assert wire.holds("request")
-        assert not wire.holds("answer")
-        assert wire.through("request", b"next") == [(0.0, b"next"), (0.0, TELEGRAM)]
+        assert wire.is_holding("request")
+        assert not wire.is_holding("answer")
+        assert wire.transmit("request", b"next") == [(0.0, b"next"), (0.0, TELEGRAM)]
     elif name == "corrupt":
         ((_, changed),) = first
         assert len(changed) == len(TELEGRAM)
@@ -67,15 +71,15 @@ def test_what_a_certain_fault_does_to_a_telegram(name: str) -> None:
 def test_a_held_telegram_comes_late_where_none_follows() -> None:
     """Once."""
     wire = injector("reorder=1")
-    wire.through("answer", TELEGRAM)
-    assert wire.late("answer") == TELEGRAM
-    assert wire.late("answer") is None
+    wire.transmit("answer", TELEGRAM)
+    assert wire.release("answer") == TELEGRAM
+    assert wire.release("answer") is None
 
 
 def test_the_same_seed_spoils_the_same_telegrams() -> None:
     """And another seed others."""
     text = ",".join(f"{name}=0.2" for name in WIRE_FAULTS)
-    runs = [[injector_.through("request", TELEGRAM) for _ in range(200)]
+    runs = [[injector_.transmit("request", TELEGRAM) for _ in range(200)]
             for injector_ in (injector(text, 1), injector(text, 1), injector(text, 2))]  # fmt: skip
     assert runs[0] == runs[1]
     assert runs[0] != runs[2]
@@ -84,7 +88,7 @@ def test_the_same_seed_spoils_the_same_telegrams() -> None:
 def test_a_fault_happens_as_often_as_it_says() -> None:
     """Within five standard deviations over 20,000 telegrams."""
     wire = injector("drop=0.05")
-    lost = Counter(not wire.through("request", TELEGRAM) for _ in range(20_000))[True]
+    lost = Counter(not wire.transmit("request", TELEGRAM) for _ in range(20_000))[True]
     assert abs(lost - 1000) < 5 * np.sqrt(20_000 * 0.05 * 0.95)
 
 
@@ -94,7 +98,7 @@ def test_an_emulated_controller_listens_on_the_loopback_interface_alone() -> Non
     try:
         assert LOOPBACK == "127.0.0.1"
         assert line._listener.getsockname() == ("127.0.0.1", line.port)
-        with pytest.raises(LinkError, match="cannot be taken"):
+        with pytest.raises(LinkError, match="is not available"):
             TcpLine(line.port)
         with socket.create_connection((LOOPBACK, line.port), timeout=5) as peer:
             received: list[tuple[int, bytes]] = []
@@ -107,7 +111,7 @@ def test_an_emulated_controller_listens_on_the_loopback_interface_alone() -> Non
             assert data == b"question"
             line.send(number, b"answer")
             assert peer.recv(64) == b"answer"
-            line.drop()
+            line.drop_connections()
             assert peer.recv(64) == b""
             line.send(number, b"to nobody")
     finally:

@@ -1,1 +1,1 @@
-"""The Modbus wire, TCP and RTU: registers of a published map."""
+"""Present path of the Modbus drivers' entry points."""

@@ -1,1 +1,1 @@
-"""The serial wire: frames with a checksum, and the messages in them."""
+"""Present path of the serial driver's entry point."""

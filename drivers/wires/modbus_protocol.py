@@ -1,18 +1,18 @@
-"""The Modbus map as data: which register means what. A test holds docs/internals/protocol_registers.csv against it.
+"""The Modbus register map as data. A test compares it with docs/internals/protocol_registers.csv.
 
-Three blocks, the same on TCP and RTU; addresses are 0-based as they stand in a telegram.
+Three blocks, the same on TCP and RTU; addresses are 0-based as in a telegram.
 
-- *Command*, holding registers, written as a whole in one FC16. Its length depends on the number of via points in it.
-- *Status*, input registers, read as a whole in one FC04, so that nothing in it is torn.
-- *Capabilities*, input registers, read once: first the head, which tells the number of axes n, then the whole.
+- *Command*, holding registers, written completely in one FC16. Its length depends on the number of its via points.
+- *Status*, input registers, read completely in one FC04, so that it is consistent.
+- *Capabilities*, input registers, read once: first the head with the number of axes n, then all of it.
 
 Registers are 16 bits, most significant byte first. Two registers make a 32-bit value, the most significant register
-first ("big words", ABCD). A gateway that swaps words is found twice: the status begins with the float32 1234.5, and
-every block ends with a CRC-32 over its registers, whose own words would be swapped too. That CRC also finds what the
-TCP form does not protect, blocks put together from two writes, and values that a gateway made up.
+first ("big words", ABCD). Two checks detect a gateway that swaps words: the status begins with the float32 1234.5, and
+every block ends with a CRC-32 over its registers, whose own words would be swapped too. This CRC also detects errors
+that Modbus TCP does not: blocks assembled from two writes, and values that a gateway invented.
 
 The CRC-32 is that of `drivers.wire`, over the registers before it as they are sent: each as two bytes, the most
-significant first, in the order of their addresses.
+significant first, in the order of addresses.
 """
 
 import math
@@ -28,11 +28,11 @@ MAGIC: Final = 0x4B52  # "KR"
 MAP_VERSION: Final = 2
 WORD_ORDER: Final = 1234.5
 
-MOST_WRITTEN: Final = 123
-"""Registers that one FC16 may write."""
+MAX_WRITTEN: Final = 123
+"""Largest number of registers in one FC16."""
 
 PER_AXIS: Final = 0
-"""Count of a field that has one value for each axis."""
+"""Count of a field with one value for each axis."""
 
 NONE, MOVE, STAGE, STOP, TAKE, GIVE, RESET = 0, 1, 2, 4, 5, 6, 9
 """Command codes. NONE is a heartbeat and nothing else."""
@@ -58,10 +58,10 @@ class Field:
     """One value of a block.
 
     Attributes:
-        name: its name here and on the page.
+        name: its name here and in the documentation.
         type: u16, i32, u32, f32, or text (ASCII, two characters a register, filled up with zero bytes).
-        meaning: what it says, with its unit.
-        count: how many values of the type stand in a row; for a text, how many registers it has; `PER_AXIS`: n.
+        meaning: meaning and unit.
+        count: number of consecutive values; of a text, number of registers; `PER_AXIS`: n.
     """
 
     name: str
@@ -71,21 +71,21 @@ class Field:
 
     @property
     def registers(self) -> int:
-        """Registers that it takes."""
+        """Number of registers."""
         return _WIDTH[self.type] * self.count
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Fields in a row from an address on.
+    """Consecutive fields from an address on.
 
     Attributes:
-        name: for the page.
+        name: for the documentation.
         kind: "holding" or "input".
         address: of its first register, 0-based.
         fields: without the CRC-32 that ends every block.
-        optional_points: whether via points may stand between the fields and the CRC.
-        axes: of the arm, n; a block of `BLOCKS` is of no arm yet (`of` makes it one).
+        optional_points: whether via points may follow between the fields and the CRC.
+        axes: number of axes, n; 0 in `BLOCKS`, set by `for_axes`.
     """
 
     name: str
@@ -95,27 +95,27 @@ class Block:
     optional_points: bool = False
     axes: int = 0
 
-    def of(self, axes: int) -> "Block":
-        """This block for an arm of so many axes."""
+    def for_axes(self, axes: int) -> "Block":
+        """Return this block for an arm with this number of axes."""
         sized = (replace(field, count=axes) if field.count == PER_AXIS else field for field in self.fields)
         return replace(self, fields=tuple(sized), axes=axes)
 
     @property
-    def most_points(self) -> int:
-        """Via points that it carries beside its fields, where it may carry any."""
-        return (MOST_WRITTEN - self.registers) // (2 * self.axes)
+    def max_points(self) -> int:
+        """Largest number of via points beside the fields, in a block with optional points."""
+        return (MAX_WRITTEN - self.registers) // (2 * self.axes)
 
     @property
     def registers(self) -> int:
-        """Registers without via points, CRC included."""
+        """Number of registers without via points, CRC included."""
         return sum(field.registers for field in self.fields) + 2
 
     def encode(self, values: Mapping[str, Value], points: Sequence[int] = ()) -> list[int]:
-        """Registers of the block.
+        """Return the registers of the block.
 
         Args:
             values: one for each field.
-            points: counts of the via points, A1 to A6, point by point.
+            points: counts of the via points, from A1 on, point by point.
 
         Raises:
             ProtocolError: if a value does not fit its field.
@@ -129,19 +129,21 @@ class Block:
         return list(struct.unpack(f">{len(data) // 2}H", data))
 
     def decode(self, registers: Sequence[int]) -> tuple[dict[str, Value], tuple[int, ...]]:
-        """Values and via points of the block's registers.
+        """Return values and via points of the block's registers.
 
         Raises:
             ProtocolError: if the length or the CRC is wrong.
         """
-        more = len(registers) - self.registers
-        if more < 0 or (more and not self.optional_points) or (more and more % (2 * self.axes)):
+        n_more = len(registers) - self.registers
+        if n_more < 0 or (n_more and not self.optional_points) or (n_more and n_more % (2 * self.axes)):
             lengths = f"{self.registers}" + f" and {2 * self.axes} for each via point" * self.optional_points
             raise ProtocolError(f"the {self.name} block has {len(registers)} registers; it must have {lengths}")
         data = struct.pack(f">{len(registers)}H", *registers)
         if zlib.crc32(data[:-4]) != struct.unpack(">I", data[-4:])[0]:
-            raise ProtocolError(f"the CRC-32 of the {self.name} block is wrong; it is torn, or its words are swapped")
-        return _values(self.fields, data), struct.unpack(f">{more // 2}i", data[-4 - 2 * more : -4])
+            raise ProtocolError(
+                f"the CRC-32 of the {self.name} block is wrong; the block is inconsistent, or its words are swapped"
+            )
+        return _unpack(self.fields, data), struct.unpack(f">{n_more // 2}i", data[-4 - 2 * n_more : -4])
 
 
 def _pack(field: Field, value: Value) -> bytes:
@@ -154,17 +156,17 @@ def _pack(field: Field, value: Value) -> bytes:
     return struct.pack(f">{field.count}{_CODE[field.type]}", *values)
 
 
-def _values(fields: Sequence[Field], data: bytes) -> dict[str, Value]:
-    """Of the fields that stand at the beginning of the data."""
-    found: dict[str, Value] = {}
+def _unpack(fields: Sequence[Field], data: bytes) -> dict[str, Value]:
+    """Return the values of the fields at the beginning of the data."""
+    unpacked: dict[str, Value] = {}
     for field in fields:
-        own, data = data[: 2 * field.registers], data[2 * field.registers :]
+        field_data, data = data[: 2 * field.registers], data[2 * field.registers :]
         if field.type == "text":
-            found[field.name] = own.rstrip(b"\0").decode("ascii", "replace")
+            unpacked[field.name] = field_data.rstrip(b"\0").decode("ascii", "replace")
         else:
-            values: tuple[int, ...] = struct.unpack(f">{field.count}{_CODE[field.type]}", own)
-            found[field.name] = values if field.count > 1 else values[0]
-    return found
+            values: tuple[int, ...] = struct.unpack(f">{field.count}{_CODE[field.type]}", field_data)
+            unpacked[field.name] = values if field.count > 1 else values[0]
+    return unpacked
 
 
 _IDENTITY = (
@@ -240,20 +242,19 @@ CAPABILITIES: Final = Block(
 BLOCKS: Final = (COMMAND, STATUS, CAPABILITIES)
 
 HEAD: Final = 5
-"""Registers of the capabilities that tell with whom one speaks: identity and number of axes, without a CRC."""
+"""Registers of the capabilities before the CRC is known: identity and number of axes."""
 
 
-def check_identity(registers: Sequence[int]) -> None:
-    """Make sure that a block comes from a controller of ours, in our word order.
+def require_identity(registers: Sequence[int]) -> None:
+    """Raise ProtocolError unless a block comes from a controller of this protocol, in its word order.
 
-    Looks at its first four registers alone, before its CRC: the better sentence.
-
-    Raises:
-        ProtocolError: if it does not.
+    Only the first four registers are read, before the CRC is checked: this gives a better message.
     """
-    values = _values(_IDENTITY, struct.pack(">4H", *registers[:4]))
+    values = _unpack(_IDENTITY, struct.pack(">4H", *registers[:4]))
     if values["magic"] != MAGIC:
-        raise ProtocolError(f"register 0 reads {values['magic']}; a controller of ours has {MAGIC} (0x{MAGIC:04X})")
+        raise ProtocolError(
+            f"register 0 reads {values['magic']}; a controller of this protocol has {MAGIC} (0x{MAGIC:04X})"
+        )
     word_order = values["word_order"]
     if not (isinstance(word_order, float) and math.isclose(word_order, WORD_ORDER)):
         raise ProtocolError(
