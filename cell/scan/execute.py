@@ -215,14 +215,15 @@ def _require_near(leg: Leg, state: RobotState, cell: RunCell) -> None:
     if off > cell.arrival:
         raise DriverFailureError(
             f"the arm stands at {format_axes(state.axes)} and its move ended at {format_axes(due)}: a point of arm or "
-            f"tool is up to {1000 * off:.2f} mm off, where {1000 * cell.arrival:g} mm are allowed (arrival_mm); it did not arrive, "
-            "or was moved since; nothing more was moved or scanned, and --resume plans a way from where it stands"
+            f"tool is up to {1000 * off:.2f} mm off, where {1000 * cell.arrival:g} mm are allowed (arrival_mm); it "
+            "did not arrive, or was moved since; nothing more was moved or scanned, and --resume "
+            "plans a way from where it stands"
         )
 
 
 def _require_at(start: Floats, state: RobotState) -> None:
     if not stands_at(start, state):
         raise DriverFailureError(
-            f"the arm stands at {format_axes(state.axes)} and the plan begins at {format_axes(from_rad(start))}; nothing "
-            "was moved, because no path between them was checked: bring the arm there first"
+            f"the arm stands at {format_axes(state.axes)} and the plan begins at {format_axes(from_rad(start))}; "
+            "nothing was moved, because no path between them was checked: bring the arm there first"
         )
