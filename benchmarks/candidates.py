@@ -24,7 +24,7 @@ from cell.plan import candidates as generators
 from cell.robot.arm import kinematics_of
 from cell.scanners.laser_area import LaserArea
 from cell.scene.file import load_scene
-from cell.scene.settle import resolve
+from cell.scene.settle import settle
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.embree import EmbreeRayCaster
@@ -114,7 +114,7 @@ class Bench:
         self.tables = {"part": options, "placement": {"position_mm": place}, "scanner": scanner or {}}
         scene = load_scene(None, self.tables)
         self.part = workpiece.load(scene.part.source, scene.part.units)
-        self.settings = resolve(scene, self.part)
+        self.settings = settle(scene, self.part).settings
         reference = self.part.reference
         self.planning = decimate(reference, self.settings.faces)
         self.samples = surface_features(scene, reference, self.planning, np.random.default_rng([0, 0]))

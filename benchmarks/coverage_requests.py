@@ -135,7 +135,7 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     from cell.plan import candidates
     from cell.scanners.laser_area import LaserArea
     from cell.scene.file import load_scene
-    from cell.scene.settle import resolve
+    from cell.scene.settle import settle
     from cell.world.embree import EmbreeRayCaster
     from cell.world.measurability import surface_features
     from planner.geometry.decimation import decimate
@@ -145,7 +145,7 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     tables = {"part": {"name": part}, "placement": {"position_mm": [1200.0, 500.0, 0.0]}, "plan": {"rolls_deg": [0.0]}}
     scene = load_scene(None, tables)
     loaded = workpiece.load(scene.part.source, scene.part.units)
-    settings = resolve(scene, loaded)
+    settings = settle(scene, loaded).settings
     planning = decimate(loaded.reference, settings.faces)
     views = candidates.first(scene, settings, loaded, planning)
     features = surface_features(scene, loaded.reference, planning, np.random.default_rng(0))

@@ -28,7 +28,7 @@ from cell.plan.candidates import first
 from cell.robot.arm import kinematics_of
 from cell.scene.file import load_scene
 from cell.scene.model import Scene
-from cell.scene.settle import resolve
+from cell.scene.settle import settle
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
@@ -129,7 +129,7 @@ def deep_bucket() -> trimesh.Trimesh:
 
 def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
     mesh = part.reference
-    settings = resolve(scene, part)
+    settings = settle(scene, part).settings
     planning = decimate(mesh, settings.faces)
     views = first(scene, settings, part, planning)
     worlds, rows, judged = {}, [], None

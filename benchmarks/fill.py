@@ -24,7 +24,7 @@ from cell import stand_ins
 from cell.part.workpiece import load
 from cell.scanners.laser_area import LaserArea
 from cell.scene.file import load_scene
-from cell.scene.settle import resolve
+from cell.scene.settle import settle
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.closest import closest_facing_faces
 from planner.geometry.decimation import decimate
@@ -127,7 +127,7 @@ def _part(name: str, *, large: bool = False) -> list[dict[str, Any]]:
     """Rows of one part."""
     part = load(name)
     options = {"part": {"name": name}}
-    settings = resolve(load_scene(None, options), part)
+    settings = settle(load_scene(None, options), part).settings
     reference = part.reference
     planning = decimate(reference, LARGE_FACES if large else settings.faces)
     views = optimal_scanning_zone(planning, settings.standoffs, (0.0,) if large else settings.rolls)

@@ -45,7 +45,7 @@ from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 faces, per_face = int(sys.argv[1]), int(sys.argv[2])
 part = load("mseke")
-settings = resolve(load_scene(None, {"part": {"name": "mseke"}}), part)
+settings = settle(load_scene(None, {"part": {"name": "mseke"}}), part).settings
 planning = decimate(part.reference, faces)
 features = sample(part.reference, planning, per_face * len(planning.faces), np.random.default_rng(0))
 views = optimal_scanning_zone(planning, settings.standoffs, (0.0,))

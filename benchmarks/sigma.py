@@ -16,7 +16,7 @@ from cell.part.workpiece import load
 from cell.scan.pose_error import Disturbance
 from cell.scanners.laser_area import LaserArea
 from cell.scene.file import load_scene
-from cell.scene.settle import resolve
+from cell.scene.settle import settle
 from cell.world import virtual_scan
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.decimation import decimate
@@ -77,7 +77,7 @@ def _row(name: str) -> dict[str, Any]:
     """Scan a part and look."""
     scene = load_scene(None, {"part": {"name": name}})
     part = load(name, None)
-    settings = resolve(scene, part)
+    settings = settle(scene, part).settings
     scanner = LaserArea(**{**settings.scanner, "resolution_deg": (1.0, 1.0)})
     caster = EmbreeRayCaster(part.reference.vertices, part.reference.faces)
     planning = decimate(part.reference, settings.faces)

@@ -22,7 +22,7 @@ from cell.explore.prepare import Eye, prepared
 from cell.part import workpiece
 from cell.scan.options import ScanOptions
 from cell.scene.file import scene_of
-from cell.scene.settle import Settings, resolve
+from cell.scene.settle import Settings, settle
 from cell.session import Session
 from cell.world import virtual_scan
 from cell.world.embree import EmbreeRayCaster
@@ -100,7 +100,7 @@ class Lab:
         scene = scene_of(None, wishes, part)
         work = prepared(Session(None), scene, ExploreOptions(), ScanOptions())
         known = workpiece.load(scene.part.source, scene.part.units)
-        settings = resolve(work.scene, known)
+        settings = settle(work.scene, known).settings
         assert work.hidden is not None
         mesh, scanner = work.hidden.mesh, scanners.make(work.scene.scanner.type, settings.scanner)
         samples = held_out(mesh, decimate(mesh, min(settings.faces, len(mesh.faces))), 0)

@@ -162,7 +162,7 @@ def grazing(line: str, angle_deg: float, count: int) -> MapPoint:
         near, _ = cKDTree(points).query(samples.points)
         found = np.asarray(near <= 0.01 * _PART_M)
     return MapPoint(
-        float(predicted.mean()), 100 * float((predicted & ~found).mean()), validation.grazing(angle_deg),
+        float(predicted.mean()), 100 * float((predicted & ~found).mean()), validation.grazing_note(angle_deg),
         {"scan points": len(points)},
     )  # fmt: skip
 
@@ -191,7 +191,7 @@ def _measured_by(line: str, faces: int, samples: int) -> tuple[float, int, int, 
         cover.CoverProblem(M.matrix(), features.areas), rng=np.random.default_rng(0), solver="greedy", effort_budget=0
     )
     visible = coverage.visible_coverage(views.T_object_scanner[plan.views], judged, scanner, (caster,)).fraction
-    return visible, len(plan.views), len(planning.faces), validation.off_mesh(features, planning)
+    return visible, len(plan.views), len(planning.faces), validation.mesh_deviation(features, planning)
 
 
 def decimation(line: str, faces: float, samples: int) -> MapPoint:
@@ -199,7 +199,7 @@ def decimation(line: str, faces: float, samples: int) -> MapPoint:
     fine, *_ = _measured_by(line, _FINE, samples)
     visible, views, came_out, off = _measured_by(line, round(faces), samples)
     return MapPoint(
-        min(visible / fine, 1.0), 100 * off, validation.planning_mesh(off, came_out),
+        min(visible / fine, 1.0), 100 * off, validation.coarse_mesh_note(off, came_out),
         {"faces": came_out, "views": views, "visible %": 100 * visible},
     )  # fmt: skip
 

@@ -18,9 +18,8 @@ from cell.part.workpiece import Workpiece
 from cell.runs.folder import SCHEMA
 from cell.runs.schema import ExploredCylinder, ExploreFile
 from cell.scan.options import OF_EACH_TIME, ScanOptions
-from cell.scene import settle
 from cell.scene.model import Scene
-from cell.scene.settle import Settings, resolve
+from cell.scene.settle import Settings, resolve, settle_scene
 from cell.session import Session
 from planner.errors import PlannerError
 from planner.explore.space import VoxelSpace
@@ -208,7 +207,7 @@ def prepared(session: Session[None], scene: Scene, options: ExploreOptions, scan
             "nobody knows how large the part is; give --cylinder DIAMETER,HEIGHT in mm, about --place, that holds it"
         )
     known = _as_workpiece(cylinder) if part is None or cylinder.given else part
-    settled = settle.by_part(scene, known)
+    settled = settle_scene(scene, known)
     settings = resolve(settled, known)
     scanner = scanners.make(settled.scanner.type, settings.scanner)
     if getattr(scanner, "T_view_scanner", np.eye(4)[None]).shape[0] > 1:

@@ -27,11 +27,9 @@ from cell.plan.steps import Job, PlanSession
 from cell.plan.summary import Further, plan_report
 from cell.runs.folder import SCHEMA, WITH_TABLE, RunFolder
 from cell.runs.schema import Report
-from cell.scene import settle, validation
 from cell.scene.model import Scene
 from cell.scene.regions import with_regions
-from cell.scene.settle import resolve
-from cell.scene.validation import require_attainable
+from cell.scene.settle import notes, require_attainable, resolve, settle_scene
 from cell.session import PlotQueue, ProgressReporter, Session, Stream
 from planner.geometry.mesh import TriangleMesh
 
@@ -70,10 +68,9 @@ def plan(
         with session.stage("load the part"):
             part = workpiece.load(scene.part.source, scene.part.units) if part is None else part
             part = with_regions(part, scene)
-        doubtful = (*validation.of_scene(scene), *settle.notes(scene, part))
-        for sentence in (*(finding.sentence for finding in part.findings), *doubtful):
+        for sentence in (*(finding.sentence for finding in part.findings), *notes(scene, part)):
             session.note(sentence)
-        scene = settle.by_part(scene, part)
+        scene = settle_scene(scene, part)
         settings = resolve(scene, part)
         inputs = plan_files.input_hashes(scene, part)
         schema = WITH_TABLE if scene.table.enabled else SCHEMA

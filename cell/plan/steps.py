@@ -96,11 +96,11 @@ def sample_surface(session: PlanSession, job: Job) -> tuple[PartSurface, Viewpoi
         planning = decimate(reference, job.settings.faces)
         plan_files.write_meshes(session.folder, reference, planning)
         session.plots.part_ready(session.folder.path)
-        if other := validation.other_count(len(planning.faces), job.settings.faces):
+        if other := validation.face_count_note(len(planning.faces), job.settings.faces):
             session.note(other)
         candidates = first(job.scene, job.settings, job.part, planning)
         features = surface_features(job.scene, reference, planning, session.rng(Stream.MATRIX_SAMPLES))
-        if doubt := validation.planning_mesh(validation.off_mesh(features, planning), len(planning.faces)):
+        if doubt := validation.coarse_mesh_note(validation.mesh_deviation(features, planning), len(planning.faces)):
             session.note(doubt)
         plan_files.write_viewpoints(session.folder, scanners.swept(job.scanner, candidates))
         caster = EmbreeRayCaster(reference.vertices, reference.faces)
@@ -116,7 +116,7 @@ def compile_cell(session: PlanSession, job: Job, surface: PartSurface, *, believ
         )  # fmt: skip
         if not believed:
             require_possible(world)
-            for sentence in (*doubtful(world), *validation.of_scanner(job.scanner)):
+            for sentence in (*doubtful(world), *filter(None, [validation.sweep_note(job.scanner)])):
                 session.note(sentence)
         described, faces = scanners.described(job.scene.scanner.type, job.scanner), len(surface.planning.faces)
         plan_files.write_cell(session.folder, job.scene, job.settings, job.part, faces, world, described)

@@ -63,11 +63,11 @@ def built_in(settings: Settings | None = None, observer: Observer | None = None)
         from cell.plant import tool
         from cell.plant.mujoco_plant import MujocoPlant
         from cell.robot import model as robot
-        from cell.scene import settle
         from cell.scene.file import load_scene
+        from cell.scene.settle import with_device
         from cell.world import shapes
 
-        scene, spec = settle.settled(load_scene(None), "mseke", 0.0), robot.spec()
+        scene, spec = with_device(load_scene(None), "mseke", 0.0), robot.spec()
         baseline_mm = scene.scanner.baseline_mm or 0.0
         shapes.add_tool(spec, scene, scene.mount.T @ scene.housing.T_scanner_housing(baseline_mm))
         return MujocoPlant(start, tool.of_model(spec.compile()), settings, observer)

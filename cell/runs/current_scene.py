@@ -20,11 +20,11 @@ from cell.part import workpiece
 from cell.robot.model import KR16
 from cell.runs.cell import scene_of_run
 from cell.runs.verification import VerifiedPlan, sha256_of
-from cell.scene import settle
 from cell.scene.fields import Table
 from cell.scene.file import load_scene
 from cell.scene.model import Fixture, MeshFixture, Scene
 from cell.scene.options import Option
+from cell.scene.settle import with_device
 from cell.session import ProgressReporter
 from cell.world.shapes import fixture_mesh
 from cell.world.table import rotary_table
@@ -213,7 +213,7 @@ def _scanner_as_planned(now: Scene, planned: Scene) -> Scene:
                 update={key: getattr(default, key) for key in keys if getattr(own, key) is None}
             )
         return now.model_copy(update=update)
-    return settle.settled(now.model_copy(update={"plan": planned.plan}), planned.part.name, 0.0)
+    return with_device(now.model_copy(update={"plan": planned.plan}), planned.part.name, 0.0)
 
 
 def _housing(scene: Scene) -> list[float]:

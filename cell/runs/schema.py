@@ -26,8 +26,8 @@ from pydantic import (
 )
 
 from cell.errors import FileError
-from cell.scene.fields import sentences
 from cell.scene.model import PlanKeys, RegionWishes
+from cell.scene.validation import error_messages
 from planner.values import Floats, readonly
 
 
@@ -99,7 +99,7 @@ def parsed(kind: type[Table], content: bytes, path: Path) -> Table:
         if problem["type"] == "json_invalid":
             cause = "it is not JSON, or nested too deep"
         else:
-            cause = sentences(error, kind)[0] if problem["loc"] else "it must hold one JSON object"
+            cause = error_messages(error, kind)[0] if problem["loc"] else "it must hold one JSON object"
         raise FileError(f"{path} is damaged: {cause}; plan or scan again") from error
 
 

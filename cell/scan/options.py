@@ -10,8 +10,9 @@ from pydantic import Field, JsonValue, ValidationError, field_validator, model_v
 from cell.acquisition import SIMULATED
 from cell.runs.current_scene import CurrentFiles
 from cell.runs.digest import SHORT_DIGEST
-from cell.scene.fields import NotNegative, Positive, Units, sentences
+from cell.scene.fields import NotNegative, Positive, Units
 from cell.scene.options import Option
+from cell.scene.validation import error_messages
 from planner.errors import PlannerError
 
 _ERRORS, STEEL = "Errors of the execution", "Real controllers"
@@ -172,7 +173,7 @@ class ScanOptions(CurrentFiles):
         try:
             return cls.model_validate({**own, "registration": kept.get("register")})
         except ValidationError as error:
-            raise PlannerError("; ".join(sentences(error, cls))) from error
+            raise PlannerError("; ".join(error_messages(error, cls))) from error
 
     def resumed(self, now: "ScanOptions") -> "ScanOptions":
         """These, as an execution goes on with: `OF_EACH_TIME` as they are now, the driver only where it is given."""

@@ -80,7 +80,7 @@ def load_scene(
     Raises:
         SceneError: with every problem of the file on a line of its own: the key, what is wrong, what would be valid.
     """
-    from cell.scene.fields import sentences
+    from cell.scene.validation import error_messages
 
     content: dict[str, object] = {} if path is None else _parsed(path)
     for table, keys in (options or {}).items():
@@ -93,7 +93,7 @@ def load_scene(
     try:
         return Scene.model_validate(content, context={"folder": folder})
     except ValidationError as error:
-        problems = sentences(error, Scene, names)
+        problems = error_messages(error, Scene, names)
     where = "the scene" if path is None else f"the scene {path}"
     count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
     raise SceneError("\n  ".join([f"{where} has {count}:", *problems]))

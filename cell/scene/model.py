@@ -57,10 +57,10 @@ from cell.scene.fields import (
     Table,
     Triple,
     Units,
-    did_you_mean,
     existing_file,
 )
 from cell.scene.options import Option
+from cell.scene.validation import did_you_mean
 
 if TYPE_CHECKING:
     import numpy as np
@@ -882,7 +882,6 @@ class Scanner(Table):
     @classmethod
     def _installed(cls, name: str) -> str:
         from cell import scanners
-        from cell.scene.fields import did_you_mean
 
         known = scanners.names()
         if name not in known:

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from cell.errors import UsageError
-from cell.scene.fields import did_you_mean, sentences
+from cell.scene.validation import did_you_mean, error_messages
 
 Spell = Callable[[str], str]
 """Writes the name of an option as its user does: `flag` for the command line, `str` for a keyword of Python."""
@@ -157,7 +157,7 @@ def read(model: type[Model], wishes: Mapping[str, object], spell: Spell = str) -
         return model.model_validate(filled)
     except ValidationError as error:
         names = {key: spell(offer.name) for offer in offers(model).values() for key in offer.fields}
-        raise UsageError("; ".join(sentences(error, model, names))) from error
+        raise UsageError("; ".join(error_messages(error, model, names))) from error
 
 
 def values(model: type[BaseModel], wishes: Mapping[str, object], spell: Spell = str) -> dict[str, object]:

@@ -19,7 +19,8 @@ from typing import Annotated, Self
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from cell.errors import FileError, SceneError
-from cell.scene.fields import Positive, Table, did_you_mean, sentences
+from cell.scene.fields import Positive, Table
+from cell.scene.validation import did_you_mean, error_messages
 
 _AREA = {"range_mm": "range", "baseline_mm": "baseline"}
 REQUIRED = {"laser-line": {"fan_deg": "fan", **_AREA}, "laser-area": _AREA}
@@ -174,7 +175,7 @@ def read(path: Path) -> Sensor:
             )
         return Sensor.model_validate({"name": path.stem, **content})
     except ValidationError as error:
-        raise FileError(f"the sensor file {path} is damaged: {'; '.join(sentences(error, Sensor))}") from error
+        raise FileError(f"the sensor file {path} is damaged: {'; '.join(error_messages(error, Sensor))}") from error
     except (OSError, ValueError) as error:
         raise FileError(f"the sensor file {path} cannot be read: {error}") from error
 

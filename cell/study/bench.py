@@ -15,10 +15,9 @@ from cell import scanners
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import first
-from cell.scene import settle
 from cell.scene.model import Scene, require_no_wishes
 from cell.scene.regions import with_regions
-from cell.scene.settle import Settings, resolve
+from cell.scene.settle import Settings, resolve, settle_scene
 from cell.session import Stream, random_stream
 from cell.world import virtual_scan
 from cell.world.checks import require_possible
@@ -81,7 +80,7 @@ class Bench:
     def __init__(self, scene: Scene, *, samples: int | None = None) -> None:
         require_no_wishes(scene.region)
         self.part: Workpiece = with_regions(workpiece.load(scene.part.source, scene.part.units), scene)
-        self.scene = scene = settle.by_part(scene, self.part)
+        self.scene = scene = settle_scene(scene, self.part)
         settings = resolve(scene, self.part)
         self.scanner: Scanner = scanners.make(scene.scanner.type, settings.scanner)
         self.settings: Settings = replace(settings, scanner=scanners.settled(settings.scanner, self.scanner))

@@ -23,7 +23,7 @@ from cell.view.explore_page import explore_page
 from cell.view.page import Play, Shown, Stage, html_of, thinned
 from cell.view.pieces import cell_of_world
 from cell.view.study_page import study_page
-from cell.world.checks import checked, compiled
+from cell.world.checks import check_cell, settle_and_compile
 
 _LOOK_S = 0.3  # between two looks at a file that is watched
 _WITHOUT_PART = "the page shows the last scene that could be read"
@@ -67,11 +67,13 @@ def scene_page(scene: Scene, watched: str = "") -> tuple[Stage, Play]:
     Raises:
         CellError: if it does not compile.
     """
-    made = compiled(scene)
-    result = checked(made)
-    keys = ScannerKeys(**scanners.described(scene.scanner.type, made.scanner))
-    cell = cell_of_world(made.world, keys)
-    stage = Stage(f"Cell with {made.part.name}", cell, [Shown("part", thinned(made.part.reference))], watched=watched)
+    settled, world = settle_and_compile(scene)
+    result = check_cell(settled, world)
+    keys = ScannerKeys(**scanners.described(scene.scanner.type, settled.scanner))
+    cell = cell_of_world(world, keys)
+    stage = Stage(
+        f"Cell with {settled.part.name}", cell, [Shown("part", thinned(settled.part.reference))], watched=watched
+    )
     return stage, Play(rows=result.rows(), problems=result.problems)
 
 

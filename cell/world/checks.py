@@ -23,24 +23,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cell import scanners
 from cell.errors import SceneError
 from cell.part import workpiece
-from cell.part.workpiece import Workpiece, size_findings
+from cell.part.workpiece import size_findings
 from cell.robot import told
 from cell.robot.arm import wrist_of_flange, wrist_places
 from cell.robot.model import AXES
-from cell.scanners import ScannerPlugin
-from cell.scene import settle
 from cell.scene.model import MeshFixture, Scene
 from cell.scene.regions import areas_of, with_regions
-from cell.scene.settle import Settings, resolve
-from cell.scene.validation import require_attainable
+from cell.scene.settle import SettledScene, settle
 from cell.words import listed
 from cell.world import shapes as cell_shapes
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.world.embree import EmbreeRayCaster
-from cell.world.model import World, compile_world
+from cell.world.model import World, compile_settled
 from cell.world.occluders import Occluder, caster_of, floor_square, shape_triangles
 from cell.world.shapes import TABLE
 from cell.world.solids import OWN, Solid, arm, inside, robot, standing, touches, way_out
@@ -714,51 +710,25 @@ class CheckResult:
         ]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Compiled:
-    """A scene made into what is looked at.
-
-    Attributes:
-        scene: that was compiled.
-        part: its part.
-        settings: what it leaves open, settled for the part.
-        scanner: the sensor's law.
-        world: the model.
-    """
-
-    scene: Scene
-    part: Workpiece
-    settings: Settings
-    scanner: ScannerPlugin
-    world: World
-
-
-def compiled(scene: Scene) -> Compiled:
-    """Load the part and compile the scene.
+def settle_and_compile(scene: Scene) -> tuple[SettledScene, World]:
+    """Load the part of a scene, settle the scene for it and compile the cell.
 
     Raises:
         FileError: if the part or a fixture cannot be read.
-        SceneError: if there is nothing to compile.
+        SceneError: if the scene cannot be compiled.
     """
-    part = with_regions(workpiece.load(scene.part.source, scene.part.units), scene)
-    scene = settle.by_part(scene, part)
-    settings = resolve(scene, part)
-    scanner = scanners.make(scene.scanner.type, settings.scanner)
-    require_attainable(scene, scanner)
-    baseline_mm = scanners.baseline_mm(settings.scanner, scanner)
-    world = compile_world(scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=baseline_mm)
-    return Compiled(scene, part, settings, scanner, world)
+    settled = settle(scene, with_regions(workpiece.load(scene.part.source, scene.part.units), scene))
+    return settled, compile_settled(settled)
 
 
 def check_scene(scene: Scene) -> CheckResult:
-    """Load the part, compile the scene and look at it; see `compiled`. What can be compiled but not be is told."""
-    return checked(compiled(scene))
+    """Load the part, compile the scene and check it; see `settle_and_compile`."""
+    return check_cell(*settle_and_compile(scene))
 
 
-def checked(cell: Compiled) -> CheckResult:
-    """Look at a compiled scene; what cannot be is in `problems`."""
-    scene, part, settings, world = cell.scene, cell.part, cell.settings, cell.world
-    baseline_mm = scanners.baseline_mm(settings.scanner, cell.scanner)
+def check_cell(settled: SettledScene, world: World) -> CheckResult:
+    """Check a compiled scene; `problems` holds what makes it impossible."""
+    scene, part, settings = settled.scene, settled.part, settled.settings
     checker = MujocoCollisionChecker(world)
     contacts = tuple((pair, _mm(distance)) for pair, distance in checker.near(world.home))
     distance, nearest = checker.distance(world.home[None])
@@ -786,7 +756,7 @@ def checked(cell: Compiled) -> CheckResult:
         housing_size_mm=scene.housing.sides_mm,
         housing_mm=_rounded_mm(world.T_flange_housing[:3, 3]),
         bracket_length_mm=_mm(2 * world.model.geom("bracket").size[1]) if "bracket" in world.entities else 0.0,
-        baseline_mm=baseline_mm,
+        baseline_mm=settled.baseline_mm,
         sensor=scene.scanner.sensor,
         range_mm=settings.scanner.get("range_mm"),
         obstacles=tuple(name for name in dict.fromkeys(world.entities) if name in standing),

@@ -18,8 +18,8 @@ from cell.errors import SceneError
 from cell.robot import joint_limits, told
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
-from cell.scene import settle
 from cell.scene.model import Placement, Scene
+from cell.scene.settle import SettledScene, with_device
 from cell.world import self_collision
 from cell.world import shapes as cell_shapes
 from cell.world.robot_spec import spec_of
@@ -211,7 +211,7 @@ def compile_world(
         SceneError: if the part or a fixture has no solid, or the baseline is not known.
     """
     vertices = np.asarray(part_vertices, dtype=np.float64)
-    scene, baseline_mm = _with_device(scene, vertices, baseline_mm)
+    scene, baseline_mm = _settled(scene, vertices, baseline_mm)
     hull = cell_shapes.collision_hull(vertices, "part")
     part = {} if part_faces is None else {"part": TriangleMesh(vertices, np.asarray(part_faces, dtype=np.int32))}
     T_object_centre = np.eye(4)
@@ -273,6 +273,12 @@ def compile_world(
     )
 
 
+def compile_settled(settled: SettledScene, part: TriangleMesh | None = None) -> World:
+    """Compile a settled scene, with its part or with another mesh in the part's frame; see `compile_world`."""
+    mesh = settled.part.reference if part is None else part
+    return compile_world(settled.scene, mesh.vertices, part_faces=mesh.faces, baseline_mm=settled.baseline_mm)
+
+
 def _stopped_by_what_stands(world: World) -> World:
     """The cell with its table limited to where it can turn its part."""
     if (table := world.table) is None:
@@ -286,13 +292,14 @@ def _stopped_by_what_stands(world: World) -> World:
     return replace(world, table=table, limits=replace(world.limits, lower=lower, upper=upper))
 
 
-def _with_device(scene: Scene, vertices: Floats, baseline_mm: float | None) -> tuple[Scene, float]:
-    """The scene with its scanner settled, and the baseline [mm]: what the scene says goes before all others."""
+def _settled(scene: Scene, vertices: Floats, baseline_mm: float | None) -> tuple[Scene, float]:
+    """Return the scene with a device, and the baseline [mm]: the scene's, else the given one, else the device's."""
     given_mm = scene.scanner.baseline_mm
-    scene = settle.settled(scene, scene.part.name, 1000 * float(np.ptp(vertices, axis=0).max()))
+    if scene.scanner.range_mm is None or scene.housing.size_mm is None or scene.housing.bracket_diameter_mm is None:
+        scene = with_device(scene, scene.part.name, 1000 * float(np.ptp(vertices, axis=0).max()))
     baseline = next((each for each in (given_mm, baseline_mm, scene.scanner.baseline_mm) if each is not None), None)
     if baseline is None:
-        raise SceneError("the scanner's baseline is not known here; set scanner.baseline_mm")
+        raise SceneError("the scanner's baseline is not known; set scanner.baseline_mm")
     return scene, baseline
 
 

@@ -76,7 +76,7 @@ def test_the_motion_holds_every_sweep_as_a_line_at_constant_speed(swept: Path) -
 
 def test_what_is_not_judged_is_said(swept: Path) -> None:
     """On the terminal, in the page and in report.json."""
-    assert "the arm's own shadow along it is not judged" in (swept.parent / "stderr").read_text()
+    assert "occlusion by the arm itself is not checked" in (swept.parent / "stderr").read_text()
     assert "driven as a straight line at constant speed on one joint branch" in (swept / "report.md").read_text()
     summary = json.loads((swept.parent / "stdout").read_text())
     assert summary["settings"]["sweep_poses"] == 5

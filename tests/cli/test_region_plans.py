@@ -130,7 +130,7 @@ def test_commands_that_go_on_know_the_regions(regions: Path, run_cell: Run, tmp_
 @pytest.mark.parametrize(
     ("limit", "exit_code", "said"),
     [
-        ("max_spacing_mm = 0.1", 2, "'top' asks for points at most 0.1 mm apart, and generic-area-medium"),
+        ("max_spacing_mm = 0.1", 2, "'top' demands points at most 0.1 mm apart, and generic-area-medium"),
         ("max_sigma_mm = 0.00001", 4, "'top' takes a sigma of at most 1e-05 mm"),
     ],
 )

@@ -7,9 +7,8 @@ import trimesh
 
 from cell.errors import SceneError
 from cell.part.workpiece import Workpiece, from_mesh
-from cell.scene import settle
 from cell.scene.model import Scene
-from cell.scene.settle import resolve
+from cell.scene.settle import notes, settle, settle_scene, with_device
 
 SMALL, MEDIUM, LARGE = (f"generic-area-{size}" for size in ("small", "medium", "large"))
 HARDWARE = {
@@ -41,10 +40,10 @@ def _hardware(scene: Scene) -> tuple[object, ...]:
 def test_a_users_part_has_the_device_of_its_longest_side(longest_mm: float, device: str) -> None:
     """To 30 and to 100 mm, both included; the note says the device, the side and the rule."""
     part = _box(longest_mm)
-    scene = settle.by_part(_scene(), part)
+    scene = settle_scene(_scene(), part)
     assert scene.scanner.sensor == device
     assert _hardware(scene) == HARDWARE[device]
-    (note,) = settle.notes(_scene(), part)
+    (note,) = notes(_scene(), part)
     assert note.startswith(f"the scanner is {device}, by the part's longest side of {longest_mm:.4g} mm: to 30 mm")
 
 
@@ -55,47 +54,47 @@ def test_a_users_part_has_the_device_of_its_longest_side(longest_mm: float, devi
 )  # fmt: skip
 def test_a_built_in_part_has_its_own_device(name: str, device: str) -> None:
     """Whatever its size; nothing need be said."""
-    scene = settle.by_part(_scene(mine=False, part={"name": name}), _box(1.0, name))
+    scene = settle_scene(_scene(mine=False, part={"name": name}), _box(1.0, name))
     assert scene.scanner.sensor == device
-    assert not settle.notes(_scene(mine=False, part={"name": name}), _box(1.0, name))
+    assert not notes(_scene(mine=False, part={"name": name}), _box(1.0, name))
 
 
 def test_a_mesh_in_memory_is_a_users_part() -> None:
     """The scene names a built-in part then, and the part has another name."""
-    assert settle.by_part(_scene(mine=False), _box(20.0)).scanner.sensor == SMALL
-    assert settle.notes(_scene(mine=False), _box(20.0))
+    assert settle_scene(_scene(mine=False), _box(20.0)).scanner.sensor == SMALL
+    assert notes(_scene(mine=False), _box(20.0))
 
 
 def test_a_name_decides_and_keys_of_the_scene_go_before_the_devices() -> None:
     """Each key by itself; what is named needs no rule told."""
     named = _scene(scanner={"sensor": MEDIUM, "baseline_mm": 30.0}, housing={"bracket_diameter_mm": 0.0})
-    scene = settle.by_part(named, _box(500.0))
+    scene = settle_scene(named, _box(500.0))
     assert _hardware(scene) == (HARDWARE[MEDIUM][0], 30.0, HARDWARE[MEDIUM][2])
     assert scene.housing.bracket_diameter_mm == 0.0
-    assert not settle.notes(named, _box(500.0))
+    assert not notes(named, _box(500.0))
 
 
 @pytest.mark.parametrize("scanner", [{}, {"sensor": "paper"}, {"sensor": "gocator-2340", "baseline_mm": 100.0}])
 def test_a_settled_scene_is_settled_already(scanner: dict[str, Any]) -> None:
     """Settling it again changes nothing, for another part neither."""
-    scene = settle.by_part(_scene(scanner=scanner), _box(60.0))
-    assert settle.settled(scene, "another", 5.0) == scene
+    scene = settle_scene(_scene(scanner=scanner), _box(60.0))
+    assert with_device(scene, "another", 5.0) == scene
 
 
 def test_a_standoff_changes_no_device() -> None:
     """One outside the device's range is refused; in `paper` range and baseline follow."""
     part = _box(200.0)
-    near = resolve(_scene(plan={"standoffs_mm": [200.0]}), part)
+    near = settle(_scene(plan={"standoffs_mm": [200.0]}), part).settings
     assert (near.scanner["range_mm"], near.scanner["baseline_mm"]) == HARDWARE[LARGE][:2]
     with pytest.raises(SceneError, match=r"500 mm is outside the scanner's range of 150 to 450 mm.*paper"):
-        resolve(_scene(plan={"standoffs_mm": [500.0]}), part)
-    paper = resolve(_scene(plan={"standoffs_mm": [500.0, 200.0]}, scanner={"sensor": "paper"}), part)
+        settle(_scene(plan={"standoffs_mm": [500.0]}), part)
+    paper = settle(_scene(plan={"standoffs_mm": [500.0, 200.0]}, scanner={"sensor": "paper"}), part).settings
     assert (paper.scanner["range_mm"], paper.scanner["baseline_mm"]) == ((100.0, 750.0), 125.0)
 
 
 def test_without_a_standoff_the_papers_scanner_stands_where_the_device_would() -> None:
     """So the tables that do not vary it are those of the devices."""
-    paper = resolve(_scene(mine=False, part={"name": "mug"}, scanner={"sensor": "paper"}), _box(60.0, "mug"))
+    paper = settle(_scene(mine=False, part={"name": "mug"}, scanner={"sensor": "paper"}), _box(60.0, "mug")).settings
     assert paper.standoffs == (0.1,)
     assert (paper.scanner["range_mm"], paper.scanner["baseline_mm"]) == HARDWARE[MEDIUM][:2]
 
@@ -103,7 +102,7 @@ def test_without_a_standoff_the_papers_scanner_stands_where_the_device_would() -
 def test_a_real_sensor_without_a_stated_body_says_whose_collides() -> None:
     """The large device's; with a housing of the scene's own nothing is said."""
     scanner = {"sensor": "gocator-2340", "baseline_mm": 100.0}
-    assert _hardware(settle.by_part(_scene(scanner=scanner), _box(60.0)))[2] == HARDWARE[LARGE][2]
-    (note,) = settle.notes(_scene(scanner=scanner), _box(60.0))
+    assert _hardware(settle_scene(_scene(scanner=scanner), _box(60.0)))[2] == HARDWARE[LARGE][2]
+    (note,) = notes(_scene(scanner=scanner), _box(60.0))
     assert "its body is not stated" in note
-    assert not settle.notes(_scene(scanner=scanner, housing={"size_mm": [49, 75, 197]}), _box(60.0))
+    assert not notes(_scene(scanner=scanner, housing={"size_mm": [49, 75, 197]}), _box(60.0))

@@ -8,7 +8,6 @@ from cell.part import workpiece
 from cell.part.workpiece import FARTHEST_SIZES, Kind
 from cell.plant.servo import COARSEST_STEP, Settings
 from cell.scene import validation
-from cell.scene.model import Scene
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import draw_samples
 from planner.registration.cloud import ScanCloud, merge
@@ -35,7 +34,7 @@ def test_a_part_far_from_its_origin_is_told() -> None:
 def test_a_grazing_limit_that_no_scan_reaches_is_told() -> None:
     """At the limit itself nothing is said."""
     for limit, said in ((validation.STEEPEST_GRAZING_DEG, 0), (validation.STEEPEST_GRAZING_DEG + 1, 1)):
-        assert len(validation.of_scene(Scene.model_validate({"scanner": {"grazing_max_deg": limit}}))) == said
+        assert bool(validation.grazing_note(limit)) == bool(said)
 
 
 def test_a_coarse_planning_mesh_is_told_and_a_fine_one_is_not() -> None:
@@ -45,11 +44,11 @@ def test_a_coarse_planning_mesh_is_told_and_a_fine_one_is_not() -> None:
     off = {}
     for faces in (12, 150, 600):
         planning = decimate(part, faces)
-        off[faces] = validation.off_mesh(draw_samples(part, planning, 2000, np.random.default_rng(0)), planning)
+        off[faces] = validation.mesh_deviation(draw_samples(part, planning, 2000, np.random.default_rng(0)), planning)
     assert off[12] > off[150] > off[600]
-    assert validation.planning_mesh(off[600], 600) == ""
-    assert "of 12 faces is coarse" in validation.planning_mesh(off[12], 12)
-    assert validation.planning_mesh(validation.COARSEST_MESH, 99) == ""
+    assert validation.coarse_mesh_note(off[600], 600) == ""
+    assert "of 12 faces is coarse" in validation.coarse_mesh_note(off[12], 12)
+    assert validation.coarse_mesh_note(validation.COARSEST_MESH, 99) == ""
 
 
 def _plane(step: float, sigma: float) -> ScanCloud:

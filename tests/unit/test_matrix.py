@@ -8,7 +8,7 @@ import pytest
 
 from cell.part.workpiece import load
 from cell.scene.file import load_scene
-from cell.scene.settle import resolve
+from cell.scene.settle import settle
 from cell.world import measurability
 from cell.world.embree import EmbreeRayCaster
 from cell.world.measurability import PartSurface, cache_folder, part_matrix
@@ -46,7 +46,9 @@ def asked(part, part_file, tmp_path, monkeypatch):
         scene = load_scene(None, {"part": {"path": str(part_file), "units": "mm"}, **tables})
         rows = features if method == "aimed" else samples_at_face_centres(reference, planning)
         calculated.clear()
-        M = part_matrix(scene, resolve(scene, part), PartSurface(reference, planning, rows, caster), views, **keys)
+        M = part_matrix(
+            scene, settle(scene, part).settings, PartSurface(reference, planning, rows, caster), views, **keys
+        )
         return M, sum(calculated)
 
     ask.views = optimal_scanning_zone(planning, (0.25,), (0.0, 1.0))

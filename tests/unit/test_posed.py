@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from cell.errors import SceneError
 from cell.part import workpiece
 from cell.robot.frames import pose_from_kuka_abc
-from cell.scene import settle
 from cell.scene.file import load_scene, scene_of
+from cell.scene.settle import settle_scene
 from cell.world.model import compile_world
 
 POSITION, ABC = (12.0, -7.5, 131.0), (31.0, -12.0, 95.0)
@@ -85,10 +85,10 @@ def test_a_placement_by_the_origin_is_one_by_the_centre(tmp_path: Path) -> None:
     world = compile_world(by_origin, part.reference.vertices)
     expected = pose_from_kuka_abc(np.array([1.1, 0.3, 0.05]), np.radians([20.0, 0.0, 5.0]))
     np.testing.assert_allclose(world.T_base_object, expected, atol=1e-11)
-    settled = settle.by_part(by_origin, part)
+    settled = settle_scene(by_origin, part)
     assert settled.placement.origin_mm is None
     np.testing.assert_allclose(settled.placement.T, expected @ part.T_object_centre, atol=1e-11)
-    assert settle.by_part(settled, part) == settled
+    assert settle_scene(settled, part) == settled
 
 
 def test_the_command_line_goes_before_the_files_point(tmp_path: Path) -> None:

@@ -13,11 +13,10 @@ from cell.errors import CellError, FileError, SceneError
 from cell.part.workpiece import Workpiece, load
 from cell.plan.region_goals import RegionGoals
 from cell.scanners.laser_area import LaserArea
-from cell.scene import settle
 from cell.scene.file import load_scene
 from cell.scene.model import Scene, complete, require_no_wishes
 from cell.scene.regions import areas_of, limited, with_regions
-from cell.scene.validation import require_attainable
+from cell.scene.settle import require_attainable, settle_scene
 from cell.world.measurability import REGION_ROWS, surface_features
 from cell.world.prediction import held_out
 from planner.cover import CoverProblem
@@ -243,10 +242,10 @@ def test_a_spacing_that_no_device_keeps_names_what_does(box: Path) -> None:
     """One sentence with spacing, range, resolution and device; the numbers it gives keep the limit."""
     regions = [{"name": "seat", "max_spacing_mm": 0.3, "box_mm": [-50, -50, 2, 50, 50, 5]}, NO]
     scene = scene_with(box, regions, "mm", scanner={"sensor": "generic-area-large"})
-    scene = settle.by_part(scene, load(box, "mm"))
+    scene = settle_scene(scene, load(box, "mm"))
     given = {"range_mm": (150.0, 450.0), "baseline_mm": 75.0}
     with pytest.raises(
-        SceneError, match=r"'seat' asks for points at most 0.3 mm apart.*150 mm.*generic-area-medium"
+        SceneError, match=r"'seat' demands points at most 0.3 mm apart.*150 mm.*generic-area-medium"
     ) as said:
         require_attainable(scene, LaserArea(**given))
     resolution = float(str(said.value).partition("resolution_deg = [")[2].partition(",")[0])

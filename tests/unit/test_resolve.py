@@ -7,7 +7,7 @@ import trimesh
 from cell.errors import SceneError
 from cell.part.workpiece import Workpiece, from_mesh
 from cell.scene.model import Scene
-from cell.scene.settle import resolve
+from cell.scene.settle import settle
 
 TABLE = {
     "mseke": (930, 300.0, 75.0),
@@ -35,7 +35,7 @@ def own(**tables: dict) -> Scene:
 def test_built_in_parts_have_the_documented_defaults(name: str) -> None:
     """Faces, standoff, baseline and range of each built-in part."""
     faces, standoff, baseline = TABLE[name]
-    settings = resolve(Scene.model_validate({"part": {"name": name}}), ball(30, name))
+    settings = settle(Scene.model_validate({"part": {"name": name}}), ball(30, name)).settings
     assert settings.faces == faces
     assert settings.standoffs == (standoff / 1000,)
     assert settings.scanner["baseline_mm"] == baseline
@@ -44,19 +44,19 @@ def test_built_in_parts_have_the_documented_defaults(name: str) -> None:
 
 def test_a_standoff_is_the_middle_of_the_range() -> None:
     """Whether the range is the device's or the scene's own."""
-    assert resolve(own(), ball(400)).standoffs == (0.3,)
-    assert resolve(own(scanner={"range_mm": [100, 450]}), ball(400)).standoffs == (0.275,)
+    assert settle(own(), ball(400)).settings.standoffs == (0.3,)
+    assert settle(own(scanner={"range_mm": [100, 450]}), ball(400)).settings.standoffs == (0.275,)
 
 
 def test_a_standoff_outside_the_range_is_refused() -> None:
     """The sentence names both numbers."""
     with pytest.raises(SceneError, match=r"600 mm is outside the scanner's range of 100 to 400 mm"):
-        resolve(own(scanner={"range_mm": [100, 400]}, plan={"standoffs_mm": [200, 600]}), ball(50))
+        settle(own(scanner={"range_mm": [100, 400]}, plan={"standoffs_mm": [200, 600]}), ball(50))
 
 
 def test_equal_rolls_and_standoffs_count_once() -> None:
     """0 and 360 degrees are the same viewpoint."""
-    settings = resolve(own(plan={"rolls_deg": [0, 90, 360, 0], "standoffs_mm": [300, 300, 250]}), ball(60))
+    settings = settle(own(plan={"rolls_deg": [0, 90, 360, 0], "standoffs_mm": [300, 300, 250]}), ball(60)).settings
     np.testing.assert_allclose(settings.rolls, np.radians([0, 90]))
     assert settings.standoffs == (0.3, 0.25)
 
@@ -65,17 +65,17 @@ def test_equal_rolls_and_standoffs_count_once() -> None:
 def test_a_clearance_too_small_to_plan_with_is_refused(clearance: float) -> None:
     """Checks are as far apart as the clearance; below 1 mm a motion would take millions of them."""
     with pytest.raises(SceneError, match="at least 1"):
-        resolve(own(clearance_mm=clearance), ball(50))
+        settle(own(clearance_mm=clearance), ball(50))
 
 
 def test_the_percentage_is_of_the_faces_that_are_kept() -> None:
     """10 percent of 1280 faces are 128."""
-    assert resolve(own(plan={"percent_kept": 10.0}), ball(50)).faces == 128
+    assert settle(own(plan={"percent_kept": 10.0}), ball(50)).settings.faces == 128
 
 
 @pytest.mark.parametrize(("clearance", "arrival"), [(10.0, 1.0), (5.0, 0.5), (20.0, 1.5)])
 def test_an_arrival_is_at_most_a_tenth_of_the_clearance(clearance: float, arrival: float) -> None:
     """What is taken from the clearance at the end of a move; more is refused, with the largest that may be."""
-    resolve(own(clearance_mm=clearance, arrival_mm=arrival), ball(50))
+    settle(own(clearance_mm=clearance, arrival_mm=arrival), ball(50))
     with pytest.raises(SceneError, match=rf"at most a tenth of clearance_mm, {clearance / 10:g}"):
-        resolve(own(clearance_mm=clearance, arrival_mm=1.001 * clearance / 10), ball(50))
+        settle(own(clearance_mm=clearance, arrival_mm=1.001 * clearance / 10), ball(50))

@@ -20,7 +20,7 @@ from cell.runs.folder import RunFolder
 from cell.runs.run import Run, open_run
 from cell.scanners.laser_area import LaserArea
 from cell.scene.file import load_scene
-from cell.scene.settle import by_part, resolve
+from cell.scene.settle import resolve, settle_scene
 from cell.world.model import World, compile_world
 from cell.world.occluders import occluder_triangles
 from cell.world.travel import TravelBound
@@ -75,7 +75,7 @@ def _written(home: Path, part_file: Path, plan: dict[str, object]) -> tuple[Run,
     (home / "scene.toml").write_text(SCENE)
     scene = load_scene(home / "scene.toml", {"part": {"path": str(part_file), "units": "mm"}, "plan": plan})
     part = workpiece.load(part_file, "mm")
-    scene = by_part(scene, part)
+    scene = settle_scene(scene, part)
     settings = resolve(scene, part)
     world = compile_world(scene, part.reference.vertices, baseline_mm=settings.scanner["baseline_mm"])
     folder = RunFolder.create(home / "run", [], 0, {}, datetime(2024, 1, 2, tzinfo=UTC))

@@ -12,7 +12,7 @@ from cell.errors import SceneError
 from cell.robot.model import model_file
 from cell.scene.file import load_scene
 from cell.scene.model import BoxFixture, CylinderFixture, MeshFixture, PlanSettings, Region, Scene, Setup, pose
-from cell.scene.settle import settled
+from cell.scene.settle import with_device
 
 
 def _load(tmp_path: Path, text: str, **options: dict) -> Scene:
@@ -226,5 +226,5 @@ def test_a_pose_is_millimetres_and_kuka_abc() -> None:
 
 def test_the_housing_follows_the_baseline() -> None:
     """By default the box is centred over the baseline and its front face lies in the source's plane."""
-    T = settled(Scene(), "mseke", 220.0).housing.T_scanner_housing(75.0)
+    T = with_device(Scene(), "mseke", 220.0).housing.T_scanner_housing(75.0)
     np.testing.assert_allclose(T[:3, 3], [0.0375, 0.0, -0.03], atol=1e-15)

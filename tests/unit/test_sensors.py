@@ -10,7 +10,7 @@ from cell.part.workpiece import load as load_part
 from cell.scene import sensors
 from cell.scene.file import load_scene
 from cell.scene.model import Scene, keys_of
-from cell.scene.settle import resolve
+from cell.scene.settle import settle
 
 
 def _problems(**scanner) -> list[str]:
@@ -87,7 +87,7 @@ def test_a_sensor_fills_the_scanner_table_and_the_scene_goes_before_it() -> None
     assert scene.scanner.type == "laser-line"
     assert scene.scanner.fan_deg == 27.0
     assert scene.scanner.range_mm == pytest.approx((305.314, 705.314), abs=1e-3)
-    settings = resolve(scene, load_part("mseke", None))
+    settings = settle(scene, load_part("mseke", None)).settings
     assert settings.standoffs == pytest.approx((0.505314,), abs=1e-6)
     assert settings.scanner["baseline_mm"] == 160.0
     assert "fov_deg" not in settings.scanner
@@ -137,7 +137,7 @@ def test_all_problems_of_the_scanner_table_come_at_once(scanner: dict, lines: li
 
 def test_laser_area_without_more_keys_stays_what_it_was() -> None:
     """The default table holds no key of the line sensor that would reach the plug-in."""
-    settings = resolve(Scene(), load_part("mseke", None))
+    settings = settle(Scene(), load_part("mseke", None)).settings
     assert "fan_deg" not in settings.scanner
     assert "sweep_steps" not in settings.scanner
     assert settings.planning_scanner["resolution_deg"] == (1.0, 1.0)

@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 
 from cell.errors import FileError
-from cell.scene import sensors, settle
+from cell.scene import sensors
 from cell.scene.model import Scene
+from cell.scene.settle import with_device
 from cell.study import store, table_row, trial
 from cell.study.run import run
 from cell.study.tables import STANDOFF_MM, USUAL, table_study
@@ -109,7 +110,7 @@ def test_rows_of_the_paper_that_say_the_same_are_one_trial() -> None:
     trials = table_study("all").trials
     assert (len(trials), len(set(trials))) == (86, 68)
     for part, standoff in STANDOFF_MM.items():
-        scene = settle.settled(Scene.model_validate({"part": {"name": part}}), part, 0.0)
+        scene = with_device(Scene.model_validate({"part": {"name": part}}), part, 0.0)
         near, far = sensors.load(str(scene.scanner.sensor)).figures.range_mm or (0.0, 0.0)
         assert (near + far) / 2 == standoff
     assert Scene().scanner.planning_resolution_deg == USUAL["resolution_deg"]
