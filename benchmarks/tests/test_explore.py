@@ -1,4 +1,4 @@
-"""The laboratory for next views: its rivals against closed forms, bounds of their publications and brute force."""
+"""Benchmark of next views: its rivals against closed forms, bounds of their publications and brute force."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The laboratory's stability maps: map and program speak of one border, and no method fails in silence."""
+"""Stability maps: map and program speak of one border, and no method fails in silence."""
 
 import json
 from pathlib import Path

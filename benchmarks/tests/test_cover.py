@@ -1,4 +1,4 @@
-"""The laboratory's comparison of view selection: generators, rivals, judge, tables; a reduced form of each figure."""
+"""Benchmark of view selection: generators, rivals, judge, tables; a reduced form of each figure."""
 
 import json
 from itertools import combinations

@@ -1,4 +1,4 @@
-"""The laboratory's speed fronts: the table of knobs, the rows, sentences and pictures, the measures beneath them."""
+"""Speed fronts: the table of knobs, the rows, sentences and pictures, the measures beneath them."""
 
 from pathlib import Path
 from typing import Any
