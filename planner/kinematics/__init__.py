@@ -1,1 +1,1 @@
-"""Which candidates the arm reaches, and the joint set-points at which it does."""
+"""Reachability of candidates: configurations, set-points, rotary table."""

@@ -1,15 +1,15 @@
-"""Which candidate viewpoints the robot can take up: inverse kinematics, turns, joint limits, collision (Section 3.4.3).
+"""Find the configurations with which the robot takes up candidate viewpoints (Section 3.4.3).
 
-For each pose of a viewpoint T_base_flange = T_base_object T_object_scanner inv(T_flange_scanner). Every branch of the
-inverse kinematics is rounded to the set-points that a controller takes (multiples of 1e-4 deg), *then* held against the
-joint limits with all the turns of +-360 deg that they leave room for, and *then* checked for collision: what is found
-free is what will be commanded. A turn does not move the arm's geometry, so each branch is checked once.
+T_base_flange = T_base_object T_object_scanner inv(T_flange_scanner) for each pose of a viewpoint. Each branch of the
+inverse kinematics is rounded to the set-points of a controller (multiples of 1e-4 deg), *then* compared with the joint
+limits with all turns of +-360 deg that they allow, and *then* checked for collision: the commanded configuration is the
+checked one. A turn does not move the arm's geometry, so each branch is checked once.
 
 Rounding moves the scanner by at most 6 axes x 5e-5 deg x reach, about 8 micrometres at 1.6 m.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -17,23 +17,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import PlannerError
+from planner.geometry.rigid import inverse_rigid
 from planner.kinematics.setpoints import Setpoints, setpoints
 from planner.ports import CollisionChecker, Kinematics, Progress
 from planner.values import Bools, Floats, Ints, Value, freeze, readonly
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.worded import Worded
 
-# Viewpoints between two calls of the progress callback: some thousand collision checks, a fraction of a second.
-_CHUNK = 512
+_CHUNK = 512  # viewpoints between two progress reports: some thousand collision checks, a fraction of a second
 _RIGID = 1e-6
 
 MAX_FREE_CONFIGURATIONS = 16
-"""Free geometries of a pose after which no more are looked at: more than an arm has branches, so that only those of the
-angles of a table are left out, the ones that come last in `Kinematics.inverse`."""
+"""Largest number of free geometries per pose: more than an arm has branches, so that only configurations at further
+table angles are left out, the last ones of `Kinematics.inverse`."""
 
 
 class Verdict(Worded):
-    """What became of a viewpoint; the value is kept in files."""
+    """Result of the search for one viewpoint; the values are stored in files."""
 
     REACHABLE = 0, "reachable without collision"
     OUT_OF_REACH = 1, "out of the arm's reach"
@@ -43,13 +43,13 @@ class Verdict(Worded):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reach(Value):
-    """Verdict and joint solutions of each viewpoint.
+    """Verdicts and configurations of V viewpoints.
 
     Attributes:
-        verdict: (V,) uint8 `Verdict` values.
+        verdict: (V,) `Verdict` values.
         q: (total, axes) free set-points [rad], KUKA signs, multiples of 1e-4 deg, ordered by viewpoint, branch, turn.
-        offsets: (V + 1,) int64; viewpoint v owns the rows offsets[v] to offsets[v + 1].
-        blocker: V names of what blocks, such as "housing with part"; "" unless the verdict is COLLISION.
+        offsets: (V + 1,) viewpoint v owns the rows offsets[v] to offsets[v + 1].
+        blocker: V names of the closest objects, such as "housing with part"; "" unless the verdict is COLLISION.
     """
 
     verdict: Annotated[NDArray[np.uint8], "V"]
@@ -71,19 +71,19 @@ class Reach(Value):
 
     @property
     def reachable(self) -> Bools:
-        """(V,) True where the verdict is REACHABLE: the columns that a view plan may use."""
+        """(V,) whether the verdict is REACHABLE."""
         return np.asarray(self.verdict == Verdict.REACHABLE)
 
     def configurations_of(self, viewpoint: int) -> Floats:
-        """(n, axes) free set-points of one viewpoint [rad]; empty unless it is reachable."""
+        """Return (n, axes) free set-points of one viewpoint [rad]; empty unless it is reachable."""
         return self.q[self.offsets[viewpoint] : self.offsets[viewpoint + 1]]
 
     def counts(self) -> dict[Verdict, int]:
-        """How many viewpoints have each verdict."""
+        """Return the number of viewpoints with each verdict."""
         return {verdict: int(np.count_nonzero(self.verdict == verdict)) for verdict in Verdict}
 
     def blockers(self) -> dict[str, int]:
-        """How many viewpoints each blocker costs, the worst first."""
+        """Return the number of viewpoints that each blocker prevents, largest first."""
         return dict(Counter(name for name in self.blocker if name).most_common())
 
 
@@ -96,40 +96,32 @@ def solve_reach(
     *,
     progress: Progress | None = None,
 ) -> Reach:
-    """Verdict and all free set-points of every viewpoint, at one placement of the part.
+    """Compute verdict and all free set-points of each viewpoint, for one placement of the part.
 
-    A viewpoint of several poses (K > 1, a sweep) is reachable when each of its poses is; verdict and blocker are those
-    of the first pose that fails, q holds the set-points of the first pose. Whether the sweep can be driven from pose to
-    pose without a change of branch is not asked here.
-
-    The blocker is the name that is nearest in most of the solutions of the pose.
+    A viewpoint with several poses (K > 1, a sweep) is reachable if each of its poses is. Verdict and blocker are those
+    of the first pose that fails; q holds the set-points of the first pose. This function does not decide whether the
+    sweep can be driven from pose to pose on one branch. The blocker is the closest pair in most configurations.
 
     Args:
         viewpoints: V candidates.
         T_base_object: (4, 4) placement of the part [m].
         T_flange_scanner: (4, 4) mount of the scanner [m].
-        kinematics: of the arm; its limits are the joint limits.
-        checker: of the cell at this placement.
-        progress: called with (viewpoints done, V) after each chunk; what it raises ends the search.
-
-    Raises:
-        PlannerError: if a transform is not rigid.
+        kinematics: of the arm, with its joint limits.
+        checker: collision checker of the cell at this placement.
+        progress: called with (viewpoints done, V) after each chunk; its exceptions end the search.
     """
-    T_base_object, T_scanner_flange = _rigid("T_base_object", T_base_object), _inverse_mount(T_flange_scanner)
-    total, poses = viewpoints.T_object_scanner.shape[:2]
+    total = len(viewpoints)
     axes = len(kinematics.limits.lower)
-    if poses == 0:
+    if viewpoints.T_object_scanner.shape[1] == 0:
         raise PlannerError("T_object_scanner has no pose per viewpoint; K must be 1 or more")
     verdict = np.full(total, Verdict.REACHABLE, dtype=np.uint8)
     blocker = [""] * total
     free_q: list[Floats] = []
     free_count = np.zeros(total, dtype=np.int64)
-    for start in range(0, total, _CHUNK):
-        chunk = np.arange(start, min(start + _CHUNK, total))
+    for chunk, poses in _flange_poses(viewpoints.T_object_scanner, T_base_object, T_flange_scanner):
         alive, q, owner = chunk, np.empty((0, axes)), np.empty(0, dtype=np.int64)
-        for k in range(poses):
-            T_base_flange = T_base_object @ viewpoints.T_object_scanner[alive, k] @ T_scanner_flange
-            found, solved, free = _solve_poses(T_base_flange, kinematics, checker)
+        for k, T_base_flange in enumerate(poses):
+            found, solved, free = _solve_poses(T_base_flange[alive - chunk[0]], kinematics, checker)
             verdict[alive] = found
             for row in np.flatnonzero(found == Verdict.COLLISION):
                 blocker[alive[row]] = _blocker(solved.q[solved.first[solved.pose[solved.first] == row]], checker)
@@ -138,7 +130,7 @@ def solve_reach(
             alive = alive[found == Verdict.REACHABLE]
         kept = verdict[owner] == Verdict.REACHABLE
         free_q.append(q[kept])
-        free_count[chunk] = np.bincount(owner[kept] - start, minlength=len(chunk))
+        free_count[chunk] = np.bincount(owner[kept] - chunk[0], minlength=len(chunk))
         if progress is not None:
             progress(int(chunk[-1]) + 1, total)
     offsets = np.concatenate(([0], np.cumsum(free_count)))
@@ -152,85 +144,73 @@ def are_reachable(
     kinematics: Kinematics,
     checker: CollisionChecker,
 ) -> Bools:
-    """Whether the arm takes up each view, by the same rules as `solve`, which tells how and why not as well.
+    """Return (N,) whether views (N, K, 4, 4) [m] are reachable in all their K poses, by the rules of `solve_reach`.
 
-    A branch is looked at only where none before it was free, which saves most of the collision checks.
-
-    Args:
-        T_object_scanner: (N, K, 4, 4) views of K poses [m], all of which must be taken up.
-        T_base_object: (4, 4) placement of the part [m].
-        T_flange_scanner: (4, 4) mount of the scanner [m].
-        kinematics: of the arm; its limits are the joint limits.
-        checker: of the cell at this placement.
-
-    Returns:
-        (N,) True where a view is reachable.
-
-    Raises:
-        PlannerError: if a transform is not rigid.
+    A branch is checked only if no branch before it is free, which saves most of the collision checks. The other
+    arguments are those of `solve_reach`.
     """
-    T_base_object, T_scanner_flange = _rigid("T_base_object", T_base_object), _inverse_mount(T_flange_scanner)
-    taken = np.zeros(len(T_object_scanner), dtype=np.bool_)
-    for start in range(0, len(T_object_scanner), _CHUNK):
-        alive = np.arange(start, min(start + _CHUNK, len(T_object_scanner)))
-        for k in range(T_object_scanner.shape[1]):
-            T_base_flange = T_base_object @ T_object_scanner[alive, k] @ T_scanner_flange
-            alive = alive[_any_free(T_base_flange, kinematics, checker)]
-        taken[alive] = True
-    return taken
+    reachable = np.zeros(len(T_object_scanner), dtype=np.bool_)
+    for chunk, poses in _flange_poses(T_object_scanner, T_base_object, T_flange_scanner):
+        alive = chunk
+        for T_base_flange in poses:
+            alive = alive[_any_free(T_base_flange[alive - chunk[0]], kinematics, checker)]
+        reachable[alive] = True
+    return reachable
+
+
+def _flange_poses(
+    T_object_scanner: Floats, T_base_object: ArrayLike, T_flange_scanner: ArrayLike
+) -> Iterator[tuple[Ints, Iterator[Floats]]]:
+    """Yield chunks of views: their numbers (n,), and T_base_flange (n, 4, 4) [m] of each of their K poses in turn."""
+    T_base_object = _require_rigid("T_base_object", T_base_object)
+    T_scanner_flange = inverse_rigid(_require_rigid("T_flange_scanner", T_flange_scanner))
+    total, poses = T_object_scanner.shape[:2]
+    for start in range(0, total, _CHUNK):
+        chunk = np.arange(start, min(start + _CHUNK, total))
+        yield chunk, (T_base_object @ T_object_scanner[chunk, k] @ T_scanner_flange for k in range(poses))
 
 
 def _any_free(T_base_flange: Floats, kinematics: Kinematics, checker: CollisionChecker) -> Bools:
-    """(N,) whether a solution of each pose is within the limits and free."""
+    """Return (N,) whether a configuration of each pose is within the limits and free."""
     solved = setpoints(kinematics.inverse(T_base_flange), kinematics.limits)
     q, pose = solved.q[solved.first], solved.pose[solved.first]
     found = np.zeros(len(T_base_flange), dtype=np.bool_)
-    turn = np.arange(len(pose)) - np.searchsorted(pose, pose)  # of the branches within the limits, which it is
-    for branch in range(int(turn.max(initial=-1)) + 1):
-        asked = np.flatnonzero((turn == branch) & ~found[pose])
-        found[pose[asked[checker.free(q[asked])]]] = True
+    number = np.arange(len(pose)) - np.searchsorted(pose, pose)  # among the branches of the pose within the limits
+    for branch in range(int(number.max(initial=-1)) + 1):
+        rows = np.flatnonzero((number == branch) & ~found[pose])
+        found[pose[rows[checker.free(q[rows])]]] = True
     return found
-
-
-def _inverse_mount(T_flange_scanner: ArrayLike) -> Floats:
-    """(4, 4) T_scanner_flange [m]."""
-    T_flange_scanner = _rigid("T_flange_scanner", T_flange_scanner)
-    T_scanner_flange = np.eye(4)
-    T_scanner_flange[:3, :3] = T_flange_scanner[:3, :3].T
-    T_scanner_flange[:3, 3] = -T_flange_scanner[:3, :3].T @ T_flange_scanner[:3, 3]
-    return T_scanner_flange
 
 
 def _solve_poses(
     T_base_flange: Floats, kinematics: Kinematics, checker: CollisionChecker
 ) -> tuple[NDArray[np.uint8], Setpoints, Bools]:
-    """Verdict of each pose, its set-points within the limits, and which of these are free."""
+    """Return the verdict of each pose, its set-points within the limits, and whether each of these is free."""
     solved = setpoints(kinematics.inverse(T_base_flange), kinematics.limits)
-    free = _free(solved, checker)[solved.geometry]
+    free = _free_geometries(solved, checker)[solved.geometry]
     found = np.where(solved.real, Verdict.JOINT_LIMIT, Verdict.OUT_OF_REACH).astype(np.uint8)
     found[solved.pose] = Verdict.COLLISION
     found[solved.pose[free]] = Verdict.REACHABLE
     return found, solved, free
 
 
-def _free(solved: Setpoints, checker: CollisionChecker) -> Bools:
-    """(g,) which geometries are free, of each pose until `ENOUGH` are; the others count as not free."""
+def _free_geometries(solved: Setpoints, checker: CollisionChecker) -> Bools:
+    """Return (g,) whether each geometry is free; beyond `MAX_FREE_CONFIGURATIONS` of a pose none is."""
     q, pose = solved.q[solved.first], solved.pose[solved.first]
     free = np.zeros(len(q), dtype=np.bool_)
     number = np.arange(len(pose)) - np.searchsorted(pose, pose)
     found = np.zeros(len(solved.real), dtype=np.int64)
-    for start in range(0, int(number.max(initial=-1)) + 1, MAX_FREE_CONFIGURATIONS):
-        asked = np.flatnonzero(
-            (number >= start) & (number < start + MAX_FREE_CONFIGURATIONS) & (found[pose] < MAX_FREE_CONFIGURATIONS)
-        )
-        free[asked] = checker.free(q[asked])
-        found += np.bincount(pose[asked[free[asked]]], minlength=len(found))
+    batch = MAX_FREE_CONFIGURATIONS
+    for start in range(0, int(number.max(initial=-1)) + 1, batch):
+        rows = np.flatnonzero((number >= start) & (number < start + batch) & (found[pose] < batch))
+        free[rows] = checker.free(q[rows])
+        found += np.bincount(pose[rows[free[rows]]], minlength=len(found))
     return free
 
 
 def _blocker(q: Floats, checker: CollisionChecker) -> str:
-    """What is nearest in most of the first configurations of q (n, axes); the earlier one decides a tie."""
-    nearest = []
+    """Return the closest pair in most of the first configurations of q (n, axes); the earlier one decides a tie."""
+    closest = []
     for configuration in q[:MAX_FREE_CONFIGURATIONS]:
         names = checker.contacts(configuration)
         if not names:
@@ -238,11 +218,11 @@ def _blocker(q: Floats, checker: CollisionChecker) -> str:
                 f"the collision checker calls q = {np.rad2deg(configuration).round(4).tolist()} deg not free but names "
                 "no contact; free and contacts must use the same clearance"
             )
-        nearest.append(names[0])
-    return Counter(nearest).most_common(1)[0][0]
+        closest.append(names[0])
+    return Counter(closest).most_common(1)[0][0]
 
 
-def _rigid(name: str, T: ArrayLike) -> Floats:
+def _require_rigid(name: str, T: ArrayLike) -> Floats:
     pose = readonly(name, T, (4, 4))
     R = pose[:3, :3]
     off = max(np.abs(R @ R.T - np.eye(3)).max(), np.abs(pose[3] - (0, 0, 0, 1)).max(), abs(np.linalg.det(R) - 1.0))
@@ -254,17 +234,17 @@ def _rigid(name: str, T: ArrayLike) -> Floats:
 
 
 def add_configurations(reached: Reach, views: Ints, q: Floats) -> Reach:
-    """The same with a joint solution (n, axes) [rad] of each of (n,) reachable viewpoints, where it is not there."""
+    """Add one configuration (n, axes) [rad] to each of (n,) reachable viewpoints that does not have it yet."""
     more = [k for k, view in enumerate(views) if not (reached.configurations_of(int(view)) == q[k]).all(axis=1).any()]
     ends = reached.offsets[1:].copy()
     for view in views[more]:
         ends[view:] += 1
-    solutions = np.insert(reached.q, reached.offsets[views[more] + 1], q[more], axis=0)
-    return replace(reached, q=solutions, offsets=np.concatenate([[0], ends]))
+    rows = np.insert(reached.q, reached.offsets[views[more] + 1], q[more], axis=0)
+    return replace(reached, q=rows, offsets=np.concatenate([[0], ends]))
 
 
 def join_reach(parts: Sequence[Reach]) -> Reach:
-    """Verdicts and solutions in the order of the parts."""
+    """Concatenate verdicts and configurations."""
     counts = np.concatenate([np.diff(part.offsets) for part in parts])
     return Reach(
         np.concatenate([part.verdict for part in parts]),
@@ -275,7 +255,7 @@ def join_reach(parts: Sequence[Reach]) -> Reach:
 
 
 def pick_reach(reached: Reach, which: Ints) -> Reach:
-    """Verdicts and solutions of some viewpoints, (n,) rows in the order that is wanted."""
+    """Return verdicts and configurations of the viewpoints (n,) `which`, in this order."""
     counts = np.diff(reached.offsets)[which]
     rows = np.repeat(reached.offsets[which] - np.cumsum(counts) + counts, counts) + np.arange(int(counts.sum()))
     return Reach(

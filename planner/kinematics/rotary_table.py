@@ -1,9 +1,9 @@
 """A rotary table under the part, and arm and table as one kinematic chain of seven axes.
 
-Seen from the part, a table that has turned by an angle is a robot that went round the table's axis by minus that angle.
-So everything that belongs to the part (candidates, samples, what they measure) is worked out once, with the table at 0,
-and the chain of `ArmOnTable` maps joint angles (..., 7) to the flange as the part sees it: T_base_flange with the table
-turned back. Metres, radians; E1 turns right-handed about the table's z.
+In the frame of the part, a table that turns by an angle is a robot that moves about the table's axis by minus that
+angle. So everything that belongs to the part (candidates, samples, measurability) is computed once, with the table at
+0. `ArmOnTable` maps joint angles (..., 7) to T_base_flange with the table turned back. Metres, radians; E1 turns
+right-handed about the table's z.
 """
 
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ class RotaryTable(Value):
     """An external axis that turns the part.
 
     Attributes:
-        T_base_table: (4, 4) its axis is z, its face lies in the plane z = 0 [m].
+        T_base_table: (4, 4) [m]; the axis is z, the face lies in the plane z = 0.
         lower: smallest angle [rad].
         upper: largest angle [rad].
         velocity: largest speed [rad/s].
@@ -39,7 +39,7 @@ class RotaryTable(Value):
     jerk: float
 
     def turn(self, angle: ArrayLike) -> Floats:
-        """(..., 4, 4) where what stands at angle 0 goes at angles (...) [rad], base frame [m]."""
+        """Return (..., 4, 4) the motion [m] from angle 0 to angles (...) [rad] of a body on the table, base frame."""
         angle = np.asarray(angle, dtype=np.float64)
         T = np.zeros((*angle.shape, 4, 4))
         T[..., 0, 0] = T[..., 1, 1] = np.cos(angle)
@@ -50,30 +50,26 @@ class RotaryTable(Value):
         return turned
 
     def seen(self, points: Floats) -> Floats:
-        """(..., 3) points of base in the table's frame, which stands [m]: x, y beside the axis, z above the face."""
+        """Transform points (..., 3) [m] from base to the frame of the table at rest: z is the height above its face."""
         return np.asarray((points - self.T_base_table[:3, 3]) @ self.T_base_table[:3, :3])
 
     @property
     def upright(self) -> bool:
-        """Whether the floor looks the same at every angle."""
+        """Whether the axis is vertical, so that the floor is the same at every angle."""
         return bool(self.T_base_table[2, 2] > 1.0 - 1e-12)
 
     def limits(self, arm: JointLimits) -> JointLimits:
-        """Limits of the arm's axes and, behind them, its own."""
+        """Return the limits of the arm's axes followed by those of the table."""
         names = ("lower", "upper", "velocity", "acceleration", "jerk")
         return replace(arm, **{name: np.append(getattr(arm, name), getattr(self, name)) for name in names})
 
     def angles(self, count: int) -> Floats:
-        """(n,) at most `count` angles, evenly spaced over a turn, that lie within the limits, multiples of 1e-4 deg.
-
-        Args:
-            count: over the whole turn.
-        """
-        whole = from_steps(to_steps((np.arange(count) - count // 2) * (2 * np.pi / count)))
-        # An axis that goes farther to one side than half a turn has the rest of the other side there.
-        whole = np.where(whole < self.lower, whole + 2 * np.pi, np.where(whole > self.upper, whole - 2 * np.pi, whole))
+        """Return the angles within the limits out of `count`, evenly spaced over a turn, as multiples of 1e-4 deg."""
+        turn = from_steps(to_steps((np.arange(count) - count // 2) * (2 * np.pi / count)))
+        # An axis that goes farther than half a turn to one side reaches the other side's angles there.
+        turn = np.where(turn < self.lower, turn + 2 * np.pi, np.where(turn > self.upper, turn - 2 * np.pi, turn))
         # Limits that leave room for less than one step still have an angle: the middle of the range.
-        inside = from_steps(to_steps(whole[(whole >= self.lower - 1e-9) & (whole <= self.upper + 1e-9)]))
+        inside = from_steps(to_steps(turn[(turn >= self.lower - 1e-9) & (turn <= self.upper + 1e-9)]))
         return inside if len(inside) else from_steps(to_steps([(self.lower + self.upper) / 2]))
 
 
@@ -83,8 +79,8 @@ class ArmOnTable:
     Args:
         arm: the arm alone.
         table: turns the part.
-        home: (7,) the angles at which motions begin and end [rad].
-        angles: of the table at which poses are looked for, over a whole turn.
+        home: (7,) configuration at which motions begin and end [rad].
+        angles: number of table angles per turn at which configurations are searched.
     """
 
     def __init__(self, arm: Kinematics, table: RotaryTable, home: Floats, angles: int) -> None:
@@ -97,26 +93,24 @@ class ArmOnTable:
         return self._table.limits(self._arm.limits)
 
     def forward(self, q: Floats) -> Floats:
-        """(N, 4, 4) T_base_flange [m] with the table turned back, as the part sees it, at q (N, 7) [rad]."""
+        """Return (N, 4, 4) T_base_flange [m] with the table turned back, at q (N, 7) [rad]."""
         q = np.asarray(q, dtype=np.float64)
-        seen: Floats = self._table.turn(-q[:, ARM_AXES]) @ self._arm.forward(q[:, :ARM_AXES])
-        return seen
+        T: Floats = self._table.turn(-q[:, ARM_AXES]) @ self._arm.forward(q[:, :ARM_AXES])
+        return T
 
     def inverse_at(self, T_base_flange: Floats, angles: Floats) -> Floats:
-        """(n, branches, 7) branches of one pose (4, 4) [m], as the part sees it, at (n,) angles of the table [rad]."""
+        """Return (n, branches, 7) branches of one pose (4, 4) [m], table turned back, at (n,) table angles [rad]."""
         arm = self._arm.inverse(self._table.turn(angles) @ T_base_flange)
         return np.concatenate([arm, np.where(np.isnan(arm[..., :1]), np.nan, angles[:, None, None])], axis=-1)
 
     def inverse(self, T_base_flange: Floats) -> Floats:
-        """Every branch of the arm at every angle of the table, those first that are reached from home in least time.
-
-        The time is that of the slowest axis at full speed.
+        """Return every branch at every table angle, ordered by the time from home of the slowest axis at full speed.
 
         Args:
-            T_base_flange: (N, 4, 4) [m], as the part sees it.
+            T_base_flange: (N, 4, 4) [m], table turned back.
 
         Returns:
-            (N, branches * angles, 7) joint angles [rad], NaN where a branch has no real solution.
+            (N, branches * angles, 7) joint angles [rad], NaN for a branch without a real solution.
         """
         turned = self._table.turn(self._angles)[:, None] @ T_base_flange
         arm = self._arm.inverse(turned.reshape(-1, 4, 4))

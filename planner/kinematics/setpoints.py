@@ -1,7 +1,7 @@
 """Set-points: joint angles as a controller takes them, with every turn of +-360 deg that the joint limits allow.
 
-A set-point is a multiple of 1e-4 deg on each axis: an integer on every wire. Rounding comes before the limits and
-before any collision check, so that what is found free is what is commanded.
+A set-point is a multiple of 1e-4 deg on each axis: an integer on every wire. Angles are rounded before the limits and
+before any collision check, so that the commanded configuration is the checked one.
 """
 
 import itertools
@@ -20,24 +20,17 @@ _LIMIT_NOISE = 1e-6  # rounding, in steps, of limits that were given in degrees
 
 
 def to_steps(q: ArrayLike) -> Ints:
-    """Joint angles as the integers of a controller.
-
-    Args:
-        q: joint angles [rad].
-
-    Returns:
-        The nearest multiples of 1e-4 deg, same shape.
-    """
+    """Return the nearest multiples of 1e-4 deg of joint angles [rad], as the integers of a controller."""
     return np.asarray(np.rint(np.rad2deg(np.asarray(q, dtype=np.float64)) * STEPS_PER_DEGREE), dtype=np.int64)
 
 
 def from_steps(steps: ArrayLike) -> Floats:
-    """Joint angles [rad] of multiples of 1e-4 deg."""
+    """Return the joint angles [rad] of multiples of 1e-4 deg."""
     return np.deg2rad(np.asarray(steps, dtype=np.int64) / STEPS_PER_DEGREE)
 
 
 def range_in_steps(limits: JointLimits) -> tuple[Ints, Ints]:
-    """(axes,) first and (axes,) last multiple of 1e-4 deg inside the joint range."""
+    """Return (axes,) the first and (axes,) the last multiple of 1e-4 deg inside the joint range."""
     lower = np.ceil(np.rad2deg(limits.lower) * STEPS_PER_DEGREE - _LIMIT_NOISE)
     upper = np.floor(np.rad2deg(limits.upper) * STEPS_PER_DEGREE + _LIMIT_NOISE)
     return lower.astype(np.int64), upper.astype(np.int64)
@@ -45,14 +38,14 @@ def range_in_steps(limits: JointLimits) -> tuple[Ints, Ints]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setpoints(Value):
-    """All set-points within the joint limits that put the flange at given poses.
+    """All set-points within the joint limits that bring the flange to N poses.
 
     Attributes:
-        real: (N,) True where the pose has a solution at all, limits aside.
-        q: (n, axes) set-points [rad], ordered by pose, branch, turn; the turn nearest the branch itself comes first.
-        pose: (n,) int64 pose that each row of q reaches.
-        first: (g,) int64 row of q that stands for each different geometry: one for each pose and branch.
-        geometry: (n,) int64 which of those each row is a turn of.
+        real: (N,) whether the pose has a configuration at all, limits aside.
+        q: (n, axes) set-points [rad], ordered by pose, branch, turn; the turn nearest to the branch comes first.
+        pose: (n,) pose of each row of q.
+        first: (g,) first row of q of each geometry, that is, of each pose and branch.
+        geometry: (n,) geometry of which each row is a turn.
     """
 
     real: Annotated[Bools, "N"]
@@ -63,20 +56,20 @@ class Setpoints(Value):
 
 
 def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:
-    """Round the branches to set-points and take every turn of +-360 deg that the limits allow.
+    """Round the branches to set-points and add every turn of +-360 deg within the limits.
 
-    A pose with `real` False has no solution; one with `real` True and no row of q has some, but none within the
+    A pose with `real` False has no configuration. A pose with `real` True and no row of q has some, but none within the
     limits.
 
     Args:
-        branches: (N, B, axes) joint angles [rad] in (-pi, pi], NaN where a branch has no real solution.
-        limits: of the axes.
+        branches: (N, B, axes) joint angles [rad] in (-pi, pi], NaN for a branch without a real solution.
+        limits: joint limits.
     """
     exists: Bools = np.asarray(~np.isnan(branches).any(axis=-1))
     steps = to_steps(np.where(exists[..., None], branches, 0.0))
     lower, upper = range_in_steps(limits)
     choices = _turns(lower, upper)
-    # Whether axis and turn fit, each once; a combination of turns fits where all its axes do.
+    # Test each turn of each axis once; a combination of turns fits if all its axes do.
     axis_fits = [
         {k: (steps[..., axis] >= lower[axis] - k * _TURN) & (steps[..., axis] <= upper[axis] - k * _TURN) for k in some}
         for axis, some in enumerate(choices)
@@ -94,7 +87,7 @@ def setpoints(branches: Floats, limits: JointLimits) -> Setpoints:
 
 
 def _turns(lower: Ints, upper: Ints) -> list[list[int]]:
-    """Of each axis, the whole turns that keep some angle of (-180, 180] deg within its limits; no turn first."""
+    """Return for each axis the full turns that keep some angle of (-180, 180] deg within its limits; 0 first."""
     half = _TURN // 2
     most = int(np.abs([lower, upper]).max()) // _TURN + 1
     return [

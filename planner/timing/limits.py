@@ -1,4 +1,4 @@
-"""Limits of the axes as a motion uses them: checked, scaled, and joint angles held against them."""
+"""Joint limits as a motion uses them: check, scale, compare with joint angles."""
 
 from dataclasses import replace
 
@@ -10,13 +10,9 @@ from planner.values import Floats
 
 
 def require_usable(limits: JointLimits) -> None:
-    """Refuse limits under which no motion can be timed.
+    """Refuse limits under which no motion can be timed: not above 0, an empty range, or a speed that could jump.
 
-    Single limits may be infinite (a speed, an acceleration, a jerk that is not limited), but not acceleration and jerk
-    of one axis: its motion would jump in speed.
-
-    Raises:
-        PlannerError: if a limit is not above 0, acceleration and jerk of an axis are infinite, or a range is empty.
+    A single limit may be infinite, but not acceleration and jerk of one axis together: its speed would jump.
     """
     positive = (limits.velocity > 0) & (limits.acceleration > 0) & (limits.jerk > 0)
     bounded = np.minimum(limits.acceleration, limits.jerk) < np.inf
@@ -41,19 +37,16 @@ def require_usable(limits: JointLimits) -> None:
 
 
 def scale_limits(limits: JointLimits, speed: float = 1.0, acceleration: float = 1.0) -> JointLimits:
-    """Limits with velocity and acceleration reduced to a fraction.
+    """Reduce velocity and acceleration to a fraction.
 
-    `speed` is the controller's override: a percentage of the velocity, as KUKA defines $OV_PRO. It leaves accelerations
-    as they are, so that an arm at low override stops the sooner. `acceleration` takes the jerk with it: the
-    acceleration is reached in the same time.
+    `speed` is the override of the controller: a share of the velocity, as KUKA defines $OV_PRO. It does not change
+    accelerations, so an arm at low override stops sooner. `acceleration` also scales the jerk, so that the acceleration
+    is reached in the same time.
 
     Args:
         limits: limits at full speed.
-        speed: fraction of every velocity, above 0 up to 1.
-        acceleration: fraction of every acceleration and jerk, above 0 up to 1.
-
-    Raises:
-        PlannerError: if a fraction is outside (0, 1].
+        speed: fraction of every velocity, in (0, 1].
+        acceleration: fraction of every acceleration and jerk, in (0, 1].
     """
     for name, fraction in (("speed", speed), ("acceleration", acceleration)):
         if not 0 < fraction <= 1:
@@ -67,20 +60,14 @@ def scale_limits(limits: JointLimits, speed: float = 1.0, acceleration: float = 
 
 
 def without_jerk_limit(limits: JointLimits) -> JointLimits:
-    """The limits without that of the jerk: the bound against which jerk-limited motions are compared."""
+    """Remove the jerk limits: the reference for the duration of jerk-limited motions."""
     return replace(limits, jerk=np.full_like(limits.jerk, np.inf))
 
 
 def require_inside(what: str, q: Floats, limits: JointLimits) -> None:
-    """Refuse joint angles outside the range; there is no wrap-around of A4 and A6.
+    """Refuse joint angles (N, axes) [rad] outside the range; A4 and A6 do not wrap around.
 
-    Args:
-        what: what the error calls a row of q.
-        q: (N, axes) joint angles [rad].
-        limits: limits of the axes.
-
-    Raises:
-        PlannerError: naming the first row and axis outside.
+    The error names the first row and axis outside; `what` is the name of a row.
     """
     outside = ~((q >= limits.lower) & (q <= limits.upper))
     if outside.any():

@@ -1,9 +1,8 @@
-"""The sampled motion along via points: straight joint moves (`planner.timing.move_time`), rest to rest.
+"""Sampled motion along via points: straight joint moves (`planner.timing.move_time`), rest to rest.
 
-Every via point is an exact stop: rounding a corner would leave the path that was checked, and driving it exactly means
-to stop there. So the same moves under trapezoids of speed are the time-optimal motion along the path without a limit of
-jerk; `jerk_free` gives those limits. The line of a sweep is the exception: it brings its own timing, and its via points
-are passed on it.
+Every via point is an exact stop, because a rounded corner would leave the checked path. So the same moves with
+trapezoids of speed are the time-optimal motion along the path without a jerk limit (`without_jerk_limit`). The line of
+a sweep is the exception: it has its own timing and passes its via points without a stop.
 """
 
 from collections.abc import Mapping
@@ -27,25 +26,25 @@ SAMPLE_PERIOD = 0.012
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion(Value):
-    """A timed motion through via points, at rest at each of them but those inside the line of a sweep.
+    """A timed motion through N via points, at rest at each except inside the line of a sweep.
 
-    Samples are spaced evenly inside a move, at most `sample_period` apart, and every via point is a sample. A sample
+    Samples are evenly spaced inside a move, at most `sample_period` apart, and every via point is a sample. A sample
     at a via point belongs to the move that ends there.
 
     Attributes:
         via_q: (N, axes) via points [rad], KUKA signs.
-        segment: (N,) number of the tour's leg that ends at or passes the via point; not decreasing.
-        view: (N,) view taken at the via point, -1 where none is (home, and via points of a detour).
+        segment: (N,) number of the tour's segment that ends at or passes the via point; not decreasing.
+        view: (N,) view taken at the via point, -1 for none (home, and via points of a detour).
         via_t: (N,) times at which the via points are reached [s].
         t: (M,) sample times [s], increasing from 0.
         q: (M, axes) joint angles [rad].
         qd: (M, axes) joint speeds [rad/s].
         qdd: (M, axes) joint accelerations [rad/s^2] that begin at the sample; 0 at the last one.
-        segment_of_sample: (M,) number of the leg to which the sample belongs.
+        segment_of_sample: (M,) number of the segment to which the sample belongs.
         duration: time from first to last via point [s].
-        limits: the limits used, after scaling.
-        pose: (N,) pose of the view that is taken at the via point: 0 of a view at rest, -1 where none is.
-        line: (N,) number of the sweep on whose line the via point is reached, from 0; -1 where a joint move reaches it.
+        limits: the limits in use, after scaling.
+        pose: (N,) pose of the view taken at the via point: 0 for a view at rest, -1 for none.
+        line: (N,) number, from 0, of the sweep line that reaches the via point; -1 for a joint move.
     """
 
     via_q: Annotated[Floats, "N axes"]
@@ -71,22 +70,22 @@ class Motion(Value):
 
     @property
     def stops(self) -> Ints:
-        """(n,) via point of each view in driving order: where it stands, or the middle pose of its sweep."""
+        """(n,) via point of each view in driving order: its stop, or the middle pose of its sweep."""
         rows = np.flatnonzero(self.view >= 0)
         groups = np.split(rows, np.flatnonzero(np.diff(self.view[rows])) + 1) if len(rows) else []
         return np.array([group[self.pose[group] == len(group) // 2][0] for group in groups], dtype=np.int64)
 
 
 class TimedLine(Protocol):
-    """The line of a sweep, from rest to rest, with a timing of its own."""
+    """The line of a sweep, from rest to rest, with its own timing."""
 
     @property
     def times(self) -> Floats:
-        """(m,) times after its start at which its via points are passed [s], from 0; the last is its duration."""
+        """(m,) times of its via points after its start [s], from 0; the last is its duration."""
         ...
 
     def at(self, t: Floats) -> tuple[Floats, Floats, Floats]:
-        """(n, axes) angles [rad], speeds [rad/s] and accelerations [rad/s^2] at (n,) times after its start [s]."""
+        """Return (n, axes) angles [rad], speeds [rad/s], accelerations [rad/s^2] at (n,) times from its start [s]."""
         ...
 
 
@@ -102,24 +101,21 @@ def retime(
     pose: ArrayLike | None = None,
     lines: Mapping[int, TimedLine] | None = None,
 ) -> Motion:
-    """Time a motion that stops exactly at every via point, those inside the lines of sweeps excepted.
+    """Time a motion that stops at every via point except inside the lines of sweeps.
 
     Args:
         via_q: (N, axes) via points [rad], N >= 1, inside the joint range.
-        segment: (N,) number of the tour's leg that ends at or passes each via point; not decreasing.
-        view: (N,) view taken at each via point, -1 where none is.
+        segment: (N,) number of the tour's segment that ends at or passes each via point; not decreasing.
+        view: (N,) view taken at each via point, -1 for none.
         limits: limits of the axes.
         sample_period: largest time between samples [s].
-        speed: fraction of the velocity limits to use, above 0 up to 1.
-        acceleration: fraction of the acceleration and jerk limits to use, above 0 up to 1.
+        speed: fraction of the velocity limits, in (0, 1].
+        acceleration: fraction of the acceleration and jerk limits, in (0, 1].
         pose: (N,) pose of the view taken at each via point; None: every view is one pose.
-        lines: by the number of the via point at which each begins; the via points that follow are its own.
+        lines: sweep lines by the number of their first via point; the following via points are theirs.
 
     Returns:
         The motion; a via point that repeats its predecessor takes no time and adds no sample.
-
-    Raises:
-        PlannerError: if a limit cannot be used, a via point lies outside the joint range, or the tags do not fit.
     """
     require_usable(limits)
     limits = scale_limits(limits, speed, acceleration)
@@ -132,26 +128,26 @@ def retime(
     segments = readonly("segment", segment, (len(vias),), np.int64)
     if (np.diff(segments) < 0).any():
         raise PlannerError(
-            "segment decreases along the via points; the legs of a tour must be numbered in driving order"
+            "segment decreases along the via points; the segments of a tour must be numbered in driving order"
         )
 
     widths = np.zeros((3, len(vias) - 1))
     for rows, profile in move_profiles(vias[:-1], vias[1:], limits):
         widths[:, *rows] = profile
     durations, lines = Profile(*widths).duration, lines or {}
-    on_line = _take_lines(lines, durations)
+    on_line = _take_line_times(lines, durations)
     via_t = np.concatenate(([0.0], np.cumsum(durations)))
     samples, owner = [(np.zeros(1), vias[:1], np.zeros_like(vias[:1]), np.zeros_like(vias[:1]))], [segments[:1]]
     for k in np.flatnonzero(durations > 0).tolist():
         if on_line[k + 1] < 0:
-            found = _straight(Profile(*widths[:, k]), vias[k : k + 2], via_t[k : k + 2], sample_period)
+            found = _sample_move(Profile(*widths[:, k]), vias[k : k + 2], via_t[k : k + 2], sample_period)
         elif k in lines:
             own = slice(k, k + len(lines[k].times))
-            found = _along(lines[k], vias[own], via_t[own], sample_period)
+            found = _sample_line(lines[k], vias[own], via_t[own], sample_period)
         else:
-            continue  # sampled with the line's first piece
+            continue  # sampled with the first piece of the line
         times, q, qd, qdd = found
-        samples[-1][-1][-1] = qdd[0]  # the acceleration that begins at the stop replaces the one that ended there
+        samples[-1][-1][-1] = qdd[0]  # the acceleration that begins at the stop replaces the one that ends there
         samples.append((times[1:], q[1:], qd[1:], qdd[1:]))
         owner.append(np.full(len(times) - 1, segments[k + 1]))
     samples[-1][-1][-1] = 0.0
@@ -173,8 +169,8 @@ def retime(
     )
 
 
-def _take_lines(lines: Mapping[int, TimedLine], durations: Floats) -> Ints:
-    """(N,) number of the line on which each via point is reached, -1 for none; its own times become the durations."""
+def _take_line_times(lines: Mapping[int, TimedLine], durations: Floats) -> Ints:
+    """Return (N,) the line that reaches each via point, -1 for none; write the times of the lines into `durations`."""
     on_line = np.full(len(durations) + 1, -1)
     for number, begin in enumerate(sorted(lines)):
         times = lines[begin].times
@@ -188,11 +184,11 @@ def _take_lines(lines: Mapping[int, TimedLine], durations: Floats) -> Ints:
 
 
 _Samples = tuple[Floats, Floats, Floats, Floats]
-"""(m,) times [s]; (m, axes) angles, speeds and accelerations [rad], [rad/s], [rad/s^2]; both ends among them."""
+"""(m,) times [s]; (m, axes) angles, speeds and accelerations [rad], [rad/s], [rad/s^2]; both ends included."""
 
 
-def _straight(profile: Profile, ends: Floats, end_t: Floats, period: float) -> _Samples:
-    """Samples of a straight move."""
+def _sample_move(profile: Profile, ends: Floats, end_t: Floats, period: float) -> _Samples:
+    """Sample a straight move."""
     steps = max(2, int(np.ceil(profile.duration / period)))
     tau = np.arange(steps + 1) * (profile.duration / steps)
     s, sd, sdd = sample_profile(profile, tau)
@@ -203,8 +199,8 @@ def _straight(profile: Profile, ends: Floats, end_t: Floats, period: float) -> _
     return times, q, sd[:, None] * delta, sdd[:, None] * delta
 
 
-def _along(line: TimedLine, vias: Floats, via_t: Floats, period: float) -> _Samples:
-    """Samples of a line, its via points among their times, its ends exact."""
+def _sample_line(line: TimedLine, vias: Floats, via_t: Floats, period: float) -> _Samples:
+    """Sample a line, also at its via points; its ends are exact."""
     pieces = [
         begin + np.arange(steps := max(1, int(np.ceil((end - begin) / period)))) * ((end - begin) / steps)
         for begin, end in pairwise(via_t)
@@ -217,10 +213,10 @@ def _along(line: TimedLine, vias: Floats, via_t: Floats, period: float) -> _Samp
 
 
 def jerk_free_duration(motion: Motion) -> float:
-    """Time of the same moves without a limit of jerk [s]: what any motion along the path needs at least.
+    """Return the time of the same moves without a jerk limit [s]: a lower bound for any motion along the path.
 
-    The path has corners at its via points, so driving it exactly means to stop at each; between two stops a trapezoid
-    of speed is time-optimal. A sweep has a speed of its own, and keeps its time.
+    The path has corners at its via points, so a motion that keeps to it stops at each; between two stops a trapezoid
+    of speed is time-optimal. A sweep has its own speed and keeps its time.
     """
     moves = move_time(motion.via_q[:-1], motion.via_q[1:], without_jerk_limit(motion.limits))
     return float(np.where(motion.line[1:] >= 0, np.diff(motion.via_t), moves).sum())

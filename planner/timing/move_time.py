@@ -1,10 +1,10 @@
-"""Time of synchronised straight joint moves, rest to rest.
+"""Duration of synchronised straight joint moves, rest to rest.
 
 A move from `q_from` to `q_to` is `q(s) = q_from + s (q_to - q_from)`, s from 0 to 1: all axes start and stop together
-and the path is the straight joint segment that was checked for collision. An axis' limit on speed, acceleration or jerk
-divided by its `|dq|` limits s; the smallest over the axes holds, and `planner.timing.s_curve` gives the fastest profile
-of s under the three. All limits are taken `MARGIN` smaller than given, so that rounding never lifts a sample, or a
-finite difference of samples, above a limit.
+and the path is the straight joint segment that is checked for collision. The limits of an axis on speed, acceleration
+and jerk divided by its `|dq|` limit s; the smallest over the axes applies, and `planner.timing.s_curve` gives the
+fastest profile of s. All limits are reduced by `MARGIN`, so that rounding never lifts a sample, or a finite difference
+of samples, above a limit.
 """
 
 import math
@@ -20,33 +20,30 @@ from planner.timing.s_curve import Profile, fastest_profile
 from planner.values import Floats
 
 MARGIN = 1e-8
-"""Relative distance kept from the limits; at samples 1 ms apart it is a hundred times the rounding of a second
-difference."""
+"""Relative reduction of the limits; at samples 1 ms apart a hundred times the rounding of a second difference."""
 
 RESOLUTION = 1e-13
-"""A joint difference [rad] up to which two angles are equal: their rounding, a millionth of what any controller
-resolves."""
+"""Largest difference [rad] of equal joint angles: rounding, a millionth of the resolution of any controller."""
 
-_BLOCK = 4096  # moves that are timed at once: their temporaries stay in the core's cache
-_EQUAL_RATIO = 1e-12  # relative differences up to which limits of the axes are in one ratio
+_BLOCK = 4096  # moves timed at once: their temporaries stay in the core's cache
+_EQUAL_RATIO = 1e-12  # largest relative difference of equal ratios between limits
 
 
 def move_time(q_from: ArrayLike, q_to: ArrayLike, limits: JointLimits) -> Floats:
-    """Shortest time of the synchronised straight move, rest to rest, over broadcast arrays.
+    """Return the shortest durations [s] of synchronised straight moves, rest to rest; 0 if both ends are equal.
+
+    With an indexed table (`limits.table_turn_q`) it is the sum of the times of arm and table: no path that moves them
+    one after the other is faster.
 
     Args:
         q_from: (..., axes) joint angles [rad].
         q_to: (..., axes) joint angles [rad]; broadcast against `q_from`, so `(n, 1, axes)` and `(m, axes)` give a cost
             matrix.
         limits: limits of velocity, acceleration and jerk.
-
-    Returns:
-        (...) time [s]; 0 where both ends are equal. Of arm and table one after the other where `limits.q_table_turn`
-        says so: no way that keeps to it is faster.
     """
     a, b = np.asarray(q_from, dtype=float), np.asarray(q_to, dtype=float)
     if limits.table_turn_q is not None:
-        arm, table = _apart(limits)
+        arm, table = _split_limits(limits)
         return move_time(a[..., :ARM_AXES], b[..., :ARM_AXES], arm) + move_time(
             a[..., ARM_AXES:], b[..., ARM_AXES:], table
         )
@@ -57,25 +54,18 @@ def move_time(q_from: ArrayLike, q_to: ArrayLike, limits: JointLimits) -> Floats
 
 
 @lru_cache(maxsize=64)
-def _apart(limits: JointLimits) -> tuple[JointLimits, JointLimits]:
-    """Limits of the arm's axes, and of those behind them."""
-    arm, behind = (
-        JointLimits(limits.lower[axes], limits.upper[axes], limits.velocity[axes], limits.acceleration[axes],
-                    limits.jerk[axes])
-        for axes in (slice(ARM_AXES), slice(ARM_AXES, None))
-    )  # fmt: skip
-    return arm, behind
+def _split_limits(limits: JointLimits) -> tuple[JointLimits, JointLimits]:
+    """Return the limits of the arm's axes and those of the external ones."""
+    each = (limits.lower, limits.upper, limits.velocity, limits.acceleration, limits.jerk)
+    return JointLimits(*(limit[:ARM_AXES] for limit in each)), JointLimits(*(limit[ARM_AXES:] for limit in each))
 
 
 @lru_cache(maxsize=64)
 def _inverse(limits: JointLimits) -> tuple[Floats, tuple[float, float]]:
-    """Inverse limits of speed, acceleration and jerk, and what makes the first the others, for limits that can be used.
+    """Return (3, axes) inverse limits with `MARGIN`, and the ratios of acceleration and jerk to speed.
 
-    Where the limits of all axes are in one ratio (each acceleration reached in the same time, say), the axis that
-    limits the speed limits acceleration and jerk as well, and two of the three maxima over the axes can be left out.
-
-    Returns:
-        (3, axes) 1 / limit, `MARGIN` added, and the ratios of acceleration and jerk to speed; NaN where axes differ.
+    If all axes have the same ratio (such as an acceleration reached in the same time), the axis that limits the speed
+    also limits acceleration and jerk, and two of the three maxima over the axes are not needed. Else the ratio is NaN.
     """
     require_usable(limits)
     inverse = (1.0 + MARGIN) / np.stack([limits.velocity, limits.acceleration, limits.jerk])
@@ -86,7 +76,7 @@ def _inverse(limits: JointLimits) -> tuple[Floats, tuple[float, float]]:
 
 
 def move_profiles(q_from: Floats, q_to: Floats, limits: JointLimits) -> Iterator[tuple[tuple[slice, ...], Profile]]:
-    """Profiles of all moves, in blocks along the first axis of the broadcast shape."""
+    """Yield the profiles of all moves in blocks along the first axis of the broadcast shape."""
     inverse, ratios = _inverse(limits)
     shape = np.broadcast_shapes(q_from.shape, q_to.shape)[:-1]
     if 0 in shape:

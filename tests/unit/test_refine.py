@@ -41,16 +41,16 @@ def case():
     return features, scanner, caster, views
 
 
-def _arm(scanner, caster, takes_up=lambda T: np.ones(len(T), dtype=bool)):
-    return ViewEvaluator(scanner, (caster,), takes_up, np.eye(4)[None])
+def _arm(scanner, caster, are_reachable=lambda T: np.ones(len(T), dtype=bool)):
+    return ViewEvaluator(scanner, (caster,), are_reachable, np.eye(4)[None])
 
 
-def _fewer(case, *, takes_up=lambda T: np.ones(len(T), dtype=bool), short=lambda views: 0.0, work=20_000):
+def _fewer(case, *, are_reachable=lambda T: np.ones(len(T), dtype=bool), short=lambda views: 0.0, work=20_000):
     features, scanner, caster, views = case
     areas = features.areas / features.areas.sum()
     goal = float(areas[views.measured.any(axis=1)].sum())
     targets = RayTargets.of(features.points, features.normals)
-    arm = _arm(scanner, caster, takes_up)
+    arm = _arm(scanner, caster, are_reachable)
     return goal, reduce_views(views, targets, areas, lambda view: arm, goal=goal, short=short, work=work)
 
 
@@ -93,9 +93,9 @@ def test_views_that_fall_short_elsewhere_are_not_taken(case):
         np.testing.assert_array_equal(after.T_object_scanner, views.T_object_scanner)
 
 
-def _better(case, wanted, takes_up=lambda T: np.ones(len(T), dtype=bool), which=slice(None)):
+def _better(case, wanted, are_reachable=lambda T: np.ones(len(T), dtype=bool), which=slice(None)):
     features, scanner, caster, views = case
-    targets, arm = RayTargets.of(features.points, features.normals), _arm(scanner, caster, takes_up)
+    targets, arm = RayTargets.of(features.points, features.normals), _arm(scanner, caster, are_reachable)
     return improve_views(views.T_object_scanner[which], views.distance[which], targets, wanted, arm)
 
 

@@ -249,7 +249,7 @@ def test_other_covers_are_compared_by_the_seconds_of_their_own_tour(monkeypatch:
     tour = SimpleNamespace(views=np.array([1]), stops=None, visited=None, duration=1.0)
     first = SimpleNamespace(**{**vars(tour), "views": np.array([0]), "duration": 5.0})
     monkeypatch.setattr(view_exchange, "select", lambda *_, **__: views)
-    monkeypatch.setattr(view_exchange, "moves_in", lambda *_: np.zeros(3))
+    monkeypatch.setattr(view_exchange, "insertion_times", lambda *_: np.zeros(3))
     monkeypatch.setattr(view_exchange, "_exchanged", lambda *_: (tour, (np.array([1]),)))
     timed = SimpleNamespace(**{**vars(tour), "duration": 9.0})
     monkeypatch.setattr(view_exchange, "_timed", lambda *_: (timed, (np.array([1]),)))
