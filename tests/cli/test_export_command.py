@@ -217,7 +217,7 @@ def test_runs_that_cannot_be_exported(
     (damaged / "motion.npz").write_bytes(b"PK")
     done = run_cell("export", str(damaged), cwd=tmp_path)
     assert done.returncode == 6
-    assert "is not what the run wrote" in done.stderr
+    assert "is not the file that the run wrote" in done.stderr
 
     still = tmp_path / "still"
     shutil.copytree(planned, still)
