@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.checks import independently_measured
-from cell.diff.difference import Difference
+from cell.report.diff import Difference
 from cell.runs import ply
 from cell.runs.run import Run, open_finished
 from cell.world.prediction import held_out

@@ -29,9 +29,9 @@ from benchmarks.edit_judge import EditJudge
 from benchmarks.parts import parts, place
 from benchmarks.random_edits import random_edit
 from cell.api import open_run, plan, scan
-from cell.diff.compare import compare
 from cell.errors import CellError
 from cell.plan.picture_process import Drawing
+from cell.report.diff import compare_runs
 from cell.session import LoggedProgress
 from cell.view.contents import HALF_PAGE
 
@@ -95,11 +95,11 @@ def _judged(home: Path, judge: EditJudge, number: int, count: int) -> dict[str, 
         if number < min(_EXECUTIONS, count // 8):
             sides.append((_execution(before.folder), _execution(out)))
         for a, b in sides:
-            found = compare(a, b, LoggedProgress())
+            found = compare_runs(a, b, LoggedProgress())
             wrong, samples = recounted(found)
             findings += [f"diff: {each}" for each in wrong]
             findings += [
-                f"{each} differs from itself" for each in (a, b) if not compare(each, each, LoggedProgress()).empty
+                f"{each} differs from itself" for each in (a, b) if not compare_runs(each, each, LoggedProgress()).empty
             ]
         pairs = len(sides)
     shutil.rmtree(home / "last", ignore_errors=True)

@@ -9,7 +9,7 @@ from cell.commands.options import AsJson, RunFolder, RunToMake, from_fields, pri
 from cell.edit.options import Edit
 
 if TYPE_CHECKING:
-    from cell.diff.difference import Difference
+    from cell.report.diff import Difference
 
 EPILOG = (
     "Examples:\n\n"
@@ -35,13 +35,13 @@ def edit(
     """Change a plan by hand: drop, move, turn, add or reorder views. The result is a new run with its own checks."""
     from cell import api
     from cell.commands.terminal import Terminal
-    from cell.diff.compare import compare
     from cell.plan.report import table
+    from cell.report.diff import compare_runs
 
     terminal = Terminal(quiet_stdout=as_json)
     planned = api.open_run(run)
     made = planned.edited(wanted, out=out, progress=terminal, argv=sys.argv[1:])
-    against = compare(run, made.folder, terminal)
+    against = compare_runs(run, made.folder, terminal)
     if as_json:
         found = made.as_json() | {"against": against.as_json()}
         print_json(found)

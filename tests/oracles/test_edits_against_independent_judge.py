@@ -10,9 +10,9 @@ from benchmarks.diff_recount import recounted
 from benchmarks.edit_judge import EditJudge
 from benchmarks.random_edits import RandomEdit, random_edit
 from cell.api import open_run
-from cell.diff.compare import compare
 from cell.edit.editable import EditableRun
 from cell.errors import CellError, UnreachableError, UsageError
+from cell.report.diff import compare_runs
 from cell.session import LoggedProgress
 
 
@@ -48,7 +48,7 @@ def test_random_edits(seed: int, run: EditableRun, judge: EditJudge, tmp_path: P
         return
     assert not asked.wrong
     assert judge.accepted(run, asked, made) == []
-    found, _ = recounted(compare(run.folder, made.folder, LoggedProgress()))
+    found, _ = recounted(compare_runs(run.folder, made.folder, LoggedProgress()))
     assert found == []
 
 

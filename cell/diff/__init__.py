@@ -1,1 +1,0 @@
-"""What differs between two plans, or between two executions."""
