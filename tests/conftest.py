@@ -206,7 +206,7 @@ _PICTURES = (
 )  # fmt: skip
 _PAGES = (
     "cell.view.contents.execution_page", "cell.view.contents.why_page", "cell.view.explore_page.explore_page",
-    "cell.report.diff.page",
+    "cell.report.diff.difference_page",
 )  # fmt: skip
 _CANVASES = ("cell.scan.post_processing.canvas_of", "cell.why.explain.canvas_of")
 

@@ -57,7 +57,7 @@ def edit(
 
 def sentence(found: "Difference") -> str:
     """What the second plan gains or costs, in a line."""
-    if found.empty:
+    if found.is_empty:
         return "nothing differs"
     of = {number.name: (number.a, number.b) for number in found.numbers}
     said = []

@@ -41,6 +41,124 @@ MOSTLY = 0.5
 _NO_MATCH = 1e6  # cost of a forbidden pair; above the number of views
 
 
+def format_value(value: object) -> str:
+    """Return a value as text; a matrix only by a note."""
+    match value:
+        case None:
+            return "-"
+        case float():
+            return f"{value:.6g}"
+        case [[*_], *_]:
+            return "(transform)"
+        case list():
+            return ", ".join(format_value(each) for each in value)
+        case _:
+            return str(value)
+
+
+class SettingDifference(JsonTable):
+    """A key with different values in two runs; null if it is missing in one."""
+
+    key: str = Field(description="key of scene.resolved.json, or of the settings of an execution's report.json")
+    a: JsonValue
+    b: JsonValue
+
+
+class MovedView(JsonTable):
+    """A view of B that measures most of the surface of a view of A from another pose."""
+
+    a: int = Field(description="number in A's visiting order, from 1")
+    b: int = Field(description="number in B's visiting order, from 1")
+    distance_mm: float = Field(description="distance of the scanner positions, object frame")
+    angle_deg: float = Field(description="angle between the orientations")
+    shared: float = Field(description="area measured by both / area measured by either")
+
+
+class ViewDifference(JsonTable):
+    """Views by their numbers in visiting order, from 1."""
+
+    kept: tuple[tuple[int, int], ...] = Field(description="views at the same pose: (number in A, number in B)")
+    moved: tuple[MovedView, ...] = Field(description="moved views")
+    lost: tuple[int, ...] = Field(description="views only in A")
+    new: tuple[int, ...] = Field(description="views only in B")
+
+
+class SurfaceDifference(JsonTable):
+    """Area measured by A and B on the same samples: visible for plans, sampled for executions."""
+
+    samples: int = Field(description="number of held-out samples of A")
+    area_mm2: float = Field(description="area of the surface")
+    a_mm2: float = Field(description="measured by A")
+    b_mm2: float = Field(description="measured by B")
+    gained_mm2: float = Field(description="measured by B only")
+    lost_mm2: float = Field(description="measured by A only")
+
+
+class FigureDifference(JsonTable):
+    """A figure of both reports; null if it is missing in one."""
+
+    name: str = Field(description="name with unit")
+    a: float | None
+    b: float | None
+
+
+class Difference(JsonTable):
+    """The object that `cell diff --json` prints."""
+
+    a: str = Field(description="its folder")
+    b: str = Field(description="its folder")
+    kind: str = Field(description="kind of both: 'plan' or 'execution'")
+    settings: tuple[SettingDifference, ...] = Field(description="differences")
+    views: ViewDifference
+    surface: SurfaceDifference | None = optional("absent if the parts are different meshes")
+    numbers: tuple[FigureDifference, ...] = Field(description="differences")
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing differs."""
+        views, surface = self.views, self.surface
+        other = bool(self.settings or self.numbers or views.moved or views.lost or views.new)
+        renumbered = any(a != b for a, b in views.kept)
+        same_surface = surface is not None and surface.gained_mm2 == surface.lost_mm2 == 0.0
+        return same_surface and not other and not renumbered
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Side(Value):
+    """One of the two compared runs.
+
+    Attributes:
+        folder: folder of the plan or of the execution.
+        run: the plan, or the plan of the execution.
+        execution: None for a plan.
+        number: (n,) numbers of the views, from 1 in visiting order.
+        poses: (n, K, 4, 4) T_object_scanner.
+    """
+
+    folder: Path
+    run: Run
+    execution: Execution | None
+    number: Annotated[Ints, "n"]
+    poses: Annotated[Floats, "n _ 4 4"]
+
+
+def read_side(folder: Path) -> Side:
+    """Read the folder of a plan or of an execution."""
+    if folder.parent.name != EXECUTIONS:
+        run = open_finished(folder)
+        poses = np.stack([view.T_object_poses for view in run.plan.views])
+        return Side(folder, run, None, np.arange(1, len(poses) + 1), poses)
+    run = open_finished(folder.parent.parent)
+    recorded = read_execution(run, folder.name)
+    if not recorded.scans:
+        raise FileError(f"{folder} has no readable scan; give another execution")
+    number = np.array([scan.stop for scan in recorded.scans])
+    with reading(folder / "scans"):
+        poses = np.stack([scan.T_reported_poses for scan in recorded.scans])
+    order = np.argsort(number)
+    return Side(folder, run, Execution.open(folder), number[order], poses[order])
+
+
 def compare_runs(a: Path, b: Path, reporter: ProgressReporter, out: Path | None = None) -> Difference:
     """Compare two run folders, or two folders of executions (RUN/executions/0001).
 
@@ -208,124 +326,6 @@ def _figures(side: Side) -> dict[str, float | None]:
         "deviation rms mm": None if done.deviation is None else done.deviation.rms_mm,
         "motion s": done.motion.executed_s,
     }
-
-
-def format_value(value: object) -> str:
-    """Return a value as text; a matrix only by a note."""
-    match value:
-        case None:
-            return "-"
-        case float():
-            return f"{value:.6g}"
-        case [[*_], *_]:
-            return "(transform)"
-        case list():
-            return ", ".join(format_value(each) for each in value)
-        case _:
-            return str(value)
-
-
-class SettingDifference(JsonTable):
-    """A key with different values in two runs; null if it is missing in one."""
-
-    key: str = Field(description="key of scene.resolved.json, or of the settings of an execution's report.json")
-    a: JsonValue
-    b: JsonValue
-
-
-class MovedView(JsonTable):
-    """A view of B that measures most of the surface of a view of A from another pose."""
-
-    a: int = Field(description="number in A's visiting order, from 1")
-    b: int = Field(description="number in B's visiting order, from 1")
-    distance_mm: float = Field(description="distance of the scanner positions, object frame")
-    angle_deg: float = Field(description="angle between the orientations")
-    shared: float = Field(description="area measured by both / area measured by either")
-
-
-class ViewDifference(JsonTable):
-    """Views by their numbers in visiting order, from 1."""
-
-    kept: tuple[tuple[int, int], ...] = Field(description="views at the same pose: (number in A, number in B)")
-    moved: tuple[MovedView, ...] = Field(description="moved views")
-    lost: tuple[int, ...] = Field(description="views only in A")
-    new: tuple[int, ...] = Field(description="views only in B")
-
-
-class SurfaceDifference(JsonTable):
-    """Area measured by A and B on the same samples: visible for plans, sampled for executions."""
-
-    samples: int = Field(description="number of held-out samples of A")
-    area_mm2: float = Field(description="area of the surface")
-    a_mm2: float = Field(description="measured by A")
-    b_mm2: float = Field(description="measured by B")
-    gained_mm2: float = Field(description="measured by B only")
-    lost_mm2: float = Field(description="measured by A only")
-
-
-class FigureDifference(JsonTable):
-    """A figure of both reports; null if it is missing in one."""
-
-    name: str = Field(description="name with unit")
-    a: float | None
-    b: float | None
-
-
-class Difference(JsonTable):
-    """The object that `cell diff --json` prints."""
-
-    a: str = Field(description="its folder")
-    b: str = Field(description="its folder")
-    kind: str = Field(description="kind of both: 'plan' or 'execution'")
-    settings: tuple[SettingDifference, ...] = Field(description="differences")
-    views: ViewDifference
-    surface: SurfaceDifference | None = optional("absent if the parts are different meshes")
-    numbers: tuple[FigureDifference, ...] = Field(description="differences")
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing differs."""
-        views, surface = self.views, self.surface
-        other = bool(self.settings or self.numbers or views.moved or views.lost or views.new)
-        renumbered = any(a != b for a, b in views.kept)
-        same_surface = surface is not None and surface.gained_mm2 == surface.lost_mm2 == 0.0
-        return same_surface and not other and not renumbered
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Side(Value):
-    """One of the two compared runs.
-
-    Attributes:
-        folder: folder of the plan or of the execution.
-        run: the plan, or the plan of the execution.
-        execution: None for a plan.
-        number: (n,) numbers of the views, from 1 in visiting order.
-        poses: (n, K, 4, 4) T_object_scanner.
-    """
-
-    folder: Path
-    run: Run
-    execution: Execution | None
-    number: Annotated[Ints, "n"]
-    poses: Annotated[Floats, "n _ 4 4"]
-
-
-def read_side(folder: Path) -> Side:
-    """Read the folder of a plan or of an execution."""
-    if folder.parent.name != EXECUTIONS:
-        run = open_finished(folder)
-        poses = np.stack([view.T_object_poses for view in run.plan.views])
-        return Side(folder, run, None, np.arange(1, len(poses) + 1), poses)
-    run = open_finished(folder.parent.parent)
-    recorded = read_execution(run, folder.name)
-    if not recorded.scans:
-        raise FileError(f"{folder} has no readable scan; give another execution")
-    number = np.array([scan.stop for scan in recorded.scans])
-    with reading(folder / "scans"):
-        poses = np.stack([scan.T_reported_poses for scan in recorded.scans])
-    order = np.argsort(number)
-    return Side(folder, run, Execution.open(folder), number[order], poses[order])
 
 
 _NAMES = (("measured by both", MEASURED), ("by neither", GREY), ("lost: by A only", VERMILION),
