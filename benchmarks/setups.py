@@ -22,11 +22,10 @@ from cell import api
 from cell.errors import CellError
 from cell.runs.cell import read_cell
 from cell.setups import plan_setups, search
-from cell.setups.fewest import Rows, fewest_setups
-from cell.setups.joint import JointCover, joint_cover
 from cell.world.prediction import held_out
 from planner import cover
 from planner.cover import CoverProblem
+from planner.cover.grouped import GroupedCover, GroupLoads, fewest_groups, solve_grouped
 from planner.geometry.sampling import pick_samples
 from planner.values import Floats
 from planner.viewpoints.attainable import N_PROBED_SAMPLES, probe_attainable
@@ -43,7 +42,7 @@ def run() -> list[dict[str, Any]]:
 
 def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     wishes: dict[str, object] = {"place": place()} | ({"units": words[2]} if len(words) > 1 else {})
-    asked: list[tuple[CoverProblem, JointCover]] = []
+    asked: list[tuple[CoverProblem, GroupedCover]] = []
     searches: list[search.Search] = []
 
     class Kept(search.Search):
@@ -51,19 +50,19 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
             super().__init__(*known)
             searches.append(self)
 
-    def told(wish: CoverProblem, targets: Floats, *rest: Any, **options: Any) -> JointCover:
-        found = joint_cover(wish, targets, *rest, **options)
+    def told(wish: CoverProblem, targets: Floats, *rest: Any, **options: Any) -> GroupedCover:
+        found = solve_grouped(wish, targets, *rest, **options)
         asked.append((wish, found))
         return found
 
     start = time.process_time()
-    search.joint_cover, plan_setups.Search = told, Kept  # type: ignore[misc]
+    search.solve_grouped, plan_setups.Search = told, Kept  # type: ignore[misc]
     try:
         made = api.plan_setups(words[0], out=folder / name, **wishes)
     except CellError as error:
         return {"part": name, "said": str(error)[:100]}
     finally:
-        search.joint_cover, plan_setups.Search = joint_cover, search.Search  # type: ignore[misc]
+        search.solve_grouped, plan_setups.Search = solve_grouped, search.Search  # type: ignore[misc]
     seconds, file = time.process_time() - start, made.file
     wish, joint = asked[-1]
     poses = [setup.measured.candidates.T_object_scanner[:, 0] for setup in searches[0].setups.values()]
@@ -74,9 +73,9 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
         "part": name,
         "offered": len(file.offered),
         "set-ups": len(file.chosen),
-        "bound": file.setups_bound,
+        "bound": file.group_bound,
         "views": file.views,
-        "views bound": file.views_bound,
+        "views bound": file.view_bound,
         "one cover": f"{len(joint.views)} / {joint.n_views}",
         "one after the other": f"{setups} / {views}",
         "views first": f"{first_setups} / {first_views}",
@@ -88,13 +87,13 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     }
 
 
-def _after_another(wish: CoverProblem, joint: JointCover) -> tuple[int, int]:
+def _after_another(wish: CoverProblem, joint: GroupedCover) -> tuple[int, int]:
     """Set-ups and views where each set-up in turn is the one that adds most, covered by itself."""
-    rows, group, areas = Rows(wish, joint.targets), np.asarray(wish.group), np.asarray(wish.areas)
-    left, setups, views = rows.need > 0, 0, 0
+    rows, group, areas = GroupLoads(wish, joint.targets), np.asarray(wish.group), np.asarray(wish.areas)
+    left, setups, views = rows.demand > 0, 0, 0
     missing = float(areas[left].sum() - rows.wanted[0])  # area that may stay open
     while float(areas[left].sum()) > missing * (1 + 1e-9) and left.any():
-        adds = (rows.brought > 0) @ (areas * left)
+        adds = (rows.loads > 0) @ (areas * left)
         best = int(np.argmax(adds))
         columns = np.flatnonzero((group == best) & np.asarray(wish.allowed))
         part = wish.matrix[:, columns][left]
@@ -105,16 +104,16 @@ def _after_another(wish: CoverProblem, joint: JointCover) -> tuple[int, int]:
     return setups, views
 
 
-def _views_first(wish: CoverProblem, joint: JointCover, poses: Floats) -> tuple[int, int]:
+def _views_first(wish: CoverProblem, joint: GroupedCover, poses: Floats) -> tuple[int, int]:
     """Set-ups and views where the (V, 4, 4) poses are chosen first, of all that some set-up reaches."""
     _, pose = np.unique(poses.reshape(-1, 16).round(9), axis=0, return_inverse=True)
     some = np.flatnonzero(np.asarray(wish.allowed))
     alone = CoverProblem(wish.matrix[:, some], wish.areas, coverage=float(joint.targets[0]))
     views = some[cover.solve(alone, rng=np.random.default_rng(0)).views]
     again = np.asarray(wish.allowed) & np.isin(pose, pose[views])
-    rows = Rows(replace(wish, allowed=again), joint.targets)
-    rows.wanted = joint.rows.wanted
-    return fewest_setups(rows, (), None)[0], len(views)
+    rows = GroupLoads(replace(wish, allowed=again), joint.targets)
+    rows.wanted = joint.loads.wanted
+    return fewest_groups(rows, (), None)[0], len(views)
 
 
 def _ceiling(folder: Path) -> tuple[float, float]:

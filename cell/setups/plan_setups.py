@@ -31,7 +31,6 @@ from cell.runs.schema import (
 )
 from cell.scene.model import Scene, complete
 from cell.session import Session, Stream
-from cell.setups.joint import JointCover
 from cell.setups.left_open import left_open
 from cell.setups.measured import Setup, compiled_world, measured_setup
 from cell.setups.offered import Offer, given, proposed, with_table_kept
@@ -44,6 +43,7 @@ from cell.words import percent
 from cell.world.embree import EmbreeRayCaster
 from cell.world.measurability import PartSurface, surface_features
 from cell.world.model import World
+from planner.cover.grouped import GroupedCover
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
@@ -204,7 +204,7 @@ def _write(surface: PartSurface, problem: Problem, chosen: ConnectedPlan, sessio
 
 
 def _file(
-    session: PlanSession, job: Job, asked: Asked, setups: Mapping[int, Setup], found: JointCover, offers: list[Offer],
+    session: PlanSession, job: Job, asked: Asked, setups: Mapping[int, Setup], found: GroupedCover, offers: list[Offer],
     tried: list[Setup | str], used: list[tuple[int, Bools]],
 ) -> SetupsFile:  # fmt: skip
     """What setups.json says."""
@@ -233,9 +233,9 @@ def _file(
         seed=session.seed,
         coverage=coverage,
         status=status(found, len(offers), asked.request.asked),
-        setups_bound=found.setups_bound,
+        setups_bound=found.group_bound,
         views=sum(each.views for each in chosen),
-        views_bound=found.views_bound,
+        views_bound=found.view_bound,
         seconds=None if found.price is None else found.price[0],
         seconds_bound=None if found.price is None else found.price[1],
         kept=None if asked.once else found.share,

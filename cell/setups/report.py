@@ -6,8 +6,8 @@ import numpy as np
 
 from cell.plan.request_report import coverage_over_views
 from cell.runs.schema import PlannedOpen, SetupsFile, SharedSurface
-from cell.setups.joint import JointCover
 from cell.words import listed, percent
+from planner.cover.grouped import GroupedCover
 from planner.values import Floats
 
 _WHY = {
@@ -19,7 +19,7 @@ _WHY = {
 }
 
 
-def status(found: JointCover, offered: int, asked: Floats) -> str:
+def status(found: GroupedCover, offered: int, asked: Floats) -> str:
     """What is proven of both numbers, for these candidates and samples.
 
     Args:
@@ -27,13 +27,13 @@ def status(found: JointCover, offered: int, asked: Floats) -> str:
         offered: set-ups that were looked at.
         asked: (P,) share of what can be measured of each part of the samples that was asked for.
     """
-    setups, setups_bound, views, views_bound = len(found.views), found.setups_bound, found.n_views, found.views_bound
+    setups, setups_bound, views, views_bound = len(found.views), found.group_bound, found.n_views, found.view_bound
     fewest = (
         f"proven fewest of the {offered} set-ups offered"
         if setups <= setups_bound
         else f"{setups} set-ups, not fewer than {setups_bound} of the {offered} offered"
     )
-    if not found.enough:
+    if not found.is_feasible:
         fewest = f"{setups} of the {offered} set-ups offered, too few for what was asked"
     if found.upper_area is not None:
         points = 100 * (found.upper_area - found.covered_area) / max(found.upper_area, 1e-300)
@@ -42,7 +42,7 @@ def status(found: JointCover, offered: int, asked: Floats) -> str:
         return f"{fewest}; so many views measure at most {max(points, 0.01):.2f} % more in so many"
     if found.price is not None:
         paid, least = found.price
-        in_all = "with what set-ups cost" if found.priced_setups else "in so many"
+        in_all = "with what set-ups cost" if found.has_group_costs else "in so many"
         return f"{fewest}; costs at most {100 * (paid - least) / least:.3g} % more than the cheapest views {in_all}"
     raised = not np.array_equal(found.targets, asked)
     at = f", at {listed(np.round(100 * found.targets, 2))} % of the samples for what was asked" if raised else ""
@@ -57,7 +57,7 @@ def rows(file: SetupsFile) -> list[tuple[str, str]]:
     coverage = file.coverage
     found = [
         ("set-ups", f"{len(file.chosen)}  ({file.status})"),
-        ("views", f"{file.views} in all, not fewer than {file.views_bound}"),
+        ("views", f"{file.views} in all, not fewer than {file.view_bound}"),
         (
             "visible coverage",
             f"{percent(coverage.visible)} of the surface, {percent(coverage.visible_of_coverable)} of what the "

@@ -21,7 +21,6 @@ from cell.plan.steps import PlanSession
 from cell.plan.view_plan import choose_and_connect, first_choice
 from cell.runs.schema import Curve
 from cell.session import Stream
-from cell.setups.joint import JointCover, joint_cover, views_first
 from cell.setups.measured import Setup
 from cell.setups.moved import movable, with_fewer
 from cell.setups.options import named
@@ -30,6 +29,7 @@ from cell.setups.wishes import Asked
 from cell.world.measurability import PartSurface
 from planner.cover import CoverProblem, CoverStatus
 from planner.cover.curve import coverage_curve
+from planner.cover.grouped import GroupedCover, fewest_views, solve_grouped
 from planner.cover.overlap import OverlapGraph
 from planner.geometry.sampling import draw_samples, pick_samples
 from planner.measurability.matrix import append_rows
@@ -66,7 +66,7 @@ class Search:
         self._fresh = session.rng(Stream.FRESH_SAMPLES)
         self._chooses = session.rng(Stream.SELECTION)
 
-    def result(self) -> tuple[JointCover, Connected]:
+    def result(self) -> tuple[GroupedCover, Connected]:
         """The cover, and the plan of each set-up that it uses; the last one tried where none keeps the coverage.
 
         Covers are tried by short searches; bounds, and perhaps fewer views, are from the last one on.
@@ -89,7 +89,7 @@ class Search:
             raise UnreachableError("no cover could be connected; move the part, or allow other set-ups with --offer")
         return self._held_together(*self._thorough(*last))
 
-    def _thorough(self, found: JointCover, connected: Connected) -> tuple[JointCover, Connected]:
+    def _thorough(self, found: GroupedCover, connected: Connected) -> tuple[GroupedCover, Connected]:
         """A cover with its bound, by all work that there is; of fewer views where some keep the coverage.
 
         Fewer that miss it are searched for again, with more samples or a higher target.
@@ -98,23 +98,23 @@ class Search:
         bounded, others, before = None, [moved] if moved else [], (self._M.copy(), self._targets)
         for _ in range(_AGAIN):
             thorough = self._cover(brief=False, start=(moved or found).views)
-            for better in sorted((thorough, *others), key=lambda one: one.size):
-                keeps = better.size < found.size and (self._lacks(better, self._chosen(better)) <= 0).all()
+            for better in sorted((thorough, *others), key=lambda one: one.objective):
+                keeps = better.objective < found.objective and (self._lacks(better, self._chosen(better)) <= 0).all()
                 plans = self._connected(better) if keeps else None
                 if plans is not None and (self._lacks(better, _driven(plans)) <= 0).all():
-                    return better.bounded(thorough), plans  # which knows all set-ups, and moved views too
-            bounded, others = bounded or found.bounded(thorough), []  # later ones are asked for more
-            if thorough.size >= found.size or not self._asks_more(thorough, self._chosen(thorough)):
+                    return better.with_bounds_of(thorough), plans  # which knows all set-ups, and moved views too
+            bounded, others = bounded or found.with_bounds_of(thorough), []  # later ones are asked for more
+            if thorough.objective >= found.objective or not self._asks_more(thorough, self._chosen(thorough)):
                 break
         self._M, self._targets = before  # as they were asked for
         return bounded or found, connected
 
-    def views_first(self, found: JointCover) -> tuple[int, int] | None:
+    def views_first(self, found: GroupedCover) -> tuple[int, int] | None:
         """Set-ups and views where fewest views come first and no motion is planned; None but for fewer in more set-ups.
 
         In as many, the views that hold scans together may alone make the difference.
         """
-        told = views_first(self._asked.problem(self._M, self._usable), found.targets, self._chooses)
+        told = fewest_views(self._asked.problem(self._M, self._usable), found.targets, self._chooses)
         return told if told is not None and told[0] > len(found.views) and told[1] < found.n_views else None
 
     def curve(self, connected: Connected) -> Curve:
@@ -147,21 +147,21 @@ class Search:
         """The set-ups with what has become a candidate since."""
         return self._setups
 
-    def _cover(self, *, brief: bool, start: Mapping[int, Ints] | None = None) -> JointCover:
+    def _cover(self, *, brief: bool, start: Mapping[int, Ints] | None = None) -> GroupedCover:
         own, plan = self._asked.own, self._asked.request.plan
-        return joint_cover(
-            self._asked.problem(self._M, self._usable), self._targets, self._chooses, most=own.most,
-            setup_cost=own.setup_s, solver=plan.solver, brief=brief, start=start,
+        return solve_grouped(
+            self._asked.problem(self._M, self._usable), self._targets, self._chooses, max_groups=own.most,
+            group_cost=own.setup_s, solver=plan.solver, fast=brief, start=start,
         )  # fmt: skip
 
-    def _moved(self, found: JointCover) -> JointCover | None:
+    def _moved(self, found: GroupedCover) -> GroupedCover | None:
         """The cover by fewer views, of which some were moved and are candidates from here on; None where none can."""
         rows = list(self._setups)
         if not (self._asked.plain and self._asked.promises and movable(self._setups)):
             return None
         chosen = {rows[index]: views for index, views in found.views.items()}
         self._setups, self._M, views = with_fewer(
-            self._session, self._surface, self._setups, self._M, chosen, float(found.rows.wanted[0])
+            self._session, self._surface, self._setups, self._M, chosen, float(found.loads.wanted[0])
         )
         if sum(map(len, views.values())) == found.n_views:
             return None
@@ -170,7 +170,7 @@ class Search:
             self._usable[row] = np.concatenate([self._usable[row], more])
         return replace(found, views={rows.index(row): columns for row, columns in views.items()})
 
-    def _held_together(self, found: JointCover, connected: Connected) -> tuple[JointCover, Connected]:
+    def _held_together(self, found: GroupedCover, connected: Connected) -> tuple[GroupedCover, Connected]:
         """With the views without which what set-ups share would leave their scans free to move against each other."""
         rows = list(self._setups)
         most, seconds = self._asked.request.plan.max_views, self._asked.seconds
@@ -192,7 +192,7 @@ class Search:
                 )
         return found, connected
 
-    def _connected(self, found: JointCover) -> Connected | None:
+    def _connected(self, found: GroupedCover) -> Connected | None:
         """The plans of a cover's set-ups; None where a view cannot be connected, or arms leave less than was asked."""
         rows = list(self._setups)
         try:
@@ -203,9 +203,9 @@ class Search:
         brought = sum(
             self._asked.brought(row, plan.matrix)[:, plan.candidate].sum(axis=1) for row, (_, plan) in plans.items()
         )
-        return plans if found.kept_by(np.asarray(brought).ravel()) else None
+        return plans if found.is_met_by(np.asarray(brought).ravel()) else None
 
-    def _chosen(self, found: JointCover) -> Poses:
+    def _chosen(self, found: GroupedCover) -> Poses:
         """The poses of a cover's views as its candidates have them."""
         rows = list(self._setups)
         return {
@@ -213,7 +213,7 @@ class Search:
             for index, views in found.views.items()
         }
 
-    def _asks_more(self, found: JointCover, poses: Poses) -> bool:
+    def _asks_more(self, found: GroupedCover, poses: Poses) -> bool:
         """Whether views miss the coverage and more could be asked: samples were added, or a target raised."""
         lacks = self._lacks(found, poses)
         if (lacks <= 0).all():
@@ -226,7 +226,7 @@ class Search:
         self._targets = np.where(lacks > 0, np.minimum(self._targets + lacks + _STEP, 1.0), self._targets)
         return True
 
-    def _lacks(self, found: JointCover, poses: Poses) -> Floats:
+    def _lacks(self, found: GroupedCover, poses: Poses) -> Floats:
         """(P,) share of what can be measured of the held-out samples by which a coverage below 1 is missed.
 
         What can be measured by all set-ups; by those that are used where so many as are allowed are too few.
@@ -235,7 +235,7 @@ class Search:
         if not self._asked.promises:
             return np.zeros(len(asked))
         seen = np.logical_or.reduce([self._setups[row].visible(T) for row, T in poses.items()])
-        used = self._setups if found.enough else poses
+        used = self._setups if found.is_feasible else poses
         can = np.logical_or.reduce([self._setups[row].coverable for row in used]) | seen
         shares = self._asked.shares(next(iter(self._setups.values())).prediction.samples, seen, can)
         return np.where(asked < 1, asked - shares, 0.0)

@@ -1,16 +1,12 @@
 """Further set-ups: what a support touches, and which scene a set-up has."""
 
-from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
-from scipy.sparse import csr_array
 
 from cell.api import open_run
 from cell.errors import SceneError, UsageError
@@ -18,18 +14,13 @@ from cell.runs.run import Run
 from cell.runs.schema import Manifest
 from cell.scene.model import Scene
 from cell.scene.options import flag
-from cell.setups import plan_setups, search
 from cell.setups.beside import scene_beside
 from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, require_one_part
-from cell.setups.fewest import Rows
-from cell.setups.joint import JointCover
 from cell.setups.offered import proposed, with_table_kept
-from cell.setups.search import Search
 from cell.why import advise
 from cell.world.model import compile_world
 from cell.world.occluders import Occluder
-from planner.cover import CoverProblem
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 
@@ -205,129 +196,3 @@ def test_the_command_for_a_further_set_up_names_those_there_are(tmp_path: Path) 
     words = advise.open_of(run, np.eye(4)).split()
     named = [Path(word).name for before, word in pairwise(words) if before == "--open-of"]
     assert named == ["1", "2", "10"]
-
-
-def _cover(views: dict[int, int], setups_bound: int) -> JointCover:
-    columns = {row: np.arange(count) for row, count in views.items()}
-    wish = CoverProblem(np.ones((1, 1)), np.ones(1), np.ones(1, dtype=bool), group=np.zeros(1, dtype=np.int64))
-    return JointCover(columns, setups_bound, 1, 1.0, Rows(wish, np.ones(1)), np.ones(1), enough=True)
-
-
-def _answering(
-    monkeypatch: pytest.MonkeyPatch,
-    *,
-    cover: Callable[[bool], JointCover],
-    lacks: Callable[[JointCover], float],
-    moved: JointCover | None = None,
-) -> None:
-    """A search whose covers, what they lack and the views that were moved are given, and all of it can be connected."""
-    for name, answer in (
-        ("__init__", lambda self: self.__dict__.update(_M={}, _targets=np.ones(1))),
-        ("_cover", lambda _, *, brief, start=None: cover(brief)),
-        ("_connected", lambda _, found: {"of": found}),
-        ("_lacks", lambda _, found, __: np.array([lacks(found)])),
-        ("_chosen", lambda _, found: found),
-        ("_moved", lambda *_: moved),
-        ("_held_together", lambda _, found, connected: (found, connected)),
-    ):
-        monkeypatch.setattr(Search, name, answer)
-    monkeypatch.setattr("cell.setups.search._driven", lambda connected: {})
-
-
-def test_fewer_set_ups_count_before_fewer_views_and_the_bound_knows_moved_views(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Once views were moved one set-up may do: it is taken though two need fewer views, and no bound is above it."""
-    first, moved, thorough = _cover({0: 3, 1: 3}, 2), _cover({0: 2, 1: 2}, 2), _cover({0: 5}, 1)
-    _answering(monkeypatch, cover=lambda brief: first if brief else thorough, lacks=lambda found: 0.0, moved=moved)
-    found, connected = Search().result()  # type: ignore[call-arg]
-    assert (list(found.views), found.n_views, found.setups_bound) == ([0], 5, 1)
-    assert connected == {"of": thorough}
-    monkeypatch.setattr(Search, "_cover", lambda _, *, brief, start=None: first if brief else _cover({0: 2, 1: 2}, 1))
-    assert Search().result()[0].setups_bound == 1  # type: ignore[call-arg]
-
-
-def test_fewer_views_that_miss_the_coverage_are_searched_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With more asked; where no fewer keep it, the bound is that of what was asked of the views that are taken."""
-    few, fewer, first = (_cover({0: count}, 1) for count in (4, 2, 5))
-    thorough = iter([replace(fewer, views_bound=2), replace(few, views_bound=3)])
-    missed = iter([True, False])
-    _answering(
-        monkeypatch,
-        cover=lambda brief: first if brief else next(thorough),
-        lacks=lambda found: 0.1 if found.n_views == 2 else 0.0,
-    )
-    monkeypatch.setattr(Search, "_asks_more", lambda _, found, __: found.n_views == 2 and next(missed))
-    found, _ = Search().result()  # type: ignore[call-arg]
-    assert (found.n_views, found.views_bound) == (4, 3)
-    thorough = iter([replace(fewer, views_bound=2), replace(first, views_bound=5)])
-    missed = iter([True])
-    found, _ = Search().result()  # type: ignore[call-arg]
-    assert (found.n_views, found.views_bound) == (5, 2)
-
-
-def test_the_curve_leaves_out_views_that_were_moved_for_plans_that_were_not_taken(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """They are candidates behind those of the plans that are there: a banned one of the second set-up stays banned."""
-    monkeypatch.setattr(Search, "__init__", lambda _: None)
-    monkeypatch.setattr("cell.setups.search.curves.write", lambda *given: written.append(given))
-    written: list[Any] = []
-    own = Search()  # type: ignore[call-arg]
-    own._asked = SimpleNamespace(own=SimpleNamespace(pins=[(2, 0)]))  # type: ignore[assignment]
-    own._run = SimpleNamespace(rng=lambda _: np.random.default_rng(0), folder=None, drawing=None)  # type: ignore[assignment]
-    own._usable = {0: np.array([True, True, True]), 2: np.array([True, False])}
-    columns = {0: np.array([[1, 0], [0, 1], [0, 0]]), 2: np.array([[0, 0], [0, 0], [1, 1]])}
-    plans: Any = {
-        row: (None, SimpleNamespace(candidate=np.zeros(1, np.int64), matrix=SimpleNamespace(
-            n_viewpoints=2, matrix=lambda row=row: csr_array(columns[row]),
-            samples=SimpleNamespace(areas=np.array([3.0, 2.0, 1.0])),
-        ))) for row in columns
-    }  # fmt: skip
-    own.curve(plans)
-    ((_, _, curve, views, covered, named),) = written
-    assert (views, covered) == (2, 4.0)
-    assert sorted(named(view) for view in curve.views[-1]) == ["0:0", "0:1", "2:0"]
-    assert curve.covered_area[-1] == pytest.approx(6.0)
-
-
-def test_a_first_set_up_that_a_table_cannot_carry_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The cell is that of the first in which the part can stand; where there is none, the last one's sentence."""
-
-    def compiled(_: object, scene: str, __: object) -> str:
-        if scene.startswith("far"):
-            raise SceneError(f"{scene} off")
-        return f"cell of {scene}"
-
-    monkeypatch.setattr(plan_setups, "compiled_world", compiled)
-    assert plan_setups._first_cell(None, ["far", "near", "nearer"], None) == ("near", "cell of near")
-    with pytest.raises(SceneError, match="farther off"):
-        plan_setups._first_cell(None, ["far", "farther"], None)
-
-
-def test_tries_are_left_for_views_that_cannot_be_connected(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However often more was asked before: the first three covers that are connected have a view without a path."""
-    connected = iter([None, None, None])
-    for name, answer in (
-        ("__init__", lambda self: self.__dict__.update(_M={}, _targets=np.ones(1))),
-        ("_cover", lambda _, *, brief, start=None: _cover({0: 3}, 1)),
-        ("_asks_more", lambda *_: True),
-        ("_chosen", lambda *_: {}),
-        ("_connected", lambda *_: next(connected, {"of": None})),
-        ("_moved", lambda *_: None),
-        ("_held_together", lambda _, found, connected: (found, connected)),
-    ):
-        monkeypatch.setattr(Search, name, answer)
-    monkeypatch.setattr("cell.setups.search._driven", lambda connected: {})
-    assert Search().result()[1] == {"of": None}  # type: ignore[call-arg]
-
-
-def test_fewer_views_are_told_where_they_take_more_set_ups_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In as many set-ups the plan has more of them only for what holds its scans together."""
-    searched = SimpleNamespace(
-        _asked=SimpleNamespace(problem=lambda *_: None), _M=None, _usable=None, _chooses=None
-    )  # fmt: skip
-    found = SimpleNamespace(views={0: np.arange(3), 4: np.arange(3)}, n_views=6, targets=None)
-    for first, told in (((2, 5), None), ((3, 5), (3, 5)), ((3, 6), None), (None, None)):
-        monkeypatch.setattr(search, "views_first", lambda *_, first=first: first)
-        assert Search.views_first(searched, found) == told
