@@ -57,7 +57,7 @@ def rows(file: SetupsFile) -> list[tuple[str, str]]:
     coverage = file.coverage
     found = [
         ("set-ups", f"{len(file.chosen)}  ({file.status})"),
-        ("views", f"{file.views} in all, not fewer than {file.view_bound}"),
+        ("views", f"{file.views} in all, not fewer than {file.views_bound}"),
         (
             "visible coverage",
             f"{percent(coverage.visible)} of the surface, {percent(coverage.visible_of_coverable)} of what the "

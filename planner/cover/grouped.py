@@ -55,11 +55,12 @@ class GroupLoads:
         """Sum the columns of `problem`; `targets` (P,) are shares of the weight that all groups can satisfy."""
         group = np.asarray(problem.group)
         member = np.asarray(problem.allowed)[:, None] & (group[:, None] == np.arange(int(group.max(initial=-1)) + 1))
-        n_rows = len(problem.areas)
         self.loads: Ints = np.asarray(problem.matrix @ member.astype(np.int64)).T
         self.demand: Ints = np.minimum(self.loads.sum(axis=0), problem.demand)
         self.weights = np.asarray(problem.areas if problem.weights is None else problem.weights, dtype=np.float64)
-        self.part: Ints = np.zeros(n_rows, np.int64) if problem.region is None else np.asarray(problem.region, np.int64)
+        self.part: Ints = (
+            np.zeros(len(self.weights), np.int64) if problem.part is None else np.asarray(problem.part, np.int64)
+        )
         self.wanted: Floats = targets * self.weight_of(self.demand > 0)
 
     @property
