@@ -59,7 +59,7 @@ class GroupLoads:
         self.demand: Ints = np.minimum(self.loads.sum(axis=0), problem.demand)
         self.weights = np.asarray(problem.areas if problem.weights is None else problem.weights, dtype=np.float64)
         self.part: Ints = (
-            np.zeros(len(self.weights), np.int64) if problem.part is None else np.asarray(problem.part, np.int64)
+            np.zeros(len(self.weights), np.int64) if problem.region is None else np.asarray(problem.region, np.int64)
         )
         self.wanted: Floats = targets * self.weight_of(self.demand > 0)
 
