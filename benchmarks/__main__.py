@@ -24,7 +24,7 @@ from cell.commands.failures import guarded
 STUDIES = {
     "speed": "seconds against error of planning faces, samples on each, and rays of a scan",
     "stability": "success and error of each method over the number that breaks it, and what the program says there",
-    "cover": "view selection at equal processor time beside HiGHS, CP-SAT and a textbook search: cost, bound, seconds",
+    "cover": "view selection at equal processor time beside HiGHS, CP-SAT, a textbook search; solve FILE solves a file",
     "pictures": "the pictures of docs/images drawn anew; by name also the charts, which take minutes to an hour",
 }
 """Modules of `benchmarks.methods`, each with an `app` of its own."""
@@ -91,7 +91,7 @@ def main(
     results: dict[str, list[dict[str, Any]]] = {}
     for name in chosen:
         if name in STUDIES:
-            _study(name, [])
+            run_study(name, [])
             continue
         module = import_module(f"benchmarks.{name}")
         results[name] = rows = module.run()
@@ -118,13 +118,14 @@ def _cell(row: Mapping[str, Any], column: str) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _study(name: str, words: list[str]) -> int:
+def run_study(name: str, words: list[str]) -> int:
     """Run a study with words and options of its own; returns the exit code."""
     study = import_module(f"benchmarks.methods.{name}").app
-    return guarded(lambda: study(words, prog_name=f"python -m benchmarks {name}", standalone_mode=False), as_json=False)
+    program = f"python -m benchmarks {name}"
+    return guarded(lambda: study(words, prog_name=program, standalone_mode=False), as_json="--json" in words)
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] and sys.argv[1] in STUDIES:
-        sys.exit(_study(sys.argv[1], sys.argv[2:]))
+        sys.exit(run_study(sys.argv[1], sys.argv[2:]))
     app()

@@ -19,7 +19,6 @@ from cell import signals
 from cell.commands import (
     calibrate,
     check,
-    cover,
     diff,
     edit,
     emulate,
@@ -39,6 +38,7 @@ from cell.commands import (
     why,
 )
 from cell.commands.failures import guarded
+from cell.commands.options import add_moved
 
 app = typer.Typer(
     add_completion=False,
@@ -83,7 +83,7 @@ app.add_typer(study.app, name="study")
 app.command(epilog=place.EPILOG)(place.place)
 app.command(epilog=export.EPILOG)(export.export)
 app.command(epilog=emulate.EPILOG)(emulate.emulate)
-app.command(epilog=cover.EPILOG)(cover.cover)
+add_moved(app, "cover", "cell cover", "python -m benchmarks cover solve FILE")
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -10,8 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from benchmarks.covers.files import read
 from benchmarks.covers.generators import generate
-from cell.cover.cover_files import read
 
 
 @dataclass(frozen=True)

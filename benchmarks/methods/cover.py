@@ -1,5 +1,6 @@
-"""`python -m benchmarks cover FIGURE`: view selection against HiGHS, CP-SAT and a textbook search at equal time.
+"""`python -m benchmarks cover ...`: view selection against HiGHS, CP-SAT and a textbook search at equal time.
 
+    solve       solve a set-cover file of the OR-Library with the product's solvers
     matrices    make the measurability matrices of all parts (the parts of benchmarks/parts.py)
     files       covers of set-cover files and generated instances: cost, excess, bound, processor seconds
     parts       covers of measurability matrices at each coverage
@@ -8,9 +9,9 @@
     large       two large generated matrices, with memory
     chart       excess over the best known against processor time
 
-An instance is a file, or the name of a generated one (`benchmarks/covers/generators.py`): cyc9, rail:500x20000:1. Each
-figure keeps its runs in the folder of `--out`, goes on where it was stopped, and leaves FIGURE.json and FIGURE.md
-there. Ours is given seconds' worth of counted work, the rivals processor seconds. Without words: a minute of all.
+An instance is a set-cover file, or the name of a generated one (`benchmarks/covers/generators.py`): cyc9,
+rail:500x20000:1. Each figure keeps its runs in the folder of `--out`, resumes there, and leaves FIGURE.json and
+FIGURE.md there. Our solver gets counted effort, the rivals processor seconds. Without words: one minute of all.
 """
 
 import json
@@ -26,6 +27,9 @@ from benchmarks.covers import figures
 from benchmarks.covers.chart import draw
 from benchmarks.covers.figures import Row, Store
 from benchmarks.covers.instances import Task
+from benchmarks.covers.solve import CoverOptions, solve_file
+from cell.commands.options import AsJson, from_fields, print_json
+from cell.commands.terminal import Terminal
 from cell.study.study import markdown_table
 
 LARGE = (("uniform:10000x10000:0.05:1", 10.0), ("caps:10000x10000:0.05:7", 10.0), ("uniform:30000x30000:0.01:1", 20.0))
@@ -54,6 +58,29 @@ def reduced(context: typer.Context) -> None:
         steady(["cyc7", "uniform:500x500:0.05:1"], [1.0, 2.0])
         most(["caps:400x200:0.1:1"], 1.0, ["ours", "HiGHS"], first=2, last=3)
         chart(["cyc7"], 1.0, ["ours", "textbook"])
+
+
+@app.command(
+    epilog="Examples:\n\n"
+    "python -m benchmarks cover solve scp41.txt --unicost --budget 10\n\n"
+    "python -m benchmarks cover solve rail507.gz --time-limit 60 --json\n\n"
+    "FILE is in the row or the rail format of the OR-Library, or a list of Steiner triples; plain or gzip. Ctrl-C ends "
+    "the search with the best cover so far."
+)
+@from_fields
+def solve(
+    *,
+    file: Annotated[Path, typer.Argument(help="Set-cover file.")],
+    options: CoverOptions,
+    unicost: Annotated[bool, typer.Option("--unicost/--costs", help="Costs of 1, or the costs in the file.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Solve a set-cover file with the solvers that select the views."""
+    solved = solve_file(file, options, unicost=unicost)
+    if as_json:
+        print_json(solved.as_json())
+    else:
+        Terminal().pairs(f"{solved.path.name}: {solved.sentence}", solved.rows())
 
 
 @app.command()

@@ -1,5 +1,15 @@
 """The fixtures of the product's tests serve the tests of the benchmarks too."""
 
+import contextlib
+import io
+import os
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from benchmarks.__main__ import run_study
 from tests.conftest import (  # noqa: F401 -- pytest finds fixtures by their names in this module
     blob,
     cache,
@@ -27,3 +37,31 @@ from tests.conftest import (  # noqa: F401 -- pytest finds fixtures by their nam
     swept,
     turned,
 )
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="session")
+def environment(cache: Path) -> dict[str, str]:  # noqa: F811 -- the fixture above
+    """The environment of a benchmark in a process of its own."""
+    return {**os.environ, "XDG_CACHE_HOME": str(cache), "COLUMNS": "120", "NO_COLOR": "1", "PYTHONPATH": str(ROOT)}
+
+
+@pytest.fixture(scope="session")
+def run_benchmarks(environment: dict[str, str]) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run `python -m benchmarks NAME ...` in a directory `cwd`, in this process; the result is that of a process."""
+
+    def run(name: str, *words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+        out, errors = io.StringIO(), io.StringIO()
+        with (
+            pytest.MonkeyPatch.context() as patch,
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(errors),
+        ):
+            for variable, value in environment.items():
+                patch.setenv(variable, value)
+            patch.chdir(cwd)
+            code = run_study(name, [str(word) for word in words])
+        return subprocess.CompletedProcess([name, *map(str, words)], code, out.getvalue(), errors.getvalue())
+
+    return run

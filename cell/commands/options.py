@@ -11,6 +11,7 @@ from typing import Annotated, Any, get_origin
 import typer
 from pydantic import BaseModel
 
+from cell.errors import UsageError
 from cell.scene.file import BUILT_IN
 from cell.scene.model import PART, Scene
 from cell.scene.options import Offer, flag, offers, read
@@ -42,6 +43,17 @@ Wishes = dict[str, object]
 """Texts and switches by the names of their options, only those that were given; `Annotated` with what is offered."""
 OfScene = Annotated[Wishes, offers(Scene)]
 OfPart = Annotated[Wishes, offers(Scene, "units")]
+
+
+def add_moved(app: typer.Typer, name: str, old: str, new: str) -> None:
+    """Add a hidden command that names the form which took its place; its exit code is 2."""
+
+    def command() -> None:
+        raise UsageError(f"{old} is now {new}, which needs a clone of the repository of scan-cell")
+
+    command.__doc__ = f"Moved: {new}."
+    any_words = {"allow_extra_args": True, "ignore_unknown_options": True}
+    app.command(name, hidden=True, context_settings=any_words)(command)
 
 
 def print_json(content: Mapping[str, object]) -> None:

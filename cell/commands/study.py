@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.commands.options import AsJson, OfPart, Part, SceneFile, Wishes, from_fields, print_json
+from cell.commands.options import AsJson, OfPart, Part, SceneFile, Wishes, add_moved, from_fields, print_json
 from cell.errors import UsageError
 from cell.scene.file import load_scene, spelled, tables
 from cell.scene.model import Scene
@@ -219,22 +219,11 @@ def scanner(
     conducted(lambda: knob_study(make, name, wanted, robot=robot), run, as_json, plan_words(part, scene, wishes))
 
 
-def _moved(name: str) -> None:
-    def command() -> None:
-        raise UsageError(
-            f"cell study {name} is now python -m benchmarks {name}, to be run in a clone of scan-cell's repository"
-        )
-
-    command.__doc__ = f"Moved: python -m benchmarks {name}."
-    words = {"allow_extra_args": True, "ignore_unknown_options": True}
-    app.command(name, hidden=True, context_settings=words)(command)
-
-
 _table("table1", "The paper's Table 1: views and coverage over the decimation of the part.")
 _table("table2", "The paper's Table 2: views and coverage over the standoff distance.")
 _table("table3", "The paper's Table 3: views and coverage over the scanner's field of view.")
 _table("table4", "The paper's Table 4: views and coverage over the angle between rays.")
 _table("table5", "The paper's Table 5: reachable viewpoints, views and coverage over the part's position.")
 _table("all", "All five tables of the paper: 86 rows, its method and ours side by side.")
-_moved("speed")
-_moved("stability")
+for _name in ("speed", "stability"):
+    add_moved(app, _name, f"cell study {_name}", f"python -m benchmarks {_name}")

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cell.cover.cover_files import read
+from benchmarks.covers.files import read
 from cell.errors import CellError
 
 

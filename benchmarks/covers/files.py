@@ -1,4 +1,4 @@
-"""Readers of set-cover files: whole numbers separated by any white space, as plain text or gzip.
+"""Reader of set-cover files: whole numbers separated by white space, as plain text or gzip.
 
 Beasley's OR-Library (doi:10.1057/jors.1990.166) and Fulkerson, Nemhauser and Trotter's Steiner triples
 (doi:10.1007/BFb0120689) know three formats; in all of them indices start at 1:
@@ -7,8 +7,7 @@ Beasley's OR-Library (doi:10.1057/jors.1990.166) and Fulkerson, Nemhauser and Tr
     rail      m n, then for each of the n columns its cost, how many rows it covers and which
     steiner   n m, then for each of the m rows the three columns that cover it (all cost 1)
 
-A file does not say which of them it is in. The reader takes the one in which it can be read to its last number; only
-a file that fits several needs to be told.
+A file does not name its format. The reader takes the one format in which it can read the file to its last number.
 """
 
 import gzip
@@ -25,12 +24,12 @@ from cell.errors import FileError, UsageError
 from planner.values import Ints
 
 LARGEST = 100_000_000
-"""Rows or columns of a file; more is a sign of another kind of file, and would only fill the memory."""
+"""Most rows or columns of a file; a larger number means another kind of file, and would fill the memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoverFile:
-    """A set-cover problem as a file states it.
+    """A set-cover problem of a file.
 
     Attributes:
         format: name of the format.
@@ -44,7 +43,7 @@ class CoverFile:
 
 
 class _MismatchError(Exception):
-    """The numbers do not follow the format; says where."""
+    """The numbers do not follow the format; the message says where."""
 
 
 def read(path: Path, form: str | None = None) -> CoverFile:
@@ -52,14 +51,14 @@ def read(path: Path, form: str | None = None) -> CoverFile:
 
     Args:
         path: the file; gzip is recognised by its content.
-        form: name of its format; None: the one that fits.
+        form: name of its format; None: the format that fits.
 
     Raises:
         FileError: if the file cannot be read, holds anything but whole numbers, or fits none of the formats.
         UsageError: if there is no such format, or if the file fits more than one.
     """
     if form is not None and form not in FORMATS:
-        raise UsageError(f"there is no format {form!r} of set-cover files; choose one of {', '.join(FORMATS)}")
+        raise UsageError(f"the format {form!r} is unknown; choose one of {', '.join(FORMATS)}")
     numbers = _numbers(path)
     found: list[CoverFile] = []
     reasons: list[str] = []
@@ -72,12 +71,12 @@ def read(path: Path, form: str | None = None) -> CoverFile:
         raise FileError(f"{path} is not a set-cover file ({'; '.join(reasons)})")
     if len(found) > 1:
         names = " and ".join(one.format for one in found)
-        raise UsageError(f"{path} can be read as {names}; say which with --format")
+        raise UsageError(f"{path} can be read as {names}; choose the format with --format")
     return found[0]
 
 
 def _numbers(path: Path) -> Ints:
-    """All numbers of the file."""
+    """Read all numbers of a file."""
     try:
         content = path.read_bytes()
         if content.startswith(b"\x1f\x8b"):
@@ -89,7 +88,7 @@ def _numbers(path: Path) -> Ints:
             warnings.simplefilter("error")  # NumPy only warns where it stops reading
             return np.fromstring(content, dtype=np.int64, sep=" ")
     except (ValueError, DeprecationWarning) as error:
-        raise FileError(f"{path} is not a set-cover file: it may hold nothing but whole numbers") from error
+        raise FileError(f"{path} is not a set-cover file: it must hold whole numbers only") from error
 
 
 def _parse(name: str, numbers: Ints) -> CoverFile:
@@ -130,10 +129,10 @@ def _parse(name: str, numbers: Ints) -> CoverFile:
 
 
 def _lists(numbers: Ints, at: int, count: int, what: str, highest: int, heads: Ints | None = None) -> tuple[Ints, Ints]:
-    """`count` lists, each with its length in front, and before that a head where `heads` takes them.
+    """Read `count` lists, each after its length; with `heads`, a number before the length is written there.
 
     Returns:
-        Where each list begins, and all their members, counted from 0.
+        The start of each list, and the members of all lists, counted from 0.
     """
     lengths = np.zeros(count, dtype=np.int64)
     use = np.ones(len(numbers), dtype=bool)
@@ -158,7 +157,7 @@ def _lists(numbers: Ints, at: int, count: int, what: str, highest: int, heads: I
 
 
 def _indices(numbers: Ints, highest: int) -> Ints:
-    """Indices from 1 to the highest, counted from 0."""
+    """Check indices from 1 to the highest and count them from 0."""
     wrong = np.flatnonzero((numbers < 1) | (numbers > highest))
     if len(wrong):
         raise _MismatchError(f"an index is {numbers[wrong[0]]}; indices must be from 1 to {highest}")

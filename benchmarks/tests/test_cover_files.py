@@ -1,4 +1,4 @@
-"""`cell cover` as a user meets it: formats, table, JSON, guards, exit codes."""
+"""`python -m benchmarks cover solve`: formats, table, JSON, limits, exit codes."""
 
 import gzip
 import json
@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from itertools import combinations
@@ -23,9 +24,9 @@ RAIL = "6 6\n" + "\n".join(f"{cost} 2 {j} {(j - 2) % 6 + 1}" for j, cost in enum
 FANO = "7 7\n1 2 3\n1 4 5\n1 6 7\n2 4 6\n2 5 7\n3 4 7\n3 5 6\n"
 
 
-def solved(run_cell: Run, path: Path, *options: str) -> dict[str, object]:
+def solved(run_benchmarks: Run, path: Path, *options: str) -> dict[str, object]:
     """The JSON of a run that must succeed."""
-    done = run_cell("cover", path.name, "--json", *options, cwd=path.parent)
+    done = run_benchmarks("cover", "solve", path.name, "--json", *options, cwd=path.parent)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     answer: dict[str, object] = json.loads(done.stdout)
@@ -34,45 +35,44 @@ def solved(run_cell: Run, path: Path, *options: str) -> dict[str, object]:
 
 @pytest.mark.parametrize(("name", "content"), [("rows", ROWS), ("rail", RAIL)])
 @pytest.mark.parametrize("packed", [False, True])
-def test_both_library_formats_are_told_apart_and_solved(
-    run_cell: Run, tmp_path: Path, name: str, content: str, packed: bool
+def test_both_library_formats_are_recognised_and_solved(
+    run_benchmarks: Run, tmp_path: Path, name: str, content: str, packed: bool
 ) -> None:
     """Plain or gzip, the three cheap columns are the proven cheapest; numbered as in the file."""
     path = tmp_path / "problem"
     path.write_bytes(gzip.compress(content.encode()) if packed else content.encode())
-    answer = solved(run_cell, path)
+    answer = solved(run_benchmarks, path)
     assert answer["format"] == name
     assert (answer["views"], answer["cost"], answer["lower_bound"]) == ([2, 4, 6], 3.0, 3.0)
     assert answer["status"] == "proven"
 
 
-def test_steiner_triples_are_covered(run_cell: Run, tmp_path: Path) -> None:
+def test_steiner_triples_are_covered(run_benchmarks: Run, tmp_path: Path) -> None:
     """The seven lines of the Fano plane need three points, a line; proven."""
     path = tmp_path / "data.7"
     path.write_text(FANO)
-    answer = solved(run_cell, path)
+    answer = solved(run_benchmarks, path)
     assert answer["format"] == "steiner"
     assert (answer["n_views"], answer["lower_bound"], answer["status"]) == (3, 3, "proven")
     chosen = set(answer["views"])
     assert all(chosen & set(map(int, line.split())) for line in FANO.splitlines()[1:])
 
 
-def test_unicost_ignores_the_costs_and_a_multiplicity_demands_more(run_cell: Run, tmp_path: Path) -> None:
+def test_unicost_ignores_the_costs_and_a_multiplicity_demands_more(run_benchmarks: Run, tmp_path: Path) -> None:
     """Three columns either way at cost 1; covered twice, all six."""
     path = tmp_path / "ring"
     path.write_text(ROWS)
-    assert solved(run_cell, path, "--unicost")["cost"] == 3
-    assert solved(run_cell, path, "--multiplicity", "2")["n_views"] == 6
+    assert solved(run_benchmarks, path, "--unicost")["cost"] == 3
+    assert solved(run_benchmarks, path, "--multiplicity", "2")["n_views"] == 6
 
 
-def test_the_table_says_cover_bound_and_status(run_cell: Run, tmp_path: Path) -> None:
+def test_the_table_says_cover_bound_and_status(run_benchmarks: Run, tmp_path: Path) -> None:
     """A person reads the same numbers."""
     (tmp_path / "ring.txt").write_text(ROWS)
-    done = run_cell("cover", "ring.txt", "--unicost", cwd=tmp_path)
+    done = run_benchmarks("cover", "solve", "ring.txt", "--unicost", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     for part in ("ring.txt: proven fewest\n", "6 rows, 6 columns, 12 ones (rows)", "lower bound", "0.0 %"):
         assert part in re.sub(r" +\n", "\n", done.stdout)
-    assert done.stdout.endswith("next:\n  cell cover ring.txt --unicost --json > cover.json\n")
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_the_table_says_cover_bound_and_status(run_cell: Run, tmp_path: Path) ->
     [
         (None, (), 6, "cannot be read"),
         ("6 6\n1 1", (), 6, "not a set-cover file"),
-        ("2 2\n1 x", (), 6, "nothing but whole numbers"),
+        ("2 2\n1 x", (), 6, "must hold whole numbers only"),
         ("", (), 6, "ends before the two sizes"),
         ("100000000 100000000 1", (), 6, "as rail: 100000000 columns are 200000000 numbers at least, but 1 follow"),
         ("1 1\n0\n1 1", ("--format", "rows"), 6, "must be above zero"),
@@ -93,16 +93,16 @@ def test_the_table_says_cover_bound_and_status(run_cell: Run, tmp_path: Path) ->
         (ROWS, ("--time-limit", "-1"), 2, "time limit"),
         (ROWS, ("--multiplicity", "0"), 2, "at least once"),
         (ROWS, ("--seed", "-1"), 2, "--seed"),
-        ("1 1\n1\n1\n1", (), 2, "say which with --format"),
+        ("1 1\n1\n1\n1", (), 2, "choose the format with --format"),
     ],
 )
 def test_wrong_uses_end_with_one_sentence(
-    run_cell: Run, tmp_path: Path, content: str | None, options: tuple[str, ...], code: int, sentence: str
+    run_benchmarks: Run, tmp_path: Path, content: str | None, options: tuple[str, ...], code: int, sentence: str
 ) -> None:
     """Exit code and sentence name what is wrong and what would be valid."""
     if content is not None:
         (tmp_path / "file").write_text(content)
-    done = run_cell("cover", "file", *options, cwd=tmp_path)
+    done = run_benchmarks("cover", "solve", "file", *options, cwd=tmp_path)
     assert done.returncode == code, (done.stdout, done.stderr)
     assert done.stderr.startswith("cell: ")
     assert done.stderr.count("\n") == 1
@@ -118,19 +118,19 @@ def hard(path: Path) -> None:
     path.write_text("200 900\n" + "1 " * 900 + "\n" + "\n".join(lines))
 
 
-def test_the_clock_ends_the_search_and_the_answer_says_so(run_cell: Run, tmp_path: Path) -> None:
+def test_the_clock_ends_the_search_and_the_answer_says_so(run_benchmarks: Run, tmp_path: Path) -> None:
     """A guard alone gives an unlimited budget: it fires, in time, and is named."""
     hard(tmp_path / "hard")
-    answer = solved(run_cell, tmp_path / "hard", "--time-limit", "1")
+    answer = solved(run_benchmarks, tmp_path / "hard", "--time-limit", "1")
     assert answer["status"] == "time_limited"
     assert "the time limit stopped the search" in str(answer["sentence"])
     assert float(str(answer["seconds"])) >= 0.9  # how near it is kept: benchmarks cover steady
 
 
-def test_the_same_budget_gives_the_same_answer(run_cell: Run, tmp_path: Path) -> None:
+def test_the_same_budget_gives_the_same_answer(run_benchmarks: Run, tmp_path: Path) -> None:
     """Work is counted, so two runs agree in all but their seconds."""
     hard(tmp_path / "hard")
-    first, second = (solved(run_cell, tmp_path / "hard", "--budget", "0.5", "--seed", "4") for _ in range(2))
+    first, second = (solved(run_benchmarks, tmp_path / "hard", "--budget", "0.5", "--seed", "4") for _ in range(2))
     assert first.pop("seconds") is not None
     assert second.pop("seconds") is not None
     assert first == second
@@ -145,14 +145,13 @@ def _processor_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def test_ctrl_c_gives_the_best_cover_so_far(
-    tmp_path: Path, run_cell: Run, start_cell: Callable[..., "subprocess.Popen[str]"]
-) -> None:
+def test_ctrl_c_gives_the_best_cover_so_far(tmp_path: Path, run_benchmarks: Run, environment: dict[str, str]) -> None:
     """An interrupted search prints its cover, and its status says that it was interrupted."""
     hard(tmp_path / "hard")
     # Once before, so that what is interrupted is the search and not the first compilation of its loops.
-    solved(run_cell, tmp_path / "hard", "--budget", "0.1")
-    with start_cell("cover", "hard", "--json", "--time-limit", "300", cwd=tmp_path) as process:
+    solved(run_benchmarks, tmp_path / "hard", "--budget", "0.1")
+    command = [sys.executable, "-m", "benchmarks", "cover", "solve", "hard", "--json", "--time-limit", "300"]
+    with subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 200
         while _processor_seconds(process.pid) < _INTO_THE_SEARCH:
             assert time.monotonic() < deadline

@@ -1,1 +1,0 @@
-"""Set-cover problems from public libraries: their files, and what `cell cover` says about them."""
