@@ -13,8 +13,8 @@ from benchmarks.exploring.lab import Known, Lab, NextView, Policy
 from benchmarks.exploring.view_spaces import VIEW_SPACES
 from planner.compiled import compiled
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN
+from planner.geometry.rigid import rotation_matrices
 from planner.values import Floats, Ints
-from planner.viewpoints.viewpoints import rotation_matrices
 
 _MANY, _CANDIDATES = 2000, 250
 _EVERY = 6  # of the scanner's rays, along both sides of its grid: 1,600 are cast for a candidate

@@ -101,7 +101,7 @@ def _moved(problem: Problem, selected: Selected) -> ViewState:
     return reduce_views(
         before, RayTargets.of(features.points, features.normals), areas, lambda view: arm,
         goal=min(selected.target, float(areas[before.measured.any(axis=1)].sum())),
-        short=lambda views: least - known.share_of_coverable(views.T_object_scanner[:, None]),
+        shortfall=lambda views: least - known.share_of_coverable(views.T_object_scanner[:, None]),
     )  # fmt: skip
 
 

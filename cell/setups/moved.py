@@ -72,7 +72,7 @@ def with_fewer(
     after = reduce_views(
         before, RayTargets.of(first.points, first.normals), areas, lambda view: arms[int(setup_of[view])],
         goal=min(goal, float(areas[before.measured.any(axis=1)].sum())),
-        short=lambda standing: least - seen(standing.T_object_scanner, standing.origin),
+        shortfall=lambda standing: least - seen(standing.T_object_scanner, standing.origin),
     )  # fmt: skip
     known, matrices, left = dict(setups), dict(M), {row: np.array(columns) for row, columns in views.items()}
     if len(after) == len(before):

@@ -18,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
+from planner.geometry.rigid import rotation_matrices
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import find_measured
 from planner.ports import Progress, RayCaster, Scanner
 from planner.values import Bools, Floats, Ints, Ints32, Value, freeze
 from planner.viewpoints.lines_of_sight import RayTargets, flatten_poses, in_view, visible_pairs
-from planner.viewpoints.viewpoints import Viewpoints, rotation_matrices
+from planner.viewpoints.viewpoints import Viewpoints
 
 MEMBERS = 32
 """Default size of the ensemble. One view is then credited with at most 98.5 %, see `credited`."""

@@ -1,1 +1,1 @@
-"""Candidate viewpoints: where a scanner may stand, what a view from there meets, and how candidates are made."""
+"""Candidate viewpoints: poses of the scanner, their lines of sight, generation and refinement."""

@@ -1,11 +1,11 @@
-"""What any pose of all measures that the arm takes up, asked of a few surface points: the bound on every plan.
+"""Estimate the attainable share of the surface: the bound on every plan, over all poses that the arm takes up.
 
-Each point is searched for by itself (`pose_sampling`): a stretch of the lattice, then poses carried over
-from points that have one, then a longer stretch. A point that is not found is not proven out of reach: the share that
-is found is a lower estimate, and rises by 0.1 to 1 point with four times the draws (docs/internals/candidates.md).
+A pose is searched for each of a few surface points (`pose_sampling`): with a range of the sequence, then with poses
+transferred from points that have one, then with a longer range. A point without a pose is not proven unattainable: the
+share is a lower estimate, and rises by 0.1 to 1 point with four times the draws (docs/internals/candidates.md).
 
-What is not found has one of two reasons: no pose that was tried sees the point past part and occluders, or poses do and
-the arm takes up none of them.
+A point without a pose has one of two reasons: no tried pose sees it past part and occluders, or some do and the arm
+takes up none of them.
 """
 
 from collections.abc import Iterator
@@ -17,82 +17,82 @@ import numpy as np
 from planner.values import Bools, Ints, Value
 from planner.viewpoints.growth import ViewEvaluator
 from planner.viewpoints.lines_of_sight import RayTargets
-from planner.viewpoints.pose_sampling import AimedPoses, draw_poses, find_frustum, poses_with_free_sight, transfer_poses
+from planner.viewpoints.pose_sampling import (
+    NO_POSES,
+    AimedPoses,
+    draw_poses,
+    find_frustum,
+    poses_with_free_sight,
+    transfer_poses,
+)
 
 N_PROBED_SAMPLES = 1000
-"""Points that are asked about at most: a second of processor time at worst."""
+"""Largest number of points: a second of processor time at worst."""
 
-_STRETCHES = ((0, 32), (32, 96), (96, 256))
-_CARRIED, _NEIGHBOURS = 8, 4
+_RANGES = ((0, 32), (32, 96), (96, 256))  # of the sequence
+_TRANSFERRED, _NEIGHBOURS = 8, 4
 _TOGETHER = 32_768  # poses that are tried at a time
-_SHARED = 32  # found poses that are asked about the other points
+_SHARED = 32  # found poses that are tested on all open points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attainable(Value):
-    """What became of each point.
+    """Result of the search for n points.
 
     Attributes:
-        measured: (n,) a pose measures it that the arm takes up.
-        sighted: (n,) a pose sees it past part and occluders, whether or not the arm takes it up.
+        measured: (n,) whether a pose measures it that the arm takes up.
+        visible: (n,) whether a pose sees it past part and occluders, reachable or not.
     """
 
     measured: Annotated[Bools, "n"]
     visible: Annotated[Bools, "n"]
 
 
-def probe_attainable(targets: RayTargets, arm: ViewEvaluator) -> Attainable:
-    """Search a pose for each point.
-
-    Args:
-        targets: n points.
-        arm: the scanner and what it can take up.
-    """
-    within = find_frustum(arm.scanner)
-    measured, sighted = np.zeros(len(targets), dtype=np.bool_), np.zeros(len(targets), dtype=np.bool_)
-    known = AimedPoses(np.empty((0, 4, 4)), np.empty(0, dtype=np.int64))
-    for number, stretch in enumerate(_STRETCHES):
-        for carry in (False, True):
-            part = (number * _CARRIED, (number + 1) * _CARRIED) if carry else stretch
-            each = (part[1] - part[0]) * (_NEIGHBOURS if carry else 1)
-            for rows in _batches(measured, max(1, _TOGETHER // each)):
-                if not carry:
-                    aimed = draw_poses(targets, rows, part, within, arm.scanner)
+def probe_attainable(targets: RayTargets, evaluator: ViewEvaluator) -> Attainable:
+    """Search a pose for each of n points."""
+    scanner = evaluator.scanner
+    within = find_frustum(scanner)
+    measured, visible = np.zeros(len(targets), dtype=np.bool_), np.zeros(len(targets), dtype=np.bool_)
+    known = NO_POSES
+    for number, drawn_range in enumerate(_RANGES):
+        for transfer in (False, True):
+            elements = (number * _TRANSFERRED, (number + 1) * _TRANSFERRED) if transfer else drawn_range
+            per_point = (elements[1] - elements[0]) * (_NEIGHBOURS if transfer else 1)
+            for rows in _batches(measured, max(1, _TOGETHER // per_point)):
+                if not transfer:
+                    aimed = draw_poses(targets, rows, elements, within, scanner)
                 elif len(known):
-                    aimed = transfer_poses(targets, rows, part, known, _NEIGHBOURS, arm.scanner)
+                    aimed = transfer_poses(targets, rows, elements, known, _NEIGHBOURS, scanner)
                 else:
                     continue
-                found = poses_with_free_sight(aimed, targets, arm.scanner, arm.casters)
-                sighted[found.row] = True
-                found = _first_taken_up(found, arm)
+                found = poses_with_free_sight(aimed, targets, scanner, evaluator.casters)
+                visible[found.row] = True
+                found = _first_reachable(found, evaluator)
                 measured[found.row] = True
-                known = AimedPoses(
-                    np.concatenate([known.T_object_scanner, found.T_object_scanner]),
-                    np.concatenate([known.row, found.row]),
-                )
-                still = np.flatnonzero(~measured)
-                few = arm.views(found.pick(np.arange(min(len(found), _SHARED))))
-                measured[still] = arm.measured(few, targets, still).any(axis=1)
-    return Attainable(measured, sighted | measured)
+                known = known.extend(found)
+                still_open = np.flatnonzero(~measured)
+                few = evaluator.views(found.pick(np.arange(min(len(found), _SHARED))))
+                measured[still_open] = evaluator.measured(few, targets, still_open).any(axis=1)
+    return Attainable(measured, visible | measured)
 
 
-def _first_taken_up(aimed: AimedPoses, arm: ViewEvaluator) -> AimedPoses:
-    """The first pose of each point that the arm takes up; poses behind it are not asked about."""
+def _first_reachable(aimed: AimedPoses, evaluator: ViewEvaluator) -> AimedPoses:
+    """Return the first reachable pose of each point; later poses of the point are not tested."""
     order = np.argsort(aimed.row, kind="stable")
     kept = []
     while len(order):
         own, first = np.unique(aimed.row[order], return_index=True)
-        asked = order[first]
-        taken = arm.are_reachable(arm.views(aimed.pick(asked))[:, None] @ arm.T_view_scanner)
-        kept.append(asked[taken])
+        tested = order[first]
+        reachable = evaluator.are_reachable(evaluator.views(aimed.pick(tested))[:, None] @ evaluator.T_view_scanner)
+        kept.append(tested[reachable])
         order = np.delete(order, first)
-        order = order[~np.isin(aimed.row[order], own[taken])]
+        order = order[~np.isin(aimed.row[order], own[reachable])]
     which = np.concatenate([*kept, np.empty(0, dtype=np.int64)])
     return aimed.pick(which[np.argsort(aimed.row[which])])
 
 
 def _batches(measured: Bools, size: int) -> Iterator[Ints]:
-    """Points that are open, a few at a time; those that were measured meanwhile are left out."""
+    """Yield open points, a few at a time, without those that were measured meanwhile."""
     rows = np.flatnonzero(~measured)
     while len(rows):
         yield rows[:size]

@@ -1,8 +1,8 @@
-"""Whether a scanner at a pose measures a surface point: its conditions, and its two legs (Section 3.6, Figure 5).
+"""Decide whether a scanner at a pose measures a surface point: its conditions and two lines of sight (Section 3.6).
 
-A point is measured where `Scanner.reject` finds nothing to reject and both legs are free: source to point (active ray)
-and point to sensor (reflected ray; blocked, it is the paper's shadow effect). A pair is a pose and a point, each by its
-index. Object frame, metres.
+A point is measured if `Scanner.reject` rejects nothing and both lines of sight are free: source to point (active ray)
+and point to sensor (reflected ray; a blocked one is the shadow effect of the paper, Figure 5). A pair is a pose and a
+point, each given by its index. Object frame, metres.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,28 +17,28 @@ from planner.ports import RayCaster, Rejection, Scanner
 from planner.values import Bools, Floats, Ints, Ints32, readonly
 
 LIFT = 1e-6
-"""How far legs end above their point along its normal, as a share of the points' bounding-box diagonal.
+"""Height of the end of a line of sight above its point, as a share of the diagonal of the points' bounding box.
 
-A ray that grazes the surface is at the mercy of the caster's rounding: float32 is off by up to 1e-7 of the diagonal
-across the ray, so by 1e-7 / cos(grazing angle) along it, and 0.3 to 0.7 % of all legs within 90 degrees were blocked by
-the very surface that they end on. Lifted by 1e-6 (0.3 um on a part of 0.3 m) none were, down to a distance of 30 radii.
+For a ray that grazes the surface, rounding in the ray caster decides: float32 is off by up to 1e-7 of the diagonal
+across the ray, so by 1e-7 / cos(grazing angle) along it. Without a lift, the surface itself blocked 0.3 to 0.7 % of all
+rays within 90 degrees. With 1e-6 (0.3 um on a part of 0.3 m) it blocked none, down to a distance of 30 radii.
 """
 
 BUNDLE = 300_000
-"""Rays that are cast in one call: enough that Python's share vanishes and both cores have work, 10 MB of arrays."""
+"""Rays of one call to the ray caster: Python's share of the time vanishes, all cores are busy, arrays take 10 MB."""
 
 _BLOCK = 8192  # points that are transformed at a time: they stay in the core's cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayTargets:
-    """Surface points prepared to be aimed at.
+    """Surface points prepared as ends of rays.
 
     Attributes:
-        points: (3, S) [m], object frame, coordinates as rows.
-        normals: (3, S) outward unit normals, object frame.
-        lifted: (S, 3) where legs end [m], object frame: `LIFT` above the points.
-        region: (S,) region of the part that each lies in; None: the part has no regions.
+        points: (3, S) [m], coordinates as rows.
+        normals: (3, S) outward unit normals.
+        lifted: (S, 3) ends of the lines of sight [m]: `LIFT` above the points.
+        region: (S,) region of each point; None: the part has no regions.
     """
 
     points: Floats
@@ -48,7 +48,7 @@ class RayTargets:
 
     @classmethod
     def of(cls, points: Floats, normals: Floats, region: Ints32 | None = None) -> "RayTargets":
-        """Prepare (S, 3) points [m] and (S, 3) unit normals, object frame, with the (S,) region of each."""
+        """Prepare (S, 3) points [m] with (S, 3) unit normals and the (S,) region of each."""
         return cls(
             readonly("points", np.transpose(points), (3, None)),
             readonly("normals", np.transpose(normals), (3, None)),
@@ -61,15 +61,9 @@ class RayTargets:
 
 
 def lift_points(points: Floats, normals: Floats, diagonal: float | None = None) -> Floats:
-    """Where legs to surface points end.
+    """Return points (S, 3) [m] lifted along their unit normals by `LIFT` x the diagonal of the part's bounding box [m].
 
-    Args:
-        points: (S, 3) [m].
-        normals: (S, 3) outward unit normals.
-        diagonal: of the part's bounding box [m]; None takes the points' own.
-
-    Returns:
-        (S, 3) points lifted by `LIFT` x the diagonal.
+    If the diagonal is None, it is that of the points.
     """
     if diagonal is None:
         diagonal = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
@@ -77,11 +71,7 @@ def lift_points(points: Floats, normals: Floats, diagonal: float | None = None) 
 
 
 def flatten_poses(T_object_scanner: Floats) -> Floats:
-    """(V * K, 4, 4) poses of (V, K, 4, 4) viewpoints: pose i belongs to viewpoint i // K.
-
-    Raises:
-        PlannerError: if the shape differs, or a pose is not a rigid motion.
-    """
+    """Return (V * K, 4, 4) poses of (V, K, 4, 4) viewpoints, checked to be rigid: pose i is of viewpoint i // K."""
     poses = np.asarray(T_object_scanner, dtype=np.float64)
     if poses.ndim != 4 or poses.shape[2:] != (4, 4) or poses.shape[1] < 1:
         raise PlannerError(f"T_object_scanner has shape {poses.shape}; it must be (V, K, 4, 4) with K at least 1")
@@ -99,16 +89,16 @@ def flatten_poses(T_object_scanner: Floats) -> Floats:
 
 
 def in_view(targets: RayTargets, T: Floats, scanner: Scanner, rows: Ints | None = None) -> Ints:
-    """Points that pass every condition of the scanner that needs no ray.
+    """Return the points that pass every condition of the scanner that needs no ray.
 
     Args:
         targets: S surface points.
         T: (4, 4) T_object_scanner [m].
-        scanner: the sensor's law.
-        rows: (n,) the points to ask about; None asks about all.
+        scanner: sensor model.
+        rows: (n,) the points to test; None tests all.
 
     Returns:
-        Those of the rows that pass, in their order.
+        The rows that pass, in their order.
     """
     count = len(targets) if rows is None else len(rows)
     into_scanner = T[:3, :3].T
@@ -116,26 +106,19 @@ def in_view(targets: RayTargets, T: Floats, scanner: Scanner, rows: Ints | None 
     passed = []
     for start in range(0, count, _BLOCK):
         stop = min(start + _BLOCK, count)
-        asked = None if rows is None else rows[start:stop]
+        block = None if rows is None else rows[start:stop]
         points, normals = (
-            into_scanner @ (all_[:, start:stop] if asked is None else np.take(all_, asked, axis=1))
+            into_scanner @ (all_[:, start:stop] if block is None else np.take(all_, block, axis=1))
             for all_ in (targets.points, targets.normals)
         )
-        codes = rejections(targets, slice(start, stop) if asked is None else asked, scanner, points - origin, normals)
+        codes = rejections(targets, slice(start, stop) if block is None else block, scanner, points - origin, normals)
         found = np.flatnonzero(codes == Rejection.MEASURED)
-        passed.append(found + start if asked is None else asked[found])
+        passed.append(found + start if block is None else block[found])
     return np.concatenate(passed) if passed else np.empty(0, dtype=np.int64)
 
 
 def in_view_matrix(targets: RayTargets, poses: Floats, scanner: Scanner, rows: Ints) -> Bools:
-    """(P, n) whether each of a few points passes, at each of many poses: `in_view` without a call for each pose.
-
-    Args:
-        targets: S surface points.
-        poses: (P, 4, 4) T_object_scanner [m].
-        scanner: the sensor's law.
-        rows: (n,) the points to ask about.
-    """
+    """Return (P, n) whether `in_view` passes each of (n,) points at each of (P, 4, 4) poses [m], in one call."""
     into_scanner = poses[:, :3, :3].transpose(0, 2, 1)
     origins = into_scanner @ poses[:, :3, 3:]
     points, normals = (into_scanner @ np.take(all_, rows, axis=1) for all_ in (targets.points, targets.normals))
@@ -148,14 +131,14 @@ def in_view_matrix(targets: RayTargets, poses: Floats, scanner: Scanner, rows: I
 def rejections(
     targets: RayTargets, rows: Ints | slice, scanner: Scanner, points: Floats, normals: Floats
 ) -> NDArray[np.uint8]:
-    """What the scanner says of points: its conditions, and those of the region of each, where both have such.
+    """Apply the conditions of the scanner to points, with those of their regions if both have such.
 
     Args:
         targets: S surface points.
-        rows: which of them are asked about, n.
-        scanner: the sensor's law.
-        points: (3, n) as the scanner sees them [m], scanner frame.
-        normals: (3, n) unit, scanner frame.
+        rows: n of them.
+        scanner: sensor model.
+        points: (3, n) [m], scanner frame.
+        normals: (3, n) unit normals, scanner frame.
 
     Returns:
         (n,) `Rejection` values.
@@ -170,22 +153,19 @@ def rejections(
 def lines_of_sight_free(
     targets: RayTargets, poses: Floats, pose: Ints, row: Ints, scanner: Scanner, casters: Sequence[RayCaster]
 ) -> Bools:
-    """Whether nothing stands in either leg of each pair; the sensor leg is cast only where the source leg is free.
+    """Return (n,) whether both lines of sight of each pair are free; the sensor's is cast only if the source's is.
 
     Args:
         targets: S surface points.
         poses: (P, 4, 4) T_object_scanner [m].
-        pose: (n,) index of each pair's pose.
-        row: (n,) index of each pair's point.
-        scanner: where source and sensor are.
-        casters: the part's and those of occluders; a leg is blocked if any of them blocks it.
-
-    Returns:
-        (n,) True where both legs are free of every caster.
+        pose: (n,) pose of each pair.
+        row: (n,) point of each pair.
+        scanner: gives the positions of source and sensor.
+        casters: of the part and of occluders; any of them can block a line of sight.
     """
-    free = _unhidden(targets, poses, pose, row, scanner.source, casters)
+    free = _free_from(targets, poses, pose, row, scanner.source, casters)
     alive = np.flatnonzero(free)
-    free[alive] = _unhidden(targets, poses, pose[alive], row[alive], scanner.sensor, casters)
+    free[alive] = _free_from(targets, poses, pose[alive], row[alive], scanner.sensor, casters)
     return free
 
 
@@ -201,15 +181,15 @@ def visible_pairs(
     rows_of: Callable[[int], Ints],
     bundle: int = BUNDLE,
 ) -> Pairs:
-    """Pairs with free legs; the points of one pose after the other are asked for, and cast together in bundles.
+    """Yield the pairs with free lines of sight; the points of successive poses are cast together in bundles.
 
     Args:
         poses: (P, 4, 4) T_object_scanner [m].
         targets: S surface points.
-        scanner: where source and sensor are.
-        casters: the part's and those of occluders.
-        rows_of: the points that may be measured from a pose.
-        bundle: pairs that are cast together at least.
+        scanner: gives the positions of source and sensor.
+        casters: of the part and of occluders.
+        rows_of: returns the points in view of a pose; called once per pose, in order.
+        bundle: smallest number of pairs that are cast together.
     """
     waiting: list[Ints] = []
     first, count = 0, 0
@@ -225,44 +205,41 @@ def visible_pairs(
         waiting, first, count = [], pose + 1, 0
 
 
-def _unhidden(
+def _free_from(
     targets: RayTargets, poses: Floats, pose: Ints, row: Ints, position: Floats, casters: Sequence[RayCaster]
 ) -> Bools:
-    """Whether nothing stands between a position of the scanner (3,) [m] and the point, for each pair.
+    """Return (n,) whether nothing is between a position (3,) [m] of the scanner and the point of each pair.
 
-    Neighbouring poses with the same position (rolls of one viewpoint share the source) share its legs: each is cast
-    once. That a leg is cast beside others changes nothing about it.
+    Neighbouring poses with the same position (rolls of one viewpoint share the source) share their rays: each is cast
+    once.
     """
     origins = poses[:, :3, :3] @ position + poses[:, :3, 3]
-    standing = np.cumsum(np.concatenate([[0], (origins[1:] != origins[:-1]).any(axis=1)]))
-    if standing[-1] + 1 == len(origins):  # every pose stands somewhere else
-        return _free(np.take(origins, pose, axis=0), np.take(targets.lifted, row, axis=0), casters)
-    place = standing[pose]
-    leg_of = np.empty(len(row), dtype=np.int64)
+    place_of_pose = np.cumsum(np.concatenate([[0], (origins[1:] != origins[:-1]).any(axis=1)]))
+    if place_of_pose[-1] + 1 == len(origins):  # no two poses share a position
+        return _free_segments(np.take(origins, pose, axis=0), np.take(targets.lifted, row, axis=0), casters)
+    if not len(pose):
+        return np.ones(0, dtype=np.bool_)
+    place = place_of_pose[pose]
+    ray_of = np.empty(len(row), dtype=np.int64)
     at: list[Ints] = []
-    towards: list[Ints] = []
+    ends: list[Ints] = []
     count = 0
     number = np.empty(len(targets), dtype=np.int64)
-    steps = np.flatnonzero(place[1:] != place[:-1]) + 1
-    bounds = [0, *steps.tolist(), len(place)] if len(place) else [0]
-    for start, stop in pairwise(bounds):
-        seen = np.zeros(len(targets), dtype=np.bool_)
-        seen[row[start:stop]] = True
-        distinct = np.flatnonzero(seen)
+    for start, stop in pairwise([0, *(np.flatnonzero(place[1:] != place[:-1]) + 1).tolist(), len(place)]):
+        is_used = np.zeros(len(targets), dtype=np.bool_)
+        is_used[row[start:stop]] = True
+        distinct = np.flatnonzero(is_used)
         number[distinct] = np.arange(count, count + len(distinct))
-        leg_of[start:stop] = number[row[start:stop]]
+        ray_of[start:stop] = number[row[start:stop]]
         at.append(np.full(len(distinct), pose[start]))
-        towards.append(distinct)
+        ends.append(distinct)
         count += len(distinct)
-    if not at:
-        return np.ones(len(row), dtype=np.bool_)
-    ends = np.take(targets.lifted, np.concatenate(towards), axis=0)
-    free = _free(np.take(origins, np.concatenate(at), axis=0), ends, casters)
-    return np.take(free, leg_of)
+    lifted = np.take(targets.lifted, np.concatenate(ends), axis=0)
+    return np.take(_free_segments(np.take(origins, np.concatenate(at), axis=0), lifted, casters), ray_of)
 
 
-def _free(origins: Floats, ends: Floats, casters: Sequence[RayCaster]) -> Bools:
-    """(n,) True where no caster finds anything between origin and end (n, 3) [m]."""
+def _free_segments(origins: Floats, ends: Floats, casters: Sequence[RayCaster]) -> Bools:
+    """Return (n,) whether no caster finds anything between origins and ends (n, 3) [m]."""
     free = np.ones(len(origins), dtype=np.bool_)
     for caster in casters:
         alive = np.flatnonzero(free)

@@ -1,4 +1,4 @@
-"""Grown candidates: all taken up, each measures something open, and together what a dense pool of others measures."""
+"""Grown candidates: all reachable, each measures an open point, and together as much as a dense pool of others."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from planner.viewpoints.viewpoints import optimal_scanning_zone, view_sphere
 
 
 def _above(T):
-    """An arm that only takes up sources above the plane z = -0.02."""
+    """Return whether all sources are above the plane z = -0.02."""
     return (T[:, :, 2, 3] > -0.02).all(axis=1)
 
 
@@ -29,16 +29,16 @@ def mug():
     return part, planning, scouts, EmbreeRayCaster(part.reference.vertices, part.reference.faces)
 
 
-def _arm(caster, scanner, takes_up=_above):
-    return ViewEvaluator(scanner, (caster,), takes_up, getattr(scanner, "T_view_scanner", np.eye(4)[None]))
+def _evaluator(caster, scanner, are_reachable=_above):
+    return ViewEvaluator(scanner, (caster,), are_reachable, getattr(scanner, "T_view_scanner", np.eye(4)[None]))
 
 
-def test_what_a_dense_pool_of_reachable_views_measures_is_measured(mug):
-    """Against views along all normals and all directions, at several distances and rolls: 0.5 points at most."""
+def test_grown_views_measure_as_much_as_a_dense_pool(mug):
+    """Compared with views along all normals and directions at several distances and rolls: 0.5 points less."""
     part, planning, scouts, caster = mug
     scanner = LaserArea(range_mm=(50, 150), baseline_mm=25, sensor_grazing_max_deg=75)
     targets = RayTargets.of(scouts.points, scouts.normals)
-    grown = grow(targets, np.zeros(len(targets), dtype=bool), _arm(caster, scanner))
+    grown = grow(targets, np.zeros(len(targets), dtype=bool), _evaluator(caster, scanner))
     assert _above(grown.T_object_scanner[:, None]).all()
     rolls = tuple(np.radians([0, 90, 180, 270]))
     pools = [
@@ -50,49 +50,49 @@ def test_what_a_dense_pool_of_reachable_views_measures_is_measured(mug):
     best = find_measured(pool, scouts, scanner, (caster,)).mean()
     mine = find_measured(grown.T_object_scanner[:, None], scouts, scanner, (caster,), each=True)
     assert mine.any(axis=1).mean() >= best - 0.005
-    assert mine[grown.row, np.arange(len(grown))].all()  # each measures what it is aimed at
+    assert mine[grown.row, np.arange(len(grown))].all()  # each measures the point at which it is aimed
     assert len(grown) < len(pool) / 5
 
 
-def test_only_what_is_open_is_grown_for(mug):
-    """Nothing open, nothing grown; one point open, every view measures it; equal inputs give equal views."""
+def test_views_grow_for_open_points_only(mug):
+    """Without open points nothing grows; with one, every view measures it; equal inputs give equal views."""
     _, _, scouts, caster = mug
-    arm = _arm(caster, LaserArea(range_mm=(50, 150), baseline_mm=25))
+    evaluator = _evaluator(caster, LaserArea(range_mm=(50, 150), baseline_mm=25))
     targets = RayTargets.of(scouts.points, scouts.normals)
     seen = np.ones(len(targets), dtype=bool)
-    assert not len(grow(targets, seen, arm))
+    assert not len(grow(targets, seen, evaluator))
     seen[np.argmax(scouts.points[:, 2])] = False
-    some, again = grow(targets, seen, arm), grow(targets, seen, arm)
+    some, again = grow(targets, seen, evaluator), grow(targets, seen, evaluator)
     assert 1 <= len(some) <= 3
-    views = find_measured(some.T_object_scanner[:, None], scouts, arm.scanner, (caster,), each=True)
+    views = find_measured(some.T_object_scanner[:, None], scouts, evaluator.scanner, (caster,), each=True)
     assert views[~seen].all()
     np.testing.assert_array_equal(some.T_object_scanner, again.T_object_scanner)
 
 
-def test_nothing_is_grown_that_the_arm_does_not_take_up(mug):
-    """An arm that takes up nothing ends the search without a view, within its bound of work."""
+def test_unreachable_views_do_not_grow(mug):
+    """An arm that reaches nothing ends the search without a view, within its budget."""
     _, _, scouts, caster = mug
-    asked = []
+    tested = []
 
     def nowhere(T):
-        asked.append(len(T))
+        tested.append(len(T))
         return np.zeros(len(T), dtype=bool)
 
-    arm = _arm(caster, LaserArea(range_mm=(50, 150), baseline_mm=25), nowhere)
+    evaluator = _evaluator(caster, LaserArea(range_mm=(50, 150), baseline_mm=25), nowhere)
     targets = RayTargets.of(scouts.points, scouts.normals)
     schedule = (SearchStage((0, 8), False, 4000), SearchStage((0, 8), True, 4000))
-    assert not len(grow(targets, np.zeros(len(targets), dtype=bool), arm, schedule=schedule))
-    assert 0 < sum(asked) <= 4000
+    assert not len(grow(targets, np.zeros(len(targets), dtype=bool), evaluator, schedule=schedule))
+    assert 0 < sum(tested) <= 4000
 
 
-def test_views_of_a_sensor_that_sweeps_measure_in_the_middle_of_their_sweep(mug):
-    """Every pose of a sweep is asked of the arm, and the sweep measures the point that it is aimed at."""
+def test_sweeps_are_aimed_with_their_middle_pose(mug):
+    """Every pose of a sweep is tested for reachability, and the sweep measures the point at which it is aimed."""
     _, _, scouts, caster = mug
     scanner = LaserLine(range_mm=(50, 150), baseline_mm=25, sweep_mm=40.0, sweep_steps=4)
-    arm = _arm(caster, scanner)
+    evaluator = _evaluator(caster, scanner)
     targets = RayTargets.of(scouts.points, scouts.normals)
     schedule = (SearchStage((0, 16), False, 20_000), SearchStage((0, 8), True, 20_000))
-    grown = grow(targets, np.zeros(len(targets), dtype=bool), arm, schedule=schedule)
+    grown = grow(targets, np.zeros(len(targets), dtype=bool), evaluator, schedule=schedule)
     sweeps = grown.T_object_scanner[:, None] @ scanner.T_view_scanner
     assert len(grown)
     assert _above(sweeps).all()

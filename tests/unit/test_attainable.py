@@ -1,4 +1,4 @@
-"""What any pose measures that the arm takes up: against cases whose answer is known, and the line that tells it."""
+"""Attainable share: cases with known answers, and the line of the report."""
 
 from types import SimpleNamespace
 
@@ -13,7 +13,7 @@ from cell.session import Effort, effort_of
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.coverage import Coverage
-from planner.viewpoints.attainable import _first_taken_up, probe_attainable
+from planner.viewpoints.attainable import _first_reachable, probe_attainable
 from planner.viewpoints.growth import ViewEvaluator
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.pose_sampling import AimedPoses
@@ -21,12 +21,14 @@ from planner.viewpoints.pose_sampling import AimedPoses
 SCANNER = LaserArea(range_mm=(50, 150), baseline_mm=25, sensor_grazing_max_deg=75)
 
 
-def _ball(takes_up, *around):
-    """300 points of a ball of 40 mm, and the arm and casters that ask about it."""
+def _ball(are_reachable, *around):
+    """Return 300 points of a ball of 40 mm, and the evaluator of poses about it."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.04)
     casters = [EmbreeRayCaster(mesh.vertices, mesh.faces) for mesh in (ball, *around)]
     points, faces = trimesh.sample.sample_surface(ball, 300, seed=0)
-    return RayTargets.of(points, ball.face_normals[faces]), ViewEvaluator(SCANNER, casters, takes_up, np.eye(4)[None])
+    return RayTargets.of(points, ball.face_normals[faces]), ViewEvaluator(
+        SCANNER, casters, are_reachable, np.eye(4)[None]
+    )
 
 
 def _anywhere(T):
@@ -34,15 +36,15 @@ def _anywhere(T):
 
 
 def test_all_of_a_ball_is_measured_from_anywhere():
-    """Nothing hides a convex body."""
+    """A convex body hides nothing."""
     found = probe_attainable(*_ball(_anywhere))
     assert found.measured.all()
 
 
 def test_from_above_the_lowest_points_of_a_ball_are_seen_but_not_reached():
-    """Sources above a plane through the ball's lowest point see what leans from it by less than the limit allows."""
-    targets, arm = _ball(lambda T: (T[:, :, 2, 3] > -0.04).all(axis=1))
-    found = probe_attainable(targets, arm)
+    """Sources above a plane through the ball's lowest point measure points whose tilt is below the limit."""
+    targets, evaluator = _ball(lambda T: (T[:, :, 2, 3] > -0.04).all(axis=1))
+    found = probe_attainable(targets, evaluator)
     assert found.visible.all()
     # From height z of a point, 150 mm away at most and within 75 deg of its normal, the source must rise to -40 mm.
     height, lean = targets.points[2], np.arccos(np.clip(targets.normals[2], -1, 1))
@@ -57,53 +59,53 @@ def test_in_a_closed_box_nothing_is_seen_from_outside():
     assert not found.visible.any()
 
 
-def test_an_arm_that_takes_up_nothing_measures_nothing_of_what_is_seen():
-    """And equal inputs give equal answers."""
-    targets, arm = _ball(lambda T: np.zeros(len(T), dtype=bool))
-    found, again = probe_attainable(targets, arm), probe_attainable(targets, arm)
+def test_an_arm_that_reaches_nothing_measures_nothing():
+    """All points are visible and none is measured; equal inputs give equal answers."""
+    targets, evaluator = _ball(lambda T: np.zeros(len(T), dtype=bool))
+    found, again = probe_attainable(targets, evaluator), probe_attainable(targets, evaluator)
     assert found.visible.all()
     assert not found.measured.any()
     np.testing.assert_array_equal(found.visible, again.visible)
 
 
-def test_of_each_point_the_arm_is_asked_until_it_takes_up_a_pose():
-    """The pose that counts is that of asking about all of them, and none behind it is asked about."""
+def test_poses_of_a_point_are_tested_until_one_is_reachable():
+    """The result is the first reachable pose of each point; no pose after it is tested."""
     rng = np.random.default_rng(0)
     row, T = rng.integers(0, 40, 500), np.tile(np.eye(4), (500, 1, 1))
-    T[:, 0, 3], taken, asked = np.arange(500), rng.random(500) < 0.2, []
+    T[:, 0, 3], ok, tested = np.arange(500), rng.random(500) < 0.2, []
 
-    def takes_up(T):
-        asked.extend(pose := T[:, 0, 0, 3].astype(int))
-        return taken[pose]
+    def are_reachable(T):
+        tested.extend(pose := T[:, 0, 0, 3].astype(int))
+        return ok[pose]
 
-    found = _first_taken_up(AimedPoses(T, row), _ball(takes_up)[1])
-    first = {point: np.flatnonzero(taken & (row == point))[:1] for point in range(40)}
+    found = _first_reachable(AimedPoses(T, row), _ball(are_reachable)[1])
+    first = {point: np.flatnonzero(ok & (row == point))[:1] for point in range(40)}
     expected = [index for point in range(40) for index in first[point].tolist()]
     assert found.T_object_scanner[:, 0, 3].tolist() == expected
     until = [row == point if not len(at) else (row == point) & (np.arange(500) <= at[0]) for point, at in first.items()]
-    assert sorted(asked) == np.flatnonzero(np.any(until, axis=0)).tolist()
+    assert sorted(tested) == np.flatnonzero(np.any(until, axis=0)).tolist()
 
 
 @pytest.mark.usefixtures("full_effort")
-def test_the_share_of_a_plan_is_that_of_asking_every_sample(monkeypatch):
-    """Of few samples the estimate is the count itself and has no error; of half of them it is within a few errors."""
-    targets, arm = _ball(lambda T: (T[:, :, 2, 3] > -0.02).all(axis=1))
+def test_the_share_of_a_plan_is_that_of_all_samples(monkeypatch):
+    """The share of few samples is exact; from half of them it is within a few standard errors."""
+    targets, evaluator = _ball(lambda T: (T[:, :, 2, 3] > -0.02).all(axis=1))
     areas = np.full(300, 2.0)
     samples = SurfaceSamples(targets.points.T, targets.normals.T, areas, np.arange(300), np.arange(300))
     covered = targets.points[2] > 0.02
     some = Coverage(covered, float(areas[covered].sum()), float(areas.sum()))
     prediction = SimpleNamespace(samples=samples, coverable=some, scanner=None, casters=())
     problem = SimpleNamespace(prediction=prediction, world=None, kinematics=None, checker=None)
-    monkeypatch.setattr("cell.plan.attainable.arm_of", lambda *_: arm)
-    whole = of_plan(problem, some, np.random.default_rng(0))
-    truth = probe_attainable(targets, arm)
-    assert whole.standard_error == 0
-    assert whole.share == pytest.approx((covered | truth.measured).mean(), abs=0.01)
-    assert whole.share + whole.out_of_reach + whole.out_of_sight == pytest.approx(1.0)
+    monkeypatch.setattr("cell.plan.attainable.arm_of", lambda *_: evaluator)
+    exact = of_plan(problem, some, np.random.default_rng(0))
+    truth = probe_attainable(targets, evaluator)
+    assert exact.standard_error == 0
+    assert exact.share == pytest.approx((covered | truth.measured).mean(), abs=0.01)
+    assert exact.share + exact.out_of_reach + exact.out_of_sight == pytest.approx(1.0)
     with effort_of(Effort(searched_samples=int((~covered).sum()) // 2)):
         half = of_plan(problem, some, np.random.default_rng(0))
     assert half.standard_error > 0
-    assert abs(half.share - whole.share) < 4 * half.standard_error + 0.01
+    assert abs(half.share - exact.share) < 4 * half.standard_error + 0.01
 
 
 def test_the_line_names_the_largest_loss_where_little_is_measured():

@@ -6,6 +6,7 @@ from scipy.sparse import csr_array
 
 from cell.scan.pose_error import Disturbance
 from planner.errors import PlannerError
+from planner.geometry.rigid import rotation_matrices
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.pose_ensemble import (
     PoseError,
@@ -16,7 +17,7 @@ from planner.measurability.pose_ensemble import (
 )
 from planner.measurability.visibility import fill_matrix
 from planner.ports import Hits, Rejection
-from planner.viewpoints.viewpoints import Viewpoints, rotation_matrices
+from planner.viewpoints.viewpoints import Viewpoints
 
 
 class Cone:

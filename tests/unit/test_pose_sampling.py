@@ -1,4 +1,4 @@
-"""Poses aimed at points: the frustum that a law has, what is drawn and carried over, against closed forms."""
+"""Sampled poses: the frustum of a scanner, drawn and transferred poses, compared with closed forms."""
 
 import numpy as np
 import pytest
@@ -7,19 +7,19 @@ from cell.scanners.laser_area import LaserArea
 from cell.scanners.laser_line import LaserLine
 from planner.ports import Rejection
 from planner.viewpoints.lines_of_sight import RayTargets
-from planner.viewpoints.pose_sampling import Frustum, draw_poses, find_frustum, transfer_poses
+from planner.viewpoints.pose_sampling import draw_poses, find_frustum, transfer_poses
 from planner.viewpoints.viewpoints import aim_viewpoints, viewpoints_from_poses
 
 
 def _sphere(count):
-    """Points of the unit sphere scaled to 50 mm, with their normals."""
+    """Random points of a sphere of 50 mm with their normals."""
     normals = np.random.default_rng(3).normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return RayTargets.of(0.05 * normals, normals)
 
 
 def _codes(scanner, T, points, normals):
-    """What the law says of point i from pose i, one after the other."""
+    """Apply the scanner's conditions to point i at pose i, one after the other."""
     return np.array(
         [
             scanner.reject(((p - t[:3, 3]) @ t[:3, :3])[None], (n @ t[:3, :3])[None])[0]
@@ -29,7 +29,7 @@ def _codes(scanner, T, points, normals):
 
 
 @pytest.mark.parametrize(("fov", "near", "far", "limit"), [((60, 60), 50, 150, 75), ((12, 40), 150, 450, 60)])
-def test_the_frustum_is_the_law_s(fov, near, far, limit):
+def test_the_frustum_is_that_of_the_conditions(fov, near, far, limit):
     """Every place is inside the closed form of the frustum, and they come close to its limits."""
     scanner = LaserArea(
         fov_deg=fov, range_mm=(near, far), baseline_mm=10, grazing_max_deg=limit, sensor_grazing_max_deg=90
@@ -48,13 +48,13 @@ def test_the_frustum_is_the_law_s(fov, near, far, limit):
 
 
 def test_the_frustum_of_a_line_sensor_is_its_sheet():
-    """All places are in the plane of the sheet, where no field of view across it is."""
+    """All places are in the plane of the sheet, which has no field of view across it."""
     found = find_frustum(LaserLine(range_mm=(100, 300), sweep_steps=8, sensor_grazing_max_deg=90))
     assert np.abs(found.points[:, 0]).max() < 0.01 < np.ptp(found.points[:, 1])
 
 
-def test_a_law_that_measures_nothing_has_no_frustum():
-    """No place, and nothing is drawn."""
+def test_a_scanner_that_measures_nothing_has_no_frustum():
+    """The frustum has no place and no pose is drawn."""
 
     class Blind(LaserArea):
         def reject(self, points, normals):
@@ -67,31 +67,31 @@ def test_a_law_that_measures_nothing_has_no_frustum():
 
 
 @pytest.mark.parametrize("scanner", [LaserArea(sensor_grazing_max_deg=75.0), LaserLine()])
-def test_what_is_drawn_is_rigid_and_measures_its_point_but_for_lines_of_sight(scanner):
-    """The law, asked of one pose and its point at a time, agrees; two stretches are those of the whole."""
+def test_drawn_poses_are_rigid_and_have_their_point_in_view(scanner):
+    """The conditions hold for each pose and its point; two ranges of the sequence give the poses of both."""
     targets, rows = _sphere(12), np.array([2, 5, 11])
     within = find_frustum(scanner)
-    whole = draw_poses(targets, rows, (0, 200), within, scanner)
-    R = whole.T_object_scanner[:, :3, :3]
+    everything = draw_poses(targets, rows, (0, 200), within, scanner)
+    R = everything.T_object_scanner[:, :3, :3]
     np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
     assert (np.linalg.det(R) > 0).all()
-    points, normals = targets.points[:, whole.row].T, targets.normals[:, whole.row].T
-    assert (_codes(scanner, whole.T_object_scanner, points, normals) == Rejection.MEASURED).all()
-    assert set(whole.row.tolist()) == set(rows.tolist())
+    points, normals = targets.points[:, everything.row].T, targets.normals[:, everything.row].T
+    assert (_codes(scanner, everything.T_object_scanner, points, normals) == Rejection.MEASURED).all()
+    assert set(everything.row.tolist()) == set(rows.tolist())
     for row in rows:
         parts = [draw_poses(targets, np.array([row]), part, within, scanner) for part in ((0, 77), (77, 200))]
         joined = np.concatenate([part.T_object_scanner for part in parts])
-        np.testing.assert_array_equal(joined, whole.T_object_scanner[whole.row == row])
+        np.testing.assert_array_equal(joined, everything.T_object_scanner[everything.row == row])
 
 
-def test_draws_fill_the_family():
-    """Distances, tilts and rolls of many draws go from one end of what the law allows to the other."""
+def test_draws_fill_the_allowed_ranges():
+    """Distances, tilts and rolls of many draws span the allowed ranges."""
     scanner = LaserArea(range_mm=(50, 150), baseline_mm=0, grazing_max_deg=60, sensor_grazing_max_deg=60)
     targets = _sphere(1)
     poses = draw_poses(targets, np.array([0]), (0, 4000), find_frustum(scanner), scanner).T_object_scanner
-    legs = poses[:, :3, 3] - targets.points[:, 0]
-    distance = np.linalg.norm(legs, axis=1)
-    tilt = np.degrees(np.arccos(legs @ targets.normals[:, 0] / distance))
+    rays = poses[:, :3, 3] - targets.points[:, 0]
+    distance = np.linalg.norm(rays, axis=1)
+    tilt = np.degrees(np.arccos(rays @ targets.normals[:, 0] / distance))
     assert (distance.min(), distance.max()) == pytest.approx((0.05, 0.15), rel=0.02)
     assert tilt.min() < 3
     assert 58 < tilt.max() <= 60
@@ -99,8 +99,8 @@ def test_draws_fill_the_family():
     assert np.histogram(heading, bins=12, range=(-180, 180))[0].min() > 100
 
 
-def test_poses_are_carried_over_to_neighbours():
-    """From one pose of one point, its neighbours get poses that the law accepts, none of them the pose itself."""
+def test_poses_are_transferred_to_neighbours():
+    """From the pose of one point its neighbours get accepted poses, all different."""
     scanner = LaserArea(range_mm=(50, 150), baseline_mm=25, sensor_grazing_max_deg=75)
     targets = _sphere(300)
     known = draw_poses(targets, np.array([7]), (0, 8), find_frustum(scanner), scanner)
@@ -112,8 +112,8 @@ def test_poses_are_carried_over_to_neighbours():
     assert len(np.unique(found.T_object_scanner.reshape(len(found), -1), axis=0)) == len(found)
 
 
-def test_poses_become_the_viewpoints_that_they_were():
-    """Standoff and roll of poses that `looking_at` made come back."""
+def test_viewpoints_from_poses_have_their_standoff_and_roll():
+    """Standoff and roll of poses from `aim_viewpoints` are recovered."""
     rng = np.random.default_rng(0)
     outward = rng.normal(size=(6, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
@@ -123,8 +123,3 @@ def test_poses_become_the_viewpoints_that_they_were():
     np.testing.assert_allclose(back.standoff, made.standoff)
     np.testing.assert_allclose(np.cos(back.roll - made.roll), 1.0)
     np.testing.assert_array_equal(back.T_object_scanner, made.T_object_scanner)
-
-
-def test_an_empty_frustum_keeps_its_shape():
-    """The value without places is one."""
-    assert Frustum(np.empty((0, 3)), np.zeros(1, dtype=np.int64), 0.0).points.shape == (0, 3)

@@ -1,0 +1,201 @@
+"""Refined views: the code that fills the matrix measures the result again, pose by pose."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
+from planner.cover import CoverProblem, solve
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import draw_samples
+from planner.measurability.visibility import fill_matrix, find_measured
+from planner.ports import Rejection
+from planner.viewpoints import growth, refinement
+from planner.viewpoints.growth import ViewEvaluator
+from planner.viewpoints.lines_of_sight import RayTargets, in_view, in_view_matrix
+from planner.viewpoints.pose_sampling import perturb_pose
+from planner.viewpoints.refinement import ViewState, improve_views, reduce_views
+from planner.viewpoints.viewpoints import aim_viewpoints
+
+STANDOFF = 0.1
+
+
+@pytest.fixture(scope="module")
+def case():
+    """A ball of 60 mm, 300 samples, 40 candidates aimed at its centre, and a cover of 98 % of it."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.03)
+    mesh = TriangleMesh(ball.vertices, ball.faces)
+    samples = draw_samples(mesh, mesh, 300, np.random.default_rng(1))
+    scanner = LaserArea(fov_deg=(40, 40), range_mm=(50, 150), baseline_mm=20, sensor_grazing_max_deg=75)
+    caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
+    outward = np.random.default_rng(2).normal(size=(40, 3))
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    candidates = aim_viewpoints(0.03 * outward, outward, np.full(40, -1), [STANDOFF], [0.0])
+    M = fill_matrix(candidates, samples, scanner, caster)
+    chosen = solve(CoverProblem(M.matrix(), samples.areas, coverage=0.98), rng=np.random.default_rng(0)).views
+    poses, n = candidates.T_object_scanner[chosen, 0], len(chosen)
+    measured = M.matrix().tocsc()[:, chosen].toarray()
+    views = ViewState(poses, np.full(n, STANDOFF), np.arange(n), np.zeros(n, dtype=bool), measured)
+    return samples, scanner, caster, views
+
+
+def _evaluator(scanner, caster, are_reachable=lambda T: np.ones(len(T), dtype=bool)):
+    return ViewEvaluator(scanner, (caster,), are_reachable, np.eye(4)[None])
+
+
+def _reduce(case, *, are_reachable=lambda T: np.ones(len(T), dtype=bool), shortfall=lambda views: 0.0, effort=20_000):
+    samples, scanner, caster, views = case
+    areas = samples.areas / samples.areas.sum()
+    goal = float(areas[views.measured.any(axis=1)].sum())
+    targets = RayTargets.of(samples.points, samples.normals)
+    evaluator = _evaluator(scanner, caster, are_reachable)
+    options = {"goal": goal, "shortfall": shortfall, "effort": effort}
+    return goal, reduce_views(views, targets, areas, lambda view: evaluator, **options)
+
+
+def test_reduced_views_measure_as_much(case):
+    """The rows of each view are those that it measures alone; views that did not move are unchanged."""
+    samples, scanner, caster, views = case
+    goal, after = _reduce(case)
+    assert len(after) < len(views)
+    alone = find_measured(after.T_object_scanner[:, None], samples, scanner, (caster,), each=True)
+    np.testing.assert_array_equal(after.measured, alone)
+    assert samples.areas[alone.any(axis=1)].sum() / samples.areas.sum() >= goal * (1 - 1e-12)
+    still = ~after.moved
+    np.testing.assert_array_equal(after.T_object_scanner[still], views.T_object_scanner[after.origin[still]])
+    R = after.T_object_scanner[:, :3, :3]
+    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
+    assert len(np.unique(after.origin)) == len(after)
+
+
+def test_equal_input_gives_equal_views(case):
+    """To the bit."""
+    (_, one), (_, other) = _reduce(case), _reduce(case)
+    np.testing.assert_array_equal(one.T_object_scanner, other.T_object_scanner)
+
+
+def test_unreachable_poses_are_not_taken(case):
+    """With an arm that reaches half of space, no view leaves it; with one that reaches nothing, none moves."""
+    _, _, _, views = case
+    _, after = _reduce(case, are_reachable=lambda T: T[:, 0, 2, 3] > 0)
+    assert (after.T_object_scanner[after.moved, 2, 3] > 0).all()
+    _, after = _reduce(case, are_reachable=lambda T: np.zeros(len(T), dtype=bool))
+    assert not after.moved.any()
+    assert len(after) <= len(views)
+
+
+def test_views_with_a_shortfall_are_not_taken(case):
+    """With a permanent shortfall or without effort the views stay unchanged."""
+    _, _, _, views = case
+    for after in (_reduce(case, shortfall=lambda views: 0.5)[1], _reduce(case, effort=0)[1]):
+        assert len(after) == len(views)
+        np.testing.assert_array_equal(after.T_object_scanner, views.T_object_scanner)
+
+
+def _improve(case, wanted, are_reachable=lambda T: np.ones(len(T), dtype=bool), which=slice(None)):
+    samples, scanner, caster, views = case
+    targets, evaluator = RayTargets.of(samples.points, samples.normals), _evaluator(scanner, caster, are_reachable)
+    return improve_views(views.T_object_scanner[which], views.distance[which], targets, wanted, evaluator)
+
+
+def test_each_improved_view_measures_more_by_itself(case):
+    """By the rays of each pose alone; a view that did not move is unchanged to the bit."""
+    samples, scanner, caster, views = case
+    wanted = samples.areas * (samples.points[:, 0] > 0)
+    T, moved_ = _improve(case, wanted)
+    more = wanted @ find_measured(T[:, None], samples, scanner, (caster,), each=True) > wanted @ views.measured
+    np.testing.assert_array_equal(more, moved_)
+    assert more.mean() > 0.5
+    np.testing.assert_array_equal(T[~moved_], views.T_object_scanner[~moved_])
+    np.testing.assert_array_equal(_improve(case, wanted)[0], T)
+    np.testing.assert_array_equal(_improve(case, wanted, which=[2])[0][0], T[2])
+    assert [len(each) for each in _improve(case, wanted, which=[])] == [0, 0]
+
+
+def test_each_round_measures_more(case, monkeypatch):
+    """Smaller steps after large ones improve further; no view goes farther than the steps allow."""
+    samples, _, _, views = case
+    rounds = []
+    for count in (1, 2, 3):
+        monkeypatch.setattr(refinement, "SINGLE_SCALES", (1.0, 0.5, 0.25)[:count])
+        T, _ = _improve(case, samples.areas)
+        displacement = np.linalg.norm(T[:, :3, 3] - views.T_object_scanner[:, :3, 3], axis=1)
+        turn = 2 * np.sin(np.sqrt(3) * np.radians(15) / 2)
+        assert displacement.max() <= STANDOFF * sum(refinement.SINGLE_SCALES) * (turn + np.sqrt(3) * 0.15)
+        rounds.append(
+            float(np.sum(samples.areas @ find_measured(T[:, None], samples, *case[1:2], (case[2],), each=True)))
+        )
+    assert rounds == sorted(rounds)
+    assert rounds[0] < rounds[2]
+
+
+def test_unreachable_poses_do_not_improve_a_view(case):
+    """Views stay if nothing else is reachable; with an arm that reaches half of space, none leaves it."""
+    samples, _, _, views = case
+    T, moved_ = _improve(case, samples.areas, lambda T: np.zeros(len(T), dtype=bool))
+    assert not moved_.any()
+    np.testing.assert_array_equal(T, views.T_object_scanner)
+    T, moved_ = _improve(case, samples.areas, lambda T: T[:, 0, 2, 3] > 0)
+    assert moved_.any()
+    assert (T[moved_, 2, 3] > 0).all()
+
+
+def test_perturbed_poses_stay_near_their_aim():
+    """Turned about the point, then shifted by at most the share; a share of 0 moves nothing."""
+    view = aim_viewpoints(np.zeros((1, 3)), np.array([[0.6, 0.0, 0.8]]), np.array([-1]), [0.2], [0.3])
+    T = view.T_object_scanner[0, 0]
+    for share in (0.0, 0.5, 1.0):
+        found = perturb_pose(T, 0.2, share, (0, 200), 3)
+        aim = found[:, :3, 3] + 0.2 * found[:, :3, 2]
+        assert np.abs(aim).max() <= 0.15 * share * 0.2 + 1e-12
+        turn = np.arccos(np.clip((np.einsum("nij,ij->n", found[:, :3, :3], T[:3, :3]) - 1) / 2, -1, 1))
+        assert np.degrees(turn).max() <= 15 * share * np.sqrt(3) + 1e-5
+
+
+def test_views_above_the_threshold_are_evaluated_in_full(case):
+    """Views that measure more than the threshold have all their rows; others have all or none."""
+    samples, scanner, caster, views = case
+    targets, rows = RayTargets.of(samples.points, samples.normals), np.arange(0, 300, 2)
+    T, area = perturb_pose(views.T_object_scanner[0], STANDOFF, 1.0, (0, 60), 0), samples.areas[rows]
+    evaluator = _evaluator(scanner, caster)
+    full = evaluator.measured(T, targets, rows)
+    np.testing.assert_array_equal(full, find_measured(T[:, None], samples, scanner, (caster,), each=True)[rows])
+    threshold = float(np.median(area @ full)) * (1 + 1e-9)
+    found = evaluator.measured(T, targets, rows, (area, threshold))
+    for pose in range(60):
+        same, none = np.array_equal(found[:, pose], full[:, pose]), not found[:, pose].any()
+        assert same or (none and area @ full[:, pose] <= threshold)
+    assert 0 < found.any(axis=0).sum() < 60
+
+
+def test_poses_evaluated_together_give_the_result_of_each_alone(case, monkeypatch):
+    """For any batch size; also if each point has the limits of its region."""
+    samples, scanner, caster, views = case
+    region = (np.arange(len(samples.points)) % 3).astype(np.int32)
+    targets, rows = RayTargets.of(samples.points, samples.normals, region), np.arange(1, 300, 2)
+    T = perturb_pose(views.T_object_scanner[0], STANDOFF, 1.0, (0, 12), 0)
+    evaluator = _evaluator(_RegionalScanner(scanner), caster)
+    visible = in_view_matrix(targets, T, evaluator.scanner, rows)
+    for pose, seen in zip(T, visible, strict=True):
+        np.testing.assert_array_equal(rows[seen], in_view(targets, pose, evaluator.scanner, rows))
+    assert not visible[:, region[rows] == 1].any()
+    assert visible.any()
+    full = evaluator.measured(T, targets, rows)
+    monkeypatch.setattr(growth, "_PAIRS", 5 * len(rows))
+    np.testing.assert_array_equal(evaluator.measured(T, targets, rows), full)
+    assert full[:, 5:].any()
+
+
+class _RegionalScanner:
+    """A scanner that measures nothing in region 1."""
+
+    def __init__(self, scanner):
+        self._scanner = scanner
+
+    def __getattr__(self, name):
+        return getattr(self._scanner, name)
+
+    def reject_in(self, points, normals, region):
+        """Reject every point of region 1."""
+        return np.where(region == 1, Rejection.OUT_OF_RANGE, self._scanner.reject(points, normals)).astype(np.uint8)
