@@ -15,10 +15,10 @@ from cell.plant import factory
 from cell.plant.servo import Settings
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
-from cell.robot.kinematics import Kr16Kinematics
 from cell.robot.model import load
 from drivers.controller import SETTLE_LIMIT
 from drivers.profile import Reference, interpolate
+from planner.kinematics.closed_form import KukaKinematics
 from planner.values import Floats
 
 HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
@@ -48,7 +48,7 @@ class Trace:
         times, axes = (np.concatenate(parts) for parts in zip(*self.steps[0], strict=True))
         return times, axes
 
-    def errors(self, kinematics: Kr16Kinematics, T_flange_scanner: Floats) -> dict[str, Floats]:
+    def errors(self, kinematics: KukaKinematics, T_flange_scanner: Floats) -> dict[str, Floats]:
         """Per step: reference and true position (N, 3) [m], speed (N,) [m/s], path deviation (N,) [m]."""
         found: dict[str, list[Floats]] = {"reference": [], "true": [], "velocity": [], "off": []}
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from cell.robot.kinematics import BRANCHES, Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
+from planner.kinematics.closed_form import BRANCHES
 from planner.kinematics.setpoints import setpoints
 
 POSES = 100_000
@@ -18,7 +19,7 @@ REPEATS = 7
 
 def run() -> list[dict[str, Any]]:
     """One row for the inverse, one for the forward kinematics, one for turns and limits."""
-    kinematics = Kr16Kinematics.load()
+    kinematics = kr16_kinematics()
     limits = kinematics.limits
     rng = np.random.default_rng(0)
     q = rng.uniform(limits.lower, limits.upper, (POSES, 6))

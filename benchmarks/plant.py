@@ -32,12 +32,12 @@ from cell.plant import factory
 from cell.plant.mujoco_plant import MujocoPlant
 from cell.plant.servo import Settings
 from cell.robot.arm import kinematics_of
-from cell.robot.kinematics import Kr16Kinematics
 from cell.robot.model import load
 from cell.runs.run import Run, open_run
 from cell.scan import driver as scan_driver
 from cell.scan.legs import legs_of
 from cell.scan.options import ScanOptions
+from planner.kinematics.closed_form import KukaKinematics
 from planner.values import Floats
 
 URL = "sim://?plant=mujoco"
@@ -106,7 +106,7 @@ def default_plan(run_record: Run, speed: float) -> dict[str, Any]:
     }
 
 
-def _position(kinematics: Kr16Kinematics, T_flange_scanner: Floats, q: Floats) -> Floats:
+def _position(kinematics: KukaKinematics, T_flange_scanner: Floats, q: Floats) -> Floats:
     return np.asarray((kinematics.forward(q[None]) @ T_flange_scanner)[0, :3, 3])
 
 

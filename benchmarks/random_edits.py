@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.runs.run import Run
+from planner.kinematics.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from planner.values import Floats
 
 _WRONG = 0.08  # share of edits that name what is not there

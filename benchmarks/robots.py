@@ -80,7 +80,7 @@ def _scene(file: Path, number: int, draw: int) -> dict[str, Any]:
         read = trimesh.load(Path(folder) / "run/reference.ply", process=False)
         surface = TriangleMesh(np.asarray(read.vertices) / 1000, np.asarray(read.faces, dtype=np.int32))
     excused = {frozenset(pair.split(" with ")) for pair in found.excused}
-    contacts, looked = _contacts(robot_file.read(file), stored["via_q"], surface, placed, excused)
+    contacts, looked = _contacts(robot_file.read_robot(file), stored["via_q"], surface, placed, excused)
     coverage = plan["coverage"]
     return {
         "arm": file.stem,
@@ -116,7 +116,7 @@ def _contacts(
     links = {int(model.jnt_bodyid[model.joint(name).id]): f"link_{i + 1}" for i, name in enumerate(file.joints)}
     links |= {
         int(model.joint(each.joint).bodyid[0]): model.body(model.joint(each.joint).bodyid[0]).name
-        for each in file.followers
+        for each in file.mimic_joints
     }
     links[base] = "base"
     pieces: dict[str, list[tuple[int, Any]]] = {}
@@ -145,7 +145,7 @@ def _contacts(
             q = q_from + share * (q_to - q_from)
             for name, angle in zip(file.joints, q, strict=True):
                 data.joint(name).qpos = angle
-            for each in file.followers:
+            for each in file.mimic_joints:
                 data.joint(each.joint).qpos = each.ratio * q[each.axis] + each.offset
             mujoco.mj_kinematics(model, data)
             R, origin = data.xmat[base].reshape(3, 3), data.xpos[base]

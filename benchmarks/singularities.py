@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
+from planner.kinematics.closed_form import KukaKinematics
 from planner.values import Floats
 
 _TOOL, _SPEED = 0.12, 0.1  # m, m/s
@@ -21,7 +22,7 @@ _STEP = 1e-6  # rad, of the central differences: their error is 1e-10
 
 def run() -> list[dict[str, Any]]:
     """A row for each singularity and decade of distance."""
-    kinematics = Kr16Kinematics.load()
+    kinematics = kr16_kinematics()
     rows = []
     for name, (q, joint) in _singular(kinematics).items():
         for distance in _DISTANCES:
@@ -31,7 +32,7 @@ def run() -> list[dict[str, Any]]:
     return rows
 
 
-def _singular(kinematics: Kr16Kinematics) -> dict[str, tuple[Floats, int]]:
+def _singular(kinematics: KukaKinematics) -> dict[str, tuple[Floats, int]]:
     """Singular configurations [rad], and the joint along which they are left."""
     arm = kinematics.arm
     stretched = -np.arctan2(-arm.a3, arm.d4)
@@ -48,7 +49,7 @@ def _singular(kinematics: Kr16Kinematics) -> dict[str, tuple[Floats, int]]:
     }
 
 
-def _beside(kinematics: Kr16Kinematics, q: Floats) -> dict[str, float]:
+def _beside(kinematics: KukaKinematics, q: Floats) -> dict[str, float]:
     jacobian = _jacobian(kinematics, q)
     needed = _SPEED * np.linalg.norm(np.linalg.inv(jacobian)[:, :3], axis=1)
     share = needed / kinematics.limits.velocity
@@ -59,7 +60,7 @@ def _beside(kinematics: Kr16Kinematics, q: Floats) -> dict[str, float]:
     }
 
 
-def _jacobian(kinematics: Kr16Kinematics, q: Floats) -> Floats:
+def _jacobian(kinematics: KukaKinematics, q: Floats) -> Floats:
     """(6, 6) velocity of the tool [m/s] and angular velocity [rad/s], base frame, per joint speed [rad/s]."""
     nudges = _STEP * np.eye(6)
     ahead, behind = kinematics.forward(q + nudges), kinematics.forward(q - nudges)

@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.methods.stability_map import Map, MapPoint
 from cell.robot import model as robot
-from cell.robot.kinematics import STRETCH_TOLERANCE, Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
 from cell.scene.model import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
+from planner.kinematics.closed_form import STRETCH_TOLERANCE, KukaKinematics
 from planner.kinematics.reach import Verdict
 from planner.kinematics.setpoints import STEPS_PER_DEGREE, setpoints
 from planner.path.certified_edge import certify, quantise
@@ -32,8 +33,8 @@ _NUMERIC_STARTS, _NUMERIC_GOOD = 4, 1e-7  # of the numeric inverse; m and rad
 
 
 @lru_cache(maxsize=1)
-def _kinematics() -> Kr16Kinematics:
-    return Kr16Kinematics.load()
+def _kinematics() -> KukaKinematics:
+    return kr16_kinematics()
 
 
 def _forearm() -> tuple[float, float]:

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from cell.errors import UsageError
 from cell.export.krl_names import check_name
 from cell.robot.arm import kinematics_of
-from cell.robot.kinematics import Kr16Kinematics
 from cell.runs import current_scene
 from cell.runs.current_scene import CurrentFiles
 from cell.runs.verification import verify_plan
 from cell.session import ProgressReporter
+from planner.kinematics.closed_form import KukaKinematics
 from planner.kinematics.setpoints import STEPS_PER_DEGREE, to_steps
 from planner.path.sweep_line import rotation_vectors
 from planner.ports import ARM_AXES, JointLimits, Kinematics
@@ -186,7 +186,7 @@ def of_motion(
     at_view = np.flatnonzero(motion.view >= 0)
     stop = np.zeros(len(motion.view), dtype=np.int64)
     stop[at_view] = np.cumsum(np.diff(motion.view[at_view], prepend=-1) != 0)
-    kuka = kinematics if isinstance(kinematics, Kr16Kinematics) else None
+    kuka = kinematics if isinstance(kinematics, KukaKinematics) else None
     status, turn = (None, None) if kuka is None else status_and_turn(motion.via_q[:, :ARM_AXES], kuka)
     return Program(
         told=told,
@@ -208,7 +208,7 @@ def of_motion(
     )
 
 
-def status_and_turn(q: Floats, kinematics: Kr16Kinematics) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def status_and_turn(q: Floats, kinematics: KukaKinematics) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """S and T of E6POS.
 
     Args:

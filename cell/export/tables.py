@@ -10,8 +10,8 @@ import json
 import numpy as np
 
 from cell.export.program import Program, angles_deg
-from cell.robot.frames import kuka_abc_from_pose
 from cell.runs.folder import SCHEMA
+from planner.kinematics.frames import kuka_abc_from_pose
 from planner.ports import axis_name
 from planner.values import Floats
 

@@ -12,10 +12,10 @@ from cell.errors import FileError, UsageError
 from cell.metrology import point_files
 from cell.metrology.options import HandEyeOptions
 from cell.part.workpiece import UNITS
-from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.runs.schema import JsonTable, Transform, Triple
 from cell.session import ProgressReporter
 from planner.errors import PlannerError
+from planner.kinematics.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from planner.registration import hand_eye as targets
 from planner.registration.hand_eye import PoseError, TargetScans, solve_hand_eye
 from planner.values import Floats, readonly

@@ -12,7 +12,6 @@ from cell.errors import FileError, SceneError, UsageError
 from cell.metrology import point_files
 from cell.metrology.options import LocateOptions
 from cell.part.workpiece import UNITS
-from cell.robot.frames import kuka_abc_from_pose
 from cell.runs.cell import world_of
 from cell.runs.run import Run, read_execution
 from cell.runs.schema import JsonTable, Transform, Triple
@@ -22,6 +21,7 @@ from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
 from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
+from planner.kinematics.frames import kuka_abc_from_pose
 from planner.registration.cloud import ScanCloud
 from planner.registration.localisation import SearchRange, fit_pairs, fit_surface, fit_three_two_one
 from planner.registration.observability import FreeKind, FreeMotion, RigidFit, describe

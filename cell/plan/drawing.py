@@ -5,7 +5,7 @@ import numpy as np
 from cell.part.workpiece import Workpiece
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
-from cell.robot.arm import wrist_places
+from cell.robot.arm import wrist_positions
 from cell.runs.folder import RunFolder
 from cell.runs.schema import PlanFile, Report
 from cell.scene.model import Picture
@@ -98,4 +98,4 @@ def finish_drawing(
 
 def _envelope(world: World) -> Floats:
     """(E, 2) a grid of places that the wrist centre reaches in the plane of the arm: radius and height [m]."""
-    return np.stack(wrist_places(world.model, world.scene.robot.T_base, _GRID), axis=1)
+    return np.stack(wrist_positions(world.model, world.scene.robot.T_base, _GRID), axis=1)

@@ -13,7 +13,7 @@ from cell.part.workpiece import Workpiece
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.report import markdown
 from cell.robot import model as robot
-from cell.robot.mesh_paths import mesh_files
+from cell.robot.robot_file import mesh_files
 from cell.runs.facts import (
     degrees,
     fixture_file,

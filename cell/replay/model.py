@@ -17,7 +17,6 @@ import numpy as np
 from cell.errors import FileError
 from cell.replay.appearance import add_mesh, light, of_robot, paint, part_pieces, show_surface
 from cell.robot import model as robot
-from cell.robot import told
 from cell.runs.cell import table_of
 from cell.runs.run import Run
 from cell.runs.schema import ResolvedScene
@@ -136,7 +135,7 @@ def dress(
         cloud_mesh=tuple(mesh_of.get(f"cloud_{number}", -1) for number in range(len(clouds))),
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         clearance=scene.clearance_mm / 1000,
-        near=told.kept_near(model),
+        near=robot.reduced_clearances(model),
         shapes=Shapes(model, {**links, **checked}, hollow),
         table=table_of(scene),
     )

@@ -57,7 +57,7 @@ class Show:
 
         self.theatre, self.timeline = theatre, timeline
         self.data = mujoco.MjData(theatre.model)
-        self._followers = robot.Followers.of(theatre.model)
+        self._followers = robot.MimicJoints.from_model(theatre.model)
         self._turner = Turner(self.data, theatre.table)
         self._flange = theatre.model.site(robot.FLANGE).id
         self.T_base_scanner = readonly(

@@ -1,1 +1,1 @@
-"""The arm: the KR 16's model file or another's brought into its form, closed-form kinematics, KUKA frames."""
+"""The robot: its model file or another one in the same form, limits, kinematics, dynamics."""

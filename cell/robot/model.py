@@ -1,13 +1,15 @@
-"""A robot's compiled model: what it says about axes, home pose, dimensions and what follows the axes; the KR 16's file.
+"""The compiled model of a robot: axes, limits, home, dimensions, mimic joints, annotations; the KR 16's file.
 
-Every number is read from the *compiled* model, that of `models/kr16.xml` or of an arm that was brought into its form
-(`cell.robot.normalised`), so that it stands in one place. World of `kr16.xml` is the robot's base frame (KUKA
-$ROBROOT). MuJoCo is imported when a model is asked for, not with this module.
+Every number has one source, the *compiled* model: that of `models/kr16.xml`, or of an arm converted to its form
+(`cell.robot.normalise`). The world frame of `kr16.xml` is the robot's base frame (KUKA $ROBROOT). Annotations are
+numerics and texts of the MJCF, so that a run's `robot.xml` and `cell.xml` contain them too. MuJoCo is imported when a
+model is needed, not with this module.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, SceneError
+from planner.kinematics.closed_form import Dimensions
 from planner.ports import JointLimits
 from planner.values import Floats, Ints, Value
 
@@ -23,27 +26,37 @@ if TYPE_CHECKING:
     import mujoco
 
 KR16 = "kr16"
-"""Name of the robot that is built in."""
+"""Name of the built-in robot."""
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 LINKS = ("base", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6")
 FLANGE = "flange"
 
+WARNING_PREFIX = "doubt_"
+"""Prefix of the names of texts with warnings about the robot's file, one sentence each."""
 
-# Axis directions at A1..A6 = 0, base frame, in KUKA's signs: what cell.robot.kinematics is derived for.
+CLEARANCE_PREFIX = "keeps_"
+"""Prefix of the names of numerics with the reduced clearance of two bodies."""
+
+SEPARATION_PREFIX = "apart_"
+"""Prefix of the names of numerics with the proven distance of two bodies."""
+
+_TOOL = ("bracket", "housing")
+
+# Axis directions at A1..A6 = 0, base frame, KUKA signs: the convention of planner.kinematics.closed_form.
 _DIRECTIONS = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [-1, 0, 0]], dtype=np.float64)
 # Flange axes at A1..A6 = 0: z out of the face along +x of the base, x down.
 _FLANGE_AT_ZERO = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], dtype=np.float64)
-# How far a model's axes may be off before the closed form, exact for ideal axes only, would be wrong [m and -].
+# Largest deviation of a model's axes for which the closed form, exact for ideal axes, is used [m and -].
 _TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Followers(Value):
-    """Joints that the axes drive along (levers, pistons): angle = ratio * the axis'.
+class MimicJoints(Value):
+    """Joints driven by the axes (levers, pistons): angle = ratio * angle of the axis.
 
     Attributes:
-        axis: (k,) index of the axis that drives each, in the order of the joint values.
+        axis: (k,) index of the driving axis, in the order of the joint values.
         ratio: (k,) -.
     """
 
@@ -51,12 +64,8 @@ class Followers(Value):
     ratio: Annotated[Floats, "k"]
 
     @classmethod
-    def of(cls, model: mujoco.MjModel) -> Followers:
-        """Those of a compiled model, whose joint values come after A1..A6.
-
-        Raises:
-            SceneError: if a joint is none of A1..A6 and nothing says what drives it.
-        """
+    def from_model(cls, model: mujoco.MjModel) -> MimicJoints:
+        """Return the mimic joints of a compiled model, whose joint values follow A1..A6."""
         rows = []
         for joint in range(len(AXES), model.njnt):
             numeric = f"follower_{model.body(model.jnt_bodyid[joint]).name}"
@@ -64,55 +73,25 @@ class Followers(Value):
                 axis, ratio = model.numeric(numeric).data
             except (KeyError, ValueError):
                 raise SceneError(
-                    f"the robot model's joint '{model.joint(joint).name}' is none of A1..A6; give a numeric named "
-                    f"'{numeric}' with the number of the axis that drives it, from 0, and the ratio"
+                    f"the robot model's joint '{model.joint(joint).name}' is none of A1..A6; add a numeric named "
+                    f"'{numeric}' with the 0-based number of its driving axis and the ratio"
                 ) from None
             rows.append((int(axis), float(ratio)))
         return cls(np.array([axis for axis, _ in rows], dtype=np.int64), np.array([ratio for _, ratio in rows]))
 
     def qpos(self, q: Floats) -> Floats:
-        """(..., nq) all joint values for (..., 6) angles of the axes [rad]."""
+        """Return (..., nq) joint values for axis angles q (..., 6) [rad]."""
         return np.concatenate([q, q[..., self.axis] * self.ratio], axis=-1) if len(self.axis) else q
 
 
-@dataclass(frozen=True, slots=True)
-class Dimensions:
-    """The six lengths of a KUKA arm with a spherical wrist [m], all in the plane y = 0 at A1..A6 = 0.
-
-    Attributes:
-        d1: foot to A2 axis, up.
-        a1: A1 axis to A2 axis, forward.
-        a2: A2 axis to A3 axis.
-        a3: A3 axis to A4 axis, up when the forearm is level (negative: A4 runs below A3).
-        d4: A3 axis to wrist centre, along A4.
-        d6: wrist centre to flange face.
-        b: sideways offset of forearm and wrist, along y.
-    """
-
-    d1: float
-    a1: float
-    a2: float
-    a3: float
-    d4: float
-    d6: float
-    b: float = 0.0
-
-
 def bodies(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Names of the robot's bodies: base, links, and what is driven along."""
+    """Return the names of the robot's bodies: base, links, bodies of mimic joints."""
     driven = (model.body(model.jnt_bodyid[joint]).name for joint in range(len(AXES), model.njnt))
     return (*LINKS, *driven)
 
 
 def model_file(name: str = "kr16.xml") -> Path:
-    """Path of a file of `models/`: inside the installed package, or beside the package in a development tree.
-
-    Args:
-        name: file name inside models/.
-
-    Raises:
-        FileError: if it is in neither place.
-    """
+    """Return the path of a file of `models/`: in the installed package, or beside it in a development tree."""
     package = Path(str(resources.files("cell")))
     candidates = (package / "models" / name, package.parent / "models" / name)
     for path in candidates:
@@ -124,11 +103,7 @@ def model_file(name: str = "kr16.xml") -> Path:
 
 
 def spec() -> mujoco.MjSpec:
-    """The robot alone, editable: attach it to a cell, then compile.
-
-    Raises:
-        FileError: if the model file is missing or is not an MJCF.
-    """
+    """Return the specification of the KR 16 alone, which can be attached to a cell."""
     import mujoco
 
     path = model_file()
@@ -139,11 +114,7 @@ def spec() -> mujoco.MjSpec:
 
 
 def load() -> mujoco.MjModel:
-    """The robot alone, compiled.
-
-    Raises:
-        FileError: if the model file is missing or does not compile.
-    """
+    """Return the compiled model of the KR 16 alone."""
     try:
         return spec().compile()
     except ValueError as error:
@@ -151,14 +122,11 @@ def load() -> mujoco.MjModel:
 
 
 def limits(model: mujoco.MjModel) -> JointLimits:
-    """Ranges, speeds, accelerations and jerks of A1..A6.
+    """Return the ranges, speeds, accelerations and jerks of A1..A6.
 
     Args:
         model: compiled model whose joints are named A1..A6 and whose <custom> holds `axis_velocity_limit_deg_s`,
             `axis_acceleration_limit_deg_s2` and `axis_jerk_limit_deg_s3`.
-
-    Raises:
-        SceneError: if a joint, its range or one of the three numerics is missing.
     """
     joints = _joints(model)
     if not model.jnt_limited[joints].all():
@@ -174,17 +142,7 @@ def limits(model: mujoco.MjModel) -> JointLimits:
 
 
 def home(model: mujoco.MjModel) -> Floats:
-    """The `home` key.
-
-    Args:
-        model: compiled model of the robot alone.
-
-    Returns:
-        (6,) joint angles [rad], KUKA signs.
-
-    Raises:
-        SceneError: if the model has no key of that name.
-    """
+    """Return the joint angles (6,) [rad] of the key `home` in a compiled model of the robot alone."""
     import mujoco
 
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
@@ -194,29 +152,26 @@ def home(model: mujoco.MjModel) -> Floats:
 
 
 def dimensions(model: mujoco.MjModel) -> Dimensions | None:
-    """Lengths of an arm that stands and turns as the KR 16 does, read off the compiled model at A1..A6 = 0.
+    """Return the lengths of an arm with the KR 16's axis directions, measured in the compiled model at A1..A6 = 0.
 
     Args:
         model: compiled model with joints A1..A6 and a site `flange`, the robot's base in its world's origin.
 
     Returns:
-        None where the closed form of `cell.robot.kinematics` is not for it: other signs, zeros or offsets.
-
-    Raises:
-        SceneError: if a joint or the flange is missing.
+        None if `KukaKinematics` does not apply: other signs, zeros or offsets.
     """
     import mujoco
 
     joints = _joints(model)
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, FLANGE) < 0:
-        raise SceneError(f"the robot model has no site named {FLANGE}; give it one")
+        raise SceneError(f"the robot model has no site named {FLANGE}; add it")
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[joints]] = 0.0
     mujoco.mj_kinematics(model, data)
     anchors, site = data.xanchor[joints], data.site(FLANGE)
     shoulder, elbow, forearm, wrist = anchors[1], anchors[2], anchors[3], anchors[4]
     misses = (
-        np.abs(anchors[0, :2]).max(),  # A1 runs through the origin
+        np.abs(anchors[0, :2]).max(),  # A1 passes through the origin
         np.abs(data.xaxis[joints] - _DIRECTIONS).max(),
         np.abs([shoulder[1], elbow[1], forearm[1], wrist[1], site.xpos[1]]).max(),  # all in the plane y = 0
         abs(elbow[2] - shoulder[2]),
@@ -237,7 +192,7 @@ def dimensions(model: mujoco.MjModel) -> Dimensions | None:
 
 
 def _joints(model: mujoco.MjModel) -> NDArray[Any]:
-    """(6,) ids of A1..A6."""
+    """Return the ids (6,) of A1..A6."""
     import mujoco
 
     ids = np.array([mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, axis) for axis in AXES])
@@ -250,7 +205,7 @@ def _joints(model: mujoco.MjModel) -> NDArray[Any]:
 
 
 def _numeric(model: mujoco.MjModel, name: str) -> Floats:
-    """(6,) values of a <custom><numeric>."""
+    """Return the values (6,) of a <custom><numeric>."""
     import mujoco
 
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
@@ -258,3 +213,69 @@ def _numeric(model: mujoco.MjModel, name: str) -> Floats:
         raise SceneError(f"the robot model has no <custom><numeric> named {name} with six values; add it")
     start = model.numeric_adr[index]
     return np.array(model.numeric_data[start : start + len(AXES)])
+
+
+def override_limits(
+    model: JointLimits,
+    velocity_deg_s: Sequence[float] | None = None,
+    acceleration_deg_s2: Sequence[float] | None = None,
+    jerk_deg_s3: Sequence[float] | None = None,
+) -> JointLimits:
+    """Replace limits of the robot model by those of a scene; the joint ranges stay the model's.
+
+    Omitted limits follow the given ones: the acceleration changes with the speed, so that an axis reaches it in the
+    same time (0.5 s for the KR 16), and the jerk with the acceleration (0.1 s).
+
+    Args:
+        model: limits of the robot model.
+        velocity_deg_s: (6,) axis speeds [deg/s]; None: the model's.
+        acceleration_deg_s2: (6,) axis accelerations [deg/s^2]; None: follows the speed.
+        jerk_deg_s3: (6,) axis jerks [deg/s^3], inf: not limited; None: follows the acceleration.
+    """
+    velocity = model.velocity if velocity_deg_s is None else np.radians(velocity_deg_s)
+    acceleration = (
+        model.acceleration * (velocity / model.velocity)
+        if acceleration_deg_s2 is None
+        else np.radians(acceleration_deg_s2)
+    )
+    jerk = model.jerk * (acceleration / model.acceleration) if jerk_deg_s3 is None else np.radians(jerk_deg_s3)
+    return replace(model, velocity=velocity, acceleration=acceleration, jerk=jerk)
+
+
+def model_warnings(spec: mujoco.MjSpec) -> list[str]:
+    """Return the warnings about the robot's file, one sentence each."""
+    return [text.data for text in spec.texts if text.name.startswith(WARNING_PREFIX)]
+
+
+def reduced_clearances(model: mujoco.MjModel) -> dict[tuple[int, int], float]:
+    """Return the pairs of geoms with a smaller clearance than the cell's, and that clearance [m]."""
+    clearances = {}
+    for number in range(model.nnumeric):
+        if not model.numeric(number).name.startswith(CLEARANCE_PREFIX):
+            continue
+        one, other = (model.body(name) for name in named_pair(model, number))
+        for a in range(one.geomadr[0], one.geomadr[0] + one.geomnum[0]):
+            for b in range(other.geomadr[0], other.geomadr[0] + other.geomnum[0]):
+                clearances[a, b] = clearances[b, a] = float(model.numeric(number).data[0])
+    return clearances
+
+
+def clearance_name(model: mujoco.MjModel, one: str, other: str) -> str:
+    """Return the name of the numeric with the clearance [m] of two bodies that are always near each other."""
+    return f"{CLEARANCE_PREFIX}{_number(model, one)}_{_number(model, other)}"
+
+
+def separation_name(model: mujoco.MjModel, one: str, other: str) -> str:
+    """Return the name of the numeric with the proven distance [m] at all angles of two unchecked links."""
+    return f"{SEPARATION_PREFIX}{_number(model, one)}_{_number(model, other)}"
+
+
+def named_pair(model: mujoco.MjModel, numeric: int) -> tuple[str, str]:
+    """Return the two bodies in the name of a clearance or separation numeric."""
+    one, other = model.numeric(numeric).name.split("_")[1:]
+    named = (*bodies(model), *_TOOL)
+    return named[int(one)], named[int(other)]
+
+
+def _number(model: mujoco.MjModel, body: str) -> int:
+    return (*bodies(model), *_TOOL).index(body)

@@ -1,8 +1,8 @@
-"""An arm from a URDF or MJCF, as MuJoCo reads it: which six joints drive the flange, their limits, what follows along.
+"""An arm from a URDF or MJCF: the six joints from base to flange, their limits, mimic joints, and its mesh files.
 
-A URDF is read with its frames kept (MuJoCo merges links that do not move, so that base and flange vanish), visuals left
-out, and mesh paths resolved beside the file or by `packages`. Speeds, which MuJoCo leaves out, and joints that mimic
-another are taken from the URDF itself. Base frame of the arm: that of its base link.
+MuJoCo compiles the file. A URDF keeps its frames (MuJoCo merges fixed links, so that base and flange would vanish),
+loses its visuals, and gets absolute mesh paths: beside the file, in its package, or in a folder of `packages`. Speeds
+and mimic joints, which MuJoCo ignores, are read from the URDF itself. The arm's base frame is that of its base link.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 from xml.etree import ElementTree
@@ -19,27 +19,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, SceneError
-from cell.robot.urdf import Unread, prepare, require_range
 from planner.values import Floats, Value
 
 if TYPE_CHECKING:
     import mujoco
 
-LARGEST_FILE = 10_000_000
-"""Bytes of a robot's description above which it is none."""
+MAX_FILE = 10_000_000
+"""Largest size of a robot's description [bytes]."""
 
-_FLANGES = ("tool0", "flange", "ee_link", "tool_flange")  # tool0 first: its z leaves the face by ROS-Industrial's rule
-_LONGEST_ARM = 50.0  # m; between joints: beyond it the lengths are millimetres
-_MOVES = {"revolute", "continuous"}
+_FLANGES = ("tool0", "flange", "ee_link", "tool_flange")  # tool0 first: in ROS-Industrial its z leaves the face
+_MAX_LINK = 50.0  # m; a larger distance between joints is in millimetres
 
 
 @dataclass(frozen=True, slots=True)
-class Follower:
-    """A joint that is driven along by one of the six: angle = ratio * the axis' + offset.
+class UrdfExtras:
+    """Data of a URDF that MuJoCo ignores.
+
+    Attributes:
+        velocity: speed of each joint that has a limit [rad/s].
+        mimics: driving joint, ratio, and offset [rad] of each mimic joint.
+    """
+
+    velocity: Mapping[str, float] = field(default_factory=dict)
+    mimics: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class MimicJoint:
+    """A joint driven by one of the six: angle = ratio * angle of the axis + offset.
 
     Attributes:
         joint: its name.
-        axis: index of the axis that it follows, 0 to 5.
+        axis: index of the driving axis, 0 to 5.
         ratio: -.
         offset: [rad].
     """
@@ -52,22 +63,21 @@ class Follower:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotFile(Value):
-    """What a file says of an arm.
+    """An arm as its file describes it.
 
     Attributes:
         path: the file.
-        model: compiled from it, frames kept.
+        model: compiled from it, with all frames.
         base: name of the body that is the arm's base.
         flange: name of the body or site whose frame is the flange's.
-        flange_is_body: which of the two.
+        flange_is_body: True for a body, False for a site.
         joints: the six joints from base to flange, in order.
-        followers: joints that are driven along.
+        mimic_joints: joints driven by the six.
         lower: (6,) smallest joint angles [rad].
         upper: (6,) largest joint angles [rad].
-        velocity: (6,) axis speeds [rad/s]; inf where the file says none.
-        home: (6,) angles of a key named home [rad]; None: the file has none, or one outside the limits.
-        doubts: what is taken for what the file does not say of its axes' ranges, and what MuJoCo warned of when it read
-            it, one sentence each.
+        velocity: (6,) axis speeds [rad/s]; inf if the file has none.
+        home: (6,) angles of a key named home [rad]; None if there is none within the limits.
+        warnings: assumed ranges of axes without limits, and MuJoCo's warnings, one sentence each.
     """
 
     path: Path
@@ -76,95 +86,97 @@ class RobotFile(Value):
     flange: str
     flange_is_body: bool
     joints: Annotated[tuple[str, ...], "6"]
-    followers: tuple[Follower, ...]
+    mimic_joints: tuple[MimicJoint, ...]
     lower: Annotated[Floats, "6"]
     upper: Annotated[Floats, "6"]
     velocity: Annotated[Floats, "6"]
     home: Annotated[Floats, "6"] | None
-    doubts: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
-def read(
+def read_robot(
     path: Path, *, base: str | None = None, flange: str | None = None, packages: Mapping[str, Path] | None = None
 ) -> RobotFile:
     """Read an arm.
 
     Args:
         path: URDF or MJCF.
-        base: link that is the arm's base; None: the root.
-        flange: link (or site of an MJCF) that is the flange; None: the one of a usual name.
+        base: name of the base link; None: the root.
+        flange: name of the flange's link (or site of an MJCF); None: the first usual name.
         packages: folders of ROS packages by name, for `package://NAME/...`.
 
     Raises:
         FileError: if the file or one of its meshes cannot be read.
-        SceneError: if it holds no arm of six hinges in a row, or one without limits.
+        SceneError: if it has no serial arm of six hinges with limits.
     """
     import mujoco
 
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise FileError(f"{path} has {path.stat().st_size / 1e6:.0f} MB; a robot's description has at most 10")
+        if path.stat().st_size > MAX_FILE:
+            raise FileError(
+                f"{path} has {path.stat().st_size / 1e6:.0f} MB; a robot's description may have at most 10 MB"
+            )
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise FileError(f"{path} cannot be read as a URDF or MJCF: {error}") from error
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
-        raise FileError(f"{path} is no XML: {error}; give a URDF or an MJCF") from error
-    said = Unread()
+        raise FileError(f"{path} is not XML: {error}; give a URDF or an MJCF") from error
+    extras = UrdfExtras()
     if root.tag == "robot":
-        said = prepare(root, path, packages or {})
+        extras = _prepare_urdf(root, path, packages or {})
     elif root.tag != "mujoco":
         raise FileError(
             f"{path} is neither a URDF (<robot>) nor an MJCF (<mujoco>) but <{root.tag}>; expand a xacro first"
         )
     try:
-        with what_mujoco_says() as warned:
+        with capture_mujoco_warnings() as messages:
             if root.tag == "robot":
                 model = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode")).compile()
             else:
                 model = mujoco.MjSpec.from_file(str(path)).compile()
     except ValueError as error:
         raise FileError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
-    return _chosen(path, model, base, flange, said, warned)
+    return _select_arm(path, model, base, flange, extras, messages)
 
 
 @contextmanager
-def what_mujoco_says() -> Iterator[list[str]]:
-    """Catch MuJoCo's warnings, which else go to stderr and to a MUJOCO_LOG.TXT in the working directory."""
+def capture_mujoco_warnings() -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings, which otherwise go to stderr and to MUJOCO_LOG.TXT in the working directory."""
     import mujoco
 
-    said: list[str] = []
+    messages: list[str] = []
     before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(said.append)
+    mujoco.set_mju_user_warning(messages.append)
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            yield said
-        said += [str(each.message) for each in caught]
+            yield messages
+        messages += [str(each.message) for each in caught]
     finally:
         mujoco.set_mju_user_warning(before)
 
 
-def _chosen(
-    path: Path, model: mujoco.MjModel, base: str | None, flange: str | None, said: Unread, warned: list[str]
+def _select_arm(
+    path: Path, model: mujoco.MjModel, base: str | None, flange: str | None, extras: UrdfExtras, messages: list[str]
 ) -> RobotFile:
-    """The six joints from base to flange, with their limits."""
+    """Select the six joints from base to flange, with their limits."""
     import mujoco
 
     bodies = [model.body(i).name for i in range(model.nbody)]
     sites = [model.site(i).name for i in range(model.nsite)]
     root = base or next((name for i, name in enumerate(bodies) if i and model.body_parentid[i] == 0), "world")
     if root not in bodies:
-        raise SceneError(f"{path} has no link '{root}' to be the base; it has {_listed(bodies[1:])}")
+        raise SceneError(f"{path} has no link '{root}' for the base; it has {_listed(bodies[1:])}")
     end = flange or next((name for name in _FLANGES if name in bodies or name in sites), None)
     if end is None:
         raise SceneError(
-            f"{path} has no link named flange or tool0; say which is the flange (robot.flange_link): "
+            f"{path} has no link named flange or tool0; name the flange's link (robot.flange_link): "
             f"{_listed(bodies[1:])}"
         )
     if end not in bodies and end not in sites:
-        raise SceneError(f"{path} has no link '{end}' to be the flange; it has {_listed(bodies[1:])}")
+        raise SceneError(f"{path} has no link '{end}' for the flange; it has {_listed(bodies[1:])}")
     body = bodies.index(end) if end in bodies else int(model.site(end).bodyid[0])
     chain: list[int] = []
     while body > 0 and body != bodies.index(root):
@@ -172,75 +184,158 @@ def _chosen(
         chain[:0] = range(at, at + int(model.body_jntnum[body])) if at >= 0 else []
         body = int(model.body_parentid[body])
     if body == 0 and root != "world":
-        raise SceneError(f"{path}: the flange '{end}' is not carried by the base '{root}'")
+        raise SceneError(f"{path}: the flange '{end}' is not connected to the base '{root}'")
     names = [model.joint(joint).name for joint in chain]
     if len(chain) != 6 or any(model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE for joint in chain):
         raise SceneError(
-            f"{path} has {len(chain)} joints from '{root}' to '{end}' ({_listed(names)}); an arm has six, all revolute"
+            f"{path} has {len(chain)} joints from '{root}' to '{end}' ({_listed(names)}); an arm must have six "
+            "revolute joints"
         )
-    doubts = [f"{path.name}: MuJoCo warns that {' '.join(text.split())}" for text in warned]
+    file_warnings = [f"{path.name}: MuJoCo warns that {' '.join(text.split())}" for text in messages]
     endless = [joint for joint in chain if not model.jnt_limited[joint]]
     model.jnt_range[endless] = (-2.0 * np.pi, 2.0 * np.pi)
     if endless:
-        doubts.append(
+        file_warnings.append(
             f"{path.name} gives no range of {_listed([model.joint(joint).name for joint in endless])}: -360 to 360 deg "
-            "is taken; give the joint a range where a cable or a stop allows less"
+            "is assumed; add a range if a cable or a stop allows less"
         )
     lower, upper = model.jnt_range[chain].T
     for name, low, high in zip(names, lower, upper, strict=True):
-        require_range(path, name, low, high)
-        if name in said.mimics:
+        _require_range(path, name, low, high)
+        if name in extras.mimics:
             raise SceneError(
-                f"{path}: the joint '{name}' is one of the six and mimics '{said.mimics[name][0]}'; an arm has six "
-                "that are driven each for itself"
+                f"{path}: the joint '{name}' is one of the six and mimics '{extras.mimics[name][0]}'; an arm needs six "
+                "independent joints"
             )
     anchors = model.body_pos[model.jnt_bodyid[chain]]
-    if np.abs(anchors).max() > _LONGEST_ARM:
+    if np.abs(anchors).max() > _MAX_LINK:
         raise SceneError(
-            f"{path}: joints lie {np.abs(anchors).max():.0f} m apart; a URDF is in metres, this one looks like "
+            f"{path}: joints are {np.abs(anchors).max():.0f} m apart; a URDF is in metres, this one seems to be in "
             "millimetres"
         )
-    velocity = np.array([said.velocity.get(name, np.inf) for name in names])
+    velocity = np.array([extras.velocity.get(name, np.inf) for name in names])
     home = _home(model, model.jnt_qposadr[chain])
     if home is not None and not ((home >= lower) & (home <= upper)).all():
         home = None
     return RobotFile(
-        path, model, root, end, end in bodies, tuple(names), _followers(path, model, names, said), lower, upper,
-        velocity, home, tuple(doubts),
+        path, model, root, end, end in bodies, tuple(names), _mimic_joints(path, model, names, extras), lower, upper,
+        velocity, home, tuple(file_warnings),
     )  # fmt: skip
 
 
-def _followers(path: Path, model: mujoco.MjModel, names: list[str], said: Unread) -> tuple[Follower, ...]:
-    """What is driven along by the six joints of these names.
-
-    Raises:
-        SceneError: if a joint is neither one of them nor turned by one of them.
-    """
+def _mimic_joints(path: Path, model: mujoco.MjModel, names: list[str], extras: UrdfExtras) -> tuple[MimicJoint, ...]:
+    """Return the joints driven by the six joints of these names; every other joint is an error."""
     import mujoco
 
-    followers = []
+    mimic_joints = []
     for i in range(model.njnt):
         name = model.joint(i).name
         if name in names:
             continue
-        source, ratio, offset = said.mimics.get(name, ("", 0.0, 0.0))
+        source, ratio, offset = extras.mimics.get(name, ("", 0.0, 0.0))
         if source not in names:
             raise SceneError(
-                f"{path}: the joint '{name}' is none of the six and follows none of them; fix it or let it mimic one"
+                f"{path}: the joint '{name}' is none of the six and mimics none of them; fix it or let it mimic one"
             )
         if model.jnt_type[i] != mujoco.mjtJoint.mjJNT_HINGE:
             raise SceneError(
-                f"{path}: the joint '{name}' mimics '{source}' and slides; only what turns is driven along, fix it"
+                f"{path}: the joint '{name}' mimics '{source}' and slides; only a revolute joint may mimic, fix it"
             )
-        followers.append(Follower(name, names.index(source), ratio, offset))
-    return tuple(followers)
+        mimic_joints.append(MimicJoint(name, names.index(source), ratio, offset))
+    return tuple(mimic_joints)
 
 
 def _home(model: mujoco.MjModel, values: NDArray[np.integer]) -> Floats | None:
-    """The key named home of an MJCF."""
+    """Return the angles of the key named home in an MJCF."""
     keys = [key for key in range(model.nkey) if model.key(key).name == "home"]
     return np.array(model.key_qpos[keys[0]][values]) if keys else None
 
 
 def _listed(names: list[str]) -> str:
     return ", ".join(names) if names else "none"
+
+
+def _prepare_urdf(root: ElementTree.Element, path: Path, packages: Mapping[str, Path]) -> UrdfExtras:
+    """Keep frames, remove visuals, make mesh paths absolute, in place; return the data that MuJoCo ignores."""
+    for link in root.iter("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    for mesh in root.iter("mesh"):
+        mesh.set("filename", str(_mesh_file(mesh.get("filename", ""), path, packages)))
+    settings = root.find("mujoco")
+    if settings is None:
+        settings = ElementTree.SubElement(root, "mujoco")
+    compiler = settings.find("compiler")
+    if compiler is None:
+        compiler = ElementTree.SubElement(settings, "compiler")
+    options = {"fusestatic": "false", "discardvisual": "true", "strippath": "false", "balanceinertia": "true"}
+    compiler.attrib.update(options)
+    velocity, mimics = {}, {}
+    for joint in root.findall("joint"):
+        name, limit, mimic = joint.get("name", ""), joint.find("limit"), joint.find("mimic")
+        if limit is not None and _number(limit, "velocity", 0.0) > 0.0:
+            velocity[name] = _number(limit, "velocity", 0.0)
+        if mimic is not None:
+            mimics[name] = (mimic.get("joint", ""), _number(mimic, "multiplier", 1.0), _number(mimic, "offset", 0.0))
+        if joint.get("type") == "revolute" and (
+            limit is None or limit.get("lower") is None or limit.get("upper") is None
+        ):
+            raise SceneError(f"{path}: the joint '{name}' has no limits; add <limit lower upper velocity>")
+        if joint.get("type") == "revolute" and limit is not None and mimic is None:
+            # MuJoCo treats an empty range as none, and the joint as endless.
+            _require_range(path, name, _number(limit, "lower", np.nan), _number(limit, "upper", np.nan))
+    return UrdfExtras(velocity, mimics)
+
+
+def _require_range(path: Path, joint: str, lower: float, upper: float) -> None:
+    """Raise SceneError if a range [rad] is empty."""
+    if not (np.isfinite(lower) and np.isfinite(upper) and lower < upper):
+        raise SceneError(
+            f"{path}: the joint '{joint}' has the empty range {lower:g} to {upper:g}; correct its "
+            "<limit lower upper velocity>"
+        )
+
+
+def _number(element: ElementTree.Element, key: str, default: float) -> float:
+    try:
+        return float(element.get(key, default))
+    except ValueError:
+        return default
+
+
+def mesh_files(path: Path, packages: Mapping[str, Path]) -> list[Path]:
+    """Return the collision meshes of a URDF, or all meshes of an MJCF, each once, in the file's order.
+
+    Args:
+        path: the description, which can be read.
+        packages: folders of ROS packages by name.
+
+    Raises:
+        FileError: if a mesh is missing.
+    """
+    root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
+    if root.tag == "robot":
+        names = [mesh.get("filename", "") for collision in root.iter("collision") for mesh in collision.iter("mesh")]
+    else:
+        compiler = root.find("compiler")
+        folder = Path("" if compiler is None else compiler.get("meshdir", ""))
+        names = [str(folder / file) for mesh in root.iter("mesh") if (file := mesh.get("file")) is not None]
+    return [_mesh_file(name, path, packages) for name in dict.fromkeys(names)]
+
+
+def _mesh_file(name: str, path: Path, packages: Mapping[str, Path]) -> Path:
+    """Return the path of a mesh that a description names; raise FileError if it does not exist."""
+    plain = name.removeprefix("file://")
+    if name.startswith("package://"):
+        package, _, inside = name.removeprefix("package://").partition("/")
+        tried = [packages[package] / inside] if package in packages else []
+        # The description lies beside its package's folder, or in it.
+        tried += [folder / inside for folder in path.resolve().parents if folder.name == package]
+        tried += [folder / package / inside for folder in path.resolve().parents]
+        hint = f"; name the folder of the package: --package {package}=DIR"
+    else:
+        tried, hint = [path.resolve().parent / plain], ""
+    for file in tried:
+        if file.is_file():
+            return file
+    raise FileError(f"{path} names the mesh {name}, but {tried[0]} does not exist{hint}")

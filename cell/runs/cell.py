@@ -15,7 +15,6 @@ import numpy as np
 
 from cell import scanners
 from cell.errors import SceneError, UsageError
-from cell.robot.frames import kuka_abc_from_pose
 from cell.robot.model import KR16
 from cell.runs.run import Run, reading
 from cell.runs.schema import ResolvedScene, ScannerKeys, StandingFixture
@@ -29,6 +28,7 @@ from cell.world.occluders import Occluder, beside_table, caster_of, standing_tri
 from cell.world.table import HALF_A_TURN_DEG, on_table
 from cell.world.travel import TravelBound, swing
 from planner.geometry.mesh import TriangleMesh
+from planner.kinematics.frames import kuka_abc_from_pose
 from planner.kinematics.rotary_table import RotaryTable
 from planner.ports import ARM_AXES, Kinematics, Scanner
 from planner.values import Floats

@@ -232,7 +232,7 @@ def _other_shape(checked: mujoco.MjModel, world: World) -> str:
         if not same:
             return f"the shape '{two.name}' has another pose or size"
     home = checked.key("home").qpos
-    return "home has another pose" if _differs(home, world.followers.qpos(world.home[:ARM_AXES])) else ""
+    return "home has another pose" if _differs(home, world.mimic_joints.qpos(world.home[:ARM_AXES])) else ""
 
 
 def _differs(one: Floats, two: Floats, near: float = _MODEL_TOLERANCE) -> bool:

@@ -162,7 +162,7 @@ def pose(position_mm: tuple[float, float, float], abc_deg: tuple[float, float, f
     """(4, 4) transform [m] of a position [mm] and KUKA's angles A, B, C [deg]."""
     import numpy as np
 
-    from cell.robot.frames import pose_from_kuka_abc
+    from planner.kinematics.frames import pose_from_kuka_abc
 
     return pose_from_kuka_abc(np.array(position_mm) / 1000.0, np.deg2rad(abc_deg))
 
@@ -212,7 +212,7 @@ class Placement(Table):
         """The placement with the part's centre at a pose (4, 4) [m], its numbers without the dust of the conversion."""
         import numpy as np
 
-        from cell.robot.frames import kuka_abc_from_pose
+        from planner.kinematics.frames import kuka_abc_from_pose
 
         position, abc = kuka_abc_from_pose(T_base_centre)
         numbers = (1000 * position).round(9) + 0.0, np.degrees(abc).round(9) + 0.0

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cell.errors import SceneError
-from cell.robot.frames import kuka_abc_from_pose
 from cell.scene.model import Placement, Scene, Setup
 from cell.world.model import ON_AXIS, World
 from planner.geometry.mesh import TriangleMesh
+from planner.kinematics.frames import kuka_abc_from_pose
 from planner.values import Floats
 
 TURNS_DEG = (0.0, 90.0, 180.0, 270.0)

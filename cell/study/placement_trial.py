@@ -10,7 +10,6 @@ import numpy as np
 from cell import scanners
 from cell.errors import SceneError
 from cell.plan.candidates import GROWN, arm_of
-from cell.robot.frames import pose_from_kuka_abc
 from cell.study.bench import Bench, reach_in
 from cell.study.scenes import bench_of
 from cell.study.trial import JsonTable
@@ -18,6 +17,7 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from cell.world.occluders import caster_of, occluder_triangles
 from planner import cover
+from planner.kinematics.frames import pose_from_kuka_abc
 from planner.kinematics.reach import Reach, join_reach, pick_reach
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability, join_measurability, pick_measurability

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from cell.robot.frames import pose_from_kuka_abc
 from cell.study.bench import Bench
 from cell.study.scenes import scene_of
 from cell.study.trial import JsonTable
+from planner.kinematics.frames import pose_from_kuka_abc
 
 
 def views(settings: JsonTable) -> dict[str, object]:

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from cell.robot.frames import kuka_abc_from_pose
 from cell.runs import timeline as timelines
 from cell.runs.cell import RunCell, read_cell
 from cell.runs.run import Execution, RecordedExecution, Run
@@ -26,6 +25,7 @@ from cell.world.prediction import held_out
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
+from planner.kinematics.frames import kuka_abc_from_pose
 from planner.ports import ARM_AXES
 from planner.timing.motion import Motion
 from planner.values import Floats, Ints

@@ -129,7 +129,7 @@ def cell_of_run(run: Run, scene: ResolvedScene) -> Cell:
     meshes = {each.name: run.mesh(each.file) for each in scene.fixtures if each.file is not None}
     with reading(run.folder / "cell.xml"):
         data.mocap_quat[model.body("object").mocapid] = quaternion(T[:3, :3])
-        data.qpos[:] = robot.Followers.of(model).qpos(np.radians(scene.home_deg))
+        data.qpos[:] = robot.MimicJoints.from_model(model).qpos(np.radians(scene.home_deg))
         mujoco.mj_kinematics(model, data)
         table = None if scene.table is None else scene.table.T_base_table
         return _cell(model, data, T, meshes, (scene.T_flange_scanner, table), _seen_by(scene.scanner))
@@ -243,7 +243,7 @@ def _with_table(arm: Arm, T_base_table: Floats) -> Arm:
 
 def _arm(model: mujoco.MjModel, data: mujoco.MjData, T_link_scanner: Floats) -> Arm:
     """The chain of a compiled model whose state has the arm at home."""
-    names, followers = robot.bodies(model), robot.Followers.of(model)
+    names, followers = robot.bodies(model), robot.MimicJoints.from_model(model)
     joints = [int(model.body(name).jntadr[0]) for name in names[1:]]
     T_parent_link = np.stack([_relative(model, name) for name in names[1:]])
     T_parent_link[0] = _relative(model, "base") @ T_parent_link[0]

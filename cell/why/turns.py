@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from cell.errors import SceneError
-from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from cell.world.model import World
+from planner.kinematics.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from planner.values import Floats
 
 TURNS = ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))  # axis of the base frame, degrees

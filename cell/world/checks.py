@@ -26,9 +26,8 @@ from numpy.typing import NDArray
 from cell.errors import SceneError
 from cell.part import workpiece
 from cell.part.workpiece import size_findings
-from cell.robot import told
-from cell.robot.arm import wrist_of_flange, wrist_places
-from cell.robot.model import AXES
+from cell.robot.arm import wrist_in_flange, wrist_positions
+from cell.robot.model import AXES, model_warnings
 from cell.scene.model import MeshFixture, Scene
 from cell.scene.regions import areas_of, with_regions
 from cell.scene.settle import SettledScene, settle
@@ -393,7 +392,7 @@ _FINE = 512  # ... where a length is told
 
 def doubtful(world: World) -> list[str]:
     """What is hardly meant in a compiled scene, one sentence each."""
-    fixtures, of_arm = world.scene.fixtures, told.doubts(world.spec)
+    fixtures, of_arm = world.scene.fixtures, model_warnings(world.spec)
     of_arm += _stopped_table(world)
     if not fixtures and world.scene.post.enabled:
         return of_arm
@@ -768,8 +767,8 @@ def check_cell(settled: SettledScene, world: World) -> CheckResult:
 
 def _envelope(world: World) -> Envelope:
     """The wrist over the whole range of A2 and A3."""
-    out, up = wrist_places(world.model, world.scene.robot.T_base, float(np.radians(_GRID_DEG)))
-    source = world.T_flange_scanner[:3, 3] - wrist_of_flange(world.model)
+    out, up = wrist_positions(world.model, world.scene.robot.T_base, float(np.radians(_GRID_DEG)))
+    source = world.T_flange_scanner[:3, 3] - wrist_in_flange(world.model)
     return Envelope(
         _mm(np.abs(out).max(), 1), _mm(up.min(), 1), _mm(up.max(), 1), _mm(float(np.linalg.norm(source)), 1)
     )

@@ -78,7 +78,7 @@ class MujocoCollisionChecker:
         import mujoco
 
         q = self._configurations(q)
-        angles = self._world.followers.qpos(q[:, :ARM_AXES])
+        angles = self._world.mimic_joints.qpos(q[:, :ARM_AXES])
         model, data = self._world.grown, self._grown
         kinematics, collision, qpos = mujoco.mj_kinematics, mujoco.mj_collision, data.qpos
         free, put, turned = np.ones(len(angles), dtype=np.bool_), self._turner.put, self._turner.poses(q)
@@ -215,7 +215,7 @@ class MujocoCollisionChecker:
         """The state at (axes,) joint angles."""
         import mujoco
 
-        self._data.qpos[:] = self._world.followers.qpos(configuration[:ARM_AXES])
+        self._data.qpos[:] = self._world.mimic_joints.qpos(configuration[:ARM_AXES])
         self._turner(self._data, configuration)
         mujoco.mj_kinematics(self._world.model, self._data)
 

@@ -44,7 +44,7 @@ def write_mjcf(world: World, folder: Path) -> tuple[str, ...]:
     spec.body("post").pos, spec.body("post").quat = post[:3, 3], quaternion(post[:3, :3])
     _for_the_eye(spec, world)
     home = spec.key("home")
-    home.qpos = world.followers.qpos(world.home[:ARM_AXES])
+    home.qpos = world.mimic_joints.qpos(world.home[:ARM_AXES])
     home.mpos, home.mquat = [], []  # a key would put the mocap bodies elsewhere
     _write(spec, folder / FILE_NAME)
     if world.scene.robot.model == KR16:
@@ -78,7 +78,7 @@ def _for_the_eye(spec: Any, world: World) -> None:
     spec.worldbody.add_light(
         name="lamp", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[0, 0, 4], dir=[0.3, 0.4, -0.87]
     )
-    qpos = world.followers.qpos(world.home[:ARM_AXES])
+    qpos = world.mimic_joints.qpos(world.home[:ARM_AXES])
     for joint in spec.joints:
         angle = qpos[world.model.joint(joint.name).qposadr[0]]
         # The body is given as it stands at the reference angle: turned about its own joint.

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cell.errors import SceneError
-from cell.robot import joint_limits, told
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
 from cell.scene.model import Placement, Scene
@@ -90,7 +89,7 @@ class World(Value):
     shapes: Shapes
     nearer: Mapping[tuple[int, int], float]
     finer: float
-    followers: robot.Followers
+    mimic_joints: robot.MimicJoints
     fixture_meshes: dict[str, TriangleMesh]
     entities: tuple[str, ...]
     pairs: Annotated[NDArray[np.int32], "P 2"]
@@ -165,7 +164,7 @@ class World(Value):
         post = self.T_base_post(T)
         data.mocap_pos[model.body("post").mocapid] = post[:3, 3]
         data.mocap_quat[model.body("post").mocapid] = cell_shapes.quaternion(post[:3, :3])
-        data.qpos[:] = self.followers.qpos(self.home[:ARM_AXES])
+        data.qpos[:] = self.mimic_joints.qpos(self.home[:ARM_AXES])
         mujoco.mj_kinematics(model, data)
         return data
 
@@ -236,14 +235,14 @@ def compile_world(
         geom.margin = clearance / 2  # MuJoCo 4 adds the two margins of a pair
 
     model = _compiled(spec)
-    limits = joint_limits.given(
+    limits = robot.override_limits(
         robot.limits(model), scene.robot.velocity_deg_s, scene.robot.acceleration_deg_s2, scene.robot.jerk_deg_s3
     )
     home = np.append(np.deg2rad(scene.robot.settled_home_deg), [] if table is None else [0.0])
     if table is not None:
         limits = replace(table.limits(limits), table_turn_q=home if scene.table.moves == "indexed" else None)
     exact = {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}
-    near = {pair: keep for pair, keep in told.kept_near(model).items() if keep < clearance}
+    near = {pair: keep for pair, keep in robot.reduced_clearances(model).items() if keep < clearance}
     return _stopped_by_what_stands(
         World(
             scene=scene,
@@ -265,7 +264,7 @@ def compile_world(
             shapes=Shapes(model, {**_links(model, entities), **exact}, [*exact, *hollow]),
             nearer={pair: clearance - keep for pair, keep in near.items()},
             finer=self_collision.finer(model, clearance, near),
-            followers=robot.Followers.of(model),
+            mimic_joints=robot.MimicJoints.from_model(model),
             fixture_meshes=fixture_meshes,
             entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
             pairs=self_collision.pairs(model),

@@ -177,7 +177,7 @@ def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> 
     import mujoco
 
     data = world.data()
-    data.qpos[:] = world.followers.qpos(readonly("q", q, (len(world.home),))[:ARM_AXES])
+    data.qpos[:] = world.mimic_joints.qpos(readonly("q", q, (len(world.home),))[:ARM_AXES])
     mujoco.mj_kinematics(world.model, data)
     links = robot.bodies(world.model)
     names = (*links, "bracket") if ends is None else (*links, "bracket", "housing")

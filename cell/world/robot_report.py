@@ -11,17 +11,17 @@ import numpy as np
 
 from cell.errors import SceneError
 from cell.robot import model as robot
-from cell.robot import robot_file, told
-from cell.robot.arm import POLISHED_ABOVE, chain_of
-from cell.robot.fit import fit
+from cell.robot import robot_file
+from cell.robot.arm import chain_of
 from cell.robot.model import AXES
-from cell.robot.normalised import ACCELERATION_TIME, JERK_TIME
+from cell.robot.normalise import ACCELERATION_TIME, JERK_TIME
 from cell.words import listed
 from cell.world.robot_spec import JOINED, from_file, in_our_form, stamp
 from cell.world.self_collision import POSES, OwnPairs
 from cell.world.shapes import meshes_of
 from planner.errors import PlannerError
 from planner.geometry.distance import is_closed
+from planner.kinematics.fit import POLISH_ABOVE, fit_closed_form
 
 if TYPE_CHECKING:
     import mujoco
@@ -139,14 +139,14 @@ def report(
     if in_our_form(path):
         raise SceneError(f"{path} is in this program's own form already; cell check says what a scene makes of it")
     folders = packages or {}
-    file = robot_file.read(
+    file = robot_file.read_robot(
         path, base=base, flange=flange, packages={name: Path(each) for name, each in folders.items()}
     )
     without = None if np.isfinite(file.velocity).all() else _GUESSED_DEG_S
     named = tuple(sorted(folders.items()))
     model = from_file(path, base, flange, named, without, changed=stamp(path, named)).compile()
     try:
-        fitted = fit(chain_of(model))
+        fitted = fit_closed_form(chain_of(model))
     except PlannerError as error:
         raise SceneError(f"{path}: {error}") from error
     own = OwnPairs(model)
@@ -165,15 +165,15 @@ def report(
         signs=tuple(int(sign) for sign in fitted.signs),
         offsets_deg=tuple(float(angle) + 0.0 for angle in np.degrees(fitted.offsets).round(4)),
         residual_mm=1000 * fitted.residual,
-        polished=fitted.residual > POLISHED_ABOVE,
+        polished=fitted.residual > POLISH_ABOVE,
         limits_deg=tuple((float(low), float(high)) for low, high in np.degrees([file.lower, file.upper]).T.round(3)),
         velocity_deg_s=tuple(round(float(speed), 3) if np.isfinite(speed) else None for speed in speeds),
-        followers=tuple(f"{each.joint} by {AXES[each.axis]} x {each.ratio:g}" for each in file.followers),
+        followers=tuple(f"{each.joint} by {AXES[each.axis]} x {each.ratio:g}" for each in file.mimic_joints),
         shapes={name: int(model.body(name).geomnum[0]) for name in robot.bodies(model)},
         not_closed=tuple(name for name, mesh in meshes_of(model).items() if not is_closed(mesh)),
         excused=tuple(_excused(model)),
-        apart=_told(model, told.APART),
-        near=_told(model, told.KEEPS),
+        apart=_told(model, robot.SEPARATION_PREFIX),
+        near=_told(model, robot.CLEARANCE_PREFIX),
         home_deg=None if home is None else tuple(np.degrees(home).round(4).tolist()),
         home_is="the file's" if file.home is not None else "found: the flange down at half the reach",
         contacts_at_home=()
@@ -187,7 +187,7 @@ def _told(model: mujoco.MjModel, kind: str) -> dict[str, float]:
     """Pairs of which the numerics of a kind speak, and their distance [mm]."""
     numbers = [number for number in range(model.nnumeric) if model.numeric(number).name.startswith(kind)]
     return {
-        " with ".join(told.pair_of(model, each)): round(1000 * float(model.numeric(each).data[0]), 3)
+        " with ".join(robot.named_pair(model, each)): round(1000 * float(model.numeric(each).data[0]), 3)
         for each in numbers
     }
 
@@ -206,7 +206,7 @@ def _missing(file: RobotFile) -> list[str]:
     """What the file does not say, and what stands for it."""
     slow = [name for name, speed in zip(file.joints, file.velocity, strict=True) if not np.isfinite(speed)]
     return [
-        *file.doubts,
+        *file.warnings,
         *([f"no speed of {', '.join(slow)}: give robot.velocity_deg_s"] if slow else []),
         f"no accelerations and jerks: a speed is reached in {ACCELERATION_TIME:g} s, an acceleration in "
         f"{JERK_TIME:g} s, unless robot.acceleration_deg_s2 and robot.jerk_deg_s3 say otherwise",

@@ -1,6 +1,6 @@
 """The robot of a scene as a specification that a cell is built around: the built-in KR 16, or an arm from a file.
 
-An arm from a file is brought into the form of `models/kr16.xml` (`cell.robot.normalised`). Which pairs of its links are
+An arm from a file is brought into the form of `models/kr16.xml` (`cell.robot.normalise`). Which pairs of its links are
 guarded, its triangles say (`cell.world.self_collision`); neighbours are not. A home that no file gives is looked for
 (`cell.world.robot_spec`).
 
@@ -21,10 +21,10 @@ import numpy as np
 
 from cell.errors import FileError
 from cell.robot import model as robot
-from cell.robot import robot_file, told
+from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
-from cell.robot.mesh_paths import mesh_files
-from cell.robot.normalised import normalised
+from cell.robot.normalise import normalise
+from cell.robot.robot_file import mesh_files
 from cell.world.self_collision import OwnPairs
 from planner.values import Floats
 
@@ -97,10 +97,10 @@ def from_file(
         except ValueError as error:
             raise FileError(f"{path} cannot be read as an MJCF: {error}") from error
     folders = {name: Path(folder) for name, folder in packages}
-    file = robot_file.read(path, base=base_link, flange=flange_link, packages=folders)
-    spec = normalised(file, velocity_deg_s)
-    for number, sentence in enumerate(file.doubts):
-        spec.add_text(name=f"{told.DOUBT}{number}", data=sentence)
+    file = robot_file.read_robot(path, base=base_link, flange=flange_link, packages=folders)
+    spec = normalise(file, velocity_deg_s)
+    for number, sentence in enumerate(file.warnings):
+        spec.add_text(name=f"{robot.WARNING_PREFIX}{number}", data=sentence)
     try:
         model = spec.compile()
     except ValueError as error:
@@ -112,17 +112,17 @@ def from_file(
         spec.add_exclude(name=f"{JOINED}{one}_{other}", bodyname1=one, bodyname2=other)
     for one, other, least in found.apart:
         del own.pairs[one, other]
-        spec.add_exclude(name=f"{told.APART}{one}_{other}", bodyname1=one, bodyname2=other)
-        spec.add_numeric(name=told.apart(model, one, other), data=[least], size=1)
+        spec.add_exclude(name=f"{robot.SEPARATION_PREFIX}{one}_{other}", bodyname1=one, bodyname2=other)
+        spec.add_numeric(name=robot.separation_name(model, one, other), data=[least], size=1)
     for one, other, keep in found.keeps:
-        spec.add_numeric(name=told.keeps(model, one, other), data=[keep], size=1)
+        spec.add_numeric(name=robot.clearance_name(model, one, other), data=[keep], size=1)
     home = file.home
     if home is None:
         keeps = {(one, other): keep for one, other, keep in found.keeps}
         looks = np.array((0.0, 0.0, -1.0) if down is None else down)
         home = next((q for each in (with_tool(spec), own) if (q := found_home(each, keeps, looks)) is not None), None)
     if home is not None:
-        spec.add_key(name="home", qpos=robot.Followers.of(model).qpos(home))
+        spec.add_key(name="home", qpos=robot.MimicJoints.from_model(model).qpos(home))
     return spec
 
 

@@ -40,8 +40,7 @@ from numpy.typing import NDArray
 
 from cell import caches
 from cell.robot import model as robot
-from cell.robot import told
-from cell.robot.model import AXES, Followers
+from cell.robot.model import AXES, MimicJoints
 from cell.world.shapes import Shapes, mesh_of, meshes_of
 from cell.world.travel import enclosing_points
 from planner.geometry.hull import is_convex
@@ -81,7 +80,7 @@ def keeps_apart(
     low, high = _ranges(model, axes)
     geoms = [np.flatnonzero(model.geom_bodyid == body).tolist() for body in (one, other)]
     pairs = [(a, b) for a in geoms[0] for b in geoms[1]]
-    data, followers, q = mujoco.MjData(model), Followers.of(model), np.zeros(len(AXES))
+    data, followers, q = mujoco.MjData(model), MimicJoints.from_model(model), np.zeros(len(AXES))
     boxes = [(0.0, 0, (low + high) / 2, (high - low) / 2)]
     for look in range(most_looks):
         if not boxes:
@@ -110,7 +109,7 @@ def keeps_apart(
 def _ranges(model: mujoco.MjModel, axes: list[int]) -> tuple[Floats, Floats]:
     """Lowest and highest angles (k,) that have to be looked at [rad]: of a range of more than a turn one turn."""
     low, high = np.array([model.joint(AXES[axis]).range for axis in axes]).T.copy()
-    followers = Followers.of(model)
+    followers = MimicJoints.from_model(model)
     for k, axis in enumerate(axes):
         if all(float(ratio).is_integer() for ratio in followers.ratio[followers.axis == axis]):
             high[k] = min(high[k], low[k] + 2 * np.pi)
@@ -133,7 +132,7 @@ def ways(model: mujoco.MjModel, one: int, other: int) -> tuple[list[int], Floats
     anchors, lines = data.xanchor[joints], data.xaxis[joints]
     by_other = _farthest(anchors, lines, _points(model, data, other))
     by_one = _farthest(anchors[::-1], lines[::-1], _points(model, data, one))[::-1]
-    followers, count = Followers.of(model), len(joints)
+    followers, count = MimicJoints.from_model(model), len(joints)
     driven = [
         (j, 1.0) if j < len(AXES) else (int(followers.axis[j - 6]), float(followers.ratio[j - 6])) for j in joints
     ]
@@ -234,7 +233,7 @@ class OwnPairs:
     def __init__(self, model: mujoco.MjModel) -> None:
         import mujoco
 
-        self.model, self._data, self._followers = model, mujoco.MjData(model), robot.Followers.of(model)
+        self.model, self._data, self._followers = model, mujoco.MjData(model), robot.MimicJoints.from_model(model)
         meshes = meshes_of(model)
         self.shapes = Shapes(model, meshes, [name for name, mesh in meshes.items() if not is_convex(mesh)])
         self._as_triangles = Shapes(model, meshes, list(meshes))
@@ -372,7 +371,7 @@ def settle_pairs(
             elif lowest > 2 * _LEAST and apart(pair, lowest / 2):
                 _exclude(spec, "apart", piece, link)
             elif widest < 2 * clearance:
-                spec.add_numeric(name=told.keeps(model, piece, link), data=[max(widest, 0.0) / 2], size=1)
+                spec.add_numeric(name=robot.clearance_name(model, piece, link), data=[max(widest, 0.0) / 2], size=1)
 
 
 def _digest(model: mujoco.MjModel) -> bytes:

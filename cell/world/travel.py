@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.robot.model import AXES, Followers
+from cell.robot.model import AXES, MimicJoints
 from cell.world.shapes import mesh_of
 from planner.kinematics.rotary_table import RotaryTable
 from planner.values import Floats
@@ -63,7 +63,7 @@ class TravelBound:
         self._anchors, self._axes = data.xanchor[joints].copy(), data.xaxis[joints].copy()
         bodies = [int(model.jnt_bodyid[joint]) for joint in joints]
         links: list[list[tuple[Floats, float]]] = [[] for _ in range(_N)]
-        followers = Followers.of(model)
+        followers = MimicJoints.from_model(model)
         # By a link, None by the base: axes that turn it on, and how far.
         self._turning: list[tuple[int | None, list[tuple[int, float]]]] = []
         for geom in range(model.ngeom):

@@ -21,7 +21,7 @@ from cell.export.program import Told, of_motion
 from cell.plant import factory
 from cell.plant.mujoco_plant import MujocoPlant
 from cell.robot import model as robot
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
 from cell.runs.run import open_run
 from cell.scan import execute
 from cell.scan.legs import legs_of
@@ -130,7 +130,7 @@ def test_only_an_arm_with_kukas_axes_is_written_in_krl(other: Path) -> None:
         """The same arm with A1 turning the other way."""
 
         limits = robot.limits(robot.load())
-        _kuka = Kr16Kinematics.load()
+        _kuka = kr16_kinematics()
 
         def forward(self, q: np.ndarray) -> np.ndarray:
             return self._kuka.forward(q * [-1, 1, 1, 1, 1, 1])
@@ -144,5 +144,5 @@ def test_only_an_arm_with_kukas_axes_is_written_in_krl(other: Path) -> None:
     points = json.loads(tables.as_json(program))["via_points"]
     assert [(point["status"], point["turn"]) for point in points] == [(None, None)] * len(motion.via_q)
     assert all(line.endswith(",,") for line in tables.csv(program).decode().splitlines()[1:])
-    at = Kr16Kinematics.load().forward(motion.via_q[-1:] * [-1, 1, 1, 1, 1, 1])[0, :3, 3] * 1000
+    at = kr16_kinematics().forward(motion.via_q[-1:] * [-1, 1, 1, 1, 1, 1])[0, :3, 3] * 1000
     assert points[-1]["flange_xyz_mm_abc_deg"][:3] == pytest.approx(at, abs=1e-6)

@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.hand_eye import _ball, _flange, _mount, corners
-from cell.robot.frames import kuka_abc_from_pose
 from cell.scene.file import load_scene
+from planner.kinematics.frames import kuka_abc_from_pose
 
 Run = Callable[..., Any]
 

@@ -38,7 +38,7 @@ def test_the_files_stand_in_the_run_folder_and_are_the_same_bytes_again(
 
 def test_csv_and_json_tell_the_same_and_it_is_the_plan(planned: Path, run_cell: Run, tmp_path: Path) -> None:
     """Every via point and every view, axes to 1e-4 deg, poses of TCP and flange as in plan.json."""
-    from cell.robot.frames import pose_from_kuka_abc
+    from planner.kinematics.frames import pose_from_kuka_abc
 
     for kind in ("csv", "json"):
         done = run_cell("export", str(planned), "--format", kind, "--name", "PART", "--out", "out", cwd=tmp_path)
@@ -236,9 +236,9 @@ def test_runs_that_cannot_be_exported(
 def test_status_and_turn_as_controllers_export_them() -> None:
     """HOME exports S 2; T counts negative axes; the branches' shoulder, elbow and wrist are its bits."""
     from cell.export.program import status_and_turn
-    from cell.robot.kinematics import Kr16Kinematics
+    from cell.robot.arm import kr16_kinematics
 
-    kinematics = Kr16Kinematics.load()
+    kinematics = kr16_kinematics()
     q = np.radians([
         [0.0, -90.0, 90.0, 0.0, 0.0, 0.0],
         [-1.0, -90.0, 90.0, 0.0, 30.0, -5.0],

@@ -20,7 +20,6 @@ from cell.emulate.memory import SCHEMA
 from cell.errors import FileError, SceneError
 from cell.metrology.locate import _check_motion
 from cell.replay.replay import load_show
-from cell.robot.frames import kuka_abc_from_pose
 from cell.runs.cell import read_cell, world_of
 from cell.runs.current_scene import CurrentFiles, require_current_scene
 from cell.runs.run import open_run, read_execution
@@ -32,6 +31,7 @@ from cell.study.scenes import scene_settings
 from cell.world.model import World
 from drivers.setpoints import from_rad
 from planner import cover
+from planner.kinematics.frames import kuka_abc_from_pose
 from planner.path.certified_edge import quantise
 from planner.timing.move_time import move_time
 

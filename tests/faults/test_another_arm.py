@@ -85,7 +85,7 @@ def test_an_arrival_is_judged_by_the_arm_that_was_handed_down(bench: Callable[..
     """A controller with the KR 16's A2, 156 deg/s, is there sooner than an arm with 70 deg/s can be."""
     made = bench("serial")
     made.driver._limits = LIMITS
-    with made.driver as driver, pytest.raises(ArrivalError, match="no arm with these limits"):
+    with made.driver as driver, pytest.raises(ArrivalError, match="an arm with these limits needs at least"):
         driver.move(via(A2=-40.0), 1.0)
 
 

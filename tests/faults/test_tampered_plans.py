@@ -268,7 +268,7 @@ def test_a_via_point_inside_the_part_is_refused_by_the_certificate(
     planned: Path, tmp_path: Path, resealed: Reseal, run_cell: Run
 ) -> None:
     """Times, samples and hashes made anew, the new digest confirmed; a free one passes, under another digest."""
-    from cell.robot.kinematics import Kr16Kinematics
+    from cell.robot.arm import kr16_kinematics
     from planner.kinematics.setpoints import from_steps, to_steps
 
     proven = verify_plan(planned)
@@ -276,7 +276,7 @@ def test_a_via_point_inside_the_part_is_refused_by_the_certificate(
     inside = proven.plan.views[0].T_base_flange.copy()  # from 250 mm off the surface to 50 mm behind it
     inside[:3, 3] += 0.3 * proven.plan.views[0].T_base_scanner[:3, 2]
     q = next(
-        q for q in Kr16Kinematics.load().inverse(inside[None])[0]
+        q for q in kr16_kinematics().inverse(inside[None])[0]
         if not np.isnan(q).any() and (q >= proven.motion.limits.lower).all() and (q <= proven.motion.limits.upper).all()
     )  # fmt: skip
     run = tmp_path / "inside"

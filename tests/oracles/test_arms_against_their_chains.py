@@ -4,9 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from cell.robot.arm import POLISHED_ABOVE, ArmKinematics
-from cell.robot.chain import Chain
 from planner.errors import PlannerError
+from planner.kinematics.fit import POLISH_ABOVE, ArmKinematics, Chain
 from planner.ports import JointLimits
 
 LIMITS = JointLimits(
@@ -164,7 +163,7 @@ def test_axes_that_were_rounded_are_polished(name):
     rng = np.random.default_rng(11)
     chain = arm(name, rng, tilt=1e-4)
     kinematics = ArmKinematics(chain, LIMITS)
-    assert POLISHED_ABOVE < kinematics.fit.residual < 1e-3
+    assert POLISH_ABOVE < kinematics.fit.residual < 1e-3
     q = rng.uniform(-np.pi, np.pi, (500, 6))
     T = chain.forward(q)
     found = kinematics.inverse(T)

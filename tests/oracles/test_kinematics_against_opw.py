@@ -4,12 +4,12 @@ import numpy as np
 from py_opw_kinematics import KinematicModel, Robot
 from scipy.spatial.transform import RigidTransform
 
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
 
 
 def test_both_solvers_find_the_same_branches():
     """On 3000 random poses both find the same real branches to 1e-8 rad, each of ours and each of theirs."""
-    kinematics = Kr16Kinematics.load()
+    kinematics = kr16_kinematics()
     arm = kinematics.arm
     oracle = Robot(
         KinematicModel(

@@ -262,8 +262,8 @@ def test_the_program_drives_the_planned_via_points_to_the_planned_poses(
     exported: tuple[bytes, bytes], planned: Path
 ) -> None:
     """Every via point, to the last 1e-4 deg; and at each scan the tool stands within 0.01 mm and 0.001 deg."""
-    from cell.robot.frames import pose_from_kuka_abc
-    from cell.robot.kinematics import Kr16Kinematics
+    from cell.robot.arm import kr16_kinematics
+    from planner.kinematics.frames import pose_from_kuka_abc
 
     scanned: list[list[float]] = []
     answer = _prompt(7, 8)
@@ -289,7 +289,7 @@ def test_the_program_drives_the_planned_via_points_to_the_planned_poses(
     assert set(robot.variables["$BASE"].values()) == {0.0}
     views = json.loads((planned / "plan.json").read_text())["views"]
     assert len(scanned) == len(views)
-    T = Kr16Kinematics.load().forward(np.radians(scanned)) @ T_flange_tool
+    T = kr16_kinematics().forward(np.radians(scanned)) @ T_flange_tool
     wanted = np.array([view["T_base_scanner"] for view in views])
     assert np.linalg.norm(T[:, :3, 3] - wanted[:, :3, 3], axis=1).max() < 1e-5
     turned = np.swapaxes(T[:, :3, :3], 1, 2) @ wanted[:, :3, :3]
@@ -425,12 +425,12 @@ def _sweeping(
     from cell.export import krl
     from cell.export.options import ExportOptions
     from cell.export.program import Told, of_motion
-    from cell.robot.kinematics import Kr16Kinematics
+    from cell.robot.arm import kr16_kinematics
     from planner.path.sweeps import TimedSweep, find_sweeps
     from planner.timing.motion import retime
     from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_poses
 
-    kinematics, mount = Kr16Kinematics.load(), np.eye(4)
+    kinematics, mount = kr16_kinematics(), np.eye(4)
     mount[:3, 3] = (0.02, -0.03, 0.12)
     T = kinematics.forward(np.radians([[12, -75, 110, 35, -60, 140]]))[0] @ mount
     columns = (
@@ -462,7 +462,7 @@ def _sweeping(
 
 def _straight_line(kinematics: Any) -> Callable[[Robot, dict[str, float]], list[float]]:
     """Axes after a LIN: the nearest solution of the goal's pose, as a controller that follows the line ends."""
-    from cell.robot.frames import pose_from_kuka_abc
+    from planner.kinematics.frames import pose_from_kuka_abc
 
     def frame(of: dict[str, float]) -> np.ndarray:
         return pose_from_kuka_abc([of[axis] / 1000 for axis in "XYZ"], np.radians([of[angle] for angle in "ABC"]))

@@ -14,7 +14,6 @@ import trimesh
 
 from benchmarks.triangle_cell import TriangleCell
 from cell.robot.arm import kinematics_of
-from cell.robot.frames import pose_from_kuka_abc
 from cell.scene.model import Scene
 from cell.world.checks import impossible
 from cell.world.clearance import of_motion
@@ -22,6 +21,7 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.geometry.mesh import TriangleMesh
 from planner.kinematics import reach
+from planner.kinematics.frames import pose_from_kuka_abc
 from planner.path.path import connect
 from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
 from planner.path.sweeps import TUBE, SweepPath, TimedSweep, find_sweeps
 from planner.values import Floats
 from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_poses
 
-KINEMATICS = Kr16Kinematics.load()
+KINEMATICS = kr16_kinematics()
 LIMITS = KINEMATICS.limits
 MOUNT = np.eye(4)
 MOUNT[:3, 3] = (0.02, -0.03, 0.12)

@@ -2,10 +2,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
+from planner.kinematics.frames import kuka_abc_from_pose, pose_from_kuka_abc
 
-KINEMATICS = Kr16Kinematics.load()
+KINEMATICS = kr16_kinematics()
 
 # Angles anywhere, and often at or next to the multiples of 90 deg where singularities live.
 NEAR_A_QUARTER = st.builds(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
 
 STRETCHED = -np.rad2deg(np.arctan2(0.035, 0.670))
 
@@ -23,7 +23,7 @@ OFFSETS = (0.0, 1e-16, 1e-14, 1e-12, 1e-10, 1e-9, 1e-8, 1e-7)
 @pytest.fixture(scope="module")
 def kinematics():
     """Of models/kr16.xml."""
-    return Kr16Kinematics.load()
+    return kr16_kinematics()
 
 
 @pytest.mark.parametrize("name", SINGULAR)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cell.robot.arm import kinematics_of
-from cell.robot.kinematics import Kr16Kinematics
 from cell.scene.model import Scene
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
+from planner.kinematics.closed_form import KukaKinematics
 from planner.path.certified_edge import STEP, certify, quantise
 from planner.path.path import PathStatus, connect
 from planner.tour.tour import DropReason, plan_tour
@@ -21,7 +21,7 @@ FLANGE, ASIDE = np.array([1.1, 0.0, 0.8]), np.array([-0.2, 0.35, 0.1])
 
 
 @lru_cache
-def cell(beyond_mm: float) -> tuple[World, MujocoCollisionChecker, Kr16Kinematics]:
+def cell(beyond_mm: float) -> tuple[World, MujocoCollisionChecker, KukaKinematics]:
     """Two plates, the housing's width, the clearance on both sides and `beyond_mm` on both sides apart."""
     middle = 40.0 + 10.0 + beyond_mm + 10.0
     plates = [
@@ -35,7 +35,7 @@ def cell(beyond_mm: float) -> tuple[World, MujocoCollisionChecker, Kr16Kinematic
     return world, MujocoCollisionChecker(world), kinematics_of(world.model)
 
 
-def at(kinematics: Kr16Kinematics, checker: MujocoCollisionChecker, position: np.ndarray, turn: float) -> np.ndarray:
+def at(kinematics: KukaKinematics, checker: MujocoCollisionChecker, position: np.ndarray, turn: float) -> np.ndarray:
     """The first free set-point with the flange there, turned about its axis."""
     T = np.eye(4)
     spin = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])

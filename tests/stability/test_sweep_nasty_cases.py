@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
 from planner.path.sweep_line import SweepRefusal
 from planner.path.sweeps import find_sweeps
 from planner.ports import JointLimits
 from planner.values import Floats
 from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_poses
 
-KINEMATICS = Kr16Kinematics.load()
+KINEMATICS = kr16_kinematics()
 LIMITS = KINEMATICS.limits
 MOUNT = np.eye(4)
 MOUNT[2, 3] = 0.12

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cell.part import workpiece
-from cell.robot.frames import pose_from_kuka_abc
 from cell.runs.run import ExecutedScan
 from cell.scan import causes
 from cell.scan.pose_error import Disturbance
@@ -18,6 +17,7 @@ from cell.world.embree import EmbreeRayCaster
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
+from planner.kinematics.frames import pose_from_kuka_abc
 from planner.viewpoints.viewpoints import enclosing_radius, optimal_scanning_zone
 
 BUILT_IN = ("mseke", "mug", "robinet", "petanque", "humerus", "st-jean")

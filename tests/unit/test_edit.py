@@ -11,8 +11,8 @@ import pytest
 from cell.api import open_run
 from cell.edit.options import Edit, Move, Pose, Turn
 from cell.errors import UnreachableError, UsageError
-from cell.robot.frames import kuka_abc_from_pose
 from cell.scene.options import flag, read
+from planner.kinematics.frames import kuka_abc_from_pose
 from planner.ports import JointLimits
 from planner.tour import generalised_tsp as gtsp
 from planner.tour.orderings import fixed_order

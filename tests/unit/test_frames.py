@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cell.robot.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from planner.errors import PlannerError
+from planner.kinematics.frames import kuka_abc_from_pose, pose_from_kuka_abc
 
 
 def test_it_is_rz_ry_rx():
@@ -72,7 +72,7 @@ def test_what_is_no_pose_is_refused(T, words):
 
 def test_numbers_that_are_none_are_refused():
     """An infinite position or a missing angle raises."""
-    with pytest.raises(PlannerError, match="position holds a value that is not finite"):
+    with pytest.raises(PlannerError, match="position has a value that is not finite"):
         pose_from_kuka_abc([np.inf, 0, 0], [0, 0, 0])
     with pytest.raises(PlannerError, match=r"abc has shape \(2,\)"):
         pose_from_kuka_abc([0, 0, 0], [0, 0])

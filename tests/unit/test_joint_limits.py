@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from cell.errors import SceneError
-from cell.robot import joint_limits
 from cell.robot import model as robot
 from cell.scene.file import load_scene
 
@@ -15,13 +14,13 @@ MODEL = robot.limits(robot.load())
 
 def test_what_is_not_given_follows_in_the_models_times() -> None:
     """Half the speed: half the acceleration and jerk; half the acceleration: half the jerk; an endless jerk is one."""
-    slow = joint_limits.given(MODEL, np.degrees(MODEL.velocity) / 2)
+    slow = robot.override_limits(MODEL, np.degrees(MODEL.velocity) / 2)
     np.testing.assert_allclose(slow.acceleration, MODEL.acceleration / 2)
     np.testing.assert_allclose(slow.jerk, MODEL.jerk / 2)
-    soft = joint_limits.given(MODEL, acceleration_deg_s2=np.degrees(MODEL.acceleration) / 2)
+    soft = robot.override_limits(MODEL, acceleration_deg_s2=np.degrees(MODEL.acceleration) / 2)
     np.testing.assert_array_equal(soft.velocity, MODEL.velocity)
     np.testing.assert_allclose(soft.jerk, MODEL.jerk / 2)
-    assert np.isinf(joint_limits.given(MODEL, jerk_deg_s3=[np.inf] * 6).jerk).all()
+    assert np.isinf(robot.override_limits(MODEL, jerk_deg_s3=[np.inf] * 6).jerk).all()
 
 
 def test_a_scene_gives_limits(tmp_path: Path) -> None:

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from cell.robot.frames import kuka_abc_from_pose
-from cell.robot.kinematics import STRETCH_TOLERANCE, Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
 from planner.errors import PlannerError
+from planner.kinematics.closed_form import STRETCH_TOLERANCE
+from planner.kinematics.frames import kuka_abc_from_pose
 
 # A1..A6 [deg] -> flange X, Y, Z [mm], A, B, C [deg] and how many branches are real. Worked out by a chain of
 # Denavit-Hartenberg matrices; Z and H0 can be checked by adding up lengths.
@@ -23,7 +24,7 @@ NAMED = {
 @pytest.fixture(scope="module")
 def kinematics():
     """Of models/kr16.xml."""
-    return Kr16Kinematics.load()
+    return kr16_kinematics()
 
 
 def difference(a, b):

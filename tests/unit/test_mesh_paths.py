@@ -6,7 +6,7 @@ import pytest
 
 from cell.errors import FileError
 from cell.plan.files import named_files
-from cell.robot.mesh_paths import mesh_files
+from cell.robot.robot_file import mesh_files
 from cell.scene.file import load_scene
 
 URDF = """<robot name="r"><link name="a">
@@ -37,7 +37,7 @@ def test_what_links_collide_as_is_found_once_each(urdf: Path, tmp_path: Path) ->
     mjcf.write_text(MJCF)
     assert mesh_files(mjcf, {}) == [tmp_path / "here/parts/c.stl"]
     (tmp_path / "here/b.stl").unlink()
-    with pytest.raises(FileError, match="there is no"):
+    with pytest.raises(FileError, match="does not exist"):
         mesh_files(urdf, {})
 
 

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from cell.errors import SceneError
 from cell.part import workpiece
-from cell.robot.frames import pose_from_kuka_abc
 from cell.scene.file import load_scene, scene_of
 from cell.scene.settle import settle_scene
 from cell.world.model import compile_world
+from planner.kinematics.frames import pose_from_kuka_abc
 
 POSITION, ABC = (12.0, -7.5, 131.0), (31.0, -12.0, 95.0)
 T_MOUNT = pose_from_kuka_abc(np.array(POSITION) / 1000, np.radians(ABC))

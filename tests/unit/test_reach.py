@@ -3,9 +3,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from cell.robot.frames import pose_from_kuka_abc
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
 from planner.errors import PlannerError
+from planner.kinematics.frames import pose_from_kuka_abc
 from planner.kinematics.reach import (
     Reach,
     Verdict,
@@ -17,7 +17,7 @@ from planner.kinematics.reach import (
 )
 from planner.viewpoints.viewpoints import Viewpoints
 
-KINEMATICS = Kr16Kinematics.load()
+KINEMATICS = kr16_kinematics()
 T_FLANGE_SCANNER = pose_from_kuka_abc([0.0, 0.01, 0.12], np.deg2rad([30.0, 5.0, 0.0]))
 T_BASE_OBJECT = pose_from_kuka_abc([1.2, 0.3, 0.4], np.deg2rad([20.0, 0.0, 0.0]))
 

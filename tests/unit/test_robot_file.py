@@ -16,10 +16,10 @@ import trimesh
 from cell.errors import CellError
 from cell.replay.overlays import touches
 from cell.robot import model as robot
-from cell.robot import robot_file, told
+from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
-from cell.robot.normalised import normalised
-from cell.robot.robot_file import what_mujoco_says
+from cell.robot.normalise import normalise
+from cell.robot.robot_file import capture_mujoco_warnings
 from cell.scene.model import Scene
 from cell.world import robot_spec, self_collision
 from cell.world.checks import doubtful
@@ -107,7 +107,7 @@ def test_flange_and_levers_are_where_mujoco_puts_them(tmp_path: Path) -> None:
     """The arm in our form stands as the file's does: flange and, driven by its axis, the lever, to 1e-9."""
     text = urdf(LEVER)
     model = robot_spec.from_file(written(tmp_path, text)).compile()
-    kinematics, followers, data = kinematics_of(model), robot.Followers.of(model), mujoco.MjData(model)
+    kinematics, followers, data = kinematics_of(model), robot.MimicJoints.from_model(model), mujoco.MjData(model)
     at_zero = by_mujoco(text, np.zeros(6), "lever")
     for q in np.random.default_rng(1).uniform(-2.8, 2.8, (20, 6)):
         np.testing.assert_allclose(kinematics.forward(q[None])[0], by_mujoco(text, q, "tool0"), rtol=0, atol=1e-9)
@@ -193,7 +193,7 @@ def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
 def test_what_the_seeded_poses_do_not_see_is_no_proof(tmp_path: Path) -> None:
     """Plates that the square's corners touch, looked at where it lies flat, so that no contact is seen: guarded."""
     path = forked(tmp_path, 0.0325)
-    own = OwnPairs(normalised(robot_file.read(path)).compile())
+    own = OwnPairs(normalise(robot_file.read_robot(path)).compile())
     own.q = 0.01 * own.q
     found = own.relations()
     assert (found.joined, found.apart) == ([], [])
@@ -204,7 +204,7 @@ def test_what_the_seeded_poses_do_not_see_is_no_proof(tmp_path: Path) -> None:
 def test_no_way_between_two_links_is_longer_than_what_a_proof_takes_for_it(tmp_path: Path, levers: str) -> None:
     """Seeded steps of the axes between two bodies change their distance by no more than the sum of what each moves."""
     model = robot_spec.from_file(written(tmp_path, urdf(levers))).compile()
-    shapes, data, followers = Shapes(model, {}, []), mujoco.MjData(model), robot.Followers.of(model)
+    shapes, data, followers = Shapes(model, {}, []), mujoco.MjData(model), robot.MimicJoints.from_model(model)
     pairs = [("link_4", "link_6"), ("link_2", "link_4"), ("base", "link_2")] + [("link_3", "lever")] * bool(levers)
     rng = np.random.default_rng(3)
     for names in pairs:
@@ -241,7 +241,7 @@ def test_what_is_built_near_and_can_touch_is_looked_at_closer(tmp_path: Path) ->
         model=world.model,
         entities=world.entities,
         clearance=world.clearance,
-        near=told.kept_near(world.model),
+        near=robot.reduced_clearances(world.model),
         shapes=world.shapes,
     )
     assert not [touch for touch in touches(theatre, data) if touch.names == "link_6 with link_4"]  # type: ignore[arg-type]
@@ -319,7 +319,7 @@ def test_a_cell_guards_the_arm_and_bounds_its_travel(tmp_path: Path, base: dict[
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
     def at(q: np.ndarray) -> np.ndarray:
-        data.qpos[:] = world.followers.qpos(q)
+        data.qpos[:] = world.mimic_joints.qpos(q)
         mujoco.mj_kinematics(world.model, data)
         placed = [
             data.geom_xpos[geom] + (corners * world.model.geom_size[geom]) @ data.geom_xmat[geom].reshape(3, 3).T
@@ -392,20 +392,20 @@ def millimetres(text: str) -> str:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (urdf(limit=""), "'j1' has no limits; give it <limit lower upper velocity>"),
+        (urdf(limit=""), "'j1' has no limits; add <limit lower upper velocity>"),
         (
             urdf(limit='<limit lower="-1" upper="1" velocity="0" effort="0"/>'),
-            "give the six axes' as robot.velocity_deg_s",
+            "give the speeds of the six axes as robot.velocity_deg_s",
         ),
         *(
-            (urdf(limit=f'<limit lower="{low}" upper="{high}" velocity="3" effort="0"/>'), "which is none")
+            (urdf(limit=f'<limit lower="{low}" upper="{high}" velocity="3" effort="0"/>'), "has the empty range")
             for low, high in (("0", "0"), ("1", "-1"), ("nan", "1"), ("-inf", "inf"))
         ),
         (urdf().replace('<child link="l3"/>', '<child link="l3"/><mimic joint="j2"/>'), "'j3' is one of the six"),
         (urdf(SLIDES), "'drive' mimics 'j3' and slides"),
-        (urdf().replace("tool0", "hand"), "say which is the flange"),
+        (urdf().replace("tool0", "hand"), "name the flange's link"),
         (five_axes(urdf()), "has 5 joints from 'base_link' to 'tool0'"),
-        (millimetres(urdf()), "looks like millimetres"),
+        (millimetres(urdf()), "seems to be in millimetres"),
         (no_mesh(urdf()), "--package acme=DIR"),
     ],
 )
@@ -449,9 +449,9 @@ def test_what_is_hardly_meant_in_a_file_is_told(
     world = compile_world(Scene.model_validate({"robot": robot_settings}), CUBE)
     assert told.missing[:2] == tuple(doubtful(world))
     assert "arm.xml: MuJoCo warns that compiler attribute 'settotalmass' is deprecated" in told.missing[0]
-    assert "arm.xml gives no range of q4, q6: -360 to 360 deg is taken" in told.missing[1]
+    assert "arm.xml gives no range of q4, q6: -360 to 360 deg is assumed" in told.missing[1]
     assert all("\n" not in sentence for sentence in told.missing)
-    with what_mujoco_says() as said:
+    with capture_mujoco_warnings() as said:
         mujoco.mj_forward(of := mujoco.MjModel.from_xml_string(FALLS), data := mujoco.MjData(of))
         data.qpos[2] = np.nan
         mujoco.mj_step(of, data)

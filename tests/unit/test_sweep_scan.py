@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cell.robot import model as robot
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
 from cell.robot.model import load
 from cell.runs.cell import RunCell
 from cell.runs.folder import SCHEMA
@@ -37,7 +37,7 @@ from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_pos
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 
-KINEMATICS = Kr16Kinematics.load()
+KINEMATICS = kr16_kinematics()
 HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 SCANNER = LaserLine(sweep_mm=80.0, sweep_steps=4, line_points=50)
 

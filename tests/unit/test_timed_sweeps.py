@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
 from planner.errors import PlannerError
 from planner.path.sweeps import SweepPath, TimedSweep, find_sweeps
 from planner.timing.motion import Motion, jerk_free_duration, retime
@@ -11,7 +11,7 @@ from planner.timing.move_time import move_time
 from planner.values import Floats
 from planner.viewpoints.viewpoints import straight_sweep_poses
 
-KINEMATICS = Kr16Kinematics.load()
+KINEMATICS = kr16_kinematics()
 LIMITS = KINEMATICS.limits
 MOUNT = np.eye(4)
 MOUNT[2, 3] = 0.12

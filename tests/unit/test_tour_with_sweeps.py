@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cell.robot.kinematics import Kr16Kinematics
+from cell.robot.arm import kr16_kinematics
 from planner.errors import PlannerError
 from planner.path.sweeps import SweepPath, SweepTraversal, TimedSweep, find_sweeps, sweep_traversals
 from planner.timing.motion import retime
@@ -17,7 +17,7 @@ from planner.tour.visits import Visits
 from planner.values import Floats
 from planner.viewpoints.viewpoints import straight_sweep_poses
 
-KINEMATICS = Kr16Kinematics.load()
+KINEMATICS = kr16_kinematics()
 LIMITS = KINEMATICS.limits
 MOUNT = np.eye(4)
 MOUNT[2, 3] = 0.12

@@ -12,7 +12,6 @@ import pytest
 
 from cell.plan.report import markdown
 from cell.robot.arm import kinematics_of
-from cell.robot.frames import pose_from_kuka_abc
 from cell.runs.cell import read_cell
 from cell.runs.run import Run, open_run
 from cell.scanners.laser_area import LaserArea
@@ -22,6 +21,7 @@ from cell.view.pieces import Piece, cell_of_run
 from cell.view.surface import canvas_of, sides, surface_of
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
+from planner.kinematics.frames import pose_from_kuka_abc
 from planner.measurability import coverage
 
 DataOf = Callable[[str], dict[str, Any]]

@@ -1,8 +1,8 @@
 """KUKA's A, B, C angles and poses, both ways: R = Rz(A) Ry(B) Rx(C).
 
-Metres and radians; whoever reads millimetres and degrees (scene file, command line, wire) converts there. A rotation
-has one (A, B, C) with B in [-90, 90] deg, except at B = +-90 deg, where only A - C (B = 90) or A + C (B = -90) is
-determined: there C = 0.
+Metres and radians; callers with millimetres and degrees (scene file, command line, wire) convert. A rotation has one
+(A, B, C) with B in [-90, 90] deg, except at B = +-90 deg, where only A - C (B = 90) or A + C (B = -90) is determined:
+there C = 0.
 """
 
 from typing import Any
@@ -13,22 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 from planner.errors import PlannerError
 from planner.values import Floats
 
-# Below this cosine of B, A and C are rounding noise one by one; B is then +-90 deg to within 1e-14 rad.
+# Below this cosine of B, A and C are rounding noise; B is then +-90 deg to within 1e-14 rad.
 _GIMBAL = 1e-14
 
 
 def pose_from_kuka_abc(position: ArrayLike, abc: ArrayLike) -> Floats:
-    """Homogeneous transform from a position and KUKA's angles.
+    """Return the homogeneous transform of a position and KUKA's angles.
 
     Args:
         position: (..., 3) x, y, z of the frame's origin [m].
         abc: (..., 3) angles A, B, C [rad]; R = Rz(A) Ry(B) Rx(C).
 
     Returns:
-        (..., 4, 4) T mapping the frame's coordinates to those in which position is given.
-
-    Raises:
-        PlannerError: if a shape is wrong or a value is not finite.
+        (..., 4, 4) T that maps the frame's coordinates to those of the position.
     """
     xyz, angles = _triples("position", position), _triples("abc", abc)
     if xyz.shape != angles.shape:
@@ -44,29 +41,26 @@ def pose_from_kuka_abc(position: ArrayLike, abc: ArrayLike) -> Floats:
 
 
 def kuka_abc_from_pose(T: ArrayLike) -> tuple[Floats, Floats]:
-    """Position and KUKA's angles of a homogeneous transform.
+    """Return position and KUKA's angles of a homogeneous transform.
 
-    C is computed from the rotation that is left once A is undone, so the angles reproduce the rotation to rounding
-    error everywhere, B = +-90 deg included (C = 0 there).
+    C is computed from the rotation that remains after A is undone. The angles therefore reproduce the rotation to
+    rounding error everywhere, B = +-90 deg included (C = 0 there).
 
     Args:
-        T: (..., 4, 4) homogeneous transform [m].
+        T: (..., 4, 4) rigid transform [m].
 
     Returns:
         (..., 3) position [m] and (..., 3) angles A, B, C [rad]: A and C in (-pi, pi], B in [-pi/2, pi/2].
-
-    Raises:
-        PlannerError: if the shape is wrong, a value is not finite or the rotation part is not a rotation.
     """
     pose = np.asarray(T, dtype=np.float64)
     if pose.ndim < 2 or pose.shape[-2:] != (4, 4):
         raise PlannerError(f"T has shape {pose.shape}; it must be (..., 4, 4)")
     R = pose[..., :3, :3]
-    # Written so that NaN fails it too.
+    # In this form NaN fails the check too.
     if not (np.isfinite(pose).all() and np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0.0) < 1e-6):
-        raise PlannerError("T holds a rotation part that is not orthonormal to 1e-6; give a rigid transform in metres")
+        raise PlannerError("T has a rotation part that is not orthonormal to 1e-6; give a rigid transform in metres")
     if (np.linalg.det(R) < 0.0).any():
-        raise PlannerError("T holds a mirrored rotation part (determinant -1); give a right-handed rigid transform")
+        raise PlannerError("T has a mirrored rotation part (determinant -1); give a right-handed rigid transform")
     cb = np.hypot(R[..., 0, 0], R[..., 1, 0])
     b = np.arctan2(-R[..., 2, 0], cb)
     a = np.where(cb < _GIMBAL, np.arctan2(-R[..., 0, 1], R[..., 1, 1]), np.arctan2(R[..., 1, 0], R[..., 0, 0]))
@@ -83,5 +77,5 @@ def _triples(name: str, values: ArrayLike) -> NDArray[Any]:
     if array.ndim < 1 or array.shape[-1] != 3:
         raise PlannerError(f"{name} has shape {array.shape}; it must be (..., 3)")
     if not np.isfinite(array).all():
-        raise PlannerError(f"{name} holds a value that is not finite; every value must be a number")
+        raise PlannerError(f"{name} has a value that is not finite; every value must be a number")
     return array
