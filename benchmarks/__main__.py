@@ -1,7 +1,7 @@
 """The registry of benchmarks: `python -m benchmarks [NAME ...]` runs them and prints time and accuracy in one row.
 
 Every benchmark is a module of this folder with `run() -> list[dict]`; `chart(rows, folder)` beside it draws a picture.
-Four have words and options of their own (`python -m benchmarks speed --help`), in `benchmarks/methods`. Timings are of
+Five have words and options of their own (`python -m benchmarks speed --help`), in `benchmarks/methods`. Timings are of
 this machine and this moment: compare rows of one run, not runs.
 """
 
@@ -25,6 +25,7 @@ STUDIES = {
     "speed": "seconds against error of planning faces, samples on each, and rays of a scan",
     "stability": "success and error of each method over the number that breaks it, and what the program says there",
     "cover": "view selection at equal processor time beside HiGHS, CP-SAT, a textbook search; solve FILE solves a file",
+    "paper": "the paper's tables, its method and ours side by side: views and coverage of 86 rows",
     "pictures": "the pictures of docs/images drawn anew; by name also the charts, which take minutes to an hour",
 }
 """Modules of `benchmarks.methods`, each with an `app` of its own."""

@@ -108,7 +108,7 @@ LONG: Mapping[tuple[str, ...], Maker] = {
     ),
     ("cover_rivals.png",): _study("benchmarks cover chart", "chart.png", "cover_rivals.png"),
     ("speed_fronts.png",): _study("benchmarks speed", "speed_fronts.png", "speed_fronts.png"),
-    **{(f"paper_{name}.png",): _study(f"cell study {name}", f"{name}.png", f"paper_{name}.png") for name in _TABLES},
+    **{(each := f"paper_{name}.png",): _study(f"benchmarks paper {name}", f"{name}.png", each) for name in _TABLES},
     **{(each := f"stability_{name}.png",): _study(f"benchmarks stability {name}", each, each) for name in MAPS},
 }  # fmt: skip
 MADE = {picture: names for names in (*QUICK, *LONG) for picture in names}

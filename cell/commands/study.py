@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 EPILOG = (
     "Examples:\n\n"
-    "cell study table5\n\n"
-    "cell study all --processes 4 --out tables\n\n"
-    "cell study table1 --cluster tcp://scheduler:8786\n\n"
+    "cell study standoff mug --values 50:500:50\n\n"
+    "cell study placement mug --processes 4 --out map\n\n"
+    "cell study scanner --sensors all --cluster tcp://scheduler:8786\n\n"
     "Every trial is kept as soon as it is done: a study that was stopped goes on where it was, and one that is asked "
     "for again takes a second. Exit codes: 0 done, 2 usage, 6 files, 70 bug, 130 Ctrl-C."
 )
@@ -31,7 +31,7 @@ EPILOG = (
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
-    help="Vary one thing after the other, in many trials: tables, curves, maps and the sentence that they come to.",
+    help="Vary one number in many trials: curves, maps, and the best value.",
     epilog=EPILOG,
 )
 
@@ -74,33 +74,6 @@ def tell(terminal: "Terminal", result: "StudyResult") -> None:
     terminal.say(f"{kept}{failed}; study folder {result.folder}")
     best = "" if result.best is None else result.commands[result.best]
     terminal.then(("cell", "view", result.folder), *([shlex.split(best)] if best and "#" not in best else []))
-
-
-def _table(name: str, help_text: str) -> None:
-    @from_fields
-    def command(
-        *,
-        run: StudyRun,
-        part: Annotated[
-            list[str] | None, typer.Option(metavar="NAME", help="Only rows of this part; may be given again.")
-        ] = None,
-        faces_share: Annotated[
-            float, typer.Option(help="Share of the planning faces; below 1 is a reduced study.")
-        ] = 1.0,
-        as_json: AsJson = False,
-    ) -> None:
-        from cell.stand_ins import NAMES
-        from cell.study.tables import table_study
-
-        for each in part or []:
-            if each not in NAMES:
-                raise UsageError(f"--part {each} is not built in; there are {', '.join(NAMES)}")
-        if not 0 < faces_share <= 1:
-            raise UsageError(f"--faces-share {faces_share:g} must be above 0 and at most 1")
-        conducted(lambda: table_study(name, faces_share=faces_share, parts=part or []), run, as_json)
-
-    command.__doc__ = help_text
-    app.command(name, epilog=EPILOG)(command)
 
 
 def plan_words(part: str | None, scene: Path | None, wishes: Wishes) -> list[object]:
@@ -219,11 +192,7 @@ def scanner(
     conducted(lambda: knob_study(make, name, wanted, robot=robot), run, as_json, plan_words(part, scene, wishes))
 
 
-_table("table1", "The paper's Table 1: views and coverage over the decimation of the part.")
-_table("table2", "The paper's Table 2: views and coverage over the standoff distance.")
-_table("table3", "The paper's Table 3: views and coverage over the scanner's field of view.")
-_table("table4", "The paper's Table 4: views and coverage over the angle between rays.")
-_table("table5", "The paper's Table 5: reachable viewpoints, views and coverage over the part's position.")
-_table("all", "All five tables of the paper: 86 rows, its method and ours side by side.")
 for _name in ("speed", "stability"):
     add_moved(app, _name, f"cell study {_name}", f"python -m benchmarks {_name}")
+for _name in ("table1", "table2", "table3", "table4", "table5", "all"):
+    add_moved(app, _name, f"cell study {_name}", f"python -m benchmarks paper {_name}")

@@ -4,20 +4,14 @@ import csv
 import json
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Self
 
 import pytest
 
-from cell.study.tables import TOLERANCE_POINTS
 from cell.study.trial import Outcome, Trial, compute
-from planner.cover import DEFAULT_EFFORT, solve
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
-
-_TABLE = ("study", "table2", "--part", "mug", "--faces-share", "0.05", "--processes", "1")
-
 
 _COARSE = "[plan]\nfaces = 60\nsamples_per_face = 2\n"
 
@@ -47,60 +41,29 @@ def _no_processes() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module")
-def table(run_cell: Run, made_once: Callable[..., Path], drawn: Callable[[], AbstractContextManager[None]]) -> Path:
-    """A reduced table of one part."""
-
-    def make(folder: Path) -> None:
-        with drawn(), pytest.MonkeyPatch.context() as patch:
-            patch.setattr(solve, "__kwdefaults__", {**solve.__kwdefaults__, "budget": DEFAULT_EFFORT // 60})
-            done = run_cell(*_TABLE, "--out", "table", cwd=folder)
-        assert done.returncode == 0, done.stderr
-        assert "4 trials computed now" in done.stdout
-
-    return made_once("study", make) / "table"
-
-
-def test_a_table_leaves_tidy_rows_and_pictures(table: Path, run_cell: Run) -> None:
-    """Paper, its method and ours in one row; the page, which cell view shows, has what plans each."""
-    done = run_cell("view", table, "--no-open", cwd=table)
-    assert (done.returncode, done.stdout) == (0, f"{table / 'view.html'}\n"), done.stderr
-    wish = "--sensor=paper --roll=0 --candidates=optimal-scanning-zone --faces=37 --samples=80 --standoff=300"
-    assert f"cell plan mug {wish}" in (table / "view.html").read_text()
-    rows = list(csv.DictReader((table / "rows.csv").read_text().splitlines()))
-    assert [row["parameter"] for row in rows] == ["50", "100", "300", "500"]
-    assert [row["views paper"] for row in rows] == ["13", "12", "58", "107"]
-    for row in rows:
-        assert int(row["bound ours"]) <= int(row["views ours"])
-        assert 0 <= float(row["visible ours %"]) <= 100
-    for name in ("report.md", "study.json", "seconds.csv", "table2.png", "table2.svg"):
-        assert (table / name).stat().st_size > 100, name
-
-
-def test_the_paper_s_trend_and_that_ours_needs_no_more_views(table: Path) -> None:
-    """There is a best standoff inside; at the coverage of the paper's method ours has no more views. All tables: slow.
-
-    tests/golden/test_paper_trends.py has that form.
-    """
-    rows = list(csv.DictReader((table / "rows.csv").read_text().splitlines()))
-    views = [int(row["views rays"]) for row in rows]
-    assert min(views[1:-1]) <= min(views[0], views[-1]) < max(views)
-    for row in rows:
-        assert int(row["views ours at visible rays"]) <= int(row["views rays"]), row
-        assert float(row["visible ours at views rays %"]) >= float(row["visible rays %"]) - TOLERANCE_POINTS, row
-        assert int(row["bound rays"]) <= int(row["views rays"])
-
-
-@pytest.mark.usefixtures("drawn_pictures")
-def test_the_same_study_again_computes_nothing_and_leaves_the_same_bytes(
-    table: Path, tmp_path: Path, run_cell: Run
+def test_a_study_leaves_rows_and_pictures_and_the_same_bytes_again(
+    part_file: Path, tmp_path: Path, run_cell: Run, drawn_pictures: None
 ) -> None:
-    """Rows, report and pictures."""
-    done = run_cell(*_TABLE, "--out", "again", "--json", cwd=tmp_path)
+    """`cell view` shows its page, with the command for each row; the same study again computes nothing."""
+    (tmp_path / "coarse.toml").write_text(_COARSE)
+    words = ("study", "standoff", part_file, "--units", "mm", "--scene", "coarse.toml", "--processes", "1")
+    done = run_cell(*words, "--values", "210,310", "--out", "a", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "2 trials computed now" in done.stdout
+    done = run_cell("view", "a", "--no-open", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (0, "a/view.html\n"), done.stderr
+    wish = "--sensor=paper --standoff=310"
+    assert f"cell plan {part_file} --scene coarse.toml --units=mm {wish}" in (tmp_path / "a" / "view.html").read_text()
+    rows = list(csv.DictReader((tmp_path / "a" / "rows.csv").read_text().splitlines()))
+    assert [row["standoff mm"] for row in rows] == ["210.0", "310.0"]
+    assert all(int(row["fewest views"]) <= int(row["views"]) for row in rows)
+    done = run_cell(*words, "--values", "210,310", "--out", "b", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["computed"] == 0
-    for name in ("rows.csv", "seconds.csv", "study.json", "report.md", "view.html", "table2.png", "table2.svg"):
-        assert (table / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
+    names = ("rows.csv", "seconds.csv", "study.json", "report.md", "view.html", "standoff.png", "standoff.svg")
+    for name in names:
+        assert (tmp_path / "a" / name).stat().st_size > 100, name
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
 
 
 def test_a_changed_parameter_computes_only_what_depends_on_it(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
@@ -151,11 +114,10 @@ def test_a_map_names_the_best_place_and_keeps_places_out_of_reach(
         (("study", "scanner", "--sensors", "nosuch"), 2, "nosuch"),
         (("study", "scanner", "--sensors", "gocator-2340"), 2, "does not state its baseline"),
         (("study", "scanner", "--sensors", "gocator-2340,nosuch", "--baseline", "100"), 2, "nosuch"),
-        (("study", "table1", "--part", "teapot"), 2, "teapot"),
+        (("study", "table1", "--part", "mug"), 2, "is now python -m benchmarks paper table1"),
         (("study", "speed", "samples", "--values", "1,4"), 2, "is now python -m benchmarks speed"),
         (("study", "stability", "ik", "--quick"), 2, "is now python -m benchmarks stability"),
-        (("study", "table1", "--faces-share", "0"), 2, "--faces-share"),
-        (("study", "table1", "--processes", "0"), 2, "--processes 0"),
+        (("study", "standoff", "--processes", "0"), 2, "--processes 0"),
         (("study", "placement", "teapot"), 2, "teapot"),
         (("place", "--x", "9:1"), 2, "--x 9:1"),
         (

@@ -10,10 +10,8 @@ import trimesh
 from cell.errors import FileError
 from cell.scene.file import load_scene
 from cell.study.bench import Bench
-from cell.study.comparison import DENSER, fewest_for, most_with
 from cell.study.placement_trial import placement
 from cell.study.scenes import bench_of, scene_of, scene_settings
-from cell.study.tables import not_beaten
 from cell.world import virtual_scan
 from cell.world.occluders import caster_of, occluder_triangles
 from planner.kinematics import reach
@@ -46,59 +44,6 @@ def test_sampled_coverage_view_by_view_is_that_of_the_merged_cloud(bench: Bench)
     )
     assert 0.05 < merged.fraction < 1.0
     assert bench.sampled(views) == pytest.approx(merged.fraction, abs=1e-12)
-
-
-def test_fewest_views_for_a_coverage_keep_it_and_no_fewer_were_needed_by_more(bench: Bench) -> None:
-    """On the held-out samples; less coverage never takes more views."""
-    full = bench.select("aimed", bench.zone, None, solver="auto")
-    found = [fewest_for(bench, bench.zone, None, share * full.visible, full) for share in (0.5, 0.8, 0.95)]
-    for plan, share in zip(found, (0.5, 0.8, 0.95), strict=True):
-        assert plan.visible >= share * full.visible
-    numbers = [len(plan.cover.views) for plan in [*found, full]]
-    assert numbers == sorted(numbers)
-
-
-def test_more_than_all_usual_samples_need_is_looked_for_among_denser_ones(bench: Bench) -> None:
-    """Asked for all that every candidate together measures: nearer to it, or the plan of the usual samples."""
-    full = bench.select("aimed", bench.zone, None, solver="auto")
-    everything = bench.visible(bench.zone.T_object_scanner)
-    assert full.visible < everything
-    found = fewest_for(bench, bench.zone, None, everything, full)
-    assert full.visible <= found.visible <= everything
-    assert (found.density == DENSER) == (found.visible > full.visible)
-    assert len(found.cover.views) >= full.cover.lower_bound
-
-
-def test_most_coverage_with_more_views_than_the_full_plan_is_never_less(bench: Bench) -> None:
-    """The spare views serve denser samples; with fewer views than are needed it is less."""
-    full = bench.select("aimed", bench.zone, None, solver="auto")
-    n = len(full.cover.views)
-    found = [most_with(bench, bench.zone, None, views, full) for views in (n - 1, n, n + 3)]
-    assert [len(plan.cover.views) <= views for plan, views in zip(found, (n - 1, n, n + 3), strict=True)] == [True] * 3
-    assert found[0].density == 1
-    assert found[1].visible >= full.visible
-    assert found[2].visible > full.visible
-    if full.cover.lower_bound == n:
-        assert found[0].cover.covered_area < full.cover.covered_area
-
-
-@pytest.mark.parametrize(
-    ("change", "lost"),
-    [
-        ({}, False),
-        ({"views ours at visible rays": 8}, True),
-        ({"visible ours at visible rays %": 98.7}, True),
-        ({"visible ours at visible rays %": 98.81}, False),
-        ({"visible ours at views rays %": 98.7}, True),
-    ],
-)
-def test_a_row_is_lost_by_a_view_or_by_more_than_the_tolerance(change: dict[str, float], lost: bool) -> None:
-    """Both comparisons count."""
-    row = {
-        "views rays": 7, "visible rays %": 99.0, "views ours at visible rays": 7,
-        "visible ours at visible rays %": 99.0, "visible ours at views rays %": 99.0,
-    }  # fmt: skip
-    assert bool(not_beaten([{**row, **change}])) is lost
 
 
 def test_settings_give_the_scene_back(tables: dict[str, Any], tmp_path: Path) -> None:

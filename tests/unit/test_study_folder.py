@@ -16,14 +16,14 @@ from cell.commands.terminal import Terminal
 from cell.errors import FileError
 from cell.scene.file import tables
 from cell.study import study as studies
-from cell.study import table_row
 from cell.study.curves import KNOBS
 from cell.study.plan_command import options
 from cell.study.study import Study, StudyResult, conduct, markdown_table
 from cell.study.trial import Outcome, Trial
+from cell.study.views import views
 from cell.view.study_page import shown, study_page
 
-_TRIALS = [Trial.of(table_row.row, {"part": "mug", "faces": faces}) for faces in (8, 9, 10)]
+_TRIALS = [Trial.of(views, {"part": "mug", "faces": faces}) for faces in (8, 9, 10)]
 
 
 class _Workers:

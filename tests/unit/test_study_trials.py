@@ -7,20 +7,17 @@ from typing import Any
 import pytest
 
 from cell.errors import FileError
-from cell.scene import sensors
-from cell.scene.model import Scene
-from cell.scene.settle import with_device
-from cell.study import store, table_row, trial
+from cell.study import store, trial
 from cell.study.run import run
-from cell.study.tables import STANDOFF_MM, USUAL, table_study
 from cell.study.trial import Outcome, Trial, compute
+from cell.study.views import views
 from cell.study.workers import Processes
 
 _SMALL: dict[str, Any] = {"part": "petanque", "faces": 30, "samples_per_face": 4}
 
 
 def _kept(folder: Path, **change: Any) -> Outcome:
-    outcome = Outcome(Trial.of(table_row.row, _SMALL), {"views": 3}, "", {"total": 1.5})
+    outcome = Outcome(Trial.of(views, _SMALL), {"views": 3}, "", {"total": 1.5})
     store.save(outcome, folder)
     (path,) = folder.rglob("*.json")
     if change:
@@ -30,27 +27,27 @@ def _kept(folder: Path, **change: Any) -> Outcome:
 
 def test_equal_settings_are_one_trial_in_whatever_order_they_are_given() -> None:
     """The key is of the content."""
-    one = Trial.of(table_row.row, {"part": "mug", "faces": 40})
-    assert one == Trial.of(table_row.row, {"faces": 40, "part": "mug"})
-    assert one.key != Trial.of(table_row.row, {"faces": 41, "part": "mug"}).key
+    one = Trial.of(views, {"part": "mug", "faces": 40})
+    assert one == Trial.of(views, {"faces": 40, "part": "mug"})
+    assert one.key != Trial.of(views, {"faces": 41, "part": "mug"}).key
 
 
 def test_a_changed_program_has_other_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     """What another version computed is not taken for this version's."""
-    before = Trial.of(table_row.row, _SMALL).key
+    before = Trial.of(views, _SMALL).key
     monkeypatch.setattr(trial, "sources_digest", lambda package: "another")
-    assert Trial.of(table_row.row, _SMALL).key != before
+    assert Trial.of(views, _SMALL).key != before
 
 
 def test_a_trial_of_a_package_beside_the_program_depends_on_its_sources_too() -> None:
-    """The laboratory's trials have keys of its own sources; the program's do not depend on them."""
+    """Keys of benchmark trials depend on the sources of the benchmarks, keys of the product's trials do not."""
     assert trial.sources_digest("planner") == trial.sources_digest("cell") != trial.sources_digest("benchmarks")
 
 
 def test_settings_that_json_cannot_hold_exactly_are_refused() -> None:
     """NaN is equal to nothing, so no key could find it again."""
     with pytest.raises(ValueError, match="JSON"):
-        Trial.of(table_row.row, {"faces": float("nan")})
+        Trial.of(views, {"faces": float("nan")})
 
 
 def test_a_kept_result_comes_back_as_it_was_and_is_marked(tmp_path: Path) -> None:
@@ -84,16 +81,16 @@ def test_a_torn_file_is_not_taken(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
     """It names the folder and what to do."""
     (tmp_path / "file").write_text("")
-    outcome = Outcome(Trial.of(table_row.row, _SMALL), {}, "", {})
+    outcome = Outcome(Trial.of(views, _SMALL), {}, "", {})
     with pytest.raises(FileError, match="XDG_CACHE_HOME"):
         store.save(outcome, tmp_path / "file")
 
 
 def test_a_trial_that_fails_says_why_and_the_others_go_on(tmp_path: Path) -> None:
-    """A standoff of zero is a sentence of ours; the failure is not kept as a result."""
-    bad = Trial.of(table_row.row, {**_SMALL, "standoff_mm": -1.0})
+    """A missing file is one sentence; the failure is not kept as a result."""
+    bad = Trial.of(views, {"scene": {}, "files": {"gone.stl": "0"}, "robot": False})
     outcome = compute(bad, bad.digest)
-    assert "standoff" in outcome.failure
+    assert outcome.failure.startswith("gone.stl cannot be read")
     assert outcome.values == {}
     store.save(outcome, tmp_path)
     assert store.load(bad, tmp_path) is None
@@ -101,17 +98,5 @@ def test_a_trial_that_fails_says_why_and_the_others_go_on(tmp_path: Path) -> Non
 
 def test_a_worker_of_another_version_refuses() -> None:
     """Its result would be kept under a key that says otherwise."""
-    outcome = compute(Trial.of(table_row.row, _SMALL), "another program")
+    outcome = compute(Trial.of(views, _SMALL), "another program")
     assert "version" in outcome.failure
-
-
-def test_rows_of_the_paper_that_say_the_same_are_one_trial() -> None:
-    """86 rows are 68 trials; what a row has where its table varies something else is the part's own, by its device."""
-    trials = table_study("all").trials
-    assert (len(trials), len(set(trials))) == (86, 68)
-    for part, standoff in STANDOFF_MM.items():
-        scene = with_device(Scene.model_validate({"part": {"name": part}}), part, 0.0)
-        near, far = sensors.load(str(scene.scanner.sensor)).figures.range_mm or (0.0, 0.0)
-        assert (near + far) / 2 == standoff
-    assert Scene().scanner.planning_resolution_deg == USUAL["resolution_deg"]
-    assert Scene().scanner.fov_deg == (USUAL["fov_deg"],) * 2

@@ -1,4 +1,4 @@
-"""Ours on the terms of another method: few views for its coverage, most coverage with its number of views."""
+"""Our plan on the terms of another method: fewest views for its coverage, most coverage with its number of views."""
 
 from dataclasses import replace
 
@@ -10,29 +10,29 @@ from planner.cover import CoverProblem
 from planner.viewpoints.viewpoints import Viewpoints
 
 DENSER = 4
-"""Times as many samples per face where a plan that covers all usual ones is not enough."""
+"""Factor on the samples per face if a plan that covers all regular samples does not suffice."""
 
-_RAISES = 6  # of a target; one or two close the gap that the held-out samples show
-_STEP = 0.0005  # beyond the gap [share]: without it the raised target would aim at the edge
+_MAX_RAISES = 6  # of the target; one or two close the gap on the held-out samples
+_MARGIN = 0.0005  # added to the gap [share], since a target without it can be missed by a rounding
 
 
 def fewest_for(bench: Bench, candidates: Viewpoints, allowed: Mask | None, visible: float, full: Judged) -> Judged:
-    """Few views (`aimed`) that measure at least a share of the surface, on the held-out samples.
+    """Select few views (`aimed`) that measure at least a share of the surface, on the held-out samples.
 
-    The target on the matrix's samples is raised by what the held-out ones show to be missing, beyond what a plan covers
-    that comes back unchanged, until it is enough. Where covering all of them is not, the matrix gets `DENSER` times as
-    many samples.
+    The target on the matrix's samples is raised by the gap on the held-out samples, and above the coverage of a plan
+    that is selected twice, until the gap is closed. If full coverage of the samples does not suffice, the matrix gets
+    `DENSER` times as many samples.
 
     Args:
-        bench: the part and the scanner.
+        bench: part and scanner.
         candidates: viewpoints.
-        allowed: (V,) which may be used; None: all.
-        visible: share of the surface.
-        full: the plan that covers all usual samples.
+        allowed: (V,) usable candidates; None: all.
+        visible: target share of the surface.
+        full: the plan that covers all regular samples.
 
     Returns:
-        The selection; it measures less than was asked for only where covering all of the denser samples does, and never
-        less than `full` then.
+        The selection. It misses the target only if a plan for all denser samples misses it, and then it measures at
+        least as much as `full`.
     """
     density = 1 if full.visible >= visible else DENSER
     M = bench.matrix("aimed", candidates, density)
@@ -40,15 +40,15 @@ def fewest_for(bench: Bench, candidates: Viewpoints, allowed: Mask | None, visib
     coverable = float(M.samples.areas[np.diff(by_row.indptr) > 0].sum() / M.samples.areas.sum())
     share = min(1.0, visible / coverable) if coverable > 0 else 1.0
     before: list[int] = []
-    for _ in range(_RAISES):
+    for _ in range(_MAX_RAISES):
         found = bench.select("aimed", candidates, allowed, solver="auto", share=share, density=density)
         if found.visible >= visible:
             return found
         if share >= 1.0:
             break
-        share += (visible - found.visible) / coverable + _STEP
-        if found.cover.views.tolist() == before:  # few views may cover far more of the matrix than was asked
-            share = max(share, found.cover.covered_area / found.cover.coverable_area + _STEP)
+        share += (visible - found.visible) / coverable + _MARGIN
+        if found.cover.views.tolist() == before:  # few views can cover far more of the matrix than the target
+            share = max(share, found.cover.covered_area / found.cover.coverable_area + _MARGIN)
         share, before = min(1.0, share), found.cover.views.tolist()
     if density > 1 and share < 1.0:
         found = bench.select("aimed", candidates, allowed, solver="auto", density=density)
@@ -56,16 +56,17 @@ def fewest_for(bench: Bench, candidates: Viewpoints, allowed: Mask | None, visib
 
 
 def most_with(bench: Bench, candidates: Viewpoints, allowed: Mask | None, views: int, full: Judged) -> Judged:
-    """The most coverage (`aimed`) with at most so many views, on the held-out samples.
+    """Select at most a number of views with the most coverage (`aimed`), on the held-out samples.
 
-    Where so many views cover all samples of the matrix, it gets `DENSER` times as many, and the better plan counts.
+    If this number covers all samples of the matrix, the matrix gets `DENSER` times as many samples, and the better of
+    both plans is returned.
 
     Args:
-        bench: the part and the scanner.
+        bench: part and scanner.
         candidates: viewpoints.
-        allowed: (V,) which may be used; None: all.
-        views: how many at most.
-        full: the plan that covers all usual samples.
+        allowed: (V,) usable candidates; None: all.
+        views: most views.
+        full: the plan that covers all regular samples.
     """
     enough = len(full.cover.views) <= views
     M = bench.matrix("aimed", candidates, DENSER if enough else 1)

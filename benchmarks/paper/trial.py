@@ -1,7 +1,7 @@
-"""One row of the paper's tables: its method (`rays`, Meta-RaPS) and ours (`aimed`, `auto`) on the same viewpoints.
+"""Trial of a row of the paper's tables: its method (`rays`, Meta-RaPS) and ours (`aimed`, `auto`) on equal viewpoints.
 
-The scanner is `paper`, whose range and baseline follow the standoff. Both plans are judged on the same samples that
-neither has seen, and scanned on the same fine grid.
+The scanner is `paper`, whose range and baseline follow the standoff. Both plans are evaluated on the same held-out
+samples, and scanned with the same fine resolution.
 """
 
 import json
@@ -10,27 +10,27 @@ from contextlib import contextmanager
 from functools import lru_cache
 from time import perf_counter
 
+from benchmarks.paper.comparison import fewest_for, most_with
 from cell.scene.file import Tables, load_scene
 from cell.study.bench import Bench, Mask, placed_at
-from cell.study.comparison import fewest_for, most_with
 from cell.study.trial import JsonTable
 
 FINE_RESOLUTION_DEG = 0.25
-"""Both plans of a row are scanned with this angle between rays, whatever they were planned with."""
+"""Angle between rays in the scans of both plans, independent of the planning resolution."""
 
 PAPER_SCANNER = {"sensor": "paper", "grazing_max_deg": 75.0, "sensor_grazing_max_deg": 90.0}
-"""The paper limits the incidence of the laser alone, whatever the defaults are."""
+"""The paper limits only the incidence of the laser."""
 
 
 def row(settings: JsonTable) -> dict[str, object]:
-    """Both methods on one row.
+    """Run both methods on a row.
 
     Args:
-        settings: part, faces and samples_per_face, and where the row varies them standoff_mm, fov_deg, resolution_deg
-            and place_mm (null or missing: no robot).
+        settings: part, faces and samples_per_face; if the row varies them standoff_mm, fov_deg, resolution_deg and
+            place_mm (null or missing: no robot).
 
     Returns:
-        The values, and under "seconds" what each step took.
+        The values, and under "seconds" the time of each step.
     """
     bench = _bench(json.dumps({key: value for key, value in settings.items() if key != "place_mm"}, sort_keys=True))
     place = settings.get("place_mm")
@@ -74,25 +74,25 @@ def row(settings: JsonTable) -> dict[str, object]:
 
 @lru_cache(maxsize=1)
 def _bench(settings: str) -> Bench:
-    """The bench of a row, whatever the place: the rows of Table 5 that one process computes share part and matrices."""
+    """Return the bench of a row; rows of Table 5 in one process share it, with part and matrices."""
     keys = scene_keys(json.loads(settings))
     keys["scanner"] = {"resolution_deg": [FINE_RESOLUTION_DEG] * 2, **keys["scanner"]}
     return Bench(load_scene(None, keys))
 
 
-def scene_keys(asked: JsonTable) -> Tables:
-    """Tables of the scene of a row's settings (`row`)."""
-    keys: Tables = {"part": {"name": asked["part"]}, "scanner": dict(PAPER_SCANNER)}
+def scene_keys(settings: JsonTable) -> Tables:
+    """Return the tables of the scene for a row's settings (see `row`)."""
+    keys: Tables = {"part": {"name": settings["part"]}, "scanner": dict(PAPER_SCANNER)}
     keys["plan"] = {"rolls_deg": [0.0], "candidates": "optimal-scanning-zone"}
-    keys["plan"] |= {key: asked[key] for key in ("faces", "samples_per_face")}
-    if "standoff_mm" in asked:
-        keys["plan"]["standoffs_mm"] = [asked["standoff_mm"]]
-    if "fov_deg" in asked:
-        keys["scanner"]["fov_deg"] = [asked["fov_deg"]] * 2
-    if "resolution_deg" in asked:
-        keys["scanner"]["planning_resolution_deg"] = asked["resolution_deg"]
-    if asked.get("place_mm"):
-        keys["placement"] = {"position_mm": asked["place_mm"]}
+    keys["plan"] |= {key: settings[key] for key in ("faces", "samples_per_face")}
+    if "standoff_mm" in settings:
+        keys["plan"]["standoffs_mm"] = [settings["standoff_mm"]]
+    if "fov_deg" in settings:
+        keys["scanner"]["fov_deg"] = [settings["fov_deg"]] * 2
+    if "resolution_deg" in settings:
+        keys["scanner"]["planning_resolution_deg"] = settings["resolution_deg"]
+    if settings.get("place_mm"):
+        keys["placement"] = {"position_mm": settings["place_mm"]}
     return keys
 
 

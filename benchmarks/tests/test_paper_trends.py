@@ -1,7 +1,7 @@
 """The paper's Tables 1 to 4 on the built-in parts, reduced to three tenths of the faces: trends, and both methods.
 
-The full tables are `cell study all`; docs/internals/paper_tables.md has them. Table 5 has a test of its own, and one
-part of Table 2 is among the tests of `cell study`.
+The full tables are `python -m benchmarks paper all`; docs/internals/paper_tables.md has them. Table 5 has a test of its
+own (tests/golden), and one part of Table 2 is in test_paper_command.py.
 """
 
 from collections.abc import Sequence
@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.paper.study import TOLERANCE_POINTS, table_study
 from cell.study.run import run
 from cell.study.study import Row
-from cell.study.tables import TOLERANCE_POINTS, table_study
 from cell.study.workers import Processes
 
 _SHARE = 0.3

@@ -1,8 +1,8 @@
-"""The paper's experiments, row by row: its method (`rays`, Meta-RaPS) and ours (`aimed`, `auto`) side by side.
+"""Study of the paper's tables: its method (`rays`, Meta-RaPS) and ours (`aimed`, `auto`) side by side, row by row.
 
-Both choose from the same viewpoints, one per face of the planning mesh and the paper's single roll; both plans are
-judged on the same samples that neither has seen, and scanned on the same fine grid. Beside them stands what ours makes
-of the paper's other space of viewpoints, the view sphere (Section 3.4).
+Both select from the same viewpoints, one per face of the planning mesh with the paper's single roll. Both plans are
+evaluated on the same held-out samples, and scanned with the same fine resolution. Further columns have our result for
+the paper's other space of viewpoints, the view sphere (Section 3.4).
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,10 +11,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
+from benchmarks.paper.comparison import DENSER
+from benchmarks.paper.tables import PaperRow, tables
+from benchmarks.paper.trial import row as compute_row
+from benchmarks.paper.trial import scene_keys
 from cell.scene.model import PlanSettings
-from cell.study import plan_command, table_row
-from cell.study.comparison import DENSER
-from cell.study.paper import PaperRow, tables
+from cell.study import plan_command
 from cell.study.study import Row, Study
 from cell.study.trial import JsonTable, Outcome, Trial
 from cell.view.palette import BLUE, GREY, VERMILION
@@ -25,9 +27,9 @@ _SHOWN = (
     "visible rays %", "visible ours %",
 )  # fmt: skip
 TOLERANCE_POINTS = 0.2
-"""Points of visible coverage that two methods may differ by and still count as equal."""
+"""Differences of visible coverage up to this count as equal [points]."""
 
-_LOG_FROM = 8  # ratio of most to fewest views from which a logarithmic axis shows more
+_LOG_FROM = 8  # ratio of most to fewest views for a logarithmic axis
 
 _METHODS = ("paper", "paper's method on our parts", "ours")
 _COLOURS = (GREY, VERMILION, BLUE)
@@ -39,25 +41,25 @@ _VARIED = {
     5: "position of the part before the robot [mm]",
 }
 _KEYS = {"table2": "standoff_mm", "table3": "fov_deg", "table4": "resolution_deg", "table5": "place_mm"}
-"""What a table varies, as `table_row.row` takes it; Table 1 varies the faces."""
+"""Setting of a trial that the table varies; Table 1 varies the faces."""
 USUAL = {"fov_deg": 60.0, "resolution_deg": 1.0, "place_mm": None}
 STANDOFF_MM = {"mseke": 300.0, "humerus": 30.0, "mug": 100.0, "robinet": 100.0, "petanque": 300.0, "st-jean": 300.0}
-"""What a row has where its table does not vary it."""
+"""Settings of rows whose table does not vary them."""
 _MUG_OF_TABLE_4_MM = 300
-"""Table 4's Mug stands where Table 2's row at 300 mm does: the same 58 views and 53.07 % at 1 degree."""
+"""Standoff of the Mug in Table 4: it has the 58 views and 53.07 % of Table 2 at 300 mm and 1 degree."""
 
 
 def table_study(table: str, *, faces_share: float = 1.0, parts: Sequence[str] = ()) -> Study:
-    """The study of one table, or of all.
+    """Return the study of one table, or of all.
 
     Args:
         table: `table1` to `table5`, or `all`.
-        faces_share: share of the planning faces to use; below 1 for a reduced study.
+        faces_share: share of the planning faces; below 1 for a reduced study.
         parts: only rows of these parts; empty: all.
     """
     of_paper = tables()
     asked = [
-        (name, paper, Trial.of(table_row.row, _settings(name, paper, faces_share)))
+        (name, paper, Trial.of(compute_row, _settings(name, paper, faces_share)))
         for name in (of_paper if table == "all" else [table])
         for paper in of_paper[name]
         if not parts or paper.part in parts
@@ -71,14 +73,14 @@ def table_study(table: str, *, faces_share: float = 1.0, parts: Sequence[str] = 
     settings = {(name, paper.part, _parameter(paper)): _settings(name, paper, faces_share) for name, paper, _ in asked}
 
     def options(row: Row) -> str:
-        return plan_command.options(table_row.scene_keys(settings[f"table{row['table']}", row["part"], row[PARAMETER]]))
+        return plan_command.options(scene_keys(settings[f"table{row['table']}", row["part"], row[PARAMETER]]))
 
     trials = [trial for _, _, trial in asked]
     return Study(table, title, trials, rows, pictures, sentences, _SHOWN, options)
 
 
 def _parameter(paper: PaperRow) -> float | str:
-    """What the table varies, as its rows show it."""
+    """Return the varied parameter as the rows show it."""
     match paper.parameter:
         case None:
             return "no robot"
@@ -89,7 +91,7 @@ def _parameter(paper: PaperRow) -> float | str:
 
 
 def _row(table: str, paper: PaperRow, values: JsonTable) -> Row:
-    """Paper, the paper's method and ours in one row."""
+    """Return the row with the printed values, the paper's method and ours."""
     rays, ours = values["rays"], values["ours"]
     return {
         "table": int(table.removeprefix("table")),
@@ -117,10 +119,10 @@ def _row(table: str, paper: PaperRow, values: JsonTable) -> Row:
     }
 
 
-def not_beaten(rows: Sequence[Row]) -> list[Row]:
-    """Rows where ours needs more views for the coverage of the paper's method, or measures less with as many views.
+def rows_lost(rows: Sequence[Row]) -> list[Row]:
+    """Return the rows in which ours needs more views for equal coverage, or measures less with equal views.
 
-    Coverage is compared to `TOLERANCE_POINTS`, in both.
+    Coverages are compared with `TOLERANCE_POINTS`.
     """
     return [
         row
@@ -132,10 +134,10 @@ def not_beaten(rows: Sequence[Row]) -> list[Row]:
 
 
 def sentences(rows: Sequence[Row]) -> list[str]:
-    """What the rows say in words."""
+    """Summarise the rows."""
     fewer = [row["views ours at visible rays"] / row["views rays"] for row in rows]
     more = [row["visible ours at views rays %"] - row["visible rays %"] for row in rows]
-    lost = not_beaten(rows)
+    lost = rows_lost(rows)
     said = [
         "The scanner is `paper`: its range (0.5 to 1.5 times) and its baseline (a quarter) follow the standoff.",
         f"At the visible coverage of the paper's method (rays, Meta-RaPS) ours needs {np.mean(fewer):.2f} times "
@@ -143,24 +145,24 @@ def sentences(rows: Sequence[Row]) -> list[str]:
         f"{np.mean(more):+.2f} points on average ({min(more):+.2f} to {max(more):+.2f}).",
     ]
     said.append(
-        f"In all {len(rows)} rows ours needs no more views for their coverage and measures no less with their views "
-        f"(to {TOLERANCE_POINTS:g} points)."
+        f"In all {len(rows)} rows ours needs no more views for its coverage and measures no less with its number of "
+        f"views (to {TOLERANCE_POINTS:g} points)."
         if not lost
-        else f"In {len(lost)} of {len(rows)} rows it is not at least as good: "
+        else f"In {len(lost)} of {len(rows)} rows ours is worse: "
         + "; ".join(f"Table {row['table']}, {row['part']}, {row[PARAMETER]}" for row in lost)
         + "."
     )
     denser = sum(row["samples times"] > 1 for row in rows)
     if denser:
         said.append(
-            f"In {denser} rows, where ours covers all its samples and the paper's method measures more, these two "
-            f"comparisons were made with {DENSER} times as many samples."
+            f"In {denser} rows ours covers all its samples and the paper's method measures more; there these two "
+            f"comparisons use {DENSER} times as many samples."
         )
     return said
 
 
 def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
-    """Views and coverage over each table's parameter: paper, the paper's method, ours."""
+    """Draw views and coverage over each table's parameter: paper, the paper's method, ours."""
     for table in dict.fromkeys(row["table"] for row in rows):
         yield f"table{table}", _picture([row for row in rows if row["table"] == table])
 
@@ -189,7 +191,7 @@ def _picture(rows: Sequence[Row]) -> Figure:
     below.set_ylim(max(0.0, least - 5), 100)
     below.set_xticks(x, [f"{row['part']}\n{row[PARAMETER]}" for row in rows], fontsize=6.5)
     below.set_xlim(-0.6, len(rows) - 0.4)
-    figure.suptitle(f"Table {rows[0]['table']}: {_VARIED[rows[0]['table']]} (bars), fewest provable for ours (strokes)")
+    figure.suptitle(f"Table {rows[0]['table']}: {_VARIED[rows[0]['table']]} (bars), lower bound for ours (strokes)")
     return figure
 
 
@@ -197,11 +199,11 @@ def _settings(table: str, row: PaperRow, faces_share: float) -> dict[str, object
     settings: dict[str, object] = {
         "part": row.part,
         "faces": max(8, round(faces_share * (930 if table == "table5" else row.viewpoints))),
-        # A reduced study has fewer candidates, not a coarser idea of the surface: as many samples as the full one.
+        # A reduced study has fewer candidates, but as many samples of the surface as the full one.
         "samples_per_face": round(PlanSettings().samples_per_face / faces_share),
     }
     key = _KEYS.get(table)
-    if key and row.parameter != USUAL.get(key, STANDOFF_MM.get(row.part)):  # rows that are equal are one trial
+    if key and row.parameter != USUAL.get(key, STANDOFF_MM.get(row.part)):  # equal rows are one trial
         settings[key] = row.parameter
     if (table, row.part) == ("table4", "mug"):
         settings["standoff_mm"] = _MUG_OF_TABLE_4_MM

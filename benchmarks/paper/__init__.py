@@ -1,0 +1,1 @@
+"""The paper's tables: its method and ours side by side on the built-in parts."""
