@@ -28,9 +28,9 @@ from cell.scene.settle import settle
 from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.embree import EmbreeRayCaster
-from cell.world.measurability import surface_features
+from cell.world.measurability import surface_samples
 from cell.world.model import compile_world
-from cell.world.occluders import occluder_triangles
+from cell.world.occluders import fixed_occluders
 from planner import cover
 from planner.cover import Cover
 from planner.geometry.decimation import decimate
@@ -117,7 +117,7 @@ class Bench:
         self.settings = settle(scene, self.part).settings
         reference = self.part.reference
         self.planning = decimate(reference, self.settings.faces)
-        self.samples = surface_features(scene, reference, self.planning, np.random.default_rng([0, 0]))
+        self.samples = surface_samples(scene, reference, self.planning, np.random.default_rng([0, 0]))
         self.held_out = draw_samples(reference, self.planning, coverage.N_SAMPLES, np.random.default_rng([0, 1]))
         self.scanner = LaserArea(**self.settings.scanner)
         self.world = compile_world(
@@ -126,7 +126,7 @@ class Bench:
         self.checker = MujocoCollisionChecker(self.world)
         self.kinematics = kinematics_of(self.world.model)
         others = trimesh.util.concatenate(
-            [trimesh.Trimesh(piece.vertices, piece.faces, process=False) for piece in occluder_triangles(self.world)]
+            [trimesh.Trimesh(piece.vertices, piece.faces, process=False) for piece in fixed_occluders(self.world)]
         )
         self.casters = [EmbreeRayCaster(mesh.vertices, mesh.faces) for mesh in (reference, others)]
 

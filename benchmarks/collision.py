@@ -53,7 +53,7 @@ def run() -> list[dict[str, Any]]:
         row("loop, kinematics alone", lambda: _loop(world, q, collision=False), _COUNT, "", "the floor"),
     ]  # fmt: skip
     for threads in (1, 2):
-        batch = mujoco.batch.Batch(world.grown, 2_000, threads)
+        batch = mujoco.batch.Batch(world.inflated, 2_000, threads)
         rows.append(row(f"Batch, {threads} threads", lambda b=batch: _batch(b, q), _COUNT, "", "counts only"))
     few = q[:2_000]
     rows += [
@@ -77,12 +77,12 @@ def _best(run_it: Callable[[], Any]) -> dict[str, float]:
 
 
 def _loop(world: World, q: NDArray[np.float64], collision: bool = True) -> None:
-    data = mujoco.MjData(world.grown)
+    data = mujoco.MjData(world.inflated)
     for configuration in q:
         data.qpos[:] = configuration
-        mujoco.mj_kinematics(world.grown, data)
+        mujoco.mj_kinematics(world.inflated, data)
         if collision:
-            mujoco.mj_collision(world.grown, data)
+            mujoco.mj_collision(world.inflated, data)
 
 
 def _batch(batch: mujoco.batch.Batch, q: NDArray[np.float64]) -> int:

@@ -137,7 +137,7 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     from cell.scene.file import load_scene
     from cell.scene.settle import settle
     from cell.world.embree import EmbreeRayCaster
-    from cell.world.measurability import surface_features
+    from cell.world.measurability import surface_samples
     from planner.geometry.decimation import decimate
     from planner.geometry.sampling import draw_samples
     from planner.measurability.visibility import fill_matrix
@@ -148,7 +148,7 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     settings = settle(scene, loaded).settings
     planning = decimate(loaded.reference, settings.faces)
     views = candidates.first(scene, settings, loaded, planning)
-    features = surface_features(scene, loaded.reference, planning, np.random.default_rng(0))
+    features = surface_samples(scene, loaded.reference, planning, np.random.default_rng(0))
     scanner = LaserArea(**settings.scanner)
     caster = EmbreeRayCaster(loaded.reference.vertices, loaded.reference.faces)
     samples = draw_samples(loaded.reference, planning, 5_000, np.random.default_rng(1))

@@ -26,7 +26,7 @@ from benchmarks.seeded_scenes import content
 from cell.errors import SceneError
 from cell.scene.model import Scene
 from cell.study.bench import Bench
-from cell.world.occluders import caster_of, occluder_triangles
+from cell.world.occluders import fixed_occluders, make_caster
 from planner import cover
 from planner.kinematics import reach
 from planner.measurability.matrix import Measurability
@@ -130,7 +130,7 @@ def _covered(number: int) -> tuple[Bench, reach.Reach, Measurability, cover.Cove
         if reached.reachable.sum() < _LEAST:
             continue
         M = bench.matrix("aimed", candidates)
-        caster = caster_of(occluder_triangles(world))
+        caster = make_caster(fixed_occluders(world))
         M = apply_occluders(M, candidates, bench.scanner, caster, ray_caster=bench.caster)
         chosen = cover.solve(
             cover.CoverProblem(M.matrix(), M.samples.areas, reached.reachable), rng=np.random.default_rng(number)

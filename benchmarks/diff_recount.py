@@ -14,7 +14,7 @@ from benchmarks.checks import independently_measured
 from cell.report.diff import Difference
 from cell.runs import ply
 from cell.runs.run import Run, open_finished
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 
 BORDERLINE = 12
 """Samples that lie on the border of a condition to the last digits: so many may differ for each run."""
@@ -27,7 +27,7 @@ def recounted(found: Difference) -> tuple[list[str], float]:
     folders = Path(found.a), Path(found.b)
     runs = [open_finished(folder if found.kind == "plan" else folder.parent.parent) for folder in folders]
     reference = runs[0].mesh("reference.ply")
-    samples = held_out(reference, runs[0].mesh("planning.ply"), runs[0].seed)
+    samples = held_out_samples(reference, runs[0].mesh("planning.ply"), runs[0].seed)
     each = [independently_measured(run.folder, samples.points, samples.normals) for run in runs]
     wrong = [*_views(found, runs, each, samples.areas), *_numbers(found, folders)]
     if found.kind == "plan":

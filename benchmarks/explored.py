@@ -31,8 +31,8 @@ from cell.runs.cell import world_of
 from cell.runs.run import open_finished
 from cell.runs.schema import ExploreFile
 from cell.scan.options import ScanOptions
-from cell.scene.file import scene_of
-from cell.scene.options import read
+from cell.scene.file import scene_from_options
+from cell.scene.options import parse_options
 from cell.session import LoggedProgress, Session
 from planner.ports import Progress
 
@@ -64,8 +64,8 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
     with tempfile.TemporaryDirectory() as folder:
         out, clock = Path(folder) / "explored", _Clock()
         units = {"units": words[2]} if len(words) > 1 else {}
-        scene = scene_of(None, {"place": (1200, 500, 0), "seed": seed} | units, words[0])
-        options = read(ExploreOptions, {"policy": policy})
+        scene = scene_from_options(None, {"place": (1200, 500, 0), "seed": seed} | units, words[0])
+        options = parse_options(ExploreOptions, {"policy": policy})
         file = explore(Session(None, clock, out), scene, options, ScanOptions())
         work = prepared(Session(None, out=out), scene, options, ScanOptions())
         known_model = Path(folder) / "known"

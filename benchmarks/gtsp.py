@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks import gtsplib
 from cell.scene.model import Scene
 from cell.study.bench import Bench, placed_at
-from cell.world.occluders import caster_of, occluder_triangles
+from cell.world.occluders import fixed_occluders, make_caster
 from planner import cover
 from planner.measurability.visibility import apply_occluders
 from planner.timing.move_time import move_time
@@ -65,7 +65,7 @@ def _mseke() -> list[tuple[str, generalised_tsp.Instance]]:
     world, candidates = bench.world, bench.zone
     reached = bench.reach(candidates, placed_at((1200, 500, 0)))
     M = bench.matrix("aimed", candidates)
-    M = apply_occluders(M, candidates, bench.scanner, caster_of(occluder_triangles(world)), ray_caster=bench.caster)
+    M = apply_occluders(M, candidates, bench.scanner, make_caster(fixed_occluders(world)), ray_caster=bench.caster)
     rng = np.random.default_rng(0)
     chosen = cover.solve(cover.CoverProblem(M.matrix(), M.samples.areas, reached.reachable), rng=rng)
     matrix = equivalent_views.VisibilityIndex(M.matrix(), M.samples.areas, np.asarray(reached.reachable))

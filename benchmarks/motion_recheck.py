@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.seeded_scenes import SeededCell, usable
 from benchmarks.triangle_cell import TriangleCell
-from cell.world.clearance import of_motion
+from cell.world.clearance import motion_clearance
 from planner.ports import ARM_AXES
 from planner.timing.motion import Motion, jerk_free_duration, retime
 from planner.tour.tour import plan_tour
@@ -77,7 +77,7 @@ def judged(number: int, *, table: str = "") -> dict[str, Any]:
     visits = Visits([cell.reach.configurations_of(int(view)) for view in views], cell.world.home, poses)
     tour = plan_tour(visits, cell.checker, cell.world.limits, rng)
     motion = retime(tour.via, tour.segment, tour.view, cell.world.limits)
-    said = of_motion(cell.checker, tour.via, tour.segment, len(tour.detour))
+    said = motion_clearance(cell.checker, tour.via, tour.segment, len(tour.detour))
     planned = perf_counter()
     return _judge(cell, motion) | {
         "views": len(tour.order),

@@ -15,7 +15,7 @@ from cell.errors import SceneError
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.scene.model import Scene
-from cell.world.checks import require_possible
+from cell.world.checks import require_feasible
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.geometry.decimation import decimate
@@ -71,7 +71,7 @@ def usable(number: int, least: int = 2, *, table: str = "") -> SeededCell:
         part, planning = _part(scene.part.name)
         try:  # a table may be too low for its part
             world = compile_world(scene, part.reference.vertices, part_faces=part.reference.faces, baseline_mm=75.0)
-            require_possible(world)
+            require_feasible(world)
         except SceneError:
             continue
         candidates = optimal_scanning_zone(planning, (_STANDOFF,), tuple(_ROLLS))

@@ -22,7 +22,7 @@ from cell import api
 from cell.errors import CellError
 from cell.runs.cell import read_cell
 from cell.setups import plan_setups, search
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner import cover
 from planner.cover import CoverProblem
 from planner.cover.grouped import GroupedCover, GroupLoads, fewest_groups, solve_grouped
@@ -120,7 +120,7 @@ def _ceiling(folder: Path) -> tuple[float, float]:
     """Share of the surface that some scanner pose measures past the part alone, and its standard error."""
     record = api.open_run(folder)
     cell = read_cell(record)
-    samples = held_out(cell.reference, cell.planning, record.seed)
+    samples = held_out_samples(cell.reference, cell.planning, record.seed)
     some = pick_samples(samples, np.sort(np.random.default_rng(0).permutation(len(samples))[:N_PROBED_SAMPLES]))
     anywhere = ViewEvaluator(
         cell.scanner, (cell.part_caster,), lambda poses: np.ones(len(poses), dtype=np.bool_), np.eye(4)[None]

@@ -120,14 +120,14 @@ def plan_setups(
         CellError: in one sentence; the folder keeps what was finished.
     """
     from cell.plan.asked import scene_and_part
-    from cell.scene.options import offers, read
+    from cell.scene.options import option_specs, parse_options
     from cell.setups.options import SetupOptions
     from cell.setups.plan_setups import plan_setups as planned
     from cell.setups.planned_setups import PlannedSetups
 
-    own = {name: wishes.pop(name) for name in offers(SetupOptions) if name in wishes}
+    own = {name: wishes.pop(name) for name in option_specs(SetupOptions) if name in wishes}
     checked, workpiece = scene_and_part(part, scene, wishes)
-    wanted = read(SetupOptions, own) if options is None else options
+    wanted = parse_options(SetupOptions, own) if options is None else options
     session = _session(progress, out=out, scene=scene, use_cache=use_cache, argv=argv)
     return PlannedSetups.opened(planned(session, checked, options=wanted, part=workpiece))
 
@@ -163,11 +163,11 @@ def scan(
     from cell.runs.run import Execution
     from cell.scan import scan as execution
     from cell.scan.options import ScanOptions
-    from cell.scene.options import read
+    from cell.scene.options import parse_options
 
     if confirm is not None:
         wishes = {**wishes, "confirm_motion": confirm}
-    wanted = read(ScanOptions, wishes) if options is None else options
+    wanted = parse_options(ScanOptions, wishes) if options is None else options
     outcome = execution.scan(_session(progress, argv=argv, confirm=ask), _folder(run), wanted)
     return Execution.open(outcome.folder)
 
@@ -206,11 +206,11 @@ def scan_setups(
     """
     from cell.scan.of_setups import scan_setups as scanned
     from cell.scan.options import ScanOptions
-    from cell.scene.options import read
+    from cell.scene.options import parse_options
 
     if confirm is not None:
         wishes = {**wishes, "confirm_motion": confirm}
-    wanted = read(ScanOptions, wishes) if options is None else options
+    wanted = parse_options(ScanOptions, wishes) if options is None else options
     where = Path(folder) if isinstance(folder, str | Path) else folder.folder
     return scanned(_session(progress, argv=argv, confirm=ask), where, wanted, setup=setup, resumed=resume)
 
@@ -252,14 +252,15 @@ def explore(
     from cell.explore.options import OF_SCAN, ExploreOptions
     from cell.plan.asked import scene_and_part
     from cell.scan.options import ScanOptions
-    from cell.scene.options import offers, read
+    from cell.scene.options import option_specs, parse_options
 
     own, of_scan = (
-        {name: wishes.pop(name) for name in names if name in wishes} for names in (offers(ExploreOptions), OF_SCAN)
+        {name: wishes.pop(name) for name in names if name in wishes}
+        for names in (option_specs(ExploreOptions), OF_SCAN)
     )
     checked, _ = scene_and_part(part, scene, wishes)
-    wanted = read(ExploreOptions, own) if options is None else options
-    scans = read(ScanOptions, of_scan) if scanning is None else scanning
+    wanted = parse_options(ExploreOptions, own) if options is None else options
+    scans = parse_options(ScanOptions, of_scan) if scanning is None else scanning
     folder = Path("sim_runs") / f"explore-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else Path(out)
     file = run(_session(progress, out=folder, argv=argv, confirm=ask), checked, wanted, scans)
     return Exploration(folder, file)
@@ -289,10 +290,10 @@ def locate(
     from cell.metrology.locate import locate as found
     from cell.metrology.options import LocateOptions
     from cell.runs.run import open_finished as opened
-    from cell.scene.options import read
+    from cell.scene.options import parse_options
 
     planned = opened(Path(run)) if isinstance(run, str | Path) else run
-    return found(planned, read(LocateOptions, wishes) if wanted is None else wanted, _reporter(progress))
+    return found(planned, parse_options(LocateOptions, wishes) if wanted is None else wanted, _reporter(progress))
 
 
 def hand_eye(
@@ -315,10 +316,12 @@ def hand_eye(
     """
     from cell.metrology.hand_eye import calibrate_hand_eye as found
     from cell.metrology.options import HandEyeOptions
-    from cell.scene.options import read
+    from cell.scene.options import parse_options
 
     return found(
-        [Path(file) for file in files], read(HandEyeOptions, wishes) if wanted is None else wanted, _reporter(progress)
+        [Path(file) for file in files],
+        parse_options(HandEyeOptions, wishes) if wanted is None else wanted,
+        _reporter(progress),
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
 from cell.setups.contact import touching
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner.measurability.visibility import find_measured
 from planner.values import Bools
 
@@ -16,7 +16,7 @@ def seen_and_touching(run: Path) -> tuple[Bools, Bools]:
     """(S,) samples that a view measures, with a table each where it is turned back, and (S,) that a support touches."""
     planned = open_finished(run)
     cell = read_cell(planned)
-    samples = held_out(cell.reference, cell.planning, planned.seed)
+    samples = held_out_samples(cell.reference, cell.planning, planned.seed)
     poses = np.stack([view.T_object_poses for view in planned.plan.views])
     seen = find_measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True).any(axis=1)
     return seen, touching(samples, cell.occluders)

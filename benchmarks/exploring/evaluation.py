@@ -21,7 +21,7 @@ from cell.runs.schema import ExploreFile, JsonTable, parsed
 from cell.session import Session, Stream, random_stream
 from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner.cover.problem import CoverProblem
 from planner.cover.selection import solve
 from planner.measurability.coverage import marginal_coverage
@@ -104,7 +104,7 @@ def evaluate(work: Exploring, file: ExploreFile, known_model: Path) -> Evaluatio
     scans = state.scans_of(work.paths, file.stages)
     run = open_finished(known_model)
     cell, report = read_cell(run), run.report
-    samples = held_out(cell.reference, cell.planning, run.seed)
+    samples = held_out_samples(cell.reference, cell.planning, run.seed)
     to_object = np.linalg.inv(work.hidden.T_explored_object)
     poses = np.stack([to_object @ _true_pose(scan) for scan in scans])[:, None]
     seen = find_measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
@@ -177,6 +177,6 @@ def _nearest(run: Run, stages: Sequence[Path]) -> tuple[float, str]:
     found: list[tuple[float, str]] = []
     for stage in stages:
         motion = open_finished(stage).motion
-        kept = clearance.of_motion(checker, motion.via_q, motion.segment, int(motion.segment.max()) + 1)
+        kept = clearance.motion_clearance(checker, motion.via_q, motion.segment, int(motion.segment.max()) + 1)
         found += list(zip(kept.distance.tolist(), kept.between, strict=True))
     return min(found)

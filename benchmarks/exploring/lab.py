@@ -21,12 +21,12 @@ from cell.explore.options import ExploreOptions
 from cell.explore.prepare import Eye, prepared
 from cell.part import workpiece
 from cell.scan.options import ScanOptions
-from cell.scene.file import scene_of
+from cell.scene.file import scene_from_options
 from cell.scene.settle import Settings, settle
 from cell.session import Session
 from cell.world import virtual_scan
 from cell.world.embree import EmbreeRayCaster
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner.explore.space import FREE, VoxelSpace
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
@@ -97,13 +97,13 @@ class Lab:
     def of(cls, part: str, units: str | None = None, *, arm: bool = False) -> "Lab":
         """A built-in part by name, or a mesh file, without an arm or with the default cell's."""
         wishes: dict[str, Any] = {"place": (1200, 500, 0), "seed": 0} | ({} if units is None else {"units": units})
-        scene = scene_of(None, wishes, part)
+        scene = scene_from_options(None, wishes, part)
         work = prepared(Session(None), scene, ExploreOptions(), ScanOptions())
         known = workpiece.load(scene.part.source, scene.part.units)
         settings = settle(work.scene, known).settings
         assert work.hidden is not None
         mesh, scanner = work.hidden.mesh, scanners.make(work.scene.scanner.type, settings.scanner)
-        samples = held_out(mesh, decimate(mesh, min(settings.faces, len(mesh.faces))), 0)
+        samples = held_out_samples(mesh, decimate(mesh, min(settings.faces, len(mesh.faces))), 0)
         return cls(
             work.cylinder, scanner, work.eye, settings, work.unknown, mesh, samples,
             EmbreeRayCaster(mesh.vertices, mesh.faces), CellArm.of(work, settings, scanner) if arm else None,

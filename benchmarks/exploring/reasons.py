@@ -22,7 +22,7 @@ from cell.runs.cell import RunCell, read_cell, world_of
 from cell.runs.run import open_finished
 from cell.runs.schema import ExploreFile
 from cell.world.collision import MujocoCollisionChecker
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
@@ -96,7 +96,7 @@ def _poses(work: Exploring, file: ExploreFile, to_object: Floats) -> Floats:
 
 def _measured_beside(points: Floats, poses: Floats, cell: RunCell, radius: float) -> Floats:
     """(n,) share of the true surface within a radius of points (n, 3) [m] that views (V, 4, 4) measure."""
-    truth = held_out(cell.reference, cell.planning, 0)
+    truth = held_out_samples(cell.reference, cell.planning, 0)
     seen = find_measured(poses[:, None], truth, cell.scanner, (cell.part_caster, cell.occluder_caster))
     beside = cKDTree(truth.points).query_ball_point(points, radius)
     return np.array([seen[rows].mean() if rows else 0.0 for rows in beside])

@@ -14,8 +14,8 @@ from cell.explore.prepare import prepared
 from cell.runs.cell import world_of
 from cell.runs.run import open_finished
 from cell.scan.options import ScanOptions
-from cell.scene.file import scene_of
-from cell.scene.options import read
+from cell.scene.file import scene_from_options
+from cell.scene.options import parse_options
 from cell.session import Session
 from planner.values import Bools, Floats
 
@@ -78,8 +78,8 @@ def test_the_curve_is_tightened_by_the_fewest_views_for_a_coverage() -> None:
 def test_an_exploration_is_evaluated_on_the_true_part(part_file: Path, tmp_path: Path) -> None:
     """Coverage grows with the views and stays below the bound; nothing came near the true part."""
     wishes = {"place": (1100, 400, 100), "units": "mm", "faces": 120, "samples": 2, "standoff": 250, "seed": 3}
-    scene = scene_of(None, {**wishes, "candidates": "optimal-scanning-zone", "max_views": 5}, part_file)
-    options, scanning = read(ExploreOptions, {"ring": 3, "batch": 2}), ScanOptions(resolution_deg=0.5)
+    scene = scene_from_options(None, {**wishes, "candidates": "optimal-scanning-zone", "max_views": 5}, part_file)
+    options, scanning = parse_options(ExploreOptions, {"ring": 3, "batch": 2}), ScanOptions(resolution_deg=0.5)
     session, known_model = Session(None, out=tmp_path / "explored"), tmp_path / "known"
     file = explore(session, scene, options, scanning)
     work = prepared(session, scene, options, scanning)
@@ -100,8 +100,12 @@ def test_an_exploration_is_evaluated_on_the_true_part(part_file: Path, tmp_path:
 @pytest.mark.parametrize("policy", ["stepwise", "two-stage"])
 def test_explorations_of_built_in_parts_measure_most_and_touch_nothing(name: str, policy: str, tmp_path: Path) -> None:
     """The views measure most of what reachable candidates do; contacts are those of triangles in python-fcl."""
-    scene = scene_of(None, {"place": (1200, 500, 0), "max_views": 16}, name)
-    options, out, known_model = read(ExploreOptions, {"policy": policy}), tmp_path / "explored", tmp_path / "known"
+    scene = scene_from_options(None, {"place": (1200, 500, 0), "max_views": 16}, name)
+    options, out, known_model = (
+        parse_options(ExploreOptions, {"policy": policy}),
+        tmp_path / "explored",
+        tmp_path / "known",
+    )
     file = explore(Session(None, out=out), scene, options, ScanOptions())
     work = prepared(Session(None, out=out), scene, options, ScanOptions())
     plan_known_model(work, known_model)

@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from cell.commands.options import AsJson, Wishes, from_fields, print_json
-from cell.scene.file import scene_of
+from cell.scene.file import scene_from_options
 from cell.scene.model import PART, Scene
-from cell.scene.options import flag, offers
+from cell.scene.options import flag, option_specs
 
 EPILOG = "Examples:\n\ncell check my_cell.toml\n\ncell check my_cell.toml --part part.stl --units mm --place 1200,500,0"
 
@@ -22,14 +22,14 @@ def check(
     part: Annotated[
         str | None, typer.Option(help="As in cell plan: mesh file or built-in part.", rich_help_panel=PART)
     ] = None,
-    wishes: Annotated[Wishes, offers(Scene, "units", "place", "collision")],
+    wishes: Annotated[Wishes, option_specs(Scene, "units", "place", "collision")],
     as_json: AsJson = False,
 ) -> None:
     """Compile a scene, list contacts at home and the cell's numbers, and say what is wrong."""
     from cell.commands.terminal import Terminal
     from cell.world.checks import check_scene
 
-    result = check_scene(scene_of(scene, wishes, part, flag))
+    result = check_scene(scene_from_options(scene, wishes, part, flag))
     if as_json:
         print_json(result.summary())
     else:

@@ -9,8 +9,8 @@ import typer
 from cell.commands.options import AsJson, OfScene, Part, SceneFile, Wishes, from_fields, print_json
 from cell.explore.options import OF_SCAN, ExploreOptions
 from cell.scan.options import ScanOptions
-from cell.scene.file import scene_of
-from cell.scene.options import flag, offers, read
+from cell.scene.file import scene_from_options
+from cell.scene.options import flag, option_specs, parse_options
 
 EPILOG = (
     "Examples:\n\n"
@@ -23,7 +23,7 @@ EPILOG = (
     "130 Ctrl-C."
 )
 
-OfScan = Annotated[Wishes, offers(ScanOptions, *OF_SCAN)]
+OfScan = Annotated[Wishes, option_specs(ScanOptions, *OF_SCAN)]
 
 
 @from_fields
@@ -48,9 +48,9 @@ def explore(
     from cell.commands.terminal import Terminal
 
     terminal = Terminal(quiet_stdout=as_json)
-    checked = scene_of(scene, wishes, part, flag)
+    checked = scene_from_options(scene, wishes, part, flag)
     ask = terminal.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
-    scans = read(ScanOptions, scanning, flag)
+    scans = parse_options(ScanOptions, scanning, flag)
     done = api.explore(checked, options, scanning=scans, out=out, progress=terminal, argv=sys.argv[1:], ask=ask)
     if as_json:
         print_json(done.file.as_json())

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from cell.errors import UsageError
 from cell.scene.file import BUILT_IN
 from cell.scene.model import PART, Scene
-from cell.scene.options import Offer, flag, offers, read
+from cell.scene.options import OptionSpec, flag, option_specs, parse_options
 
 Part = Annotated[
     str | None,
@@ -41,8 +41,8 @@ AsJson = Annotated[
 
 Wishes = dict[str, object]
 """Texts and switches by the names of their options, only those that were given; `Annotated` with what is offered."""
-OfScene = Annotated[Wishes, offers(Scene)]
-OfPart = Annotated[Wishes, offers(Scene, "units")]
+OfScene = Annotated[Wishes, option_specs(Scene)]
+OfPart = Annotated[Wishes, option_specs(Scene, "units")]
 
 
 def add_moved(app: typer.Typer, name: str, old: str, new: str) -> None:
@@ -95,19 +95,19 @@ def arguments(command: Callable[..., None], given: Mapping[str, object]) -> dict
         asked = {name: given[name] for name in offered if given[name] not in (None, [], ())}
         wishes = {name: ",".join(texts) if isinstance(texts, list | tuple) else texts for name, texts in asked.items()}
         model = parameter.annotation
-        found[parameter.name] = wishes if get_origin(model) is Annotated else read(model, wishes, flag)
+        found[parameter.name] = wishes if get_origin(model) is Annotated else parse_options(model, wishes, flag)
     return found
 
 
-def _offered(annotation: Any) -> Mapping[str, Offer] | None:
+def _offered(annotation: Any) -> Mapping[str, OptionSpec] | None:
     """What a parameter of this annotation offers; None for one of typer's own."""
     if get_origin(annotation) is Annotated:
         offered = annotation.__metadata__[0]
         return offered if isinstance(offered, Mapping) else None
-    return offers(annotation) if isinstance(annotation, type) and issubclass(annotation, BaseModel) else None
+    return option_specs(annotation) if isinstance(annotation, type) and issubclass(annotation, BaseModel) else None
 
 
-def _parameter(offer: Offer) -> inspect.Parameter:
+def _parameter(offer: OptionSpec) -> inspect.Parameter:
     """One option as typer takes it; None where it is not given."""
     kind, option = offer.kind, offer.option
     flags = [flag(name) for name in (offer.name, option.also) if name]

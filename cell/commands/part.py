@@ -8,7 +8,7 @@ import typer
 
 from cell.commands.options import AsJson, Wishes, from_fields, print_json
 from cell.scene.model import Scene
-from cell.scene.options import offers
+from cell.scene.options import option_specs
 
 EPILOG = (
     "Examples:\n\n"
@@ -27,7 +27,7 @@ def part(
     file: Annotated[
         str, typer.Argument(metavar="FILE", help="STEP or mesh file, or a built-in part.", show_default=False)
     ],
-    wishes: Annotated[Wishes, offers(Scene, "units")],
+    wishes: Annotated[Wishes, option_specs(Scene, "units")],
     out: Annotated[
         Path | None,
         typer.Option(metavar="FOLDER", help="Where view.html and faces.png are written. Default: a temporary folder."),

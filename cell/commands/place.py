@@ -5,9 +5,9 @@ from typing import Annotated
 
 from cell.commands.options import AsJson, Part, SceneFile, Wishes, from_fields, print_json
 from cell.commands.study import plan_words, tell
-from cell.scene.file import scene_of
+from cell.scene.file import scene_from_options
 from cell.scene.model import Scene
-from cell.scene.options import flag, offers
+from cell.scene.options import flag, option_specs
 from cell.study.options import PlaceRange, StudyRun
 
 EPILOG = (
@@ -25,7 +25,7 @@ def place(
     part: Part = None,
     where: PlaceRange,
     scene: SceneFile = None,
-    wishes: Annotated[Wishes, offers(Scene, "units", "seed", "table")],
+    wishes: Annotated[Wishes, option_specs(Scene, "units", "seed", "table")],
     run: StudyRun,
     as_json: AsJson = False,
 ) -> None:
@@ -36,7 +36,7 @@ def place(
     from cell.study.study import StudyResult, study_folder, write_folder
     from cell.study.workers import open_workers
 
-    checked = scene_of(scene, wishes, part, flag)
+    checked = scene_from_options(scene, wishes, part, flag)
     folder = study_folder("place", run.out)
     terminal = Terminal(quiet_stdout=as_json)
     with (

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from cell.commands.options import AsJson, NoCache, OfScene, Part, RunToMake, SceneFile, from_fields, print_json
-from cell.scene.file import scene_of
+from cell.scene.file import scene_from_options
 from cell.scene.model import PART
 from cell.scene.options import flag
 
@@ -56,7 +56,7 @@ def plan(
 
         checked = scene_beside(api.open_run(open_of[0]), scene, wishes, part, flag)
     else:
-        checked = scene_of(scene, wishes, part, flag)
+        checked = scene_from_options(scene, wishes, part, flag)
     run = api.plan(
         checked, scene=scene, out=out, open_of=open_of or (), use_cache=not no_cache, progress=terminal,
         argv=sys.argv[1:],

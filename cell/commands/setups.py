@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from cell.commands.options import AsJson, NoCache, Part, RunToMake, SceneFile, Wishes, from_fields, print_json
-from cell.scene.file import scene_of
+from cell.scene.file import scene_from_options
 from cell.scene.model import Scene
-from cell.scene.options import flag, offers
+from cell.scene.options import flag, option_specs
 from cell.setups.options import SetupOptions
 
 EPILOG = (
@@ -23,7 +23,9 @@ EPILOG = (
     "130 Ctrl-C."
 )
 
-_OfScene = Annotated[Wishes, {name: offer for name, offer in offers(Scene).items() if name not in offers(SetupOptions)}]
+_OfScene = Annotated[
+    Wishes, {name: offer for name, offer in option_specs(Scene).items() if name not in option_specs(SetupOptions)}
+]
 
 
 @from_fields
@@ -43,7 +45,7 @@ def setups(
     from cell.setups.report import rows
 
     terminal = Terminal(quiet_stdout=as_json)
-    checked = scene_of(scene, wishes, part, flag)
+    checked = scene_from_options(scene, wishes, part, flag)
     made = api.plan_setups(
         checked, options, scene=scene, out=out, use_cache=not no_cache, progress=terminal,
         argv=sys.argv[1:],

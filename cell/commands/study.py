@@ -9,7 +9,7 @@ import typer
 
 from cell.commands.options import AsJson, OfPart, Part, SceneFile, Wishes, add_moved, from_fields, print_json
 from cell.errors import UsageError
-from cell.scene.file import load_scene, spelled, tables
+from cell.scene.file import load_scene, option_names, option_tables
 from cell.scene.model import Scene
 from cell.scene.options import flag
 from cell.study.options import ScannerNumber, StudyRun
@@ -91,11 +91,11 @@ def scene_maker(part: str | None, scene: Path | None, wishes: Wishes) -> "SceneW
     Raises:
         UsageError: as `cell plan` does for its options.
     """
-    own = tables(wishes, part, flag)
+    own = option_tables(wishes, part, flag)
 
     def scene_with(more: Mapping[str, Mapping[str, object]]) -> Scene:
         asked = {table: {**own.get(table, {}), **more.get(table, {})} for table in {**own, **more}}
-        return load_scene(scene, asked, spelled(own, flag))
+        return load_scene(scene, asked, option_names(own, flag))
 
     return scene_with
 

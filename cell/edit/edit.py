@@ -113,7 +113,7 @@ def _steps(before: Before, wanted: Edit, session: PlanSession, job: Job) -> int:
 
 def _views(before: Before, wanted: Edit, job: Job, cell: Cell, surface: PartSurface) -> EditedViews:
     """The views that are asked for; of a sensor that sweeps they are named by the middle poses of their sweeps."""
-    views, T_scanner_view = scanners.unswept(job.scanner, before.candidates)
+    views, T_scanner_view = scanners.viewpoints_of_columns(job.scanner, before.candidates)
     meant = np.append(cell.world.home[:ARM_AXES], np.radians(wanted.table_angle_deg))
     T_object_base = np.linalg.inv(cell.world.T_base_part(meant))
 

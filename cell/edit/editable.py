@@ -8,7 +8,7 @@ from typing import Self
 from cell.edit.edit import edit
 from cell.edit.options import Edit
 from cell.runs.run import Run
-from cell.scene.options import read
+from cell.scene.options import parse_options
 from cell.session import LoggedProgress, Origin, ProgressReporter, Session
 from planner.values import Floats
 
@@ -55,7 +55,7 @@ class EditableRun(Run):
         Raises:
             CellError: in one sentence; where the arm cannot, with the condition and what is in the way.
         """
-        asked = read(Edit, wishes) if wanted is None else wanted
+        asked = parse_options(Edit, wishes) if wanted is None else wanted
         session = Session(
             None, LoggedProgress() if progress is None else progress, None if out is None else Path(out),
             use_cache=use_cache, origin=Origin(tuple(argv)),

@@ -41,7 +41,7 @@ class Before:
 
 def measured_anew(before: Before, session: PlanSession, job: Job, surface: PartSurface, cell: Cell) -> Measured:
     """Candidates of the run with reach and matrix where the part stands now."""
-    views, _ = scanners.unswept(job.scanner, before.candidates)
+    views, _ = scanners.viewpoints_of_columns(job.scanner, before.candidates)
     with session.stage("reach") as progress:
         reached = steps.reach_of(job, cell, views, progress)
     with session.stage("measurability") as progress:
@@ -53,7 +53,7 @@ def measured_anew(before: Before, session: PlanSession, job: Job, surface: PartS
     plan_files.write_viewpoints(session.folder, before.candidates)
     plan_files.write_reach(session.folder, reached)
     plan_files.write_measurability(session.folder, M)
-    return Measured(scanners.swept(job.scanner, views), reached, M, scanner, casters)
+    return Measured(scanners.sweep_columns(job.scanner, views), reached, M, scanner, casters)
 
 
 def still_reached(

@@ -117,7 +117,7 @@ def _steps(session: PlanSession, job: Job, asked: Asked) -> int:
             grown = grow(candidates, reached.reachable, scouts, arm, schedule=schedule)
             reached = join_reach([reached, steps.reach_of(job, cell, grown)])
             candidates = join_viewpoints([candidates, grown])
-        plan_files.write_viewpoints(session.folder, scanners.swept(job.scanner, candidates))
+        plan_files.write_viewpoints(session.folder, scanners.sweep_columns(job.scanner, candidates))
         plan_files.write_reach(session.folder, reached)
     if asked.batch.views == 0:
         raise EnoughError("no batch is asked for", _explained(asked, scouts, candidates, reached, scanner, casters))

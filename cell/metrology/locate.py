@@ -332,7 +332,7 @@ def _check_motion(run: Run, T_base_object: Floats) -> CheckedMotion:
         problem = problem or find_collision(motion.via_q, checker, limits)
     except PlannerError as error:
         problem = str(error)
-    found = clearance.of_motion(checker, motion.via_q, motion.segment, int(motion.segment[-1]) + 1)
+    found = clearance.motion_clearance(checker, motion.via_q, motion.segment, int(motion.segment[-1]) + 1)
     near = int(np.argmin(found.distance))
     return CheckedMotion(
         keeps_clearance=not problem,

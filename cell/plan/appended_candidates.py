@@ -34,7 +34,7 @@ def appended(
         Both, and the scanner that keeps the limit on sigma.
     """
     more, scanner = steps.columns(session, job, surface, casters, views, progress, may_be_empty=True)
-    candidates = join_viewpoints([known[0], scanners.swept(job.scanner, views)])
+    candidates = join_viewpoints([known[0], scanners.sweep_columns(job.scanner, views)])
     return candidates, join_measurability([known[1], more]), scanner
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from cell.errors import UsageError
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
-from cell.scene.file import BUILT_IN, scene_of
+from cell.scene.file import BUILT_IN, scene_from_options
 from cell.scene.model import Scene
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def scene_and_part(
     Args:
         part: mesh file or built-in part by name, a mesh in memory, a whole scene, or None for the scene's.
         path: scene file; None is the built-in scene.
-        wishes: by the names of `cell.scene.options.offers(Scene)`; the unit of a mesh in memory is taken out.
+        wishes: by the names of `cell.scene.options.option_specs(Scene)`; the unit of a mesh in memory is taken out.
 
     Raises:
         UsageError: if there are wishes beside a whole scene.
@@ -38,10 +38,10 @@ def scene_and_part(
         return part, None
     file = None if path is None else Path(path)
     if part is None or isinstance(part, str | Path):
-        return scene_of(file, wishes, part), None
+        return scene_from_options(file, wishes, part), None
     units = wishes.pop("units", None)
     name = Path(str(part.metadata.get("file_name") or "mesh")).stem
     loaded = workpiece.from_arrays(
         "mesh" if name in BUILT_IN else name, part.vertices, part.faces, None if units is None else str(units)
     )
-    return scene_of(file, wishes), loaded
+    return scene_from_options(file, wishes), loaded

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from cell.part.workpiece import Workpiece
-from cell.scene.model import Scene, complete
-from cell.scene.regions import limited as with_limits
+from cell.scene.model import Scene, with_rest
+from cell.scene.regions import with_limits as with_limits
 from cell.scene.settle import Settings
 from cell.world.model import World
 from planner.geometry.mesh import TriangleMesh
@@ -40,7 +40,7 @@ def first(scene: Scene, settings: Settings, part: Workpiece, planning: TriangleM
 def limited(scene: Scene, scanner: Scanner) -> Scanner:
     """The scanner's law with the scene's limits; who does not know its sigma is refused where M is made."""
     known = callable(getattr(scanner, "sigma", None))
-    return with_limits(scanner, scene.plan.max_sigma_mm if known else None, complete(scene.region))
+    return with_limits(scanner, scene.plan.max_sigma_mm if known else None, with_rest(scene.region))
 
 
 def arm_of(

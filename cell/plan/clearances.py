@@ -3,7 +3,7 @@
 import numpy as np
 
 from cell.runs.schema import Clearance, SegmentClearance, Tightest
-from cell.world.clearance import MotionClearance, moment
+from cell.world.clearance import MotionClearance, time_of_tightest
 from planner.errors import PlannerError
 from planner.ports import ARM_AXES
 from planner.timing.motion import Motion
@@ -23,13 +23,13 @@ def clearance_of(measured: MotionClearance, motion: Motion, collision: str) -> C
         collision=collision,
         segments=[
             SegmentClearance(minimum_mm=_mm(nearest), at_least_mm=_mm(proven), between=between)
-            for nearest, proven, between in zip(measured.distance, measured.at_least, measured.between, strict=True)
+            for nearest, proven, between in zip(measured.distance, measured.lower_bound, measured.between, strict=True)
         ],
         tightest=None
         if tightest is None
         else Tightest(
             segment=tightest.segment,
-            time_s=round(moment(motion.t, motion.q, motion.segment_of_sample, tightest), 6),
+            time_s=round(time_of_tightest(motion.t, motion.q, motion.segment_of_sample, tightest), 6),
             distance_mm=_mm(tightest.distance),
             between=tightest.between,
             points_in_base_mm=(1000 * tightest.points).round(4).tolist(),
@@ -45,7 +45,7 @@ def require_no_contact(measured: MotionClearance) -> None:
     Raises:
         PlannerError: if a segment is not proven to be free of contact.
     """
-    for number, (proven, between) in enumerate(zip(measured.at_least, measured.between, strict=True), start=1):
+    for number, (proven, between) in enumerate(zip(measured.lower_bound, measured.between, strict=True), start=1):
         if proven <= 0:
             raise PlannerError(
                 f"segment {number} of the motion is not proven to be free of contact ({between}, "

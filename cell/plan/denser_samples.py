@@ -50,7 +50,7 @@ def chosen_where_kept(
     if not _adds(problem):
         return problem, first_choice(problem, rng)
     asked, known = problem.request.asked, problem.prediction
-    spread = known.samples if known.asked is None else pick_samples(known.samples, known.asked)
+    spread = known.samples if known.required is None else pick_samples(known.samples, known.required)
     selected = None
     for left in reversed(range(ROUNDS + 1)):
         selected = first_choice(problem, rng, looked=selected, look=LOOK_WORK)
@@ -61,7 +61,7 @@ def chosen_where_kept(
         if not left:  # what is raised and bounded from here on has to have been looked at on the same samples
             break
         pool = draw_samples(surface.reference, surface.planning, FRESH, fresh)
-        pool = pool if known.asks is None else pick_samples(pool, known.asks(pool))
+        pool = pool if known.is_required is None else pick_samples(pool, known.is_required(pool))
         added = _needed(problem, selected, pool)
         if not added.any():
             break

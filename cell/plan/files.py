@@ -39,7 +39,7 @@ from cell.runs.schema import (
     ResolvedScene,
     ScannerKeys,
 )
-from cell.scene.model import MeshFixture, Scene, complete
+from cell.scene.model import MeshFixture, Scene, with_rest
 from cell.scene.settle import Settings
 from cell.world.clearance import MotionClearance
 from cell.world.files import write_mjcf
@@ -160,7 +160,7 @@ def write_cell(
                 "sphere_radius_mm": mm(settings.sphere_radius),
             }
         ),
-        regions=tuple(ResolvedRegion.model_validate(dict(region)) for region in complete(scene.region)) or None,
+        regions=tuple(ResolvedRegion.model_validate(dict(region)) for region in with_rest(scene.region)) or None,
     )
     folder.write_json("scene.resolved.json", resolved.as_json())
     for name in write_mjcf(world, folder.path):
@@ -217,7 +217,7 @@ def write_motion(folder: RunFolder, motion: Motion, measured: MotionClearance) -
         limit_acceleration=motion.limits.acceleration,
         limit_jerk=motion.limits.jerk,
         minimum_clearance=measured.distance,
-        clearance_at_least=measured.at_least,
+        clearance_at_least=measured.lower_bound,
         between=np.array(measured.between, dtype=np.str_),
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from cell.plan.problem import Problem
 from cell.plan.views import Groups
-from cell.world.self_occlusion import OwnArm
+from cell.world.self_occlusion import SelfOcclusion
 from planner.kinematics.rotary_table import ArmOnTable
 from planner.kinematics.setpoints import from_steps, setpoints, to_steps
 from planner.ports import ARM_AXES
@@ -22,7 +22,9 @@ STEPS = (1 / 2, 1 / 4), (1 / 8, 1 / 16)
 """Shares of the step between the angles of the scene: to either side of where a view is taken, first and then."""
 
 
-def beside(problem: Problem, arm: OwnArm, groups: Groups, motion: Tour, shares: Sequence[float]) -> Groups | None:
+def beside(
+    problem: Problem, arm: SelfOcclusion, groups: Groups, motion: Tour, shares: Sequence[float]
+) -> Groups | None:
     """The views of a motion, each with solutions beside the one that is taken; None where no table turns.
 
     Args:
@@ -48,7 +50,7 @@ def beside(problem: Problem, arm: OwnArm, groups: Groups, motion: Tour, shares: 
     )
 
 
-def _solutions(problem: Problem, arm: OwnArm, chain: ArmOnTable, view: int, q: Floats, aside: Floats) -> Floats:
+def _solutions(problem: Problem, arm: SelfOcclusion, chain: ArmOnTable, view: int, q: Floats, aside: Floats) -> Floats:
     """(m, 7) free joint solutions of a candidate nearest to q (7,), the table (n,) aside; they hide no more [rad]."""
     world = problem.world
     T_part_scanner = world.T_base_object @ problem.candidates.T_object_scanner[view, 0]
@@ -62,4 +64,4 @@ def _solutions(problem: Problem, arm: OwnArm, chain: ArmOnTable, view: int, q: F
             found.append(own[np.argmin(np.abs(own - q).max(axis=1))])
     near = np.array(found).reshape(-1, len(q))
     near = near[problem.checker.free(near)]
-    return near[arm.hides_no_more(view, q, near)] if len(near) else near
+    return near[arm.occludes_no_more(view, q, near)] if len(near) else near

@@ -20,7 +20,7 @@ from cell.view.contents import HALF_PAGE, part_of
 from cell.view.page import Stage, first_half, three
 from cell.view.pieces import Cell, beside, cell_of_run
 from cell.view.surface import Canvas, canvas_of, surface_of
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner.ports import Scanner
 from planner.values import Bools, Floats
 
@@ -46,7 +46,7 @@ def cell_ready(folder: Path) -> None:
 def _part(folder: Path) -> Canvas:
     run = open_run(folder)
     reference = run.mesh("reference.ply")
-    return canvas_of(reference, held_out(reference, run.mesh("planning.ply"), run.seed))
+    return canvas_of(reference, held_out_samples(reference, run.mesh("planning.ply"), run.seed))
 
 
 @lru_cache(maxsize=1)

@@ -82,7 +82,7 @@ def plan(
             plan_files.write_scene(folder, session.origin.scene_path)
             folder.named(plan_files.named_files(scene, session.origin.scene_path))
             scanner = scanners.make(scene.scanner.type, settings.scanner)
-            settings = replace(settings, scanner=scanners.settled(settings.scanner, scanner))
+            settings = replace(settings, scanner=scanners.with_own_parameters(settings.scanner, scanner))
             require_attainable(scene, scanner)
             if hasattr(scanner, "T_view_scanner"):
                 scene.require_fixed_part("a scanner that sweeps")

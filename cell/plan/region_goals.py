@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.errors import UnreachableError
-from cell.scene.model import PlanSettings, RegionWishes
+from cell.scene.model import PlanSettings, RegionTargets
 from cell.world.prediction import Prediction
 from planner.cover import CoverProblem
 from planner.geometry.sampling import SurfaceSamples
@@ -19,7 +19,7 @@ from planner.values import Bools, Floats, Ints
 _MOST_VIEWS = 2**31 - 1  # more than any plan has; a demand above is not a number of NumPy's any more
 
 
-def require_measurable(regions: Sequence[RegionWishes], M: Measurability) -> None:
+def require_measurable(regions: Sequence[RegionTargets], M: Measurability) -> None:
     """Refuse regions of which no reachable candidate measures anything, naming their limits.
 
     Raises:
@@ -57,7 +57,7 @@ class RegionGoals:
     weight: Floats
 
     @classmethod
-    def of(cls, regions: Sequence[RegionWishes], plan: PlanSettings) -> "RegionGoals | None":
+    def of(cls, regions: Sequence[RegionTargets], plan: PlanSettings) -> "RegionGoals | None":
         """The wishes of a scene's regions, the rest among them; None where it has none."""
         if not regions:
             return None

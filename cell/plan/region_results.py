@@ -5,7 +5,7 @@ import numpy as np
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.problem import Problem
 from cell.runs.schema import RegionResult
-from cell.scene.model import RegionWishes
+from cell.scene.model import RegionTargets
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import pick_samples
 from planner.measurability.quality import best_values
@@ -18,7 +18,7 @@ _ASKED = 300  # samples of a region whose reasons are looked for
 
 
 def results_of(
-    regions: tuple[RegionWishes, ...], reference: TriangleMesh, problem: Problem, chosen: ConnectedPlan
+    regions: tuple[RegionTargets, ...], reference: TriangleMesh, problem: Problem, chosen: ConnectedPlan
 ) -> tuple[RegionResult, ...]:
     """A row for each region that somebody cares for and that is there."""
     samples, plan = problem.prediction.samples, problem.request.plan
@@ -55,7 +55,7 @@ def results_of(
     return tuple(found)
 
 
-def _reason(region: RegionWishes, lost: Ints, share: float, problem: Problem) -> str:
+def _reason(region: RegionTargets, lost: Ints, share: float, problem: Problem) -> str:
     """Why no reachable candidate measures most of what is lost of a region, in a sentence."""
     samples, scanner, casters = (getattr(problem.prediction, name) for name in ("samples", "scanner", "casters"))
     asked = lost[np.linspace(0, len(lost) - 1, min(_ASKED, len(lost))).round().astype(np.int64)]

@@ -24,18 +24,18 @@ from cell.runs.folder import RunFolder
 from cell.runs.schema import Attainable
 from cell.scanners import ScannerPlugin
 from cell.scene import validation
-from cell.scene.model import Scene, complete
+from cell.scene.model import Scene, with_rest
 from cell.scene.settle import Settings
 from cell.session import Session, Stream
 from cell.world import clearance
-from cell.world.checks import doubtful, require_possible
+from cell.world.checks import find_warnings, require_feasible
 from cell.world.clearance import MotionClearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.embree import EmbreeRayCaster
-from cell.world.measurability import PartSurface, limit_sigma, part_matrix, surface_features
+from cell.world.measurability import PartSurface, limit_sigma, part_matrix, surface_samples
 from cell.world.model import World, compile_world
-from cell.world.occluders import caster_of, occluder_triangles
-from cell.world.prediction import Prediction, held_out
+from cell.world.occluders import fixed_occluders, make_caster
+from cell.world.prediction import Prediction, held_out_samples
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import draw_samples
 from planner.kinematics import reach
@@ -99,10 +99,10 @@ def sample_surface(session: PlanSession, job: Job) -> tuple[PartSurface, Viewpoi
         if other := validation.face_count_note(len(planning.faces), job.settings.faces):
             session.note(other)
         candidates = first(job.scene, job.settings, job.part, planning)
-        features = surface_features(job.scene, reference, planning, session.rng(Stream.MATRIX_SAMPLES))
+        features = surface_samples(job.scene, reference, planning, session.rng(Stream.MATRIX_SAMPLES))
         if doubt := validation.coarse_mesh_note(validation.mesh_deviation(features, planning), len(planning.faces)):
             session.note(doubt)
-        plan_files.write_viewpoints(session.folder, scanners.swept(job.scanner, candidates))
+        plan_files.write_viewpoints(session.folder, scanners.sweep_columns(job.scanner, candidates))
         caster = EmbreeRayCaster(reference.vertices, reference.faces)
         return PartSurface(reference, planning, features, caster), candidates
 
@@ -115,10 +115,10 @@ def compile_cell(session: PlanSession, job: Job, surface: PartSurface, *, believ
             baseline_mm=scanners.baseline_mm(job.settings.scanner, job.scanner),
         )  # fmt: skip
         if not believed:
-            require_possible(world)
-            for sentence in (*doubtful(world), *filter(None, [validation.sweep_note(job.scanner)])):
+            require_feasible(world)
+            for sentence in (*find_warnings(world), *filter(None, [validation.sweep_note(job.scanner)])):
                 session.note(sentence)
-        described, faces = scanners.described(job.scene.scanner.type, job.scanner), len(surface.planning.faces)
+        described, faces = scanners.describe(job.scene.scanner.type, job.scanner), len(surface.planning.faces)
         plan_files.write_cell(session.folder, job.scene, job.settings, job.part, faces, world, described)
         return Cell(world, MujocoCollisionChecker(world), world.kinematics)
 
@@ -155,7 +155,7 @@ def grow_candidates(
         grown = grow(candidates, reached.reachable, scouts, arm, progress)
         reached = join_reach([reached, reach_of(job, cell, grown)])
         candidates = join_viewpoints([candidates, grown])
-        plan_files.write_viewpoints(session.folder, scanners.swept(job.scanner, candidates))
+        plan_files.write_viewpoints(session.folder, scanners.sweep_columns(job.scanner, candidates))
         plan_files.write_reach(session.folder, reached)
         require_reachable(job.scene.plan, job.part, reached)
         return candidates, reached
@@ -172,7 +172,7 @@ def measure(
         M = spread_measurability(M, usable, len(candidates))
         plan_files.write_measurability(session.folder, M)
         require_measurable(job.scene.region, M)
-        measured = Measured(scanners.swept(job.scanner, candidates), reached, M, scanner, casters)
+        measured = Measured(scanners.sweep_columns(job.scanner, candidates), reached, M, scanner, casters)
         return measured, predicted(session, surface, measured, progress)
 
 
@@ -182,7 +182,7 @@ def columns(
     *, may_be_empty: bool = False,
 ) -> tuple[Measurability, Scanner]:  # fmt: skip
     """M of viewpoints past occluders, within the limit on sigma (`limit_sigma`), and the scanner that keeps it."""
-    views = scanners.swept(job.scanner, views)
+    views = scanners.sweep_columns(job.scanner, views)
     M = part_matrix(
         job.scene,
         job.settings,
@@ -202,13 +202,13 @@ def columns(
 
 def casters_of(surface: PartSurface, cell: Cell) -> Sequence[RayCaster]:
     """The part's and the occluders', object frame."""
-    return [surface.caster, caster_of(occluder_triangles(cell.world))]
+    return [surface.caster, make_caster(fixed_occluders(cell.world))]
 
 
 def predicted(session: PlanSession, surface: PartSurface, measured: Measured, progress: Progress) -> Prediction:
     """The held-out samples, and what reachable candidates measure of them."""
     poses = measured.candidates.T_object_scanner[measured.reached.reachable]
-    samples = held_out(surface.reference, surface.planning, session.seed)
+    samples = held_out_samples(surface.reference, surface.planning, session.seed)
     return Prediction.of(samples, measured.scanner, measured.casters, poses, progress)
 
 
@@ -223,7 +223,7 @@ def ask(session: PlanSession, job: Job, cell: Cell, measured: Measured, predicti
                 session.rng(Stream.POSE_ERRORS), progress,
             )  # fmt: skip
     limits = scale_limits(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
-    goals = RegionGoals.of(complete(scene.region), plan)
+    goals = RegionGoals.of(with_rest(scene.region), plan)
     problem = Problem(
         Request(plan, None, layer, goals), measured.candidates, measured.reached, measured.M, prediction,
         cell.world, limits, cell.kinematics, cell.checker,
@@ -267,7 +267,7 @@ def prove_and_time(session: PlanSession, problem: Problem, chosen: ConnectedPlan
     """Step 9: the motion's clearance along every segment, and its timing."""
     with session.stage("measure the clearance") as progress:
         tour = chosen.tour
-        measured = clearance.of_motion(problem.checker, tour.via, tour.segment, len(tour.detour), progress)
+        measured = clearance.motion_clearance(problem.checker, tour.via, tour.segment, len(tour.detour), progress)
         require_no_contact(measured)
         motion = retime(
             tour.via, tour.segment, chosen.via_candidate, problem.limits, pose=tour.pose, lines=chosen.lines
@@ -285,5 +285,5 @@ def what_is_lost(session: PlanSession, problem: Problem, chosen: ConnectedPlan) 
 def reach_of(job: Job, cell: Cell, views: Viewpoints, progress: Progress | None = None) -> Reach:
     """Verdicts and joint solutions of viewpoints."""
     T_base_object, T_flange_scanner = cell.world.T_base_object, cell.world.T_flange_scanner
-    poses = scanners.swept(job.scanner, views)
+    poses = scanners.sweep_columns(job.scanner, views)
     return reach.solve_reach(poses, T_base_object, T_flange_scanner, cell.kinematics, cell.checker, progress=progress)

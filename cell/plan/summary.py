@@ -28,7 +28,7 @@ from cell.runs.schema import (
     Spacing,
     Verdicts,
 )
-from cell.scene.model import complete
+from cell.scene.model import with_rest
 from cell.world.clearance import MotionClearance
 from planner.geometry.mesh import TriangleMesh
 from planner.measurability import coverage
@@ -192,7 +192,7 @@ def _spacing(job: Job, problem: Problem, chosen: ConnectedPlan) -> Spacing | Non
 
 def _regions(job: Job, problem: Problem, chosen: ConnectedPlan) -> tuple[RegionResult, ...] | None:
     """What becomes of each region; None of a part without."""
-    regions = complete(job.scene.region)
+    regions = with_rest(job.scene.region)
     return results_of(regions, job.part.reference, problem, chosen) if regions else None
 
 

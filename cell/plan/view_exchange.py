@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cell.plan.problem import Problem
 from cell.plan.request import LEAST_COST, WORK, Selected, select
 from cell.plan.views import Groups
-from cell.world.self_occlusion import OwnArm
+from cell.world.self_occlusion import SelfOcclusion
 from planner.cover import Cover, CoverStatus
 from planner.measurability.matrix import Measurability
 from planner.tour.equivalent_views import ViewExchange, VisibilityIndex, exchange_views
@@ -35,13 +35,13 @@ _ROUNDING = 1e-9  # of areas that are summed in another order
 _COVERS = 8  # covers tried where time counts; two to five are usual
 
 
-def alone(arm: OwnArm, views: Ints) -> Groups:
+def alone(arm: SelfOcclusion, views: Ints) -> Groups:
     """Each view in a group of its own."""
     return _groups(arm, _single(views))
 
 
 def groups(
-    problem: Problem, arm: OwnArm, selected: Selected, usable: NDArray[np.bool_], rng: np.random.Generator
+    problem: Problem, arm: SelfOcclusion, selected: Selected, usable: NDArray[np.bool_], rng: np.random.Generator
 ) -> Groups:
     """Exchange the cover's views for others with a shorter motion; where time counts, for another cover of less time.
 
@@ -70,7 +70,7 @@ def groups(
 
 
 def _exchanged(
-    problem: Problem, arm: OwnArm, selected: Selected, usable: NDArray[np.bool_], rng: np.random.Generator
+    problem: Problem, arm: SelfOcclusion, selected: Selected, usable: NDArray[np.bool_], rng: np.random.Generator
 ) -> tuple[ViewExchange, tuple[Ints, ...]]:
     """The exchange of a cover's views, and the groups that the promise on held-out samples leaves."""
     chosen, target = selected.cover, selected.target
@@ -101,7 +101,7 @@ def _exchanged(
 
 
 def _timed(
-    problem: Problem, arm: OwnArm, exchanged: tuple[ViewExchange, tuple[Ints, ...]], rng: np.random.Generator
+    problem: Problem, arm: SelfOcclusion, exchanged: tuple[ViewExchange, tuple[Ints, ...]], rng: np.random.Generator
 ) -> tuple[ViewExchange, tuple[Ints, ...]]:
     """The exchange with a tour through the views of its groups: where some were taken back, its own tour has others."""
     found, members = exchanged
@@ -156,7 +156,7 @@ def _covered(matrix: VisibilityIndex, views: Ints) -> float:
 
 def _other_covers(
     problem: Problem,
-    arm: OwnArm,
+    arm: SelfOcclusion,
     selected: Selected,
     exchanged: tuple[ViewExchange, tuple[Ints, ...]],
     usable: NDArray[np.bool_],
@@ -266,7 +266,7 @@ def _single(views: Ints) -> tuple[Ints, ...]:
     return tuple(views[k : k + 1] for k in range(len(views)))
 
 
-def _groups(arm: OwnArm, members: tuple[Ints, ...]) -> Groups:
+def _groups(arm: SelfOcclusion, members: tuple[Ints, ...]) -> Groups:
     owner, configurations = [], []
     for group in members:
         solutions = [arm.configurations(int(view)) for view in group]

@@ -15,12 +15,16 @@ from cell.plan import finer_angles, view_exchange
 from cell.plan.problem import Problem
 from cell.plan.request import Selected
 from cell.plan.views import Driven, Groups, Next
-from cell.world.self_occlusion import Look, OwnArm, arm_caster, visible_with_arm
+from cell.world.self_occlusion import OcclusionUpdate, SelfOcclusion, arm_caster, coverage_with_arm
 from planner.measurability.coverage import coverage_of_views
 from planner.measurability.matrix import Measurability
 from planner.tour.tour import Tour
 
-_AFTER = {Look.CLEAR: Next.DONE, Look.OTHER_SOLUTIONS: Next.CONNECT, Look.LESS_MEASURED: Next.CHOOSE}
+_AFTER = {
+    OcclusionUpdate.CLEAR: Next.DONE,
+    OcclusionUpdate.OTHER_SOLUTIONS: Next.CONNECT,
+    OcclusionUpdate.LESS_MEASURED: Next.CHOOSE,
+}
 
 
 class ViewsAtRest:
@@ -28,7 +32,9 @@ class ViewsAtRest:
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self._arm = OwnArm(problem.M, problem.reached, problem.candidates, problem.world, problem.prediction.scanner)
+        self._arm = SelfOcclusion(
+            problem.M, problem.reached, problem.candidates, problem.world, problem.prediction.scanner
+        )
 
     @property
     def M(self) -> Measurability:
@@ -47,7 +53,7 @@ class ViewsAtRest:
     def still_measure(self, views: NDArray[np.int64]) -> bool:
         """A first look at the arms, before a motion is planned for nothing."""
         first = np.stack([self._arm.configurations(int(view))[0] for view in views])
-        return self._arm.look(views, first) is not Look.LESS_MEASURED
+        return self._arm.update(views, first) is not OcclusionUpdate.LESS_MEASURED
 
     def groups(self, selected: Selected, usable: NDArray[np.bool_], rng: np.random.Generator) -> Groups:
         """Each view with those that may stand in for it, where the request allows it."""
@@ -65,7 +71,7 @@ class ViewsAtRest:
 
     def judge(self, views: NDArray[np.int64], motion: Tour) -> Next:
         """Look at the arms where the motion stops."""
-        return _AFTER[self._arm.look(views[motion.order], motion.q)]
+        return _AFTER[self._arm.update(views[motion.order], motion.q)]
 
     def finer(self, groups: Groups, motion: Tour, shares: Sequence[float]) -> Groups | None:
         """The views of the motion with solutions at further angles of a rotary table; None where there is none."""
@@ -75,7 +81,7 @@ class ViewsAtRest:
         """Whether at each of (n,) candidates the arm hides nothing that it showed in the motion before."""
         taken = dict(zip(before.order.tolist(), before.q, strict=True))
         stops = zip(motion.order.tolist(), motion.q, strict=True)
-        return all(self._arm.hides_no_more(int(views[k]), taken[k], q[None])[0] for k, q in stops)
+        return all(self._arm.occludes_no_more(int(views[k]), taken[k], q[None])[0] for k, q in stops)
 
     def driven(self, views: NDArray[np.int64], motion: Tour) -> Driven:
         """The stops, and what they measure with the arm in the way."""
@@ -87,5 +93,5 @@ class ViewsAtRest:
         visible = coverage_of_views(seen, prediction.samples)
         arms = [arm_caster(world, q, T, prediction.scanner) for q, T in zip(motion.q, T_object_scanner, strict=True)]
         near = any(caster is not None for caster in arms)
-        with_arm = visible_with_arm(prediction, poses, arms, visible.covered) if near else visible.fraction
+        with_arm = coverage_with_arm(prediction, poses, arms, visible.covered) if near else visible.fraction
         return Driven(poses, (), {}, seen, with_arm)

@@ -21,7 +21,7 @@ from cell.runs.cell import table_of
 from cell.runs.run import Run
 from cell.runs.schema import ResolvedScene
 from cell.view.rays import frustum
-from cell.world.shapes import Shapes, meshes_of
+from cell.world.shapes import ShapeDistances, meshes_of
 from planner.geometry.hull import is_convex
 from planner.geometry.mesh import TriangleMesh
 from planner.kinematics.rotary_table import RotaryTable
@@ -71,7 +71,7 @@ class Theatre(Value):
     entities: tuple[str, ...]
     clearance: float
     near: Mapping[tuple[int, int], float]
-    shapes: Shapes
+    shapes: ShapeDistances
     table: RotaryTable | None
 
 
@@ -136,7 +136,7 @@ def dress(
         entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         clearance=scene.clearance_mm / 1000,
         near=robot.reduced_clearances(model),
-        shapes=Shapes(model, {**links, **checked}, hollow),
+        shapes=ShapeDistances(model, {**links, **checked}, hollow),
         table=table_of(scene),
     )
 

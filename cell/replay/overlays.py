@@ -157,7 +157,7 @@ def touches(theatre: Theatre, data: mujoco.MjData) -> tuple[Touch, ...]:
         names = " with ".join(theatre.entities[geom] for geom in sorted(contact.geom, reverse=True))
         distance, position = float(contact.dist), contact.pos
         a, b = (int(geom) for geom in contact.geom)
-        if a in theatre.shapes.hollow or b in theatre.shapes.hollow:
+        if a in theatre.shapes.nonconvex or b in theatre.shapes.nonconvex:
             points = np.zeros((2, 3))
             distance = theatre.shapes.distance(data, a, b, theatre.clearance, points=points)
             position = points.mean(axis=0)

@@ -11,7 +11,7 @@ from cell.replay.model import Theatre
 from cell.replay.tightest_moment import Closest, add_closest
 from cell.robot import model as robot
 from cell.runs.timeline import Timeline
-from cell.world.table import Turner
+from cell.world.table import TablePoses
 from planner.ports import ARM_AXES
 from planner.values import Floats, readonly
 
@@ -58,7 +58,7 @@ class Show:
         self.theatre, self.timeline = theatre, timeline
         self.data = mujoco.MjData(theatre.model)
         self._followers = robot.MimicJoints.from_model(theatre.model)
-        self._turner = Turner(self.data, theatre.table)
+        self._turner = TablePoses(self.data, theatre.table)
         self._flange = theatre.model.site(robot.FLANGE).id
         self.T_base_scanner = readonly(
             "T_base_scanner",

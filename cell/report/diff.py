@@ -26,7 +26,7 @@ from cell.view.page import Play, Shown, Stage, View, html_of
 from cell.view.palette import BLUE, GREEN, GREY, MEASURED, VERMILION
 from cell.view.pieces import Cell, beside, cell_of_run
 from cell.view.surface import canvas_of, sides
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability import coverage
@@ -184,7 +184,7 @@ def compare_runs(a: Path, b: Path, reporter: ProgressReporter, out: Path | None 
             f"--out {out}: the parts of {a} and {b} are different meshes, so gained and lost surface cannot be drawn"
         )
     with reporter.stage("coverage of each view"):
-        samples = held_out(cells[0].reference, cells[0].planning, A.run.seed)
+        samples = held_out_samples(cells[0].reference, cells[0].planning, A.run.seed)
         by_view = [_measured(side, cell, samples) for side, cell in zip((A, B), cells, strict=True)]
         views = _views(A, B, by_view if same_part else None, samples.areas)
         covered = [*map(_coverage_function(cells, samples), (A, B), by_view)]

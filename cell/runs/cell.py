@@ -20,13 +20,13 @@ from cell.runs.run import Run, reading
 from cell.runs.schema import ResolvedScene, ScannerKeys, StandingFixture
 from cell.scene.file import BUILT_IN
 from cell.scene.model import Placement, PlanKeys, Region, Scene
-from cell.scene.regions import limited
+from cell.scene.regions import with_limits
 from cell.world import shapes
 from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World, compile_world
-from cell.world.occluders import Occluder, beside_table, caster_of, standing_triangles
-from cell.world.table import HALF_A_TURN_DEG, on_table
-from cell.world.travel import TravelBound, swing
+from cell.world.occluders import Occluder, make_caster, names_beside_table, occluders_of_model
+from cell.world.table import HALF_A_TURN_DEG, kinematics_on_table
+from cell.world.travel import TravelBound, table_radius
 from planner.geometry.mesh import TriangleMesh
 from planner.kinematics.frames import kuka_abc_from_pose
 from planner.kinematics.rotary_table import RotaryTable
@@ -93,7 +93,7 @@ class RunCell:
         moved = tuple(
             each if each.name in with_it else replace(each, vertices=each.vertices @ R.T + t) for each in self.occluders
         )
-        return replace(self, occluders=moved, occluder_caster=caster_of(moved))
+        return replace(self, occluders=moved, occluder_caster=make_caster(moved))
 
 
 def collision_note(scene: ResolvedScene) -> list[str]:
@@ -126,7 +126,9 @@ def read_cell(run: Run, resolution_deg: float | None = None) -> RunCell:
         raise UsageError(f"--resolution {resolution_deg:g} is not possible: {error}") from error
     with reading(run.folder / "cell.xml"):
         table, home = table_of(scene), np.append(np.radians(scene.home_deg), 0.0)
-        kinematics = on_table(kinematics_of(model), table, home, 0 if scene.table is None else scene.table.angles)
+        kinematics = kinematics_on_table(
+            kinematics_of(model), table, home, 0 if scene.table is None else scene.table.angles
+        )
         occluders, radius = _surroundings(run, scene, model, table)
     return RunCell(
         scene=scene,
@@ -134,7 +136,7 @@ def read_cell(run: Run, resolution_deg: float | None = None) -> RunCell:
         planning=run.mesh("planning.ply"),
         part_caster=EmbreeRayCaster(reference.vertices, reference.faces),
         occluders=occluders,
-        occluder_caster=caster_of(occluders),
+        occluder_caster=make_caster(occluders),
         scanner=scanner,
         scanner_keys=keys,
         kinematics=kinematics,
@@ -155,7 +157,7 @@ def table_of(scene: ResolvedScene) -> RotaryTable | None:
 
 def scanner_of(scene: ResolvedScene, keys: ScannerKeys) -> Scanner:
     """Return the scanner with these keys and the plan's sigma limit, which also applies to scans."""
-    return limited(scanners.make(keys.type, keys.own), scene.plan.max_sigma_mm, scene.regions or ())
+    return with_limits(scanners.make(keys.type, keys.own), scene.plan.max_sigma_mm, scene.regions or ())
 
 
 def _surroundings(
@@ -173,10 +175,10 @@ def _surroundings(
         data.mocap_quat[model.body("post").mocapid] = shapes.quaternion(table.T_base_table[:3, :3])
     mujoco.mj_kinematics(model, data)
     meshes = {each.name: run.mesh(each.file) for each in scene.fixtures if each.file is not None}
-    pieces = standing_triangles(data, T, meshes, [each.name for each in scene.fixtures if not each.occludes])
+    pieces = occluders_of_model(data, T, meshes, [each.name for each in scene.fixtures if not each.occludes])
     own = (each.name for each in scene.fixtures if each.attached_to == "base" and not each.built_in)
-    ignored = beside_table(table, own)
-    return tuple(piece for piece in pieces if piece.name not in ignored), swing(model, data, table)
+    ignored = names_beside_table(table, own)
+    return tuple(piece for piece in pieces if piece.name not in ignored), table_radius(model, data, table)
 
 
 def world_of(

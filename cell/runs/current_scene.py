@@ -27,7 +27,7 @@ from cell.scene.options import Option
 from cell.scene.settle import with_device
 from cell.session import ProgressReporter
 from cell.world.shapes import fixture_mesh
-from cell.world.table import rotary_table
+from cell.world.table import place_table
 from planner.geometry.mesh import TriangleMesh
 
 MISSING = "missing"
@@ -230,7 +230,7 @@ def _table(verified: VerifiedPlan, scene: Scene) -> list[object]:
     placement = scene.placement.by_centre(verified.scene.T_object_centre)
     placed = scene.model_copy(update={"placement": placement})
     try:
-        table = rotary_table(placed, verified.world.placed(placement.T), verified.world.part_hull)
+        table = place_table(placed, verified.world.T_base_object_at(placement.T), verified.world.part_hull)
     except SceneError:
         return [False]  # an impossible table differs from any planned one
     if table is None:

@@ -26,7 +26,7 @@ from pydantic import (
 )
 
 from cell.errors import FileError
-from cell.scene.model import PlanKeys, RegionWishes
+from cell.scene.model import PlanKeys, RegionTargets
 from cell.scene.validation import error_messages
 from planner.values import Floats, readonly
 
@@ -685,7 +685,7 @@ class ResolvedPlan(PlanKeys):
     sphere_radius_mm: float | None = Field(default=None, description="radius of the view sphere")
 
 
-class ResolvedRegion(RegionWishes):
+class ResolvedRegion(RegionTargets):
     """Options of a region; faces of reference.ply carry its number from 0 as `region` (-1: ignored)."""
 
     model_config = ConfigDict(extra="ignore", defer_build=True)

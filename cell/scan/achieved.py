@@ -11,7 +11,7 @@ from cell.runs.schema import PlanFile
 from cell.scan.merging import Merged, executed_poses
 from cell.view.contents import of_views
 from cell.view.surface import Surface
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner.measurability import coverage
 from planner.measurability.quality import best_spacing
 from planner.values import Bools, Floats
@@ -59,7 +59,7 @@ def achieved(
         cell: part, surroundings and scanner.
         plan_seed: seed of the plan, from which its held-out samples were drawn.
     """
-    samples = held_out(cell.reference, cell.planning, plan_seed)
+    samples = held_out_samples(cell.reference, cell.planning, plan_seed)
     surface = of_views(cell, samples, executed_poses(scans, merged))
     measured = surface.seen
     predicted = plan.coverage.visible

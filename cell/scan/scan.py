@@ -232,7 +232,7 @@ def _told(rest: Rest, done: int, checker: MujocoCollisionChecker) -> Iterator[st
     if rest.way is not None:
         goal = f"view {rest.stops[0]}" if rest.stops else "home"
         moves = len(rest.way) - 1
-        found = clearance.of_motion(checker, rest.way, np.zeros(moves + 1, dtype=np.int64), 1)
+        found = clearance.motion_clearance(checker, rest.way, np.zeros(moves + 1, dtype=np.int64), 1)
         yield (
             f"the arm does not stand where the plan goes on; a new way to {goal} was planned: {moves} moves, nearest "
             f"{1000 * found.distance[0]:.1f} mm ({found.between[0] or 'nothing near'})"

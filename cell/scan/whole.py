@@ -30,7 +30,7 @@ from cell.session import Session, Stream, random_stream
 from cell.setups.contact import touching
 from cell.setups.planned_setups import PlannedSetups
 from cell.setups.shared import apart, shared
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability import coverage
@@ -191,7 +191,7 @@ def _written(
             folder.write_bytes("mesh.ply", point_files.mesh_ply(model.mesh, model.closed, off.at_vertices, source))
             deviation_picture.draw(folder.path / "deviation.png", model.mesh, off, source)
             folder.adopt("deviation.png")
-        samples = held_out(first.cell.reference, first.cell.planning, first.run.seed)
+        samples = held_out_samples(first.cell.reference, first.cell.planning, first.run.seed)
         seen = {body.number: body.seen(samples) for body in bodies}
         report = ScannedSetups(
             part=planned.file.part,

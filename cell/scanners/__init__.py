@@ -135,7 +135,7 @@ def make(name: str, values: Values) -> ScannerPlugin:
     return made
 
 
-def described(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
+def describe(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
     """What defines a scanner, its type included, as the run folder keeps it."""
     return {"type": name, **{key: value for key, value in scanner.parameters().items() if key != "type"}}
 
@@ -144,16 +144,16 @@ def identity(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
     """What a matrix depends on: `described`, and of another distribution's scanner also which version it is of."""
     point = _offered(name)
     own = point.dist is not None and point.dist.name == "scan-cell"  # its matrices have a format number of their own
-    return described(name, scanner) | ({} if own else {"distribution": _distribution(point), "law": point.value})
+    return describe(name, scanner) | ({} if own else {"distribution": _distribution(point), "law": point.value})
 
 
-def settled(values: Values, scanner: ScannerPlugin) -> Values:
+def with_own_parameters(values: Values, scanner: ScannerPlugin) -> Values:
     """The keys that a scanner was made of, and those that it has settled itself, such as the length of its sweep."""
     own = scanner.parameters()
     return {**values, **{key: value for key, value in own.items() if key not in values and key != "type"}}
 
 
-def swept(scanner: Scanner, viewpoints: "Viewpoints") -> "Viewpoints":
+def sweep_columns(scanner: Scanner, viewpoints: "Viewpoints") -> "Viewpoints":
     """The columns that a scanner makes of viewpoints: of one that sweeps its sweeps, otherwise the viewpoints."""
     T_view_scanner = getattr(scanner, "T_view_scanner", None)
     if T_view_scanner is None:
@@ -163,7 +163,7 @@ def swept(scanner: Scanner, viewpoints: "Viewpoints") -> "Viewpoints":
     return sweeps_of(viewpoints, T_view_scanner)
 
 
-def unswept(scanner: Scanner, columns: "Viewpoints") -> "tuple[Viewpoints, Floats]":
+def viewpoints_of_columns(scanner: Scanner, columns: "Viewpoints") -> "tuple[Viewpoints, Floats]":
     """The viewpoints of which a scanner made columns, one pose each, and (4, 4) its T_scanner_view."""
     import numpy as np  # like `swept`: what only names scanners starts without
 

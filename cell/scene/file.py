@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from cell.errors import FileError, SceneError, UsageError
 from cell.scene.model import Part, Scene
-from cell.scene.options import Spell, offers, values
+from cell.scene.options import Spell, option_specs, option_values
 
 _DEEPEST = 8  # levels of tables and lists; a scene needs four
 
@@ -105,7 +105,7 @@ BUILT_IN: tuple[str, ...] = get_args(Part.model_fields["name"].annotation)
 Tables = dict[str, dict[str, object]]
 
 
-def tables(wishes: Mapping[str, object], part: str | Path | None = None, spell: Spell = str) -> Tables:
+def option_tables(wishes: Mapping[str, object], part: str | Path | None = None, spell: Spell = str) -> Tables:
     """Tables of the scene with what is wished: `{"place": (1200, 500, 0), "standoff": 300, "pin": [1, 2]}`.
 
     Args:
@@ -118,21 +118,21 @@ def tables(wishes: Mapping[str, object], part: str | Path | None = None, spell: 
         FileError: if the part's file is a folder or missing.
     """
     found: Tables = {} if part is None else {"part": _part(str(part))}
-    for key, value in values(Scene, wishes, spell).items():
+    for key, value in option_values(Scene, wishes, spell).items():
         table, _, name = key.partition(".")
         found.setdefault(table, {})[name] = value
     return found
 
 
-def spelled(asked: Mapping[str, Mapping[str, object]], spell: Spell = str) -> dict[str, str]:
+def option_names(asked: Mapping[str, Mapping[str, object]], spell: Spell = str) -> dict[str, str]:
     """How the user wrote the keys of `tables`, for the sentences of `load_scene`."""
-    known = {key: spell(offer.name) for offer in offers(Scene).values() for key in offer.fields}
+    known = {key: spell(offer.name) for offer in option_specs(Scene).values() for key in offer.fields}
     known |= {"part.path": "the part", "part.name": "the part"}
     given = (f"{table}.{key}" for table, keys in asked.items() for key in keys)
     return {key: known[key] for key in given if key in known}
 
 
-def scene_of(
+def scene_from_options(
     path: Path | None,
     wishes: Mapping[str, object],
     part: str | Path | None = None,
@@ -145,8 +145,8 @@ def scene_of(
         FileError: as `tables`.
         SceneError: with every problem on a line of its own; one of a wish names it as its user wrote it.
     """
-    asked = tables(wishes, part, spell)
-    return load_scene(path, asked, spelled(asked, spell))
+    asked = option_tables(wishes, part, spell)
+    return load_scene(path, asked, option_names(asked, spell))
 
 
 def _part(name_or_path: str) -> dict[str, object]:

@@ -601,7 +601,7 @@ _SELECTORS = ("faces", "kind", "diameter_below_mm", "diameter_above_mm", "box_mm
 _REGION_TARGETS = ("coverage", "max_sigma_mm", "max_spacing_mm", "views", "weight")
 
 
-class RegionWishes(Table):
+class RegionTargets(Table):
     """What is asked of a region; None takes what the plan asks."""
 
     name: Annotated[str, Field(min_length=1, max_length=60, description="of its own")]
@@ -620,7 +620,7 @@ class RegionWishes(Table):
         return self.care == "yes"
 
 
-class Region(RegionWishes):
+class Region(RegionTargets):
     """A region as the scene file describes it; what it selects by must all hold."""
 
     faces: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(strict=False, min_length=1)] | None = None
@@ -713,7 +713,7 @@ def beside_plan(regions: Sequence[Region], plan: PlanSettings) -> str:
     return ""
 
 
-def require_no_wishes(regions: Sequence[Region]) -> None:
+def require_no_region_targets(regions: Sequence[Region]) -> None:
     """Refuse regions that ask for more than to be cared for, or not: studies know no more.
 
     Raises:
@@ -728,7 +728,7 @@ def require_no_wishes(regions: Sequence[Region]) -> None:
                 )
 
 
-def complete(regions: Sequence[Region]) -> tuple[Region, ...]:
+def with_rest(regions: Sequence[Region]) -> tuple[Region, ...]:
     """The regions with the rest, where none of them is that; none where the scene has none."""
     rest = () if not regions or not regions[-1].selects else (Region(name=REST),)
     return (*regions, *rest)

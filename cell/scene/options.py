@@ -76,7 +76,7 @@ class Kind:
 
 
 @dataclass(frozen=True, slots=True)
-class Offer:
+class OptionSpec:
     """An option and the fields that it fills, by their keys ("plan.faces"), in order."""
 
     name: str
@@ -131,17 +131,17 @@ def flag(name: str) -> str:
 
 
 @cache
-def offers(model: type[BaseModel], *names: str) -> Mapping[str, Offer]:
+def option_specs(model: type[BaseModel], *names: str) -> Mapping[str, OptionSpec]:
     """What the fields of a model, and of the tables in it, offer by name: all of it, or only those named."""
-    found: dict[str, Offer] = {}
+    found: dict[str, OptionSpec] = {}
     for key, field, option in _offered(model):
         name = option.name or _UNIT.sub("", key.rpartition(".")[2])
         earlier = found[name].fields if name in found else {}
-        found[name] = Offer(name, option, {**earlier, key: field})
+        found[name] = OptionSpec(name, option, {**earlier, key: field})
     return {name: found[name] for name in names or found}
 
 
-def read(model: type[Model], wishes: Mapping[str, object], spell: Spell = str) -> Model:
+def parse_options(model: type[Model], wishes: Mapping[str, object], spell: Spell = str) -> Model:
     """A model of wishes; fields that nobody wishes keep their defaults.
 
     Args:
@@ -152,21 +152,21 @@ def read(model: type[Model], wishes: Mapping[str, object], spell: Spell = str) -
     Raises:
         UsageError: if a name is unknown or a value cannot be.
     """
-    filled = values(model, wishes, spell)
+    filled = option_values(model, wishes, spell)
     try:
         return model.model_validate(filled)
     except ValidationError as error:
-        names = {key: spell(offer.name) for offer in offers(model).values() for key in offer.fields}
+        names = {key: spell(offer.name) for offer in option_specs(model).values() for key in offer.fields}
         raise UsageError("; ".join(error_messages(error, model, names))) from error
 
 
-def values(model: type[BaseModel], wishes: Mapping[str, object], spell: Spell = str) -> dict[str, object]:
+def option_values(model: type[BaseModel], wishes: Mapping[str, object], spell: Spell = str) -> dict[str, object]:
     """Values of a model's fields by key, as `read`; the model has not checked them.
 
     Raises:
         UsageError: if a name is unknown, or a text is not what its field can be made of.
     """
-    known, filled = offers(model), dict[str, object]()
+    known, filled = option_specs(model), dict[str, object]()
     for name, wish in wishes.items():
         if name not in known:
             hint = did_you_mean(name, list(known))
@@ -213,7 +213,7 @@ def _limits(metadata: Sequence[object]) -> str:
     return f"at least {low}" if "ge" in found else low
 
 
-def _filled(offer: Offer, wish: object) -> dict[str, object]:
+def _filled(offer: OptionSpec, wish: object) -> dict[str, object]:
     """Values by key of one wish; ValueError, TypeError or LookupError where it has not the option's form."""
     value: Any = wish.tolist() if hasattr(wish, "tolist") else wish  # numpy's arrays and numbers
     option, kinds, keys = offer.option, offer.kinds, list(offer.fields)
@@ -240,7 +240,7 @@ def _filled(offer: Offer, wish: object) -> dict[str, object]:
     return filled
 
 
-def _parsed(offer: Offer, text: str) -> Any:
+def _parsed(offer: OptionSpec, text: str) -> Any:
     """What Python would give in place of a text."""
     kind, option = offer.kind, offer.option
     if offer.by_unit:
@@ -256,7 +256,7 @@ def _parsed(offer: Offer, text: str) -> Any:
     return kind.base(text)
 
 
-def _refusal(offer: Offer, wish: object, name: str) -> str:
+def _refusal(offer: OptionSpec, wish: object, name: str) -> str:
     """The sentence for a value that has not the option's form."""
     option, whole = offer.option, "whole numbers" if offer.kind.base is int else "numbers"
     form = option.form or (f"{whole} separated by commas" if offer.kind.length else f"a {whole[:-1]}")

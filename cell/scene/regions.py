@@ -16,7 +16,7 @@ from cell.part import painted
 from cell.part.cad import CadModel
 from cell.part.formats import units_of
 from cell.part.workpiece import UNITS, Workpiece
-from cell.scene.model import Region, RegionWishes, Scene, complete
+from cell.scene.model import Region, RegionTargets, Scene, with_rest
 from planner.geometry.closest import closest_facing_faces
 from planner.geometry.decimation import split_long_edges
 from planner.geometry.mesh import TriangleMesh, cut_at_plane, faces_in_box
@@ -37,7 +37,7 @@ def with_regions(part: Workpiece, scene: Scene) -> Workpiece:
     """
     if not scene.region or part.reference.region is not None:
         return part
-    regions = complete(scene.region)
+    regions = with_rest(scene.region)
     part = _cut(part, regions)
     number = np.full(len(part.reference.faces), len(regions), dtype=np.int32)
     free = np.ones(len(number), dtype=np.bool_)
@@ -52,11 +52,11 @@ def with_regions(part: Workpiece, scene: Scene) -> Workpiece:
     return replace(part, reference=replace(part.reference, region=number))
 
 
-def areas_of(part: Workpiece, scene: Scene) -> dict[str, float]:
+def region_areas(part: Workpiece, scene: Scene) -> dict[str, float]:
     """Area [mm^2] of each region that somebody cares for, by name; the rest only where there is any."""
     if (number := part.reference.region) is None:
         return {}
-    regions = complete(scene.region)
+    regions = with_rest(scene.region)
     areas = 1e6 * np.bincount(number[number >= 0], part.reference.areas[number >= 0], len(regions))
     return {region.name: round(float(area), 3) for region, area in zip(regions, areas, strict=True) if area > 0}
 
@@ -150,7 +150,7 @@ def _nothing(region: Region, part: Workpiece, free: Bools) -> str:
     return f"the region '{region.name}' is empty: {why}; the part reaches from {bounds} mm (lowest, highest corner)"
 
 
-def limited(scanner: Scanner, max_sigma_mm: float | None, regions: Sequence[RegionWishes]) -> Scanner:
+def with_limits(scanner: Scanner, max_sigma_mm: float | None, regions: Sequence[RegionTargets]) -> Scanner:
     """The scanner's law with the limits that a plan sets: its own on sigma, and those of its regions by their numbers.
 
     Raises:

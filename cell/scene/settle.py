@@ -96,7 +96,7 @@ def settle(scene: Scene, part: Workpiece) -> SettledScene:
     settings = resolve(scene, part)
     scanner = scanners.make(scene.scanner.type, settings.scanner)
     require_attainable(scene, scanner)
-    settings = replace(settings, scanner=scanners.settled(settings.scanner, scanner))
+    settings = replace(settings, scanner=scanners.with_own_parameters(settings.scanner, scanner))
     return SettledScene(scene, part, settings, scanner, scanners.baseline_mm(settings.scanner, scanner))
 
 

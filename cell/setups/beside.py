@@ -6,7 +6,7 @@ from pathlib import Path
 from cell.errors import UsageError
 from cell.runs.cell import scene_of_run
 from cell.runs.run import Run
-from cell.scene.file import scene_of, spelled, tables
+from cell.scene.file import option_names, option_tables, scene_from_options
 from cell.scene.model import Scene
 from cell.scene.options import Spell
 
@@ -25,7 +25,7 @@ def scene_beside(
     Args:
         run: a finished plan.
         path: scene file with the cell of this set-up; None takes the run's cell.
-        wishes: by the names of `cell.scene.options.offers(Scene)`.
+        wishes: by the names of `cell.scene.options.option_specs(Scene)`.
         part: must be None: the part is the run's.
         spell: how the user writes the name of a wish.
 
@@ -35,8 +35,8 @@ def scene_beside(
     """
     if part is not None:
         raise UsageError(f"{part} beside {spell('open_of')}: the part is that of {run.folder}; leave it out")
-    asked = tables(wishes, spell=spell)
-    names = spelled(asked, spell)
+    asked = option_tables(wishes, spell=spell)
+    names = option_names(asked, spell)
     given = [f"{table}.{key}" for table, keys in asked.items() for key in keys]
     if run.has("report.json") and run.report.settings.fill != "aimed":
         raise UsageError(
@@ -52,7 +52,7 @@ def scene_beside(
     if then.region:
         raise UsageError(f"{run.folder} has regions, which further set-ups do not know yet; plan it without them")
     if path is not None:
-        scene = scene_of(path, wishes, spell=spell)
+        scene = scene_from_options(path, wishes, spell=spell)
         own = {key: getattr(then.plan, key) for key in _SAMPLES}
         return scene.model_copy(update={"plan": scene.plan.model_copy(update=own)})
     if "placement" not in asked:
@@ -60,7 +60,7 @@ def scene_beside(
             f"{spell('open_of')} needs another pose of the part: give {spell('place')} x,y,z,A,B,C (cell why RUN "
             "--advise says what poses would add), or a scene file"
         )
-    checked = scene_of(None, wishes, spell=spell)
+    checked = scene_from_options(None, wishes, spell=spell)
     own = asked.get("plan", {})
     plan = {key: getattr(checked.plan, key) for key in own} | {"pinned": (), "banned": ()}
     if "coverage" in own:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cell.world.occluders import Occluder, caster_of
+from cell.world.occluders import Occluder, make_caster
 from cell.world.solids import FLUSH
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
@@ -25,7 +25,7 @@ def touching(samples: SurfaceSamples, supports: Sequence[Occluder]) -> Bools:
         supports: post, floor, pedestal and fixtures, object frame.
     """
     outward = np.concatenate([TriangleMesh(piece.vertices, piece.faces).normals for piece in supports])
-    hits = caster_of(supports).first_hit(samples.points - 2 * FLUSH * samples.normals, samples.normals)
+    hits = make_caster(supports).first_hit(samples.points - 2 * FLUSH * samples.normals, samples.normals)
     faces = np.einsum("ij,ij->i", outward[hits.face], samples.normals) < 0
     touched: Bools = (hits.face >= 0) & (hits.distance <= CONTACT + 2 * FLUSH) & faces
     return touched

@@ -15,11 +15,11 @@ from cell.scene.model import Scene
 from cell.setups.contact import touching
 from cell.setups.growing import with_grown
 from cell.setups.offered import Offer
-from cell.world.checks import impossible
+from cell.world.checks import find_problems
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.measurability import PartSurface
 from cell.world.model import World, compile_world
-from cell.world.occluders import Occluder, occluder_triangles
+from cell.world.occluders import Occluder, fixed_occluders
 from cell.world.prediction import Prediction
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
@@ -151,7 +151,7 @@ def measured_setup(
         world = replace(
             world, scene=world.scene.model_copy(update={"placement": offer.placement}), T_base_object=T_base_object
         )
-    if problems := impossible(world):
+    if problems := find_problems(world):
         return problems[0]
     job = replace(job, scene=scene)
     cell = Cell(world, MujocoCollisionChecker(world), world.kinematics)
@@ -160,12 +160,12 @@ def measured_setup(
         usable = np.flatnonzero(reached.reachable)
         if not len(usable):
             return "the arm reaches no candidate"
-        casters, supports = steps.casters_of(surface, cell), occluder_triangles(world)
+        casters, supports = steps.casters_of(surface, cell), fixed_occluders(world)
         M, scanner = steps.columns(
             session, job, surface, casters, pick_viewpoints(candidates, usable), progress, may_be_empty=True
         )
         M = spread_measurability(_without(M, touching(surface.samples, supports)), usable, len(candidates))
-        known = Measured(scanners.swept(job.scanner, candidates), reached, M, scanner, casters)
+        known = Measured(scanners.sweep_columns(job.scanner, candidates), reached, M, scanner, casters)
         prediction = steps.predicted(session, surface, known, progress)
         return Setup(job, cell, known, prediction, supports, touching(prediction.samples, supports))
 

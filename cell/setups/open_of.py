@@ -31,7 +31,7 @@ from cell.setups.contact import touching
 from cell.setups.earlier import EarlierSetup, measured_by, require_one_part
 from cell.setups.growing import with_grown
 from cell.world.measurability import PartSurface
-from cell.world.occluders import Occluder, occluder_triangles
+from cell.world.occluders import Occluder, fixed_occluders
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.kinematics.reach import Reach
 from planner.values import Bools
@@ -92,7 +92,7 @@ def _steps(setups: Sequence[EarlierSetup], session: PlanSession, job: Job) -> in
     cell = steps.compile_cell(session, job, surface)
     _require_another(setups, cell)
     session.plots.cell_ready(session.folder.path)
-    left = _Open(setups, occluder_triangles(cell.world))
+    left = _Open(setups, fixed_occluders(cell.world))
     with session.stage("what is open"):
         rows = left.asks(surface.samples)
         if not rows.any():
@@ -106,7 +106,7 @@ def _steps(setups: Sequence[EarlierSetup], session: PlanSession, job: Job) -> in
     with session.stage("what is open of the held-out samples"):
         samples = prediction.samples
         before, touched = measured_by(setups, samples), touching(samples, left.supports)
-        prediction = replace(prediction, asked=~before & ~touched, asks=left.asks)
+        prediction = replace(prediction, required=~before & ~touched, is_required=left.asks)
     problem = steps.ask(session, job, cell, measured, prediction)
     problem, chosen = steps.connect(session, problem, surface, behind(session, job, cell, surface))
     found = _together(setups, before, touched, problem, chosen)
@@ -140,9 +140,9 @@ def _candidates(
         scouts = draw_samples(surface.reference, surface.planning, growth.N_SCOUTS, session.rng(Stream.SCOUTS))
         scouts = pick_samples(scouts, left.asks(scouts))
         first = left.setups[0]
-        shared, _ = scanners.unswept(first.cell.scanner, first.run.candidates)
+        shared, _ = scanners.viewpoints_of_columns(first.cell.scanner, first.run.candidates)
         candidates, reached = with_grown(job, surface, cell, shared, scouts, progress)
-    plan_files.write_viewpoints(session.folder, scanners.swept(job.scanner, candidates))
+    plan_files.write_viewpoints(session.folder, scanners.sweep_columns(job.scanner, candidates))
     plan_files.write_reach(session.folder, reached)
     require_reachable(job.scene.plan, job.part, reached)
     return candidates, reached

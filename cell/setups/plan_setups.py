@@ -29,7 +29,7 @@ from cell.runs.schema import (
     SetupsRegion,
     ViewsFirst,
 )
-from cell.scene.model import Scene, complete
+from cell.scene.model import Scene, with_rest
 from cell.session import Session, Stream
 from cell.setups.left_open import left_open
 from cell.setups.measured import Setup, compiled_world, measured_setup
@@ -41,7 +41,7 @@ from cell.setups.shared import apart, shared
 from cell.setups.wishes import Asked, require_named
 from cell.words import percent
 from cell.world.embree import EmbreeRayCaster
-from cell.world.measurability import PartSurface, surface_features
+from cell.world.measurability import PartSurface, surface_samples
 from cell.world.model import World
 from planner.cover.grouped import GroupedCover
 from planner.geometry.decimation import decimate
@@ -136,7 +136,7 @@ def _offered(session: PlanSession, job: Job, most: int) -> tuple[PartSurface, li
         reference = job.part.reference
         planning = decimate(reference, job.settings.faces)
         shared = candidates.first(job.scene, job.settings, job.part, planning)
-        features = surface_features(job.scene, reference, planning, session.rng(Stream.MATRIX_SAMPLES))
+        features = surface_samples(job.scene, reference, planning, session.rng(Stream.MATRIX_SAMPLES))
         surface = PartSurface(reference, planning, features, EmbreeRayCaster(reference.vertices, reference.faces))
         scouts = draw_samples(reference, planning, growth.N_SCOUTS, session.rng(Stream.SCOUTS))
         poses = given(job.scene)
@@ -249,7 +249,7 @@ def _file(
 
 def _regions(job: Job, samples: SurfaceSamples, seen: Bools, can: Bools) -> Iterator[SetupsRegion]:
     """What all set-ups measure of each region that counts; nothing where the part has none."""
-    for number, wishes in enumerate(complete(job.scene.region)):
+    for number, wishes in enumerate(with_rest(job.scene.region)):
         own = samples.region == number
         if wishes.cared and np.any(own):
             visible, coverable = float(seen[own].mean()), float(can[own].mean())

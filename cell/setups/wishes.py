@@ -12,7 +12,7 @@ from cell.plan.pose_uncertainty import pose_error
 from cell.plan.region_goals import RegionGoals
 from cell.plan.request import Request
 from cell.plan.steps import PlanSession
-from cell.scene.model import Scene, complete
+from cell.scene.model import Scene, with_rest
 from cell.setups.measured import Setup
 from cell.setups.options import SetupOptions, named
 from planner.cover import CoverProblem
@@ -68,7 +68,7 @@ class Asked:
         Raises:
             UsageError: if set-ups are to have a cost, and regions wishes of their own.
         """
-        goals = RegionGoals.of(complete(scene.region), scene.plan)
+        goals = RegionGoals.of(with_rest(scene.region), scene.plan)
         if own.setup_s is not None and goals is not None and not goals.plain:
             raise UsageError(
                 "seconds for each set-up go without regions that have a coverage, views or weight of their own; leave "

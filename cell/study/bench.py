@@ -15,17 +15,17 @@ from cell import scanners
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import first
-from cell.scene.model import Scene, require_no_wishes
+from cell.scene.model import Scene, require_no_region_targets
 from cell.scene.regions import with_regions
 from cell.scene.settle import Settings, resolve, settle_scene
 from cell.session import Stream, random_stream
 from cell.world import virtual_scan
-from cell.world.checks import require_possible
+from cell.world.checks import require_feasible
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.embree import EmbreeRayCaster
-from cell.world.measurability import PartSurface, part_matrix, surface_features
+from cell.world.measurability import PartSurface, part_matrix, surface_samples
 from cell.world.model import World, compile_world
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner import cover
 from planner.cover import Cover, CoverProblem
 from planner.geometry.decimation import decimate
@@ -78,12 +78,14 @@ class Bench:
     """
 
     def __init__(self, scene: Scene, *, samples: int | None = None) -> None:
-        require_no_wishes(scene.region)
+        require_no_region_targets(scene.region)
         self.part: Workpiece = with_regions(workpiece.load(scene.part.source, scene.part.units), scene)
         self.scene = scene = settle_scene(scene, self.part)
         settings = resolve(scene, self.part)
         self.scanner: Scanner = scanners.make(scene.scanner.type, settings.scanner)
-        self.settings: Settings = replace(settings, scanner=scanners.settled(settings.scanner, self.scanner))
+        self.settings: Settings = replace(
+            settings, scanner=scanners.with_own_parameters(settings.scanner, self.scanner)
+        )
         self._n_samples = samples
         self._some: dict[int, tuple[Viewpoints, Measurability]] = {}
         self._matrices: dict[tuple[str, int, int], tuple[Viewpoints, SurfaceSamples, Measurability]] = {}
@@ -101,19 +103,19 @@ class Bench:
     @cached_property
     def samples(self) -> SurfaceSamples:
         """Held-out samples: no optimiser sees them."""
-        return held_out(self.part.reference, self.planning, self.scene.plan.seed, self._n_samples)
+        return held_out_samples(self.part.reference, self.planning, self.scene.plan.seed, self._n_samples)
 
     @cached_property
     def zone(self) -> Viewpoints:
         """Candidates by the scene's generator and rolls."""
-        return scanners.swept(self.scanner, first(self.scene, self.settings, self.part, self.planning))
+        return scanners.sweep_columns(self.scanner, first(self.scene, self.settings, self.part, self.planning))
 
     @cached_property
     def sphere(self) -> Viewpoints:
         """Candidates of the view sphere, 15 degrees apart."""
         plan = self.scene.plan.model_copy(update={"candidates": "view-sphere"})
         scene = self.scene.model_copy(update={"plan": plan})
-        return scanners.swept(self.scanner, first(scene, self.settings, self.part, self.planning))
+        return scanners.sweep_columns(self.scanner, first(scene, self.settings, self.part, self.planning))
 
     @cached_property
     def world(self) -> World:
@@ -121,7 +123,7 @@ class Bench:
         baseline = scanners.baseline_mm(self.settings.scanner, self.scanner)
         part = self.part.reference
         world = compile_world(self.scene, part.vertices, part_faces=part.faces, baseline_mm=baseline)
-        require_possible(world)
+        require_feasible(world)
         return world
 
     @cached_property
@@ -136,7 +138,7 @@ class Bench:
             candidates: viewpoints.
             T_base_centre: (4, 4) where the part's centre stands and how it is turned [m].
         """
-        return reach_in(self.world.elsewhere(T_base_centre), candidates)
+        return reach_in(self.world.with_placement(T_base_centre), candidates)
 
     def checker(self, T_base_object: Floats) -> MujocoCollisionChecker:
         """Collisions with the part at a placement (4, 4) [m]."""
@@ -155,7 +157,7 @@ class Bench:
             dense = {"fill": fill, "samples_per_face": density * self.scene.plan.samples_per_face}
             scene = self.scene.model_copy(update={"plan": self.scene.plan.model_copy(update=dense)})
             rng = random_stream(self.scene.plan.seed, Stream.MATRIX_SAMPLES)
-            features = surface_features(scene, self.part.reference, self.planning, rng)
+            features = surface_samples(scene, self.part.reference, self.planning, rng)
             surface = PartSurface(self.part.reference, self.planning, features, self.caster)
             M = part_matrix(scene, self.settings, surface, candidates)
             known = candidates, features, M  # the candidates are kept, so that their id stays theirs

@@ -15,7 +15,7 @@ from cell.study.scenes import bench_of
 from cell.study.trial import JsonTable
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
-from cell.world.occluders import caster_of, occluder_triangles
+from cell.world.occluders import fixed_occluders, make_caster
 from planner import cover
 from planner.kinematics.frames import pose_from_kuka_abc
 from planner.kinematics.reach import Reach, join_reach, pick_reach
@@ -48,7 +48,7 @@ def placement(settings: JsonTable) -> dict[str, object]:
     bench = bench_of(settings)
     place = pose_from_kuka_abc(np.array(settings["position_mm"]) / 1000, np.deg2rad(settings["abc_deg"]))
     try:
-        world = bench.world.elsewhere(place)
+        world = bench.world.with_placement(place)
     except SceneError:  # a table that stands where it stands does not carry the part there
         return {"reachable": 0.0, "coverable": 0.0, "home_free": False}
     candidates, M = bench.some(settings["candidates"])
@@ -61,7 +61,7 @@ def placement(settings: JsonTable) -> dict[str, object]:
     which = np.flatnonzero(allowed)
     if not len(which):
         return values
-    in_the_way = caster_of(occluder_triangles(world))
+    in_the_way = make_caster(fixed_occluders(world))
     M, views = pick_measurability(M, which), pick_viewpoints(candidates, which)
     M = apply_occluders(M, views, bench.scanner, in_the_way, ray_caster=bench.caster)
     reached = pick_reach(reached, which)
@@ -111,7 +111,7 @@ def _grown(
     if not len(found):
         return known
     added = viewpoints_from_poses(found.T_object_scanner, features.points[found.row], features.planning_face[found.row])
-    added = scanners.swept(scanner, added)
+    added = scanners.sweep_columns(scanner, added)
     measured = apply_occluders(
         fill_matrix(added, features, scanner, casters[0]), added, scanner, casters[1], ray_caster=casters[0]
     )  # fmt: skip

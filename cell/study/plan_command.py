@@ -5,14 +5,14 @@ import shlex
 from collections.abc import Mapping
 
 from cell.scene.model import Scene
-from cell.scene.options import flag, offers
+from cell.scene.options import flag, option_specs
 
 
 def options(asked: Mapping[str, Mapping[str, object]]) -> str:
     """Words of `cell plan` for keys of a scene; what only a scene file can say stands behind them as a comment."""
     words: list[str] = []
     only_in_a_file: list[str] = []
-    known = {key: offer for offer in offers(Scene).values() for key in offer.fields}
+    known = {key: offer for offer in option_specs(Scene).values() for key in offer.fields}
     for table, keys in asked.items():
         for key, value in keys.items():
             if (table, key) == ("part", "name"):

@@ -17,7 +17,7 @@ from cell.view import rays
 from cell.view.palette import BLUE, LOOKS, ORANGE, look_of
 from cell.view.pieces import Cell, Piece, placed
 from cell.world.embree import EmbreeRayCaster
-from cell.world.occluders import shape_triangles
+from cell.world.occluders import geom_triangles
 from planner.geometry.mesh import TriangleMesh, concatenate_meshes
 from planner.values import Floats
 
@@ -136,7 +136,7 @@ def draw_robot(model: mujoco.MjModel) -> Image.Image:
     pieces = []
     for geom in range(model.ngeom):
         colour = np.array(LOOKS[look_of(model.geom(geom).name, of_robot=True)])
-        pieces.append(Piece("robot", 0, *shape_triangles(model, data, geom), colour))
+        pieces.append(Piece("robot", 0, *geom_triangles(model, data, geom), colour))
     fit = np.concatenate([piece.vertices for piece in pieces])
     camera = rays.fitted(fit, rays.direction(-60.0, _ABOVE_DEG), (720, 720), parallel=False)
     return rays.render(camera, _Lit(camera.eye, pieces).colour_of)[0]

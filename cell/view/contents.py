@@ -14,14 +14,14 @@ from cell.runs import timeline as timelines
 from cell.runs.cell import RunCell, read_cell
 from cell.runs.run import Execution, RecordedExecution, Run
 from cell.runs.schema import PlanView, Report
-from cell.scene.model import RegionWishes
+from cell.scene.model import RegionTargets
 from cell.view.packed import POINTS, Layer, stepped
 from cell.view.page import Play, Shown, Stage, View, html_of, thinned
 from cell.view.palette import MEASURED, REASONS
 from cell.view.pictures import group_names, group_numbers
 from cell.view.pieces import Cell, beside, cell_of_run
 from cell.view.surface import Canvas, Surface, canvas_of, sides, surface_of
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
@@ -124,7 +124,7 @@ def measured(run: Run, cell: RunCell, poses: Sequence[Floats]) -> tuple[Canvas, 
         cell: its part and surroundings.
         poses: (K, 4, 4) of each view [m], object frame.
     """
-    samples = held_out(cell.reference, cell.planning, run.seed)
+    samples = held_out_samples(cell.reference, cell.planning, run.seed)
     return canvas_of(cell.reference, samples), of_views(cell, samples, poses)
 
 
@@ -135,7 +135,7 @@ def of_views(cell: RunCell, samples: SurfaceSamples, poses: Sequence[Floats]) ->
 
 
 def part_of(
-    canvas: Canvas, surface: Surface, first: Sequence[Layer] = (), regions: Sequence[RegionWishes] | None = None
+    canvas: Canvas, surface: Surface, first: Sequence[Layer] = (), regions: Sequence[RegionTargets] | None = None
 ) -> Shown:
     """The part with its colourings.
 

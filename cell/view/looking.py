@@ -69,7 +69,7 @@ def scene_page(scene: Scene, watched: str = "") -> tuple[Stage, Play]:
     """
     settled, world = settle_and_compile(scene)
     result = check_cell(settled, world)
-    keys = ScannerKeys(**scanners.described(scene.scanner.type, settled.scanner))
+    keys = ScannerKeys(**scanners.describe(scene.scanner.type, settled.scanner))
     cell = cell_of_world(world, keys)
     stage = Stage(
         f"Cell with {settled.part.name}", cell, [Shown("part", thinned(settled.part.reference))], watched=watched

@@ -19,7 +19,7 @@ from cell.runs.schema import ResolvedScene, ScannerKeys
 from cell.view.palette import LOOKS, Look, look_of
 from cell.view.rays import frustum
 from cell.world.model import World
-from cell.world.occluders import shape_triangles, standing_triangles
+from cell.world.occluders import geom_triangles, occluders_of_model
 from cell.world.shapes import quaternion
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import ARM_AXES
@@ -203,7 +203,7 @@ def _cell(
     pieces, table = [], 0 if T_base_table is None else len(names)
     turned = {model.body(name).id for name in ("object", "post")}
     T_turns_base: Floats = np.linalg.inv(np.eye(4) if T_base_table is None else T_base_table).astype(np.float64)
-    for occluder in standing_triangles(data, T_base_object, meshes, ()):
+    for occluder in occluders_of_model(data, T_base_object, meshes, ()):
         link = table if int(model.geom(occluder.name).bodyid[0]) in turned else 0
         T = T_turns_base @ T_base_object if link else T_base_object
         vertices = occluder.vertices @ T[:3, :3].T + T[:3, 3]
@@ -215,7 +215,7 @@ def _cell(
             continue
         link = names.index(body) if body in names else names.index("link_6")
         T = np.linalg.inv(links[link])
-        vertices, faces = shape_triangles(model, data, geom)
+        vertices, faces = geom_triangles(model, data, geom)
         look = look_of(model.geom(geom).name, of_robot=body in names)
         name = "robot" if body in names else "scanner"
         pieces.append(Piece(name, link, vertices @ T[:3, :3].T + T[:3, 3], faces, _rgb(look)))

@@ -19,8 +19,8 @@ from cell.session import ProgressReporter, Stream, default_effort, random_stream
 from cell.why.turns import TURNS, carried, place_of, turned
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
-from cell.world.occluders import caster_of, occluder_triangles
-from cell.world.prediction import held_out
+from cell.world.occluders import fixed_occluders, make_caster
+from cell.world.prediction import held_out_samples
 from planner.geometry.sampling import SurfaceSamples, pick_samples
 from planner.measurability.visibility import find_measured
 from planner.values import Floats, Ints
@@ -62,7 +62,7 @@ def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
     with reporter.stage("read the run"):
         cell, plan = read_cell(run), run.plan
         world = world_of(run, cell.reference)
-        samples = held_out(cell.reference, cell.planning, run.seed)
+        samples = held_out_samples(cell.reference, cell.planning, run.seed)
         views = run.candidates.T_object_scanner[[view.id for view in plan.views]]
         seen = find_measured(views, samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
     rng = random_stream(run.seed, Stream.ADVICE_SAMPLES)
@@ -71,7 +71,7 @@ def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
     def arm(there: World | None) -> ViewEvaluator | None:
         if there is None or not (checker := MujocoCollisionChecker(there)).free(there.home[None])[0]:
             return None
-        casters = (cell.part_caster, caster_of(occluder_triangles(there)))
+        casters = (cell.part_caster, make_caster(fixed_occluders(there)))
         return arm_of(there, there.kinematics, checker, cell.scanner, casters)
 
     found: list[Advice] = []

@@ -18,7 +18,7 @@ from cell.why.scanner_changes import ScannerChanges, round_mm
 from cell.why.turns import place_of, turned
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
-from cell.world.occluders import caster_of, occluder_triangles
+from cell.world.occluders import fixed_occluders, make_caster
 from planner.kinematics import reach
 from planner.ports import RayCaster
 from planner.values import Floats, Ints
@@ -147,7 +147,7 @@ class Changes:
         """The candidates in another cell."""
         return WhatIf(
             kind, change, sentence, setting, self.candidates.T_object_scanner[_reach(self.candidates, world)],
-            self.cell.scanner, (self.cell.part_caster, caster_of(occluder_triangles(world))),
+            self.cell.scanner, (self.cell.part_caster, make_caster(fixed_occluders(world))),
         )  # fmt: skip
 
     def _reached(self, kind: Kind, change: float, sentence: str, setting: str, made: Viewpoints) -> WhatIf:

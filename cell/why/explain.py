@@ -26,7 +26,7 @@ from cell.why.changes import Changes
 from cell.why.groups import grouped
 from cell.why.search import search
 from cell.world.embree import EmbreeRayCaster
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import why
@@ -78,7 +78,7 @@ def answer_of(run: Run, reporter: ProgressReporter, count: int) -> Answer:
             reporter.note(sentence)
         scanner, part_caster, occluder_caster = cell.scanner, cell.part_caster, cell.occluder_caster
     with reporter.stage("what stays open"):
-        samples = held_out(cell.reference, cell.planning, run.seed, count)
+        samples = held_out_samples(cell.reference, cell.planning, run.seed, count)
         targets = RayTargets.of(samples.points, samples.normals, samples.region)
         views = candidates.T_object_scanner[[view.id for view in plan.views]]
         surface = of_views(cell, samples, list(views))

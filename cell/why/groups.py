@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from cell.runs.schema import ScannerKeys
-from cell.scene.model import RegionWishes
+from cell.scene.model import RegionTargets
 from cell.why.answer import Group, Patch
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
@@ -16,7 +16,7 @@ from planner.why.why import Diagnosis
 
 def grouped(
     samples: SurfaceSamples, rows: Ints, diagnosis: Diagnosis, what: Sequence[str], planning: TriangleMesh,
-    keys: ScannerKeys, regions: Sequence[RegionWishes],
+    keys: ScannerKeys, regions: Sequence[RegionTargets],
 ) -> list[Group]:  # fmt: skip
     """The open samples by what they stay open for, the largest group first.
 
@@ -67,7 +67,7 @@ def _patches(rows: Ints, samples: SurfaceSamples, adjacent: Ints, faces: int) ->
     return sorted(pieces, key=lambda piece: (-float(samples.areas[piece].sum()), int(piece[0])))
 
 
-def _in_regions(samples: SurfaceSamples, rows: Ints, regions: Sequence[RegionWishes]) -> str:
+def _in_regions(samples: SurfaceSamples, rows: Ints, regions: Sequence[RegionTargets]) -> str:
     """In which regions open samples lie, the one with the largest share first; "" where the part has none."""
     if samples.region is None:
         return ""

@@ -7,7 +7,7 @@ import numpy as np
 
 from cell import scanners
 from cell.runs.cell import RunCell
-from cell.scene.regions import limited
+from cell.scene.regions import with_limits
 from planner.measurability.quality import LimitedScanner
 from planner.ports import RayCaster, Scanner
 from planner.values import Floats
@@ -130,7 +130,7 @@ class ScannerChanges:
         """Another value of one of the scanner's keys, the same reachable candidates."""
         keys = self.cell.scanner_keys
         scanner: Scanner = scanners.load(keys.type)(**{**keys.own, key: value})
-        scanner = limited(scanner, self.max_sigma_mm, self.cell.scene.regions or ())
+        scanner = with_limits(scanner, self.max_sigma_mm, self.cell.scene.regions or ())
         numbers = f"{value:g}" if isinstance(value, float) else f"[{value[0]:g}, {value[1]:g}]"
         setting = option or f"scanner.{key} = {numbers}"
         return WhatIf(kind, change, sentence, setting, self.T_object_scanner, scanner, self.casters)

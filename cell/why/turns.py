@@ -32,7 +32,7 @@ def turned(world: World) -> Iterator[tuple[str, float, Floats, World]]:
 def carried(world: World, T_base_centre: Floats) -> World | None:
     """The cell with the part's centre at a pose (4, 4) [m]; None where a rotary table cannot carry it there."""
     try:
-        return world.elsewhere(T_base_centre)
+        return world.with_placement(T_base_centre)
     except SceneError:
         return None
 

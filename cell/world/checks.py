@@ -29,16 +29,25 @@ from cell.part.workpiece import size_findings
 from cell.robot.arm import wrist_in_flange, wrist_positions
 from cell.robot.model import AXES, model_warnings
 from cell.scene.model import MeshFixture, Scene
-from cell.scene.regions import areas_of, with_regions
+from cell.scene.regions import region_areas, with_regions
 from cell.scene.settle import SettledScene, settle
 from cell.words import listed
 from cell.world import shapes as cell_shapes
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World, compile_settled
-from cell.world.occluders import Occluder, caster_of, floor_square, shape_triangles
+from cell.world.occluders import Occluder, floor_triangles, geom_triangles, make_caster
 from cell.world.shapes import TABLE
-from cell.world.solids import OWN, Solid, arm, inside, robot, standing, touches, way_out
+from cell.world.solids import (
+    BUILT_IN_OBSTACLES,
+    Solid,
+    cell_solids,
+    minimum_translation,
+    penetrates,
+    robot_bodies,
+    robot_solid,
+    touches,
+)
 from planner.geometry.mesh import concatenate_meshes
 from planner.path import indexed
 from planner.ports import ARM_AXES
@@ -51,36 +60,38 @@ if TYPE_CHECKING:
 _ROUNDING = 0.02  # of a tenth of a millimetre: what a sum of coordinates is off is no reason to go a tenth farther
 
 
-def called(world: World, name: str) -> str:
+def display_name(world: World, name: str) -> str:
     """A piece of the cell as a sentence names it."""
-    if name in arm(world):
+    if name in robot_bodies(world):
         return f"the {name}" if name in ("housing", "bracket") else f"the robot's {name}"
-    return f"the {name}" if name in ("part", TABLE, *OWN) else f"the fixture '{name}'"
+    return f"the {name}" if name in ("part", TABLE, *BUILT_IN_OBSTACLES) else f"the fixture '{name}'"
 
 
-def move(world: World, name: str, way: Floats) -> str:
+def move_object(world: World, name: str, way: Floats) -> str:
     """What to type so that part, post or a fixture goes a way (3,) [m], base frame."""
     length = float(np.linalg.norm(way))
     tenths = np.ceil(length * 1e4 - _ROUNDING) / 1e4
     way = way * (tenths / length) if length > 0 else way
     if name in ("part", "post"):
-        return moved("placement.position_mm", (world.T_base_object @ world.T_object_centre)[:3, 3], way)
+        return move_key("placement.position_mm", (world.T_base_object @ world.T_object_centre)[:3, 3], way)
     if name == TABLE and world.table is not None:
-        return moved("table.position_mm", world.table.T_base_table[:3, 3], way)
+        return move_key("table.position_mm", world.table.T_base_table[:3, 3], way)
     fixtures = world.scene.fixtures
     index = [fixture.name for fixture in fixtures].index(name)
     if fixtures[index].attached_to == "object":
         way = world.T_base_object[:3, :3].T @ way
-    return moved(f"fixtures[{index}].position_mm", fixtures[index].T[:3, 3], way)
+    return move_key(f"fixtures[{index}].position_mm", fixtures[index].T[:3, 3], way)
 
 
-def moved(key: str, now: Floats, way: Floats) -> str:
+def move_key(key: str, now: Floats, way: Floats) -> str:
     """A key of the scene file that holds a position (3,) [m], and what it becomes."""
     step = np.round(1000 * way, 2) + 0.0  # + 0.0 turns -0 into 0
     return f"move {key} by {_triple(step)} mm, to {_triple(np.round(1000 * now, 3) + step)}"
 
 
-def stands_inside(world: World, one: Solid, other: Solid, *, way: Floats | None = None, at_home: bool = False) -> str:
+def penetration_message(
+    world: World, one: Solid, other: Solid, *, way: Floats | None = None, at_home: bool = False
+) -> str:
     """A sentence about something that can be moved and stands inside something else.
 
     Args:
@@ -90,13 +101,11 @@ def stands_inside(world: World, one: Solid, other: Solid, *, way: Floats | None 
         way: (3,) the way out where it is not that out of `other` alone [m].
         at_home: whether the other is there because the robot is at home.
     """
-    out = way_out(one, other)
+    out = minimum_translation(one, other)
     depth = 1000 * float(np.linalg.norm(out))
-    cure = move(world, one.name, out if way is None else way)
+    cure = move_object(world, one.name, out if way is None else way)
     also, place = (" or change robot.home_deg", " at home") if at_home else ("", "")
-    return (
-        f"{called(world, one.name)} stands inside {called(world, other.name)}{place}, {depth:.1f} mm deep; {cure}{also}"
-    )
+    return f"{display_name(world, one.name)} stands inside {display_name(world, other.name)}{place}, {depth:.1f} mm deep; {cure}{also}"
 
 
 def _triple(values: Floats) -> str:
@@ -110,13 +119,13 @@ _BEHIND = ("link_6", "bracket")  # what the housing is bolted to
 _STEPS, _HALVINGS = 24, 12
 
 
-def own_view(world: World) -> list[str]:
+def field_of_view_problems(world: World) -> list[str]:
     """What hides a part of the scanner's own field of view, one sentence each."""
     problems = []
     if share := hidden_share(world):
         problems.append(
             f"the housing hides {100 * share:.0f} % of the scanner's own field of view; its front must lie behind "
-            f"source and sensor: {moved('housing.position_mm', _housing(world)[:3, 3], _way_out(world))}, or "
+            f"source and sensor: {move_key('housing.position_mm', _housing(world)[:3, 3], _way_out(world))}, or "
             "change housing.size_mm or the mount"
         )
     if share := _hidden_by_the_wrist(world):
@@ -186,11 +195,11 @@ def _hidden_by_the_wrist(world: World) -> float:
     found = []
     for geom, name in enumerate(world.entities):
         if name in _BEHIND:
-            vertices, faces = shape_triangles(world.model, data, geom)
+            vertices, faces = geom_triangles(world.model, data, geom)
             found.append(Occluder(name, (vertices - origin) @ R, faces))
     if not found or max(each.vertices[:, 2].max() for each in found) <= _SKIN:
         return 0.0  # all of it is behind source and sensor
-    caster = caster_of(found)
+    caster = make_caster(found)
     starts, ends = _sight(world)
     hidden: NDArray[np.bool_] = np.zeros(len(ends), dtype=bool)
     for start in starts:
@@ -219,23 +228,23 @@ def _hits(start: Floats, ends: Floats, half: Floats) -> "np.ndarray[tuple[int], 
 _STILL = ("base", "pedestal")  # what part and post stand beside without moving
 
 
-def require_possible(world: World) -> None:
+def require_feasible(world: World) -> None:
     """Refuse a scene that cannot be.
 
     Raises:
         SceneError: with every problem on a line of its own.
     """
-    problems = impossible(world)
+    problems = find_problems(world)
     if problems:
         raise SceneError("\n  ".join([problems[0]] if len(problems) == 1 else ["the scene cannot be:", *problems]))
 
 
-def impossible(world: World) -> list[str]:
+def find_problems(world: World) -> list[str]:
     """What is wrong with a compiled scene, one sentence each; empty for a scene that can be."""
-    solids = standing(world)
+    solids = cell_solids(world)
     return [
         *_home_outside_limits(world),
-        *own_view(world),
+        *field_of_view_problems(world),
         *_in_its_own_wrist(world, solids),
         *_part_out_of_room(world),
         *_in_what_stands(world, solids),
@@ -263,12 +272,12 @@ def _in_its_own_wrist(world: World, solids: dict[str, Solid]) -> list[str]:
     in_flange = (last.vertices - flange.xpos) @ R
     in_flange[:, 2] = np.minimum(in_flange[:, 2], 0.0)  # its enclosing shape stands a little above the face
     last = Solid(last.name, in_flange @ R.T + flange.xpos, last.faces, R.T)
-    if not inside(solids["housing"], last):
+    if not penetrates(solids["housing"], last):
         return []
-    way = way_out(solids["housing"], last)
+    way = minimum_translation(solids["housing"], last)
     return [
         f"the housing stands inside the robot's link_6, to which it is bolted, {1000 * np.linalg.norm(way):.1f} mm "
-        f"deep; {moved('mount.position_mm', world.T_flange_scanner[:3, 3], R.T @ way)}"
+        f"deep; {move_key('mount.position_mm', world.T_flange_scanner[:3, 3], R.T @ way)}"
     ]
 
 
@@ -278,7 +287,7 @@ def _part_out_of_room(world: World) -> list[str]:
     if (depth := world.floor - lowest) > 1e-6:
         problems.append(
             f"the part reaches {1000 * depth:.1f} mm below the floor, which is at z = {1000 * world.floor:g} mm; "
-            f"{move(world, 'part', np.array([0.0, 0.0, depth]))}"
+            f"{move_object(world, 'part', np.array([0.0, 0.0, depth]))}"
         )
     if world.table is None and world.scene.post.enabled and lowest - world.floor > cell_shapes.POST_LENGTH:
         problems.append(
@@ -300,32 +309,32 @@ def _in_what_stands(world: World, solids: dict[str, Solid]) -> list[str]:
     for one, other in pairs:
         if one == "post" and other in held:
             continue
-        if one in solids and other in solids and inside(solids[one], solids[other]):
+        if one in solids and other in solids and penetrates(solids[one], solids[other]):
             held |= {other} if one == "part" else set()
             mover = other if one == "part" and other in on_part else one
-            problems.append(stands_inside(world, solids[mover], solids[one if mover == other else other]))
+            problems.append(penetration_message(world, solids[mover], solids[one if mover == other else other]))
     return problems
 
 
 def _in_the_robot(world: World, solids: dict[str, Solid]) -> list[str]:
     """Part, post and fixtures nearer than the clearance to the arm and the scanner at home."""
     data, geoms = world.data(), _geoms(world)
-    moving = [name for name in arm(world) if name in geoms and name != "base"]
+    moving = [name for name in robot_bodies(world) if name in geoms and name != "base"]
     problems = []
     for name in ("part", "post", cell_shapes.TABLE, *(fixture.name for fixture in world.scene.fixtures)):
         gaps = {piece: _gap(world, data, geoms, piece, name) for piece in reversed(moving)} if name in solids else {}
         piece = min(gaps, key=lambda each: gaps[each], default="")
         if not piece or gaps[piece] >= world.clearance - 1e-9:
             continue
-        whole = robot(world, solids)
-        way = way_out(solids[name], whole, world.clearance)
-        if gaps[piece] < 0 or inside(solids[name], solids[piece]):
-            problems.append(stands_inside(world, solids[name], solids[piece], way=way, at_home=True))
+        whole = robot_solid(world, solids)
+        way = minimum_translation(solids[name], whole, world.clearance)
+        if gaps[piece] < 0 or penetrates(solids[name], solids[piece]):
+            problems.append(penetration_message(world, solids[name], solids[piece], way=way, at_home=True))
         else:
             problems.append(
-                f"{called(world, name)} is {1000 * gaps[piece]:.1f} mm from {called(world, piece)} at home, nearer "
+                f"{display_name(world, name)} is {1000 * gaps[piece]:.1f} mm from {display_name(world, piece)} at home, nearer "
                 f"than the clearance of {1000 * world.clearance:g} mm; "
-                f"{move(world, name, way)} or change robot.home_deg"
+                f"{move_object(world, name, way)} or change robot.home_deg"
             )
     return problems
 
@@ -333,7 +342,7 @@ def _in_the_robot(world: World, solids: dict[str, Solid]) -> list[str]:
 def _robot_too_near(world: World) -> list[str]:
     """The robot at home nearer than the clearance to itself, the pedestal or the floor."""
     data, geoms = world.data(), _geoms(world)
-    own = {*arm(world), "pedestal", "floor"}
+    own = {*robot_bodies(world), "pedestal", "floor"}
     guarded = {tuple(sorted((world.entities[a], world.entities[b]))) for a, b in world.pairs}
     problems = []
     for one, other in sorted(guarded):
@@ -383,26 +392,26 @@ def _gap(world: World, data: "mujoco.MjData", geoms: dict[str, list[int]], one: 
     return min(world.distance(data, a, b, reach) for a in geoms[one] for b in geoms[other])
 
 
-TOUCHING = 1e-3
+CONTACT_DISTANCE = 1e-3
 """What comes nearer than this stands on each other [m]: a plan of a cell is hardly more precise."""
 
 _GRID = 64  # vertical rays across the longer side of something ...
 _FINE = 512  # ... where a length is told
 
 
-def doubtful(world: World) -> list[str]:
+def find_warnings(world: World) -> list[str]:
     """What is hardly meant in a compiled scene, one sentence each."""
     fixtures, of_arm = world.scene.fixtures, model_warnings(world.spec)
     of_arm += _stopped_table(world)
     if not fixtures and world.scene.post.enabled:
         return of_arm
-    solids = {name: solid for name, solid in standing(world).items() if name not in arm(world)}
+    solids = {name: solid for name, solid in cell_solids(world).items() if name not in robot_bodies(world)}
     said = [
         finding.sentence
         for fixture in fixtures
         if isinstance(fixture, MeshFixture)
         for finding in size_findings(np.ptp(world.fixture_meshes[fixture.name].vertices, axis=0), fixture.units,
-                                     called(world, fixture.name))
+                                     display_name(world, fixture.name))
     ]  # fmt: skip
     return of_arm + said + _in_each_other(world, solids) + _standing_badly(world, solids)
 
@@ -427,16 +436,16 @@ def _in_each_other(world: World, solids: dict[str, Solid]) -> list[str]:
     said = []
     for number, name in enumerate(names):
         for other in (*names[:number], "pedestal"):
-            if other in solids and inside(solids[name], solids[other]):
-                said.append(stands_inside(world, solids[name], solids[other]))
-        if "post" in solids and inside(solids["post"], solids[name]):
+            if other in solids and penetrates(solids[name], solids[other]):
+                said.append(penetration_message(world, solids[name], solids[other]))
+        if "post" in solids and penetrates(solids["post"], solids[name]):
             said.append(
-                f"the post goes through {called(world, name)}; set post.enabled = false where that carries the part"
+                f"the post goes through {display_name(world, name)}; set post.enabled = false where that carries the part"
             )
-        if (depth := world.floor - float(solids[name].low[2])) > TOUCHING:
+        if (depth := world.floor - float(solids[name].low[2])) > CONTACT_DISTANCE:
             said.append(
-                f"{called(world, name)} reaches {1000 * depth:.1f} mm below the floor; "
-                f"{move(world, name, np.array([0.0, 0.0, depth]))}"
+                f"{display_name(world, name)} reaches {1000 * depth:.1f} mm below the floor; "
+                f"{move_object(world, name, np.array([0.0, 0.0, depth]))}"
             )
     return said
 
@@ -444,13 +453,13 @@ def _in_each_other(world: World, solids: dict[str, Solid]) -> list[str]:
 def _standing_badly(world: World, solids: dict[str, Solid]) -> list[str]:
     """What nothing carries, and what tips."""
     beside = {
-        name: {other for other in solids if other != name and touches(solids[name], solids[other], TOUCHING)}
+        name: {other for other in solids if other != name and touches(solids[name], solids[other], CONTACT_DISTANCE)}
         for name in solids
     }
     if "post" in solids:  # it holds the part, wherever that touches it
         beside["part"].add("post")
         beside["post"].add("part")
-    ground = [name for name in solids if solids[name].low[2] <= world.floor + TOUCHING or name == "pedestal"]
+    ground = [name for name in solids if solids[name].low[2] <= world.floor + CONTACT_DISTANCE or name == "pedestal"]
     carried = _joined(beside, ground, "")
     said, left = [], [name for name in solids if name not in carried]
     while left:
@@ -467,9 +476,9 @@ def _standing_badly(world: World, solids: dict[str, Solid]) -> list[str]:
             way = _Rests(solids[name], below, world.floor, _FINE).tips()
             if way is not None:
                 said.append(
-                    f"the centre of mass of {called(world, name)} is {1000 * float(np.linalg.norm(way)):.1f} mm beside "
-                    f"what it rests on ({', '.join(called(world, each) for each in sorted(rests.on)) or 'the floor'}); "
-                    f"it tips unless it is fastened: {move(world, name, way)}"
+                    f"the centre of mass of {display_name(world, name)} is {1000 * float(np.linalg.norm(way)):.1f} mm beside "
+                    f"what it rests on ({', '.join(display_name(world, each) for each in sorted(rests.on)) or 'the floor'}); "
+                    f"it tips unless it is fastened: {move_object(world, name, way)}"
                 )
     return said
 
@@ -480,11 +489,11 @@ def _in_the_air(world: World, solids: dict[str, Solid], together: set[str]) -> s
     gaps = {name: _Rests(solids[name], others, world.floor, _FINE).gap() for name in solids if name in together}
     name = min(gaps, key=lambda each: gaps[each][0])
     gap, below = gaps[name]
-    rest = [called(world, each) for each in solids if each in together and each != name]
+    rest = [display_name(world, each) for each in solids if each in together and each != name]
     with_it = f" (with {', '.join(rest)})" if rest else ""
     return (
-        f"nothing carries {called(world, name)}{with_it}: it hangs {1000 * gap:.1f} mm above {called(world, below)}; "
-        f"{move(world, name, np.array([0.0, 0.0, -gap]))}"
+        f"nothing carries {display_name(world, name)}{with_it}: it hangs {1000 * gap:.1f} mm above {display_name(world, below)}; "
+        f"{move_object(world, name, np.array([0.0, 0.0, -gap]))}"
     )
 
 
@@ -511,7 +520,7 @@ class _Rests:
 
     def __init__(self, solid: Solid, others: list[Solid], floor: float, grid: int = _GRID) -> None:
         self._solid, self._names = solid, [*(other.name for other in others), "floor"]
-        ground = Solid("floor", *floor_square(floor))
+        ground = Solid("floor", *floor_triangles(floor))
         vertices, faces, self._of_face = concatenate_meshes((each.vertices, each.faces) for each in (*others, ground))
         below = EmbreeRayCaster(vertices, faces)
         size = solid.high - solid.low
@@ -521,8 +530,8 @@ class _Rests:
         under = _down(solid.caster, x.ravel(), y.ravel(), float(solid.low[2]) - self._step, up=True)[0]
         points = np.column_stack([x.ravel(), y.ravel(), under])
         feet = solid.vertices[np.unique(solid.faces)]
-        points = np.concatenate([points[np.isfinite(under)], feet[feet[:, 2] <= solid.low[2] + TOUCHING]])
-        start = points[:, 2] + TOUCHING
+        points = np.concatenate([points[np.isfinite(under)], feet[feet[:, 2] <= solid.low[2] + CONTACT_DISTANCE]])
+        start = points[:, 2] + CONTACT_DISTANCE
         height, face = _down(below, points[:, 0], points[:, 1], start)
         self._points, self._gaps = points, points[:, 2] - height
         self._below = np.where(face >= 0, self._of_face[face], len(self._names) - 1)
@@ -530,7 +539,7 @@ class _Rests:
     @property
     def on(self) -> set[str]:
         """What it touches from above; the floor is not named."""
-        return {self._names[k] for k in np.unique(self._below[self._gaps <= TOUCHING])} - {"floor"}
+        return {self._names[k] for k in np.unique(self._below[self._gaps <= CONTACT_DISTANCE])} - {"floor"}
 
     def gap(self) -> tuple[float, str]:
         """How far it hangs above what is below it [m], and the name of that."""
@@ -539,11 +548,11 @@ class _Rests:
 
     def tips(self) -> Floats | None:
         """(3,) the shortest way [m] that brings the centre of mass above what it rests on; None where it is."""
-        points = self._points[self._gaps <= TOUCHING][:, :2]
+        points = self._points[self._gaps <= CONTACT_DISTANCE][:, :2]
         if not len(points):
             return None
         way = _towards_hull(points, centre_of_mass(self._solid)[:2])
-        return None if np.linalg.norm(way) <= self._step + TOUCHING else np.array([*way, 0.0])
+        return None if np.linalg.norm(way) <= self._step + CONTACT_DISTANCE else np.array([*way, 0.0])
 
 
 def _down(
@@ -729,21 +738,21 @@ def check_cell(settled: SettledScene, world: World) -> CheckResult:
     """Check a compiled scene; `problems` holds what makes it impossible."""
     scene, part, settings = settled.scene, settled.part, settled.settings
     checker = MujocoCollisionChecker(world)
-    contacts = tuple((pair, _mm(distance)) for pair, distance in checker.near(world.home))
+    contacts = tuple((pair, _mm(distance)) for pair, distance in checker.pairs_within_clearance(world.home))
     distance, nearest = checker.distance(world.home[None])
     envelope = _envelope(world)
-    problems = impossible(world)
+    problems = find_problems(world)
     if beyond := _beyond_reach(world, envelope, max(settings.standoffs)):
         problems.append(beyond)
     lower, upper = (np.rad2deg(ends).round(6).tolist() for ends in (world.limits.lower, world.limits.upper))
     standing = {"part", "post", TABLE, "pedestal", "floor", *(fixture.name for fixture in scene.fixtures)}
     return CheckResult(
         problems=tuple(problems),
-        warnings=tuple(doubtful(world)),
+        warnings=tuple(find_warnings(world)),
         findings=tuple(finding.sentence for finding in part.findings),
         part=part.name,
         part_size_mm=_rounded_mm(part.size),
-        regions_mm2=areas_of(part, scene),
+        regions_mm2=region_areas(part, scene),
         placement_mm=_rounded_mm((world.T_base_object @ world.T_object_centre)[:3, 3]),
         home_deg=world.scene.robot.settled_home_deg,
         contacts_at_home=contacts,

@@ -32,7 +32,7 @@ _MOST = 4_000  # configurations looked at in a segment; what is then left open w
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tightest(Value):
+class TightestMoment(Value):
     """The moment of a motion at which two things are nearest.
 
     Attributes:
@@ -56,20 +56,20 @@ class MotionClearance(Value):
 
     Attributes:
         distance: (n,) smallest distance measured in each segment [m], at most `collision.DISTANCE_CAP`.
-        at_least: (n,) what is proven: nothing in the segment is nearer than this [m].
+        lower_bound: (n,) what is proven: nothing in the segment is nearer than this [m].
         between: the pair that is nearest in each segment, "" where everything is farther than the cap.
         tightest: the nearest of all; None where everything is farther than the cap.
         checks: configurations at which distances were measured.
     """
 
     distance: Annotated[Floats, "n"]
-    at_least: Annotated[Floats, "n"]
+    lower_bound: Annotated[Floats, "n"]
     between: Annotated[tuple[str, ...], "n"]
-    tightest: Tightest | None
+    tightest: TightestMoment | None
     checks: int
 
 
-def of_motion(
+def motion_clearance(
     checker: MujocoCollisionChecker,
     via: Floats,
     segment: NDArray[np.integer],
@@ -86,7 +86,7 @@ def of_motion(
         progress: called with (segments done, segments in all).
     """
     count = segments if len(via) else 0
-    distance, at_least, between = np.full(count, DISTANCE_CAP), np.full(count, DISTANCE_CAP), [""] * count
+    distance, lower_bound, between = np.full(count, DISTANCE_CAP), np.full(count, DISTANCE_CAP), [""] * count
     nearest: tuple[float, int, Floats] | None = None
     checks = 0
     for number in range(count):
@@ -97,7 +97,7 @@ def of_motion(
         if not len(rows):
             stands = via[max(0, int(np.searchsorted(segment, number)) - 1)]
             search.look_along(stands, stands)
-        distance[number], at_least[number] = search.best, search.at_least
+        distance[number], lower_bound[number] = search.best, search.lower_bound
         checks += search.checks
         if search.q is not None:
             between[number] = checker.pair_name(search.pair)
@@ -106,16 +106,16 @@ def of_motion(
         if progress is not None:
             progress(number + 1, count)
     tightest = None if nearest is None else tightest_at(checker, nearest[2], nearest[1])
-    return MotionClearance(distance, at_least, tuple(between), tightest, checks)
+    return MotionClearance(distance, lower_bound, tuple(between), tightest, checks)
 
 
-def tightest_at(checker: MujocoCollisionChecker, q: Floats, segment: int = 0) -> Tightest | None:
+def tightest_at(checker: MujocoCollisionChecker, q: Floats, segment: int = 0) -> TightestMoment | None:
     """What is nearest at one configuration (axes,) [rad]; None beyond the cap."""
     pair, distance = checker.nearest(q, DISTANCE_CAP)
     if pair < 0:
         return None
-    points = checker.witness(q, pair)
-    return Tightest(segment, q, distance, checker.pair_name(pair), points)
+    points = checker.nearest_points(q, pair)
+    return TightestMoment(segment, q, distance, checker.pair_name(pair), points)
 
 
 class _Search:
@@ -123,7 +123,7 @@ class _Search:
 
     Attributes:
         best: smallest distance seen [m].
-        at_least: no configuration looked along is nearer [m].
+        lower_bound: no configuration looked along is nearer [m].
         pair: number of the guarded pair that is nearest, -1 before one is seen.
         q: (axes,) configuration at which it is.
         checks: configurations measured.
@@ -131,7 +131,7 @@ class _Search:
 
     def __init__(self, checker: MujocoCollisionChecker) -> None:
         self._checker, self._share = checker, default_effort().clearance_share
-        self.best, self.at_least = DISTANCE_CAP, DISTANCE_CAP
+        self.best, self.lower_bound = DISTANCE_CAP, DISTANCE_CAP
         self.pair = -1
         self.q: Floats | None = None
         self.checks = 0
@@ -145,7 +145,7 @@ class _Search:
         while open_intervals:
             bound, left, right = heapq.heappop(open_intervals)
             if bound >= self.best - max(TOLERANCE, self._share * self.best) or checks >= _MOST:
-                self.at_least = min(self.at_least, bound)
+                self.lower_bound = min(self.lower_bound, bound)
                 break
             checks += 1
             share = (left[0] + right[0]) / 2
@@ -154,7 +154,7 @@ class _Search:
             middle = share, self._measure(q_from + share * (q_to - q_from), reach)
             for one, two in ((left, middle), (middle, right)):
                 heapq.heappush(open_intervals, (_bound(one, two, whole), one, two))
-        self.at_least = min(self.at_least, self.best)
+        self.lower_bound = min(self.lower_bound, self.best)
 
     def _measure(self, q: Floats, reach: float) -> tuple[float, float]:
         """Smallest distance of the pairs with one moving body, and of those with two; `reach` where it is more [m]."""
@@ -177,7 +177,9 @@ def _bound(left: _End, right: _End, whole: float) -> float:
     return min(standing, both)
 
 
-def moment(motion_t: Floats, motion_q: Floats, segment_of_sample: NDArray[np.integer], tightest: Tightest) -> float:
+def time_of_tightest(
+    motion_t: Floats, motion_q: Floats, segment_of_sample: NDArray[np.integer], tightest: TightestMoment
+) -> float:
     """The time of a timed motion at which it comes nearest to a tightest configuration, in its segment [s]."""
     of = np.flatnonzero(segment_of_sample == tightest.segment)
     a = motion_q[of[:-1]]

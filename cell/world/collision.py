@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cell.world.model import World
-from cell.world.table import FreeTurn, Turner
-from cell.world.travel import TravelBound, swing
+from cell.world.table import TableCollision, TablePoses
+from cell.world.travel import TravelBound, table_radius
 from planner.errors import PlannerError
 from planner.ports import ARM_AXES
 from planner.values import Floats, Ints
@@ -48,17 +48,17 @@ class MujocoCollisionChecker:
     def __init__(self, world: World, T_base_object: ArrayLike | None = None) -> None:
         self._world = world
         self._data: mujoco.MjData = world.data(T_base_object)
-        self._grown: mujoco.MjData = world.data(T_base_object, world.grown)
+        self._grown: mujoco.MjData = world.data(T_base_object, world.inflated)
         model = world.model
-        self._travel = TravelBound(model, swing(model, self._data, world.table))
-        self._turner = Turner(self._data, world.table)
+        self._travel = TravelBound(model, table_radius(model, self._data, world.table))
+        self._turner = TablePoses(self._data, world.table)
         self._pairs = world.pairs
         self._radius = model.geom_rbound[self._pairs].sum(axis=1)
         moves = model.body_weldid[model.geom_bodyid] > 0
         mocap = model.body_mocapid[model.body_rootid[model.geom_bodyid]] >= 0
         self._both_move = (moves & ~mocap)[self._pairs].all(axis=1)
         still = world.data(T_base_object)
-        self._turn = FreeTurn(model, still, world.table, self._pairs, world.clearance, world.distance)
+        self._turn = TableCollision(model, still, world.table, self._pairs, world.clearance, world.distance)
         self._on_floor = np.flatnonzero(self._pairs[:, 0] == model.geom("floor").id)  # the only shape without a sphere
 
     @property
@@ -79,7 +79,7 @@ class MujocoCollisionChecker:
 
         q = self._configurations(q)
         angles = self._world.mimic_joints.qpos(q[:, :ARM_AXES])
-        model, data = self._world.grown, self._grown
+        model, data = self._world.inflated, self._grown
         kinematics, collision, qpos = mujoco.mj_kinematics, mujoco.mj_collision, data.qpos
         free, put, turned = np.ones(len(angles), dtype=np.bool_), self._turner.put, self._turner.poses(q)
         for i, configuration in enumerate(angles):
@@ -98,9 +98,9 @@ class MujocoCollisionChecker:
         Args:
             q: (axes,) joint angles [rad], KUKA signs.
         """
-        return tuple(name for name, _ in self.near(q))
+        return tuple(name for name, _ in self.pairs_within_clearance(q))
 
-    def near(self, q: Floats) -> list[tuple[str, float]]:
+    def pairs_within_clearance(self, q: Floats) -> list[tuple[str, float]]:
         """What is nearer than the clearance at one configuration, with its distance, nearest first.
 
         Args:
@@ -179,7 +179,7 @@ class MujocoCollisionChecker:
         """What a reader calls a guarded pair: "housing with part"."""
         return self._world.pair_name(*self._pairs[pair])
 
-    def witness(self, q: Floats, pair: int) -> Floats:
+    def nearest_points(self, q: Floats, pair: int) -> Floats:
         """(2, 3) the nearest points of a guarded pair at one configuration (axes,), as `pair_name` orders them [m]."""
         self._set(self._configurations(np.asarray(q, dtype=np.float64)[None])[0])
         a, b = (int(geom) for geom in self._pairs[pair])
@@ -201,7 +201,7 @@ class MujocoCollisionChecker:
             (N,) length [m], never smaller than the true displacement; see `cell.world.travel`. Longer where two links
             that can touch are guarded by less than the clearance, so that what is certified by it is so for them too.
         """
-        return self._world.finer * self._travel(self._configurations(q_from), self._configurations(q_to))
+        return self._world.refinement * self._travel(self._configurations(q_from), self._configurations(q_to))
 
     def _configurations(self, q: ArrayLike) -> Floats:
         angles, axes = np.asarray(q, dtype=np.float64), len(self._world.home)

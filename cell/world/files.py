@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from cell.robot.model import KR16
 from cell.world.model import World
-from cell.world.robot_spec import place, spec_of
+from cell.world.robot_spec import robot_spec, set_base
 from cell.world.shapes import quaternion
 from planner.ports import ARM_AXES
 
@@ -49,8 +49,8 @@ def write_mjcf(world: World, folder: Path) -> tuple[str, ...]:
     _write(spec, folder / FILE_NAME)
     if world.scene.robot.model == KR16:
         return (FILE_NAME,)
-    alone = spec_of(world.scene.robot)
-    place(alone, np.eye(4))
+    alone = robot_spec(world.scene.robot)
+    set_base(alone, np.eye(4))
     _write(alone, folder / ROBOT)
     return (FILE_NAME, ROBOT)
 

@@ -58,7 +58,7 @@ Hashes = NDArray[np.bytes_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cached:
+class CachedMatrix:
     """What a look into the cache gave: the matrix, or why it was refused.
 
     Attributes:
@@ -71,7 +71,7 @@ class Cached:
     columns: Hashes
     reason: str
 
-    def place_of(self, wanted: Hashes) -> NDArray[np.int64]:
+    def columns_of(self, wanted: Hashes) -> NDArray[np.int64]:
         """(n,) stored column of each wanted hash, -1 where the file does not hold it."""
         if not len(self.columns):
             return np.full(len(wanted), -1, dtype=np.int64)
@@ -160,7 +160,7 @@ def save(path: Path, measurability: Measurability, key: str, columns: Hashes) ->
         ) from error
 
 
-def load(path: Path, key: str) -> Cached:
+def load(path: Path, key: str) -> CachedMatrix:
     """Read a matrix back, if the file holds the one that is asked for.
 
     Args:
@@ -192,23 +192,23 @@ def load(path: Path, key: str) -> Cached:
         if arrays["columns"].shape != (columns,) or arrays["columns"].dtype != np.dtype("S64"):
             return _refused(f"{path} is damaged: its {columns} columns do not have one hash each")
         M = Measurability(arrays["indptr"], arrays["indices"], features, columns)
-        return Cached(M, arrays["columns"], "")
+        return CachedMatrix(M, arrays["columns"], "")
     except Exception as error:  # a damaged zip fails in a dozen ways: BadZipFile, zlib.error, NotImplementedError, ...
         return _refused(f"{path} cannot be read ({type(error).__name__}: {error})")
 
 
-def _refused(reason: str) -> Cached:
-    return Cached(None, np.empty(0, dtype="S64"), reason)
+def _refused(reason: str) -> CachedMatrix:
+    return CachedMatrix(None, np.empty(0, dtype="S64"), reason)
 
 
 CACHE_LIMIT_BYTES = 1_000_000_000
 """Above this the oldest matrices are removed; one of the default plan has some 6 MB."""
 
 
-REGION_ROWS = 400
+MIN_REGION_SAMPLES = 400
 """Rows of the matrix that a region has at least: 0.25 points of its coverage each."""
 
-_KEPT = 4
+_MAX_COLUMN_RATIO = 4
 """A file holds at most this many times the columns that one run asks for; beyond, it is begun anew with these."""
 
 
@@ -234,7 +234,7 @@ class PartSurface:
     caster: RayCaster
 
 
-def surface_features(
+def surface_samples(
     scene: Scene, reference: TriangleMesh, planning: TriangleMesh, rng: np.random.Generator
 ) -> SurfaceSamples:
     """The rows of the matrix: samples of the reference (`aimed`), or one per planning face (`rays`).
@@ -247,7 +247,7 @@ def surface_features(
     if (region := reference.region) is None:
         return draw_samples(reference, planning, count, rng)
     areas = np.bincount(region[region >= 0], weights=reference.areas[region >= 0])
-    each = np.maximum(np.rint(count * areas / reference.areas.sum()), REGION_ROWS).astype(np.int64)
+    each = np.maximum(np.rint(count * areas / reference.areas.sum()), MIN_REGION_SAMPLES).astype(np.int64)
     return join_samples(
         [
             draw_samples(replace(reference, region=np.where(region == k, region, -1)), planning, int(each[k]), rng)
@@ -315,14 +315,14 @@ def part_matrix(
         M = calculated(candidates)
         _keep(path, M, key, hashes, reporter)
         return M
-    place = cached.place_of(hashes)
+    place = cached.columns_of(hashes)
     missing = np.flatnonzero(place < 0)
     if not len(missing):
         return _columns(cached.measurability, place)
     M = join_measurability([cached.measurability, calculated(pick_viewpoints(candidates, missing))])
     place[missing] = cached.measurability.n_viewpoints + np.arange(len(missing))
     wanted = _columns(M, place)
-    if M.n_viewpoints > _KEPT * len(candidates):
+    if M.n_viewpoints > _MAX_COLUMN_RATIO * len(candidates):
         _keep(path, wanted, key, hashes, reporter)
     else:
         _keep(path, M, key, np.concatenate([cached.columns, hashes[missing]]), reporter)
@@ -337,13 +337,13 @@ def _columns(M: Measurability, place: NDArray[np.int64]) -> Measurability:
 def _keep(path: Path, M: Measurability, key: str, columns: Hashes, reporter: ProgressReporter | None) -> None:
     try:
         save(path, M, key, columns)
-        forget_oldest(path.parent, CACHE_LIMIT_BYTES)
+        delete_oldest(path.parent, CACHE_LIMIT_BYTES)
     except FileError as error:
         if reporter is not None:
             reporter.note(f"the matrix is not kept for the next run: {error}")
 
 
-def forget_oldest(folder: Path, limit: int) -> None:
+def delete_oldest(folder: Path, limit: int) -> None:
     """Keep a folder of matrices below a number of bytes: those written longest ago go first, the newest stays.
 
     Args:

@@ -21,9 +21,9 @@ from cell.scene.model import Placement, Scene
 from cell.scene.settle import SettledScene, with_device
 from cell.world import self_collision
 from cell.world import shapes as cell_shapes
-from cell.world.robot_spec import spec_of
-from cell.world.shapes import Shapes, meshes_of
-from cell.world.table import FreeTurn, height_above, on_table, rotary_table
+from cell.world.robot_spec import robot_spec
+from cell.world.shapes import ShapeDistances, meshes_of
+from cell.world.table import TableCollision, height_above_face, kinematics_on_table, place_table
 from planner.geometry.hull import is_convex
 from planner.geometry.mesh import TriangleMesh
 from planner.kinematics.rotary_table import RotaryTable
@@ -46,7 +46,7 @@ class World(Value):
     Attributes:
         scene: what it was made from.
         model: the compiled kinematic model; treat as read-only.
-        grown: the same with every box larger by half the clearance instead of a margin (see `cell.world.collision`).
+        inflated: the same with every box larger by half the clearance instead of a margin (see `cell.world.collision`).
         T_base_object: (4, 4) the scene's placement [m].
         T_object_centre: (4, 4) middle of the part's bounding box, axes parallel to the object's [m].
         T_flange_scanner: (4, 4) the mount [m].
@@ -61,8 +61,8 @@ class World(Value):
         collision: what stands for the part: "hull" or "exact" (its triangles).
         shapes: who measures distances: by the true triangles of the robot's meshes, and of the part and the mesh
             fixtures where the scene's collision is "exact".
-        nearer: pairs of geoms of links that are guarded by less than the clearance, and by how much less [m].
-        finer: by how many times a motion has to be looked at closer, so that none of these pairs touches between two
+        clearance_reduction: pairs of geoms of links that are guarded by less than the clearance, and by how much less [m].
+        refinement: by how many times a motion has to be looked at closer, so that none of these pairs touches between two
             looks.
         followers: joints that the axes drive along.
         fixture_meshes: true triangles of the mesh fixtures by name, in the frame they are attached to [m].
@@ -72,7 +72,7 @@ class World(Value):
 
     scene: Scene
     model: mujoco.MjModel
-    grown: mujoco.MjModel
+    inflated: mujoco.MjModel
     spec: mujoco.MjSpec
     T_base_object: Annotated[Floats, "4 4"]
     T_object_centre: Annotated[Floats, "4 4"]
@@ -86,9 +86,9 @@ class World(Value):
     part_hull: TriangleMesh
     part_mesh: TriangleMesh
     collision: str
-    shapes: Shapes
-    nearer: Mapping[tuple[int, int], float]
-    finer: float
+    shapes: ShapeDistances
+    clearance_reduction: Mapping[tuple[int, int], float]
+    refinement: float
     mimic_joints: robot.MimicJoints
     fixture_meshes: dict[str, TriangleMesh]
     entities: tuple[str, ...]
@@ -102,7 +102,7 @@ class World(Value):
     @property
     def kinematics(self) -> Kinematics:
         """Of the arm; of arm and table as one chain, see `planner.kinematics.rotary_table`."""
-        return on_table(kinematics_of(self.model), self.table, self.home, self.scene.table.angles)
+        return kinematics_on_table(kinematics_of(self.model), self.table, self.home, self.scene.table.angles)
 
     def T_base_part(self, q: Floats) -> Floats:
         """(..., 4, 4) T_base_object [m] at (..., axes) joint angles: the scene's placement, turned by the table."""
@@ -112,19 +112,19 @@ class World(Value):
         """(..., 4, 4) poses in base as the part sees them, turned as the table at (..., axes) joint angles [m, rad]."""
         return T_part if self.table is None else self.table.turn(q[..., ARM_AXES]) @ T_part
 
-    def placed(self, T_base_centre: ArrayLike) -> Floats:
+    def T_base_object_at(self, T_base_centre: ArrayLike) -> Floats:
         """T_base_object (4, 4) that puts the part's centre at `T_base_centre` (4, 4) [m]."""
         T: Floats = readonly("T_base_centre", T_base_centre, (4, 4)) @ np.linalg.inv(self.T_object_centre)
         return T
 
-    def elsewhere(self, T_base_centre: Floats) -> World:
+    def with_placement(self, T_base_centre: Floats) -> World:
         """The cell with the part's centre at a pose (4, 4) [m]; a table without a place of its own goes with the part.
 
         Raises:
             SceneError: if the table cannot carry the part there.
         """
         if self.table is None:
-            return replace(self, T_base_object=self.placed(T_base_centre))
+            return replace(self, T_base_object=self.T_base_object_at(T_base_centre))
         scene, part = self.scene.model_copy(update={"placement": Placement.at(T_base_centre)}), self.part_mesh
         return compile_world(scene, part.vertices, part_faces=part.faces, baseline_mm=1000 * self.baseline)
 
@@ -152,7 +152,7 @@ class World(Value):
 
         Args:
             T_base_object: (4, 4) [m]; None is the scene's placement.
-            model: `grown` for a state of that one.
+            model: `inflated` for a state of that one.
         """
         import mujoco
 
@@ -179,9 +179,9 @@ class World(Value):
         points: Floats | None = None,
     ) -> float:
         """As `Shapes.distance`; of two links that are guarded by less, what they are beyond that, and the clearance."""
-        if not self.nearer:
+        if not self.clearance_reduction:
             return self.shapes.distance(data, a, b, reach, any_nearer=any_nearer, points=points)
-        more = self.nearer.get((a, b), 0.0)
+        more = self.clearance_reduction.get((a, b), 0.0)
         return more + self.shapes.distance(data, a, b, reach - more, any_nearer=any_nearer, points=points)
 
     def pair_name(self, geom_a: int, geom_b: int) -> str:
@@ -219,17 +219,17 @@ def compile_world(
     T_flange_scanner = scene.mount.T
     T_flange_housing = T_flange_scanner @ scene.housing.T_scanner_housing(baseline_mm)
 
-    spec = spec_of(scene.robot)
-    cell_shapes.prepare_robot(spec, on_pedestal=scene.robot.base is None)
+    spec = robot_spec(scene.robot)
+    cell_shapes.set_robot_pairs(spec, on_pedestal=scene.robot.base is None)
     scene = _at_home(scene, spec)
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms}
     cell_shapes.add_tool(spec, scene, T_flange_housing)
     clearance, arm = scene.clearance_mm / 1000.0, _compiled(spec)
     hollow = [name for name, mesh in _links(arm, entities).items() if not is_convex(mesh)]
-    shapes = Shapes(arm, _links(arm, entities), hollow)
-    self_collision.settle_pairs(spec, arm, shapes, clearance, by_hand=scene.robot.model == robot.KR16)
+    shapes = ShapeDistances(arm, _links(arm, entities), hollow)
+    self_collision.exclude_tool_pairs(spec, arm, shapes, clearance, by_hand=scene.robot.model == robot.KR16)
     T_base_object = scene.placement.T @ np.linalg.inv(T_object_centre)
-    table = rotary_table(scene, T_base_object, hull)
+    table = place_table(scene, T_base_object, hull)
     fixture_meshes = _add_what_stands(spec, scene, hull, T_base_object, table)
     for geom in spec.geoms:
         geom.margin = clearance / 2  # MuJoCo 4 adds the two margins of a pair
@@ -247,7 +247,7 @@ def compile_world(
         World(
             scene=scene,
             model=model,
-            grown=_compiled(_grown(spec, clearance / 2)),
+            inflated=_compiled(_inflated(spec, clearance / 2)),
             spec=spec,
             T_base_object=T_base_object,
             T_object_centre=T_object_centre,
@@ -261,13 +261,13 @@ def compile_world(
             part_hull=hull,
             part_mesh=part.get("part", hull),
             collision=scene.plan.collision if part else "hull",
-            shapes=Shapes(model, {**_links(model, entities), **exact}, [*exact, *hollow]),
-            nearer={pair: clearance - keep for pair, keep in near.items()},
-            finer=self_collision.finer(model, clearance, near),
+            shapes=ShapeDistances(model, {**_links(model, entities), **exact}, [*exact, *hollow]),
+            clearance_reduction={pair: clearance - keep for pair, keep in near.items()},
+            refinement=self_collision.motion_refinement(model, clearance, near),
             mimic_joints=robot.MimicJoints.from_model(model),
             fixture_meshes=fixture_meshes,
             entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
-            pairs=self_collision.pairs(model),
+            pairs=self_collision.checked_pairs(model),
         )
     )
 
@@ -282,7 +282,7 @@ def _stopped_by_what_stands(world: World) -> World:
     """The cell with its table limited to where it can turn its part."""
     if (table := world.table) is None:
         return world
-    turn = FreeTurn(world.model, world.data(), table, world.pairs, world.clearance, world.distance)
+    turn = TableCollision(world.model, world.data(), table, world.pairs, world.clearance, world.distance)
     table = turn.within(table, world.home, endless=world.scene.table.limits_deg is None)
     lower, upper = (
         np.append(ends[:ARM_AXES], end)
@@ -317,7 +317,7 @@ def _add_what_stands(
     if table is not None:
         cell_shapes.add_table(spec, scene, table)
     if scene.post.enabled:
-        length = cell_shapes.POST_LENGTH if table is None else height_above(table, T_base_object, hull)
+        length = cell_shapes.POST_LENGTH if table is None else height_above_face(table, T_base_object, hull)
         middle = np.eye(4)
         middle[2, 3] = -length / 2
         cell_shapes.add_cylinder(post_body, "post", scene.post.diameter_mm / 2000.0, length, middle)
@@ -328,7 +328,7 @@ def _add_what_stands(
     fixture_meshes = cell_shapes.add_fixtures(spec, scene, placed_body)
     if table is not None:
         off_axis = np.linalg.norm(table.seen(scene.placement.T[:3, 3])[:2])
-        cell_shapes.guard_what_turns(spec, post_swings=bool(off_axis > ON_AXIS), upright=table.upright)
+        cell_shapes.enable_table_pairs(spec, post_swings=bool(off_axis > ON_AXIS), upright=table.upright)
     return fixture_meshes
 
 
@@ -356,7 +356,7 @@ def _links(model: mujoco.MjModel, of_robot: Collection[str]) -> dict[str, Triang
     return {name: mesh for name, mesh in meshes_of(model).items() if name in of_robot}
 
 
-def _grown(spec: mujoco.MjSpec, by: float) -> mujoco.MjSpec:
+def _inflated(spec: mujoco.MjSpec, by: float) -> mujoco.MjSpec:
     """A copy in which boxes are larger by `by` [m] to every side and have no margin."""
     import mujoco
 

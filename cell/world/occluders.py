@@ -55,7 +55,7 @@ class Occluder(Value):
     faces: Annotated[NDArray[np.int32], "F 3"]
 
 
-def occluder_triangles(world: World, T_base_object: ArrayLike | None = None) -> tuple[Occluder, ...]:
+def fixed_occluders(world: World, T_base_object: ArrayLike | None = None) -> tuple[Occluder, ...]:
     """Post, pedestal, floor and the fixtures that occlude, object frame.
 
     Where a rotary table turns the part, only what turns with it, the table and, where its axis is upright, the floor,
@@ -67,12 +67,12 @@ def occluder_triangles(world: World, T_base_object: ArrayLike | None = None) -> 
     """
     T = world.T_base_object if T_base_object is None else readonly("T_base_object", T_base_object, (4, 4))
     glass = [fixture.name for fixture in world.scene.fixtures if not fixture.occludes]
-    pieces = standing_triangles(world.data(T), T, world.fixture_meshes, glass)
+    pieces = occluders_of_model(world.data(T), T, world.fixture_meshes, glass)
     beside = _beside(world)
     return tuple(piece for piece in pieces if piece.name not in beside)
 
 
-def beside_table(table: RotaryTable | None, fixtures: Iterable[str]) -> set[str]:
+def names_beside_table(table: RotaryTable | None, fixtures: Iterable[str]) -> set[str]:
     """Names of what stands beside a rotary table and looks different from each of its angles: `fixtures` of the base.
 
     The floor looks the same about an axis that is upright.
@@ -83,17 +83,17 @@ def beside_table(table: RotaryTable | None, fixtures: Iterable[str]) -> set[str]
 
 
 def _beside(world: World) -> set[str]:
-    return beside_table(world.table, (each.name for each in world.scene.fixtures if each.attached_to == "base"))
+    return names_beside_table(world.table, (each.name for each in world.scene.fixtures if each.attached_to == "base"))
 
 
-def standing_beside(world: World) -> tuple[Occluder, ...]:
+def occluders_beside_table(world: World) -> tuple[Occluder, ...]:
     """What stands beside a rotary table and hides, base frame: pedestal, the base's fixtures; else nothing."""
     beside = _beside(world)
     if not beside:
         return ()
     glass = [fixture.name for fixture in world.scene.fixtures if not fixture.occludes]
     data = world.data()
-    pieces = standing_triangles(data, world.T_base_object, world.fixture_meshes, glass)
+    pieces = occluders_of_model(data, world.T_base_object, world.fixture_meshes, glass)
     T = world.T_base_object
     return tuple(
         Occluder(piece.name, piece.vertices @ T[:3, :3].T + T[:3, 3], piece.faces)
@@ -102,7 +102,7 @@ def standing_beside(world: World) -> tuple[Occluder, ...]:
     )
 
 
-def standing_triangles(
+def occluders_of_model(
     data: mujoco.MjData, T_base_object: Floats, meshes: Mapping[str, TriangleMesh], glass: Collection[str]
 ) -> tuple[Occluder, ...]:
     """The same of a compiled model, whoever compiled it: everything that is neither robot nor part.
@@ -119,7 +119,7 @@ def standing_triangles(
     pieces: list[tuple[str, Floats, NDArray[np.int32]]] = []
     floor = float(model.geom("floor").pos[2])
     if model.body("post").geomnum[0] and data.body("post").xpos[2] > floor:
-        pieces.append(("post", *post(data, floor)))
+        pieces.append(("post", *post_triangles(data, floor)))
     part = model.body("object").id
     for geom in np.flatnonzero((model.geom_bodyid == 0) | (model.geom_bodyid == part)):
         name = model.geom(geom).name
@@ -132,23 +132,23 @@ def standing_triangles(
         elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
             continue  # the part
         else:
-            vertices, faces = shape_triangles(model, data, int(geom))
+            vertices, faces = geom_triangles(model, data, int(geom))
         pieces.append((name, vertices, faces))
-    pieces.append(("floor", *floor_square(floor)))
+    pieces.append(("floor", *floor_triangles(floor)))
     to_object = np.linalg.inv(T_base_object)
     return tuple(Occluder(name, v @ to_object[:3, :3].T + to_object[:3, 3], faces) for name, v, faces in pieces)
 
 
-def post(data: mujoco.MjData, floor: float, sides: int = _SIDES) -> tuple[Floats, NDArray[np.int32]]:
+def post_triangles(data: mujoco.MjData, floor: float, sides: int = _SIDES) -> tuple[Floats, NDArray[np.int32]]:
     """The post, no longer than to the floor, unlike its collision shape; that of a rotary table ends on it."""
     radius, half = (float(size) for size in data.model.geom("post").size[:2])
     top, R = data.body("post").xpos, data.body("post").xmat.reshape(3, 3)
     length = 2 * half if R[2, 2] <= 0 else min(2 * half, float(top[2] - floor) / float(R[2, 2]))
-    vertices, faces = prism(radius, length, sides)
+    vertices, faces = prism_triangles(radius, length, sides)
     return (vertices - [0.0, 0.0, length / 2]) @ R.T + top, faces
 
 
-def caster_of(pieces: Sequence[Occluder], T: NDArray[np.floating[Any]] | None = None) -> EmbreeRayCaster:
+def make_caster(pieces: Sequence[Occluder], T: NDArray[np.floating[Any]] | None = None) -> EmbreeRayCaster:
     """One ray caster over several pieces, at least one.
 
     Args:
@@ -164,7 +164,7 @@ def caster_of(pieces: Sequence[Occluder], T: NDArray[np.floating[Any]] | None = 
 _NEAR = 1e-4  # around a piece [m]; what is farther away is not on it
 
 
-def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> list[Occluder]:
+def arm_occluders(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> list[Occluder]:
     """The enclosing shapes of base, arm and bracket at one configuration, base frame; of the housing where it can hide.
 
     Args:
@@ -182,7 +182,7 @@ def arm_triangles(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> 
     links = robot.bodies(world.model)
     names = (*links, "bracket") if ends is None else (*links, "bracket", "housing")
     pieces = [
-        Occluder(name, *shape_triangles(world.model, data, geom))
+        Occluder(name, *geom_triangles(world.model, data, geom))
         for geom, name in enumerate(world.entities)
         if name in names
     ]
@@ -207,7 +207,7 @@ def _holds_any(piece: Occluder, points: Floats) -> bool:
     return bool((np.einsum("ij,nij->ni", normals, points[:, None] - a) <= 1e-6).all(axis=1).any())
 
 
-def shape_triangles(
+def geom_triangles(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int, sides: int = _SIDES
 ) -> tuple[Floats, NDArray[np.int32]]:
     """A shape of the model as triangles, base frame; `sides` are those of the prism around a cylinder."""
@@ -218,18 +218,18 @@ def shape_triangles(
         mesh, body = mesh_of(model, geom), int(model.geom_bodyid[geom])
         return mesh.vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body], mesh.faces
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
-        vertices, faces = box(size)
+        vertices, faces = box_triangles(size)
     else:
-        vertices, faces = prism(float(size[0]), 2 * float(size[1]), sides)
+        vertices, faces = prism_triangles(float(size[0]), 2 * float(size[1]), sides)
     return vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom], faces
 
 
-def box(half: Floats) -> tuple[Floats, NDArray[np.int32]]:
+def box_triangles(half: Floats) -> tuple[Floats, NDArray[np.int32]]:
     """A box of half sides (3,) [m], its middle at the origin; faces outward."""
     return _BOX_CORNERS * half, _BOX_FACES
 
 
-def floor_square(height: float) -> tuple[Floats, NDArray[np.int32]]:
+def floor_triangles(height: float) -> tuple[Floats, NDArray[np.int32]]:
     """A large square at a height [m], base frame."""
     square = _FLOOR_HALF * np.array([[-1.0, -1.0, 0.0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     square[:, 2] = height
@@ -237,7 +237,7 @@ def floor_square(height: float) -> tuple[Floats, NDArray[np.int32]]:
 
 
 @lru_cache(maxsize=64)  # the arm's cylinders are asked for at every configuration
-def prism(radius: float, length: float, sides: int = _SIDES) -> tuple[Floats, NDArray[np.int32]]:
+def prism_triangles(radius: float, length: float, sides: int = _SIDES) -> tuple[Floats, NDArray[np.int32]]:
     """A prism around a cylinder along z, its middle at the origin; faces outward. Its arrays are read-only."""
     angles = np.arange(sides) * (2 * np.pi / sides)
     ring = radius / np.cos(np.pi / sides) * np.stack([np.cos(angles), np.sin(angles)], axis=1)

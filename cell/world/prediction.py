@@ -16,7 +16,9 @@ from planner.ports import Progress, RayCaster, Scanner
 from planner.values import Bools, Floats
 
 
-def held_out(reference: TriangleMesh, planning: TriangleMesh, seed: int, count: int | None = None) -> SurfaceSamples:
+def held_out_samples(
+    reference: TriangleMesh, planning: TriangleMesh, seed: int, count: int | None = None
+) -> SurfaceSamples:
     """The samples on which coverage is predicted and achieved, not those that the optimiser sees.
 
     Args:
@@ -47,8 +49,8 @@ class Prediction:
     scanner: Scanner
     casters: Sequence[RayCaster]
     coverable: Coverage
-    asked: Bools | None = None
-    asks: Callable[[SurfaceSamples], Bools] | None = None
+    required: Bools | None = None
+    is_required: Callable[[SurfaceSamples], Bools] | None = None
     remembered: list[VisibilityMemo] = field(default_factory=list)
 
     @classmethod
@@ -93,8 +95,8 @@ class Prediction:
         """
         visible, areas = self.visible(T_object_scanner), self.samples.areas
         can = self.coverable.covered | visible.covered
-        if self.asked is not None:
-            can = can & self.asked
+        if self.required is not None:
+            can = can & self.required
             return float(areas[can & visible.covered].sum() / areas[can].sum()) if can.any() else 1.0
         whole = float(areas[can].sum())
         return visible.area / whole if whole > 0 else 1.0

@@ -16,8 +16,8 @@ from cell.robot.arm import chain_of
 from cell.robot.model import AXES
 from cell.robot.normalise import ACCELERATION_TIME, JERK_TIME
 from cell.words import listed
-from cell.world.robot_spec import JOINED, from_file, in_our_form, stamp
-from cell.world.self_collision import POSES, OwnPairs
+from cell.world.robot_spec import JOINED, is_normalised, load_robot, modification_times
+from cell.world.self_collision import N_POSES, LinkPairs
 from cell.world.shapes import meshes_of
 from planner.errors import PlannerError
 from planner.geometry.distance import is_closed
@@ -109,7 +109,7 @@ class RobotReport:
             ("driven along", ", ".join(self.followers) or "nothing"),
             ("shapes", ", ".join(f"{body} {count}" for body, count in self.shapes.items())),
             ("not closed", ", ".join(self.not_closed) or "none: every mesh has an inside"),
-            ("not guarded", f"{', '.join(self.excused) or 'none'} (touch at each of {POSES} poses), and neighbours"),
+            ("not guarded", f"{', '.join(self.excused) or 'none'} (touch at each of {N_POSES} poses), and neighbours"),
             ("proven apart", apart or "none that come near each other"),
             ("guarded by less", near or "none"),
             ("home", f"{home} ({self.home_is})"),
@@ -136,7 +136,7 @@ def report(
         FileError: if the file or a mesh cannot be read.
         SceneError: if it is no arm that can be planned with.
     """
-    if in_our_form(path):
+    if is_normalised(path):
         raise SceneError(f"{path} is in this program's own form already; cell check says what a scene makes of it")
     folders = packages or {}
     file = robot_file.read_robot(
@@ -144,12 +144,12 @@ def report(
     )
     without = None if np.isfinite(file.velocity).all() else _GUESSED_DEG_S
     named = tuple(sorted(folders.items()))
-    model = from_file(path, base, flange, named, without, changed=stamp(path, named)).compile()
+    model = load_robot(path, base, flange, named, without, changed=modification_times(path, named)).compile()
     try:
         fitted = fit_closed_form(chain_of(model))
     except PlannerError as error:
         raise SceneError(f"{path}: {error}") from error
-    own = OwnPairs(model)
+    own = LinkPairs(model)
     home = robot.home(model) if model.nkey else None
     if home is not None:
         own.stand(home)

@@ -25,7 +25,7 @@ from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
 from cell.robot.normalise import normalise
 from cell.robot.robot_file import mesh_files
-from cell.world.self_collision import OwnPairs
+from cell.world.self_collision import LinkPairs
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ JOINED = "joined_"
 """What the names of their exclusions begin with."""
 
 
-def spec_of(of: Robot) -> mujoco.MjSpec:
+def robot_spec(of: Robot) -> mujoco.MjSpec:
     """The robot of a scene, editable: attach it to a cell, then compile; its base stands where the scene says.
 
     Raises:
@@ -51,14 +51,14 @@ def spec_of(of: Robot) -> mujoco.MjSpec:
         packages = tuple(sorted((of.packages or {}).items()))
         down = None if of.base is None else tuple((-of.base.T[2, :3]).tolist())
         path = Path(of.model)
-        changed = stamp(path, packages)
-        spec = from_file(path, of.base_link, of.flange_link, packages, of.velocity_deg_s, down, changed).copy()
+        changed = modification_times(path, packages)
+        spec = load_robot(path, of.base_link, of.flange_link, packages, of.velocity_deg_s, down, changed).copy()
     if of.base is not None:
-        place(spec, of.base.T)
+        set_base(spec, of.base.T)
     return spec
 
 
-def place(spec: mujoco.MjSpec, T_base: Floats) -> None:
+def set_base(spec: mujoco.MjSpec, T_base: Floats) -> None:
     """Put the base of a robot at a pose (4, 4) [m] of the cell."""
     import mujoco
 
@@ -69,7 +69,7 @@ def place(spec: mujoco.MjSpec, T_base: Floats) -> None:
 
 
 @lru_cache(maxsize=4)
-def from_file(
+def load_robot(
     path: Path,
     base_link: str | None = None,
     flange_link: str | None = None,
@@ -91,7 +91,7 @@ def from_file(
     """
     import mujoco
 
-    if path.suffix == ".xml" and in_our_form(path):
+    if path.suffix == ".xml" and is_normalised(path):
         try:
             return mujoco.MjSpec.from_file(str(path))
         except ValueError as error:
@@ -105,7 +105,7 @@ def from_file(
         model = spec.compile()
     except ValueError as error:
         raise FileError(f"{path} has shapes that MuJoCo does not take: {error}") from error
-    own = OwnPairs(model)
+    own = LinkPairs(model)
     found = own.relations()
     for one, other in found.joined:
         del own.pairs[one, other]
@@ -120,13 +120,13 @@ def from_file(
     if home is None:
         keeps = {(one, other): keep for one, other, keep in found.keeps}
         looks = np.array((0.0, 0.0, -1.0) if down is None else down)
-        home = next((q for each in (with_tool(spec), own) if (q := found_home(each, keeps, looks)) is not None), None)
+        home = next((q for each in (with_tool(spec), own) if (q := find_home(each, keeps, looks)) is not None), None)
     if home is not None:
         spec.add_key(name="home", qpos=robot.MimicJoints.from_model(model).qpos(home))
     return spec
 
 
-def stamp(path: Path, packages: tuple[tuple[str, str], ...] = ()) -> tuple[int, ...]:
+def modification_times(path: Path, packages: tuple[tuple[str, str], ...] = ()) -> tuple[int, ...]:
     """When a robot's file and its meshes were last written [ns]; what cannot be read is left to who reads it."""
     files = [path]
     with contextlib.suppress(OSError, UnicodeDecodeError, ElementTree.ParseError, FileError):
@@ -134,7 +134,7 @@ def stamp(path: Path, packages: tuple[tuple[str, str], ...] = ()) -> tuple[int, 
     return tuple(file.stat().st_mtime_ns for file in files if file.is_file())
 
 
-def in_our_form(path: Path) -> bool:
+def is_normalised(path: Path) -> bool:
     """Whether a file is an MJCF in the form of `models/kr16.xml`: with the limits that only that form has."""
     try:
         return "axis_velocity_limit_deg_s" in path.read_text(encoding="utf-8")
@@ -147,7 +147,7 @@ _TILTS = (0.0, 0.6, 1.2)  # of the way ahead for one down, where looking straigh
 _HEIGHTS, _SHARES = (0.65, 0.5, 0.35, 0.8, 0.2), (0.5, 0.6, 0.4)  # of the reach: where a home is looked for
 
 
-def found_home(own: OwnPairs, keeps: Mapping[tuple[str, str], float], down: Floats) -> Floats | None:
+def find_home(own: LinkPairs, keeps: Mapping[tuple[str, str], float], down: Floats) -> Floats | None:
     """(6,) joint angles at which the flange looks down before the arm at half its reach [rad]; None: none was found.
 
     Where the scanner would touch the arm then, it looks down and ahead.
@@ -175,7 +175,7 @@ def found_home(own: OwnPairs, keeps: Mapping[tuple[str, str], float], down: Floa
     return None
 
 
-def with_tool(spec: mujoco.MjSpec) -> OwnPairs:
+def with_tool(spec: mujoco.MjSpec) -> LinkPairs:
     """The arm with the largest built-in scanner on its flange."""
     import mujoco
 
@@ -186,7 +186,7 @@ def with_tool(spec: mujoco.MjSpec) -> OwnPairs:
     tool.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.08, 0.04, 0.03], pos=[0.0375, 0.0, 0.09])
     for link in ("link_5", "link_6"):
         copy.add_exclude(name=f"{_TOOL}_{link}", bodyname1=_TOOL, bodyname2=link)
-    return OwnPairs(copy.compile())
+    return LinkPairs(copy.compile())
 
 
 def _looking(z: Floats, origin: Floats) -> Floats:

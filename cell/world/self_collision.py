@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from cell import caches
 from cell.robot import model as robot
 from cell.robot.model import AXES, MimicJoints
-from cell.world.shapes import Shapes, mesh_of, meshes_of
+from cell.world.shapes import ShapeDistances, mesh_of, meshes_of
 from cell.world.travel import enclosing_points
 from planner.geometry.hull import is_convex
 from planner.values import Floats
@@ -49,18 +49,23 @@ from planner.values import Floats
 if TYPE_CHECKING:
     import mujoco
 
-    from cell.world.shapes import Shapes
+    from cell.world.shapes import ShapeDistances
 
 
-LOOKS = 200_000
+MAX_CONFIGURATIONS = 200_000
 """Configurations looked at before a pair is said not to be proven apart."""
 
-MOST_AXES = 3
+MAX_AXES = 3
 """Axes between two bodies above which a proof is not tried: the boxes that it needs grow with their power."""
 
 
-def keeps_apart(
-    model: mujoco.MjModel, shapes: Shapes, one: int, other: int, least: float, most_looks: int = LOOKS
+def prove_separation(
+    model: mujoco.MjModel,
+    shapes: ShapeDistances,
+    one: int,
+    other: int,
+    least: float,
+    most_looks: int = MAX_CONFIGURATIONS,
 ) -> bool:
     """Whether two bodies are proven to be at least so far apart at all angles of the axes between them.
 
@@ -74,8 +79,8 @@ def keeps_apart(
     """
     import mujoco
 
-    axes, moved = ways(model, one, other)
-    if len(axes) > MOST_AXES or not len(axes):
+    axes, moved = axes_between(model, one, other)
+    if len(axes) > MAX_AXES or not len(axes):
         return False
     low, high = _ranges(model, axes)
     geoms = [np.flatnonzero(model.geom_bodyid == body).tolist() for body in (one, other)]
@@ -116,7 +121,7 @@ def _ranges(model: mujoco.MjModel, axes: list[int]) -> tuple[Floats, Floats]:
     return low, high
 
 
-def ways(model: mujoco.MjModel, one: int, other: int) -> tuple[list[int], Floats]:
+def axes_between(model: mujoco.MjModel, one: int, other: int) -> tuple[list[int], Floats]:
     """The axes between two bodies, and (n + 1, k) how far one moves against the other for each of them [m/rad].
 
     A row for each body between the two that may be looked at as the one that stands.
@@ -196,10 +201,10 @@ def _points(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> tuple[Floa
     return np.concatenate(points), np.concatenate(radii)
 
 
-POSES = 10_000
+N_POSES = 10_000
 """Seeded poses at which a pair must touch to be excused."""
 
-OWN = 0.02
+HOME_DISTANCE = 0.02
 """Distance [m] that a home found for an arm keeps between links at least, as far as they can be."""
 
 _LEAST = 1e-5  # m; a smaller distance is none
@@ -207,7 +212,7 @@ _NEAR = 0.02  # m; of two links that come no nearer, or get farther apart, nothi
 
 
 @dataclass(frozen=True, slots=True)
-class Relations:
+class PairClasses:
     """What an arm's own triangles say of its pairs of links.
 
     Attributes:
@@ -223,7 +228,7 @@ class Relations:
     keeps: list[tuple[str, str, float]]
 
 
-class OwnPairs:
+class LinkPairs:
     """The pairs of links of an arm that can touch each other, and how far they are apart.
 
     Args:
@@ -235,8 +240,8 @@ class OwnPairs:
 
         self.model, self._data, self._followers = model, mujoco.MjData(model), robot.MimicJoints.from_model(model)
         meshes = meshes_of(model)
-        self.shapes = Shapes(model, meshes, [name for name, mesh in meshes.items() if not is_convex(mesh)])
-        self._as_triangles = Shapes(model, meshes, list(meshes))
+        self.shapes = ShapeDistances(model, meshes, [name for name, mesh in meshes.items() if not is_convex(mesh)])
+        self._as_triangles = ShapeDistances(model, meshes, list(meshes))
         self.pairs: dict[tuple[str, str], list[tuple[int, int]]] = {}
         excluded = {(int(signature) >> 16, int(signature) & 0xFFFF) for signature in model.exclude_signature}
         for a, b in itertools.combinations(range(model.ngeom), 2):
@@ -244,7 +249,7 @@ class OwnPairs:
             if bodies[0] != bodies[1] and bodies not in excluded and bodies[::-1] not in excluded:
                 self.pairs.setdefault((model.body(bodies[0]).name, model.body(bodies[1]).name), []).append((a, b))
         limits = robot.limits(model)
-        self.q = np.random.default_rng(0).uniform(limits.lower, limits.upper, (POSES, 6))
+        self.q = np.random.default_rng(0).uniform(limits.lower, limits.upper, (N_POSES, 6))
 
     def gap(self, pair: tuple[str, str], reach: float) -> float:
         """Distance of two links where the arm stands [m], `reach` where it is more."""
@@ -262,11 +267,11 @@ class OwnPairs:
         self._data.qpos[:] = self._followers.qpos(q)
         mujoco.mj_kinematics(self.model, self._data)
 
-    def relations(self) -> Relations:
+    def relations(self) -> PairClasses:
         """What the seeded poses say of each pair; looked at once for an arm, which takes seconds."""
         known = caches.folder("robots") / f"{self._digest()}.json"
         with contextlib.suppress(OSError, ValueError, TypeError):
-            return Relations(**json.loads(known.read_text(encoding="utf-8")))
+            return PairClasses(**json.loads(known.read_text(encoding="utf-8")))
         joined, lowest, widest = list(self.pairs), dict.fromkeys(self.pairs, np.inf), dict.fromkeys(self.pairs, 0.0)
         for q in self.q:
             self.stand(q)
@@ -281,7 +286,7 @@ class OwnPairs:
             for pair, least in lowest.items()
             if 2 * _LEAST < least < _NEAR and self._proven_apart(pair, least / 2)
         }
-        found = Relations(
+        found = PairClasses(
             joined=joined,
             apart=[(*pair, least) for pair, least in apart.items()],
             keeps=[
@@ -297,7 +302,7 @@ class OwnPairs:
     def _proven_apart(self, pair: tuple[str, str], least: float) -> bool:
         """Whether two links are at least so far apart [m] at all angles of the axes between them."""
         one, other = (self.model.body(name).id for name in pair)
-        return keeps_apart(self.model, self.shapes, one, other, least)
+        return prove_separation(self.model, self.shapes, one, other, least)
 
     def _digest(self) -> str:
         """sha256 of all that says which links touch."""
@@ -305,7 +310,7 @@ class OwnPairs:
         shapes = (model.mesh_vert, model.mesh_face, model.geom_pos, model.geom_quat, model.geom_size, model.geom_type)
         chain = (model.body_pos, model.body_parentid, model.jnt_axis, model.jnt_range, model.numeric_data)
         arrays = (*shapes, *chain, model.geom_bodyid)
-        rule = POSES, _NEAR, LOOKS, MOST_AXES, Relations.__annotations__
+        rule = N_POSES, _NEAR, MAX_CONFIGURATIONS, MAX_AXES, PairClasses.__annotations__
         text = repr((robot.bodies(model), rule)).encode()
         return hashlib.sha256(text + b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)).hexdigest()
 
@@ -317,7 +322,9 @@ class OwnPairs:
     def apart(self, q: Floats, keeps: Mapping[tuple[str, str], float]) -> bool:
         """Whether no two links are nearer than `OWN`, or than what they keep [m], at (6,) joint angles."""
         self.stand(q)
-        return all(self.gap(pair, OWN) >= min(OWN, keeps.get(pair, OWN)) for pair in self.pairs)
+        return all(
+            self.gap(pair, HOME_DISTANCE) >= min(HOME_DISTANCE, keeps.get(pair, HOME_DISTANCE)) for pair in self.pairs
+        )
 
 
 _STEP = np.deg2rad(6.0)
@@ -328,8 +335,8 @@ _proven: dict[tuple[bytes, tuple[int, int], float], bool] = {}
 """What was proven in this process, by arm, pair and distance: the cells of a study, and of a plan's proof, have one."""
 
 
-def settle_pairs(
-    spec: mujoco.MjSpec, model: mujoco.MjModel, shapes: Shapes, clearance: float, *, by_hand: bool
+def exclude_tool_pairs(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, shapes: ShapeDistances, clearance: float, *, by_hand: bool
 ) -> None:
     """Enter in a specification which of these pairs are not guarded, and which by less than the clearance.
 
@@ -355,7 +362,7 @@ def settle_pairs(
     def apart(pair: tuple[int, int], least: float) -> bool:
         key = arm, pair, least
         if key not in _proven:
-            _proven[key] = keeps_apart(model, shapes, *pair, least, _LOOKS)
+            _proven[key] = prove_separation(model, shapes, *pair, least, _LOOKS)
         return _proven[key]
 
     for piece, link in itertools.product(pieces, ("link_5", "link_4")):
@@ -387,7 +394,7 @@ def _exclude(spec: mujoco.MjSpec, why: str, piece: str, link: str) -> None:
     spec.add_exclude(name=f"{why}_{piece}_{link}", bodyname1=piece, bodyname2=link)
 
 
-def _seen(model: mujoco.MjModel, shapes: Shapes, pair: tuple[int, int], reach: float) -> tuple[float, float]:
+def _seen(model: mujoco.MjModel, shapes: ShapeDistances, pair: tuple[int, int], reach: float) -> tuple[float, float]:
     """Smallest and largest distance of two bodies on a grid of wrist angles [m], at most `reach`."""
     import mujoco
 
@@ -403,7 +410,7 @@ def _seen(model: mujoco.MjModel, shapes: Shapes, pair: tuple[int, int], reach: f
     return lowest, widest
 
 
-def pairs(model: mujoco.MjModel) -> NDArray[np.int32]:
+def checked_pairs(model: mujoco.MjModel) -> NDArray[np.int32]:
     """(P, 2) the pairs that `mj_collision` looks at: classes meet, not one rigid piece, not excluded."""
     excluded = {(int(signature) >> 16, int(signature) & 0xFFFF) for signature in model.exclude_signature}
     found = []
@@ -417,7 +424,7 @@ def pairs(model: mujoco.MjModel) -> NDArray[np.int32]:
     return np.array(found, dtype=np.int32).reshape(-1, 2)
 
 
-def finer(model: mujoco.MjModel, clearance: float, near: Mapping[tuple[int, int], float]) -> float:
+def motion_refinement(model: mujoco.MjModel, clearance: float, near: Mapping[tuple[int, int], float]) -> float:
     """How many times closer than by the clearance [m] a motion is looked at (`planner.path.certified_edge`).
 
     There a pair of which one stands may come nearer by less than half the clearance between two looks, one of which

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World
-from cell.world.occluders import arm_triangles, caster_of, standing_beside
+from cell.world.occluders import arm_occluders, make_caster, occluders_beside_table
 from cell.world.prediction import Prediction
 from planner.kinematics.reach import Reach
 from planner.measurability.matrix import Measurability
@@ -28,14 +28,14 @@ from planner.values import Bools, Floats, Ints
 from planner.viewpoints.lines_of_sight import RayTargets, lines_of_sight_free
 from planner.viewpoints.viewpoints import Viewpoints
 
-SHADED_SHARE = 0.01
+MAX_OCCLUDED_SHARE = 0.01
 """Share of what a view alone is needed for that its own arm may hide; more, and it is not kept as it is."""
 
 
 _MARGIN = 0.001  # m, around the box of legs: rounding, and the lift of the points
 
 
-class Look(Enum):
+class OcclusionUpdate(Enum):
     """What a look at the views of a plan changed."""
 
     CLEAR = "no view is shaded"
@@ -43,7 +43,7 @@ class Look(Enum):
     LESS_MEASURED = "some views measure less now: the cover has to be solved again"
 
 
-class OwnArm:
+class SelfOcclusion:
     """The matrix and the joint solutions as the arm leaves them; they shrink with every look that finds shade.
 
     Attributes:
@@ -73,7 +73,7 @@ class OwnArm:
         """(m, axes) joint solutions of a candidate that are left [rad]."""
         return self._left.get(view, self._reached.configurations_of(view))
 
-    def look(self, views: NDArray[np.int64], q: Floats) -> Look:
+    def update(self, views: NDArray[np.int64], q: Floats) -> OcclusionUpdate:
         """Look for views that their own arm shades, and take out what does it.
 
         Args:
@@ -85,29 +85,29 @@ class OwnArm:
         seen = [columns.indices[columns.indptr[view] : columns.indptr[view + 1]].astype(np.int64) for view in views]
         free = [self._free(int(view), at, rows) for view, at, rows in zip(views, q, seen, strict=True)]
         if all(kept.all() for kept in free):
-            return Look.CLEAR
+            return OcclusionUpdate.CLEAR
         keepers = np.zeros(len(areas), dtype=np.int64)  # views that still measure a sample with their arm in the way
         for rows, kept in zip(seen, free, strict=True):
             keepers[rows[kept]] += 1
-        found = Look.CLEAR
+        found = OcclusionUpdate.CLEAR
         for view, at, rows, kept in zip(views.tolist(), q, seen, free, strict=True):
             needed = rows[keepers[rows] == kept]  # by no other view: 1 if the view keeps the sample itself, else 0
             lost = rows[(keepers[rows] == 0) & ~kept]
             share = float(areas[lost].sum() / areas[needed].sum()) if len(needed) else 0.0
-            if share <= SHADED_SHARE:
+            if share <= MAX_OCCLUDED_SHARE:
                 continue
-            found = Look.OTHER_SOLUTIONS if found is Look.CLEAR else found
+            found = OcclusionUpdate.OTHER_SOLUTIONS if found is OcclusionUpdate.CLEAR else found
             if not self._other_solutions(view, needed):
                 by = self._hidden_by(view, at, lost)
                 self.reasons[view] = (
                     f"its own arm shades it: {', '.join(by)} {'hides' if len(by) == 1 else 'hide'} {100 * share:.1f} % "
-                    f"of what only this view measured, and every joint solution more than {100 * SHADED_SHARE:g} %"
+                    f"of what only this view measured, and every joint solution more than {100 * MAX_OCCLUDED_SHARE:g} %"
                 )
                 self._take_out(view, rows)
-                found = Look.LESS_MEASURED
+                found = OcclusionUpdate.LESS_MEASURED
         return found
 
-    def hides_no_more(self, view: int, q: Floats, others: Floats) -> Bools:
+    def occludes_no_more(self, view: int, q: Floats, others: Floats) -> Bools:
         """(n,) whether the arm at others (n, axes) hides nothing of a view that it shows at q (axes,) [rad]."""
         rows = np.asarray(self.M.matrix().tocsc()[:, [view]].indices, dtype=np.int64)
         hidden = ~self._free(view, q, rows)
@@ -117,7 +117,7 @@ class OwnArm:
         """Keep the joint solutions that hide at most `SHADED_SHARE` of what is needed, if there are any."""
         areas, configurations = self.M.samples.areas[needed], self.configurations(view)
         hidden = np.array([areas[~self._free(view, q, needed)].sum() for q in configurations])
-        good = hidden <= SHADED_SHARE * areas.sum()
+        good = hidden <= MAX_OCCLUDED_SHARE * areas.sum()
         if good.any():
             self._left[view] = configurations[good]
         return bool(good.any())
@@ -132,10 +132,10 @@ class OwnArm:
 
     def _hidden_by(self, view: int, q: Floats, rows: Ints) -> tuple[str, ...]:
         """Names of the arm's shapes that hide any of the samples."""
-        pieces = arm_triangles(self._world, q, _ends(self._scanner))
-        pieces += standing_beside(self._world)
+        pieces = arm_occluders(self._world, q, _ends(self._scanner))
+        pieces += occluders_beside_table(self._world)
         to_object = np.linalg.inv(self._world.T_base_part(q))
-        hiding = [p.name for p in pieces if not self._past(view, caster_of([p], to_object), rows).all()]
+        hiding = [p.name for p in pieces if not self._past(view, make_caster([p], to_object), rows).all()]
         return tuple(dict.fromkeys(hiding))  # a link may have several shapes
 
     def _free(self, view: int, q: Floats, rows: Ints) -> NDArray[np.bool_]:
@@ -168,14 +168,14 @@ def arm_caster(world: World, q: Floats, T_object_scanner: Floats, scanner: Scann
     T_base_part = world.T_base_part(q)
     to_scanner = np.linalg.inv(T_base_part @ T_object_scanner)
     near = []
-    for piece in (*arm_triangles(world, q, ends), *standing_beside(world)):
+    for piece in (*arm_occluders(world, q, ends), *occluders_beside_table(world)):
         corners = (piece.vertices @ to_scanner[:3, :3].T + to_scanner[:3, 3])[piece.faces]
         if ((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=1).any():
             near.append(piece)
-    return caster_of(near, np.linalg.inv(T_base_part)) if near else None
+    return make_caster(near, np.linalg.inv(T_base_part)) if near else None
 
 
-def visible_with_arm(
+def coverage_with_arm(
     prediction: Prediction, T_object_scanner: Floats, arms: Sequence[RayCaster | None], visible: Bools
 ) -> float:
     """Visible coverage of views (n, K, 4, 4) [m], each with its own arm as one more occluder; a fraction.

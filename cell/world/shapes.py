@@ -64,7 +64,7 @@ _LINK_MEETS = {"base": _TOOL, "link_1": _CELL | _TOOL, "link_6": _CELL | _GROUND
 """Of the others all three."""
 
 
-def prepare_robot(spec: mujoco.MjSpec, *, on_pedestal: bool = True) -> None:
+def set_robot_pairs(spec: mujoco.MjSpec, *, on_pedestal: bool = True) -> None:
     """Let the links meet what the table of this module pairs them with.
 
     Args:
@@ -133,7 +133,7 @@ def add_table(spec: mujoco.MjSpec, scene: Scene, table: RotaryTable) -> None:
     add_cylinder(spec.worldbody, TABLE, scene.table.diameter_mm / 2000.0, scene.table.height_mm / 1000.0, T)
 
 
-def guard_what_turns(spec: mujoco.MjSpec, *, post_swings: bool, upright: bool) -> None:
+def enable_table_pairs(spec: mujoco.MjSpec, *, post_swings: bool, upright: bool) -> None:
     """Let the part and the fixtures on it meet what stands: robot's base, pedestal, floor and the base's fixtures.
 
     The post and the table carry them, and touch them.
@@ -271,25 +271,25 @@ class _Trees(Mapping[int, "TriangleTree"]):
         return len(self._meshes)
 
 
-class Shapes:
+class ShapeDistances:
     """The shapes of a model, which answer how far two of them are apart; never changed, so that checkers share it.
 
     Attributes:
         trees: true triangles by the geom whose hull is in the model.
-        hollow: geoms of them whose hull is more than they are.
+        nonconvex: geoms of them whose hull is more than they are.
     """
 
-    def __init__(self, model: mujoco.MjModel, meshes: Mapping[str, TriangleMesh], hollow: Collection[str]) -> None:
+    def __init__(self, model: mujoco.MjModel, meshes: Mapping[str, TriangleMesh], nonconvex: Collection[str]) -> None:
         """Nothing is built before it is asked for.
 
         Args:
             model: that they are of.
             meshes: true triangles by the name of the geom whose hull is in the model, in the frame of its body [m].
-            hollow: names of those whose hull is more than they are.
+            nonconvex: names of those whose hull is more than they are.
         """
         self._model = model
         self.trees = _Trees({model.geom(name).id: mesh for name, mesh in meshes.items()})
-        self.hollow = frozenset(model.geom(name).id for name in hollow)
+        self.nonconvex = frozenset(model.geom(name).id for name in nonconvex)
         self._kind = tuple(_KIND.get(int(kind)) for kind in model.geom_type)
         self._body = tuple(model.geom_bodyid.tolist())
 
@@ -319,8 +319,8 @@ class Shapes:
         """
         import mujoco
 
-        mesh, shape = (a, b) if a in self.hollow else (b, a)
-        by_triangles = mesh in self.hollow and (self._kind[shape] is not None or shape in self.trees)
+        mesh, shape = (a, b) if a in self.nonconvex else (b, a)
+        by_triangles = mesh in self.nonconvex and (self._kind[shape] is not None or shape in self.trees)
         if by_triangles and any_nearer and reach > 0:  # yes or no asks for no depth
             return self._by_triangles(data, mesh, shape, reach, any_nearer=True)
         ends = None if points is None else np.empty(6)
@@ -354,7 +354,7 @@ class Shapes:
             )  # fmt: skip
         other = self._body[shape]
         frames = (data.xpos[body], data.xmat[body]), (data.xpos[other], data.xmat[other])
-        if shape not in self.hollow:
+        if shape not in self.nonconvex:
             return tree.from_hull(self.trees[shape], frames, reach, any_nearer=any_nearer, points=points)
         distance = tree.from_tree(self.trees[shape], frames, reach, any_nearer=any_nearer, points=points)
         if points is not None:

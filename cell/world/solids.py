@@ -20,7 +20,7 @@ from cell.part.mesh_checks import encloses
 from cell.robot.model import bodies
 from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World
-from cell.world.occluders import post, shape_triangles
+from cell.world.occluders import geom_triangles, post_triangles
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh, concatenate_meshes
 from planner.values import Floats, Ints
@@ -120,7 +120,7 @@ class Solid:
         copy = decimate(TriangleMesh(self.vertices, self.faces.astype(np.int32)), _SEARCHED // 2)
         return Solid(self.name, copy.vertices, copy.faces, self.axes)
 
-    def grown(self, by: float) -> Solid:
+    def offset_by(self, by: float) -> Solid:
         """The same with every face moved outward [m], inward where that is negative."""
         return Solid(self.name, self.vertices + by * self._outward, self.faces, self.axes)
 
@@ -147,7 +147,7 @@ class Solid:
         return outward
 
 
-def share_space(one: Solid, other: Solid, move: Floats | None = None) -> bool:
+def intersect(one: Solid, other: Solid, move: Floats | None = None) -> bool:
     """Whether two surfaces cross, or one of them holds a body of the other.
 
     Args:
@@ -182,11 +182,11 @@ def _edges(solid: Solid, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     return solid.vertices[edges // len(solid.vertices)], solid.vertices[edges % len(solid.vertices)]
 
 
-def inside(one: Solid, other: Solid) -> bool:
+def penetrates(one: Solid, other: Solid) -> bool:
     """Whether one stands deeper than `FLUSH` in the other."""
     if (np.minimum(one.high, other.high) - np.maximum(one.low, other.low) <= FLUSH).any():
         return False
-    return share_space(*_without_skin(one, other))
+    return intersect(*_without_skin(one, other))
 
 
 def touches(one: Solid, other: Solid, gap: float) -> bool:
@@ -194,10 +194,10 @@ def touches(one: Solid, other: Solid, gap: float) -> bool:
     if (np.minimum(one.high, other.high) - np.maximum(one.low, other.low) < -gap).any():
         return False
     wide, thin = (one, other) if one.closed else (other, one)
-    return share_space(wide.grown(gap), thin)
+    return intersect(wide.offset_by(gap), thin)
 
 
-def way_out(one: Solid, other: Solid, gap: float = 0.0) -> Floats:
+def minimum_translation(one: Solid, other: Solid, gap: float = 0.0) -> Floats:
     """(3,) the shortest way [m] that was found for `one` to stand no longer in `other`.
 
     Looked at along the axes of the base frame and of both solids, and along the line of their middles: the length is
@@ -217,28 +217,28 @@ def way_out(one: Solid, other: Solid, gap: float = 0.0) -> Floats:
 
 def _settled(one: Solid, other: Solid, gap: float, rough: Floats) -> Floats:
     """(3,) the way out in the direction of a rough one, its length that of the true triangles [m]."""
-    near = other.grown(gap) if gap else other
+    near = other.offset_by(gap) if gap else other
     thin, wide = (one, near) if gap else _without_skin(one, near)
     length = float(np.linalg.norm(rough))
     along = rough / length
     high = length
-    while share_space(thin, wide, high * along):
+    while intersect(thin, wide, high * along):
         high += _BACK
     low = high
     for _ in range(_STEPS_BACK):
         low = max(0.0, high - _BACK)
-        if share_space(thin, wide, low * along):
+        if intersect(thin, wide, low * along):
             break
         high = low
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        low, high = (middle, high) if share_space(thin, wide, middle * along) else (low, middle)
+        low, high = (middle, high) if intersect(thin, wide, middle * along) else (low, middle)
     return np.asarray((high + (0.0 if gap else FLUSH)) * along)
 
 
 def _searched(one: Solid, other: Solid, gap: float) -> Floats:
     """(3,) the shortest way out that was found [m]; arguments as for `way_out`."""
-    near = other.grown(gap) if gap else other
+    near = other.offset_by(gap) if gap else other
     thin, wide = (one, near) if gap else _without_skin(one, near)
     ways = []
     for direction in _directions(one, other):
@@ -248,13 +248,13 @@ def _searched(one: Solid, other: Solid, gap: float) -> Floats:
     best, way = ways[0]
     for sure, direction in ways:
         steps = np.linspace(0, min(sure, best), _STEPS + 1)
-        clear = next((k for k in range(1, _STEPS) if not share_space(thin, wide, steps[k] * direction)), _STEPS)
+        clear = next((k for k in range(1, _STEPS) if not intersect(thin, wide, steps[k] * direction)), _STEPS)
         if clear == _STEPS and sure > best:
             continue  # not out where another way is
         low, high = steps[clear - 1], steps[clear]
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
-            low, high = (middle, high) if share_space(thin, wide, middle * direction) else (low, middle)
+            low, high = (middle, high) if intersect(thin, wide, middle * direction) else (low, middle)
         # What is out because all of it is beyond, is out exactly there.
         length = sure if high > sure - 3 * FLUSH else high + (0.0 if gap else FLUSH)
         if length < best:
@@ -265,8 +265,8 @@ def _searched(one: Solid, other: Solid, gap: float) -> Floats:
 def _without_skin(one: Solid, other: Solid) -> tuple[Solid, Solid]:
     """Both, the first that has an inside without its outermost `FLUSH`."""
     if one.closed:
-        return one.grown(-FLUSH), other
-    return (one, other.grown(-FLUSH)) if other.closed else (one, other)
+        return one.offset_by(-FLUSH), other
+    return (one, other.offset_by(-FLUSH)) if other.closed else (one, other)
 
 
 def _directions(one: Solid, other: Solid) -> Iterator[Floats]:
@@ -280,15 +280,15 @@ def _directions(one: Solid, other: Solid) -> Iterator[Floats]:
 
 
 _SIDES = 192  # of a prism around a cylinder: its corners stand off by 0.04 mm at a radius of 300 mm
-OWN = ("post", "pedestal", "floor")
+BUILT_IN_OBSTACLES = ("post", "pedestal", "floor")
 """What the cell has without being a fixture."""
 
 
-def standing(world: World) -> dict[str, Solid]:
+def cell_solids(world: World) -> dict[str, Solid]:
     """Part, fixtures, post, pedestal, base, links, bracket and housing by name; the floor, which is endless, is not."""
     data, T = world.data(), world.T_base_object
     attached = {fixture.name: fixture.attached_to == "object" for fixture in world.scene.fixtures}
-    of_robot = arm(world)
+    of_robot = robot_bodies(world)
     meshes = {"part": world.part_mesh, **world.fixture_meshes}
     found = {}
     for name in dict.fromkeys(world.entities):
@@ -302,21 +302,21 @@ def standing(world: World) -> dict[str, Solid]:
             found[name] = Solid(name, mesh.vertices, mesh.faces, frame[:3, :3].T, T=frame, hull=hull)
         elif name == "post":
             if data.body("post").xpos[2] > world.floor:
-                found[name] = Solid(name, *post(data, world.floor, _SIDES))
+                found[name] = Solid(name, *post_triangles(data, world.floor, _SIDES))
         else:
             sides = {} if name in of_robot else {"sides": _SIDES}
-            pieces = [shape_triangles(world.model, data, geom, **sides) for geom in geoms]
+            pieces = [geom_triangles(world.model, data, geom, **sides) for geom in geoms]
             axes = data.geom_xmat[geoms[0]].reshape(3, 3).T if len(geoms) == 1 else None
             found[name] = Solid(name, *concatenate_meshes(pieces)[:2], axes)
     return found
 
 
-def arm(world: World) -> tuple[str, ...]:
+def robot_bodies(world: World) -> tuple[str, ...]:
     """Names of base, links, what they drive along, bracket and housing."""
     return (*bodies(world.model), "bracket", "housing")
 
 
-def robot(world: World, solids: dict[str, Solid]) -> Solid:
+def robot_solid(world: World, solids: dict[str, Solid]) -> Solid:
     """Base, arm, bracket and housing as one."""
-    pieces = [(solids[name].vertices, solids[name].faces) for name in arm(world) if name in solids]
+    pieces = [(solids[name].vertices, solids[name].faces) for name in robot_bodies(world) if name in solids]
     return Solid("robot", *concatenate_meshes(pieces)[:2])

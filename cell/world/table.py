@@ -32,7 +32,7 @@ HALF_A_TURN_DEG = -180.0, 180.0
 """What is used of an endless axis: every angle, and nothing winds up."""
 
 
-def rotary_table(scene: Scene, T_base_object: Floats, hull: TriangleMesh) -> RotaryTable | None:
+def place_table(scene: Scene, T_base_object: Floats, hull: TriangleMesh) -> RotaryTable | None:
     """The table of a scene; None where it has none.
 
     Args:
@@ -73,17 +73,17 @@ def rotary_table(scene: Scene, T_base_object: Floats, hull: TriangleMesh) -> Rot
     return table
 
 
-def on_table(arm: Kinematics, table: RotaryTable | None, home: Floats, angles: int) -> Kinematics:
+def kinematics_on_table(arm: Kinematics, table: RotaryTable | None, home: Floats, angles: int) -> Kinematics:
     """Arm and table as one chain; the arm alone where there is no table."""
     return arm if table is None else ArmOnTable(arm, table, home, angles)
 
 
-def height_above(table: RotaryTable, T_base_object: Floats, hull: TriangleMesh) -> float:
+def height_above_face(table: RotaryTable, T_base_object: Floats, hull: TriangleMesh) -> float:
     """How high above the table's face the part's lowest point is, T_base_object being its placement (4, 4) [m]."""
     return float(table.seen(hull.vertices @ T_base_object[:3, :3].T + T_base_object[:3, 3])[:, 2].min())
 
 
-class Turner:
+class TablePoses:
     """Puts part and post of states of a model where a table has turned them.
 
     Args:
@@ -135,7 +135,7 @@ class Distance(Protocol):
         """The distance."""
 
 
-class FreeTurn:
+class TableCollision:
     """Says at which angles what a table turns keeps clear of what stands.
 
     Args:
@@ -153,7 +153,7 @@ class FreeTurn:
     ) -> None:  # fmt: skip
         self._model, self._data, self._clearance, self._distance = model, data, clearance, distance
         self._pairs = [] if table is None else _near_each_other(model, data, table, pairs, clearance)
-        self._turner = Turner(data, table)
+        self._turner = TablePoses(data, table)
         self._known: dict[float, bool] = {}
 
     def clear(self, q: Floats) -> bool:

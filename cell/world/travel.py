@@ -162,7 +162,7 @@ class TravelBound:
         return caps
 
 
-def swing(model: mujoco.MjModel, data: mujoco.MjData, table: RotaryTable | None) -> float:
+def table_radius(model: mujoco.MjModel, data: mujoco.MjData, table: RotaryTable | None) -> float:
     """Radius about the table's axis within which everything is that it turns [m]; 0 where there is no table.
 
     Args:

@@ -469,7 +469,7 @@ def _volume(s: Floats, origin: int) -> float:
 
 
 @compiled
-def crossings(origin: Floats, ray: Floats, tree: tuple[Floats, Ints, Floats]) -> int:
+def count_crossings(origin: Floats, ray: Floats, tree: tuple[Floats, Ints, Floats]) -> int:
     """How often a ray crosses the triangles (Moeller and Trumbore 1997, doi:10.1080/10867651.1997.10487468)."""
     triangles, first, bounds = tree
     leaves = len(first) - 1
@@ -647,7 +647,7 @@ class TriangleTree:
         low, high = self._tree[2][1, :2]
         if (local < low).any() or (local > high).any():
             return False
-        odd = [crossings(local, ray, self._tree) % 2 for ray in _RAYS]
+        odd = [count_crossings(local, ray, self._tree) % 2 for ray in _RAYS]
         return sum(odd) >= 2
 
 

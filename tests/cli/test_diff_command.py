@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from cell.runs import ply
 from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner.measurability import coverage
 
 Cell = Callable[..., Any]
@@ -66,7 +66,7 @@ def test_settings_views_and_areas_of_two_plans(
     for i, j in views["kept"]:
         assert np.allclose(a.T_object_scanner[i - 1], b.T_object_scanner[j - 1], atol=2e-4)
     cell = read_cell(a)
-    samples = held_out(cell.reference, cell.planning, a.seed)
+    samples = held_out_samples(cell.reference, cell.planning, a.seed)
     seen = [
         coverage.visible_coverage(
             run.T_object_scanner[:, None], samples, cell.scanner, (cell.part_caster, cell.occluder_caster)
@@ -113,7 +113,7 @@ def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell
     assert said["views"]["kept"] == [[1, 1]]
     run = open_finished(executed)
     reference, planning = (run.mesh(name) for name in ("reference.ply", "planning.ply"))
-    samples = held_out(reference, planning, run.seed)
+    samples = held_out_samples(reference, planning, run.seed)
     near = []
     for folder in (whole, one):
         points = ply.positions(ply.elements((folder / "cloud.ply").read_bytes())["vertex"])

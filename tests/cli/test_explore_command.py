@@ -29,7 +29,7 @@ from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
 from cell.runs.schema import BELIEVED, MEASURED, ExploreFile
 from cell.scan.options import ScanOptions
-from cell.scene.file import scene_of
+from cell.scene.file import scene_from_options
 from cell.session import Session
 from cell.study.bench import Bench
 from cell.view.explore_page import explore_page
@@ -126,7 +126,7 @@ def test_views_are_moved_to_where_they_measure_more(
 
 def test_nothing_touches_the_part_that_the_planning_does_not_know(explored: Path, part_file: Path) -> None:
     """Triangles of arm, tool and true part in python-fcl, at every sample of the motions."""
-    bench = Bench(scene_of(None, {"place": (1100, 400, 100), "standoff": 250, "units": "mm"}, part_file))
+    bench = Bench(scene_from_options(None, {"place": (1100, 400, 100), "standoff": 250, "units": "mm"}, part_file))
     judge = TriangleCell(bench.world, bench.part.reference)
     for stage in schema.read_explore_file(explored / "explore.json").stages:
         assert judge.contacts(open_finished(explored / stage.folder).motion.q) == {}
@@ -134,7 +134,7 @@ def test_nothing_touches_the_part_that_the_planning_does_not_know(explored: Path
 
 def test_no_point_of_the_part_is_in_space_that_counts_as_free(explored: Path, part_file: Path) -> None:
     """What the planning takes for free lies beyond the true part, but for a voxel that holds a piece of it."""
-    scene = scene_of(None, {"place": (1100, 400, 100), "units": "mm"}, part_file)
+    scene = scene_from_options(None, {"place": (1100, 400, 100), "units": "mm"}, part_file)
     mesh = Hidden.of(scene, workpiece.load(str(part_file), "mm")).mesh
     file = schema.read_explore_file(explored / "explore.json")
     stored = np.load(explored / "stages" / "0002.voxels.npz")
@@ -254,7 +254,9 @@ def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(
     assert [(stage.planned_on, stage.views) for stage in file.stages] == [(BELIEVED, 3), (MEASURED, 1), (MEASURED, 1)]
     paths, first = state.Paths(on_measured), np.load(on_measured / "stages" / "0001.voxels.npz")
     assert not paths.measured(1).exists()
-    scene = scene_of(None, {"place": (1100.0, 400.0, 100.0), "standoff": 250.0, "units": "mm"}, str(part_file))
+    scene = scene_from_options(
+        None, {"place": (1100.0, 400.0, 100.0), "standoff": 250.0, "units": "mm"}, str(part_file)
+    )
     work = prepared(Session(None, out=on_measured), scene, ExploreOptions(), ScanOptions(resolution_deg=0.5))
     for number, stage in enumerate(file.stages[1:], start=2):
         run, scans = open_finished(on_measured / stage.folder), state.scans_of(paths, file.stages[: number - 1])

@@ -11,7 +11,7 @@ import pytest
 
 from cell.api import open_run
 from cell.setups.earlier import EarlierSetup, measured_by
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from tests.seen_samples import seen_and_touching
 
 Cell = Callable[..., Any]
@@ -76,7 +76,7 @@ def test_a_second_set_up_is_driven_as_any_run(second: Path, run_cell: Cell, tmp_
 def test_a_third_goes_on_from_both(planned: Path, second: Path, run_cell: Cell, tmp_path: Path) -> None:
     """What two measure is what was said of them together; where no sample is left, that is said in place of a plan."""
     setups = [EarlierSetup.of(open_run(run)) for run in (planned, second)]
-    samples = held_out(setups[0].cell.reference, setups[0].cell.planning, 3)
+    samples = held_out_samples(setups[0].cell.reference, setups[0].cell.planning, 3)
     said = json.loads((second / "plan.json").read_text())["open_of"]["together"]
     assert measured_by(setups, samples).mean() == pytest.approx(said, abs=1e-12)
     runs = ("--open-of", planned, "--open-of", second)

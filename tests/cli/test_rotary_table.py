@@ -24,7 +24,7 @@ from cell.runs.cell import read_cell, world_of
 from cell.runs.current_scene import CurrentFiles, require_current_scene
 from cell.runs.run import open_run, read_execution
 from cell.runs.verification import verify_plan
-from cell.scene.file import scene_of
+from cell.scene.file import scene_from_options
 from cell.session import LoggedProgress
 from cell.study.placement_trial import placement
 from cell.study.scenes import scene_settings
@@ -354,7 +354,7 @@ def test_a_place_is_judged_with_the_table_under_the_part(part_file: Path) -> Non
     """With 36 angles more candidates are reached, and more is measured, wherever the part is put."""
     found = {}
     for on_table in (False, True):
-        scene = scene_of(None, {"table": on_table, "units": "mm", "faces": 60}, part_file)
+        scene = scene_from_options(None, {"table": on_table, "units": "mm", "faces": 60}, part_file)
         for x in (900.0, 1200.0):
             settings = {
                 **scene_settings(scene), "position_mm": [x, 0.0, 200.0], "abc_deg": [0.0, 0.0, 0.0],

@@ -23,7 +23,7 @@ from cell.scan.options import ScanOptions
 from cell.session import Session
 from cell.setups.contact import touching
 from cell.setups.planned_setups import PlannedSetups
-from cell.world.prediction import held_out
+from cell.world.prediction import held_out_samples
 from planner.measurability.visibility import find_measured
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -87,7 +87,7 @@ def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: R
     for setup in ("1", "2"):
         run = open_run(folder / "setups" / setup)
         cell = read_cell(run)
-        samples = held_out(cell.reference, cell.planning, run.seed)
+        samples = held_out_samples(cell.reference, cell.planning, run.seed)
         poses = []
         for name in sorted((run.folder / "executions" / "0001" / "scans").iterdir()):
             with np.load(name) as scan:

@@ -23,7 +23,7 @@ def test_reachable_counts_fall_as_the_part_moves_away() -> None:
     def count(x: float, y: float) -> int:
         centre = np.eye(4)
         centre[:3, 3] = [x / 1000, y / 1000, 0]
-        T = world.placed(centre)
+        T = world.T_base_object_at(centre)
         checker = MujocoCollisionChecker(world, T)
         found = reach.solve_reach(candidates, T, world.T_flange_scanner, kinematics, checker)
         return int(found.reachable.sum())

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from cell.scene.model import Scene
-from cell.world.clearance import TOLERANCE, of_motion, tightest_at
+from cell.world.clearance import TOLERANCE, motion_clearance, tightest_at
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.world.model import World, compile_world
 
@@ -49,16 +49,18 @@ def test_no_sample_is_nearer_than_what_is_proven_and_none_much_nearer_than_what_
     """The value is measured on the motion, so it is an upper bound; the proven one is a lower bound within 5 %."""
     checker = MujocoCollisionChecker(world)
     via, segment = _via()
-    found = of_motion(checker, via, segment, 3)
+    found = motion_clearance(checker, via, segment, 3)
     assert found.checks < 4_000
     for number in range(3):
         rows = np.flatnonzero(segment[1:] == number) + 1
         dense = np.concatenate([np.linspace(via[k - 1], via[k], _SAMPLES) for k in rows])
         distance, names = checker.distance(dense)
         least = float(distance.min())
-        assert found.at_least[number] <= least + 1e-9
+        assert found.lower_bound[number] <= least + 1e-9
         assert found.distance[number] <= least + max(TOLERANCE, SHARE * least) + 1e-9
-        assert found.at_least[number] >= found.distance[number] - max(TOLERANCE, SHARE * found.distance[number]) - 1e-9
+        assert (
+            found.lower_bound[number] >= found.distance[number] - max(TOLERANCE, SHARE * found.distance[number]) - 1e-9
+        )
         if found.distance[number] < DISTANCE_CAP:
             near = {names[k] for k in np.flatnonzero(distance < least + 0.003)}
             assert found.between[number] in near
@@ -68,7 +70,7 @@ def test_the_tightest_moment_is_on_the_motion_and_its_points_are_as_far_apart_as
     """Its configuration gives its distance again; both points are on what they are said to be on."""
     checker = MujocoCollisionChecker(world)
     via, segment = _via()
-    found = of_motion(checker, via, segment, 3)
+    found = motion_clearance(checker, via, segment, 3)
     tightest = found.tightest
     assert tightest is not None
     assert tightest.distance == found.distance.min() == found.distance[tightest.segment]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.scanners import swept
+from cell.scanners import sweep_columns
 from cell.scanners.laser_line import LaserLine
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.sampling import SurfaceSamples
@@ -34,7 +34,7 @@ def _view(scanner: LaserLine) -> Viewpoints:
     """One sweep, looking straight down from HEIGHT; the baseline is along the plate's x."""
     T = DOWN.copy()
     T[2, 3] = HEIGHT
-    return swept(scanner, Viewpoints(T[None, None], np.array([-1]), np.array([HEIGHT]), np.array([0.0])))
+    return sweep_columns(scanner, Viewpoints(T[None, None], np.array([-1]), np.array([HEIGHT]), np.array([0.0])))
 
 
 def _row(M: Measurability) -> np.ndarray:

@@ -15,8 +15,8 @@ import trimesh
 from benchmarks.triangle_cell import TriangleCell
 from cell.robot.arm import kinematics_of
 from cell.scene.model import Scene
-from cell.world.checks import impossible
-from cell.world.clearance import of_motion
+from cell.world.checks import find_problems
+from cell.world.clearance import motion_clearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.geometry.mesh import TriangleMesh
@@ -168,12 +168,12 @@ def test_a_view_in_the_bracket_is_reached_on_a_way_that_touches_nothing(worlds: 
     assert found["hull"].blocker[0].endswith("with bracket U")
     assert found["exact"].reachable.all()
     world = worlds["exact"]
-    assert impossible(world) == []
+    assert find_problems(world) == []
     checker = MujocoCollisionChecker(world)
     way = connect(world.home, found["exact"].q[0], checker, world.limits, np.random.default_rng(0))
     assert way.via is not None
-    measured = of_motion(checker, way.via, np.zeros(len(way.via), dtype=int), 1)
-    assert measured.at_least[0] > 0
+    measured = motion_clearance(checker, way.via, np.zeros(len(way.via), dtype=int), 1)
+    assert measured.lower_bound[0] > 0
     judge = TriangleCell(world, TriangleMesh(np.array(PART.vertices), np.array(PART.faces, dtype=np.int32)))
     dense = np.concatenate([np.linspace(a, b, 400) for a, b in zip(way.via[:-1], way.via[1:], strict=True)])
     assert judge.contacts(dense) == {}

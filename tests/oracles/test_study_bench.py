@@ -13,7 +13,7 @@ from cell.study.bench import Bench
 from cell.study.placement_trial import placement
 from cell.study.scenes import bench_of, scene_of, scene_settings
 from cell.world import virtual_scan
-from cell.world.occluders import caster_of, occluder_triangles
+from cell.world.occluders import fixed_occluders, make_caster
 from planner.kinematics import reach
 from planner.measurability import coverage
 from planner.measurability.visibility import apply_occluders
@@ -79,11 +79,11 @@ def test_a_placement_s_numbers_are_those_of_its_steps(tables: dict[str, Any]) ->
     bench = bench_of(settings)
     a = np.deg2rad(30)
     T = np.array([[np.cos(a), -np.sin(a), 0, 1.1], [np.sin(a), np.cos(a), 0, 0.4], [0, 0, 1, 0.1], [0, 0, 0, 1]])
-    placed = bench.world.placed(T)
+    placed = bench.world.T_base_object_at(T)
     reached = reach.solve_reach(
         bench.zone, placed, bench.world.T_flange_scanner, bench.kinematics, bench.checker(placed)
     ).reachable
-    casters = caster_of(occluder_triangles(bench.world, placed))
+    casters = make_caster(fixed_occluders(bench.world, placed))
     M = apply_occluders(bench.matrix("aimed", bench.zone), bench.zone, bench.scanner, casters).matrix()
     measured = M.toarray()[:, reached].any(axis=1)
     areas = bench.matrix("aimed", bench.zone).samples.areas

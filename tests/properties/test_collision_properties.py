@@ -39,7 +39,7 @@ def _near_the_part(world: World, T_base_object: np.ndarray, count: int, seed: in
 @given(place=PLACE, abc=st.tuples(ANGLE, ANGLE, ANGLE))
 def test_a_new_placement_is_a_recompiled_model(world: World, place: tuple, abc: tuple) -> None:
     """Moving the mocap bodies gives the verdicts and distances of a model compiled for that placement."""
-    T = world.placed(pose(place, abc))
+    T = world.T_base_object_at(pose(place, abc))
     scene = Scene.model_validate({"placement": {"position_mm": place, "abc_deg": abc}})
     recompiled = MujocoCollisionChecker(compile_world(scene, PART, baseline_mm=75.0))
     moved = MujocoCollisionChecker(world, T)
@@ -99,10 +99,10 @@ def test_turning_part_and_arm_together_changes_no_distance(
     mujoco.mj_kinematics(world.model, data)
     T = pose((0, 0, 0), abc)  # beside or inside the housing, so that there is something to compare
     T[:3, 3] = data.geom("housing").xpos + offset * data.geom("housing").xmat.reshape(3, 3)[:, 2]
-    here = MujocoCollisionChecker(world, world.placed(T))
-    there = MujocoCollisionChecker(world, world.placed(pose((0, 0, 0), (turn, 0, 0)) @ T))
+    here = MujocoCollisionChecker(world, world.T_base_object_at(T))
+    there = MujocoCollisionChecker(world, world.T_base_object_at(pose((0, 0, 0), (turn, 0, 0)) @ T))
     first, second = (
-        {name: gap for name, gap in checker.near(angles) if name.endswith(("with part", "with post"))}
+        {name: gap for name, gap in checker.pairs_within_clearance(angles) if name.endswith(("with part", "with post"))}
         for checker, angles in ((here, q), (there, q - np.deg2rad([turn, 0, 0, 0, 0, 0])))
     )
     for name in first.keys() | second.keys():

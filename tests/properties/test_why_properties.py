@@ -23,7 +23,7 @@ from cell.why.answer import Answer, Group
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World, compile_world
-from cell.world.occluders import occluder_triangles
+from cell.world.occluders import fixed_occluders
 from planner.kinematics import reach
 from planner.measurability import coverage
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
@@ -139,7 +139,7 @@ class _Cell:
         self.reference, self.planning = run.mesh("reference.ply"), run.mesh("planning.ply")
         self.world: World = compile_world(scene, self.reference.vertices, baseline_mm=62.5)
         part = EmbreeRayCaster(self.reference.vertices, self.reference.faces)
-        self.casters = [part, *(EmbreeRayCaster(o.vertices, o.faces) for o in occluder_triangles(self.world))]
+        self.casters = [part, *(EmbreeRayCaster(o.vertices, o.faces) for o in fixed_occluders(self.world))]
 
     def measured(self, views: Viewpoints, scanner: LaserArea, answer: Answer) -> np.ndarray:
         reached = reach.solve_reach(

@@ -12,10 +12,10 @@ from cell.errors import SceneError
 from cell.replay.overlays import touches
 from cell.robot.arm import kinematics_of
 from cell.scene.model import Scene
-from cell.world.checks import impossible
+from cell.world.checks import find_problems
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from cell.world.shapes import Shapes
+from cell.world.shapes import ShapeDistances
 
 FIDELITIES = ("hull", "exact")
 PLACE_MM = (1100.0, 0.0, -100.0)
@@ -107,7 +107,7 @@ def test_replay_shows_no_contact_with_a_hull_that_was_not_the_part(buckets: dict
         model=world.model, entities=world.entities, clearance=world.clearance, shapes=world.shapes, near={}
     )
     assert touches(theatre, data) == ()
-    theatre.shapes = Shapes(world.model, {}, ())
+    theatre.shapes = ShapeDistances(world.model, {}, ())
     assert any("part" in touch.names for touch in touches(theatre, data))
 
 
@@ -173,7 +173,7 @@ def test_a_part_that_cuts_into_the_pedestal_is_refused_and_one_that_stands_on_it
     box = trimesh.creation.box((0.1, 0.1, 0.1))
     for depth_mm, refused in ((5.0, True), (0.0, False), (-5.0, False)):
         place = {"position_mm": [-450.0, 450.0, 50.0 - depth_mm]}
-        problems = impossible(_world(box, collision, placement=place, robot={"pedestal_size_mm": [1200.0, 1200.0]}))
+        problems = find_problems(_world(box, collision, placement=place, robot={"pedestal_size_mm": [1200.0, 1200.0]}))
         assert any("the part stands inside the pedestal" in said for said in problems) == refused
 
 

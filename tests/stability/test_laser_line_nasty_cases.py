@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.scanners import swept
+from cell.scanners import sweep_columns
 from cell.scanners.laser_line import LaserLine
 from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
@@ -51,7 +51,7 @@ def test_measured_share_of_a_ball(case: str) -> None:
     keys, least, most = CASES[case]
     scanner = LaserLine(**{"fan_deg": 30, "baseline_mm": 75, "range_mm": (150, 450), **keys})
     samples, caster = _ball()
-    views = swept(scanner, _views())
+    views = sweep_columns(scanner, _views())
     M = fill_matrix(views, samples, scanner, caster)
     share = (np.diff(M.indptr) > 0).mean()
     assert least <= share <= most
@@ -63,7 +63,7 @@ def test_sensor_inside_the_part_measures_nothing() -> None:
     """From within, every outward normal looks away."""
     scanner = LaserLine(range_mm=(1, 100), baseline_mm=5, sweep_mm=20)
     samples, caster = _ball()
-    assert len(fill_matrix(swept(scanner, _views(0.01)), samples, scanner, caster).indices) == 0
+    assert len(fill_matrix(sweep_columns(scanner, _views(0.01)), samples, scanner, caster).indices) == 0
 
 
 def test_nothing_to_judge() -> None:
@@ -86,14 +86,14 @@ def test_a_part_ten_metres_from_the_origin_is_measured_alike() -> None:
     """Part and views moved together: at most a few samples on a limit change."""
     scanner = LaserLine(fan_deg=30, baseline_mm=75, range_mm=(150, 450), sweep_mm=120)
     samples, caster = _ball()
-    here = fill_matrix(swept(scanner, _views()), samples, scanner, caster).matrix().toarray()
+    here = fill_matrix(sweep_columns(scanner, _views()), samples, scanner, caster).matrix().toarray()
     shift = np.array([10.0, -7.0, 3.0])
     there_samples = SurfaceSamples(
         samples.points + shift, samples.normals, samples.areas, samples.face, samples.planning_face
     )
     views = view_sphere(shift, 0.3, np.pi / 3, np.pi / 2)
     there_caster = EmbreeRayCaster(_BALL.vertices + shift, _BALL.faces)
-    there = fill_matrix(swept(scanner, views), there_samples, scanner, there_caster).matrix().toarray()
+    there = fill_matrix(sweep_columns(scanner, views), there_samples, scanner, there_caster).matrix().toarray()
     assert (here != there).sum() <= 2e-3 * here.sum()
 
 
@@ -101,4 +101,4 @@ def test_a_sweep_of_a_sweep_is_refused() -> None:
     """Columns cannot be swept once more."""
     scanner = LaserLine(sweep_mm=10)
     with pytest.raises(PlannerError, match="8 poses each"):
-        swept(scanner, swept(scanner, _views()))
+        sweep_columns(scanner, sweep_columns(scanner, _views()))

@@ -9,7 +9,7 @@ import trimesh
 from cell.errors import CellError, SceneError
 from cell.scene.file import load_scene
 from cell.scene.model import Scene
-from cell.world.checks import require_possible
+from cell.world.checks import require_feasible
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
 from cell.world.shapes import collision_hull
@@ -63,7 +63,7 @@ def test_every_part_compiles_and_collides(name: str) -> None:
     assert MujocoCollisionChecker(world).free(world.home[None])[0]
     inside = np.eye(4)
     inside[:3, 3] = world.data().geom("housing").xpos
-    contacts = MujocoCollisionChecker(world, world.placed(inside)).contacts(world.home)
+    contacts = MujocoCollisionChecker(world, world.T_base_object_at(inside)).contacts(world.home)
     assert "housing with part" in contacts
 
 
@@ -71,7 +71,7 @@ def test_a_part_of_five_metres_at_the_default_place_is_refused() -> None:
     """It would stand in the robot, the pedestal and the floor: each said in one line."""
     world = compile_world(Scene(), PARTS["5 m, far away"], baseline_mm=75.0)
     with pytest.raises(SceneError) as caught:
-        require_possible(world)
+        require_feasible(world)
     text = str(caught.value)
     assert "below the floor" in text
     assert "the part stands inside the pedestal" in text
@@ -105,7 +105,7 @@ def test_zero_clearance_lets_touch_and_not_overlap() -> None:
     for gap, free in ((1e-6, True), (-1e-6, False)):
         T = np.eye(4)
         T[:3, 3] = front - [0.0, 0.0, 0.1 + gap]
-        assert MujocoCollisionChecker(world, world.placed(T)).free(world.home[None])[0] == free
+        assert MujocoCollisionChecker(world, world.T_base_object_at(T)).free(world.home[None])[0] == free
 
 
 @pytest.mark.parametrize("clearance_mm", [0.001, 1, 10, 80])
@@ -117,7 +117,7 @@ def test_the_clearance_is_kept_to_a_micrometre(clearance_mm: float) -> None:
     for beyond, free in ((1e-6, True), (-1e-6, False)):
         T = np.eye(4)
         T[:3, 3] = front - [0.0, 0.0, 0.1 + clearance_mm / 1000 + beyond]
-        assert MujocoCollisionChecker(world, world.placed(T)).free(world.home[None])[0] == free
+        assert MujocoCollisionChecker(world, world.T_base_object_at(T)).free(world.home[None])[0] == free
 
 
 def test_no_pedestal_no_post_no_bracket() -> None:
@@ -164,7 +164,7 @@ def test_a_flat_fixture_mesh_collides(tmp_path: Path) -> None:
     fixture = {"name": "sheet", "shape": "mesh", "path": str(path), "units": "mm", "position_mm": [600, 0, 1300]}
     world = compile_world(Scene.model_validate({"fixtures": [fixture]}), BALL, baseline_mm=75.0)
     with pytest.raises(SceneError, match="the fixture 'sheet' stands inside the robot's"):
-        require_possible(world)
+        require_feasible(world)
 
 
 def test_many_fixtures_compile_and_keep_their_names() -> None:

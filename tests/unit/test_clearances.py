@@ -5,7 +5,7 @@ import pytest
 
 from cell.plan.clearances import require_no_contact, tightest_sentence
 from cell.runs import schema
-from cell.world.clearance import MotionClearance, Tightest, moment
+from cell.world.clearance import MotionClearance, TightestMoment, time_of_tightest
 from planner.errors import PlannerError
 
 
@@ -28,9 +28,13 @@ def test_the_moment_is_found_between_the_samples_of_its_segment() -> None:
     q[:, 0] = [0.0, 1.0, 0.0, 1.0, 2.0, 1.0, 0.0]
     segment = np.array([0, 0, 1, 1, 1, 2, 2])
     at = np.array([1.25, 0, 0, 0, 0, 0])
-    assert moment(t, q, segment, Tightest(1, at, 0.02, "housing with part", np.zeros((2, 3)))) == pytest.approx(3.25)
+    assert time_of_tightest(
+        t, q, segment, TightestMoment(1, at, 0.02, "housing with part", np.zeros((2, 3)))
+    ) == pytest.approx(3.25)
     at = np.array([0.5, 0, 0, 0, 0, 0])
-    assert moment(t, q, segment, Tightest(2, at, 0.02, "housing with part", np.zeros((2, 3)))) == pytest.approx(5.5)
+    assert time_of_tightest(
+        t, q, segment, TightestMoment(2, at, 0.02, "housing with part", np.zeros((2, 3)))
+    ) == pytest.approx(5.5)
 
 
 def test_a_motion_that_is_far_from_everything_has_no_tightest_moment() -> None:

@@ -50,7 +50,7 @@ def test_contacts_are_named(world: World, q_deg: list, position: list, name: str
     """What touches what, the more mobile first, in words of the scene."""
     T = np.eye(4)
     T[:3, 3] = np.array(position) / 1000
-    checker = MujocoCollisionChecker(world, world.placed(T))
+    checker = MujocoCollisionChecker(world, world.T_base_object_at(T))
     q = np.deg2rad(q_deg)
     assert name in checker.contacts(q)
     assert not checker.free(q[None])[0]
@@ -60,7 +60,7 @@ def test_contacts_come_nearest_first(world: World, checker: MujocoCollisionCheck
     """Distances rise along the list and the first is the smallest distance of all."""
     several = 0
     for q in _random(world, 1500):
-        near = checker.near(q)
+        near = checker.pairs_within_clearance(q)
         gaps = [gap for _, gap in near]
         assert gaps == sorted(gaps)
         assert all(gap < checker.clearance for gap in gaps)
@@ -96,7 +96,7 @@ def test_boxes_edge_to_edge_are_not_overlooked(world: World, checker: MujocoColl
         mujoco.mj_collision(world.model, data)
         if data.ncon == 0 and not checker.free(q[None])[0]:
             overlooked += 1
-            assert 0 < checker.near(q)[0][1] < checker.clearance
+            assert 0 < checker.pairs_within_clearance(q)[0][1] < checker.clearance
     assert overlooked > 0
 
 

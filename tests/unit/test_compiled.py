@@ -12,9 +12,9 @@ _CALL = """
 import numpy as np
 from cell.commands.terminal import Terminal
 Terminal()
-from planner.geometry.distance import crossings
+from planner.geometry.distance import count_crossings
 first, bounds = np.array([0, 1]), np.zeros((2, 3, 3))
-crossings(np.zeros(3), np.ones(3), (np.zeros((1, 3, 3)), first, bounds))
+count_crossings(np.zeros(3), np.ones(3), (np.zeros((1, 3, 3)), first, bounds))
 """
 
 

@@ -11,7 +11,7 @@ import pytest
 from cell.api import open_run
 from cell.edit.options import Edit, Move, Pose, Turn
 from cell.errors import UnreachableError, UsageError
-from cell.scene.options import flag, read
+from cell.scene.options import flag, parse_options
 from planner.kinematics.frames import kuka_abc_from_pose
 from planner.ports import JointLimits
 from planner.tour import generalised_tsp as gtsp
@@ -38,8 +38,8 @@ def _own_cache(monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
 def test_texts_and_values_say_the_same(wishes: dict[str, Any]) -> None:
     """Whatever holds the numbers, the edit is the same value; view 7 is edited once only."""
     with pytest.raises(UsageError, match="view 7 twice"):
-        read(Edit, wishes)
-    edit = read(Edit, wishes | {"drop": 4})
+        parse_options(Edit, wishes)
+    edit = parse_options(Edit, wishes | {"drop": 4})
     assert edit.drop == (4,)
     assert edit.move == (Move(7, Pose(*POSE)), Move(8, Pose(*POSE)))
     assert edit.turn == (Turn(1, 90.0), Turn(2, -45.5))
@@ -62,7 +62,7 @@ def test_texts_and_values_say_the_same(wishes: dict[str, Any]) -> None:
 def test_what_an_edit_cannot_say(wishes: dict[str, Any], told: str) -> None:
     """One sentence with the option as its user wrote it."""
     with pytest.raises(UsageError, match=told):
-        read(Edit, wishes, flag)
+        parse_options(Edit, wishes, flag)
 
 
 @pytest.mark.parametrize(

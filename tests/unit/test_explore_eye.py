@@ -8,7 +8,7 @@ from cell.explore.options import ExploreOptions
 from cell.explore.prepare import Eye, prepared
 from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
-from cell.scene.file import scene_of
+from cell.scene.file import scene_from_options
 from cell.session import Session
 from planner.values import Floats
 
@@ -91,7 +91,7 @@ def test_a_ray_that_did_not_come_back_separates() -> None:
 
 def test_the_rays_are_those_of_a_scan() -> None:
     """At the resolution that is scanned with, the plan's where none is asked for."""
-    scene = scene_of(None, {"place": (1200, 500, 0)}, "petanque")
+    scene = scene_from_options(None, {"place": (1200, 500, 0)}, "petanque")
     eyes = [
         prepared(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=asked)).eye for asked in (None, 2.0)
     ]
@@ -102,6 +102,6 @@ def test_the_rays_are_those_of_a_scan() -> None:
 
 def test_an_angle_that_leaves_no_ray_is_refused() -> None:
     """By its own name, before anything is asked of it."""
-    scene = scene_of(None, {"place": (1200, 500, 0)}, "petanque")
+    scene = scene_from_options(None, {"place": (1200, 500, 0)}, "petanque")
     with pytest.raises(SceneError, match="leaves no ray"):
         prepared(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=100.0))

@@ -22,7 +22,7 @@ from cell.plan.request import Request
 from cell.runs.schema import BELIEVED, MEASURED, ExploreFile
 from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
-from cell.scene.file import scene_of
+from cell.scene.file import scene_from_options
 from cell.scene.model import PlanSettings, Scene
 from cell.session import Session
 from planner.explore.gain import GainRecord
@@ -34,7 +34,7 @@ from planner.viewpoints.viewpoints import aim_viewpoints
 
 
 def _scene(**wishes: float) -> Scene:
-    return scene_of(None, {"place": (1100, 400, 100), **wishes}, "mug")
+    return scene_from_options(None, {"place": (1100, 400, 100), **wishes}, "mug")
 
 
 def _eye() -> Eye:

@@ -6,7 +6,7 @@ import trimesh
 
 from cell.runs.verification import find_collision
 from cell.scene.model import Scene
-from cell.world.checks import impossible
+from cell.world.checks import find_problems
 from cell.world.model import compile_world
 from planner.path import indexed
 from planner.path.certified_edge import quantise, quantise_inside, subdivide
@@ -151,6 +151,6 @@ def test_a_home_in_reach_of_what_turns_is_refused() -> None:
     for moves, told in (("indexed", True), ("synchronised", False)):
         scene["table"]["moves"] = moves
         world = compile_world(Scene.model_validate(scene), block.vertices, part_faces=block.faces, baseline_mm=75.0)
-        found = [sentence for sentence in impossible(world) if "an indexed table turns" in sentence]
+        found = [sentence for sentence in find_problems(world) if "an indexed table turns" in sentence]
         assert bool(found) == told
         assert all("robot.home_deg" in sentence and " deg; change" in sentence for sentence in found)

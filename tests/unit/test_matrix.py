@@ -76,7 +76,7 @@ def test_only_new_columns_are_calculated(asked, method):
 
 def test_a_file_does_not_grow_without_end(asked, monkeypatch):
     """Beyond a multiple of what one run asks for, the file is begun anew with what is asked for now."""
-    monkeypatch.setattr(measurability, "_KEPT", 2)
+    monkeypatch.setattr(measurability, "_MAX_COLUMN_RATIO", 2)
     for start in (0, 10, 20, 30):
         asked(pick_viewpoints(asked.views, np.arange(start, start + 10)))
     (path,) = cache_folder().iterdir()
@@ -97,9 +97,9 @@ def test_the_cache_forgets_what_was_written_longest_ago(tmp_path: Path) -> None:
         path = tmp_path / f"{name}.npz"
         path.write_bytes(b"x" * 100)
         os.utime(path, (1e9 - age, 1e9 - age))
-    measurability.forget_oldest(tmp_path, 300)
+    measurability.delete_oldest(tmp_path, 300)
     assert len(list(tmp_path.iterdir())) == 3
-    measurability.forget_oldest(tmp_path, 250)
+    measurability.delete_oldest(tmp_path, 250)
     assert {path.stem for path in tmp_path.iterdir()} == {"new", "middle"}
-    measurability.forget_oldest(tmp_path, 10)
+    measurability.delete_oldest(tmp_path, 10)
     assert {path.stem for path in tmp_path.iterdir()} == {"new"}

@@ -117,8 +117,8 @@ def test_columns_are_found_in_any_order(tmp_path, parts, matrix):
     hashes = column_hashes(views)
     save(tmp_path / "m.npz", matrix, "0" * 64, hashes[:5])
     found = load(tmp_path / "m.npz", "0" * 64)
-    assert found.place_of(hashes[[6, 3, 0, 5, 4]]).tolist() == [-1, 3, 0, -1, 4]
-    assert load(tmp_path / "none.npz", "0" * 64).place_of(hashes).tolist() == [-1] * 7
+    assert found.columns_of(hashes[[6, 3, 0, 5, 4]]).tolist() == [-1, 3, 0, -1, 4]
+    assert load(tmp_path / "none.npz", "0" * 64).columns_of(hashes).tolist() == [-1] * 7
 
 
 def test_files_that_do_not_fit_are_refused_with_the_reason(tmp_path, parts, matrix):

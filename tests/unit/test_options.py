@@ -22,9 +22,9 @@ from cell.export.options import ExportOptions
 from cell.metrology.options import HandEyeOptions, LocateOptions
 from cell.replay.options import ReplayOptions
 from cell.scan.options import ScanOptions
-from cell.scene.file import scene_of, tables
+from cell.scene.file import option_tables, scene_from_options
 from cell.scene.model import PlanSettings, Scene
-from cell.scene.options import flag, offers, read
+from cell.scene.options import flag, option_specs, parse_options
 from cell.study.options import PlaceRange, StudyRun
 
 FILE_ONLY = {
@@ -67,14 +67,14 @@ def _parsed(line: str) -> tuple[Any, dict[str, object]]:
 
 def test_every_key_of_the_plan_is_offered_or_file_only_with_a_reason() -> None:
     """No key is forgotten, none is both."""
-    offered = {key.removeprefix("plan.") for offer in offers(Scene).values() for key in offer.fields}
+    offered = {key.removeprefix("plan.") for offer in option_specs(Scene).values() for key in offer.fields}
     assert set(PlanSettings.model_fields) - offered == set(FILE_ONLY)
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_every_option_tells_its_unit_its_limits_and_its_choices(model: type[BaseModel]) -> None:
     """A key with a unit shows it; a bound of the field stands in the help, and so does each choice."""
-    for offer in offers(model).values():
+    for offer in option_specs(model).values():
         assert offer.help.endswith("."), offer.name
         shown = f"{offer.metavar} {offer.help}".lower()
         for key, field in offer.fields.items():
@@ -104,7 +104,7 @@ def test_every_example_of_the_help_parses(line: str, tmp_path: Path, monkeypatch
         (tmp_path / name).touch()
     function, arguments = _parsed(line)
     if {"wishes", "scene"} <= set(inspect.signature(function).parameters):
-        assert scene_of(arguments["scene"], arguments["wishes"], arguments.get("part"), flag)
+        assert scene_from_options(arguments["scene"], arguments["wishes"], arguments.get("part"), flag)
 
 
 def test_values_of_python_are_texts_of_the_command_line() -> None:
@@ -119,14 +119,14 @@ def test_values_of_python_are_texts_of_the_command_line() -> None:
         "overlap": {"%": 20}, "curve": True, "pose_sd": {"mm": 0.5, "deg": 0.1}, "seed": np.int64(7), "coverage": 0.9,
         "cost": "time", "speed": 0.5, "camera": (-60.0, 20.0), "hide": ["robot", "floor"],
     }  # fmt: skip
-    asked = tables(texts, "mug")
-    assert asked == tables(values, "mug")
+    asked = option_tables(texts, "mug")
+    assert asked == option_tables(values, "mug")
     assert asked["part"] == {"name": "mug"}
     assert asked["placement"] == {"position_mm": [1200, 500, 0], "abc_deg": [90, 0, 0]}
     assert asked["plan"]["overlap_share"] == 0.2
     assert (asked["plan"]["pose_sd_mm"], asked["plan"]["pose_sd_deg"]) == (0.5, 0.1)
-    assert tables({"overlap": "500mm2"}) == {"plan": {"overlap_mm2": 500.0}}
-    assert tables({"place": (1, 2, 3)}) == {"placement": {"position_mm": [1, 2, 3]}}
+    assert option_tables({"overlap": "500mm2"}) == {"plan": {"overlap_mm2": 500.0}}
+    assert option_tables({"place": (1, 2, 3)}) == {"placement": {"position_mm": [1, 2, 3]}}
 
 
 @pytest.mark.parametrize(
@@ -145,10 +145,10 @@ def test_values_of_python_are_texts_of_the_command_line() -> None:
 def test_a_wish_that_cannot_be_read_is_named_as_it_was_written(wishes: dict[str, Any], words: str) -> None:
     """The keyword of Python, or the option of the command line."""
     with pytest.raises(UsageError) as caught:
-        tables(wishes)
+        option_tables(wishes)
     assert words in str(caught.value)
     with pytest.raises(UsageError, match="--"):
-        tables(wishes, spell=flag)
+        option_tables(wishes, spell=flag)
 
 
 def test_what_the_scene_refuses_is_named_as_it_was_written_and_the_files_keys_as_they_stand(tmp_path: Path) -> None:
@@ -156,21 +156,21 @@ def test_what_the_scene_refuses_is_named_as_it_was_written_and_the_files_keys_as
     path = tmp_path / "scene.toml"
     path.write_text("[plan]\ncoverage = 0.9\n", encoding="utf-8")
     with pytest.raises(SceneError, match=r"  max_views and plan\.coverage both set"):
-        scene_of(path, {"max_views": 3})
+        scene_from_options(path, {"max_views": 3})
     with pytest.raises(SceneError, match="  --max-views and --coverage both set"):
-        scene_of(None, {"max_views": "3", "coverage": "0.9"}, spell=flag)
+        scene_from_options(None, {"max_views": "3", "coverage": "0.9"}, spell=flag)
     with pytest.raises(SceneError, match=r"--standoff\[1\] is -5.0; it must be above 0"):
-        scene_of(None, {"standoff": "200,-5"}, spell=flag)
+        scene_from_options(None, {"standoff": "200,-5"}, spell=flag)
 
 
 def test_options_of_a_scan_are_those_given_and_checked() -> None:
     """Which were given is known; what cannot be is said in one sentence; a manifest brings them back."""
-    asked = read(ScanOptions, {"pose_error": "0.5,0.1", "register": False}, flag)
+    asked = parse_options(ScanOptions, {"pose_error": "0.5,0.1", "register": False}, flag)
     assert asked.model_fields_set == {"pose_error_mm", "pose_error_deg", "registration"}
     assert (asked.pose_error_mm, asked.pose_error_deg, asked.registers) == (0.5, 0.1, False)
     assert ScanOptions.begun({**asked.kept(), "of_later": 1}) == asked
     with pytest.raises(UsageError, match="--noise is 'loud'; valid are: none, model"):
-        read(ScanOptions, {"noise": "loud"}, flag)
+        parse_options(ScanOptions, {"noise": "loud"}, flag)
     with pytest.raises(ValueError, match="seed is 'three'; it must be a whole number"):
         ScanOptions.begun({"seed": "three"})
 

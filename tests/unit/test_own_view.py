@@ -5,7 +5,7 @@ import pytest
 
 from cell.errors import SceneError
 from cell.scene.model import Scene
-from cell.world.checks import hidden_share, require_possible
+from cell.world.checks import hidden_share, require_feasible
 from cell.world.model import compile_world
 
 PART = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)])
@@ -35,4 +35,4 @@ def test_a_scene_with_such_a_housing_is_refused() -> None:
     """The sentence says what to change."""
     world = compile_world(Scene.model_validate({"housing": {"position_mm": [0, 0, 100]}}), PART, baseline_mm=75.0)
     with pytest.raises(SceneError, match=r"own field of view.*housing\.position_mm"):
-        require_possible(world)
+        require_feasible(world)

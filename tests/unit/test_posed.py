@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from cell.errors import SceneError
 from cell.part import workpiece
-from cell.scene.file import load_scene, scene_of
+from cell.scene.file import load_scene, scene_from_options
 from cell.scene.settle import settle_scene
 from cell.world.model import compile_world
 from planner.kinematics.frames import pose_from_kuka_abc
@@ -95,10 +95,10 @@ def test_the_command_line_goes_before_the_files_point(tmp_path: Path) -> None:
     """--place replaces the file's origin, --place-origin its centre; a file that gives both is refused."""
     path = tmp_path / "scene.toml"
     path.write_text("[placement]\norigin_mm = [1.0, 2.0, 3.0]\nabc_deg = [9.0, 0.0, 0.0]")
-    placed = scene_of(path, {"place": "1200,500,0"}).placement
+    placed = scene_from_options(path, {"place": "1200,500,0"}).placement
     assert (placed.position_mm, placed.origin_mm, placed.abc_deg) == ((1200, 500, 0), None, (9, 0, 0))
     path.write_text("[placement]\nposition_mm = [1.0, 2.0, 3.0]")
-    placed = scene_of(path, {"place_origin": "1200,500,-80,90,0,0"}).placement
+    placed = scene_from_options(path, {"place_origin": "1200,500,-80,90,0,0"}).placement
     assert (placed.origin_mm, placed.abc_deg) == ((1200, 500, -80), (90, 0, 0))
     path.write_text("[placement]\nposition_mm = [1.0, 2.0, 3.0]\norigin_mm = [1.0, 2.0, 3.0]")
     with pytest.raises(SceneError, match="origin_mm is given beside position_mm"):

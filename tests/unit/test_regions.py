@@ -14,11 +14,11 @@ from cell.part.workpiece import Workpiece, load
 from cell.plan.region_goals import RegionGoals
 from cell.scanners.laser_area import LaserArea
 from cell.scene.file import load_scene
-from cell.scene.model import Scene, complete, require_no_wishes
-from cell.scene.regions import areas_of, limited, with_regions
+from cell.scene.model import Scene, require_no_region_targets, with_rest
+from cell.scene.regions import region_areas, with_limits, with_regions
 from cell.scene.settle import require_attainable, settle_scene
-from cell.world.measurability import REGION_ROWS, surface_features
-from cell.world.prediction import held_out
+from cell.world.measurability import MIN_REGION_SAMPLES, surface_samples
+from cell.world.prediction import held_out_samples
 from planner.cover import CoverProblem
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
@@ -95,9 +95,9 @@ def test_a_box_cuts_triangles(box: Path) -> None:
     part = tagged(box, [{"name": "slab", "box_mm": [-50, -50, 2, 50, 50, 5]}], "mm")
     assert area(part, 0) == pytest.approx(3 * 2 * (20 + 30))
     assert area(part, 1) == pytest.approx(2 * (20 * 30 + 20 * 40 + 30 * 40) - 300)
-    told = areas_of(part, scene_with(box, [{"name": "slab", "box_mm": [-50, -50, 2, 50, 50, 5]}], "mm"))
+    told = region_areas(part, scene_with(box, [{"name": "slab", "box_mm": [-50, -50, 2, 50, 50, 5]}], "mm"))
     assert told == {"slab": pytest.approx(300), "the rest": pytest.approx(4900)}
-    assert [region.name for region in complete(scene_with(box, [{"name": "s", "kind": "plane"}], "mm").region)] == [
+    assert [region.name for region in with_rest(scene_with(box, [{"name": "s", "kind": "plane"}], "mm").region)] == [
         "s", "the rest",
     ]  # fmt: skip
 
@@ -129,14 +129,14 @@ def test_samples_lie_where_somebody_cares(box: Path) -> None:
         "mm",
     )
     planning = decimate(part.reference, 200)
-    samples = held_out(part.reference, planning, 0, 2000)
+    samples = held_out_samples(part.reference, planning, 0, 2000)
     assert set(samples.region.tolist()) == {0, 1}
     z = 1000 * samples.points[:, 2]
     assert (np.abs(z[samples.region == 0] - 2.1) < 0.1001).all()
     assert (z[samples.region == 1] > 18.999).all()
     assert samples.areas.sum() == pytest.approx(1e-6 * (area(part, 0) + area(part, 1)))
-    rows = surface_features(scene_with(box, [], "mm"), part.reference, planning, np.random.default_rng(0))
-    assert np.bincount(rows.region).min() >= REGION_ROWS
+    rows = surface_samples(scene_with(box, [], "mm"), part.reference, planning, np.random.default_rng(0))
+    assert np.bincount(rows.region).min() >= MIN_REGION_SAMPLES
     assert np.bincount(rows.region, rows.areas) * 1e6 == pytest.approx([area(part, 0), area(part, 1)])
 
 
@@ -235,7 +235,7 @@ def test_limits_of_regions_are_conditions_of_their_points() -> None:
     wanted[(region == 1) & (sigma > limits[1].sigma)] = Rejection.TOO_UNCERTAIN
     assert (codes == wanted).all()
     assert 0 < (codes == Rejection.TOO_SPARSE).sum() < 500
-    assert limited(bare, None, ()) is bare
+    assert with_limits(bare, None, ()) is bare
 
 
 def test_a_spacing_that_no_device_keeps_names_what_does(box: Path) -> None:
@@ -280,9 +280,9 @@ def test_regions_become_demands_weights_and_parts(box: Path) -> None:
 
 def test_studies_refuse_what_they_do_not_know(box: Path) -> None:
     """A region that is only cared for is all that they take."""
-    require_no_wishes(scene_with(box, [{"name": "a", "kind": "plane"}, NO], "mm").region)
+    require_no_region_targets(scene_with(box, [{"name": "a", "kind": "plane"}, NO], "mm").region)
     with pytest.raises(SceneError, match="'a' asks for views, and studies"):
-        require_no_wishes(scene_with(box, [{"name": "a", "kind": "plane", "views": 2}, NO], "mm").region)
+        require_no_region_targets(scene_with(box, [{"name": "a", "kind": "plane", "views": 2}, NO], "mm").region)
 
 
 def test_a_mesh_without_a_face_that_counts_is_refused() -> None:

@@ -22,12 +22,12 @@ from cell.robot.normalise import normalise
 from cell.robot.robot_file import capture_mujoco_warnings
 from cell.scene.model import Scene
 from cell.world import robot_spec, self_collision
-from cell.world.checks import doubtful
+from cell.world.checks import find_warnings
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
 from cell.world.robot_report import report
-from cell.world.self_collision import OwnPairs, keeps_apart
-from cell.world.shapes import Shapes, mesh_of
+from cell.world.self_collision import LinkPairs, prove_separation
+from cell.world.shapes import ShapeDistances, mesh_of
 from cell.world.travel import TravelBound
 from planner.geometry.hull import is_convex
 from planner.geometry.mesh import TriangleMesh
@@ -78,7 +78,7 @@ SLIDES = LEVER.replace('type="continuous"', 'type="prismatic"').replace(
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(self_collision, "POSES", 200)
+    monkeypatch.setattr(self_collision, "N_POSES", 200)
 
 
 def written(folder: Path, text: str) -> Path:
@@ -106,7 +106,7 @@ def by_mujoco(text: str, q: np.ndarray, body: str) -> np.ndarray:
 def test_flange_and_levers_are_where_mujoco_puts_them(tmp_path: Path) -> None:
     """The arm in our form stands as the file's does: flange and, driven by its axis, the lever, to 1e-9."""
     text = urdf(LEVER)
-    model = robot_spec.from_file(written(tmp_path, text)).compile()
+    model = robot_spec.load_robot(written(tmp_path, text)).compile()
     kinematics, followers, data = kinematics_of(model), robot.MimicJoints.from_model(model), mujoco.MjData(model)
     at_zero = by_mujoco(text, np.zeros(6), "lever")
     for q in np.random.default_rng(1).uniform(-2.8, 2.8, (20, 6)):
@@ -121,11 +121,11 @@ def test_flange_and_levers_are_where_mujoco_puts_them(tmp_path: Path) -> None:
 
 def test_a_home_is_found_where_the_file_has_none(tmp_path: Path) -> None:
     """The flange looks down, within the limits, and no two links touch."""
-    model = robot_spec.from_file(written(tmp_path, urdf())).compile()
+    model = robot_spec.load_robot(written(tmp_path, urdf())).compile()
     home = robot.home(model)
     np.testing.assert_allclose(kinematics_of(model).forward(home[None])[0][:3, 2], (0, 0, -1), atol=1e-9)
     assert (np.abs(home) <= 2.8).all()
-    assert OwnPairs(model).apart(home, {})
+    assert LinkPairs(model).apart(home, {})
 
 
 def fork(apart: float = 0.09) -> trimesh.Trimesh:
@@ -143,9 +143,9 @@ def test_hulls_that_touch_are_decided_by_triangles(tmp_path: Path) -> None:
     """Between the plates of a fork the last link is free at every pose; its hull would have it in contact at all."""
     fork().export(tmp_path / "fork.stl")
     text = urdf(l4='<geometry><mesh filename="fork.stl"/></geometry>')
-    model = robot_spec.from_file(written(tmp_path, text)).compile()
-    own = OwnPairs(model)
-    assert [model.geom(geom).name for geom in own.shapes.hollow] == ["link_4_0"]
+    model = robot_spec.load_robot(written(tmp_path, text)).compile()
+    own = LinkPairs(model)
+    assert [model.geom(geom).name for geom in own.shapes.nonconvex] == ["link_4_0"]
     a, b = model.geom("link_4_0").id, model.geom("link_6_0").id
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -165,17 +165,17 @@ def forked(folder: Path, apart: float) -> Path:
 def test_what_is_built_near_is_proven_apart(tmp_path: Path) -> None:
     """Between plates 60 mm apart the square never comes nearer than 30 mm less half its diagonal: the proof says so."""
     path = forked(tmp_path, 0.035)
-    model = robot_spec.from_file(path).compile()
+    model = robot_spec.load_robot(path).compile()
     assert "apart_link_4_link_6" in {model.exclude(i).name for i in range(model.nexclude)}
     ((pair, told),) = report(path)[0].apart.items()
     nearest = 0.03 - 0.02 * np.sqrt(2)
     assert pair == "link_4 with link_6"
     assert 0.5 * nearest <= told / 1000 <= 0.002
-    own, bodies = OwnPairs(model), [model.body(name).id for name in ("link_4", "link_6")]
-    assert not keeps_apart(model, own.shapes, *bodies, 1.05 * nearest)
+    own, bodies = LinkPairs(model), [model.body(name).id for name in ("link_4", "link_6")]
+    assert not prove_separation(model, own.shapes, *bodies, 1.05 * nearest)
     world = compile_world(Scene.model_validate({"robot": {"model": str(path)}}), CUBE)
     assert not [pair for pair in MujocoCollisionChecker(world).contacts(Q) if "link_6 with link_4" in pair]
-    assert (world.finer, world.nearer) == (1.0, {})
+    assert (world.refinement, world.clearance_reduction) == (1.0, {})
 
 
 def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
     for plates in (0.09, 0.11):
         fork(plates).export(tmp_path / "fork.stl")
         os.utime(tmp_path / "fork.stl", (1e9 * plates, 1e9 * plates))  # MuJoCo keeps meshes by the second
-        model = robot_spec.spec_of(of).compile()
+        model = robot_spec.robot_spec(of).compile()
         widths.append(np.ptp(mesh_of(model, model.geom("link_4_0").id).vertices[:, 1]))
     np.testing.assert_allclose(widths, (0.19, 0.23), atol=1e-6)
 
@@ -193,7 +193,7 @@ def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
 def test_what_the_seeded_poses_do_not_see_is_no_proof(tmp_path: Path) -> None:
     """Plates that the square's corners touch, looked at where it lies flat, so that no contact is seen: guarded."""
     path = forked(tmp_path, 0.0325)
-    own = OwnPairs(normalise(robot_file.read_robot(path)).compile())
+    own = LinkPairs(normalised(robot_file.read(path)).compile())
     own.q = 0.01 * own.q
     found = own.relations()
     assert (found.joined, found.apart) == ([], [])
@@ -203,13 +203,13 @@ def test_what_the_seeded_poses_do_not_see_is_no_proof(tmp_path: Path) -> None:
 @pytest.mark.parametrize("levers", ["", LEVER])
 def test_no_way_between_two_links_is_longer_than_what_a_proof_takes_for_it(tmp_path: Path, levers: str) -> None:
     """Seeded steps of the axes between two bodies change their distance by no more than the sum of what each moves."""
-    model = robot_spec.from_file(written(tmp_path, urdf(levers))).compile()
-    shapes, data, followers = Shapes(model, {}, []), mujoco.MjData(model), robot.MimicJoints.from_model(model)
+    model = robot_spec.load_robot(written(tmp_path, urdf(levers))).compile()
+    shapes, data, followers = ShapeDistances(model, {}, []), mujoco.MjData(model), robot.MimicJoints.from_model(model)
     pairs = [("link_4", "link_6"), ("link_2", "link_4"), ("base", "link_2")] + [("link_3", "lever")] * bool(levers)
     rng = np.random.default_rng(3)
     for names in pairs:
         one, other = (model.body(name).id for name in names)
-        axes, moved = self_collision.ways(model, one, other)
+        axes, moved = self_collision.axes_between(model, one, other)
         shape = int(model.body_geomadr[one]), int(model.body_geomadr[other])
         for _ in range(200):
             q = rng.uniform(-2.8, 2.8, (1, 6)).repeat(2, axis=0)
@@ -230,7 +230,7 @@ def test_what_is_built_near_and_can_touch_is_looked_at_closer(tmp_path: Path) ->
     """
     world = compile_world(Scene.model_validate({"robot": {"model": str(forked(tmp_path, 0.032))}}), CUBE)
     pair = tuple(world.model.geom(f"link_{number}_0").id for number in (4, 6))
-    keep = world.clearance - world.nearer[pair]
+    keep = world.clearance - world.clearance_reduction[pair]
     assert keep == pytest.approx(0.0035, abs=2e-4)  # lying flat the square is 27 - 20 mm from a plate
     data = world.data()
     data.qpos[:] = Q
@@ -284,13 +284,13 @@ def test_what_always_touches_is_excused_and_named(tmp_path: Path) -> None:
     joint = """<joint name="turn" type="continuous"><parent link="l1"/><child link="block"/>
         <origin xyz="0.1 0 0.2"/><axis xyz="0 1 0"/><mimic joint="j2"/></joint>"""
     long = '<origin xyz="0 0.15 0.25"/><geometry><box size="0.08 0.38 0.6"/></geometry>'
-    model = robot_spec.from_file(written(tmp_path, urdf(block + joint, l2=long))).compile()
+    model = robot_spec.load_robot(written(tmp_path, urdf(block + joint, l2=long))).compile()
     excluded = [model.exclude(i).name for i in range(model.nexclude)]
     assert "joined_link_2_block" in excluded
     assert sum(name.startswith("joined_") for name in excluded) == 1
     # What the cache knows stands by names: with another one it is another arm.
     renamed = written(tmp_path, urdf((block + joint).replace('"block"', '"stop"'), l2=long))
-    assert "joined_link_2_stop" in {each.name for each in robot_spec.from_file(renamed, changed=(1,)).excludes}
+    assert "joined_link_2_stop" in {each.name for each in robot_spec.load_robot(renamed, changed=(1,)).excludes}
 
 
 def test_a_mesh_is_its_hull_only_where_no_face_lies_deep() -> None:
@@ -357,7 +357,7 @@ def test_a_first_link_that_tips_is_kept_off_the_floor(tmp_path: Path, tip: float
 
 def test_what_touched_once_is_not_said_to_touch_never(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pair that touches at the first seeded pose alone is guarded by half of the largest distance seen."""
-    own = OwnPairs(robot_spec.from_file(written(tmp_path, urdf())).compile())
+    own = LinkPairs(robot_spec.load_robot(written(tmp_path, urdf())).compile())
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "nothing_known"))
     pair = next(iter(own.pairs))
     own.pairs = {pair: own.pairs[pair]}
@@ -413,7 +413,7 @@ def test_a_mistake_is_one_sentence(tmp_path: Path, text: str, words: str) -> Non
     """What is wrong and what to do stand in one sentence that names the file."""
     path = written(tmp_path, text)
     with pytest.raises(CellError) as told:
-        robot_spec.from_file(path)
+        robot_spec.load_robot(path)
     assert words in str(told.value)
     assert str(path) in str(told.value)
     assert "\n" not in str(told.value)
@@ -447,7 +447,7 @@ def test_what_is_hardly_meant_in_a_file_is_told(
     assert told.limits_deg[3] == (-360.0, 360.0)
     robot_settings = {"model": str(path), "velocity_deg_s": (90.0,) * 6}
     world = compile_world(Scene.model_validate({"robot": robot_settings}), CUBE)
-    assert told.missing[:2] == tuple(doubtful(world))
+    assert told.missing[:2] == tuple(find_warnings(world))
     assert "arm.xml: MuJoCo warns that compiler attribute 'settotalmass' is deprecated" in told.missing[0]
     assert "arm.xml gives no range of q4, q6: -360 to 360 deg is assumed" in told.missing[1]
     assert all("\n" not in sentence for sentence in told.missing)
@@ -467,7 +467,7 @@ def test_what_stands_beside_the_base_is_a_fixed_shape_of_the_arm(tmp_path: Path)
     column = """<link name="table"><collision><origin xyz="0 0 0.5"/><geometry><box size="0.1 0.1 1"/></geometry>
         </collision></link><joint name="stands" type="fixed"><parent link="table"/><child link="base_link"/>
         <origin xyz="0.4 0 0.7" rpy="0 0 1"/></joint>"""
-    model = robot_spec.from_file(written(tmp_path, urdf(column)), base_link="base_link").compile()
+    model = robot_spec.load_robot(written(tmp_path, urdf(column)), base_link="base_link").compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     assert model.body("base").geomnum[0] == 2
@@ -476,14 +476,14 @@ def test_what_stands_beside_the_base_is_a_fixed_shape_of_the_arm(tmp_path: Path)
     np.testing.assert_allclose(stands, [turn @ (-0.4, 0, 0.5 - 0.7)], atol=1e-12)
     path = tmp_path / "arm.xml"
     path.write_text(CAPSULES.replace("<worldbody>", '<worldbody><geom type="plane" size="1 1 1"/>'), encoding="utf-8")
-    assert robot_spec.from_file(path, velocity_deg_s=(90.0,) * 6).compile().body("base").geomnum[0] == 1
+    assert robot_spec.load_robot(path, velocity_deg_s=(90.0,) * 6).compile().body("base").geomnum[0] == 1
 
 
 def test_round_shapes_of_an_mjcf_are_enclosed(tmp_path: Path) -> None:
     """A capsule becomes a polyhedron about it that stands off by no more than 5 %; the key home is taken."""
     path = tmp_path / "arm.xml"
     path.write_text(CAPSULES, encoding="utf-8")
-    model = robot_spec.from_file(path, velocity_deg_s=(90.0,) * 6).compile()
+    model = robot_spec.load_robot(path, velocity_deg_s=(90.0,) * 6).compile()
     np.testing.assert_allclose(robot.home(model), (0, 0, 0.5, 0, 1, 0), atol=1e-9)
     np.testing.assert_allclose(np.degrees(robot.limits(model).velocity), 90.0)
     mesh = mesh_of(model, model.geom("link_2_0").id)

@@ -11,14 +11,14 @@ from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
 from cell.runs.cell import table_of, with_placement
 from cell.runs.schema import ResolvedScene, ResolvedTable
-from cell.scene.file import scene_of
+from cell.scene.file import scene_from_options
 from cell.scene.model import Scene, pose
-from cell.world.checks import doubtful, impossible
+from cell.world.checks import find_problems, find_warnings
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
-from cell.world.occluders import occluder_triangles, standing_beside
-from cell.world.table import Turner
-from cell.world.travel import swing
+from cell.world.occluders import fixed_occluders, occluders_beside_table
+from cell.world.table import TablePoses
+from cell.world.travel import table_radius
 from planner.kinematics.rotary_table import ArmOnTable, RotaryTable
 from planner.path.certified_edge import certify_many
 
@@ -128,7 +128,7 @@ def test_the_engine_has_part_and_post_where_the_transform_says(either: World) ->
     """MuJoCo's own kinematics of the mocap bodies against a rotation vector about the table's axis."""
     data, q = either.data(), either.home.copy()
     assert either.table is not None
-    turner, T_base_table = Turner(data, either.table), either.table.T_base_table
+    turner, T_base_table = TablePoses(data, either.table), either.table.T_base_table
     for angle in (0.7, -2.0, 0.0):
         q[6] = angle
         turner(data, q)
@@ -170,7 +170,7 @@ def test_what_turns_is_as_far_from_the_axis_as_its_farthest_corner(either: World
     corners = (either.T_base_object @ np.c_[BLOCK.vertices, np.ones(8)].T)[:3].T
     axis, face = either.table.T_base_table[:3, 2:].T
     farthest = np.linalg.norm(np.cross(axis, corners - face), axis=1).max()
-    assert swing(either.model, either.data(), either.table) == pytest.approx(farthest, abs=1e-7)
+    assert table_radius(either.model, either.data(), either.table) == pytest.approx(farthest, abs=1e-7)
 
 
 def test_a_tilted_axis_carries_its_post_and_turns_no_part_into_what_stands(tilted: World) -> None:
@@ -183,13 +183,13 @@ def test_a_tilted_axis_carries_its_post_and_turns_no_part_into_what_stands(tilte
     corners = (tilted.T_base_object @ np.c_[BLOCK.vertices, np.ones(8)].T).T @ np.linalg.inv(T_base_table).T
     radius, half = tilted.model.geom("post").size[:2]
     assert 2 * half == pytest.approx(corners[:, 2].min(), abs=1e-9)
-    found = {piece.name: piece for piece in occluder_triangles(tilted)}
+    found = {piece.name: piece for piece in fixed_occluders(tilted)}
     in_base = found["post"].vertices @ tilted.T_base_object[:3, :3].T + tilted.T_base_object[:3, 3]
     on_face = (in_base - T_base_table[:3, 3]) @ T_base_table[:3, :3]
     np.testing.assert_allclose([on_face[:, 2].min(), on_face[:, 2].max()], [0.0, 2 * half], atol=1e-9)
     assert np.ptp(on_face[:, 0]) == pytest.approx(2 * radius, rel=3e-3)
     assert not {"floor", "pillar", "pedestal"} & set(found)
-    assert {"floor", "pillar", "pedestal"} == {piece.name for piece in standing_beside(tilted)}
+    assert {"floor", "pillar", "pedestal"} == {piece.name for piece in occluders_beside_table(tilted)}
     checker, angles = MujocoCollisionChecker(tilted), np.radians(np.arange(-180, 180, 20))
     q = np.repeat(tilted.home[None], len(angles), axis=0)
     q[:, 6] = angles
@@ -269,14 +269,14 @@ def test_a_post_that_swings_into_what_stands_is_not_free() -> None:
 def test_a_table_without_a_place_goes_with_the_part_and_another_stays(off_axis: World) -> None:
     """Elsewhere and upside down it is under the part again, its post as long; one that is placed refuses the reach."""
     world, T = _world(), pose((900.0, -300.0, 200.0), (30.0, 0.0, 180.0))
-    there = world.elsewhere(T)
+    there = world.with_placement(T)
     assert world.table is not None
     assert there.table is not None
     lowest = (BLOCK.vertices @ there.T_base_object[:3, :3].T + there.T_base_object[:3, 3])[:, 2].min()
     np.testing.assert_allclose(there.table.T_base_table[:3, 3], [0.9, -0.3, lowest - 0.3], atol=1e-9)
     np.testing.assert_allclose(there.T_base_object @ there.T_object_centre, T, atol=1e-9)
     with pytest.raises(SceneError, match="swings through a circle"):
-        off_axis.elsewhere(T)
+        off_axis.with_placement(T)
 
 
 def test_a_table_turns_as_far_as_its_part_keeps_clear_and_no_angle_behind_is_offered() -> None:
@@ -305,12 +305,12 @@ def test_a_table_turns_as_far_as_its_part_keeps_clear_and_no_angle_behind_is_off
         assert len(angles) == sum(any(lower <= a + k <= upper for k in (-360, 0)) for a in range(-180, 180, 10))
         kept = world.limits
         assert (kept.lower[6], kept.upper[6]) == (world.table.lower, world.table.upper)
-    assert any("the rotary table turns its part" in said for said in doubtful(two))
+    assert any("the rotary table turns its part" in said for said in find_warnings(two))
 
 
 def test_the_switch_of_the_command_line_and_the_table_of_a_scene_say_the_same() -> None:
     """`--table` takes the default one; keys of [table] are there without `enabled`."""
-    assert scene_of(None, {"table": True}).table == Scene.model_validate({"table": {"enabled": True}}).table
+    assert scene_from_options(None, {"table": True}).table == Scene.model_validate({"table": {"enabled": True}}).table
     assert Scene.model_validate({"table": {"diameter_mm": 300.0}}).table.enabled
     assert not Scene().table.enabled
 
@@ -338,7 +338,7 @@ def test_a_table_that_cannot_be_is_refused_in_a_sentence(tables: dict[str, objec
 
 def test_a_table_in_the_robot_is_told_with_the_way_out() -> None:
     """Its body reaches into the pedestal's corner or the robot's base, and the sentence says what to type."""
-    found = impossible(
+    found = find_problems(
         _world(table={"position_mm": [100.0, 450.0, 100.0]}, placement={"position_mm": [300.0, 700.0, 600.0]})
     )
     assert any("rotary table" in sentence and "table.position_mm" in sentence for sentence in found), found

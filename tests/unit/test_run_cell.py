@@ -22,7 +22,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.scene.file import load_scene
 from cell.scene.settle import resolve, settle_scene
 from cell.world.model import World, compile_world
-from cell.world.occluders import occluder_triangles
+from cell.world.occluders import fixed_occluders
 from cell.world.travel import TravelBound
 from planner.geometry.decimation import decimate
 
@@ -87,7 +87,7 @@ def _written(home: Path, part_file: Path, plan: dict[str, object]) -> tuple[Run,
 def test_what_occludes_is_what_occluded_the_plan(written: tuple[Run, World]) -> None:
     """Bit for bit: post, pedestal, floor, box on the part, mast; a mesh to the last bit; not what is of glass."""
     run, world = written
-    planned, found = occluder_triangles(world), read_cell(run).occluders
+    planned, found = fixed_occluders(world), read_cell(run).occluders
     assert [piece.name for piece in found] == [piece.name for piece in planned]
     assert {piece.name for piece in found} == {"post", "pedestal", "floor", "clamp", "mast", "horn"}
     for piece, theirs in zip(found, planned, strict=True):

@@ -10,7 +10,7 @@ from cell.robot import model as robot
 from cell.scan import safety
 from cell.scan.options import ScanOptions
 from cell.scan.way import Released
-from cell.scene.options import flag, read
+from cell.scene.options import flag, parse_options
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.limits import Limits
 from drivers.setpoints import from_rad
@@ -63,7 +63,7 @@ def test_hardware_moves_at_ten_percent_unless_asked_otherwise() -> None:
 def test_a_speed_that_is_no_percentage_is_refused(percent: float) -> None:
     """Above 0, at most 100."""
     with pytest.raises(UsageError, match="--speed"):
-        read(ScanOptions, {"speed": percent}, flag)
+        parse_options(ScanOptions, {"speed": percent}, flag)
 
 
 def test_steel_does_not_move_without_somebody_s_word() -> None:
@@ -111,8 +111,8 @@ def test_the_digest_of_something_else_is_no_word() -> None:
 def test_a_word_that_is_no_digest_is_refused(word: str) -> None:
     """Eight characters of hexadecimal at least; capitals are the same."""
     with pytest.raises(UsageError, match="must be a digest as cell plan prints it"):
-        read(ScanOptions, {"confirm_motion": word}, flag)
-    assert read(ScanOptions, {"confirm_motion": "ABCDEF01"}, flag).confirm_motion == "abcdef01"
+        parse_options(ScanOptions, {"confirm_motion": word}, flag)
+    assert parse_options(ScanOptions, {"confirm_motion": "ABCDEF01"}, flag).confirm_motion == "abcdef01"
 
 
 @pytest.mark.parametrize("mode", [Mode.FAULT, Mode.EMERGENCY_STOP])
@@ -158,4 +158,4 @@ def test_a_clock_that_is_not_real_time_wants_a_word() -> None:
 def test_every_motion_is_released_by_no_option() -> None:
     """The word of `cell explore` for all of its batches is none that a user, a file or Python gives to an execution."""
     with pytest.raises(UsageError, match="--confirm-motion"):
-        read(ScanOptions, {"confirm_motion": safety.EVERY}, flag)
+        parse_options(ScanOptions, {"confirm_motion": safety.EVERY}, flag)

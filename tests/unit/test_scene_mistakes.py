@@ -11,9 +11,9 @@ import trimesh
 
 from cell.part import workpiece
 from cell.scene.model import Scene
-from cell.world.checks import doubtful, impossible
+from cell.world.checks import find_problems, find_warnings
 from cell.world.model import World, compile_world
-from cell.world.solids import Solid, way_out
+from cell.world.solids import Solid, minimum_translation
 
 ON_TABLE = [1200.0, 500.0, 0.0]  # the part's middle; it is 100 mm high
 NO_POST = {"post": {"enabled": False}}
@@ -154,14 +154,14 @@ def followed(tables: dict[str, Any], sentence: str) -> dict[str, Any] | None:
 def test_an_error_is_found_and_its_cure_cures_it(name: str, world: Callable[..., World]) -> None:
     """Exit code 2's sentence names both partners; typed in, the same two are no problem any more."""
     mesh, tables, words = ERRORS[name]
-    said = [each for each in impossible(world(mesh, tables)) if all(word in each for word in words)]
-    assert len(said) == 1, impossible(world(mesh, tables))
+    said = [each for each in find_problems(world(mesh, tables)) if all(word in each for word in words)]
+    assert len(said) == 1, find_problems(world(mesh, tables))
     cured = followed(tables, said[0])
     if name == "scanner that looks back":
         assert cured is None
         return
     assert cured is not None
-    left = impossible(world(mesh, cured))
+    left = find_problems(world(mesh, cured))
     assert not [each for each in left if each.split("; ")[0].split(",")[0] == said[0].split("; ")[0].split(",")[0]], (
         left
     )
@@ -172,14 +172,14 @@ def test_a_warning_is_found_and_its_cure_cures_it(name: str, world: Callable[...
     """A scene that is hardly meant so is no error, and is told."""
     mesh, tables, words = WARNINGS[name]
     cell = world(mesh, tables)
-    assert not impossible(cell)
-    said = [each for each in doubtful(cell) if all(word in each for word in words)]
-    assert len(said) == 1, doubtful(cell)
+    assert not find_problems(cell)
+    said = [each for each in find_warnings(cell) if all(word in each for word in words)]
+    assert len(said) == 1, find_warnings(cell)
     cured = followed(tables, said[0])
     if name in ("a fixture in inches", "an angle that tips"):
         return  # no move helps
     assert cured is not None
-    left = doubtful(world(mesh, cured))
+    left = find_warnings(world(mesh, cured))
     assert not [each for each in left if all(word.split(",")[0] in each for word in words)], left
 
 
@@ -196,13 +196,13 @@ def test_a_warning_is_found_and_its_cure_cures_it(name: str, world: Callable[...
 def test_what_stands_flush_is_neither(tables: dict[str, Any], world: Callable[..., World]) -> None:
     """Part on table, stop on table beside the part, clamp on the part, part on a stand of one's own."""
     cell = world(block, tables)
-    assert impossible(cell) == []
-    assert doubtful(cell) == []
+    assert find_problems(cell) == []
+    assert find_warnings(cell) == []
 
 
 def test_a_cup_over_a_peg_is_no_mistake_although_its_hull_is(world: Callable[..., World]) -> None:
     """True triangles: the peg stands in the hollow."""
-    assert impossible(world(cup, {"fixtures": [rod("peg", [60, 80], [1200, 500, 5])]})) == []
+    assert find_problems(world(cup, {"fixtures": [rod("peg", [60, 80], [1200, 500, 5])]})) == []
 
 
 def test_a_file_in_inches_is_told_by_its_size() -> None:
@@ -220,5 +220,5 @@ def test_the_way_out_of_a_mesh_of_many_faces_is_that_of_its_true_triangles() -> 
     slab = trimesh.creation.box((1.0, 1.0, 0.4))
     sunk = Solid("ball", ball.vertices + np.array([0.02, -0.03, 0.27]), ball.faces)
     assert sunk.coarse is not sunk
-    way = way_out(sunk, Solid("slab", slab.vertices, slab.faces))
+    way = minimum_translation(sunk, Solid("slab", slab.vertices, slab.faces))
     np.testing.assert_allclose(way, [0.0, 0.0, 0.03], rtol=0, atol=1.5e-4)

@@ -14,8 +14,8 @@ from cell.scene.model import Scene
 from cell.world import self_occlusion
 from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World, compile_world
-from cell.world.occluders import Occluder, arm_triangles, box
-from cell.world.self_occlusion import SHADED_SHARE, Look, OwnArm, visible_with_arm
+from cell.world.occluders import Occluder, arm_occluders, box_triangles
+from cell.world.self_occlusion import MAX_OCCLUDED_SHARE, OcclusionUpdate, SelfOcclusion, coverage_with_arm
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.kinematics.reach import Reach, Verdict
@@ -60,7 +60,7 @@ def _hidden(world: World, T: np.ndarray, q: np.ndarray, points: np.ndarray) -> n
     to_base = world.T_base_object
     targets = points @ to_base[:3, :3].T + to_base[:3, 3]
     hidden = np.zeros(len(points), dtype=bool)
-    for piece in arm_triangles(world, q, ENDS):
+    for piece in arm_occluders(world, q, ENDS):
         a, b, c = (piece.vertices[piece.faces[:, k]] for k in range(3))
         for end in ENDS:
             origin = to_base[:3, :3] @ (T[:3, :3] @ end + T[:3, 3]) + to_base[:3, 3]
@@ -80,10 +80,10 @@ def test_a_scanner_at_the_end_of_the_arm_is_never_shaded():
     """The built-in mount: one look, nothing is found, and the matrix is the very same object."""
     world = _world()
     M, reached, views = _cell(world)
-    arm = OwnArm(M, reached, views, world, SCANNER)
+    arm = SelfOcclusion(M, reached, views, world, SCANNER)
     chosen = np.arange(len(views))
     assert len(chosen) > 10
-    assert arm.look(chosen, np.stack([reached.configurations_of(v)[0] for v in chosen])) is Look.CLEAR
+    assert arm.update(chosen, np.stack([reached.configurations_of(v)[0] for v in chosen])) is OcclusionUpdate.CLEAR
     assert arm.M is M
     assert not arm.reasons
 
@@ -92,15 +92,15 @@ def test_what_is_left_is_exactly_what_the_arm_does_not_hide():
     """A mount that looks over the wrist: a view loses what brute force finds hidden, and nothing else."""
     world = _world(mount=SIDEWAYS, housing={"bracket_diameter_mm": 0.0, "size_mm": [100.0, 60.0, 40.0]})
     M, reached, views = _cell(world)
-    arm = OwnArm(M, reached, views, world, SCANNER)
+    arm = SelfOcclusion(M, reached, views, world, SCANNER)
     chosen = np.arange(0, len(views), 6)
     looks = []
     for _ in range(20):
-        looks.append(arm.look(chosen, np.stack([arm.configurations(v)[0] for v in chosen])))
-        if looks[-1] is Look.CLEAR:
+        looks.append(arm.update(chosen, np.stack([arm.configurations(v)[0] for v in chosen])))
+        if looks[-1] is OcclusionUpdate.CLEAR:
             break
-    assert looks[0] is Look.LESS_MEASURED
-    assert looks[-1] is Look.CLEAR
+    assert looks[0] is OcclusionUpdate.LESS_MEASURED
+    assert looks[-1] is OcclusionUpdate.CLEAR
     assert arm.reasons
     points = M.samples.points
     for view in chosen:
@@ -122,7 +122,7 @@ def test_another_joint_solution_is_taken_before_anything_is_given_up(monkeypatch
     """An arm that hides only where A4 is positive: those solutions go, the matrix stays, the next look is clear."""
     world = _world()
     M, reached, views = _cell(world)
-    block, faces = box(np.array([0.2, 0.2, 0.01]))
+    block, faces = box_triangles(np.array([0.2, 0.2, 0.01]))
     view = int(np.argmax([len(_column(M, v)) for v in range(len(views))]))
     T = world.T_base_object @ views.T_object_scanner[view, 0]
     wall = (block + np.array([0, 0, 0.2])) @ T[:3, :3].T + T[:3, 3]
@@ -130,15 +130,15 @@ def test_another_joint_solution_is_taken_before_anything_is_given_up(monkeypatch
     def fake(_world: World, q: np.ndarray, _ends: object = None) -> list[Occluder]:
         return [Occluder("link_4", wall if q[3] > 0 else wall + 50.0, faces)]
 
-    monkeypatch.setattr(self_occlusion, "arm_triangles", fake)
+    monkeypatch.setattr(self_occlusion, "arm_occluders", fake)
     solutions = reached.configurations_of(view)
     good = solutions[:, 3] <= 0
     assert 0 < good.sum() < len(solutions)
-    arm = OwnArm(M, reached, views, world, SCANNER)
-    assert arm.look(np.array([view]), solutions[~good][:1]) is Look.OTHER_SOLUTIONS
+    arm = SelfOcclusion(M, reached, views, world, SCANNER)
+    assert arm.update(np.array([view]), solutions[~good][:1]) is OcclusionUpdate.OTHER_SOLUTIONS
     np.testing.assert_array_equal(arm.configurations(view), solutions[good])
     assert arm.M is M
-    assert arm.look(np.array([view]), solutions[good][:1]) is Look.CLEAR
+    assert arm.update(np.array([view]), solutions[good][:1]) is OcclusionUpdate.CLEAR
 
 
 def test_shade_on_what_another_view_measures_is_no_loss(monkeypatch: pytest.MonkeyPatch):
@@ -152,21 +152,21 @@ def test_shade_on_what_another_view_measures_is_no_loss(monkeypatch: pytest.Monk
     q = np.stack([reached.configurations_of(0)[0], reached.configurations_of(0)[-1]])
     both = Reach(np.zeros(2, dtype=np.uint8), q, np.array([0, 1, 2]), ("", ""))
     T = world.T_base_object @ twice.T_object_scanner[0, 0]
-    block, faces = box(np.array([0.2, 0.2, 0.01]))
+    block, faces = box_triangles(np.array([0.2, 0.2, 0.01]))
     wall = (block + np.array([0, 0, 0.2])) @ T[:3, :3].T + T[:3, 3]
     shaded = {q[0].tobytes()}
     monkeypatch.setattr(
-        self_occlusion, "arm_triangles",
+        self_occlusion, "arm_occluders",
         lambda _w, at, _e=None: [Occluder("link_5", wall + (0.0 if at.tobytes() in shaded else 50.0), faces)],
     )  # fmt: skip
-    arm = OwnArm(M, both, twice, world, SCANNER)
+    arm = SelfOcclusion(M, both, twice, world, SCANNER)
     # The second view keeps everything, so nothing that the first measures is lost to the plan.
-    assert arm.look(np.array([0, 1]), q) is Look.CLEAR
+    assert arm.update(np.array([0, 1]), q) is OcclusionUpdate.CLEAR
     shaded.add(q[1].tobytes())
-    assert arm.look(np.array([0, 1]), q) is Look.LESS_MEASURED
+    assert arm.update(np.array([0, 1]), q) is OcclusionUpdate.LESS_MEASURED
     assert set(arm.reasons) == {0, 1}
     assert len(arm.M.indices) == 0
-    assert f"{100 * SHADED_SHARE:g} %" in arm.reasons[0]
+    assert f"{100 * MAX_OCCLUDED_SHARE:g} %" in arm.reasons[0]
 
 
 def test_coverage_with_the_arm_is_never_more(monkeypatch: pytest.MonkeyPatch):
@@ -183,22 +183,24 @@ def test_coverage_with_the_arm_is_never_more(monkeypatch: pytest.MonkeyPatch):
     ]
     assert any(arm is not None for arm in arms)
     visible = prediction.coverable.covered
-    with_arm = visible_with_arm(prediction, views.T_object_scanner[:6], arms, visible)
-    assert with_arm == visible_with_arm(prediction, views.T_object_scanner[:6], arms, np.ones_like(visible))
+    with_arm = coverage_with_arm(prediction, views.T_object_scanner[:6], arms, visible)
+    assert with_arm == coverage_with_arm(prediction, views.T_object_scanner[:6], arms, np.ones_like(visible))
     assert with_arm < prediction.coverable.fraction
     far = EmbreeRayCaster(BALL.vertices + 50.0, BALL.faces)
-    assert visible_with_arm(prediction, views.T_object_scanner[:6], [far] * 6, visible) == prediction.coverable.fraction
+    assert (
+        coverage_with_arm(prediction, views.T_object_scanner[:6], [far] * 6, visible) == prediction.coverable.fraction
+    )
 
 
 def test_the_housing_hides_only_where_it_stands_apart_from_source_and_sensor():
     """Front face in the plane of the source: a window. Moved aside: a shape like the others."""
     q = np.deg2rad([10, -80, 90, 5, 20, 30])
-    names = {piece.name for piece in arm_triangles(_world(), q, ENDS)}
+    names = {piece.name for piece in arm_occluders(_world(), q, ENDS)}
     assert "housing" not in names
     assert {"bracket", "link_4", "link_5"} <= names
     aside = _world(housing={"position_mm": [200.0, 0.0, 10.0]})
-    assert "housing" in {piece.name for piece in arm_triangles(aside, q, ENDS)}
-    assert "housing" not in {piece.name for piece in arm_triangles(aside, q)}
+    assert "housing" in {piece.name for piece in arm_occluders(aside, q, ENDS)}
+    assert "housing" not in {piece.name for piece in arm_occluders(aside, q)}
 
 
 def test_a_shorter_motion_that_hides_more_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,7 +209,7 @@ def test_a_shorter_motion_that_hides_more_is_not_taken(monkeypatch: pytest.Monke
     M, reached, views = _cell(world)
     prediction = SimpleNamespace(scanner=SCANNER)
     at_rest = ViewsAtRest(SimpleNamespace(M=M, reached=reached, candidates=views, world=world, prediction=prediction))
-    hides = OwnArm(M, reached, views, world, SCANNER).hides_no_more
+    hides = SelfOcclusion(M, reached, views, world, SCANNER).occludes_no_more
     view, good, bad = next(
         (v, a, b)
         for v in range(len(views))

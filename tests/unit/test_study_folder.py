@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from cell.commands.terminal import Terminal
 from cell.errors import FileError
-from cell.scene.file import tables
+from cell.scene.file import option_tables
 from cell.study import study as studies
 from cell.study.curves import KNOBS
 from cell.study.plan_command import options
@@ -108,7 +108,7 @@ def test_options_of_a_row_say_what_its_trial_had(knob: str, value: object) -> No
     _, given = KNOBS[knob]
     keys = given(value)
     words = (word.removeprefix("--").partition("=") for word in shlex.split(options(keys)))
-    assert tables({name: text for name, _, text in words}) == keys
+    assert option_tables({name: text for name, _, text in words}) == keys
     told = options({"part": {"name": "mug"}, "plan": {"faces": 75}, "scanner": {"fov_deg": [20.0, 20.0]}})
     assert told == "mug --faces=75  # with fov_deg = [20.0, 20.0] under [scanner] in the scene file"
 

@@ -3,7 +3,7 @@
 import pytest
 
 from cell.errors import UsageError
-from cell.scene.options import flag, read
+from cell.scene.options import flag, parse_options
 from cell.study.options import PlaceRange
 from cell.study.ranges import pairs, values
 
@@ -32,7 +32,7 @@ def test_what_is_no_range_is_refused_with_the_option_s_name(text: str) -> None:
 
 def test_a_span_is_two_values_or_one_twice() -> None:
     """Negative ones too; what is not given is the whole axis."""
-    where = read(PlaceRange, {"y": "-600:600", "z": "5"})
+    where = parse_options(PlaceRange, {"y": "-600:600", "z": "5"})
     assert (where.y_mm, where.z_mm) == ((-600.0, 600.0), (5.0, 5.0))
     assert where.x_mm == (700.0, 1600.0)
 
@@ -41,7 +41,7 @@ def test_a_span_is_two_values_or_one_twice() -> None:
 def test_what_is_no_span_is_refused(text: str) -> None:
     """With the option's name."""
     with pytest.raises(UsageError, match="--y"):
-        read(PlaceRange, {"y": text}, flag)
+        parse_options(PlaceRange, {"y": text}, flag)
 
 
 def test_pairs_are_near_and_far_limits() -> None:

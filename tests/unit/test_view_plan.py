@@ -105,7 +105,7 @@ def test_what_is_raised_in_the_end_was_looked_at_on_the_same_samples(monkeypatch
         monkeypatch.setattr(denser_samples, name, stands_in)
     spread = SimpleNamespace(planning_face=np.zeros(1, dtype=int), areas=np.ones(1))
     surface = SimpleNamespace(planning=SimpleNamespace(faces=np.zeros((1, 3))), reference=None)
-    prediction = SimpleNamespace(samples=spread, asked=None, asks=None)
+    prediction = SimpleNamespace(samples=spread, required=None, is_required=None)
     problem = Stub(SimpleNamespace(asked=np.array([0.99])), prediction, after(0), None, SimpleNamespace(reachable=None))
     denser_samples.chosen_where_kept(problem, surface, None, None)
     assert looks == [

@@ -16,7 +16,7 @@ from cell.view.cell_picture import best_view, draw_cell
 from cell.view.palette import LENGTHS, OPEN, REASONS, SEEN, SIGNED, rgb
 from cell.view.pieces import Cell, Piece, cell_of_run
 from cell.world.embree import EmbreeRayCaster
-from cell.world.occluders import box
+from cell.world.occluders import box_triangles
 from planner.geometry.mesh import TriangleMesh
 
 _SIZE = (160, 120)
@@ -42,7 +42,7 @@ def test_a_pixel_is_where_its_ray_goes(parallel: bool) -> None:
 
 def test_a_line_behind_a_surface_is_hidden() -> None:
     """A stroke through a box: its ends are drawn, its middle has the colour of what is hidden."""
-    vertices, faces = box(np.array([0.1, 0.1, 0.1]))
+    vertices, faces = box_triangles(np.array([0.1, 0.1, 0.1]))
     caster = EmbreeRayCaster(vertices, faces)
     around = np.array([[-0.3, -0.3, -0.3], [0.3, 0.3, 0.3]])
     camera = rays.fitted(around, np.array([1.0, 0.0, 0.0]), (200, 200), parallel=True)
@@ -85,7 +85,7 @@ def shown(planned: Path) -> tuple[Cell, TriangleMesh, np.ndarray, np.ndarray]:
 def test_a_wall_in_front_is_glass(shown: tuple[Cell, TriangleMesh, np.ndarray, np.ndarray]) -> None:
     """Seen through it the robot keeps its orange; from the other side the wall is no glass, and it can be hidden."""
     cell, part, q, views = shown
-    vertices, faces = box(np.array([1.2, 0.02, 1.2]))
+    vertices, faces = box_triangles(np.array([1.2, 0.02, 1.2]))
     wall = Piece("wall", 0, vertices + np.array([0.6, -1.2, 0.4]), faces, np.array([0.2, 0.3, 0.9]))
     walled = replace(cell, pieces=(*cell.pieces, wall))
 

@@ -11,11 +11,11 @@ import trimesh
 from cell.errors import SceneError
 from cell.robot import model as robot
 from cell.scene.model import Scene, pose
-from cell.world.checks import require_possible
+from cell.world.checks import require_feasible
 from cell.world.files import write_mjcf
 from cell.world.model import World, compile_world
-from cell.world.occluders import Occluder, arm_triangles, occluder_triangles
-from cell.world.shapes import prepare_robot
+from cell.world.occluders import Occluder, arm_occluders, fixed_occluders
+from cell.world.shapes import set_robot_pairs
 
 OFFSET = np.array([3.0, -2.0, 1.0])  # the object frame's origin is far from the part
 PART = np.array(trimesh.creation.icosphere(2, 0.1).vertices) * [1.0, 0.7, 1.5] + OFFSET
@@ -160,7 +160,7 @@ def test_the_housing_is_guarded_against_the_hand_where_the_mount_lets_them_meet(
 
 def test_cell_xml_is_the_checked_cell(world: World, tmp_path: Path) -> None:
     """MuJoCo loads the file alone; every shape stands exactly where it was checked, at home and elsewhere."""
-    T = world.placed(pose((1000, -300, 100), (70, -20, 5)))
+    T = world.T_base_object_at(pose((1000, -300, 100), (70, -20, 5)))
     assert write_mjcf(replace(world, T_base_object=T), tmp_path) == ("cell.xml",)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "cell.xml"))
     data, expected = mujoco.MjData(model), world.data(T)
@@ -199,7 +199,7 @@ def test_cell_xml_has_the_same_bytes_twice(world: World, tmp_path: Path) -> None
 def test_occluders_are_everything_that_stands_and_is_not_glass(world: World) -> None:
     """Post, pedestal, floor and occluding fixtures; each closed, outward and attached to what it stands with."""
     T = world.T_base_object
-    found = {o.name: Occluder(o.name, o.vertices @ T[:3, :3].T + T[:3, 3], o.faces) for o in occluder_triangles(world)}
+    found = {o.name: Occluder(o.name, o.vertices @ T[:3, :3].T + T[:3, 3], o.faces) for o in fixed_occluders(world)}
     assert set(found) == {"post", "pedestal", "floor", "ring", "clamp", "pillar"}
     volumes = {"pedestal": 0.6**3, "clamp": 20 * 30 * 40e-9, "ring": None, "post": None, "pillar": None}
     for name, volume in volumes.items():
@@ -223,8 +223,8 @@ def test_occluders_are_everything_that_stands_and_is_not_glass(world: World) -> 
 
 def test_what_is_attached_to_the_object_goes_with_it_and_the_rest_stays(world: World) -> None:
     """In the object frame the clamp is where it was whatever the placement; the others are where they were in base."""
-    T, T_now = world.placed(pose((900, 700, 50), (10, 80, -30))), world.T_base_object
-    for moved, here in zip(occluder_triangles(world, T), occluder_triangles(world), strict=True):
+    T, T_now = world.T_base_object_at(pose((900, 700, 50), (10, 80, -30))), world.T_base_object
+    for moved, here in zip(fixed_occluders(world, T), fixed_occluders(world), strict=True):
         if moved.name == "clamp":
             np.testing.assert_allclose(moved.vertices, here.vertices, rtol=0, atol=1e-12)
             np.testing.assert_allclose(moved.vertices.mean(axis=0), [3.0, -2.0, 1.17], atol=1e-12)
@@ -236,7 +236,7 @@ def test_what_is_attached_to_the_object_goes_with_it_and_the_rest_stays(world: W
 def test_the_arm_s_triangles_are_its_shapes_without_the_housing(world: World) -> None:
     """One mesh per shape of base, links and bracket, at the asked configuration."""
     q = np.deg2rad([40, -60, 80, 10, 20, 30])
-    found = arm_triangles(world, q)
+    found = arm_occluders(world, q)
     assert {o.name for o in found} == {*robot.LINKS, "bracket"}
     data = world.data()
     data.qpos[:] = q
@@ -267,7 +267,7 @@ def test_a_scene_that_cannot_be_is_refused(tables: dict, words: list[str]) -> No
     """One sentence that says what is wrong and what to change."""
     world = compile_world(_scene(**tables), PART, baseline_mm=75.0)
     with pytest.raises(SceneError) as caught:
-        require_possible(world)
+        require_feasible(world)
     assert all(word in str(caught.value) for word in words), str(caught.value)
 
 
@@ -276,7 +276,7 @@ def test_a_link_of_another_shape_than_box_cylinder_and_mesh_is_named() -> None:
     spec = robot.spec()
     spec.geom("link_4_wrist").type = mujoco.mjtGeom.mjGEOM_CAPSULE
     with pytest.raises(SceneError, match="'link_4_wrist' is no box, cylinder or mesh"):
-        prepare_robot(spec)
+        set_robot_pairs(spec)
 
 
 def test_the_scene_s_baseline_goes_before_all_others() -> None:
