@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 _ROUNDING = 0.02  # of a tenth of a millimetre: what a sum of coordinates is off is no reason to go a tenth farther
 
 
-def display_name(world: World, name: str) -> str:
+def named(world: World, name: str) -> str:
     """A piece of the cell as a sentence names it."""
     if name in robot_bodies(world):
         return f"the {name}" if name in ("housing", "bracket") else f"the robot's {name}"
@@ -105,7 +105,9 @@ def penetration_message(
     depth = 1000 * float(np.linalg.norm(out))
     cure = move_object(world, one.name, out if way is None else way)
     also, place = (" or change robot.home_deg", " at home") if at_home else ("", "")
-    return f"{display_name(world, one.name)} stands inside {display_name(world, other.name)}{place}, {depth:.1f} mm deep; {cure}{also}"
+    return (
+        f"{named(world, one.name)} stands inside {named(world, other.name)}{place}, {depth:.1f} mm deep; {cure}{also}"
+    )
 
 
 def _triple(values: Floats) -> str:
@@ -332,7 +334,7 @@ def _in_the_robot(world: World, solids: dict[str, Solid]) -> list[str]:
             problems.append(penetration_message(world, solids[name], solids[piece], way=way, at_home=True))
         else:
             problems.append(
-                f"{display_name(world, name)} is {1000 * gaps[piece]:.1f} mm from {display_name(world, piece)} at home, nearer "
+                f"{named(world, name)} is {1000 * gaps[piece]:.1f} mm from {named(world, piece)} at home, nearer "
                 f"than the clearance of {1000 * world.clearance:g} mm; "
                 f"{move_object(world, name, way)} or change robot.home_deg"
             )
@@ -411,7 +413,7 @@ def find_warnings(world: World) -> list[str]:
         for fixture in fixtures
         if isinstance(fixture, MeshFixture)
         for finding in size_findings(np.ptp(world.fixture_meshes[fixture.name].vertices, axis=0), fixture.units,
-                                     display_name(world, fixture.name))
+                                     named(world, fixture.name))
     ]  # fmt: skip
     return of_arm + said + _in_each_other(world, solids) + _standing_badly(world, solids)
 
@@ -440,11 +442,11 @@ def _in_each_other(world: World, solids: dict[str, Solid]) -> list[str]:
                 said.append(penetration_message(world, solids[name], solids[other]))
         if "post" in solids and penetrates(solids["post"], solids[name]):
             said.append(
-                f"the post goes through {display_name(world, name)}; set post.enabled = false where that carries the part"
+                f"the post goes through {named(world, name)}; set post.enabled = false where that carries the part"
             )
         if (depth := world.floor - float(solids[name].low[2])) > CONTACT_DISTANCE:
             said.append(
-                f"{display_name(world, name)} reaches {1000 * depth:.1f} mm below the floor; "
+                f"{named(world, name)} reaches {1000 * depth:.1f} mm below the floor; "
                 f"{move_object(world, name, np.array([0.0, 0.0, depth]))}"
             )
     return said
@@ -476,8 +478,8 @@ def _standing_badly(world: World, solids: dict[str, Solid]) -> list[str]:
             way = _Rests(solids[name], below, world.floor, _FINE).tips()
             if way is not None:
                 said.append(
-                    f"the centre of mass of {display_name(world, name)} is {1000 * float(np.linalg.norm(way)):.1f} mm beside "
-                    f"what it rests on ({', '.join(display_name(world, each) for each in sorted(rests.on)) or 'the floor'}); "
+                    f"the centre of mass of {named(world, name)} is {1000 * float(np.linalg.norm(way)):.1f} mm beside "
+                    f"what it rests on ({', '.join(named(world, each) for each in sorted(rests.on)) or 'the floor'}); "
                     f"it tips unless it is fastened: {move_object(world, name, way)}"
                 )
     return said
@@ -489,10 +491,10 @@ def _in_the_air(world: World, solids: dict[str, Solid], together: set[str]) -> s
     gaps = {name: _Rests(solids[name], others, world.floor, _FINE).gap() for name in solids if name in together}
     name = min(gaps, key=lambda each: gaps[each][0])
     gap, below = gaps[name]
-    rest = [display_name(world, each) for each in solids if each in together and each != name]
+    rest = [named(world, each) for each in solids if each in together and each != name]
     with_it = f" (with {', '.join(rest)})" if rest else ""
     return (
-        f"nothing carries {display_name(world, name)}{with_it}: it hangs {1000 * gap:.1f} mm above {display_name(world, below)}; "
+        f"nothing carries {named(world, name)}{with_it}: it hangs {1000 * gap:.1f} mm above {named(world, below)}; "
         f"{move_object(world, name, np.array([0.0, 0.0, -gap]))}"
     )
 

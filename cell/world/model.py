@@ -1,8 +1,8 @@
 """The scene as a MuJoCo model: robot on its pedestal, scanner on its flange, part, post, fixtures and floor.
 
-The model is *kinematic*: only `mj_kinematics` and `mj_collision` are ever run on it; no actuator, no gravity, no step.
-Part and post are mocap bodies, so a placement is data and needs no new model. World frame = base frame (KUKA $ROBROOT).
-Which pairs are guarded, and why the others are not, stands in `cell.world.shapes`.
+The model is *kinematic*: only `mj_kinematics` and `mj_collision` run on it; it has no actuators, gravity or time steps.
+Part and post are mocap bodies, so a new placement is data and needs no new model. World frame = base frame (KUKA
+$ROBROOT). `cell.world.shapes` lists the pairs of shapes that are checked for collision.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from planner.values import Floats, Value, readonly
 if TYPE_CHECKING:
     import mujoco
 
-# "housing with link_2", never the other way round: the more mobile of the two comes first.
+# "housing with link_2", never the reverse: the more mobile of the two comes first.
 _RANK = ("housing", "bracket", *reversed(robot.LINKS))
 ON_AXIS = 1e-6
-"""A post nearer to the axis of a rotary table turns in place [m]."""
+"""Distance [m] from the axis of a rotary table below which a post turns in place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,30 +44,30 @@ class World(Value):
     """A compiled scene.
 
     Attributes:
-        scene: what it was made from.
+        scene: the settled scene.
         model: the compiled kinematic model; treat as read-only.
-        inflated: the same with every box larger by half the clearance instead of a margin (see `cell.world.collision`).
-        T_base_object: (4, 4) the scene's placement [m].
-        T_object_centre: (4, 4) middle of the part's bounding box, axes parallel to the object's [m].
-        T_flange_scanner: (4, 4) the mount [m].
-        T_flange_housing: (4, 4) middle of the housing [m].
+        inflated: the model with every box enlarged by half the clearance instead of a margin (`cell.world.collision`).
+        spec: the editable specification of `model`.
+        T_base_object: placement of the scene [m].
+        T_object_centre: middle of the part's bounding box, axes parallel to the object's [m].
+        T_flange_scanner: the mount [m].
+        T_flange_housing: middle of the housing [m].
         baseline: from source to sensor [m].
-        home: (axes,) joint angles [rad], the table's behind the arm's.
+        home: joint angles [rad], the table's after the arm's.
         limits: of the axes, at full speed and acceleration.
-        table: turns part, post and the part's fixtures; None: they stand.
+        table: rotary table that turns part, post and the part's fixtures; None: no table.
         clearance: distance that a free configuration keeps [m].
         part_hull: convex hull of the part, object frame [m].
-        part_mesh: its triangles, object frame [m]; its hull where vertices alone were given.
-        collision: what stands for the part: "hull" or "exact" (its triangles).
-        shapes: who measures distances: by the true triangles of the robot's meshes, and of the part and the mesh
-            fixtures where the scene's collision is "exact".
-        clearance_reduction: pairs of geoms of links that are guarded by less than the clearance, and by how much less [m].
-        refinement: by how many times a motion has to be looked at closer, so that none of these pairs touches between two
-            looks.
-        followers: joints that the axes drive along.
-        fixture_meshes: true triangles of the mesh fixtures by name, in the frame they are attached to [m].
-        entities: for each geom of the model, the name a reader knows ("link_4", "housing", "post", a fixture's name).
-        pairs: (P, 2) geom ids of every guarded pair.
+        part_mesh: triangles of the part, object frame [m]; its hull if only vertices were given.
+        collision: shape of the part in collision checks: "hull" or "exact" (its triangles).
+        shapes: distances of geoms, by the triangles of the robot's meshes and, with `collision` "exact", of the part
+            and the mesh fixtures.
+        clearance_reduction: pairs of link geoms with a smaller clearance, and how much smaller it is [m].
+        refinement: factor on the number of checks along a motion that keeps these pairs apart between two checks.
+        mimic_joints: joints that are coupled to the axes.
+        fixture_meshes: triangles of the mesh fixtures by name, in the frame that they are attached to [m].
+        entities: for each geom, the name in reports ("link_4", "housing", "post", the name of a fixture).
+        pairs: geom ids of every checked pair.
     """
 
     scene: Scene
@@ -101,24 +101,24 @@ class World(Value):
 
     @property
     def kinematics(self) -> Kinematics:
-        """Of the arm; of arm and table as one chain, see `planner.kinematics.rotary_table`."""
+        """Kinematics of the arm, or of arm and table as one chain (`planner.kinematics.rotary_table`)."""
         return kinematics_on_table(kinematics_of(self.model), self.table, self.home, self.scene.table.angles)
 
     def T_base_part(self, q: Floats) -> Floats:
-        """(..., 4, 4) T_base_object [m] at (..., axes) joint angles: the scene's placement, turned by the table."""
+        """Return T_base_object (..., 4, 4) [m] at joint angles (..., axes): the placement, turned by the table."""
         return self.in_base(q, self.T_base_object)
 
     def in_base(self, q: Floats, T_part: Floats) -> Floats:
-        """(..., 4, 4) poses in base as the part sees them, turned as the table at (..., axes) joint angles [m, rad]."""
+        """Turn poses (..., 4, 4) [m], given at table angle 0, by the table angle of (..., axes) joint angles [rad]."""
         return T_part if self.table is None else self.table.turn(q[..., ARM_AXES]) @ T_part
 
     def T_base_object_at(self, T_base_centre: ArrayLike) -> Floats:
-        """T_base_object (4, 4) that puts the part's centre at `T_base_centre` (4, 4) [m]."""
+        """Return T_base_object (4, 4) of a pose of the part's centre (4, 4) [m]."""
         T: Floats = readonly("T_base_centre", T_base_centre, (4, 4)) @ np.linalg.inv(self.T_object_centre)
         return T
 
     def with_placement(self, T_base_centre: Floats) -> World:
-        """The cell with the part's centre at a pose (4, 4) [m]; a table without a place of its own goes with the part.
+        """Return the cell with the part's centre at another pose (4, 4) [m]; a table without a position moves along.
 
         Raises:
             SceneError: if the table cannot carry the part there.
@@ -129,9 +129,9 @@ class World(Value):
         return compile_world(scene, part.vertices, part_faces=part.faces, baseline_mm=1000 * self.baseline)
 
     def T_base_post(self, T_base_object: ArrayLike) -> Floats:
-        """(4, 4) top of the post [m]: under the part's centre, at the height of its lowest point; it reaches down -z.
+        """Return the top of the post (4, 4) [m]: below the part's centre, at the height of its lowest point.
 
-        On a rotary table down is along the table's axis.
+        The post extends down -z; on a rotary table that is along the table's axis.
         """
         T = readonly("T_base_object", T_base_object, (4, 4))
         post, up = np.eye(4), np.array([0.0, 0.0, 1.0])
@@ -144,26 +144,24 @@ class World(Value):
         return post
 
     def post_top(self, T_base_object: ArrayLike) -> Floats:
-        """(3,) top of the post [m], base frame."""
+        """Return the top of the post (3,) [m], base frame."""
         return self.T_base_post(T_base_object)[:3, 3]
 
     def data(self, T_base_object: ArrayLike | None = None, model: mujoco.MjModel | None = None) -> mujoco.MjData:
-        """A fresh state with the robot at home and the part at a placement.
+        """Create a state with the robot at home and the part at a placement.
 
         Args:
             T_base_object: (4, 4) [m]; None is the scene's placement.
-            model: `inflated` for a state of that one.
+            model: `inflated` for a state of that model.
         """
         import mujoco
 
         model = self.model if model is None else model
         T = self.T_base_object if T_base_object is None else readonly("T_base_object", T_base_object, (4, 4))
         data = mujoco.MjData(model)
-        data.mocap_pos[model.body("object").mocapid] = T[:3, 3]
-        data.mocap_quat[model.body("object").mocapid] = cell_shapes.quaternion(T[:3, :3])
-        post = self.T_base_post(T)
-        data.mocap_pos[model.body("post").mocapid] = post[:3, 3]
-        data.mocap_quat[model.body("post").mocapid] = cell_shapes.quaternion(post[:3, :3])
+        for name, pose in (("object", T), ("post", self.T_base_post(T))):
+            data.mocap_pos[model.body(name).mocapid] = pose[:3, 3]
+            data.mocap_quat[model.body(name).mocapid] = cell_shapes.quaternion(pose[:3, :3])
         data.qpos[:] = self.mimic_joints.qpos(self.home[:ARM_AXES])
         mujoco.mj_kinematics(model, data)
         return data
@@ -178,17 +176,26 @@ class World(Value):
         any_nearer: bool = False,
         points: Floats | None = None,
     ) -> float:
-        """As `Shapes.distance`; of two links that are guarded by less, what they are beyond that, and the clearance."""
+        """Measure two geoms as `ShapeDistances.distance`, plus the pair's clearance reduction.
+
+        The sum is compared with the full clearance.
+        """
         if not self.clearance_reduction:
             return self.shapes.distance(data, a, b, reach, any_nearer=any_nearer, points=points)
         more = self.clearance_reduction.get((a, b), 0.0)
         return more + self.shapes.distance(data, a, b, reach - more, any_nearer=any_nearer, points=points)
 
     def pair_name(self, geom_a: int, geom_b: int) -> str:
-        """What a reader calls a pair of geoms: "housing with part"."""
+        """Return the name of a pair of geoms in reports: "housing with part"."""
         names = self.entities[geom_a], self.entities[geom_b]
         first, second = sorted(names, key=lambda name: _RANK.index(name) if name in _RANK else len(_RANK))
         return f"{first} with {second}"
+
+
+def compile_settled(settled: SettledScene, part: TriangleMesh | None = None) -> World:
+    """Compile a settled scene, with its part or with another mesh in the part's frame; see `compile_world`."""
+    mesh = settled.part.reference if part is None else part
+    return compile_world(settled.scene, mesh.vertices, part_faces=mesh.faces, baseline_mm=settled.baseline_mm)
 
 
 def compile_world(
@@ -198,16 +205,16 @@ def compile_world(
     part_faces: ArrayLike | None = None,
     baseline_mm: float | None = None,
 ) -> World:
-    """Build and compile the model of a scene; whether the scene can be, `cell.world.checks` judges.
+    """Build and compile the model of a scene. `cell.world.checks` decides whether the scene is feasible.
 
     Args:
-        scene: what stands in the cell.
+        scene: settled or not; an open scanner is chosen by the part's size.
         part_vertices: (N, 3) vertices of the part, or of its convex hull [m], object frame.
-        part_faces: (F, 3) its triangles, for `plan.collision = "exact"`; None makes the part its hull.
-        baseline_mm: the scanner's baseline where the scene leaves it open; the housing is centred over it.
+        part_faces: (F, 3) its triangles, for `plan.collision = "exact"`; None: the part is its hull.
+        baseline_mm: baseline of the scanner if the scene has none; the housing is centred over it.
 
     Raises:
-        SceneError: if the part or a fixture has no solid, or the baseline is not known.
+        SceneError: if part or fixture have no solid, or the baseline is unknown.
     """
     vertices = np.asarray(part_vertices, dtype=np.float64)
     scene, baseline_mm = _settled(scene, vertices, baseline_mm)
@@ -221,16 +228,16 @@ def compile_world(
 
     spec = robot_spec(scene.robot)
     cell_shapes.set_robot_pairs(spec, on_pedestal=scene.robot.base is None)
-    scene = _at_home(scene, spec)
+    scene = _with_home(scene, spec)
     entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms}
     cell_shapes.add_tool(spec, scene, T_flange_housing)
     clearance, arm = scene.clearance_mm / 1000.0, _compiled(spec)
-    hollow = [name for name, mesh in _links(arm, entities).items() if not is_convex(mesh)]
-    shapes = ShapeDistances(arm, _links(arm, entities), hollow)
+    nonconvex = [name for name, mesh in _link_meshes(arm, entities).items() if not is_convex(mesh)]
+    shapes = ShapeDistances(arm, _link_meshes(arm, entities), nonconvex)
     self_collision.exclude_tool_pairs(spec, arm, shapes, clearance, by_hand=scene.robot.model == robot.KR16)
     T_base_object = scene.placement.T @ np.linalg.inv(T_object_centre)
     table = place_table(scene, T_base_object, hull)
-    fixture_meshes = _add_what_stands(spec, scene, hull, T_base_object, table)
+    fixture_meshes = _add_surroundings(spec, scene, hull, T_base_object, table)
     for geom in spec.geoms:
         geom.margin = clearance / 2  # MuJoCo 4 adds the two margins of a pair
 
@@ -243,7 +250,7 @@ def compile_world(
         limits = replace(table.limits(limits), table_turn_q=home if scene.table.moves == "indexed" else None)
     exact = {**fixture_meshes, **part} if scene.plan.collision == "exact" else {}
     near = {pair: keep for pair, keep in robot.reduced_clearances(model).items() if keep < clearance}
-    return _stopped_by_what_stands(
+    return _with_table_limits(
         World(
             scene=scene,
             model=model,
@@ -261,7 +268,7 @@ def compile_world(
             part_hull=hull,
             part_mesh=part.get("part", hull),
             collision=scene.plan.collision if part else "hull",
-            shapes=ShapeDistances(model, {**_links(model, entities), **exact}, [*exact, *hollow]),
+            shapes=ShapeDistances(model, {**_link_meshes(model, entities), **exact}, [*exact, *nonconvex]),
             clearance_reduction={pair: clearance - keep for pair, keep in near.items()},
             refinement=self_collision.motion_refinement(model, clearance, near),
             mimic_joints=robot.MimicJoints.from_model(model),
@@ -272,14 +279,8 @@ def compile_world(
     )
 
 
-def compile_settled(settled: SettledScene, part: TriangleMesh | None = None) -> World:
-    """Compile a settled scene, with its part or with another mesh in the part's frame; see `compile_world`."""
-    mesh = settled.part.reference if part is None else part
-    return compile_world(settled.scene, mesh.vertices, part_faces=mesh.faces, baseline_mm=settled.baseline_mm)
-
-
-def _stopped_by_what_stands(world: World) -> World:
-    """The cell with its table limited to where it can turn its part."""
+def _with_table_limits(world: World) -> World:
+    """Limit the table to the angles at which it can turn its part."""
     if (table := world.table) is None:
         return world
     turn = TableCollision(world.model, world.data(), table, world.pairs, world.clearance, world.distance)
@@ -302,13 +303,13 @@ def _settled(scene: Scene, vertices: Floats, baseline_mm: float | None) -> tuple
     return scene, baseline
 
 
-def _add_what_stands(
+def _add_surroundings(
     spec: mujoco.MjSpec, scene: Scene, hull: TriangleMesh, T_base_object: Floats, table: RotaryTable | None
 ) -> dict[str, TriangleMesh]:
-    """Ground, table, part, post and fixtures; returns the true triangles of the mesh fixtures by name.
+    """Add ground, table, part, post and fixtures; return the triangles of the mesh fixtures by name.
 
     Raises:
-        SceneError: if a fixture is called as a shape of the cell's own.
+        SceneError: if a fixture has the name of a shape of the cell.
     """
     cell_shapes.add_ground(spec, scene)
     placed_body = spec.worldbody.add_body(name="object", mocap=True)
@@ -339,25 +340,25 @@ def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
         raise SceneError("the scene does not compile as a model of shapes; check sizes and meshes") from error
 
 
-def _at_home(scene: Scene, spec: mujoco.MjSpec) -> Scene:
-    """The scene with the home of its robot where it gives none."""
+def _with_home(scene: Scene, spec: mujoco.MjSpec) -> Scene:
+    """Return the scene with the home of its robot if it gives none."""
     if scene.robot.home_deg is not None:
         if spec.key("home") is None:
             spec.add_key(name="home", qpos=np.zeros(spec.compile().nq))
         return scene
     degrees = np.degrees(robot.home(_compiled(spec.copy()))).round(4).tolist()
-    # Whole numbers stay what they are: the file of the settled scene keeps them.
+    # Whole numbers stay integers in the file of the settled scene.
     home = tuple(int(angle) if angle == int(angle) else angle for angle in degrees)
     return scene.model_copy(update={"robot": scene.robot.model_copy(update={"home_deg": home})})
 
 
-def _links(model: mujoco.MjModel, of_robot: Collection[str]) -> dict[str, TriangleMesh]:
-    """The triangles of the robot's geoms of these names that are meshes."""
-    return {name: mesh for name, mesh in meshes_of(model).items() if name in of_robot}
+def _link_meshes(model: mujoco.MjModel, robot_geoms: Collection[str]) -> dict[str, TriangleMesh]:
+    """Return the triangles of the robot's mesh geoms by name."""
+    return {name: mesh for name, mesh in meshes_of(model).items() if name in robot_geoms}
 
 
 def _inflated(spec: mujoco.MjSpec, by: float) -> mujoco.MjSpec:
-    """A copy in which boxes are larger by `by` [m] to every side and have no margin."""
+    """Return a copy with boxes enlarged by a distance [m] on every side, and without their margin."""
     import mujoco
 
     copy = spec.copy()

@@ -101,7 +101,8 @@ class SelfOcclusion:
                 by = self._hidden_by(view, at, lost)
                 self.reasons[view] = (
                     f"its own arm shades it: {', '.join(by)} {'hides' if len(by) == 1 else 'hide'} {100 * share:.1f} % "
-                    f"of what only this view measured, and every joint solution more than {100 * MAX_OCCLUDED_SHARE:g} %"
+                    "of what only this view measured, and every joint solution more than "
+                    f"{100 * MAX_OCCLUDED_SHARE:g} %"
                 )
                 self._take_out(view, rows)
                 found = OcclusionUpdate.LESS_MEASURED
