@@ -193,7 +193,7 @@ def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
 def test_what_the_seeded_poses_do_not_see_is_no_proof(tmp_path: Path) -> None:
     """Plates that the square's corners touch, looked at where it lies flat, so that no contact is seen: guarded."""
     path = forked(tmp_path, 0.0325)
-    own = LinkPairs(normalise(robot_file.read(path)).compile())
+    own = LinkPairs(normalise(robot_file.read_robot(path)).compile())
     own.q = 0.01 * own.q
     found = own.relations()
     assert (found.joined, found.apart) == ([], [])
