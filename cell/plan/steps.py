@@ -216,7 +216,7 @@ def ask(session: PlanSession, job: Job, cell: Cell, measured: Measured, predicti
     """What is asked of selection and motion: the wishes with what they need to know."""
     scene, plan = job.scene, job.scene.plan
     layer = None
-    if not pose_uncertainty.pose_error(plan).none:
+    if not pose_uncertainty.pose_error(plan).is_exact:
         with session.stage("pose errors") as progress:
             layer = pose_uncertainty.layer(
                 plan, measured.M, measured.candidates, measured.reached, measured.scanner, measured.casters,

@@ -89,21 +89,21 @@ class Asked:
     @property
     def promises(self) -> bool:
         """Whether a coverage is kept on held-out samples."""
-        return self.request.promises and pose_error(self.request.plan).none
+        return self.request.promises and pose_error(self.request.plan).is_exact
 
     @property
     def once(self) -> bool:
         """Whether a sample is measured where one view does: no number of views is asked for, and no probability."""
         goals = self.request.goals
         several = self.request.plan.multiplicity > 1 or (goals is not None and (goals.views > 1).any())
-        return not several and pose_error(self.request.plan).none
+        return not several and pose_error(self.request.plan).is_exact
 
     @property
     def plain(self) -> bool:
         """Whether views may be moved and exchanged: their number counts, and none is named by the user."""
         of_user = self.own.pins or self.own.bans
         one = self.request.goals is None and self.request.plan.cost == "views" and self.request.brief
-        return one and not of_user and self.request.exchangeable and pose_error(self.request.plan).none
+        return one and not of_user and self.request.exchangeable and pose_error(self.request.plan).is_exact
 
     def problem(self, M: Mapping[int, Measurability], usable: Mapping[int, Bools]) -> CoverProblem:
         """The columns of all set-ups side by side, those of each a group, and all wishes but the coverage.

@@ -1,1 +1,1 @@
-"""What each candidate measures: the measurability matrix, its quality, and the coverage of a set of views."""
+"""Measurability: the matrix of samples and candidates, its quality, and the coverage of views."""

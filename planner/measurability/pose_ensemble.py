@@ -1,13 +1,14 @@
-"""How likely a view measures a sample when the scanner does not stand exactly where it should (Scott 2009).
+"""Probability that a view measures a sample under errors of the scanner's pose (Scott 2009).
 
-The error of an executed pose is normal: a standard deviation of position along each axis of the scanner and one of
-orientation about each. An ensemble of drawn errors, the same ones for every view (common random numbers, so that views
-are compared under equal luck), gives for each entry of the matrix how many of its members measure the sample. Scott,
-"Model-based view planning", Machine Vision and Applications 20 (2009), doi:10.1007/s00138-007-0110-2.
+The error of an executed pose is normal, with one standard deviation of position along each axis of the scanner and one
+of orientation about each. An ensemble of drawn errors gives for each entry of the matrix the number of its members that
+measure the sample. All views use the same errors (common random numbers, so that views are compared under equal
+conditions). Scott, "Model-based view planning", Machine Vision and Applications 20 (2009),
+doi:10.1007/s00138-007-0110-2.
 
-An entry counts only where the view measures the sample without error as well: what an error brings into view by luck is
-left out, so a promise made from the layer errs on the safe side, and only the entries of the matrix have to be
-calculated again. Object frame, metres, radians.
+An entry counts only if the view also measures the sample without error. Samples that an error brings into view by
+chance are left out, so coverage at a confidence is a lower estimate, and only the entries of the matrix are evaluated
+again. Object frame, metres, radians.
 """
 
 from collections.abc import Sequence
@@ -28,12 +29,12 @@ from planner.viewpoints.lines_of_sight import RayTargets, flatten_poses, in_view
 from planner.viewpoints.viewpoints import Viewpoints
 
 MEMBERS = 32
-"""Default size of the ensemble. One view is then credited with at most 98.5 %, see `credited`."""
+"""Default size of the ensemble. The probability of one view is then at most 98.5 %, see `credited_probability`."""
 
 
 @dataclass(frozen=True, slots=True)
 class PoseError:
-    """One standard deviation of each error of an executed pose.
+    """Standard deviations of the errors of an executed pose.
 
     Attributes:
         position: of the scanner's origin, along each of its axes [m].
@@ -52,12 +53,12 @@ class PoseError:
                 )
 
     @property
-    def none(self) -> bool:
+    def is_exact(self) -> bool:
         """Whether poses are exact."""
         return self.position == 0 and self.orientation == 0
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
-        """(count, 4, 4) drawn errors: where the scanner is, told in the frame where it should be."""
+        """Draw (count, 4, 4) errors: the actual pose of the scanner in the frame of the planned one [m]."""
         drawn = rng.standard_normal((count, 6))
         T = np.zeros((count, 4, 4))
         T[:, :3, :3] = rotation_matrices(self.orientation * drawn[:, 3:])
@@ -68,13 +69,13 @@ class PoseError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbabilityLayer(Value):
-    """For each entry of a measurability matrix, how many members of the ensemble measure the sample.
+    """Number of members of the ensemble that measure the sample, for each entry of a measurability matrix.
 
     Attributes:
         indptr: (S + 1,) as in the matrix.
         indices: (nnz,) as in the matrix.
         hits: (nnz,) members that measure the sample, 0 to `members`.
-        members: size of the ensemble; 0 where poses are exact, and every entry is certain.
+        members: size of the ensemble; 0 for exact poses, with which every entry is certain.
     """
 
     indptr: Annotated[Ints, "S+1"]
@@ -89,15 +90,11 @@ class ProbabilityLayer(Value):
 
     @property
     def probability(self) -> Floats:
-        """(nnz,) what each entry is credited with."""
+        """(nnz,) credited probability of each entry."""
         return credited_probability(self.hits, self.members)
 
     def within(self, M: Measurability) -> "ProbabilityLayer":
-        """The layer on the entries of a matrix that has lost some of those that this layer has.
-
-        Raises:
-            PlannerError: if the matrix has an entry that the layer lacks.
-        """
+        """Return the layer on the entries of a matrix that contains a part of this layer's entries."""
         width = M.n_viewpoints
         mine, wanted = (
             np.repeat(np.arange(len(start) - 1), np.diff(start)) * width + columns
@@ -110,10 +107,11 @@ class ProbabilityLayer(Value):
 
 
 def credited_probability(hits: NDArray[np.integer], members: int) -> Floats:
-    """Probability that is credited for hits out of members: (hits + 1/2) / (members + 1), and 0 for no hit at all.
+    """Return the probability for hits out of members: (hits + 1/2) / (members + 1), and 0 without a hit.
 
-    The mean of the posterior under Jeffreys' prior (Krichevsky, Trofimov 1981, doi:10.1109/TIT.1981.1056331): all of m
-    hits do not prove certainty, and a sum of logarithms needs a cap. Without members (exact poses) a hit is certain.
+    It is the mean of the posterior under Jeffreys' prior (Krichevsky, Trofimov 1981, doi:10.1109/TIT.1981.1056331).
+    Hits of all members do not prove certainty, and a sum of logarithms needs a cap. Without members (exact poses) a hit is
+    certain.
     """
     if members == 0:
         return np.ones(np.shape(hits))
@@ -133,15 +131,15 @@ def probability_layer(
 ) -> ProbabilityLayer:
     """Count for each entry the members of an ensemble that measure the sample.
 
-    The price is that of filling the matrix once for each member, on its entries only.
+    The cost is that of filling the entries of the matrix once per member.
 
     Args:
         M: the matrix, occluders applied.
-        viewpoints: its columns; an error turns and shifts all poses of a sweep alike.
-        scanner: the sensor's law.
-        casters: the part's and the occluders', object frame.
+        viewpoints: its columns; an error applies to all poses of a sweep alike.
+        scanner: sensor model.
+        casters: of the part and of occluders.
         errors: (m, 4, 4) drawn errors, from `PoseError.draw`; none means exact poses.
-        columns: (V,) which columns are asked about (the reachable ones); entries of others get no hit.
+        columns: (V,) columns to evaluate (the reachable ones); entries of others get no hit.
         progress: called with (members done, members in all).
     """
     hits = np.zeros(len(M.indices), dtype=np.int32)
@@ -155,8 +153,8 @@ def probability_layer(
 
     def rows_of(pose: int) -> Ints:
         own = rows[start[pose // K] : start[pose // K + 1]]
-        asked = len(own) and (columns is None or columns[pose // K])
-        return in_view(targets, poses[pose], scanner, own) if asked else own[:0]
+        is_evaluated = len(own) and (columns is None or columns[pose // K])
+        return in_view(targets, poses[pose], scanner, own) if is_evaluated else own[:0]
 
     for member, error in enumerate(errors, start=1):
         poses = flatten_poses(viewpoints.T_object_scanner @ error)
@@ -178,18 +176,18 @@ def simulate_executions(
     *,
     progress: Progress | None = None,
 ) -> tuple[Ints32, Floats]:
-    """Execute a plan many times with errors of its poses, and count how often each sample is measured.
+    """Simulate executions of a plan with pose errors, and count how often each sample is measured.
 
     Args:
         T_object_scanner: (n, K, 4, 4) views of the plan [m].
         samples: S points of the surface.
-        scanner: the sensor's law.
-        casters: the part's and the occluders'.
+        scanner: sensor model.
+        casters: of the part and of occluders.
         errors: (N, n, 4, 4) error of each view in each execution.
         progress: called with (executions done, executions in all).
 
     Returns:
-        (S,) executions in which any view measured the sample, and (N,) share of the samples' area that each measured.
+        (S,) executions in which any view measures the sample, and (N,) share of the samples' area that each measures.
     """
     times = np.zeros(len(samples), dtype=np.int32)
     share = np.zeros(len(errors))

@@ -9,8 +9,7 @@ from cell.world.prediction import Prediction
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
-from planner.measurability import coverage
-from planner.measurability import visibility as remembered_views
+from planner.measurability import coverage, visibility
 from planner.measurability.visibility import VisibilityMemo, find_measured
 from planner.viewpoints.viewpoints import optimal_scanning_zone
 
@@ -119,8 +118,8 @@ def test_what_is_remembered_of_views_is_what_they_measure_when_asked_anew():
 
 def test_views_asked_long_ago_are_forgotten_and_asked_again(monkeypatch):
     """With room for two views and looks at a few pairs: the same answers; what is known of a set casts no rays."""
-    monkeypatch.setattr(remembered_views, "_VIEWS", 2)
-    monkeypatch.setattr(remembered_views, "_OPEN_BUNDLE", 50)
+    monkeypatch.setattr(visibility, "_REMEMBERED", 2)
+    monkeypatch.setattr(visibility, "_OPEN_BUNDLE", 50)
     part, draws = _slab(), np.random.default_rng(4)
     samples, caster = (
         draw_samples(part, part, 1500, np.random.default_rng(0)),
