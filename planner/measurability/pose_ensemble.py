@@ -110,8 +110,8 @@ def credited_probability(hits: NDArray[np.integer], members: int) -> Floats:
     """Return the probability for hits out of members: (hits + 1/2) / (members + 1), and 0 without a hit.
 
     It is the mean of the posterior under Jeffreys' prior (Krichevsky, Trofimov 1981, doi:10.1109/TIT.1981.1056331).
-    Hits of all members do not prove certainty, and a sum of logarithms needs a cap. Without members (exact poses) a hit is
-    certain.
+    Hits of all members do not prove certainty, and a sum of logarithms needs a cap. Without members (exact poses) a hit
+    is certain.
     """
     if members == 0:
         return np.ones(np.shape(hits))

@@ -1,4 +1,4 @@
-"""M against a slow program that asks pair after pair: angles by arctan2 and arccos, legs by float64 triangles."""
+"""M compared with a slow program for single pairs: angles by arctan2 and arccos, rays by float64 triangles."""
 
 import math
 
@@ -30,8 +30,8 @@ def _joined(*boxes):
     return TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
 
 
-def _leg_is_free(triangles, start, end):
-    """No triangle between start and end, by the sign of volumes (float64); the end's own face lies beyond 1 - 1e-5."""
+def _is_free(triangles, start, end):
+    """Return whether no triangle is between start and end (float64); the face of the end lies beyond 1 - 1e-5."""
     a, b, c = triangles
     direction = end - start
     e1, e2 = b - a, c - a
@@ -48,7 +48,7 @@ def _leg_is_free(triangles, start, end):
 
 
 def _is_measured(T, point, normal, triangle_sets):
-    """One pair, written from the definitions; None where a limit is closer than 1e-6."""
+    """Evaluate one pair by the definitions; return None if a limit is closer than 1e-6."""
     local = T[:3, :3].T @ (point - T[:3, 3])
     distance = math.sqrt(sum(local**2))
     sensor = T[:3, 3] + T[:3, :3] @ np.array([0.06, 0, 0])
@@ -68,13 +68,13 @@ def _is_measured(T, point, normal, triangle_sets):
     if min(abs(margin) for margin in margins) < 1e-6:
         return None
     return min(margins) > 0 and all(
-        _leg_is_free(triangles, start, point) for triangles in triangle_sets for start in (T[:3, 3], sensor)
+        _is_free(triangles, start, point) for triangles in triangle_sets for start in (T[:3, 3], sensor)
     )
 
 
 @pytest.mark.parametrize("occluded", [False, True])
-def test_every_entry_equals_the_pair_asked_alone(occluded):
-    """Three boxes that shade each other, 150 samples x 72 viewpoints, with and without a bar that stands beside."""
+def test_every_entry_equals_the_single_pair(occluded):
+    """Three boxes that occlude each other, 150 samples x 72 viewpoints, with and without a bar beside them."""
     part = _joined(
         _box((0.1, 0.08, 0.03), (0, 0, 0)),
         _box((0.03, 0.08, 0.07), (0.03, 0, 0.06)),
@@ -82,20 +82,20 @@ def test_every_entry_equals_the_pair_asked_alone(occluded):
     )
     bar = _box((0.02, 0.3, 0.02), (-0.08, 0, 0.1))
     caster = EmbreeRayCaster(part.vertices, part.faces)
-    features = draw_samples(part, part, 150, np.random.default_rng(5))
+    samples = draw_samples(part, part, 150, np.random.default_rng(5))
     views = optimal_scanning_zone(part, [0.17], [0.3, 1.2])
-    matrix = fill_matrix(views, features, SCANNER, caster)
+    matrix = fill_matrix(views, samples, SCANNER, caster)
     sets = [tuple(part.vertices[part.faces[:, corner]] for corner in range(3))]
     if occluded:
         matrix = apply_occluders(matrix, views, SCANNER, EmbreeRayCaster(*bar))
         sets.append(tuple(bar[0][bar[1][:, corner]] for corner in range(3)))
     dense = matrix.matrix().toarray()
-    asked = 0
+    compared = 0
     for j, T in enumerate(views.T_object_scanner[:, 0]):
-        for i in range(len(features)):
-            expected = _is_measured(T, features.points[i], features.normals[i], sets)
+        for i in range(len(samples)):
+            expected = _is_measured(T, samples.points[i], samples.normals[i], sets)
             if expected is not None:
-                asked += 1
+                compared += 1
                 assert dense[i, j] == expected, (i, j)
-    assert asked > 0.99 * dense.size
+    assert compared > 0.99 * dense.size
     assert 0.02 < dense.mean() < 0.5

@@ -1,4 +1,4 @@
-"""Measurability and scans against formulas: a sphere's visible cap, a wall's shadow on a plate, a convex body."""
+"""Measurability and scans compared with formulas: visible cap of a sphere, shadow of a wall, a convex body."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_the_share_of_a_sphere_that_is_measured_is_the_cap_of_the_grazing_limit(
 
 
 def test_source_and_sensor_on_opposite_sides_share_the_intersection_of_their_caps(sphere):
-    """Both legs within 90 degrees: a point must lie above both horizons, n . position >= radius."""
+    """Both lines of sight within 90 degrees: a point must lie above both horizons, n . position >= radius."""
     _, caster, samples = sphere
     scanner = LaserArea((175, 175), (5, 5), (0, 5000), 300, 90, 90)
     T = _looking_down_from(0.25, x=-0.15)
@@ -71,7 +71,7 @@ def test_source_and_sensor_on_opposite_sides_share_the_intersection_of_their_cap
 
 
 def test_no_leg_to_a_convex_body_is_blocked_by_it(sphere):
-    """The share of false shadows at any grazing angle below 90 degrees, near and far: none of 160,000 legs."""
+    """No false shadow among 160,000 rays at any grazing angle below 90 degrees, near and far."""
     _, caster, samples = sphere
     for height in (0.12, 0.3, 3.0):
         scanner = LaserArea((179, 179), (5, 5), (0, 5000), 80, 90, 90)
@@ -127,7 +127,7 @@ def test_a_wall_throws_the_shadows_of_source_and_sensor(baseline):
 
 
 def test_every_point_of_a_scan_is_measured_by_aiming_at_it(sphere):
-    """What a scan returns is visible by definition; the two ways of asking agree point by point."""
+    """The points of a scan are visible; the two methods agree point by point."""
     mesh, caster, _ = sphere
     scanner = LaserArea((60, 60), (1, 1), (50, 1000), 100)
     T = _looking_down_from(0.35)

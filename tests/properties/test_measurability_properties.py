@@ -1,4 +1,4 @@
-"""What must hold for any part, scanner and viewpoints."""
+"""Properties of measurability for any part, scanner and viewpoints."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def _hull(rng, centre, size):
 
 
 def _part(rng):
-    """Three convex lumps that shade each other."""
+    """Return three convex bodies that occlude each other."""
     vertices, faces, count = [], [], 0
     for _ in range(3):
         points, triangles = _hull(rng, rng.normal(size=3) * 0.06, 0.03)
@@ -46,7 +46,7 @@ def _part(rng):
 
 
 def _views(rng, count=12, K=1):
-    """Random poses around the origin, 0.2 to 0.4 m away, looking roughly at it."""
+    """Return random poses around the origin, 0.2 to 0.4 m away, aimed roughly at it."""
     T = np.tile(np.eye(4), (count, K, 1, 1))
     position = rng.normal(size=(count, K, 3))
     position *= rng.uniform(0.2, 0.4, (count, K, 1)) / np.linalg.norm(position, axis=-1, keepdims=True)
@@ -139,7 +139,7 @@ def test_an_added_occluder_never_adds_an_entry(seed, K):
 @few
 @given(seeds)
 def test_an_occluder_never_adds_a_point_to_a_scan(seed):
-    """Every ray that gives a point beside an occluder gives the same one without it; one far away changes nothing."""
+    """Every ray that gives a point with an occluder gives the same one without it; a far occluder changes nothing."""
     rng, part, caster, _, views = _scene(seed)
     near, far = (EmbreeRayCaster(*_hull(rng, place, 0.03)) for place in (rng.normal(size=3) * 0.1, np.full(3, 9.0)))
     for T in views.T_object_scanner[:, 0]:
@@ -165,7 +165,7 @@ def test_an_occluder_never_adds_a_point_to_a_scan(seed):
     ),
 )
 def test_widening_a_limit_never_loses_an_entry(seed, wider):
-    """A larger field of view, range or grazing limit keeps all that the narrower one measures."""
+    """A larger field of view, range or grazing limit keeps all entries of the smaller one."""
     _, _, caster, features, views = _scene(seed)
     narrow = _dense(fill_matrix(views, features, _scanner(), caster))
     wide = _dense(fill_matrix(views, features, _scanner(**wider), caster))
@@ -175,7 +175,7 @@ def test_widening_a_limit_never_loses_an_entry(seed, wider):
 @few
 @given(seeds)
 def test_a_narrower_sensor_limit_never_adds_an_entry(seed):
-    """The sensor leg's own grazing limit works like the others."""
+    """The grazing limit of the sensor works like the others."""
     _, _, caster, features, views = _scene(seed)
     wide = _dense(fill_matrix(views, features, _scanner(), caster))
     narrow = _dense(fill_matrix(views, features, _scanner(sensor_grazing_max_deg=60), caster))
@@ -186,7 +186,7 @@ def test_a_narrower_sensor_limit_never_adds_an_entry(seed):
 @few
 @given(seeds)
 def test_without_a_baseline_the_sensor_leg_blocks_nothing(seed):
-    """M equals the conditions and the source leg alone; no ray of a scan is in the sensor's shadow."""
+    """M follows from the conditions and the source's line of sight alone; no ray is in the sensor's shadow."""
     _, part, caster, features, views = _scene(seed)
     scanner = _scanner(baseline_mm=0, grazing_max_deg=90)
     targets = RayTargets.of(features.points, features.normals)
@@ -203,7 +203,7 @@ def test_without_a_baseline_the_sensor_leg_blocks_nothing(seed):
 @few
 @given(seeds)
 def test_the_ray_grid_sets_exactly_the_rows_that_its_scans_hit(seed):
-    """`rays` equals one scan after the other: the culling of rays that pass the part changes nothing."""
+    """`rays` equals one scan after the other: culling of rays that miss the part changes nothing."""
     rng, part, caster, _, views = _scene(seed)
     scanner = _scanner()
     row_of_face = rng.integers(-1, 9, len(part.faces))
@@ -238,7 +238,7 @@ def test_the_size_of_bundles_does_not_matter(seed, bundle):
 @few
 @given(seeds)
 def test_rolls_share_the_source_s_legs_to_the_bit(seed):
-    """M of views that differ by roll equals asking for each on its own; neighbours cast the source's legs once."""
+    """M of views that differ by roll equals that of each alone; neighbours cast the source's rays once."""
     rng, _, caster, features, views = _scene(seed)
     turns = np.tile(np.eye(4), (3, 1, 1))
     turns[:, :3, :3] = Rotation.from_euler("z", [[0.0], [0.6], [1.9]]).as_matrix()
@@ -255,7 +255,7 @@ def test_rolls_share_the_source_s_legs_to_the_bit(seed):
 
 
 class _Counting:
-    """A ray caster that counts legs."""
+    """A ray caster that counts rays."""
 
     def __init__(self, caster):
         self.caster, self.legs = caster, 0

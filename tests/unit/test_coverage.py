@@ -30,7 +30,7 @@ def _slab():
 
 
 def test_fractions_are_of_area_not_of_count():
-    """One large sample that is covered outweighs three small ones that are not."""
+    """One large covered sample outweighs three small uncovered ones."""
     samples = _samples([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], [7, 1, 1, 1])
     near = coverage.sampled_coverage(np.array([[0, 0, 0.05]]), samples, 0.1)
     assert near.fraction == 0.7
@@ -46,7 +46,7 @@ def test_the_radius_is_inclusive_and_sharp():
 
 
 def test_sampled_coverage_equals_all_distances():
-    """The tree's answer equals the matrix of all distances."""
+    """The tree gives the result of the matrix of all distances."""
     rng = np.random.default_rng(3)
     points, scan_points = rng.random((500, 3)), rng.random((80, 3))
     result = coverage.sampled_coverage(scan_points, _samples(points, np.ones(500)), 0.12)
@@ -84,13 +84,11 @@ def test_visible_coverage_of_a_slab():
     assert best.total_area == plan.total_area
 
 
-def test_coverable_is_what_any_candidate_measures_asked_alone():
-    """In whatever order candidates are asked, and whatever samples are left by then."""
+def test_coverable_is_the_union_of_all_candidates():
+    """Compared with each candidate alone."""
     part = _slab()
-    samples, caster = (
-        draw_samples(part, part, 3000, np.random.default_rng(0)),
-        EmbreeRayCaster(part.vertices, part.faces),
-    )
+    samples = draw_samples(part, part, 3000, np.random.default_rng(0))
+    caster = EmbreeRayCaster(part.vertices, part.faces)
     poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
     alone = [coverage.visible_coverage(pose[None], samples, SCANNER, [caster]).covered for pose in poses]
     found = Prediction.of(samples, SCANNER, [caster], poses).coverable.covered
@@ -99,13 +97,11 @@ def test_coverable_is_what_any_candidate_measures_asked_alone():
     assert not np.all(alone, axis=0).all()
 
 
-def test_what_is_remembered_of_views_is_what_they_measure_when_asked_anew():
-    """Of sets that share views, in any order, with one pose a view and with three."""
+def test_remembered_results_are_those_of_a_new_evaluation():
+    """For sets that share views, in any order, with one pose per view and with three."""
     part, draws = _slab(), np.random.default_rng(3)
-    samples, caster = (
-        draw_samples(part, part, 3000, np.random.default_rng(0)),
-        EmbreeRayCaster(part.vertices, part.faces),
-    )
+    samples = draw_samples(part, part, 3000, np.random.default_rng(0))
+    caster = EmbreeRayCaster(part.vertices, part.faces)
     poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
     for views in (poses, np.stack([poses[k : k + 3, 0] for k in range(len(poses) - 2)])):
         remembered = VisibilityMemo(samples, SCANNER, [caster])
@@ -116,15 +112,13 @@ def test_what_is_remembered_of_views_is_what_they_measure_when_asked_anew():
             np.testing.assert_array_equal(found, remembered.measured(some[::-1]))
 
 
-def test_views_asked_long_ago_are_forgotten_and_asked_again(monkeypatch):
-    """With room for two views and looks at a few pairs: the same answers; what is known of a set casts no rays."""
+def test_forgotten_views_are_evaluated_again(monkeypatch):
+    """With room for two views and small bundles the results are the same; a known set casts no rays."""
     monkeypatch.setattr(visibility, "_REMEMBERED", 2)
     monkeypatch.setattr(visibility, "_OPEN_BUNDLE", 50)
     part, draws = _slab(), np.random.default_rng(4)
-    samples, caster = (
-        draw_samples(part, part, 1500, np.random.default_rng(0)),
-        EmbreeRayCaster(part.vertices, part.faces),
-    )
+    samples = draw_samples(part, part, 1500, np.random.default_rng(0))
+    caster = EmbreeRayCaster(part.vertices, part.faces)
     poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
     remembered = VisibilityMemo(samples, SCANNER, [caster])
     for count in (1, 4, 4, 2):
@@ -132,5 +126,5 @@ def test_views_asked_long_ago_are_forgotten_and_asked_again(monkeypatch):
         np.testing.assert_array_equal(remembered.measured(some), find_measured(some, samples, SCANNER, [caster]))
         assert len(remembered._known) <= 2
     known = remembered.measured(poses[:2])
-    remembered._casters = ()  # whose absence would free every leg
+    remembered._casters = ()  # without casters every line of sight would be free
     np.testing.assert_array_equal(remembered.measured(poses[:2]), known)

@@ -1,14 +1,17 @@
-"""The measurability matrix: its layout, its arguments, several poses per column, and prediction."""
+"""The measurability matrix: layout, arguments, several poses per column, prediction, appended rows."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples, samples_at_face_centres
-from planner.measurability.matrix import Measurability
+from planner.measurability.matrix import Measurability, append_rows
 from planner.measurability.visibility import apply_occluders, fill_matrix, find_measured
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
@@ -34,22 +37,22 @@ def _views(poses):
 def cube():
     """A cube of 100 mm with 600 samples and a viewpoint above each of its 12 triangles, twice (two rolls)."""
     mesh = _box(0.1)
-    features = draw_samples(mesh, mesh, 600, np.random.default_rng(0))
-    return mesh, _caster(mesh), features, optimal_scanning_zone(mesh, [0.3], [0.0, np.pi / 2])
+    samples = draw_samples(mesh, mesh, 600, np.random.default_rng(0))
+    return mesh, _caster(mesh), samples, optimal_scanning_zone(mesh, [0.3], [0.0, np.pi / 2])
 
 
-def test_a_cube_s_side_is_measured_from_in_front_of_it_and_from_nowhere_else(cube):
-    """Row i, column j is set exactly where sample and viewpoint belong to the same side: the other sides graze."""
-    _, caster, features, views = cube
-    result = fill_matrix(views, features, SCANNER, caster)
+def test_a_side_of_a_cube_is_measured_from_in_front_of_it_only(cube):
+    """Row i, column j is set if and only if sample and viewpoint belong to the same side: the other sides graze."""
+    _, caster, samples, views = cube
+    result = fill_matrix(views, samples, SCANNER, caster)
     assert result.shape == (600, 24)
     side_of_view = -views.T_object_scanner[:, 0, :3, 2]
-    expected = features.normals @ side_of_view.T > 0.99
+    expected = samples.normals @ side_of_view.T > 0.99
     assert (result.matrix().toarray() == expected).all()
 
 
 def test_the_ray_grid_sets_the_rows_of_the_faces_that_it_hits(cube):
-    """The paper's fill of the same cube: each view measures its own side's two faces."""
+    """Method `rays` on the same cube: each view measures the two faces of its side."""
     mesh, caster, _, views = cube
     result = fill_matrix(views, samples_at_face_centres(mesh, mesh), SCANNER, caster, method="rays", part=mesh)
     side_of_view = -views.T_object_scanner[:, 0, :3, 2]
@@ -58,22 +61,22 @@ def test_the_ray_grid_sets_the_rows_of_the_faces_that_it_hits(cube):
 
 
 def test_faces_map_to_rows_and_minus_one_to_none(cube):
-    """With one row per side, and one side left out, that row stays empty."""
+    """With one row per side and one side left out, the row of this side stays empty."""
     mesh, caster, _, views = cube
     rows = np.repeat(np.arange(6), 2)
     rows[rows == 3] = -1
-    features = samples_at_face_centres(mesh, mesh)
-    picked = pick_samples(features, np.arange(0, len(features), 2))
+    samples = samples_at_face_centres(mesh, mesh)
+    picked = pick_samples(samples, np.arange(0, len(samples), 2))
     result = fill_matrix(views, picked, SCANNER, caster, method="rays", part=mesh, row_of_face=rows)
     assert np.diff(result.indptr).tolist() == [4, 4, 4, 0, 4, 4]
 
 
-def test_a_column_of_several_poses_measures_what_any_of_them_measures(cube):
-    """Two poses per column, filled both ways, equal the two single columns joined."""
-    mesh, caster, features, views = cube
+def test_a_column_of_several_poses_measures_the_union(cube):
+    """Two poses per column, filled with both methods, equal the union of the single columns."""
+    mesh, caster, samples, views = cube
     T = views.T_object_scanner
     pairs = _views(np.concatenate([T[:12], T[12:]], axis=1))
-    for method, rows in (("aimed", features), ("rays", samples_at_face_centres(mesh, mesh))):
+    for method, rows in (("aimed", samples), ("rays", samples_at_face_centres(mesh, mesh))):
         keys = {"method": method, "part": mesh}
         single = fill_matrix(views, rows, SCANNER, caster, **keys).matrix().toarray()
         double = fill_matrix(pairs, rows, SCANNER, caster, **keys).matrix().toarray()
@@ -82,65 +85,65 @@ def test_a_column_of_several_poses_measures_what_any_of_them_measures(cube):
 
 
 def test_prediction_equals_the_matrix_for_all_views_and_for_each(cube):
-    """`measured` on the matrix's own rows gives its columns, and their union."""
-    _, caster, features, views = cube
-    matrix = fill_matrix(views, features, SCANNER, caster).matrix().toarray()
+    """`find_measured` on the rows of the matrix gives its columns, and their union."""
+    _, caster, samples, views = cube
+    matrix = fill_matrix(views, samples, SCANNER, caster).matrix().toarray()
     chosen = [0, 5, 14, 20]
     T = views.T_object_scanner[chosen]
-    assert (find_measured(T, features, SCANNER, [caster], each=True) == matrix[:, chosen]).all()
-    assert (find_measured(T, features, SCANNER, [caster]) == matrix[:, chosen].any(axis=1)).all()
-    assert not find_measured(T[:0], features, SCANNER, [caster]).any()
+    assert (find_measured(T, samples, SCANNER, [caster], each=True) == matrix[:, chosen]).all()
+    assert (find_measured(T, samples, SCANNER, [caster]) == matrix[:, chosen].any(axis=1)).all()
+    assert not find_measured(T[:0], samples, SCANNER, [caster]).any()
 
 
-def test_an_occluder_removes_exactly_what_it_hides(cube):
+def test_an_occluder_removes_the_hidden_entries_only(cube):
     """A wall in front of one side empties that side's rows and nothing else; for one and for two poses per column."""
-    _, caster, features, views = cube
+    _, caster, samples, views = cube
     wall = _caster(_box((0.01, 0.5, 0.5), (0.15, 0, 0)))
-    part_only = fill_matrix(views, features, SCANNER, caster)
+    part_only = fill_matrix(views, samples, SCANNER, caster)
     hidden = apply_occluders(part_only, views, SCANNER, wall).matrix().toarray()
-    on_that_side = features.normals[:, 0] > 0.99
+    on_that_side = samples.normals[:, 0] > 0.99
     assert not hidden[on_that_side].any()
     assert (hidden[~on_that_side] == part_only.matrix().toarray()[~on_that_side]).all()
     T = views.T_object_scanner
     pairs = _views(np.concatenate([T[:12], T[12:]], axis=1))
-    double = apply_occluders(fill_matrix(pairs, features, SCANNER, caster), pairs, SCANNER, wall, ray_caster=caster)
+    double = apply_occluders(fill_matrix(pairs, samples, SCANNER, caster), pairs, SCANNER, wall, ray_caster=caster)
     assert (double.matrix().toarray() == (hidden[:, :12] | hidden[:, 12:])).all()
-    joint = find_measured(T, features, SCANNER, [caster, wall], each=True)
+    joint = find_measured(T, samples, SCANNER, [caster, wall], each=True)
     assert (joint == hidden).all()
 
 
 def test_progress_ends_at_all_poses(cube):
-    """The last call says that everything is done, and the numbers rise."""
-    _, caster, features, views = cube
+    """The numbers rise to (all, all)."""
+    _, caster, samples, views = cube
     calls = []
-    fill_matrix(views, features, SCANNER, caster, progress=lambda done, total: calls.append((done, total)))
+    fill_matrix(views, samples, SCANNER, caster, progress=lambda done, total: calls.append((done, total)))
     assert calls[-1] == (24, 24)
     assert calls == sorted(calls)
 
 
 def test_no_viewpoint_and_a_view_of_nothing_give_empty_matrices(cube):
     """Zero columns, and one column that looks away."""
-    _, caster, features, views = cube
-    assert fill_matrix(_views(np.zeros((0, 1, 4, 4))), features, SCANNER, caster).shape == (600, 0)
+    _, caster, samples, views = cube
+    assert fill_matrix(_views(np.zeros((0, 1, 4, 4))), samples, SCANNER, caster).shape == (600, 0)
     away = np.array(views.T_object_scanner[:1])
     away[:, :, :3, [0, 2]] *= -1
-    assert len(fill_matrix(_views(away), features, SCANNER, caster).indices) == 0
+    assert len(fill_matrix(_views(away), samples, SCANNER, caster).indices) == 0
 
 
 def test_wrong_arguments_are_named(cube):
-    """Each message says what would be valid."""
-    mesh, caster, features, views = cube
+    """Each message names the valid values."""
+    mesh, caster, samples, views = cube
     with pytest.raises(PlannerError, match="'pencil' is unknown; valid are: aimed, rays"):
-        fill_matrix(views, features, SCANNER, caster, method="pencil")
+        fill_matrix(views, samples, SCANNER, caster, method="pencil")
     with pytest.raises(PlannerError, match="needs `part`"):
-        fill_matrix(views, features, SCANNER, caster, method="rays")
+        fill_matrix(views, samples, SCANNER, caster, method="rays")
     with pytest.raises(PlannerError, match="12 faces and there are 600 rows"):
-        fill_matrix(views, features, SCANNER, caster, method="rays", part=mesh)
+        fill_matrix(views, samples, SCANNER, caster, method="rays", part=mesh)
     with pytest.raises(PlannerError, match="valid are -1 to 599"):
-        fill_matrix(views, features, SCANNER, caster, method="rays", part=mesh, row_of_face=np.full(12, 600))
+        fill_matrix(views, samples, SCANNER, caster, method="rays", part=mesh, row_of_face=np.full(12, 600))
     with pytest.raises(PlannerError, match="not a rigid motion"):
-        fill_matrix(_views(2 * np.array(views.T_object_scanner)), features, SCANNER, caster)
-    part_only = fill_matrix(views, features, SCANNER, caster)
+        fill_matrix(_views(2 * np.array(views.T_object_scanner)), samples, SCANNER, caster)
+    part_only = fill_matrix(views, samples, SCANNER, caster)
     with pytest.raises(PlannerError, match="24 viewpoints and 12"):
         apply_occluders(part_only, _views(views.T_object_scanner[:12]), SCANNER, caster)
     pairs = _views(np.repeat(np.array(views.T_object_scanner), 2, axis=1))
@@ -159,8 +162,71 @@ def test_wrong_arguments_are_named(cube):
     ],
 )
 def test_a_broken_matrix_is_refused(indptr, indices, words):
-    """Layout errors are found where the matrix is made, not where it is used."""
+    """The constructor finds layout errors."""
     two = SurfaceSamples(np.zeros((2, 3)), np.zeros((2, 3)), np.ones(2), np.zeros(2), np.zeros(2))
     assert Measurability([0, 1, 2], [2, 0], two, 3).matrix().toarray().tolist() == [[0, 0, 1], [1, 0, 0]]
     with pytest.raises(PlannerError, match=words):
         Measurability(indptr, indices, two, 3)
+
+
+def _matrix(dense, planning_face, area):
+    """Return M of a dense matrix with equal areas."""
+    count = len(dense)
+    rows = csr_array(np.array(dense, dtype=bool))
+    samples = SurfaceSamples(
+        np.arange(3.0 * count).reshape(count, 3),
+        np.tile([0.0, 0.0, 1.0], (count, 1)),
+        np.full(count, area),
+        np.arange(count, dtype=np.int32),
+        np.array(planning_face, dtype=np.int32),
+    )
+    return Measurability(rows.indptr.astype(np.int64), rows.indices.astype(np.int32), samples, len(dense[0]))
+
+
+def _spread(face_areas, region=None):
+    """Return a sample on each planning face that has an area."""
+    faces = np.flatnonzero(face_areas)
+    made = _matrix(np.zeros((len(faces), 1)), faces, 0.0).samples
+    return replace(made, areas=face_areas[faces], region=region)
+
+
+def test_appended_rows_share_the_area_of_their_face():
+    """Entries equal the dense stack; three samples on a face of 6 have 2 each; the sum stays."""
+    M = _matrix([[1, 0, 1], [0, 0, 0]], [4, 7], 3.0)
+    more = _matrix([[0, 1, 0], [1, 1, 1], [0, 0, 1]], [4, 4, 9], 0.5)
+    face_areas = np.array([9, 9, 9, 9, 6, 9, 9, 3, 9, 1.0])
+    both = append_rows(M, more, _spread(face_areas))
+    dense = [[1, 0, 1], [0, 0, 0], [0, 1, 0], [1, 1, 1], [0, 0, 1]]
+    np.testing.assert_array_equal(both.matrix().toarray(), np.array(dense, dtype=bool))
+    np.testing.assert_allclose(both.samples.areas, np.array([2.0, 3.0, 2.0, 2.0, 1.0]) * 0.6)
+    np.testing.assert_array_equal(both.samples.planning_face, [4, 7, 4, 4, 9])
+    np.testing.assert_array_equal(both.samples.points, np.concatenate([M.samples.points, more.samples.points]))
+
+
+def test_two_regions_on_a_face_keep_their_areas():
+    """Areas 1 and 3 on a face of 4, with five rows on the small region and one on the large.
+
+    By face alone each of the six rows would have 4 / 6, and the small region 3.3 of 4.
+    """
+    M, more = _matrix([[1], [0]], [0, 0], 2.0), _matrix([[1], [0], [1], [0]], [0, 0, 0, 0], 0.1)
+    M = replace(M, samples=replace(M.samples, areas=np.array([1.0, 3.0]), region=np.array([0, 1], dtype=np.int32)))
+    more = replace(more, samples=replace(more.samples, region=np.zeros(4, dtype=np.int32)))
+    spread = replace(
+        _matrix(np.zeros((4, 1)), [0, 0, 0, 0], 1.0).samples, region=np.array([1, 0, 1, 1], dtype=np.int32)
+    )
+    both = append_rows(M, more, spread).samples
+    np.testing.assert_allclose(both.areas, [0.2, 3.0, 0.2, 0.2, 0.2, 0.2])
+    np.testing.assert_allclose(np.bincount(both.region, both.areas), [1.0, 3.0])
+
+
+def test_sigma_is_kept_or_refused():
+    """Both matrices have the layer or neither; different columns are refused."""
+    M, more = _matrix([[1, 1]], [0], 1.0), _matrix([[0, 1]], [0], 1.0)
+    layered = [replace(m, sigma=np.full(len(m.indices), s, dtype=np.float32)) for m, s in ((M, 1.0), (more, 2.0))]
+    np.testing.assert_array_equal(
+        append_rows(*layered, _spread(np.ones(1))).sigma, np.array([1, 1, 2], dtype=np.float32)
+    )
+    with pytest.raises(PlannerError, match="only one"):
+        append_rows(M, layered[1], _spread(np.ones(1)))
+    with pytest.raises(PlannerError, match="of 3 viewpoints"):
+        append_rows(M, _matrix([[0, 1, 0]], [0], 1.0), _spread(np.ones(1)))

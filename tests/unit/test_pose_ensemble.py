@@ -1,4 +1,4 @@
-"""Pose errors, what an ensemble of them is credited with, and the layer of probabilities on a matrix."""
+"""Pose errors, credited probabilities, and the layer of probabilities on a matrix."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ from planner.viewpoints.viewpoints import Viewpoints
 
 
 class Cone:
-    """A toy sensor: measures what lies within 10 degrees of its axis, whatever the distance."""
+    """A toy sensor that measures points within 10 degrees of its axis at any distance."""
 
     source = np.zeros(3)
     sensor = np.zeros(3)
@@ -36,7 +36,7 @@ class Cone:
 
 
 class Nothing:
-    """Nothing stands in the way."""
+    """A ray caster without geometry."""
 
     def first_hit(self, origins, directions):
         return Hits(np.full(len(origins), -1), np.full(len(origins), np.inf))
@@ -46,7 +46,7 @@ class Nothing:
 
 
 def scene(offsets_deg):
-    """One view at the origin looking along +z, and samples 1 m away at angles off its axis."""
+    """Return a view at the origin along +z, and samples 1 m away at angles off its axis."""
     angle = np.radians(np.asarray(offsets_deg, dtype=float))
     points = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
     n = len(angle)
@@ -67,7 +67,7 @@ def test_a_drawn_error_moves_a_pose_as_an_execution_does() -> None:
 
 
 def test_rotations_are_rotations_also_at_zero() -> None:
-    """Orthonormal, of determinant 1, by the angle of the vector; none for the zero vector."""
+    """Orthonormal, determinant 1, angle of the vector; the identity for the zero vector."""
     vectors = np.concatenate([np.zeros((1, 3)), np.random.default_rng(0).normal(size=(20, 3))])
     R = rotation_matrices(vectors)
     np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-14)
@@ -78,7 +78,7 @@ def test_rotations_are_rotations_also_at_zero() -> None:
 
 
 def test_credit_is_capped_and_nothing_counts_for_no_hit() -> None:
-    """(hits + 1/2) / (members + 1), 0 for none at all, 1 where poses are exact."""
+    """(hits + 1/2) / (members + 1), 0 without a hit, 1 for exact poses."""
     np.testing.assert_allclose(credited_probability(np.array([0, 1, 16, 32]), 32), [0.0, 1.5 / 33, 0.5, 32.5 / 33])
     np.testing.assert_array_equal(credited_probability(np.array([0, 0]), 0), [1.0, 1.0])
 
@@ -97,7 +97,7 @@ def test_the_layer_is_the_share_of_a_normal_distribution() -> None:
 
 
 def test_only_asked_columns_are_looked_at() -> None:
-    """Entries of columns that are not asked about get no hit; no errors mean exact poses."""
+    """Entries of excluded columns get no hit; no errors mean exact poses."""
     samples, views = scene([0.0, 5.0])
     M = fill_matrix(views, samples, Cone(), Nothing())
     errors = PoseError(0.0, 0.001).draw(3, np.random.default_rng(0))
@@ -132,12 +132,12 @@ def test_simulated_executions_find_the_probability_again() -> None:
 
 
 def test_a_layer_follows_a_matrix_that_lost_entries() -> None:
-    """Hits of what is left stay; entries that the layer never had are refused."""
+    """Hits of the remaining entries stay; entries outside the layer are refused."""
     M = csr_array(np.array([[1, 1, 0], [0, 1, 1]], dtype=bool))
     layer = ProbabilityLayer(M.indptr, M.indices, np.array([1, 2, 3, 4]), 4)
 
     class Matrix:
-        """What of a measurability matrix is asked for."""
+        """The used part of a measurability matrix."""
 
         def __init__(self, dense):
             rows = csr_array(np.array(dense, dtype=bool))
@@ -151,6 +151,6 @@ def test_a_layer_follows_a_matrix_that_lost_entries() -> None:
 
 @pytest.mark.parametrize(("position", "orientation"), [(-1.0, 0.0), (0.0, np.nan), (np.inf, 0.0)])
 def test_what_is_no_standard_deviation_is_refused(position: float, orientation: float) -> None:
-    """Negative, NaN or endless."""
+    """Negative, NaN or infinite."""
     with pytest.raises(PlannerError, match="standard deviation"):
         PoseError(position, orientation)

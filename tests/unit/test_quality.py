@@ -1,4 +1,4 @@
-"""The layer of sigma: against a loop over its entries, its limit, and what a plan gives each feature."""
+"""The layer of sigma: a loop over its entries, its limit, and the best value of chosen views."""
 
 import numpy as np
 import pytest
@@ -20,16 +20,15 @@ SCANNER = LaserArea(range_mm=(50, 400), baseline_mm=40)
 
 @pytest.fixture(scope="module")
 def part() -> TriangleMesh:
-    """A body with a step, so that legs are blocked."""
-    mesh = trimesh.util.concatenate([
-        trimesh.creation.icosphere(2, 0.05), trimesh.creation.box((0.03, 0.03, 0.12)).apply_translation([0.09, 0, 0])
-    ])  # fmt: skip
+    """A ball beside a box, so that rays are blocked."""
+    box = trimesh.creation.box((0.03, 0.03, 0.12)).apply_translation([0.09, 0, 0])
+    mesh = trimesh.util.concatenate([trimesh.creation.icosphere(2, 0.05), box])
     return TriangleMesh(mesh.vertices, mesh.faces)
 
 
 @pytest.fixture(scope="module")
 def caster(part: TriangleMesh) -> EmbreeRayCaster:
-    """Rays on the part."""
+    """Ray caster of the part."""
     return EmbreeRayCaster(part.vertices, part.faces)
 
 
@@ -45,32 +44,30 @@ def _views(part: TriangleMesh, poses: int) -> Viewpoints:
 
 @pytest.mark.parametrize("poses", [1, 3])
 def test_every_entry_has_the_sigma_of_its_best_measuring_pose(part, caster, poses):
-    """Entry by entry: the smallest `scanner.sigma` over the poses that `measured` says see the feature."""
+    """Entry by entry: the smallest `scanner.sigma` over the poses that measure the sample by `find_measured`."""
     views = _views(part, poses)
-    features = draw_samples(part, part, 300, np.random.default_rng(0))
-    M = sigma_layer(fill_matrix(views, features, SCANNER, caster), views, SCANNER, casters=(caster,))
+    samples = draw_samples(part, part, 300, np.random.default_rng(0))
+    M = sigma_layer(fill_matrix(views, samples, SCANNER, caster), views, SCANNER, casters=(caster,))
     assert M.sigma is not None
     assert M.sigma.dtype == np.float32
     assert len(M.sigma) > 1000
-    sees = [
-        find_measured(views.T_object_scanner[:, [k]], features, SCANNER, (caster,), each=True) for k in range(poses)
-    ]
+    sees = [find_measured(views.T_object_scanner[:, [k]], samples, SCANNER, (caster,), each=True) for k in range(poses)]
     for row in range(0, 300, 7):
         for entry in range(M.indptr[row], M.indptr[row + 1]):
             view, found = M.indices[entry], []
             for k in range(poses):
                 if sees[k][row, view]:
                     T = np.linalg.inv(views.T_object_scanner[view, k])
-                    point = T[:3, :3] @ features.points[row] + T[:3, 3]
-                    found.append(SCANNER.sigma(point[None], (T[:3, :3] @ features.normals[row])[None])[0])
+                    point = T[:3, :3] @ samples.points[row] + T[:3, 3]
+                    found.append(SCANNER.sigma(point[None], (T[:3, :3] @ samples.normals[row])[None])[0])
             assert M.sigma[entry] == pytest.approx(min(found), rel=1e-6)
 
 
-def test_the_limit_keeps_exactly_the_entries_below_it_and_grows_with_it(part, caster):
-    """`within` is the entry-wise comparison; a larger limit never loses an entry; an infinite one keeps all."""
+def test_the_limit_keeps_exactly_the_entries_below_it(part, caster):
+    """`within_sigma` is the entry-wise comparison; a larger limit never loses an entry; the largest sigma keeps all."""
     views = _views(part, 1)
-    features = draw_samples(part, part, 300, np.random.default_rng(0))
-    M = sigma_layer(fill_matrix(views, features, SCANNER, caster), views, SCANNER)
+    samples = draw_samples(part, part, 300, np.random.default_rng(0))
+    M = sigma_layer(fill_matrix(views, samples, SCANNER, caster), views, SCANNER)
     dense = np.full(M.shape, np.inf)
     dense[np.repeat(np.arange(300), np.diff(M.indptr)), M.indices] = M.sigma
     before = np.zeros(M.shape, dtype=bool)
@@ -84,21 +81,21 @@ def test_the_limit_keeps_exactly_the_entries_below_it_and_grows_with_it(part, ca
 
 
 def test_layer_and_limited_scanner_agree(part, caster):
-    """Filling with the scanner that keeps the limit gives the matrix that the limit on the layer gives."""
+    """Filling with the limited scanner gives the same matrix as the limit on the layer."""
     views = _views(part, 1)
-    features = draw_samples(part, part, 300, np.random.default_rng(0))
-    M = sigma_layer(fill_matrix(views, features, SCANNER, caster), views, SCANNER)
-    limit = float(np.median(M.sigma)) * (1 + 1e-6)  # off any entry's own value: the layer is rounded to float32
-    direct = fill_matrix(views, features, LimitedScanner(SCANNER, limit), caster)
+    samples = draw_samples(part, part, 300, np.random.default_rng(0))
+    M = sigma_layer(fill_matrix(views, samples, SCANNER, caster), views, SCANNER)
+    limit = float(np.median(M.sigma)) * (1 + 1e-6)  # not equal to any entry: the layer is rounded to float32
+    direct = fill_matrix(views, samples, LimitedScanner(SCANNER, limit), caster)
     assert (direct.matrix() != within_sigma(M, limit).matrix()).nnz == 0
     assert 0 < len(direct.indices) < len(M.indices)
 
 
-def test_a_plan_gives_each_feature_its_best_chosen_view(part, caster):
-    """The minimum over chosen columns; NaN where none measures."""
+def test_best_sigma_is_the_minimum_over_chosen_views(part, caster):
+    """NaN if no chosen view measures the sample."""
     views = _views(part, 1)
-    features = draw_samples(part, part, 300, np.random.default_rng(0))
-    M = sigma_layer(fill_matrix(views, features, SCANNER, caster), views, SCANNER)
+    samples = draw_samples(part, part, 300, np.random.default_rng(0))
+    M = sigma_layer(fill_matrix(views, samples, SCANNER, caster), views, SCANNER)
     dense = np.full(M.shape, np.nan)
     dense[np.repeat(np.arange(300), np.diff(M.indptr)), M.indices] = M.sigma
     chosen = np.array([3, 11, 20])
@@ -119,17 +116,17 @@ def test_too_uncertain_comes_after_the_scanner_s_own_conditions():
     assert LimitedScanner(SCANNER, limit).parameters() == SCANNER.parameters()
 
 
-def test_what_cannot_be_is_refused(part, caster):
+def test_impossible_arguments_are_refused(part, caster):
     """No layer, a limit of 0, a scanner without sigma, foreign viewpoints, sweeps without casters."""
 
     class Bare:
         pass
 
     views = _views(part, 1)
-    features = draw_samples(part, part, 10, np.random.default_rng(0))
-    M = fill_matrix(views, features, SCANNER, caster)
+    samples = draw_samples(part, part, 10, np.random.default_rng(0))
+    M = fill_matrix(views, samples, SCANNER, caster)
     few = Viewpoints(views.T_object_scanner[:3], views.face[:3], views.standoff[:3], views.roll[:3])
-    for work, words in [
+    for call, words in [
         (lambda: within_sigma(M, 1e-3), "sigma_layer"),
         (lambda: best_sigma(M, np.array([0])), "sigma_layer"),
         (lambda: within_sigma(sigma_layer(M, views, SCANNER), 0.0), "above 0"),
@@ -137,7 +134,7 @@ def test_what_cannot_be_is_refused(part, caster):
         (lambda: LimitedScanner(Bare(), 1.0), "does not know its sigma"),
         (lambda: sigma_layer(M, few, SCANNER), "must be the same"),
         (lambda: sigma_layer(M, _views(part, 2), SCANNER), "casters"),
-        (lambda: Measurability(M.indptr, M.indices, features, len(views), np.zeros(3)), "sigma has shape"),
-    ]:  # fmt: skip
+        (lambda: Measurability(M.indptr, M.indices, samples, len(views), np.zeros(3)), "sigma has shape"),
+    ]:
         with pytest.raises(PlannerError, match=words):
-            work()
+            call()
