@@ -1,8 +1,8 @@
 """The registry of benchmarks: `python -m benchmarks [NAME ...]` runs them and prints time and accuracy in one row.
 
 Every benchmark is a module of this folder with `run() -> list[dict]`; `chart(rows, folder)` beside it draws a picture.
-Five have words and options of their own (`python -m benchmarks speed --help`), in `benchmarks/methods`. Timings are of
-this machine and this moment: compare rows of one run, not runs.
+Six have words and options of their own (`python -m benchmarks speed --help`), five in `benchmarks/methods`. Timings
+are of this machine and this moment: compare rows of one run, not runs.
 """
 
 import json
@@ -26,9 +26,10 @@ STUDIES = {
     "stability": "success and error of each method over the number that breaks it, and what the program says there",
     "cover": "view selection at equal processor time beside HiGHS, CP-SAT, a textbook search; solve FILE solves a file",
     "paper": "the paper's tables, its method and ours side by side: views and coverage of 86 rows",
+    "golden": "about 45 small runs beside a committed reference of their artefacts: equal, words changed, data changed",
     "pictures": "the pictures of docs/images drawn anew; by name also the charts, which take minutes to an hour",
 }
-"""Modules of `benchmarks.methods`, each with an `app` of its own."""
+"""Modules with an `app` of their own, in `benchmarks.methods` or here."""
 
 REGISTRY = {
     **STUDIES,
@@ -121,7 +122,7 @@ def _cell(row: Mapping[str, Any], column: str) -> str:
 
 def run_study(name: str, words: list[str]) -> int:
     """Run a study with words and options of its own; returns the exit code."""
-    study = import_module(f"benchmarks.methods.{name}").app
+    study = import_module("benchmarks.golden" if name == "golden" else f"benchmarks.methods.{name}").app
     program = f"python -m benchmarks {name}"
     return guarded(lambda: study(words, prog_name=program, standalone_mode=False), as_json="--json" in words)
 
