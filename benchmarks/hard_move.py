@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cell.plant import factory
-from cell.plant.servo import Settings
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
 from cell.robot.model import load
+from cell.robot.plant import PlantSettings
+from cell.scan import plants
 from drivers.controller import SETTLE_LIMIT
 from drivers.profile import Reference, interpolate
 from planner.kinematics.closed_form import KukaKinematics
@@ -37,7 +37,7 @@ class Trace:
         self.steps: list[list[tuple[Floats, Floats]]] = []
 
     def __call__(self, reference: Reference, times: Floats, axes: Floats) -> None:
-        """As `cell.plant.mujoco_plant.Observer`."""
+        """As `cell.robot.plant.Observer`."""
         if not self.references or self.references[-1] is not reference:
             self.references.append(reference)
             self.steps.append([])
@@ -108,12 +108,12 @@ class OneMove:
         return times, np.asarray((kinematics_of(load()).forward(axes) @ _mount())[:, :3, 3])
 
 
-def one_move(settings: Settings) -> OneMove:
+def one_move(settings: PlantSettings) -> OneMove:
     """Drive it with a plant of these settings."""
     limits = robot.limits(load())
     reference = interpolate(HOME, MOVE, limits.velocity, limits.acceleration)
     trace = Trace()
-    plant: Any = factory.built_in(settings, trace)["mujoco"](HOME)
+    plant: Any = plants.built_in_plants(settings, trace)["mujoco"](HOME)
     plant.follow(reference)
     spent = process_time()
     plant.advance(reference.duration)

@@ -28,13 +28,12 @@ import numpy as np
 
 from benchmarks.cell_process import run_cell
 from benchmarks.hard_move import OneMove, Trace, one_move
-from cell.plant import factory
-from cell.plant.mujoco_plant import MujocoPlant
-from cell.plant.servo import Settings
 from cell.robot.arm import kinematics_of
 from cell.robot.model import load
+from cell.robot.plant import MujocoPlant, PlantSettings
 from cell.runs.run import Run, open_run
 from cell.scan import driver as scan_driver
+from cell.scan import plants
 from cell.scan.legs import legs_of
 from cell.scan.options import ScanOptions
 from planner.kinematics.closed_form import KukaKinematics
@@ -67,7 +66,7 @@ def default_plan(run_record: Run, speed: float) -> dict[str, Any]:
         recorded: list[MujocoPlant] = []
 
         def make(start: Floats, watched: bool = attempt == 0, made: list[MujocoPlant] = recorded) -> MujocoPlant:
-            plant: Any = factory.of_run(run_record, observer=trace if watched else None)["mujoco"](start)
+            plant: Any = plants.plants_of_run(run_record, observer=trace if watched else None)["mujoco"](start)
             made.append(plant)
             return plant
 
@@ -113,23 +112,23 @@ def _position(kinematics: KukaKinematics, T_flange_scanner: Floats, q: Floats) -
 def stability() -> list[dict[str, Any]]:
     """One row per time step, integrator and bandwidth."""
     return [
-        _one_move(Settings(time_step=step / 1e3, integrator=integrator, bandwidth=bandwidth))
+        _one_move(PlantSettings(time_step=step / 1e3, integrator=integrator, bandwidth=bandwidth))
         for integrator in INTEGRATORS
         for bandwidth in BANDWIDTHS_HZ
         for step in TIME_STEPS_MS
     ]
 
 
-def _one_move(settings: Settings) -> dict[str, Any]:
+def _one_move(settings: PlantSettings) -> dict[str, Any]:
     move = one_move(settings)
-    usual = replace(Settings(), time_step=settings.time_step) == settings
+    usual = replace(PlantSettings(), time_step=settings.time_step) == settings
     return {
         "what": "stability",
         "integrator": settings.integrator,
         "bandwidth Hz": settings.bandwidth,
         "time step ms": 1e3 * settings.time_step,
         "outcome": move.outcome,
-        "warned": "yes" if settings.doubt else "",
+        "warned": "yes" if settings.warning else "",
         "error mm": 1e3 * move.tracking_error(),
         "off mm": 1e3 * _off(move) if usual and move.outcome == "settled" else "",
         "settling s": move.waited if move.outcome == "settled" else "",
@@ -147,7 +146,7 @@ def _off(move: OneMove) -> float:
 
 @lru_cache(maxsize=1)
 def _fine_move() -> tuple[Floats, Floats]:
-    return one_move(Settings(time_step=_FINE_STEP)).positions()
+    return one_move(PlantSettings(time_step=_FINE_STEP)).positions()
 
 
 def chart(rows: list[dict[str, Any]], folder: Path) -> None:
@@ -159,7 +158,7 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
     from matplotlib.colors import LogNorm
 
     grid = [row for row in rows if row["what"] == "stability"]
-    default = Settings()
+    default = PlantSettings()
     figure, axes = plt.subplots(1, 3, figsize=(15, 4.8), width_ratios=(1.15, 1, 1), layout="constrained")
     colours = {"Euler": "tab:orange", "implicitfast": "tab:blue"}
     for integrator in INTEGRATORS:

@@ -27,9 +27,9 @@ from cell.errors import CellError
 from cell.part import workpiece
 from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
+from cell.robot.model import mesh_of
 from cell.robot.robot_file import RobotFile
 from cell.world.robot_report import report
-from cell.world.shapes import mesh_of
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 

@@ -11,7 +11,7 @@ from benchmarks.hard_move import one_move
 from benchmarks.methods import arm_maps
 from benchmarks.methods.stability import MAPS, at, broken_promises, sentences, stability_study
 from cell.errors import UsageError
-from cell.plant.servo import COARSEST_STEP, Settings
+from cell.robot.plant import MAX_ACCURATE_STEP, PlantSettings
 from cell.session import LoggedProgress
 from cell.study.study import conduct
 from cell.study.trial import Outcome, Trial
@@ -93,9 +93,9 @@ def test_an_unknown_map_is_named_with_those_that_there_are() -> None:
 @pytest.mark.parametrize("integrator", ["implicitfast", "Euler"])
 def test_the_dynamic_arm_is_good_up_to_the_time_step_that_it_warns_of(integrator: str) -> None:
     """The hard move settles, and is nowhere farther than 0.15 mm from its reference."""
-    settings = Settings(time_step=COARSEST_STEP, integrator=integrator)
+    settings = PlantSettings(time_step=MAX_ACCURATE_STEP, integrator=integrator)
     move = one_move(settings)
-    assert settings.doubt == ""
+    assert settings.warning == ""
     assert move.outcome == "settled"
     assert move.tracking_error() < 1.5e-4
 

@@ -1,4 +1,4 @@
-"""`cell emulate` as the command line gives it: one argument, the protocol, and options; prints the driver URL."""
+"""`cell emulate` on the command line: the protocol and options; prints the driver URL."""
 
 import shlex
 import sys
@@ -24,26 +24,26 @@ EPILOG = (
 @from_fields
 def emulate(
     *,
-    protocol: Annotated[str, typer.Argument(metavar="serial|modbus|modbus-rtu", help="What the controller speaks.")],
+    protocol: Annotated[str, typer.Argument(metavar="serial|modbus|modbus-rtu", help="Protocol of the controller.")],
     options: EmulateOptions,
 ) -> None:
-    """Put a simulated controller behind a pseudo-terminal or a loopback socket, to be spoken to as hardware is."""
+    """Put a simulated controller behind a pseudo-terminal or a loopback socket, to be used like hardware."""
     from cell.emulate import emulator
 
     if protocol not in emulator.PROTOCOLS:
-        raise UsageError(f"cell emulate {protocol}: there is no such protocol; one of {', '.join(emulator.PROTOCOLS)}")
+        raise UsageError(f"cell emulate {protocol}: unknown protocol; valid are: {', '.join(emulator.PROTOCOLS)}")
     if options.link is not None and protocol == "modbus":
         raise UsageError("--link is for pseudo-terminals; cell emulate modbus has --port")
     if options.port and protocol != "modbus":
         raise UsageError(f"--port is for cell emulate modbus; cell emulate {protocol} has --link")
-    arm = emulator.arm_of(options.run, options.plant)
+    arm = emulator.load_arm(options.run, options.plant)
     emulator.emulate(protocol, options, arm, lambda url: _announce(url, options.run, options.time_scale))
 
 
 def _announce(url: str, run: Path | None, time_scale: float) -> None:
     sys.stdout.write(url + "\n")
     sys.stdout.flush()
-    sys.stderr.write("cell: an emulated arm, no machine, answers there until Ctrl-C\n")
+    sys.stderr.write("cell: an emulated arm, not a real one, answers there until Ctrl-C\n")
     scaled = "" if time_scale == 1.0 else f" --accept-time-scale {time_scale:g}"
     planned = "RUN" if run is None else shlex.quote(str(run))
     sys.stderr.write(f"next, in another terminal:\n  cell scan {planned} --driver {shlex.quote(url)}{scaled}\n")

@@ -1,40 +1,48 @@
-"""Puts the simulated controller behind a line and serves it until it is told to stop."""
+"""The simulated controller behind a line, served until Ctrl-C, with its position and journal on disk.
 
+A real arm keeps its position during a restart of its controller. The position is therefore on disk before a client
+receives it. It is written to a temporary file that is renamed, so that a kill at any moment leaves the old or the new
+one. The file survives the process, not a crash of the machine: it is not synchronised to the disk.
+"""
+
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from cell.emulate.memory import Memory
+from cell import caches
 from cell.emulate.options import EmulateOptions
-from cell.errors import DriverFailureError, UsageError
-from cell.plant import factory
+from cell.errors import DriverFailureError, FileError, UsageError
 from cell.robot import model as robot
 from cell.runs.cell import table_of
 from cell.runs.run import open_run
+from cell.scan.plants import built_in_plants, plants_of_run
 from drivers.clock import RealTimeClock
-from drivers.contract import Fault
+from drivers.contract import Fault, RobotState
 from drivers.controller import IdealPlant, PlantFactory
-from drivers.emulated.endpoint import Endpoint
+from drivers.emulated.endpoint import Endpoint, Event
 from drivers.emulated.faults import Injector, parse_faults
 from drivers.emulated.serve import Line, PtyLine, Server, TcpLine
 from drivers.emulated.stations import ModbusStation, SerialStation, Station
 from drivers.errors import DriverError
 from drivers.limits import Limits
-from drivers.setpoints import Floats, from_rad, to_rad
+from drivers.setpoints import AXES, Floats, SetPoints, from_rad, to_rad
 
 PROTOCOLS = ("serial", "modbus", "modbus-rtu")
+SCHEMA = "cell-emulator-state/1"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm:
-    """Whose controller is emulated.
+    """The arm of an emulated controller.
 
     Attributes:
         limits: the controller's.
-        home: (axes,) where it stands on the first start, where nothing else is said [rad].
-        plant: makes it.
+        home: (axes,) default position at the first start [rad].
+        plant: makes its plant.
     """
 
     limits: Limits
@@ -43,42 +51,47 @@ class Arm:
 
 
 def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable[[str], None]) -> None:
-    """Serve until Ctrl-C; then the arm brakes, and its position is kept.
+    """Serve until Ctrl-C; then the arm brakes, and its position is stored.
 
     Args:
         protocol: one of `PROTOCOLS`.
-        options: behind which line, and what goes wrong.
-        arm: whose controller.
-        announce: is given the driver URL, once clients can come.
+        options: line, faults and files.
+        arm: the arm.
+        announce: receives the driver URL when clients can connect.
 
     Raises:
-        UsageError: if a fault cannot be.
-        DriverFailureError: if the line cannot be taken, or the controller cannot start.
+        UsageError: if a fault is invalid.
+        DriverFailureError: if the line is not available, or the controller cannot start.
         FileError: if a file cannot be read or written.
     """
     try:
-        injector = (
-            Injector(parse_faults(options.faults), np.random.default_rng(options.seed)) if options.faults else None
-        )
+        faults = parse_faults(options.faults)
     except DriverError as error:
         raise UsageError(f"--faults: {error}") from error
+    injector = Injector(faults, np.random.default_rng(options.seed)) if options.faults else None
     memory = Memory(options.state, options.log)
     home = arm.home.copy()
     if options.start_deg is not None:
-        home[: len(options.start_deg)] = np.radians(options.start_deg)  # external axes stand at 0
+        home[: len(options.start_deg)] = np.radians(options.start_deg)  # external axes start at 0
     if memory.axes is not None and len(memory.axes) != len(home):
         raise UsageError(
-            f"{options.state} is of an arm of {len(memory.axes)} axes, and this one has {len(home)}; choose another "
-            "--state, or remove it and the arm stands at --start"
+            f"{options.state} is the state of an arm with {len(memory.axes)} axes, and this one has {len(home)}; "
+            "choose another --state, or remove it to start at --start"
         )
     wire_clock = RealTimeClock()
     try:
         axes = from_rad(home) if memory.axes is None else memory.axes
         endpoint = Endpoint(
-            arm.plant(to_rad(axes)), arm.limits, RealTimeClock(options.time_scale), wire_clock, memory,
-            boot=memory.boot % 65535 + 1, restarted=not memory.ended_in_order, time_scale=options.time_scale,
-        )  # fmt: skip
-        line, url = _line(protocol, options)
+            arm.plant(to_rad(axes)),
+            arm.limits,
+            RealTimeClock(options.time_scale),
+            wire_clock,
+            memory,
+            boot=memory.boot % 65535 + 1,
+            restarted=not memory.ended_in_order,
+            time_scale=options.time_scale,
+        )
+        line, url = _open_line(protocol, options)
     except DriverError as error:
         raise DriverFailureError(str(error)) from error
     server = Server(_station(protocol, options, endpoint), line, wire_clock, injector, options.time_scale)
@@ -96,30 +109,31 @@ def emulate(protocol: str, options: EmulateOptions, arm: Arm, announce: Callable
         memory.close(state)
 
 
-def arm_of(run_folder: Path | None, plant: str) -> Arm:
-    """The arm of a run's cell, with its tool; without a run the built-in one.
+def load_arm(run_folder: Path | None, plant: str) -> Arm:
+    """Load the arm of a run's cell with its tool; without a run the built-in one.
 
     Args:
         run_folder: of a plan; None: none.
-        plant: name of what moves.
+        plant: name of the plant.
 
     Raises:
         UsageError: if there is no such plant.
-        FileError: if the run folder has no cell, or it is damaged.
+        FileError: if the run folder has no cell, or is damaged.
     """
     run = None if run_folder is None else open_run(run_folder)
-    plants = {"ideal": IdealPlant, **(factory.built_in() if run is None else factory.of_run(run))}
+    plants = {"ideal": IdealPlant, **(built_in_plants() if run is None else plants_of_run(run))}
     if plant not in plants:
         raise UsageError(f"--plant {plant} must be one of: {', '.join(plants)}")
     model = robot.load() if run is None else run.cell_model()
     limits, home = robot.limits(model), robot.home(model)
-    if run is None or (table := table_of(scene := run.scene)) is None:
+    if run is None or (table := table_of(run.scene)) is None:
         return Arm(Limits.from_rad(limits), home, plants[plant])
     own = Limits.from_rad(table.limits(limits))
-    return Arm(own.with_endless_axis() if scene.table_is_endless else own, np.append(home, 0.0), plants[plant])
+    return Arm(own.with_endless_axis() if run.scene.table_is_endless else own, np.append(home, 0.0), plants[plant])
 
 
-def _line(protocol: str, options: EmulateOptions) -> tuple[Line, str]:
+def _open_line(protocol: str, options: EmulateOptions) -> tuple[Line, str]:
+    """Open the line of a protocol; return it and the driver URL of its clients."""
     if protocol == "modbus":
         tcp = TcpLine(options.port)
         return tcp, f"modbus://{tcp.name}?unit={options.unit}"
@@ -133,3 +147,82 @@ def _station(protocol: str, options: EmulateOptions, endpoint: Endpoint) -> Stat
     if protocol == "serial":
         return SerialStation(endpoint)
     return ModbusStation(endpoint, unit=options.unit, rtu=protocol == "modbus-rtu")
+
+
+class Memory:
+    """Files of an emulated controller: position of the arm and journal (`drivers.emulated.endpoint.Recorder`).
+
+    Args:
+        state: file of the arm's position; None: it is not stored.
+        log: file of the journal, JSON lines, appended to; None: none.
+
+    Attributes:
+        axes: (n,) last position of the arm, counts of 1e-4 deg; None on the first start.
+        boot: number of the last start, 0 on the first.
+        ended_in_order: False if the last run was killed.
+
+    Raises:
+        FileError: if a file cannot be read or written.
+    """
+
+    def __init__(self, state: Path | None, log: Path | None) -> None:
+        self._state = state
+        try:
+            self._log = None if log is None else log.open("a", encoding="utf-8")
+        except OSError as error:
+            raise FileError(f"{log} cannot be written: {error.strerror}; choose another --log") from error
+        self.axes: SetPoints | None = None
+        self.boot, self.ended_in_order = 0, True
+        if state is not None and state.exists():
+            self.axes, self.boot, self.ended_in_order = _read(state)
+        self._written: tuple[object, ...] = ()
+
+    def record_event(self, event: Event) -> None:
+        """Append one line to the journal."""
+        if self._log is None:
+            return
+        try:
+            self._log.write(json.dumps(event) + "\n")
+            self._log.flush()
+        except OSError as error:
+            raise FileError(f"{self._log.name} cannot be written: {error.strerror}; choose another --log") from error
+
+    def record_state(self, state: RobotState) -> None:
+        """Store the position before a client receives it."""
+        self._write(state.axes, state.boot, ended_in_order=False)
+
+    def close(self, state: RobotState) -> None:
+        """Store the end of a run in order, with the arm at rest."""
+        self._write(state.axes, state.boot, ended_in_order=True)
+        if self._log is not None:
+            self._log.close()
+
+    def _write(self, axes: SetPoints, boot: int, *, ended_in_order: bool) -> None:
+        if self._state is None:
+            return
+        content = (axes.tolist(), boot, ended_in_order)
+        if content == self._written:
+            return
+        text = json.dumps({"schema": SCHEMA, "axes": content[0], "boot": boot, "ended_in_order": ended_in_order})
+        try:
+            with caches.whole(self._state) as part:
+                part.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise FileError(f"{self._state} cannot be written: {error.strerror}; choose another --state") from error
+        self._written = content
+
+
+def _read(path: Path) -> tuple[SetPoints, int, bool]:
+    try:
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        axes = np.array(content["axes"], dtype=np.int32)
+        boot, in_order = int(content["boot"]), bool(content["ended_in_order"])
+        if content["schema"] != SCHEMA or axes.ndim != 1 or len(axes) < AXES or not 0 <= boot <= 65535:
+            raise ValueError("wrong schema, axes or boot number")
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        raise UsageError(
+            f"{path} is not the state of an emulated arm ({error}); remove it to start at --start"
+        ) from error
+    return axes, boot, in_order

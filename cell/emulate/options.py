@@ -1,4 +1,4 @@
-"""What `cell emulate` can be asked for, checked."""
+"""Options of `cell emulate`, checked."""
 
 from pathlib import Path
 from typing import Annotated
@@ -8,51 +8,56 @@ from pydantic import Field
 from cell.scene.fields import Table
 from cell.scene.options import Option
 
-_LINE, _FAULTS = "The line", "What goes wrong"
+_LINE, _FAULTS = "The line", "Faults"
 
 
 class EmulateOptions(Table):
-    """What is emulated, and behind which line."""
+    """Line, arm, files and faults of an emulated controller."""
 
     port: Annotated[
-        int, Field(ge=0, le=65535), Option("TCP port on 127.0.0.1; 0 takes a free one.", _LINE, metavar="N")
+        int, Field(ge=0, le=65535), Option("TCP port on 127.0.0.1; 0 selects a free one.", _LINE, metavar="N")
     ] = 0
     link: Annotated[
         Path | None,
         Field(strict=False),
-        Option("Symbolic link to the pseudo-terminal, put in its place.", _LINE, metavar="PATH"),
+        Option("Symbolic link to make for the pseudo-terminal.", _LINE, metavar="PATH"),
     ] = None
     baud: Annotated[int, Option("Baud rate of the pseudo-terminal.", _LINE)] = 115200
     unit: Annotated[int, Field(ge=1, le=247), Option("Modbus device address.", _LINE)] = 1
     run: Annotated[
         Path | None,
         Field(strict=False),
-        Option("Run folder whose arm, tool and home it is. Default: the built-in arm's.", metavar="RUN"),
+        Option("Run folder with arm, tool and home. Default: the built-in arm.", metavar="RUN"),
     ] = None
-    plant: Annotated[str, Option("What the controller moves.", metavar="ideal|mujoco")] = "ideal"
+    plant: Annotated[str, Option("Plant that the controller moves.", metavar="ideal|mujoco")] = "ideal"
     start_deg: Annotated[
         tuple[float, float, float, float, float, float] | None,
         Field(strict=False),
         Option(
-            "Axes at which the arm stands at its very first start, deg. Default: home.", metavar="A1,...,A6",
-            form="six numbers, A1 to A6 in deg", examples=("0,-90,90,0,90,0",), counts=(6,),
+            "Axes of the arm at its very first start, deg. Default: home.",
+            metavar="A1,...,A6",
+            form="six numbers, A1 to A6 in deg",
+            examples=("0,-90,90,0,90,0",),
+            counts=(6,),
         ),
-    ] = None  # fmt: skip
+    ] = None
     state: Annotated[
-        Path | None, Field(strict=False), Option("Keeps the arm's position across restarts.", metavar="FILE")
+        Path | None, Field(strict=False), Option("Stores the arm's position across restarts.", metavar="FILE")
     ] = None
     log: Annotated[
         Path | None, Field(strict=False), Option("Appends each executed move, JSON lines.", metavar="FILE")
     ] = None
     time_scale: Annotated[
-        float, Field(ge=1e-3, le=1e6), Option("Seconds of the arm per second. Watchdogs stay real.")
+        float, Field(ge=1e-3, le=1e6), Option("Seconds of the arm per real second. Watchdogs stay in real time.")
     ] = 1.0
     faults: Annotated[
         str,
         Option(
             "NAME=PROBABILITY[:SECONDS] or NAME@SECONDS[:SECONDS], joined by commas; drop, delay, duplicate, reorder, "
-            "corrupt, truncate, exception, half-open, reboot, estop.", _FAULTS, metavar="LIST",
+            "corrupt, truncate, exception, half-open, reboot, estop.",
+            _FAULTS,
+            metavar="LIST",
         ),
-    ] = ""  # fmt: skip
+    ] = ""
     seed: Annotated[int, Field(ge=0), Option("Seed of the faults.", _FAULTS)] = 0
     seconds: Annotated[float | None, Option("End after this time. Default: at Ctrl-C.", metavar="S")] = None

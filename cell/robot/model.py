@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, SceneError
+from planner.geometry.mesh import TriangleMesh
 from planner.kinematics.closed_form import Dimensions
 from planner.ports import JointLimits
 from planner.values import Floats, Ints, Value
@@ -189,6 +190,19 @@ def dimensions(model: mujoco.MjModel) -> Dimensions | None:
         d4=float(wrist[0] - elbow[0]),
         d6=float(site.xpos[0] - wrist[0]),
     )
+
+
+def mesh_of(model: mujoco.MjModel, geom: int) -> TriangleMesh:
+    """Return the triangles of a mesh geom in the frame of its body [m]."""
+    import mujoco
+
+    mesh = int(model.geom_dataid[geom])
+    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    start, number = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    R = np.empty(9)
+    mujoco.mju_quat2Mat(R, model.geom_quat[geom])
+    vertices = model.mesh_vert[first : first + count] @ R.reshape(3, 3).T + model.geom_pos[geom]
+    return TriangleMesh(vertices, model.mesh_face[start : start + number].astype(np.int32))
 
 
 def _joints(model: mujoco.MjModel) -> NDArray[Any]:

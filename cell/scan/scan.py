@@ -14,14 +14,13 @@ import numpy as np
 from cell import signals
 from cell.acquisition import SIMULATED
 from cell.errors import FileError, UsageError
-from cell.plant import factory
 from cell.runs import current_scene
 from cell.runs import folder as process
 from cell.runs.cell import RunCell, read_cell
 from cell.runs.run import RecordedExecution, Run, read_execution, read_manifest, reading
 from cell.runs.verification import verify_plan
 from cell.scan import driver as scan_driver
-from cell.scan import execute, lock, resources, safety
+from cell.scan import execute, lock, plants, resources, safety
 from cell.scan.driven import (
     acquisition_of,
     cell_with,
@@ -91,7 +90,7 @@ def execute_and(
     released = of_plan(proven) if options.view is None else of_legs(proven, legs, _VIEW.format(options.view))
     cell = cell_with(stands, read_cell(run, options.resolution_deg))
     seed = options.seed if options.seed is not None else run.seed
-    driver, clock = scan_driver.prepare(options, motion, cell, factory.of_run(run), session.note)
+    driver, clock = scan_driver.prepare(options, motion, cell, plants.plants_of_run(run), session.note)
     kept = options.kept() | {"scanner": cell.scanner_keys.as_json()}
     if doubt := part_may_be_near(options, cell, run.min_clearance[0]):
         session.note(doubt)
@@ -172,7 +171,7 @@ def _resumed(
         session.note(sentence)
     if doubt := part_may_be_near(settled, cell, run.min_clearance[0]):
         session.note(doubt)
-    driver, clock = scan_driver.prepare(settled, motion, cell, factory.of_run(run), session.note)
+    driver, clock = scan_driver.prepare(settled, motion, cell, plants.plants_of_run(run), session.note)
     if settled.acquire == SIMULATED:
         resources.require_room(cell, legs, run.folder)
     with ExitStack() as connected:

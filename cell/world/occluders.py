@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cell.robot import model as robot
+from cell.robot.model import mesh_of
 from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World
-from cell.world.shapes import mesh_of
 from planner.geometry.mesh import TriangleMesh, concatenate_meshes
 from planner.kinematics.rotary_table import RotaryTable
 from planner.ports import ARM_AXES

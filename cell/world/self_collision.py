@@ -40,8 +40,8 @@ from numpy.typing import NDArray
 
 from cell import caches
 from cell.robot import model as robot
-from cell.robot.model import AXES, MimicJoints
-from cell.world.shapes import ShapeDistances, mesh_of, meshes_of
+from cell.robot.model import AXES, MimicJoints, mesh_of
+from cell.world.shapes import ShapeDistances, meshes_of
 from cell.world.travel import enclosing_points
 from planner.geometry.hull import is_convex
 from planner.values import Floats

@@ -39,6 +39,7 @@ from cell.errors import SceneError
 from cell.part import mesh_files
 from cell.part.workpiece import UNITS
 from cell.robot import model as robot
+from cell.robot.model import mesh_of
 from cell.scene.model import BoxFixture, CylinderFixture, MeshFixture, Scene
 from planner.errors import PlannerError
 from planner.geometry.hull import solid_hull
@@ -360,19 +361,6 @@ class ShapeDistances:
         if points is not None:
             points[:] = points[::-1].copy()
         return distance
-
-
-def mesh_of(model: mujoco.MjModel, geom: int) -> TriangleMesh:
-    """The triangles of a mesh geom in the frame of its body [m]."""
-    import mujoco
-
-    mesh = int(model.geom_dataid[geom])
-    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    start, number = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    R = np.empty(9)
-    mujoco.mju_quat2Mat(R, model.geom_quat[geom])
-    vertices = model.mesh_vert[first : first + count] @ R.reshape(3, 3).T + model.geom_pos[geom]
-    return TriangleMesh(vertices, model.mesh_face[start : start + number].astype(np.int32))
 
 
 def meshes_of(model: mujoco.MjModel) -> dict[str, TriangleMesh]:

@@ -29,8 +29,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.robot.model import AXES, MimicJoints
-from cell.world.shapes import mesh_of
+from cell.robot.model import AXES, MimicJoints, mesh_of
 from planner.kinematics.rotary_table import RotaryTable
 from planner.values import Floats
 

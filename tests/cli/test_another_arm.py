@@ -12,18 +12,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from cell.emulate.emulator import arm_of
+from cell.emulate.emulator import load_arm
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.export import krl, tables
 from cell.export.krl import KrlOptions
 from cell.export.options import ExportOptions
 from cell.export.program import Told, of_motion
-from cell.plant import factory
-from cell.plant.mujoco_plant import MujocoPlant
 from cell.robot import model as robot
 from cell.robot.arm import kr16_kinematics
+from cell.robot.plant import MujocoPlant
 from cell.runs.run import open_run
-from cell.scan import execute
+from cell.scan import execute, plants
 from cell.scan.legs import legs_of
 from drivers.limits import Limits
 from drivers.registry import Context, open_driver
@@ -77,7 +76,7 @@ def test_its_emulator_has_its_limits_and_its_plan_is_driven_there(
     other: Path, emulate: Callable[..., Any], run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
     """`cell emulate --run` in a process that knows the built-in arm alone; a plan is driven over its wire."""
-    limits = arm_of(other, "ideal").limits
+    limits = load_arm(other, "ideal").limits
     assert (limits.lower / 1e4).tolist() == LOWER
     assert (limits.upper / 1e4).tolist() == UPPER
     assert np.degrees(limits.velocity) == pytest.approx([80, 70, 60, 150, 160, 170])
@@ -108,7 +107,7 @@ def test_a_plan_that_exceeds_a_controllers_limits_is_refused_before_anything_mov
 def test_the_dynamic_arm_is_that_of_a_file_with_drives_and_masses(other: Path) -> None:
     """The torque limits are the file's; one without drives or without masses is told, and what moves without."""
     run = open_run(other)
-    plant = factory.of_run(run)["mujoco"](robot.home(robot.load()))
+    plant = plants.plants_of_run(run)["mujoco"](robot.home(robot.load()))
     assert isinstance(plant, MujocoPlant)
     assert plant.model.actuator_forcerange[:, 1].tolist() == TORQUES
     bare = robot.spec()
@@ -119,7 +118,7 @@ def test_the_dynamic_arm_is_that_of_a_file_with_drives_and_masses(other: Path) -
     without = robot.spec()
     without.delete(without.numeric("axis_torque_limit_Nm"))
     for spec, words in ((bare, "mass and inertia"), (without, "no <numeric> named axis_torque_limit_Nm")):
-        with pytest.raises(FileError, match=f"{words}.*let the ideal arm move: sim://"):
+        with pytest.raises(FileError, match=f"{words}.*use the ideal arm: sim://"):
             MujocoPlant(np.zeros(6), spec=spec)
 
 

@@ -16,7 +16,7 @@ KR16 = Limits.from_rad(robot.limits(robot.load()))
 @pytest.mark.parametrize(
     ("arguments", "words", "code"),
     [
-        (("smoke",), "one of serial, modbus, modbus-rtu", 2),
+        (("smoke",), "valid are: serial, modbus, modbus-rtu", 2),
         (("serial", "--port", "5020"), "--port is for cell emulate modbus", 2),
         (("modbus", "--link", "x"), "--link is for pseudo-terminals", 2),
         (("modbus", "--faults", "dorp=0.1"), "there is no fault 'dorp'; did you mean 'drop'", 2),

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from cell.api import locate
 from cell.edit.editable import EditableRun
-from cell.emulate.memory import SCHEMA
+from cell.emulate.emulator import SCHEMA
 from cell.errors import FileError, SceneError
 from cell.metrology.locate import _check_motion
 from cell.replay.replay import load_show
@@ -473,7 +473,7 @@ def test_about_a_tilted_axis_a_plan_is_proven_scanned_and_placed_as_about_an_upr
     assert coverage["visible"] == pytest.approx(coverage["predicted"], abs=1e-6)
     refused = run_cell("scan", "run", "--driver", "sim://?plant=mujoco", cwd=tmp_path)
     assert refused.returncode != 0
-    assert "whose axis is upright" in refused.stderr
+    assert "with an upright axis only" in refused.stderr
     done = run_cell("export", "run", "--out", "program", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     text = next((tmp_path / "program").glob("*.src")).read_text(encoding="ascii")

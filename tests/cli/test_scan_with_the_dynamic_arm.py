@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from cell.commands.terminal import Terminal
-from cell.plant import servo
-from cell.plant.servo import Settings
 from cell.robot.arm import kinematics_of
 from cell.robot.model import load
+from cell.robot.plant import PlantSettings
 from cell.runs.run import open_run
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
@@ -102,12 +101,11 @@ def test_a_diverging_simulation_ends_the_scan_with_its_reason_and_without_a_scan
 ) -> None:
     """Exit code 5 and one sentence; the execution says that it failed, and holds no scan and no surface."""
     from cell.cli import main
-    from cell.plant import mujoco_plant
+    from cell.robot import plant
 
     run = tmp_path / "run"
     shutil.copytree(scanned, run)
-    monkeypatch.setattr(mujoco_plant, "Settings", lambda: Settings(time_step=0.02))
-    assert servo.Settings().time_step == 0.001
+    monkeypatch.setattr(plant, "PlantSettings", lambda: PlantSettings(time_step=0.02))
     with pytest.raises(SystemExit) as ended:
         main(["scan", str(run), "--driver", URL, "--resolution", "2", "--json"])
     assert ended.value.code == 5

@@ -14,11 +14,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.special import ellipk
 
-from cell.plant import dynamics, servo
-from cell.plant.mujoco_plant import MujocoPlant
-from cell.plant.servo import Settings
-from cell.plant.tool import Piece, Tool
+from cell.robot import dynamics
+from cell.robot.dynamics import Tool, ToolBody
 from cell.robot.model import LINKS, model_file
+from cell.robot.plant import FeedForward, MujocoPlant, PlantSettings
 from drivers.profile import resting
 from planner.values import Floats
 
@@ -29,7 +28,9 @@ POSES = {
     "generic": np.radians([12.0, -75, 110, 35, -60, 140]),
     "folded": np.radians([-100.0, -120, 150, -200, 100, 300]),
 }
-TOOL = Tool((Piece("housing", 1.7, np.array([0.004, 0.006, 0.007]), np.array([0.04, 0.01, 0.09]), np.eye(4)[0], 0.1),))
+TOOL = Tool(
+    (ToolBody("housing", 1.7, np.array([0.004, 0.006, 0.007]), np.array([0.04, 0.01, 0.09]), np.eye(4)[0], 0.1),)
+)
 GRAVITY = 9.81
 
 
@@ -55,7 +56,7 @@ class Chain:
                 self.inertia.append(np.diag(_numbers(diagonal)))
         # The flange: 158 mm out, z along x of link 6, x along -z.
         self.flange = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
-        self.pieces = tool.pieces
+        self.tool_bodies = tool.bodies
         numeric = {n.get("name"): _numbers(n.get("data")) for n in ElementTree.parse(model_file()).iter("numeric")}
         self.rotor = numeric["axis_rotor_inertia_kg_m2"]
         self.viscous = numeric["axis_viscous_friction_Nm_s_rad"]
@@ -70,7 +71,7 @@ class Chain:
             self.axes.append(R @ self.axis[i])
             R = R @ _turn(self.axis[i], q[i])
             found.append((i, self.mass[i], p + R @ self.com[i], R @ self.inertia[i] @ R.T))
-        for piece in self.pieces:
+        for piece in self.tool_bodies:
             F = R @ self.flange
             at = p + R @ np.array([0.158, 0, 0]) + F @ piece.position
             found.append((5, piece.mass, at, F @ np.diag(piece.inertia) @ F.T))
@@ -140,7 +141,7 @@ def chain() -> Chain:
 def test_gravity_is_lever_times_weight(pose: str, chain: Chain) -> None:
     """The torque that holds the arm is that of the point masses, and the gradient of their potential energy."""
     q = POSES[pose]
-    model = dynamics.arm(TOOL)
+    model = dynamics.compile_dynamic_arm(TOOL)
     data = mujoco.MjData(model)
     data.qpos[:] = q
     mujoco.mj_forward(model, data)
@@ -151,7 +152,7 @@ def test_gravity_is_lever_times_weight(pose: str, chain: Chain) -> None:
 
 def test_two_gravity_torques_by_hand() -> None:
     """Level and stretched, A2 carries every moment of the XML's masses, A1 none; upright, next to nothing is left."""
-    model = dynamics.arm(Tool())
+    model = dynamics.compile_dynamic_arm(Tool())
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     # Sum of mass times horizontal distance from A2, m: link 2, 3, 4, 5, 6.
@@ -167,7 +168,7 @@ def test_two_gravity_torques_by_hand() -> None:
 
 def test_mass_matrix_is_that_of_the_jacobians(chain: Chain) -> None:
     """Also with a tool off the axis, in every named pose."""
-    model = dynamics.arm(TOOL)
+    model = dynamics.compile_dynamic_arm(TOOL)
     for q in POSES.values():
         np.testing.assert_allclose(dynamics.mass_matrix(model, q), chain.mass_matrix(q), atol=1e-9)
 
@@ -175,7 +176,7 @@ def test_mass_matrix_is_that_of_the_jacobians(chain: Chain) -> None:
 def test_the_feed_forward_is_lagranges(chain: Chain) -> None:
     """A servo that is right about masses and knows no Coulomb friction asks for Lagrange's torques."""
     rng = np.random.default_rng(0)
-    right = servo.FeedForward(TOOL, Settings(mass_error=0.0, friction_error=-1.0))
+    right = FeedForward(TOOL, PlantSettings(mass_error=0.0, friction_error=-1.0))
     q, qd, qdd = rng.uniform(-2, 2, (3, 3, 6)) * np.array([1.0, 1.5, 3.0])[:, None, None]
     expected = [chain.inverse(*motion) for motion in zip(q, qd, qdd, strict=True)]
     np.testing.assert_allclose(right.torque(q, qd, qdd), expected, rtol=1e-6, atol=1e-4)
@@ -184,7 +185,7 @@ def test_the_feed_forward_is_lagranges(chain: Chain) -> None:
 def test_light_masses_make_all_but_the_rotors_light(chain: Chain) -> None:
     """At 10 % too little mass the torque lacks 10 % of gravity, of velocity terms and of the links' inertia."""
     rng = np.random.default_rng(1)
-    light = servo.FeedForward(TOOL, Settings(mass_error=-0.1, friction_error=-1.0))
+    light = FeedForward(TOOL, PlantSettings(mass_error=-0.1, friction_error=-1.0))
     q, qd, qdd = rng.uniform(-2, 2, (3, 6))
     motors = chain.rotor * qdd + chain.viscous * qd
     expected = motors + 0.9 * (chain.inverse(q, qd, qdd) - motors)
@@ -196,7 +197,7 @@ def test_free_fall_of_one_link_is_a_pendulum(chain: Chain) -> None:
 
     T = 4 sqrt(I / (m g d)) K(sin^2(amplitude / 2)); I, m d and the hanging angle are the oracle's.
     """
-    model = dynamics.arm(TOOL, friction_scale=0.0, time_step=1e-4)
+    model = dynamics.compile_dynamic_arm(TOOL, friction_scale=0.0, time_step=1e-4)
     model.dof_damping[:] = 0.0
     model.dof_armature[[0, 1, 3, 4, 5]] = 1e12
     q = np.zeros(6)
@@ -227,7 +228,7 @@ def test_free_fall_of_one_link_is_a_pendulum(chain: Chain) -> None:
 
 def test_a_falling_arm_keeps_its_energy_and_follows_lagrange(chain: Chain) -> None:
     """Without friction and torque, the whole arm falls as an independent integrator says, and loses no energy."""
-    model = dynamics.arm(TOOL, friction_scale=0.0, time_step=5e-5)
+    model = dynamics.compile_dynamic_arm(TOOL, friction_scale=0.0, time_step=5e-5)
     model.dof_damping[:] = 0.0
     frictionless = Chain(TOOL)
     frictionless.viscous = np.zeros(6)
@@ -254,7 +255,7 @@ def test_without_integral_the_arm_droops_like_a_spring(pose: str, chain: Chain) 
     model, data = plant.model, plant.data
     kp = -model.actuator_biasprm[:, 1]
     model.dof_frictionloss[:] = 0.0  # friction would hold it anywhere near
-    believed = servo.FeedForward(TOOL, Settings(friction_error=-1.0))
+    believed = FeedForward(TOOL, PlantSettings(friction_error=-1.0))
     rest = np.zeros((1, 6))
     data.ctrl[:] = kp * POSES[pose] + believed.torque(POSES[pose][None], rest, rest)[0]
     mujoco.mj_step(model, data, nstep=3000)
@@ -265,14 +266,14 @@ def test_without_integral_the_arm_droops_like_a_spring(pose: str, chain: Chain) 
 
 def test_a_small_error_dies_out_as_the_linear_servo_says() -> None:
     """A6 turns about its own axis alone: its error obeys J e''' + kd e'' + kp e' + ki e = 0, in time and size."""
-    model = dynamics.arm(Tool())
-    plant = MujocoPlant(HOME, Tool(), Settings(time_step=1e-4, friction_error=-1.0))
+    model = dynamics.compile_dynamic_arm(Tool())
+    plant = MujocoPlant(HOME, Tool(), PlantSettings(time_step=1e-4, friction_error=-1.0))
     plant.model.dof_frictionloss[:] = 0.0
     plant.model.dof_damping[:] = 0.0
     offset = 1e-3 * np.eye(6)[5]
     plant.follow(resting(HOME + offset))
     kp, kd = -plant.model.actuator_biasprm[5, 1], -plant.model.actuator_biasprm[5, 2]
-    believed = dynamics.mass_matrix(dynamics.arm(Tool(), mass_scale=0.9), HOME)[5, 5]
+    believed = dynamics.mass_matrix(dynamics.compile_dynamic_arm(Tool(), mass_scale=0.9), HOME)[5, 5]
     ki = 0.3 * (2 * np.pi * 12.0) ** 3 * believed
     inertia = dynamics.mass_matrix(model, HOME)[5, 5]
     A = np.array([[0.0, 1, 0], [0, 0, 1], [-ki / inertia, -kp / inertia, -kd / inertia]])  # of integral, error, rate

@@ -6,9 +6,8 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from cell.plant.mujoco_plant import MujocoPlant
-from cell.plant.servo import Settings
 from cell.robot import model as robot
+from cell.robot.plant import MujocoPlant, PlantSettings
 from drivers.controller import Plant
 from drivers.limits import Limits
 from drivers.profile import Reference, interpolate
@@ -16,7 +15,7 @@ from drivers.profile import Reference, interpolate
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 HOME = np.radians([0.0, -90, 90, 0, 90, 0])
-STEP = Settings().time_step
+STEP = PlantSettings().time_step
 
 
 def reference(end: tuple[float, ...]) -> Reference:

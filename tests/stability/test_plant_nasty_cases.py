@@ -5,10 +5,9 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from cell.plant import factory
-from cell.plant.mujoco_plant import FOLLOWING_ERROR, MujocoPlant
-from cell.plant.servo import Settings
 from cell.robot import model as robot
+from cell.robot.plant import FOLLOWING_ERROR, MujocoPlant, PlantSettings
+from cell.scan import plants
 from drivers.clock import SimulatedClock
 from drivers.contract import Fault, Mode
 from drivers.controller import Controller, Plant
@@ -24,28 +23,28 @@ KR16 = Limits.from_rad(robot.limits(robot.load()))
 HOME = np.radians([0.0, -90, 90, 0, 90, 0])
 GOAL = from_rad(HOME[None] + np.array([0.6, 0.5, -0.4, 0.8, -0.6, 1.0]))
 UNSTABLE = {
-    "time step 20 ms": Settings(time_step=0.02),
-    "time step 10 ms, explicit": Settings(time_step=0.01, integrator="Euler"),
-    "time step 10 ms, gain x 4": Settings(time_step=0.01, bandwidth=48.0),
-    "gain x 20": Settings(bandwidth=240.0),
+    "time step 20 ms": PlantSettings(time_step=0.02),
+    "time step 10 ms, explicit": PlantSettings(time_step=0.01, integrator="Euler"),
+    "time step 10 ms, gain x 4": PlantSettings(time_step=0.01, bandwidth=48.0),
+    "gain x 20": PlantSettings(bandwidth=240.0),
 }
 WITHIN_THE_MARGIN = {
-    "default": Settings(),
-    "time step x 5": Settings(time_step=0.005),
-    "time step / 5": Settings(time_step=0.0002),
-    "gain x 4": Settings(bandwidth=48.0),
-    "explicit, time step x 2": Settings(time_step=0.002, integrator="Euler"),
-    "masses 30 % wrong": Settings(mass_error=-0.3),
-    "masses 30 % too heavy": Settings(mass_error=0.3),
-    "no friction compensation": Settings(friction_error=-1.0),
+    "default": PlantSettings(),
+    "time step x 5": PlantSettings(time_step=0.005),
+    "time step / 5": PlantSettings(time_step=0.0002),
+    "gain x 4": PlantSettings(bandwidth=48.0),
+    "explicit, time step x 2": PlantSettings(time_step=0.002, integrator="Euler"),
+    "masses 30 % wrong": PlantSettings(mass_error=-0.3),
+    "masses 30 % too heavy": PlantSettings(mass_error=0.3),
+    "no friction compensation": PlantSettings(friction_error=-1.0),
 }
 
 
-def context(settings: Settings, made: list[MujocoPlant] | None = None) -> Context:
+def context(settings: PlantSettings, made: list[MujocoPlant] | None = None) -> Context:
     """A controller that moves such a plant; every plant made is kept in `made`."""
 
     def make(start: np.ndarray) -> Plant:
-        plant = factory.built_in(settings)["mujoco"](start)
+        plant = plants.built_in_plants(settings)["mujoco"](start)
         assert isinstance(plant, MujocoPlant)
         if made is not None:
             made.append(plant)
@@ -78,7 +77,7 @@ def test_the_default_has_room_on_every_side(case: str) -> None:
 
     limits = KR16
     move = interpolate(HOME, GOAL / 1e4 * np.pi / 180, limits.velocity, limits.acceleration, limits.jerk)
-    plant = factory.built_in(WITHIN_THE_MARGIN[case], watch)["mujoco"](HOME)
+    plant = plants.built_in_plants(WITHIN_THE_MARGIN[case], watch)["mujoco"](HOME)
     plant.follow(move)
     plant.advance(move.duration)
     for _ in range(1200):
@@ -92,10 +91,10 @@ def test_the_default_has_room_on_every_side(case: str) -> None:
 def test_a_drive_that_is_too_weak_trips_and_can_be_reset() -> None:
     """Behind by more than the following error: the fault names the axis, the arm stands, a reset cures it."""
     made: list[MujocoPlant] = []
-    with open_driver("sim://?plant=mujoco", context(Settings(), made)) as driver:
+    with open_driver("sim://?plant=mujoco", context(PlantSettings(), made)) as driver:
         full = made[0].model.actuator_forcerange.copy()
         made[0].model.actuator_forcerange[0] /= 10.0
-        with pytest.raises(FaultError, match=r"A1 is 0\.5[0-9] deg off its reference"):
+        with pytest.raises(FaultError, match=r"A1 is 0\.5[0-9] deg from its reference"):
             driver.move(GOAL, 1.0)
         stands = driver.state().axes
         assert not (stands == from_rad(HOME)).all()
@@ -111,7 +110,7 @@ def test_a_drive_that_is_too_weak_trips_and_can_be_reset() -> None:
 def test_a_state_that_is_no_number_is_never_reported_as_a_pose(poison: str) -> None:
     """NaN in any part of the state latches the fault, and the axes of before stay reported."""
     made: list[MujocoPlant] = []
-    with open_driver("sim://?plant=mujoco", context(Settings(), made)) as driver:
+    with open_driver("sim://?plant=mujoco", context(PlantSettings(), made)) as driver:
         before = driver.state().axes
         getattr(made[0].data, poison)[2] = np.nan
         with pytest.raises(DriverError, match="no number"):
@@ -143,7 +142,7 @@ def test_a_jump_of_the_reference_is_a_failure() -> None:
     plant = MujocoPlant(HOME)
     plant.follow(resting(HOME + 0.02))
     plant.advance(0.1)
-    assert "off its reference" in plant.failure
+    assert "from its reference" in plant.failure
     assert not plant.settled
     np.testing.assert_allclose(plant.reported_axes, HOME, atol=1e-9)
     plant.follow(resting(HOME))

@@ -6,7 +6,7 @@ import trimesh
 from cell.metrology.reconstruct import NOISIEST, SPARSEST, reconstruct
 from cell.part import workpiece
 from cell.part.workpiece import FARTHEST_SIZES, Kind
-from cell.plant.servo import COARSEST_STEP, Settings
+from cell.robot.plant import MAX_ACCURATE_STEP, PlantSettings
 from cell.scene import validation
 from planner.geometry.decimation import decimate
 from planner.geometry.sampling import draw_samples
@@ -15,8 +15,8 @@ from planner.registration.cloud import ScanCloud, merge
 
 def test_a_time_step_that_is_too_long_is_told() -> None:
     """The default says nothing."""
-    assert Settings().doubt == ""
-    assert "2 ms is longer than 1 ms" in Settings(time_step=2 * COARSEST_STEP).doubt
+    assert PlantSettings().warning == ""
+    assert "2 ms is longer than 1 ms" in PlantSettings(time_step=2 * MAX_ACCURATE_STEP).warning
 
 
 def test_a_part_far_from_its_origin_is_told() -> None:

@@ -8,13 +8,12 @@ import pytest
 from numpy.typing import NDArray
 
 from cell.errors import FileError, SceneError, UsageError
-from cell.plant import dynamics, factory, tool
-from cell.plant.mujoco_plant import AT_REST, MujocoPlant
-from cell.plant.servo import Settings, gains
-from cell.plant.tool import Piece, Tool
-from cell.plant.turned import DENSITY, PLATE, of_model
+from cell.robot import dynamics
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
+from cell.robot.dynamics import FACEPLATE_THICKNESS, STEEL_DENSITY, Tool, ToolBody, table_load_of
+from cell.robot.plant import SETTLE_TOLERANCE, MujocoPlant, PlantSettings, servo_gains
+from cell.scan.plants import built_in_plants
 from drivers.clock import SimulatedClock
 from drivers.contract import Mode
 from drivers.errors import DriverError
@@ -28,7 +27,7 @@ from planner.kinematics.rotary_table import RotaryTable
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 HOME = np.radians([0.0, -90, 90, 0, 90, 0])
-CONTEXT = Context(KR16, plants=factory.built_in())
+CONTEXT = Context(KR16, plants=built_in_plants())
 URL = "sim://?plant=mujoco"
 _RATES = KR16.velocity, KR16.acceleration
 
@@ -45,7 +44,7 @@ def test_a_move_ends_in_position_within_the_repeatability() -> None:
         reached = kinematics.forward(np.stack([state.q, np.radians(goal[0] / 1e4)]))
         for lever in (np.zeros(3), np.array([0.1, 0.05, 0.12])):  # the flange, a point of the housing
             points = reached[:, :3, 3] + reached[:, :3, :3] @ lever
-            assert 0.0 < np.linalg.norm(points[0] - points[1]) < AT_REST + 3e-6  # a count is some micrometres
+            assert 0.0 < np.linalg.norm(points[0] - points[1]) < SETTLE_TOLERANCE + 3e-6  # a count is some micrometres
 
 
 def test_it_takes_the_references_time_and_then_settles() -> None:
@@ -54,7 +53,7 @@ def test_it_takes_the_references_time_and_then_settles() -> None:
     took = {}
     for name in ("ideal", "mujoco"):
         clock = SimulatedClock()
-        with open_driver(f"sim://?plant={name}", Context(KR16, clock=clock, plants=factory.built_in())) as driver:
+        with open_driver(f"sim://?plant={name}", Context(KR16, clock=clock, plants=built_in_plants())) as driver:
             driver.move(goal, 1.0)
             took[name] = clock.now()
     assert took["ideal"] < took["mujoco"] < took["ideal"] + 0.5
@@ -62,9 +61,9 @@ def test_it_takes_the_references_time_and_then_settles() -> None:
 
 def test_once_at_rest_it_stays_within_the_repeatability() -> None:
     """What the integral holds at the end of a move does not swing the arm out again, whatever point of the tool."""
-    plant, limits, rng, at = factory.built_in()["mujoco"](HOME), KR16, np.random.default_rng(5), HOME
+    plant, limits, rng, at = built_in_plants()["mujoco"](HOME), KR16, np.random.default_rng(5), HOME
     assert isinstance(plant, MujocoPlant)
-    levers = dynamics.levers(plant.model, Tool()) + 0.17  # the housing's farthest corner from the flange
+    levers = dynamics.lever_arms(plant.model, Tool()) + 0.17  # the housing's farthest corner from the flange
     for jerk in (limits.jerk, None, limits.jerk, None):
         goal = HOME + rng.uniform(-0.5, 0.5, 6)
         move = interpolate(at, goal[None], limits.velocity, limits.acceleration, jerk)
@@ -93,7 +92,7 @@ def test_the_scanner_keeps_to_its_path_faster_than_real_time(with_jerk: bool) ->
         error = np.linalg.norm(scanner(axes) - scanner(reference.sample(times)[0]), axis=1)
         errors.append(float(error.max()))
 
-    watched, unwatched = (factory.built_in(observer=each)["mujoco"](HOME) for each in (watch, None))
+    watched, unwatched = (built_in_plants(observer=each)["mujoco"](HOME) for each in (watch, None))
     watched.follow(move)
     watched.advance(move.duration)
     assert 1e-5 < max(errors) < 3e-4
@@ -141,7 +140,7 @@ def test_a_move_of_no_length_is_settled_at_once() -> None:
 
 def test_the_mass_on_the_flange_is_that_of_the_shapes() -> None:
     """Housing at the density of sensors, bracket of aluminium, where the cell's model has them."""
-    plant = factory.built_in()["mujoco"](HOME)
+    plant = built_in_plants()["mujoco"](HOME)
     assert isinstance(plant, MujocoPlant)
     masses = {plant.model.body(name).name: float(plant.model.body(name).mass[0]) for name in ("housing", "bracket")}
     assert masses["housing"] == pytest.approx(0.16 * 0.08 * 0.06 * 1300)
@@ -157,10 +156,10 @@ def test_the_mass_on_the_flange_is_that_of_the_shapes() -> None:
 
 def test_a_heavier_tool_is_felt() -> None:
     """Eight kilograms more on the flange add to the torque on A2 what they weigh at their lever."""
-    heavy = Piece("housing", 8.0, np.full(3, 0.02), np.array([0.0, 0.0, 0.1]), np.eye(4)[0], 0.1)
+    heavy = ToolBody("housing", 8.0, np.full(3, 0.02), np.array([0.0, 0.0, 0.1]), np.eye(4)[0], 0.1)
     torque = []
     for carried in (Tool(), Tool((heavy,))):
-        model = dynamics.arm(carried)
+        model = dynamics.compile_dynamic_arm(carried)
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         torque.append(float(data.qfrc_bias[1]))
@@ -173,7 +172,7 @@ def test_planning_knows_nothing_of_dynamics() -> None:
     assert model.nu == 0
     for values in (model.dof_armature, model.dof_damping, model.dof_frictionloss):
         assert not values.any()
-    dynamic = dynamics.arm(Tool())
+    dynamic = dynamics.compile_dynamic_arm(Tool())
     assert dynamic.nu == 6
     assert dynamic.ngeom == 0
     for q in (HOME, np.zeros(6)):
@@ -188,8 +187,8 @@ def test_planning_knows_nothing_of_dynamics() -> None:
 
 def test_levers_bound_what_an_axis_moves() -> None:
     """No pose moves the tool's farthest point by more than the lever times the angle."""
-    carried = Tool((Piece("housing", 1.0, np.full(3, 0.01), np.array([0.0, 0.0, 0.2]), np.eye(4)[0], 0.0),))
-    levers = dynamics.levers(dynamics.arm(carried), carried)
+    carried = Tool((ToolBody("housing", 1.0, np.full(3, 0.01), np.array([0.0, 0.0, 0.2]), np.eye(4)[0], 0.0),))
+    levers = dynamics.lever_arms(dynamics.compile_dynamic_arm(carried), carried)
     kinematics, rng = kinematics_of(robot.load()), np.random.default_rng(0)
     q = rng.uniform(
         np.radians([-185, -155, -130, -350, -130, -350]), np.radians([185, 35, 154, 350, 130, 350]), (500, 6)
@@ -211,12 +210,12 @@ def test_a_table_is_a_hinge_of_its_own_with_what_it_turns() -> None:
     post.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.02, 0.15, 0])
     T = np.eye(4)
     T[:3, 3] = 1.2, 0.5, -0.3
-    load = of_model(spec.compile(), RotaryTable(T, -3.0, 3.0, 2.0, 4.0, 40.0), 0.4)
+    load = table_load_of(spec.compile(), RotaryTable(T, -3.0, 3.0, 2.0, 4.0, 40.0), 0.4)
     off = np.array([0.3 + 0.1 * np.cos(0.4), 0.1 * np.sin(0.4)])
-    box = DENSITY * 0.2 * 0.1 * 0.4 * ((0.2**2 + 0.1**2) / 12 + off @ off)
-    rods = DENSITY * np.pi / 2 * (0.3 * 0.02**4 + PLATE * 0.2**4)
+    box = STEEL_DENSITY * 0.2 * 0.1 * 0.4 * ((0.2**2 + 0.1**2) / 12 + off @ off)
+    rods = STEEL_DENSITY * np.pi / 2 * (0.3 * 0.02**4 + FACEPLATE_THICKNESS * 0.2**4)
     assert load.inertia == pytest.approx(box + rods, rel=1e-3)  # the post has 64 sides
-    turned, alone = (dynamics.arm(Tool(), turned=each) for each in (load, None))
+    turned, alone = (dynamics.compile_dynamic_arm(Tool(), table=each) for each in (load, None))
     M, q = dynamics.mass_matrix(turned, np.append(HOME, 0.7)), np.append(HOME, 0.7)
     np.testing.assert_allclose(M[:6, :6], dynamics.mass_matrix(alone, HOME), atol=1e-9)
     np.testing.assert_allclose(M[6], [0, 0, 0, 0, 0, 0, load.inertia + load.rotor_inertia], atol=1e-9)
@@ -224,19 +223,19 @@ def test_a_table_is_a_hinge_of_its_own_with_what_it_turns() -> None:
     data.qpos[:] = q
     mujoco.mj_forward(turned, data)
     assert data.qfrc_bias[6] == pytest.approx(0.0, abs=1e-9)
-    assert dynamics.levers(turned, Tool(), load)[6] == load.reach >= np.linalg.norm(off)
-    plant = MujocoPlant(q, turned=load)
+    assert dynamics.lever_arms(turned, Tool(), load)[6] == load.reach >= np.linalg.norm(off)
+    plant = MujocoPlant(q, table=load)
     plant.follow(move := interpolate(q, q[None] + 0.5, *(np.append(each, 2.0) for each in _RATES)))
     plant.advance(move.duration + 0.5)
     assert plant.settled
     assert plant.failure == ""
     with pytest.raises(DriverError, match="it must be 7 finite joint angles"):
-        MujocoPlant(HOME, turned=load)
+        MujocoPlant(HOME, table=load)
 
 
 def test_gains_are_one_bandwidth() -> None:
     """With the inertia that they are made for, all roots lie within 1.7 of the bandwidth, and are damped."""
-    made = gains(np.full(6, 3.0), 5.0)
+    made = servo_gains(np.full(6, 3.0), 5.0)
     roots = np.roots([3.0, made.damping[0], made.stiffness[0], made.integral[0]]) / (2 * np.pi * 5.0)
     assert (roots.real < -0.1).all()
     assert np.abs(roots).max() < 1.7
@@ -251,19 +250,19 @@ def test_gains_are_one_bandwidth() -> None:
 def test_settings_that_cannot_be_are_refused(values: dict[str, float]) -> None:
     """By the name of what is wrong."""
     with pytest.raises(UsageError, match=f"plant's {next(iter(values))}"):
-        Settings(**values)  # type: ignore[arg-type] # one float by name
+        PlantSettings(**values)  # type: ignore[arg-type] # one float by name
 
 
 def test_broken_input_is_refused() -> None:
     """A start that is no pose, time that passes backwards, a cell without a housing, a robot file without drives."""
     with pytest.raises(DriverError, match="6 finite joint angles"):
         MujocoPlant([0.0, np.nan, 0, 0, 0, 0])
-    with pytest.raises(DriverError, match="only passes forwards"):
+    with pytest.raises(DriverError, match="must be at least 0"):
         MujocoPlant(HOME).advance(-1e-9)
-    with pytest.raises(DriverError, match="only passes forwards"):
+    with pytest.raises(DriverError, match="must be at least 0"):
         MujocoPlant(HOME).advance(float("nan"))
     with pytest.raises(SceneError, match="no shape named housing"):
-        tool.of_model(robot.load())
+        dynamics.tool_of(robot.load())
 
 
 def test_a_robot_without_drives_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

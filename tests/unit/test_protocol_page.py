@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.emulate.memory import Memory
+from cell.emulate.emulator import Memory
 from cell.robot import model as robot
 from drivers.clock import SimulatedClock
 from drivers.contract import Fault, Result

@@ -18,6 +18,7 @@ from cell.replay.overlays import touches
 from cell.robot import model as robot
 from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
+from cell.robot.model import mesh_of
 from cell.robot.normalise import normalise
 from cell.robot.robot_file import capture_mujoco_warnings
 from cell.scene.model import Scene
@@ -27,7 +28,7 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
 from cell.world.robot_report import report
 from cell.world.self_collision import LinkPairs, prove_separation
-from cell.world.shapes import ShapeDistances, mesh_of
+from cell.world.shapes import ShapeDistances
 from cell.world.travel import TravelBound
 from planner.geometry.hull import is_convex
 from planner.geometry.mesh import TriangleMesh
