@@ -81,9 +81,7 @@ def tool_of(model: mujoco.MjModel) -> Tool:
     """
     names = {model.geom(i).name: i for i in range(model.ngeom)}
     if "housing" not in names:
-        raise SceneError(
-            "the cell's model has no shape named housing; the plant needs it for the scanner's mass"
-        )
+        raise SceneError("the cell's model has no shape named housing; the plant needs it for the scanner's mass")
     return Tool(tuple(_tool_body(model, name, names[name]) for name in TOOL_DENSITY if name in names))
 
 
