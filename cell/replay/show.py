@@ -58,7 +58,7 @@ class Show:
         self.theatre, self.timeline = theatre, timeline
         self.data = mujoco.MjData(theatre.model)
         self._followers = robot.MimicJoints.from_model(theatre.model)
-        self._turner = TablePoses(self.data, theatre.table)
+        self._table_poses = TablePoses(self.data, theatre.table)
         self._flange = theatre.model.site(robot.FLANGE).id
         self.T_base_scanner = readonly(
             "T_base_scanner",
@@ -143,7 +143,7 @@ class Show:
 
     def _set(self, q: Floats) -> None:
         self.data.qpos[:] = self._followers.qpos(q[:ARM_AXES])
-        self._turner(self.data, q)
+        self._table_poses.set_configuration(self.data, q)
 
     def _scanner_now(self) -> Floats:
         T = np.eye(4)

@@ -25,7 +25,7 @@ from cell.world import shapes
 from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World, compile_world
 from cell.world.occluders import Occluder, make_caster, names_beside_table, occluders_of_model
-from cell.world.table import HALF_A_TURN_DEG, kinematics_on_table
+from cell.world.table import ENDLESS_LIMITS_DEG, kinematics_on_table
 from cell.world.travel import TravelBound, table_radius
 from planner.geometry.mesh import TriangleMesh
 from planner.kinematics.frames import kuka_abc_from_pose
@@ -150,7 +150,7 @@ def table_of(scene: ResolvedScene) -> RotaryTable | None:
     table = scene.table
     if table is None:
         return None
-    limits = table.turn_deg or table.limits_deg or HALF_A_TURN_DEG
+    limits = table.turn_deg or table.limits_deg or ENDLESS_LIMITS_DEG
     rates = table.velocity_deg_s, table.acceleration_deg_s2, table.jerk_deg_s3
     return RotaryTable(table.T_base_table, *np.deg2rad([*limits, *rates]).tolist())
 

@@ -283,8 +283,8 @@ def _with_table_limits(world: World) -> World:
     """Limit the table to the angles at which it can turn its part."""
     if (table := world.table) is None:
         return world
-    turn = TableCollision(world.model, world.data(), table, world.pairs, world.clearance, world.distance)
-    table = turn.within(table, world.home, endless=world.scene.table.limits_deg is None)
+    collision = TableCollision(world.model, world.data(), table, world.pairs, world.clearance, world.distance)
+    table = collision.within(table, world.home, endless=world.scene.table.limits_deg is None)
     lower, upper = (
         np.append(ends[:ARM_AXES], end)
         for ends, end in ((world.limits.lower, table.lower), (world.limits.upper, table.upper))

@@ -41,8 +41,7 @@ from numpy.typing import NDArray
 from cell import caches
 from cell.robot import model as robot
 from cell.robot.model import AXES, MimicJoints, mesh_of
-from cell.world.shapes import ShapeDistances, meshes_of
-from cell.world.travel import enclosing_points
+from cell.world.shapes import ShapeDistances, enclosing_points, meshes_of
 from planner.geometry.hull import is_convex
 from planner.values import Floats
 

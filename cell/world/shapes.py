@@ -1,29 +1,26 @@
-"""The pieces of the cell as MuJoCo shapes, and which pairs of them are guarded.
+"""Shapes of the cell: building them for MuJoCo, which pairs of them are checked, and their distances.
 
-Which pairs are guarded, and why the others are not:
+Checked pairs, and the reason for each unchecked one:
 
-| pair | guarded |
+| pair | checked for collision |
 | --- | --- |
 | link_1..link_6, bracket, housing with part, post, fixtures | yes |
-| link_2..link_6, bracket, housing with pedestal, floor | yes; link_1 of a base in the origin, upright, is above both |
-| base with anything that stands still | no: neither moves; `cell.world.checks` looks once |
-| links among themselves | as the robot's model says: neighbours share a bearing (`cell.world.robot_spec`) |
+| link_2..link_6, bracket, housing with pedestal, floor | yes; link_1 of an upright base at the origin is above both |
+| base with anything stationary | no: neither moves; `cell.world.checks` checks it once |
+| links among themselves | by the robot's model: neighbours share a bearing (`cell.world.robot_spec`) |
 | bracket, housing with base, link_1..link_3 | yes |
-| bracket, housing with link_4, housing with link_5 | yes, unless proven apart at all wrist angles (`wrist.py`) |
+| bracket, housing with link_4, housing with link_5 | unless proven apart at all wrist angles (`self_collision.py`) |
 | bracket with link_5 of the KR 16 | no: bolted to link_6, it only turns about its own end against link_5 |
-| bracket with link_5 of another arm | likewise where it touches at all wrist angles; else as the housing |
-| bracket, housing, link_6 among themselves | no: one rigid piece |
+| bracket with link_5 of another arm | no if they touch at all wrist angles; else as the housing |
+| bracket, housing, link_6 among themselves | no: one rigid body |
 | part and its fixtures on a rotary table with base, pedestal, floor, fixtures of the base | yes |
-| post beside the axis of a rotary table with base, pedestal, fixtures of the base | yes; on it, it stays in place |
+| post beside the axis of a rotary table with base, pedestal, fixtures of the base | yes; on the axis it never moves |
 
-Every pair is guarded with the same margin, the scene's clearance; MuJoCo 4 *adds* the margins of two shapes, so each
-carries half.
+Every pair has the same margin, the scene's clearance. MuJoCo 4 *adds* the margins of two shapes, so each has half.
 
-How far two shapes of a model are apart: by hulls, and by true triangles where a hull is more than its mesh.
-
-A mesh none of whose faces lies deeper than `CONVEX` under its hull is taken as that hull, which contains it: MuJoCo's
-GJK gives its distance. For another the hull only finds what to look at, and its triangles decide
-(`planner.geometry.distance`).
+The distance of two shapes is that of their hulls (GJK of MuJoCo) where the hull represents the mesh: no face is deeper
+than `planner.geometry.hull.CONVEX` below it. For any other mesh the hull only finds the pairs to measure, and the
+triangles decide (`planner.geometry.distance`).
 """
 
 from __future__ import annotations
@@ -56,56 +53,56 @@ if TYPE_CHECKING:
 TABLE = "rotary table"
 
 POST_LENGTH = 6.0
-"""The post's shape [m]: its top follows the part, its foot ends below the floor, so no placement changes a size."""
+"""Length of the post's shape [m]: it ends below the floor at every placement, so that its size never changes."""
 
-# Collision classes: two shapes are a candidate pair when one's type meets the other's affinity.
-# The links' own class among themselves, 1, is that of models/kr16.xml.
+# Collision classes: a pair is checked if the contype of one matches the conaffinity of the other.
+# Class 1, links among themselves, is set in models/kr16.xml.
 _CELL, _GROUND, _TOOL, _TURNS, _SWINGS = 2, 4, 8, 16, 32
-_LINK_MEETS = {"base": _TOOL, "link_1": _CELL | _TOOL, "link_6": _CELL | _GROUND}
-"""Of the others all three."""
+_CLASSES_OF_LINK = {"base": _TOOL, "link_1": _CELL | _TOOL, "link_6": _CELL | _GROUND}
+"""Classes that a link is checked with; other links: all three."""
 
 
 def set_robot_pairs(spec: mujoco.MjSpec, *, on_pedestal: bool = True) -> None:
-    """Let the links meet what the table of this module pairs them with.
+    """Enable the pairs of the links with the cell.
 
     Args:
         spec: the robot alone.
-        on_pedestal: False lets link_1 meet the floor too, as it does where its axis is not upright.
+        on_pedestal: False checks link_1 with the floor too, as does a first axis that is not upright.
 
     Raises:
-        SceneError: if a shape of a link is of a kind whose distance from triangles is not known.
+        SceneError: if a shape of a link is no box, cylinder or mesh.
     """
     import mujoco
 
-    # Only the pairs that the table above switches off are off: not what the engine takes for parent and child.
+    # Only the pairs of the table above are disabled, not those of parent and child, which MuJoCo filters by default.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     spec.modelname = "scan_cell"
     kinds = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH)
     on_pedestal = on_pedestal and abs(spec.joint("A1").axis[2]) > 1 - 1e-6
     for body in spec.bodies:
-        meets = _LINK_MEETS.get(body.name, _CELL | _GROUND | _TOOL)
+        classes = _CLASSES_OF_LINK.get(body.name, _CELL | _GROUND | _TOOL)
         if body.name == "link_1" and not on_pedestal:
-            meets |= _GROUND
+            classes |= _GROUND
         for geom in body.geoms:
             if geom.type not in kinds:
-                raise SceneError(f"the robot model's shape '{geom.name}' is no box, cylinder or mesh; make it one")
-            geom.conaffinity |= meets
+                raise SceneError(f"the robot model's shape '{geom.name}' is no box, cylinder or mesh; replace it")
+            geom.conaffinity |= classes
 
 
 def add_tool(spec: mujoco.MjSpec, scene: Scene, T_flange_housing: Floats) -> None:
-    """Bracket and housing, each in a body of its own whose frame is the flange's."""
+    """Add bracket and housing, each as a body with the flange's frame."""
     flange, last = spec.copy().compile().site(robot.FLANGE), spec.body("link_6")
     half = np.array(scene.housing.sides_mm) / 2000.0
     body = last.add_body(name="housing", pos=flange.pos, quat=flange.quat)
     housing = add_box(body, "housing", half, T_flange_housing, [0.1, 0.1, 0.12, 1])
     housing.contype, housing.conaffinity = _TOOL, _CELL | _GROUND
-    # From the middle of the flange to the point of the housing that is nearest to it.
+    # The bracket connects the middle of the flange with the nearest point of the housing.
     in_housing = np.linalg.inv(T_flange_housing)[:3, 3]
     end = T_flange_housing[:3, :3] @ np.clip(in_housing, -half, half) + T_flange_housing[:3, 3]
     length = float(np.linalg.norm(end))
     if scene.housing.bracket_mm > 0 and length > 1e-6:
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = _turn_z_to(end / length), end / 2
+        T[:3, :3], T[:3, 3] = _rotation_to(end / length), end / 2
         radius = scene.housing.bracket_mm / 2000.0
         body = last.add_body(name="bracket", pos=flange.pos, quat=flange.quat)
         bracket = add_cylinder(body, "bracket", radius, length, T)
@@ -113,7 +110,7 @@ def add_tool(spec: mujoco.MjSpec, scene: Scene, T_flange_housing: Floats) -> Non
 
 
 def add_ground(spec: mujoco.MjSpec, scene: Scene) -> None:
-    """The floor, and the pedestal under the robot's foot."""
+    """Add the floor, and the pedestal below the robot."""
     import mujoco
 
     floor = spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5.0, 5.0, 0.1])
@@ -127,7 +124,7 @@ def add_ground(spec: mujoco.MjSpec, scene: Scene) -> None:
 
 
 def add_table(spec: mujoco.MjSpec, scene: Scene, table: RotaryTable) -> None:
-    """The rotary table: a cylinder below its face. It looks the same however it has turned, so it stands."""
+    """Add the rotary table as a stationary cylinder below its face: its rotation changes nothing."""
     middle = np.eye(4)
     middle[2, 3] = -scene.table.height_mm / 2000.0
     T = table.T_base_table @ middle
@@ -135,14 +132,14 @@ def add_table(spec: mujoco.MjSpec, scene: Scene, table: RotaryTable) -> None:
 
 
 def enable_table_pairs(spec: mujoco.MjSpec, *, post_swings: bool, upright: bool) -> None:
-    """Let the part and the fixtures on it meet what stands: robot's base, pedestal, floor and the base's fixtures.
+    """Check part and its fixtures with the robot's base, pedestal, floor and the base's fixtures.
 
-    The post and the table carry them, and touch them.
+    Post and table are not checked with them: they carry them.
 
     Args:
         spec: the cell.
-        post_swings: whether the post stands beside the axis: it meets the same then.
-        upright: whether it stands as high over the floor at every angle, and does not meet it.
+        post_swings: whether the post stands beside the table's axis and is checked with the same shapes.
+        upright: whether the table's axis is upright; then the post keeps its height above the floor.
     """
     for body in spec.bodies:
         for geom in body.geoms:
@@ -156,7 +153,7 @@ def enable_table_pairs(spec: mujoco.MjSpec, *, post_swings: bool, upright: bool)
 
 
 def add_fixtures(spec: mujoco.MjSpec, scene: Scene, placed_body: mujoco.MjsBody) -> dict[str, TriangleMesh]:
-    """Every fixture, on the part's body or the world's; returns the true triangles of the mesh fixtures by name."""
+    """Add every fixture to the part's body or the world; return the triangles of the mesh fixtures by name."""
     meshes = {}
     for fixture in scene.fixtures:
         body = placed_body if fixture.attached_to == "object" else spec.worldbody
@@ -185,7 +182,7 @@ def collision_hull(vertices: Floats, name: str) -> TriangleMesh:
 
 
 def fixture_mesh(fixture: MeshFixture) -> TriangleMesh:
-    """The fixture's triangles in the frame that it is attached to [m]."""
+    """Read the triangles of a fixture, in the frame that it is attached to [m]."""
     path = Path(fixture.path)
     vertices, faces = mesh_files.parse(path, mesh_files.read_bytes(path))
     T = fixture.T
@@ -193,7 +190,7 @@ def fixture_mesh(fixture: MeshFixture) -> TriangleMesh:
 
 
 def add_box(body: mujoco.MjsBody, name: str, half: Floats, T: Floats, rgba: list[float]) -> mujoco.MjsGeom:
-    """A box of half sides (3,) at the pose T (4, 4) of its middle [m]."""
+    """Add a box of half sides (3,) at the pose T (4, 4) of its middle [m]."""
     import mujoco
 
     box = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=T[:3, 3], rgba=rgba)
@@ -202,7 +199,7 @@ def add_box(body: mujoco.MjsBody, name: str, half: Floats, T: Floats, rgba: list
 
 
 def add_cylinder(body: mujoco.MjsBody, name: str, radius: float, length: float, T: Floats) -> mujoco.MjsGeom:
-    """A cylinder along z of the pose T (4, 4), its middle there [m]; radius and length in metres."""
+    """Add a cylinder along z at the pose T (4, 4) of its middle; lengths [m]."""
     import mujoco
 
     rod = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[radius, length / 2, 0.0], pos=T[:3, 3])
@@ -211,7 +208,7 @@ def add_cylinder(body: mujoco.MjsBody, name: str, radius: float, length: float, 
 
 
 def add_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, hull: TriangleMesh) -> None:
-    """A convex shape. Its vertices are kept about its middle: the engine holds them in single precision."""
+    """Add a convex mesh, its vertices relative to its middle because the engine stores them in single precision."""
     import mujoco
 
     middle = (hull.vertices.min(axis=0) + hull.vertices.max(axis=0)) / 2
@@ -226,7 +223,7 @@ def add_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, hull: Triangl
 
 
 def quaternion(R: ArrayLike) -> Floats:
-    """(4,) unit quaternion w, x, y, z of a rotation (3, 3)."""
+    """Return the unit quaternion (w, x, y, z) of a rotation (3, 3)."""
     import mujoco
 
     q = np.empty(4)
@@ -234,22 +231,21 @@ def quaternion(R: ArrayLike) -> Floats:
     return q
 
 
-def _turn_z_to(direction: Floats) -> Floats:
-    """(3, 3) a rotation whose third column is the unit vector `direction`."""
+def _rotation_to(direction: Floats) -> Floats:
+    """Return a rotation (3, 3) with the unit vector `direction` as third column."""
     across = np.eye(3)[np.argmin(np.abs(direction))]
     x = np.cross(across, direction)
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(direction, x), direction], axis=1)
 
 
-_KIND = {6: 0, 5: 1}  # `planner.geometry.distance.BOX` and `CYLINDER` by MuJoCo's type of a shape
+_KIND = {6: 0, 5: 1}  # `planner.geometry.distance.BOX` and `CYLINDER` by MuJoCo's geom type
 
-
-_APART = 1e-9  # m; what triangles are asked for where a pair in contact is known already
+_CONTACT_REACH = 1e-9  # m; reach for the triangles of a pair whose hulls are in contact
 
 
 class _Trees(Mapping[int, "TriangleTree"]):
-    """Trees by geom, each built when it is first asked for: half a second where nothing comes near its hull."""
+    """Triangle trees by geom, each built at its first use: building takes up to half a second."""
 
     def __init__(self, meshes: dict[int, TriangleMesh]) -> None:
         self._meshes = meshes
@@ -273,20 +269,20 @@ class _Trees(Mapping[int, "TriangleTree"]):
 
 
 class ShapeDistances:
-    """The shapes of a model, which answer how far two of them are apart; never changed, so that checkers share it.
+    """Distances between the geoms of a model. It never changes, so checkers share it.
 
     Attributes:
-        trees: true triangles by the geom whose hull is in the model.
-        nonconvex: geoms of them whose hull is more than they are.
+        trees: triangles by the geom whose hull is in the model.
+        nonconvex: geoms that are measured by their triangles.
     """
 
     def __init__(self, model: mujoco.MjModel, meshes: Mapping[str, TriangleMesh], nonconvex: Collection[str]) -> None:
-        """Nothing is built before it is asked for.
+        """Prepare the distances; trees are built at the first use.
 
         Args:
-            model: that they are of.
-            meshes: true triangles by the name of the geom whose hull is in the model, in the frame of its body [m].
-            nonconvex: names of those whose hull is more than they are.
+            model: the model that holds the geoms.
+            meshes: triangles by the name of the geom whose hull is in the model, in the frame of its body [m].
+            nonconvex: names of the meshes that their hull does not represent.
         """
         self._model = model
         self.trees = _Trees({model.geom(name).id: mesh for name, mesh in meshes.items()})
@@ -304,25 +300,24 @@ class ShapeDistances:
         any_nearer: bool = False,
         points: Floats | None = None,
     ) -> float:
-        """Distance of two geoms in a state of the model.
+        """Measure the distance of two geoms in a state of the model.
 
         Args:
             data: the state, kinematics up to date.
             a: a geom.
-            b: another.
-            reach: nothing beyond is looked for [m].
-            any_nearer: below `reach`, any distance will do: enough for yes or no, and faster with triangles.
-            points: (2, 3) is overwritten with the nearest points of a and b, base frame [m], where they are nearer than
-                `reach`.
+            b: another geom.
+            reach: largest distance that is measured [m].
+            any_nearer: whether any distance below `reach` is good enough: a yes or no, faster with triangles.
+            points: (2, 3), overwritten with the nearest points of a and b [m], base frame, if nearer than `reach`.
 
         Returns:
-            The distance [m], `reach` where it is more, 0 or less in contact.
+            The distance [m]: `reach` if it is larger, 0 or less in contact.
         """
         import mujoco
 
         mesh, shape = (a, b) if a in self.nonconvex else (b, a)
         by_triangles = mesh in self.nonconvex and (self._kind[shape] is not None or shape in self.trees)
-        if by_triangles and any_nearer and reach > 0:  # yes or no asks for no depth
+        if by_triangles and any_nearer and reach > 0:  # yes or no needs no depth
             return self._by_triangles(data, mesh, shape, reach, any_nearer=True)
         ends = None if points is None else np.empty(6)
         measured = float(mujoco.mj_geomDistance(self._model, data, a, b, reach, ends))
@@ -330,10 +325,10 @@ class ShapeDistances:
             points[:] = ends.reshape(2, 3)
         if not by_triangles or measured >= reach:
             return measured
-        exact = self._by_triangles(data, mesh, shape, max(reach, _APART), any_nearer=any_nearer, points=points)
+        exact = self._by_triangles(data, mesh, shape, max(reach, _CONTACT_REACH), any_nearer=any_nearer, points=points)
         if points is not None and mesh == a:
             points[:] = points[::-1].copy()
-        # A surface has no depth: that of the hull stands for it.
+        # A surface has no depth: the depth of the hull replaces it.
         return min(exact, reach) if exact > 0 else min(exact, measured)
 
     def _by_triangles(
@@ -346,26 +341,48 @@ class ShapeDistances:
         any_nearer: bool = False,
         points: Floats | None = None,
     ) -> float:
-        """Distance of a shape and a mesh by its triangles; `points` are of the shape, then of the mesh."""
+        """Measure the distance of a shape and the triangles of a mesh; `points` are of the shape, then of the mesh."""
         tree, body, kind = self.trees[mesh], self._body[mesh], self._kind[shape]
+        frame = data.xpos[body], data.xmat[body]
         if kind is not None:
-            return tree.distance(
-                kind, self._model.geom_size[shape], data.geom_xpos[shape], data.geom_xmat[shape], data.xpos[body],
-                data.xmat[body], reach, any_nearer=any_nearer, points=points,
-            )  # fmt: skip
+            size, placement = self._model.geom_size[shape], (data.geom_xpos[shape], data.geom_xmat[shape])
+            return tree.distance(kind, size, *placement, *frame, reach, any_nearer=any_nearer, points=points)
         other = self._body[shape]
-        frames = (data.xpos[body], data.xmat[body]), (data.xpos[other], data.xmat[other])
+        frames = frame, (data.xpos[other], data.xmat[other])
         if shape not in self.nonconvex:
-            return tree.from_hull(self.trees[shape], frames, reach, any_nearer=any_nearer, points=points)
-        distance = tree.from_tree(self.trees[shape], frames, reach, any_nearer=any_nearer, points=points)
+            return tree.distance_to_hull(self.trees[shape], frames, reach, any_nearer=any_nearer, points=points)
+        distance = tree.distance_to_tree(self.trees[shape], frames, reach, any_nearer=any_nearer, points=points)
         if points is not None:
             points[:] = points[::-1].copy()
         return distance
 
 
 def meshes_of(model: mujoco.MjModel) -> dict[str, TriangleMesh]:
-    """The triangles of every mesh geom by its name, each in the frame of its body [m]."""
+    """Return the triangles of every mesh geom by name, each in the frame of its body [m]."""
     import mujoco
 
     geoms = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
     return {model.geom(geom).name: mesh_of(model, int(geom)) for geom in geoms}
+
+
+def enclosing_points(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Floats, float]:
+    """Return points (P, 3) and a radius [m]: a geom is inside the hull of the balls of this radius about the points.
+
+    The points are in the base frame at the state's joint angles.
+    """
+    import mujoco
+
+    size, kind = model.geom_size[geom], model.geom_type[geom]
+    R, position = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+        return position + (signs * size) @ R.T, 0.0
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        return position + np.array([[0, 0, -size[1]], [0, 0, size[1]]]) @ R.T, float(size[0])
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        vertices = mesh_of(model, geom).vertices
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
+        body = int(model.geom_bodyid[geom])
+        return data.xpos[body] + corners @ data.xmat[body].reshape(3, 3).T, 0.0
+    return position[None].copy(), float(model.geom_rbound[geom])

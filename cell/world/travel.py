@@ -29,7 +29,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.robot.model import AXES, MimicJoints, mesh_of
+from cell.robot.model import AXES, MimicJoints
+from cell.world.shapes import enclosing_points
 from planner.kinematics.rotary_table import RotaryTable
 from planner.values import Floats
 
@@ -185,23 +186,3 @@ def _link_of(model: mujoco.MjModel, body: int, bodies: list[int]) -> int | None:
             return bodies.index(body)
         body = int(model.body_parentid[body])
     return None
-
-
-def enclosing_points(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Floats, float]:
-    """Points (P, 3) and a radius whose swept hull contains a geom, base frame at A1..A6 = 0 [m]."""
-    import mujoco
-
-    size, kind = model.geom_size[geom], model.geom_type[geom]
-    R, position = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
-    if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-        return position + (signs * size) @ R.T, 0.0
-    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        return position + np.array([[0, 0, -size[1]], [0, 0, size[1]]]) @ R.T, float(size[0])
-    if kind == mujoco.mjtGeom.mjGEOM_MESH:
-        vertices = mesh_of(model, geom).vertices
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
-        body = int(model.geom_bodyid[geom])
-        return data.xpos[body] + corners @ data.xmat[body].reshape(3, 3).T, 0.0
-    return position[None].copy(), float(model.geom_rbound[geom])

@@ -597,7 +597,7 @@ class TriangleTree:
             return -measured
         return float(measured)
 
-    def from_hull(
+    def distance_to_hull(
         self, other: "TriangleTree", frames: Frames, reach: float, *, any_nearer: bool, points: Floats | None
     ) -> float:
         """Distance of the convex hull of another tree's triangles from those of this one; see `from_tree`."""
@@ -614,7 +614,7 @@ class TriangleTree:
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         return middle, np.ascontiguousarray(points[ConvexHull(points).vertices] - middle)
 
-    def from_tree(
+    def distance_to_tree(
         self, other: "TriangleTree", frames: Frames, reach: float, *, any_nearer: bool = False,
         points: Floats | None = None,
     ) -> float:  # fmt: skip

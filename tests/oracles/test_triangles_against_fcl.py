@@ -250,14 +250,14 @@ def test_two_meshes_are_as_far_apart_as_fcl_says(name: str) -> None:
         )
         truth = 0.0 if fcl.collide(one, two) else fcl.distance(one, two)
         points = np.zeros((2, 3))
-        measured = abs(trees[0].from_tree(trees[1], frames, 1.0, points=points))
+        measured = abs(trees[0].distance_to_tree(trees[1], frames, 1.0, points=points))
         assert measured == pytest.approx(truth, abs=2e-6)
         assert np.linalg.norm(points[0] - points[1]) == pytest.approx(measured, abs=2e-6)
-        assert abs(trees[1].from_hull(trees[0], frames[::-1], 1.0, any_nearer=False, points=None)) == pytest.approx(
-            truth, abs=2e-6
-        )
+        assert abs(
+            trees[1].distance_to_hull(trees[0], frames[::-1], 1.0, any_nearer=False, points=None)
+        ) == pytest.approx(truth, abs=2e-6)
         if truth > 1e-3:
             apart += 1
-            assert abs(trees[0].from_tree(trees[1], frames, 0.9 * truth, any_nearer=True)) == 0.9 * truth
-            assert abs(trees[0].from_tree(trees[1], frames, 1.1 * truth, any_nearer=True)) < 1.1 * truth
+            assert abs(trees[0].distance_to_tree(trees[1], frames, 0.9 * truth, any_nearer=True)) == 0.9 * truth
+            assert abs(trees[0].distance_to_tree(trees[1], frames, 1.1 * truth, any_nearer=True)) < 1.1 * truth
     assert apart > 5

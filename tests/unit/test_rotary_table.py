@@ -128,10 +128,10 @@ def test_the_engine_has_part_and_post_where_the_transform_says(either: World) ->
     """MuJoCo's own kinematics of the mocap bodies against a rotation vector about the table's axis."""
     data, q = either.data(), either.home.copy()
     assert either.table is not None
-    turner, T_base_table = TablePoses(data, either.table), either.table.T_base_table
+    poses, T_base_table = TablePoses(data, either.table), either.table.T_base_table
     for angle in (0.7, -2.0, 0.0):
         q[6] = angle
-        turner(data, q)
+        poses.set_configuration(data, q)
         mujoco.mj_kinematics(either.model, data)
         turn, face = Rotation.from_rotvec(angle * T_base_table[:3, 2]).as_matrix(), T_base_table[:3, 3]
         for name, at_0 in (("object", either.T_base_object), ("post", either.T_base_post(either.T_base_object))):
