@@ -117,8 +117,8 @@ class MujocoCollisionChecker:
             q: (N, axes) joint angles [rad], KUKA signs.
 
         Returns:
-            (N,) distance [m], negative in contact, at most `DISTANCE_CAP`; N names such as "housing with part", "" beyond
-            the cap.
+            (N,) distance [m], negative in contact, at most `DISTANCE_CAP`; N names such as "housing with part", ""
+            where nothing is nearer.
         """
         angles = self._configurations(q)
         distances = np.full(len(angles), DISTANCE_CAP)

@@ -144,7 +144,7 @@ def report(
     )
     without = None if np.isfinite(file.velocity).all() else _GUESSED_DEG_S
     named = tuple(sorted(folders.items()))
-    model = load_robot(path, base, flange, named, without, changed=modification_times(path, named)).compile()
+    model = load_robot(path, base, flange, named, without, stamp=modification_times(path, named)).compile()
     try:
         fitted = fit_closed_form(chain_of(model))
     except PlannerError as error:
@@ -152,7 +152,7 @@ def report(
     own = LinkPairs(model)
     home = robot.home(model) if model.nkey else None
     if home is not None:
-        own.stand(home)
+        own.set_configuration(home)
     speeds = np.degrees(file.velocity)
     lengths = fitted.form.lengths
     return RobotReport(
@@ -178,7 +178,7 @@ def report(
         home_is="the file's" if file.home is not None else "found: the flange down at half the reach",
         contacts_at_home=()
         if home is None
-        else tuple(f"{one} with {other}" for one, other in own.pairs if own.gap((one, other), 1e-6) <= 0),
+        else tuple(f"{one} with {other}" for one, other in own.pairs if own.distance((one, other), 1e-6) <= 0),
         missing=tuple(_missing(file)),
     ), model
 

@@ -1,10 +1,8 @@
-"""The robot of a scene as a specification that a cell is built around: the built-in KR 16, or an arm from a file.
+"""The robot of a scene as a MuJoCo specification: the built-in KR 16, or an arm from a file.
 
-An arm from a file is brought into the form of `models/kr16.xml` (`cell.robot.normalise`). Which pairs of its links are
-guarded, its triangles say (`cell.world.self_collision`); neighbours are not. A home that no file gives is looked for
-(`cell.world.robot_spec`).
-
-A home for an arm whose file gives none: the flange down before it at half its reach, nothing near anything.
+An arm from a file is normalised to the form of `models/kr16.xml` (`cell.robot.normalise`). Its triangles decide which
+pairs of links are checked (`cell.world.self_collision`); neighbours are not. A home that the file does not give is
+searched for.
 """
 
 from __future__ import annotations
@@ -26,6 +24,7 @@ from cell.robot.arm import kinematics_of
 from cell.robot.normalise import normalise
 from cell.robot.robot_file import mesh_files
 from cell.world.self_collision import LinkPairs
+from cell.world.shapes import quaternion
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -33,39 +32,40 @@ if TYPE_CHECKING:
 
     from cell.scene.model import Robot
 
-
 JOINED = "joined_"
-"""What the names of their exclusions begin with."""
+"""Prefix of the names of exclusions of joined links."""
+
+_TOOL = "tool of a home"
+_TILTS = (0.0, 0.6, 1.2)  # tangents of tilts of the flange, in case straight down is in collision
+_HEIGHTS, _SHARES = (0.65, 0.5, 0.35, 0.8, 0.2), (0.5, 0.6, 0.4)  # of the reach: positions of a home
 
 
-def robot_spec(of: Robot) -> mujoco.MjSpec:
-    """The robot of a scene, editable: attach it to a cell, then compile; its base stands where the scene says.
+def robot_spec(settings: Robot) -> mujoco.MjSpec:
+    """Return the robot of a scene as an editable specification, its base posed as in the scene.
 
     Raises:
         FileError: if its file or one of its meshes cannot be read.
-        SceneError: if it is no arm that can be planned with.
+        SceneError: if the arm cannot be used for planning.
     """
-    if of.model == robot.KR16:
+    if settings.model == robot.KR16:
         spec = robot.spec()
     else:
-        packages = tuple(sorted((of.packages or {}).items()))
-        down = None if of.base is None else tuple((-of.base.T[2, :3]).tolist())
-        path = Path(of.model)
-        changed = modification_times(path, packages)
-        spec = load_robot(path, of.base_link, of.flange_link, packages, of.velocity_deg_s, down, changed).copy()
-    if of.base is not None:
-        set_base(spec, of.base.T)
+        packages = tuple(sorted((settings.packages or {}).items()))
+        down = None if settings.base is None else tuple((-settings.base.T[2, :3]).tolist())
+        path = Path(settings.model)
+        stamp = modification_times(path, packages)
+        spec = load_robot(
+            path, settings.base_link, settings.flange_link, packages, settings.velocity_deg_s, down, stamp
+        ).copy()
+    if settings.base is not None:
+        set_base(spec, settings.base.T)
     return spec
 
 
 def set_base(spec: mujoco.MjSpec, T_base: Floats) -> None:
-    """Put the base of a robot at a pose (4, 4) [m] of the cell."""
-    import mujoco
-
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(T_base[:3, :3]).ravel())
+    """Move the base of a robot to a pose (4, 4) [m] of the cell."""
     base = spec.body("base")
-    base.pos, base.quat = T_base[:3, 3], quat
+    base.pos, base.quat = T_base[:3, 3], quaternion(T_base[:3, :3])
 
 
 @lru_cache(maxsize=4)
@@ -76,18 +76,18 @@ def load_robot(
     packages: tuple[tuple[str, str], ...] = (),
     velocity_deg_s: tuple[float, ...] | None = None,
     down: tuple[float, float, float] | None = None,
-    changed: tuple[int, ...] = (),
+    stamp: tuple[int, ...] = (),
 ) -> mujoco.MjSpec:
-    """The arm of a file, in the form of `models/kr16.xml`; never changed by who asks for it.
+    """Read the arm of a file and normalise it. The cached result must not be changed.
 
     Args:
-        path: a URDF, an MJCF, or an MJCF of that form already, which is taken as it is.
-        base_link: link that is its base; None: the root.
-        flange_link: link that is its flange; None: the one of a usual name.
-        packages: name and folder of ROS packages.
-        velocity_deg_s: (6,) speeds for axes of which the file says none [deg/s].
-        down: (3,) where the flange looks at home, base frame; None: down.
-        changed: other numbers where the file or one of its meshes may have changed since it was read (`stamp`).
+        path: a URDF or an MJCF; a normalised MJCF is used as it is.
+        base_link: its base link; None: the root.
+        flange_link: its flange link; None: the one with a usual name.
+        packages: names and folders of ROS packages.
+        velocity_deg_s: (6,) speeds for axes without one in the file [deg/s].
+        down: (3,) direction of the flange at home, base frame; None: down.
+        stamp: from `modification_times`: another one reads the file again.
     """
     import mujoco
 
@@ -104,30 +104,31 @@ def load_robot(
     try:
         model = spec.compile()
     except ValueError as error:
-        raise FileError(f"{path} has shapes that MuJoCo does not take: {error}") from error
-    own = LinkPairs(model)
-    found = own.relations()
-    for one, other in found.joined:
-        del own.pairs[one, other]
+        raise FileError(f"{path} has shapes that MuJoCo does not accept: {error}") from error
+    links = LinkPairs(model)
+    classes = links.classify()
+    for one, other in classes.joined:
+        del links.pairs[one, other]
         spec.add_exclude(name=f"{JOINED}{one}_{other}", bodyname1=one, bodyname2=other)
-    for one, other, least in found.apart:
-        del own.pairs[one, other]
+    for one, other, distance in classes.separate:
+        del links.pairs[one, other]
         spec.add_exclude(name=f"{robot.SEPARATION_PREFIX}{one}_{other}", bodyname1=one, bodyname2=other)
-        spec.add_numeric(name=robot.separation_name(model, one, other), data=[least], size=1)
-    for one, other, keep in found.keeps:
-        spec.add_numeric(name=robot.clearance_name(model, one, other), data=[keep], size=1)
+        spec.add_numeric(name=robot.separation_name(model, one, other), data=[distance], size=1)
+    for one, other, distance in classes.reduced:
+        spec.add_numeric(name=robot.clearance_name(model, one, other), data=[distance], size=1)
     home = file.home
     if home is None:
-        keeps = {(one, other): keep for one, other, keep in found.keeps}
-        looks = np.array((0.0, 0.0, -1.0) if down is None else down)
-        home = next((q for each in (with_tool(spec), own) if (q := find_home(each, keeps, looks)) is not None), None)
+        reduced = {(one, other): distance for one, other, distance in classes.reduced}
+        direction = np.array((0.0, 0.0, -1.0) if down is None else down)
+        homes = (find_home(each, reduced, direction) for each in (_with_tool(spec), links))
+        home = next((q for q in homes if q is not None), None)
     if home is not None:
         spec.add_key(name="home", qpos=robot.MimicJoints.from_model(model).qpos(home))
     return spec
 
 
 def modification_times(path: Path, packages: tuple[tuple[str, str], ...] = ()) -> tuple[int, ...]:
-    """When a robot's file and its meshes were last written [ns]; what cannot be read is left to who reads it."""
+    """Return the modification times of a robot's file and its meshes [ns]; unreadable files are left out."""
     files = [path]
     with contextlib.suppress(OSError, UnicodeDecodeError, ElementTree.ParseError, FileError):
         files += mesh_files(path, {name: Path(folder) for name, folder in packages})
@@ -135,48 +136,44 @@ def modification_times(path: Path, packages: tuple[tuple[str, str], ...] = ()) -
 
 
 def is_normalised(path: Path) -> bool:
-    """Whether a file is an MJCF in the form of `models/kr16.xml`: with the limits that only that form has."""
+    """Return whether a file is an MJCF in the form of `models/kr16.xml`: only that form has these limits."""
     try:
         return "axis_velocity_limit_deg_s" in path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return False
 
 
-_TOOL = "tool of a home"
-_TILTS = (0.0, 0.6, 1.2)  # of the way ahead for one down, where looking straight down is not free
-_HEIGHTS, _SHARES = (0.65, 0.5, 0.35, 0.8, 0.2), (0.5, 0.6, 0.4)  # of the reach: where a home is looked for
+def find_home(links: LinkPairs, reduced: Mapping[tuple[str, str], float], down: Floats) -> Floats | None:
+    """Search joint angles (6,) [rad] with the flange down, in front of the arm at half its reach; None: none is free.
 
-
-def find_home(own: LinkPairs, keeps: Mapping[tuple[str, str], float], down: Floats) -> Floats | None:
-    """(6,) joint angles at which the flange looks down before the arm at half its reach [rad]; None: none was found.
-
-    Where the scanner would touch the arm then, it looks down and ahead.
-
-    Of the solutions the one whose elbow is highest, then the one that turns least.
+    If the scanner would touch the arm, the flange is tilted ahead. Among several solutions the one with the highest
+    elbow is chosen, then the one with the smallest angles.
 
     Args:
-        own: the arm.
-        keeps: pairs that are nearer by their build, and what they keep [m].
-        down: (3,) where the flange is to look, base frame.
+        links: the arm.
+        reduced: pairs with a reduced clearance [m].
+        down: (3,) direction of the flange, base frame.
     """
-    kinematics = kinematics_of(own.model)
+    kinematics = kinematics_of(links.model)
     limits = kinematics.limits
-    reach = float(np.linalg.norm(kinematics.forward(own.q[:2000])[:, :3, 3], axis=1).max())
+    reach = float(np.linalg.norm(kinematics.forward(links.q[:2000])[:, :3, 3], axis=1).max())
     level = down * (1.0, 1.0, 0.0)
     ahead = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(level) < 0.5 else level / np.linalg.norm(level)
     for tilt, share, height in itertools.product(_TILTS, _SHARES, _HEIGHTS):
-        looks = down + tilt * ahead
-        poses = _looking(looks / np.linalg.norm(looks), reach * (share * ahead + np.array([0.0, 0.0, height])))
-        q = kinematics.inverse(poses).reshape(-1, 6)
-        q = q[((q >= limits.lower) & (q <= limits.upper)).all(axis=1)]  # NaN is neither
-        free = [angles for angles in q if own.apart(angles, keeps)]
+        direction = down + tilt * ahead
+        position = reach * (share * ahead + np.array([0.0, 0.0, height]))
+        q = kinematics.inverse(_poses_along(direction / np.linalg.norm(direction), position)).reshape(-1, 6)
+        q = q[((q >= limits.lower) & (q <= limits.upper)).all(axis=1)]  # False for NaN
+        free = [angles for angles in q if links.is_free(angles, reduced)]
         if free:
-            return min(free, key=lambda angles: (-round(own.elbow(angles, -down), 6), float(np.abs(angles).sum())))
+            return min(
+                free, key=lambda angles: (-round(links.elbow_height(angles, -down), 6), float(np.abs(angles).sum()))
+            )
     return None
 
 
-def with_tool(spec: mujoco.MjSpec) -> LinkPairs:
-    """The arm with the largest built-in scanner on its flange."""
+def _with_tool(spec: mujoco.MjSpec) -> LinkPairs:
+    """Return the arm with the largest built-in scanner on its flange."""
     import mujoco
 
     copy = spec.copy()
@@ -189,8 +186,8 @@ def with_tool(spec: mujoco.MjSpec) -> LinkPairs:
     return LinkPairs(copy.compile())
 
 
-def _looking(z: Floats, origin: Floats) -> Floats:
-    """(4, 4, 4) poses at an origin [m] that look along z, turned about it by quarter turns."""
+def _poses_along(z: Floats, origin: Floats) -> Floats:
+    """Return four poses (4, 4, 4) at an origin [m] with axis z, a quarter turn apart."""
     x = np.eye(3)[int(np.argmin(np.abs(z)))]
     x = x - z * (x @ z)
     x /= np.linalg.norm(x)

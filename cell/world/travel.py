@@ -1,4 +1,4 @@
-"""How far any point of arm and scanner can move along a straight joint segment: an upper bound that always holds.
+"""Upper bound on the displacement of any point of arm and scanner along a straight joint segment.
 
 On the segment q(t) = q_0 + t d, t in [0, 1], a point p of link k moves with a speed of at most
 
@@ -15,12 +15,13 @@ link k is displaced by more than sum_i |d_i| R_ik between any two configurations
 2. *Chain.* From axis i to the anchor of joint i + 1 (a constant distance), from anchor to anchor (constant lengths),
    and from anchor k to the farthest point of link k. It holds for all joint angles and caps the first on long segments.
 
-Points of a link are the corners of its boxes and of the boxes about its meshes, and the end centres of its cylinders
-with their radius added: the distance from an axis is convex, so it is largest there. The scanner belongs to link 6.
+The points of a link are the corners of its boxes and of the boxes about its meshes, and the end centres of its
+cylinders with their radius added: the distance from an axis is convex, so it is largest there. The scanner belongs to
+link 6.
 
-What follows an axis is carried by a link and turns about a joint of its own, by `ratio` times that axis' angle. It
-stays within a ball about that joint's anchor, which the link carries: the ball's points move as bounded above, and what
-turns adds at most |ratio d_axis| times its radius. Metres and radians.
+A mimic joint is carried by a link and turns by `ratio` times the angle of its axis. Its body stays within a ball about
+the joint's anchor, which the link carries: the ball's points move as bounded above, and the rotation adds at most
+|ratio d_axis| times the ball's radius. Metres and radians.
 """
 
 from __future__ import annotations
@@ -43,28 +44,26 @@ _CHUNK = 512  # configurations a pass, so that its arrays stay in the processor'
 
 
 class TravelBound:
-    """The bound for one compiled cell; call it with (N, axes) and (N, axes) joint angles [rad], get (N,) lengths [m].
+    """The bound of one compiled cell: a function of (N, axes) and (N, axes) joint angles [rad] to (N,) lengths [m].
 
     Args:
         model: the cell.
-        swing: radius about a rotary table's axis within which everything is that it turns [m]; what is there goes that
-            far by each radian, and is added.
+        table_radius: radius about a rotary table's axis that contains everything it turns [m]; its travel is added.
     """
 
-    def __init__(self, model: mujoco.MjModel, swing: float = 0.0) -> None:
+    def __init__(self, model: mujoco.MjModel, table_radius: float = 0.0) -> None:
         import mujoco
 
-        self._swing = swing
-
+        self._table_radius = table_radius
         data = mujoco.MjData(model)
-        data.qpos[:] = 0.0  # a cell.xml opens at home
+        data.qpos[:] = 0.0  # a state of cell.xml begins at home
         mujoco.mj_kinematics(model, data)
         joints = [model.joint(axis).id for axis in AXES]
         self._anchors, self._axes = data.xanchor[joints].copy(), data.xaxis[joints].copy()
         bodies = [int(model.jnt_bodyid[joint]) for joint in joints]
         links: list[list[tuple[Floats, float]]] = [[] for _ in range(_N)]
-        followers = MimicJoints.from_model(model)
-        # By a link, None by the base: axes that turn it on, and how far.
+        mimic_joints = MimicJoints.from_model(model)
+        # For each body of a mimic joint: the link that carries it (None: the base), its axes, and ratio times radius.
         self._turning: list[tuple[int | None, list[tuple[int, float]]]] = []
         for geom in range(model.ngeom):
             body = int(model.geom_bodyid[geom])
@@ -73,14 +72,14 @@ class TravelBound:
                 continue
             points, radius = enclosing_points(model, data, geom)
             turns: list[tuple[int, float]] = []
-            while body not in bodies and body > 0:  # a follower, or what is rigidly on one
+            while body not in bodies and body > 0:  # a body of a mimic joint, or fixed to one
                 joint = int(model.body_jntadr[body])
                 if joint >= _N:
                     anchor = data.xanchor[joint]
                     radius += float(np.linalg.norm(points - anchor, axis=1).max())
                     points = anchor[None].copy()
                     number = joint - _N
-                    turns.append((int(followers.axis[number]), abs(float(followers.ratio[number])) * radius))
+                    turns.append((int(mimic_joints.axis[number]), abs(float(mimic_joints.ratio[number])) * radius))
                 body = int(model.body_parentid[body])
             if link is not None:
                 links[link].append((points, radius))
@@ -91,15 +90,15 @@ class TravelBound:
         self._link_of = np.repeat(np.arange(_N), sizes)
         self._points = np.concatenate([corners for link in links for corners, _ in link])
         self._radii = np.concatenate([np.full(len(corners), radius) for link in links for corners, radius in link])
-        # Product of exponentials: how each joint turns space about its axis where that stands at A1..A6 = 0.
+        # Product of exponentials: cross-product matrices of the axes at A1..A6 = 0.
         x, y, z = self._axes.T
         zero = np.zeros(_N)
         self._cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(_N, 3, 3)
         self._caps = self._chain_caps()
 
     def __call__(self, q_from: Floats, q_to: Floats) -> Floats:
-        """(N,) upper bound on the displacement [m] of any point, for (N, axes) configurations [rad]."""
-        external = self._swing * np.abs(q_to[:, _N:] - q_from[:, _N:]).sum(axis=1)
+        """Return the upper bound (N,) on the displacement of any point [m] between configurations (N, axes) [rad]."""
+        external = self._table_radius * np.abs(q_to[:, _N:] - q_from[:, _N:]).sum(axis=1)
         q_from, q_to = q_from[:, :_N], q_to[:, :_N]
         pieces = [
             self._bound(q_from[start : start + _CHUNK], q_to[start : start + _CHUNK])
@@ -112,7 +111,7 @@ class TravelBound:
         steps = np.abs(q_to - q_from)
         radii = self._radii_about_axes(np.concatenate([q_from, q_to]))
         mean = (radii[:count] + radii[count:]) / 2
-        moved = np.zeros((count, _N))  # of each link, by joints i + 1 .. k
+        moved = np.zeros((count, _N))  # of each link k, by the joints i + 1 .. k
         for i in range(_N - 1, -1, -1):
             bound = np.minimum(mean[:, i, i:] + moved[:, i:] / 2, self._caps[i, i:])
             moved[:, i:] += steps[:, i, None] * bound
@@ -123,10 +122,10 @@ class TravelBound:
         return longest
 
     def _radii_about_axes(self, q: Floats) -> Floats:
-        """(N, 6, 6) largest distance of a point of link k from axis i [m]; meaningful for i <= k."""
+        """Return the largest distances (N, 6, 6) of a point of link k from axis i [m]; valid for i <= k."""
         rotations, shifts = self._link_transforms(q)
         placed = np.einsum("npij,pj->npi", rotations[:, self._link_of], self._points) + shifts[:, self._link_of]
-        # The axis where it has been carried to: by its own link, which its own turn leaves in place.
+        # The axis is carried by its own link, whose rotation leaves it in place.
         axes = np.einsum("nkij,kj->nki", rotations, self._axes)
         anchors = np.einsum("nkij,kj->nki", rotations, self._anchors) + shifts
         across = np.einsum("npj,npj->np", placed, placed)[:, None] - 2 * anchors @ np.swapaxes(placed, 1, 2)
@@ -137,7 +136,7 @@ class TravelBound:
         return radii
 
     def _link_transforms(self, q: Floats) -> tuple[Floats, Floats]:
-        """Where each link is carried from A1..A6 = 0: (N, 6, 3, 3) and (N, 6, 3) [m]."""
+        """Return rotation (N, 6, 3, 3) and translation (N, 6, 3) [m] of each link relative to A1..A6 = 0."""
         sin, cos = np.sin(q)[..., None, None], np.cos(q)[..., None, None]
         turns = np.eye(3) + sin * self._cross + (1 - cos) * (self._cross @ self._cross)  # Rodrigues
         offsets = self._anchors - np.einsum("nkij,kj->nki", turns, self._anchors)
@@ -148,7 +147,7 @@ class TravelBound:
         return rotations, shifts
 
     def _chain_caps(self) -> Floats:
-        """(6, 6) bound 2: largest distance of a point of link k from axis i over all joint angles [m]."""
+        """Return bound 2 (6, 6): largest distance of a point of link k from axis i over all joint angles [m]."""
         caps = np.zeros((_N, _N))
         for k in range(_N):
             piece = self._link_of == k
@@ -163,12 +162,12 @@ class TravelBound:
 
 
 def table_radius(model: mujoco.MjModel, data: mujoco.MjData, table: RotaryTable | None) -> float:
-    """Radius about the table's axis within which everything is that it turns [m]; 0 where there is no table.
+    """Return the radius about the table's axis that contains everything it turns [m]; 0 without a table.
 
     Args:
         model: the cell.
         data: with part and post at angle 0, kinematics up to date.
-        table: None where nothing turns.
+        table: the table.
     """
     if table is None:
         return 0.0
@@ -180,7 +179,7 @@ def table_radius(model: mujoco.MjModel, data: mujoco.MjData, table: RotaryTable 
 
 
 def _link_of(model: mujoco.MjModel, body: int, bodies: list[int]) -> int | None:
-    """Index of the link that carries a body, itself or rigidly; None where none of the arm does."""
+    """Return the index of the link that is a body or carries it; None for no link."""
     while body > 0:
         if body in bodies:
             return bodies.index(body)

@@ -126,7 +126,7 @@ def test_a_home_is_found_where_the_file_has_none(tmp_path: Path) -> None:
     home = robot.home(model)
     np.testing.assert_allclose(kinematics_of(model).forward(home[None])[0][:3, 2], (0, 0, -1), atol=1e-9)
     assert (np.abs(home) <= 2.8).all()
-    assert LinkPairs(model).apart(home, {})
+    assert LinkPairs(model).is_free(home, {})
 
 
 def fork(apart: float = 0.09) -> trimesh.Trimesh:
@@ -150,11 +150,11 @@ def test_hulls_that_touch_are_decided_by_triangles(tmp_path: Path) -> None:
     a, b = model.geom("link_4_0").id, model.geom("link_6_0").id
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    own.stand(np.zeros(6))
+    own.set_configuration(np.zeros(6))
     assert mujoco.mj_geomDistance(model, data, a, b, 1.0, None) < 0
     # The disc, 40 mm square, reaches 28.3 mm from its axis at most; at zero its side is 85 - 20 mm from a plate.
-    assert own.gap(("link_4", "link_6"), 1.0) == pytest.approx(0.065, abs=1e-6)
-    assert not own.relations().joined
+    assert own.distance(("link_4", "link_6"), 1.0) == pytest.approx(0.065, abs=1e-6)
+    assert not own.classify().joined
 
 
 def forked(folder: Path, apart: float) -> Path:
@@ -196,9 +196,9 @@ def test_what_the_seeded_poses_do_not_see_is_no_proof(tmp_path: Path) -> None:
     path = forked(tmp_path, 0.0325)
     own = LinkPairs(normalise(robot_file.read_robot(path)).compile())
     own.q = 0.01 * own.q
-    found = own.relations()
-    assert (found.joined, found.apart) == ([], [])
-    assert [pair[:2] for pair in found.keeps] == [("link_4", "link_6")]
+    found = own.classify()
+    assert (found.joined, found.separate) == ([], [])
+    assert [pair[:2] for pair in found.reduced] == [("link_4", "link_6")]
 
 
 @pytest.mark.parametrize("levers", ["", LEVER])
@@ -291,7 +291,7 @@ def test_what_always_touches_is_excused_and_named(tmp_path: Path) -> None:
     assert sum(name.startswith("joined_") for name in excluded) == 1
     # What the cache knows stands by names: with another one it is another arm.
     renamed = written(tmp_path, urdf((block + joint).replace('"block"', '"stop"'), l2=long))
-    assert "joined_link_2_stop" in {each.name for each in robot_spec.load_robot(renamed, changed=(1,)).excludes}
+    assert "joined_link_2_stop" in {each.name for each in robot_spec.load_robot(renamed, stamp=(1,)).excludes}
 
 
 def test_a_mesh_is_its_hull_only_where_no_face_lies_deep() -> None:
@@ -367,9 +367,9 @@ def test_what_touched_once_is_not_said_to_touch_never(tmp_path: Path, monkeypatc
     def stand(q: np.ndarray) -> None:
         stands.append(0.015 if stands else 0.0)
 
-    own.stand, own.touch = stand, lambda _: stands[-1] <= 0  # type: ignore[method-assign]
-    own.gap = lambda _, reach: stands[-1] - 0.01 * (len(stands) == 3)  # type: ignore[method-assign]
-    assert own.relations().keeps == [(*pair, 0.0075)]
+    own.set_configuration, own.in_contact = stand, lambda _: stands[-1] <= 0  # type: ignore[method-assign]
+    own.distance = lambda _, reach: stands[-1] - 0.01 * (len(stands) == 3)  # type: ignore[method-assign]
+    assert own.classify().reduced == [(*pair, 0.0075)]
 
 
 def no_mesh(text: str) -> str:
