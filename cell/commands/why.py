@@ -16,7 +16,7 @@ EPILOG = (
     "cell why sim_runs/trial\n\n"
     "cell why sim_runs/trial --samples 20000 --json\n\n"
     "cell why sim_runs/trial --advise\n\n"
-    "Writes why.json, why.ply, why.png and view.html to why/ in the run folder; the plan stays as it is.\n\n"
+    "Writes why.json, why.ply, why.png and view.html to why/ in the run folder; the plan is not changed.\n\n"
     "Exit codes: 0 done, 2 usage, 6 files or run folder, 70 bug, 130 Ctrl-C."
 )
 
@@ -25,21 +25,18 @@ def why(
     run: RunFolder,
     samples: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Surface samples to ask about. Default: 100,000, as coverage is defined."),
+        typer.Option(metavar="N", help="Number of surface samples. Default: 100,000, as in coverage."),
     ] = None,
     advise: Annotated[
         bool,
-        typer.Option(
-            "--advise", help="In place of the reasons: what a second set-up or another place of the part would give."
-        ),
+        typer.Option("--advise", help="Instead of causes: gain of a second set-up or of another placement."),
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say why parts of the surface stay open, by area, and the smallest single change that would measure them."""
+    """Explain the uncovered surface by cause and area, with the smallest single change that would measure it."""
     from cell.commands.terminal import Terminal, without
     from cell.runs.run import open_run
-    from cell.why import files as why_files
-    from cell.why.explain import explain
+    from cell.why.explain import TABLE_COLUMNS, explain, table_rows
 
     terminal = Terminal(quiet_stdout=as_json)
     if advise:
@@ -51,10 +48,10 @@ def why(
     else:
         summary = outcome.summary
         if summary.groups:
-            title = f"Why {100 * summary.open:.2f} % of {summary.part} stay open"
-            terminal.grid(why_files.TABLE_COLUMNS, why_files.table_rows(summary), title)
+            title = f"Uncovered surface of {summary.part}: {100 * summary.open:.2f} %"
+            terminal.grid(TABLE_COLUMNS, table_rows(summary), title)
         else:
-            terminal.say("nothing stays open")
+            terminal.say("the whole surface is covered")
         terminal.say(f"files: {outcome.folder}")
         settings = [change.setting for group in summary.groups for change in group.changes]
         better = [tuple(shlex.split(setting)) for setting in settings if setting.startswith("--")][:1]
@@ -77,6 +74,6 @@ def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
         for number, advice in enumerate(found, 1)
     ]
     title = f"This plan measures {100 * visible:.2f} % of the surface"
-    terminal.grid(("", "what could be done", "of the surface, by any pose"), rows, title)
+    terminal.grid(("", "change", "coverage by any pose"), rows, title)
     for number, advice in enumerate(found, 1):
         terminal.say(f"{number}: {advice.command}")

@@ -1,8 +1,8 @@
-"""`cell why --advise`: what a second set-up with the part turned would add to a plan, and what other places would give.
+"""Estimate the gain of a second set-up or of another placement (`cell why --advise`).
 
-Both are asked by the pointwise search (`planner.viewpoints.attainable`), not of candidates: they are what any pose
-measures that the robot takes up there. A second set-up is asked for seeded samples that the plan leaves open; another
-place for seeded samples of the whole surface, because there the plan would be another one.
+Both use the pose search of `planner.viewpoints.attainable`, not candidates: they estimate the coverage by any reachable
+pose. A second set-up is evaluated on seeded uncovered samples of the plan, another placement on seeded samples of the
+whole surface, because the plan would change.
 """
 
 import shlex
@@ -16,7 +16,7 @@ from cell.plan.candidates import arm_of
 from cell.runs.cell import read_cell, world_of
 from cell.runs.run import Run
 from cell.session import ProgressReporter, Stream, default_effort, random_stream
-from cell.why.turns import TURNS, carried, place_of, turned
+from cell.why.changes import ROTATIONS, format_placement, moved_world, rotated_worlds
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from cell.world.occluders import fixed_occluders, make_caster
@@ -28,21 +28,21 @@ from planner.viewpoints.attainable import probe_attainable
 from planner.viewpoints.growth import ViewEvaluator
 from planner.viewpoints.lines_of_sight import RayTargets
 
-_ASIDE = ((0, 0), (200, 0), (-200, 0), (0, 200), (0, -200))  # mm, x and y of other places
+_ASIDE = ((0, 0), (200, 0), (-200, 0), (0, 200), (0, -200))  # mm, displacements in x and y
 _ABOVE = (0, 200, 400)  # mm
-TOLD = 4
-"""Other places that are told, the best first."""
+N_PLACEMENTS = 4
+"""Number of recommended other placements."""
 
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """One thing to try.
+    """A recommended set-up or placement.
 
     Attributes:
-        what: in words.
-        share: of the surface that is measured then: with a second set-up beside the plan, or at another place.
-        standard_error: of the share.
-        command: to paste.
+        what: description.
+        share: coverage with it: of the plan and the second set-up, or at the other placement.
+        standard_error: standard error of the share.
+        command: command to run.
     """
 
     what: str
@@ -51,14 +51,14 @@ class Advice:
     command: str
 
     def as_json(self) -> dict[str, JsonValue]:
-        """As JSON types."""
+        """Return the value as JSON types."""
         return {
             "what": self.what, "share": self.share, "standard_error": self.standard_error, "command": self.command,
         }  # fmt: skip
 
 
 def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
-    """What the plan measures of the surface, and what to try: second set-ups, then the best of other places."""
+    """Return the coverage of the plan and the recommendations: second set-ups, then the best other placements."""
     with reporter.stage("read the run"):
         cell, plan = read_cell(run), run.plan
         world = world_of(run, cell.reference)
@@ -74,28 +74,28 @@ def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
         casters = (cell.part_caster, make_caster(fixed_occluders(there)))
         return arm_of(there, there.kinematics, checker, cell.scanner, casters)
 
-    found: list[Advice] = []
+    advice: list[Advice] = []
     left = np.sort(rng.permutation(np.flatnonzero(~seen))[: default_effort().searched_samples])
     with reporter.stage("second set-ups") as progress:
-        for done, (turn, _, T_base_centre, there) in enumerate(turned(world)):
-            progress(done, len(TURNS))
+        for done, (turn, _, T_base_centre, there) in enumerate(rotated_worlds(world)):
+            progress(done, len(ROTATIONS))
             share, error = _share(samples, left, arm(there))
-            what, command = f"{turn}, beside this plan", open_of(run, T_base_centre)
-            found.append(Advice(what, visible + (1.0 - visible) * share, (1.0 - visible) * error, command))
-    places: list[Advice] = []
+            what, command = f"{turn}, in addition to this plan", setup_command(run, T_base_centre)
+            advice.append(Advice(what, visible + (1.0 - visible) * share, (1.0 - visible) * error, command))
+    placements: list[Advice] = []
     some = np.sort(rng.permutation(len(samples))[: default_effort().searched_samples])
-    asides = list(_elsewhere(world))
-    with reporter.stage("other places") as progress:
-        for done, (what, T_base_centre) in enumerate(asides):
-            progress(done, len(asides))
-            share, error = _share(samples, some, arm(carried(world, T_base_centre)))
-            places.append(Advice(what, share, error, elsewhere(run, T_base_centre)))
-    places.sort(key=lambda advice: -advice.share)
-    return visible, [*found, *places[:TOLD]]
+    displaced = list(_displaced_placements(world))
+    with reporter.stage("other placements") as progress:
+        for done, (what, T_base_centre) in enumerate(displaced):
+            progress(done, len(displaced))
+            share, error = _share(samples, some, arm(moved_world(world, T_base_centre)))
+            placements.append(Advice(what, share, error, replan_command(run, T_base_centre)))
+    placements.sort(key=lambda item: -item.share)
+    return visible, [*advice, *placements[:N_PLACEMENTS]]
 
 
 def _share(samples: SurfaceSamples, rows: Ints, arm: ViewEvaluator | None) -> tuple[float, float]:
-    """Share of the rows that any pose measures, and its standard error; nothing where home itself is not free."""
+    """Return the share of the rows measured by any pose, and its standard error; 0 if home is in collision."""
     if arm is None or not len(rows):
         return 0.0, 0.0
     some = pick_samples(samples, rows)
@@ -103,29 +103,29 @@ def _share(samples: SurfaceSamples, rows: Ints, arm: ViewEvaluator | None) -> tu
     return share, float(np.sqrt(share * (1 - share) / len(rows)))
 
 
-def _elsewhere(world: World) -> Iterator[tuple[str, Floats]]:
-    """The part moved aside and up."""
+def _displaced_placements(world: World) -> Iterator[tuple[str, Floats]]:
+    """Yield placements displaced to the side and upwards."""
     for up in _ABOVE:
         for x, y in _ASIDE:
             if (x, y, up) != (0, 0, 0):
                 T = np.array(world.T_base_object @ world.T_object_centre)
                 T[:3, 3] += np.array([x, y, up]) / 1000
-                yield f"another place, moved by {x:g}, {y:g}, {up:g} mm", T
+                yield f"another placement, displaced by {x:g}, {y:g}, {up:g} mm", T
 
 
-def open_of(run: Run, T_base_centre: Floats) -> str:
-    """The command that plans a further set-up for what a run leaves open, or all set-ups of a folder together."""
+def setup_command(run: Run, T_base_centre: Floats) -> str:
+    """Return the command that plans a further set-up for a run, or for all set-ups of its folder."""
     runs = [run.folder]
     if run.is_in_setups_folder:
         numbers = sorted(int(path.name) for path in run.folder.parent.iterdir() if path.name.isdecimal())
         runs = [run.folder.parent / str(number) for number in numbers]
     named = [word for folder in runs for word in ("--open-of", str(folder))]
-    return shlex.join(["cell", "plan", *named, "--place", place_of(T_base_centre)])
+    return shlex.join(["cell", "plan", *named, "--place", format_placement(T_base_centre)])
 
 
-def elsewhere(run: Run, T_base_centre: Floats) -> str:
-    """The run's own command line at another placement; the option alone where `cell edit` or Python began it."""
-    place = place_of(T_base_centre)
+def replan_command(run: Run, T_base_centre: Floats) -> str:
+    """Return the command of the run with another placement; only the option if `cell edit` or Python made it."""
+    place = format_placement(T_base_centre)
     words = list(run.manifest.argv)
     if words[:1] not in (["plan"], ["setups"]):
         return f"--place {place}"

@@ -1,26 +1,29 @@
-"""The single changes that `cell why` tries for what a plan leaves open; docs/internals/conditions.md lists them.
+"""Build the single changes that `cell why` tries; docs/internals/conditions.md lists them.
 
-Each becomes a `planner.why.what_if.WhatIf`: candidates that the arm reaches under the change (inverse kinematics and
-collision asked again), the scanner's law and the casters under it. Nothing is estimated. Object frame, metres.
+Each is a `planner.why.what_if.WhatIf`: the candidates that are reachable under the change (inverse kinematics and
+collision evaluated again), the scanner and the ray casters under it. Nothing is estimated. Object frame, metres.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from cell import scanners
+from cell.errors import SceneError
 from cell.plan.candidates import GROWN
 from cell.runs.cell import RunCell
-from cell.why.scanner_changes import ScannerChanges, round_mm
-from cell.why.turns import place_of, turned
+from cell.scene.regions import with_limits
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from cell.world.occluders import fixed_occluders, make_caster
 from planner.kinematics import reach
-from planner.ports import RayCaster
+from planner.kinematics.frames import kuka_abc_from_pose, pose_from_kuka_abc
+from planner.measurability.quality import LimitedScanner
+from planner.ports import RayCaster, Scanner
 from planner.values import Floats, Ints
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
@@ -35,14 +38,14 @@ _AZIMUTHS = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Changes:
-    """What the changes start from.
+    """Generator of changes of cell and candidates.
 
     Attributes:
-        world: the cell that was checked, compiled anew.
+        world: the checked cell, compiled again.
         world_without: compiles it without one fixture.
-        cell: the same cell as it is measured in.
-        candidates: the plan's candidates; those of the plan's views at the poses that will be executed.
-        usable: (n,) candidates that are reachable and to which a path leads.
+        cell: the same cell for measurement.
+        candidates: candidates of the plan, with executed poses for its views.
+        usable: (n,) candidates that are reachable by a path.
     """
 
     world: World
@@ -53,27 +56,23 @@ class Changes:
 
     @property
     def casters(self) -> tuple[RayCaster, RayCaster]:
-        """The part's and everything else's, as they were."""
+        """Ray casters of the part and of the occluders, unchanged."""
         return self.cell.part_caster, self.cell.occluder_caster
 
     def ladders(self, aims: tuple[Floats, Floats]) -> Iterator[list[WhatIf]]:
-        """Every change except further views, in ladders.
+        """Yield lists of changes of one kind, smallest first, except further views.
 
-        Args:
-            aims: (n, 3) points [m] and (n, 3) normals that new views are aimed at.
-
-        Yields:
-            changes of one kind, the smallest first.
+        `aims` are (n, 3) points [m] and (n, 3) normals at which new candidates are aimed.
         """
         yield from self._of_the_plan(aims)
-        yield [self._turned(*turn) for turn in turned(self.world)]
+        yield [self._turned(*turn) for turn in rotated_worlds(self.world)]
         for fixture in self.cell.scene.fixtures:
             if not fixture.built_in or fixture.name == "post":
                 yield [self._without(fixture.name)]
         yield from ScannerChanges(self.cell, self.candidates.T_object_scanner[self.usable]).ladders()
 
     def views(self, targets: RayTargets, rows: Ints) -> list[WhatIf]:
-        """One candidate more, and the few that measure nearly all of the rows that candidates can measure."""
+        """Return one further candidate, and the few that measure nearly all rows that candidates can measure."""
         T = self.candidates.T_object_scanner[self.usable]
         pairs = what_if.measured_pairs(targets, rows, T, self.cell.scanner, self.casters)
         chosen = what_if.few_views(pairs, len(rows))
@@ -112,7 +111,7 @@ class Changes:
         near, far = self.cell.scanner_keys.pair("range_mm") or (0.0, np.inf)
         yield [
             self._reached(
-                Kind.STANDOFF, abs(factor - 1), f"standoff {other:g} mm beside {now:g}" if few
+                Kind.STANDOFF, abs(factor - 1), f"standoff {other:g} mm in addition to {now:g}" if few
                 else f"standoff {other:g} mm for all candidates",
                 f"--standoff {listed},{other:g}" if few else f"--standoff {other:g}",
                 what_if.backed_off(base, other / 1000),
@@ -128,38 +127,38 @@ class Changes:
         yield [
             self._reached(
                 Kind.AIMED, tilt,
-                "new candidates aimed at it along the normal" if tilt == 0
-                else f"new candidates aimed at it, tilted {tilt:g} deg from the normal",
+                "new candidates aimed along the normal" if tilt == 0
+                else f"new candidates aimed {tilt:g} deg from the normal",
                 setting, what_if.tilted_at(*aims, np.radians(tilt), _AZIMUTHS, now / 1000, rolls, sweep),
             )
             for tilt in _TILTS_DEG if tilt <= limit - 2 and len(aims[0])
         ]  # fmt: skip
 
     def _turned(self, how: str, change: float, T_base_centre: Floats, there: World) -> WhatIf:
-        """The part turned about its centre: a second set-up, in which everything is asked again."""
-        return self._in(there, Kind.TURN, change, how, f"--place {place_of(T_base_centre)}")
+        """Return the change to a second set-up with the part rotated about its centre."""
+        return self._in(there, Kind.TURN, change, how, f"--place {format_placement(T_base_centre)}")
 
     def _without(self, name: str) -> WhatIf:
         what = "without the post (the part held in another way)" if name == "post" else f"without fixture {name}"
         return self._in(self.world_without(name), Kind.FIXTURE, float(name == "post"), what, "")
 
     def _in(self, world: World, kind: Kind, change: float, sentence: str, setting: str) -> WhatIf:
-        """The candidates in another cell."""
+        """Return a change to another cell with the same candidates."""
         return WhatIf(
-            kind, change, sentence, setting, self.candidates.T_object_scanner[_reach(self.candidates, world)],
+            kind, change, sentence, setting, self.candidates.T_object_scanner[_reachable(self.candidates, world)],
             self.cell.scanner, (self.cell.part_caster, make_caster(fixed_occluders(world))),
         )  # fmt: skip
 
     def _reached(self, kind: Kind, change: float, sentence: str, setting: str, made: Viewpoints) -> WhatIf:
-        """Other candidates, of which those that the arm takes up count."""
-        reached = _reach(made, self.world)
+        """Return a change to other candidates, as far as they are reachable."""
+        reached = _reachable(made, self.world)
         return WhatIf(kind, change, sentence, setting, made.T_object_scanner[reached], self.cell.scanner, self.casters)
 
 
 def ladder_masks(ladder: Sequence[WhatIf], targets: RayTargets, rows: Ints) -> list[np.ndarray[Any, Any]]:
-    """(n,) which rows each change of a ladder measures.
+    """Return (n,) the rows that each change of a ladder measures.
 
-    A limit that is opened farther never loses a point, so there each step is asked only about what the last step of all
+    Opening a limit never loses a point, so each step of such a ladder is evaluated only on rows that the last step
     measures and no smaller one does.
     """
     if not ladder:
@@ -178,8 +177,8 @@ def ladder_masks(ladder: Sequence[WhatIf], targets: RayTargets, rows: Ints) -> l
     return [*masks, final]
 
 
-def _reach(views: Viewpoints, world: World) -> Ints:
-    """Views that the arm takes up, at some angle of a table."""
+def _reachable(views: Viewpoints, world: World) -> Ints:
+    """Return the reachable viewpoints, at any angle of a rotary table."""
     reached = reach.solve_reach(
         views, world.T_base_object, world.T_flange_scanner, world.kinematics, MujocoCollisionChecker(world)
     )
@@ -189,3 +188,182 @@ def _reach(views: Viewpoints, world: World) -> Ints:
 def _distinct(values: Floats) -> Floats:
     found: Floats = np.unique(values.round(6))
     return found
+
+
+_FARTHER = (1.1, 1.25, 1.5, 2.0)
+_NEARER = (0.9, 0.75, 0.5, 0.25)
+_FOV_DEG = (10.0, 20.0, 30.0, 40.0, 60.0, 90.0)  # added to both axes
+_BASELINES = (0.75, 0.5, 0.25)
+_SIGMAS = (1.1, 1.25, 1.5, 2.0, 3.0, 5.0)  # of the limit, on spacing too
+_FINER = (0.75, 0.5, 0.25)  # of the angle between rays
+_LAST_GRAZING_DEG = 89
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScannerChanges:
+    """Generator of changes of the scanner with the same reachable candidates.
+
+    Attributes:
+        cell: the cell for measurement.
+        T_object_scanner: (n, K, 4, 4) candidates that are reachable by a path [m].
+    """
+
+    cell: RunCell
+    T_object_scanner: Floats
+
+    @property
+    def casters(self) -> tuple[RayCaster, RayCaster]:
+        """Ray casters of the part and of the occluders, unchanged."""
+        return self.cell.part_caster, self.cell.occluder_caster
+
+    @property
+    def max_sigma_mm(self) -> float | None:
+        """Sigma limit of the plan [mm]; None without one."""
+        return self.cell.scene.plan.max_sigma_mm
+
+    def ladders(self) -> Iterator[list[WhatIf]]:
+        """Yield lists of changes of one kind, smallest first."""
+        keys = self.cell.scanner_keys
+        for name, last, of in (
+            ("grazing_max_deg", _LAST_GRAZING_DEG, "grazing limit"),
+            ("sensor_grazing_max_deg", 90, "sensor's grazing limit"),
+        ):
+            if (now := keys.number(name)) is not None:
+                yield [
+                    self._law(Kind.GRAZING, value - now, f"{of} {value} instead of {now:g} deg", name, float(value))
+                    for value in range(int(np.floor(now)) + 1, last + 1)
+                ]
+        for name in ("range_mm", "depth_of_field_mm"):
+            if (limits := keys.pair(name)) is not None:
+                of = name.removesuffix("_mm").replace("_", " ")
+                yield self._range_to(name, of, *limits)
+                yield self._range_from(name, of, *limits)
+        for name, of in (("fov_deg", "field of view"), ("sensor_fov_deg", "sensor's field of view")):
+            if (fov := keys.pair(name)) is not None:
+                h, v = fov
+                yield [
+                    self._law(
+                        Kind.FOV, more, f"{of} {h + more:g} x {v + more:g} deg, not {h:g} x {v:g}",
+                        name, (h + more, v + more),
+                    )
+                    for more in _FOV_DEG if max(fov) + more < 180
+                ]  # fmt: skip
+        if (now := keys.number("fan_deg")) is not None:
+            yield [
+                self._law(Kind.FOV, more, f"fan of {now + more:g} deg instead of {now:g}", "fan_deg", now + more)
+                for more in _FOV_DEG if now + more < 180
+            ]  # fmt: skip
+        if (limit := keys.number("max_spacing_mm")) is not None:
+            yield self._sparser(limit)
+        if limit is not None or any(region.max_spacing_mm for region in self.cell.scene.regions or ()):
+            yield from self._denser()
+        if self.max_sigma_mm is not None:
+            yield [self._sigma(factor, self.max_sigma_mm) for factor in _SIGMAS]
+        if now := keys.number("baseline_mm"):
+            yield [
+                self._law(
+                    Kind.BASELINE, 1 - share, f"baseline {share * now:.3g} instead of {now:g} mm",
+                    "baseline_mm", share * now,
+                )
+                for share in _BASELINES
+            ]  # fmt: skip
+
+    def _sparser(self, limit: float) -> list[WhatIf]:
+        """Return larger spacing limits."""
+        return [
+            self._law(
+                Kind.SPACING, factor, f"points up to {factor * limit:.3g} instead of {limit:g} mm apart",
+                "max_spacing_mm", factor * limit, f"--max-spacing {factor * limit:.3g}",
+            )
+            for factor in _SIGMAS
+        ]  # fmt: skip
+
+    def _denser(self) -> Iterator[list[WhatIf]]:
+        """Yield finer ray grids; closer views are among the standoffs."""
+        if grid := self.cell.scanner_keys.pair("resolution_deg"):
+            yield [
+                self._law(
+                    Kind.RESOLUTION, 1 - share, f"{share * max(grid):.3g} instead of {max(grid):g} deg between rays",
+                    "resolution_deg", (share * grid[0], share * grid[1]),
+                )
+                for share in _FINER
+            ]  # fmt: skip
+
+    def _range_to(self, name: str, of: str, near: float, far: float) -> list[WhatIf]:
+        return [
+            self._law(Kind.RANGE, _relative_change(to, far), f"{of} to {to:g} instead of {far:g} mm", name, (near, to))
+            for to in (round_mm(far * factor) for factor in _FARTHER) if to != far
+        ]  # fmt: skip
+
+    def _range_from(self, name: str, of: str, near: float, far: float) -> list[WhatIf]:
+        return [
+            self._law(
+                Kind.RANGE, _relative_change(at, near), f"{of} from {at:g} instead of {near:g} mm", name, (at, far)
+            )
+            for at in (round_mm(near * factor) for factor in _NEARER) if at != near
+        ]  # fmt: skip
+
+    def _law(
+        self, kind: Kind, change: float, sentence: str, key: str, value: float | tuple[float, float], option: str = ""
+    ) -> WhatIf:
+        """Return a change of one scanner key with the same candidates."""
+        keys = self.cell.scanner_keys
+        scanner: Scanner = scanners.load(keys.type)(**{**keys.own, key: value})
+        scanner = with_limits(scanner, self.max_sigma_mm, self.cell.scene.regions or ())
+        numbers = f"{value:g}" if isinstance(value, float) else f"[{value[0]:g}, {value[1]:g}]"
+        setting = option or f"scanner.{key} = {numbers}"
+        return WhatIf(kind, change, sentence, setting, self.T_object_scanner, scanner, self.casters)
+
+    def _sigma(self, factor: float, now: float) -> WhatIf:
+        """Another limit on sigma, so many times the present one [mm]."""
+        assert isinstance(self.cell.scanner, LimitedScanner)
+        scanner = replace(self.cell.scanner, max_sigma=factor * (now / 1000))
+        sentence = f"sigma up to {factor * now:.3g} instead of {now:g} mm"
+        setting = f"--max-sigma {factor * now:.3g}"
+        return WhatIf(Kind.SIGMA, factor, sentence, setting, self.T_object_scanner, scanner, self.casters)
+
+
+def _relative_change(value: float, now: float) -> float:
+    """How far a limit is opened, alike for large and small ones."""
+    return float(abs(np.log(max(value, 1e-3) / max(now, 1e-3))))
+
+
+def round_mm(length: float) -> float:
+    """A length that a person would name: two digits, or whole tens above 100 mm."""
+    if length >= 100:
+        return float(round(length, -1))
+    return float(f"{length:.2g}")
+
+
+ROTATIONS = ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))  # axis of the base frame, degrees
+
+
+def rotated_worlds(world: World) -> Iterator[tuple[str, float, Floats, World]]:
+    """Yield each rotation in words, its size [deg] (upside down is the largest), the centre's pose (4, 4) [m], the cell.
+
+    Rotations that a rotary table makes itself, or cannot carry, are left out.
+    """
+    for axis, angle in ROTATIONS:
+        turn = np.zeros(3)
+        turn[2 - axis] = np.radians(angle)  # KUKA's angles are about z, y, x
+        T = np.array(world.T_base_object @ world.T_object_centre)
+        T[:3, :3] = pose_from_kuka_abc(np.zeros(3), turn)[:3, :3] @ T[:3, :3]
+        how = "upside down" if axis != 2 else f"rotated by {angle:g} deg about the vertical"
+        if axis == 2 and world.table is not None and world.table.upright:
+            continue
+        if (there := moved_world(world, T)) is not None:
+            yield f"a second set-up with the part {how}", abs(angle) + 360 * (axis != 2), T, there
+
+
+def moved_world(world: World, T_base_centre: Floats) -> World | None:
+    """Return the cell with the part's centre at a pose (4, 4) [m]; None if a rotary table cannot carry it there."""
+    try:
+        return world.with_placement(T_base_centre)
+    except SceneError:
+        return None
+
+
+def format_placement(T_base_centre: Floats) -> str:
+    """Return the `--place` argument for a pose (4, 4) of the part's centre [m]."""
+    position, abc = kuka_abc_from_pose(T_base_centre)
+    return ",".join(f"{value + 0.0:g}" for value in [*(position * 1000).round(3), *(np.degrees(abc).round(3))])

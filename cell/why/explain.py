@@ -1,45 +1,404 @@
-"""`cell why`: why parts of the surface stay open in a finished plan, and the smallest single change that measures them.
+"""Explain the uncovered surface of a plan: causes, and the smallest single changes that would measure it (`cell why`).
 
-`answer_of` shows the whole on one screen: the held-out samples that the plan's views leave open get a reason each
-(`planner.why.why`), samples of one reason make a group and connected ones a patch, changes are tried on representatives
-(`cell.why.changes`), and those that are named are asked about every sample that they are named for. The plan is never
-touched; files go to `why/` in the run folder. Object frame, metres.
+`analyse` is the whole method: each held-out sample that the views do not measure gets a cause (`planner.why.why`);
+samples with one cause form a group, connected ones a patch; changes are tried on representatives (`cell.why.changes`);
+recommended changes are evaluated on every sample concerned, so no printed share is an estimate. The plan is not
+changed; files are written to `why/` in the run folder. Object frame, metres.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.errors import UsageError
+from cell.errors import FileError, UsageError
+from cell.runs import ply
 from cell.runs.cell import collision_note, read_cell, world_of
+from cell.runs.folder import SCHEMA, json_text
 from cell.runs.run import Run, open_finished, reading
-from cell.runs.schema import PlanFile, PlanView, WhyReport
+from cell.runs.schema import (
+    NamedChange,
+    OpenPatch,
+    OpenSamples,
+    PlanFile,
+    PlanView,
+    ScannerKeys,
+    TriedChange,
+    WhyReport,
+)
+from cell.scene.model import RegionTargets
 from cell.session import ProgressReporter, default_effort
+from cell.view import contents, pictures
 from cell.view.contents import of_views
-from cell.view.surface import canvas_of
-from cell.why import files as why_files
-from cell.why.answer import Answer
-from cell.why.changes import Changes
-from cell.why.groups import grouped
-from cell.why.search import search
+from cell.view.palette import MEASURED, REASONS, rgb
+from cell.view.surface import Canvas, Surface, canvas_of
+from cell.why.changes import Changes, ladder_masks
 from cell.world.embree import EmbreeRayCaster
 from cell.world.prediction import held_out_samples
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import SurfaceSamples
+from planner.ports import Progress
+from planner.values import Bools, Floats, Ints
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints
-from planner.why import why
+from planner.why import what_if, why
 from planner.why.reasons import REASON_OF_VERDICT, Reason
+from planner.why.what_if import Kind, WhatIf
+from planner.why.why import Diagnosis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EvaluatedChange:
+    """A change, and the (S,) samples that it makes measurable among those on which it was evaluated."""
+
+    change: WhatIf
+    gained: Bools
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """Connected samples of one group, and a change for them; None if none helps or the patch is small."""
+
+    rows: Ints
+    named: EvaluatedChange | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Samples with one cause.
+
+    Attributes:
+        reason: condition that the closest candidate violates.
+        what: occluder or collision object; "" if the cause has none.
+        rows: samples.
+        patches: the same samples, connected over planning faces, largest first.
+        detail: further facts about the closest candidates ("76 to 84 deg from the normal, limit 75").
+        named: recommended changes, best first, evaluated on all rows.
+    """
+
+    reason: Reason
+    what: str
+    rows: Ints
+    patches: tuple[Patch, ...]
+    detail: str
+    named: tuple[EvaluatedChange, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """The cause with its object: "sensor occluded by part", "view in collision: housing with post"."""
+        if not self.what:
+            return self.reason.sentence
+        joint = " by " if self.reason <= Reason.SENSOR_SHADED else ": "
+        return f"{self.reason.sentence}{joint}{self.what}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Analysis:
+    """The result of `cell why`.
+
+    Attributes:
+        canvas: the reference, prepared for colouring.
+        surface: its held-out samples with the views that measure them.
+        open_rows: (n,) uncovered samples.
+        groups: groups by cause, largest area first.
+        rest: uncovered samples that no reachable candidate measures.
+        overall: changes with the largest gains on `rest`, evaluated on all of it.
+        tried: (change, estimated share of the area of `rest`) of every tried change.
+        part_name: for titles.
+    """
+
+    canvas: Canvas
+    surface: Surface
+    open_rows: Ints
+    groups: tuple[Group, ...]
+    rest: Ints
+    overall: tuple[EvaluatedChange, ...]
+    tried: tuple[tuple[WhatIf, float], ...]
+    part_name: str
+
+    @property
+    def samples(self) -> SurfaceSamples:
+        """Held-out samples of the reference."""
+        return self.surface.samples
+
+    @property
+    def covered(self) -> Bools:
+        """(S,) samples measured by the plan."""
+        return np.asarray(self.surface.seen.any(axis=1))
+
+    def share(self, rows: Ints) -> float:
+        """Return the area of some samples as a fraction of the total."""
+        return float(self.samples.areas[rows].sum() / self.samples.areas.sum())
+
+
+def group_samples(
+    samples: SurfaceSamples, rows: Ints, diagnosis: Diagnosis, what: Sequence[str], planning: TriangleMesh,
+    keys: ScannerKeys, regions: Sequence[RegionTargets],
+) -> list[Group]:  # fmt: skip
+    """Group uncovered samples by cause, largest group first.
+
+    Args:
+        samples: held-out samples.
+        rows: (n,) uncovered samples.
+        diagnosis: causes of these samples.
+        what: occluder or collision object of each, or "".
+        planning: mesh over whose faces patches are connected.
+        keys: keys of the scanner, for its limits.
+        regions: regions of the part by number.
+    """
+    members: dict[tuple[int, str], list[int]] = {}
+    for i, key in enumerate(zip(diagnosis.reason.tolist(), what, strict=True)):
+        members.setdefault(key, []).append(i)
+    adjacency = _adjacent_faces(planning)
+    grouped = []
+    for (reason, thing), own in members.items():
+        inside = rows[np.array(own)]
+        pieces = _patches(inside, samples, adjacency, len(planning.faces))
+        details = (
+            _detail(Reason(reason), diagnosis, np.isin(rows, inside), keys),
+            _region_shares(samples, inside, regions),
+        )
+        detail = "; ".join(text for text in details if text)
+        grouped.append(Group(Reason(reason), thing, inside, tuple(Patch(piece) for piece in pieces), detail))
+    return sorted(grouped, key=lambda group: (-float(samples.areas[group.rows].sum()), group.reason, group.what))
+
+
+def _adjacent_faces(mesh: TriangleMesh) -> Ints:
+    """Return (E, 2) pairs of faces with a common edge."""
+    edges = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
+    face = np.repeat(np.arange(len(mesh.faces)), 3)
+    order = np.lexsort((edges[:, 1], edges[:, 0]))
+    same = (np.diff(edges[order], axis=0) == 0).all(axis=1)
+    return np.stack([face[order][:-1][same], face[order][1:][same]], axis=1)
+
+
+def _patches(rows: Ints, samples: SurfaceSamples, adjacent: Ints, faces: int) -> list[Ints]:
+    """Return the samples in patches connected over planning faces, largest first."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    here = np.zeros(faces, dtype=np.bool_)
+    face = samples.planning_face[rows]
+    here[face] = True
+    both = adjacent[here[adjacent].all(axis=1)]
+    graph = coo_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(faces, faces))
+    label = connected_components(graph, directed=False)[1][face]
+    pieces = [rows[label == one] for one in np.unique(label)]
+    return sorted(pieces, key=lambda piece: (-float(samples.areas[piece].sum()), int(piece[0])))
+
+
+def _region_shares(samples: SurfaceSamples, rows: Ints, regions: Sequence[RegionTargets]) -> str:
+    """Return the regions of uncovered samples in words, largest share first; "" without regions."""
+    if samples.region is None:
+        return ""
+    share = np.bincount(samples.region[rows], samples.areas[rows], len(regions)) / samples.areas[rows].sum()
+    order = [k for k in np.argsort(-share, kind="stable").tolist() if share[k] > 0]
+    if len(order) == 1:
+        return f"in {regions[order[0]].name}"
+    return "in " + ", ".join(f"{regions[k].name} ({100 * share[k]:.0f} %)" for k in order)
+
+
+_ANGLES: dict[Reason, tuple[Callable[[Diagnosis], Floats], str]] = {
+    Reason.GRAZING_SOURCE: (lambda found: found.grazing_source, "grazing_max_deg"),
+    Reason.GRAZING_SENSOR: (lambda found: found.grazing_sensor, "sensor_grazing_max_deg"),
+}
+
+
+def _detail(reason: Reason, diagnosis: Diagnosis, inside: Bools, keys: ScannerKeys) -> str:
+    """Return further facts about the closest candidates of some uncovered samples."""
+    if reason is Reason.NOT_SELECTED:
+        return "not needed for the target"
+    if reason in _ANGLES:
+        angles, limit = _ANGLES[reason]
+        low, high = np.degrees(np.quantile(angles(diagnosis)[inside], (0.1, 0.9)))
+        given = f", limit {highest:g}" if (highest := keys.number(limit)) is not None else ""
+        return f"{low:.0f} to {high:.0f} deg from the normal{given}"
+    if reason is Reason.OUT_OF_RANGE:
+        low, high = 1000 * np.quantile(diagnosis.distance[inside], (0.1, 0.9))
+        given = f", range {ends[0]:g} to {ends[1]:g}" if (ends := keys.pair("range_mm")) is not None else ""
+        return f"{low:.0f} to {high:.0f} mm away{given}"
+    if reason is Reason.TOO_SPARSE:
+        far, steep = diagnosis.distance[inside], diagnosis.grazing_source[inside]
+        limit_mm = keys.number("max_spacing_mm")
+        limit = "the limit of the region" if limit_mm is None else f"limit {limit_mm:g} mm between points"
+        return (
+            f"{1000 * np.median(far):.0f} mm away at {np.degrees(np.median(steep)):.0f} deg from the normal (medians), "
+            f"{limit}"
+        )
+    return ""
+
+
+_REPRESENTATIVES = 700
+_MIN_REPRESENTATIVES = 8  # per group
+_VIEWS_FROM = 160  # samples for the selection of further views
+_AIMS = 64  # targets of new candidates
+_PATCHES = 24  # patches with a change of their own
+_NAMED = 3  # recommended changes per group
+
+
+class Findings(NamedTuple):
+    """Result of the search for changes.
+
+    Attributes:
+        groups: the groups with recommended changes, also for their patches.
+        rest: samples that no reachable candidate measures.
+        overall: changes with the largest gains on `rest`.
+        tried: (change, estimated share of the area of `rest`) of every tried change.
+    """
+
+    groups: tuple[Group, ...]
+    rest: Ints
+    overall: tuple[EvaluatedChange, ...]
+    tried: tuple[tuple[WhatIf, float], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trial:
+    """All changes with the representatives that they measure: gains (W, r) bool, place (S,) column or -1."""
+
+    changes: tuple[WhatIf, ...]
+    gains: NDArray[np.bool_]
+    place: Ints
+
+    def best(self, rows: Ints, reason: Reason, most: int) -> list[int]:
+        """Return the best changes for some samples. Only unselected samples need a further view."""
+        own = self.place[rows]
+        own = own[own >= 0]
+        if not len(own):
+            return []
+        apt = [(change.kind is Kind.VIEW) == (reason is Reason.NOT_SELECTED) for change in self.changes]
+        return self.choose(self.gains[:, own].mean(axis=1) * apt, most)
+
+    def choose(self, share: Floats, most: int) -> list[int]:
+        kinds, sizes = [change.kind for change in self.changes], [change.change for change in self.changes]
+        return what_if.choose(share, kinds, sizes, most=most)
+
+
+def search_changes(
+    changes: Changes,
+    targets: RayTargets,
+    samples: SurfaceSamples,
+    groups: Sequence[Group],
+    progress: Progress,
+) -> Findings:
+    """Try every change, and evaluate the best ones on all samples concerned."""
+    if not groups:
+        return Findings((), np.empty(0, dtype=np.int64), (), ())
+    trial = _try(changes, targets, samples, groups, progress)
+    # Samples that a reachable candidate measures are no gain of other changes.
+    closed = [group for group in groups if group.reason is not Reason.NOT_SELECTED]
+    rest = np.sort(np.concatenate([np.empty(0, dtype=np.int64), *(group.rows for group in closed)]))
+    in_rest = trial.gains.astype(np.float64) @ _weights(trial.place, closed, samples)
+    overall = trial.choose(in_rest, _NAMED)
+    largest = sorted((patch.rows for group in groups for patch in group.patches), key=lambda rows: -len(rows))
+    with_change = {int(rows[0]) for rows in largest[:_PATCHES]}
+    of_group = [trial.best(group.rows, group.reason, _NAMED) for group in groups]
+    of_patch = [
+        [
+            trial.best(patch.rows, group.reason, 1) if int(patch.rows[0]) in with_change else []
+            for patch in group.patches
+        ]
+        for group in groups
+    ]
+    verify = [(index, rest) for index in overall]
+    for group, named, patches in zip(groups, of_group, of_patch, strict=True):
+        verify += [(index, group.rows) for index in named]
+        verify += [(index, patch.rows) for own, patch in zip(patches, group.patches, strict=True) for index in own]
+    verified = _verify(trial, verify, targets, progress)
+
+    def helping(chosen: Sequence[int], rows: Ints) -> tuple[EvaluatedChange, ...]:
+        return tuple(verified[index] for index in chosen if verified[index].gained[rows].any())
+
+    return Findings(
+        tuple(
+            replace(
+                group,
+                named=helping(named, group.rows),
+                patches=tuple(
+                    replace(patch, named=next(iter(helping(own, patch.rows)), None))
+                    for patch, own in zip(group.patches, patches, strict=True)
+                ),
+            )
+            for group, named, patches in zip(groups, of_group, of_patch, strict=True)
+        ),
+        rest,
+        tuple(verified[index] for index in overall),
+        tuple(sorted(zip(trial.changes, in_rest.tolist(), strict=True), key=lambda item: -item[1])),
+    )
+
+
+def _try(
+    changes: Changes,
+    targets: RayTargets,
+    samples: SurfaceSamples,
+    groups: Sequence[Group],
+    progress: Progress,
+) -> _Trial:
+    rows = np.sort(np.concatenate([group.rows for group in groups]))
+    counts = [max(_MIN_REPRESENTATIVES, round(_REPRESENTATIVES * len(group.rows) / len(rows))) for group in groups]
+    spread = [_spread(group.rows, count) for group, count in zip(groups, counts, strict=True)]
+    representatives = np.unique(np.concatenate(spread))
+    aims = _spread(rows, _AIMS)
+    tried: list[WhatIf] = []
+    masks: list[NDArray[np.bool_]] = []
+    for done, ladder in enumerate(changes.ladders((samples.points[aims], samples.normals[aims]))):
+        masks.extend(ladder_masks(ladder, targets, representatives))
+        tried.extend(ladder)
+        progress(min(done + 1, 14), 20)
+    for group in groups:
+        if group.reason is Reason.NOT_SELECTED:
+            views = changes.views(targets, _spread(group.rows, _VIEWS_FROM))
+            masks.extend(view.measures(targets, representatives) for view in views)
+            tried.extend(views)
+    place = np.full(len(targets), -1, dtype=np.int64)
+    place[representatives] = np.arange(len(representatives))
+    return _Trial(tuple(tried), np.array(masks).reshape(len(tried), len(representatives)), place)
+
+
+def _verify(
+    trial: _Trial, requests: Sequence[tuple[int, Ints]], targets: RayTargets, progress: Progress
+) -> dict[int, EvaluatedChange]:
+    """Evaluate each change on every sample for which it is recommended."""
+    rows_of: dict[int, list[Ints]] = {}
+    for index, rows in requests:
+        rows_of.setdefault(index, []).append(rows)
+    verified: dict[int, EvaluatedChange] = {}
+    for done, (index, pieces) in enumerate(sorted(rows_of.items())):
+        every = np.unique(np.concatenate(pieces))
+        gained = np.zeros(len(targets), dtype=np.bool_)
+        gained[every] = trial.changes[index].measures(targets, every)
+        verified[index] = EvaluatedChange(trial.changes[index], gained)
+        progress(14 * len(rows_of) + 6 * (done + 1), 20 * len(rows_of))
+    return verified
+
+
+def _spread(rows: Ints, count: int) -> Ints:
+    """Return at most `count` rows, evenly over their order along a space-filling curve."""
+    return rows[np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(np.int64)]
+
+
+def _weights(place: Ints, groups: Sequence[Group], samples: SurfaceSamples) -> Floats:
+    """Return (r,) the share of the groups' area that each representative stands for; 0 in other groups."""
+    weight = np.zeros(int(place.max()) + 1)
+    total = sum(float(samples.areas[group.rows].sum()) for group in groups)
+    for group in groups:
+        own = place[group.rows]
+        own = own[own >= 0]
+        weight[own] = float(samples.areas[group.rows].sum()) / total / len(own)
+    return weight
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WhyOutcome:
-    """What `cell why` leaves.
+    """The files of `cell why`.
 
     Attributes:
-        folder: of its files.
-        summary: its why.json.
+        folder: their folder.
+        summary: why.json.
     """
 
     folder: Path
@@ -47,43 +406,34 @@ class WhyOutcome:
 
 
 def explain(run_folder: Path, reporter: ProgressReporter, *, samples: int | None = None) -> WhyOutcome:
-    """Say why a finished plan leaves parts of the surface open, and write the files.
-
-    Args:
-        run_folder: of a finished plan.
-        reporter: is told what goes on.
-        samples: how many held-out samples; None takes those of the definition.
-
-    Raises:
-        CellError: with one sentence and the exit code.
-    """
+    """Explain the uncovered surface of a finished plan and write the files; `samples` None means the default number."""
     if samples is not None and samples < 1:
         raise UsageError(f"--samples {samples} is not possible; at least 1 sample is needed")
     run = open_finished(run_folder)
-    answer = answer_of(run, reporter, default_effort().held_out_samples if samples is None else samples)
+    analysis = analyse(run, reporter, default_effort().held_out_samples if samples is None else samples)
     with reporter.stage("write"):
-        summary = why_files.report_of(answer, run)
-        folder = why_files.write(run, answer, summary)
+        summary = why_report(analysis, run)
+        folder = write_files(run, analysis, summary)
     return WhyOutcome(folder, summary)
 
 
-def answer_of(run: Run, reporter: ProgressReporter, count: int) -> Answer:
-    """The whole on one screen."""
+def analyse(run: Run, reporter: ProgressReporter, count: int) -> Analysis:
+    """Find causes and changes for the uncovered samples of a run."""
     with reporter.stage("read the run"):
         cell, plan = read_cell(run), run.plan
-        candidates = _as_executed(run.candidates, plan.views)
-        fails, blockers = _failing(run, plan, len(candidates))
+        candidates = _with_executed_poses(run.candidates, plan.views)
+        fails, blockers = _failures(run, plan, len(candidates))
         world = world_of(run, cell.reference)
         for sentence in collision_note(cell.scene):
             reporter.note(sentence)
         scanner, part_caster, occluder_caster = cell.scanner, cell.part_caster, cell.occluder_caster
-    with reporter.stage("what stays open"):
+    with reporter.stage("uncovered surface"):
         samples = held_out_samples(cell.reference, cell.planning, run.seed, count)
         targets = RayTargets.of(samples.points, samples.normals, samples.region)
         views = candidates.T_object_scanner[[view.id for view in plan.views]]
         surface = of_views(cell, samples, list(views))
         rows = np.flatnonzero(~surface.seen.any(axis=1))
-    with reporter.stage("reasons") as progress:
+    with reporter.stage("causes") as progress:
         diagnosis = why.diagnose(
             targets, rows, candidates, scanner, part_caster, occluder_caster, fails, progress=progress
         )
@@ -98,13 +448,15 @@ def answer_of(run: Run, reporter: ProgressReporter, count: int) -> Answer:
             world, lambda name: world_of(run, cell.reference, without=(name,)), cell, candidates,
             np.flatnonzero(fails == Reason.NOT_SELECTED),
         )  # fmt: skip
-        groups = grouped(samples, rows, diagnosis, what, cell.planning, cell.scanner_keys, cell.scene.regions or ())
-        found = search(changes, targets, samples, groups, progress)
-    return Answer(canvas_of(cell.reference, samples), surface, rows, *found, cell.scene.part.name)
+        groups = group_samples(
+            samples, rows, diagnosis, what, cell.planning, cell.scanner_keys, cell.scene.regions or ()
+        )
+        found = search_changes(changes, targets, samples, groups, progress)
+    return Analysis(canvas_of(cell.reference, samples), surface, rows, *found, cell.scene.part.name)
 
 
-def _as_executed(candidates: Viewpoints, views: Sequence[PlanView]) -> Viewpoints:
-    """The candidates, those of the plan's views at the poses of the rounded joint angles, as coverage takes them."""
+def _with_executed_poses(candidates: Viewpoints, views: Sequence[PlanView]) -> Viewpoints:
+    """Return the candidates, with the poses of the rounded set-points for the views of the plan, as in coverage."""
     T = np.array(candidates.T_object_scanner)
     if T.shape[1] == 1:
         for view in views:
@@ -112,8 +464,8 @@ def _as_executed(candidates: Viewpoints, views: Sequence[PlanView]) -> Viewpoint
     return Viewpoints(T, candidates.face, candidates.standoff, candidates.roll)
 
 
-def _failing(run: Run, plan: PlanFile, count: int) -> tuple[NDArray[np.uint8], list[str]]:
-    """At what each candidate fails even for a point that it would measure, and what is in its way."""
+def _failures(run: Run, plan: PlanFile, count: int) -> tuple[NDArray[np.uint8], list[str]]:
+    """Return the cause for which each candidate fails on any point, and the object in its way."""
     reached = run.reach
     fails = np.array([REASON_OF_VERDICT[verdict] for verdict in REASON_OF_VERDICT], dtype=np.uint8)[reached.verdict]
     blockers = list(reached.blocker)
@@ -123,3 +475,163 @@ def _failing(run: Run, plan: PlanFile, count: int) -> tuple[NDArray[np.uint8], l
         for view in plan.dropped:
             fails[view.id], blockers[view.id] = Reason.NO_PATH, view.reason
     return fails, blockers
+
+
+FOLDER = "why"
+NO_CHANGE = "no tried change helps"
+_CHANGES = 2  # changes per row of the table
+_ROWS = 12  # rows of the table; the rest is one line
+
+
+def why_report(analysis: Analysis, run: Run) -> WhyReport:
+    """Return the content of why.json."""
+    return WhyReport(
+        part=analysis.part_name,
+        plan=run.plan_sha256,
+        samples=len(analysis.samples),
+        area_mm2=round(float(analysis.samples.areas.sum()) * 1e6, 3),
+        visible=analysis.share(np.flatnonzero(analysis.covered)),
+        open=analysis.share(analysis.open_rows),
+        groups=tuple(_group_table(analysis, code, group) for code, group in enumerate(analysis.groups, 1)),
+        not_measurable=analysis.share(analysis.rest),
+        overall=tuple(_named_change(analysis, named, analysis.rest) for named in analysis.overall),
+        tried=tuple(
+            TriedChange(
+                kind=change.kind.name.lower(),
+                change=change.sentence,
+                setting=change.setting,
+                gains_estimated=round(share, 4),
+            )
+            for change, share in analysis.tried
+        ),
+    )
+
+
+def write_files(run: Run, analysis: Analysis, report: WhyReport) -> Path:
+    """Write the files and return their folder."""
+    target, part = run.folder / FOLDER, run.folder / (FOLDER + ".part")
+    try:
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir()
+        (part / "why.json").write_text(json_text({"schema": SCHEMA, **report.as_json()}), encoding="utf-8")
+        (part / "why.ply").write_bytes(samples_ply(analysis))
+        draw_causes(part / "why.png", analysis)
+        reasons = [(group.rows, group.title) for group in analysis.groups]
+        (part / contents.NAME).write_text(
+            contents.why_page(run, analysis.canvas, analysis.surface, reasons), encoding="utf-8"
+        )
+        shutil.rmtree(target, ignore_errors=True)
+        part.rename(target)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise FileError(f"{target} cannot be written: {reason}; the run folder must be writable") from error
+    return target
+
+
+TABLE_COLUMNS = ("cause", "share of the surface", "position (mm, part)", "change")
+
+
+def table_rows(report: WhyReport) -> list[tuple[str, str, str, str]]:
+    """Return the rows of the table: cause, share and area, position, change."""
+    rows = []
+    for group in report.groups[:_ROWS]:
+        reason = group.title + (f"\n({group.detail})" if group.detail else "")
+        x, y, z = (round(value) for value in group.patches[0].centre_mm)
+        where = f"near ({x}, {y}, {z})" + (f"\n{group.n_patches} places" * (group.n_patches > 1))
+        rows.append((reason, _area(group.share, group.area_mm2), where, _lines(group.changes[:_CHANGES])))
+    rest = report.groups[_ROWS:]
+    if rest:
+        share, area = sum(group.share for group in rest), sum(group.area_mm2 for group in rest)
+        rows.append((f"{len(rest)} smaller groups", _area(share, area), "", "see why.json"))
+    if report.not_measurable and len(report.groups) > 1:
+        area = report.not_measurable * report.area_mm2
+        helps = _lines(report.overall)
+        rows.append(("total without a reachable candidate", _area(report.not_measurable, area), "", helps))
+    return rows
+
+
+def _area(share: float, area_mm2: float) -> str:
+    return f"{100 * share:.2f} %\n{area_mm2:,.0f} mm²"
+
+
+def _lines(changes: Sequence[NamedChange]) -> str:
+    """Return one line for each change."""
+    lines = (f"{_percent(c.gains)}: {c.change}" + (f" ({c.setting})" if c.setting else "") for c in changes)
+    return "\n".join(lines) or NO_CHANGE
+
+
+def _percent(share: float) -> str:
+    if share >= 1:
+        return "all"
+    if share >= 0.995:  # not rounded up to all
+        return f"{np.floor(1000 * share) / 10:.1f} %"
+    return f"{100 * share:.0f} %" if share >= 0.095 else f"{100 * share:.1f} %"
+
+
+def _group_table(analysis: Analysis, code: int, group: Group) -> OpenSamples:
+    return OpenSamples(
+        group=code,
+        reason=group.reason.name.lower(),
+        code=int(group.reason),
+        what=group.what,
+        title=group.title,
+        detail=group.detail,
+        share=analysis.share(group.rows),
+        area_mm2=_area_mm2(analysis, group.rows),
+        n_patches=len(group.patches),
+        changes=tuple(_named_change(analysis, named, group.rows) for named in group.named),
+        patches=tuple(_patch(analysis, patch) for patch in group.patches[:20]),
+    )
+
+
+def _patch(analysis: Analysis, patch: Patch) -> OpenPatch:
+    points = analysis.samples.points[patch.rows] * 1000
+    nearest = np.linalg.norm(points - analysis.samples.points[patch.rows].mean(axis=0) * 1000, axis=1).argmin()
+    return OpenPatch(
+        area_mm2=_area_mm2(analysis, patch.rows),
+        centre_mm=tuple(points[nearest].round(2).tolist()),
+        change=None if patch.named is None else _named_change(analysis, patch.named, patch.rows),
+    )
+
+
+def _named_change(analysis: Analysis, named: EvaluatedChange, rows: Ints) -> NamedChange:
+    """Return a change with its exact gain on some rows."""
+    areas = analysis.samples.areas[rows]
+    return NamedChange(
+        kind=named.change.kind.name.lower(),
+        change=named.change.sentence,
+        setting=named.change.setting,
+        gains=float(areas[named.gained[rows]].sum() / areas.sum()),
+        gains_mm2=_area_mm2(analysis, rows[named.gained[rows]]),
+    )
+
+
+def _area_mm2(analysis: Analysis, rows: Ints) -> float:
+    return round(float(analysis.samples.areas[rows].sum()) * 1e6, 3)
+
+
+def samples_ply(analysis: Analysis) -> bytes:
+    """Return the held-out samples as a PLY: mm, object frame, coloured by group.
+
+    Properties: `reason` (a `planner.why.reasons.Reason`, 0 measured), `group` (from 1, 0 measured), `gained` (1 if the
+    first recommended change of its group measures the point).
+    """
+    n = len(analysis.samples)
+    number = pictures.group_numbers(n, [group.rows for group in analysis.groups])
+    colours = np.array([(255 * rgb(colour)).round() for colour in (MEASURED, *REASONS)], dtype=np.uint8)[number]
+    reason, at, gained = np.zeros(n, np.uint8), np.zeros(n, "<u2"), np.zeros(n, np.uint8)
+    for code, group in enumerate(analysis.groups, 1):
+        at[group.rows], reason[group.rows] = code, group.reason
+        if group.named:
+            gained[group.rows] = group.named[0].gained[group.rows]
+    more = {"red": colours[:, 0], "green": colours[:, 1], "blue": colours[:, 2]}
+    more |= {"reason": reason, "group": at, "gained": gained}
+    legend = [f"group {code}: {group.title}" for code, group in enumerate(analysis.groups, 1)]
+    element = ply.point_rows(analysis.samples.points, more)
+    return b"".join(ply.file_pieces(["object frame, millimetres", *legend], {"vertex": element}))
+
+
+def draw_causes(path: Path, analysis: Analysis) -> None:
+    """Draw the part from the sides with the most uncovered surface, coloured by cause."""
+    groups = [(group.rows, group.title) for group in analysis.groups]
+    pictures.reasons(path, analysis.canvas, groups, f"Uncovered surface of {analysis.part_name}")

@@ -239,7 +239,7 @@ def test_why_gives_reasons_for_all_that_the_turned_views_leave_open(
     assert why["visible"] + why["open"] == pytest.approx(1.0, abs=1e-6)
     assert why["visible"] == pytest.approx(_share(copy), abs=0.01)
     turns = [each["change"] for each in why["tried"] if each["kind"] == "turn"]
-    assert turns == ["a second set-up with the part turned upside down"]
+    assert turns == ["a second set-up with the part upside down"]
 
 
 def test_as_much_as_without_a_table_takes_never_more_views(planned: Path, turned: Path) -> None:

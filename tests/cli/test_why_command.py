@@ -16,7 +16,7 @@ def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: Cell, t
     done = run_cell("why", "run", "--samples", "2000", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
-    assert "stay open" in done.stdout
+    assert "Uncovered surface" in done.stdout
     assert "files: run/why" in done.stdout
     following = [line.split() for line in done.stdout.split("next:")[1].splitlines() if line.startswith("  cell plan")]
     assert all(line.count(word) == 1 for line in following for word in line if word.startswith("--"))
@@ -54,7 +54,7 @@ def test_where_nothing_stays_open_it_says_so(planned: Path, run_cell: Cell, tmp_
     shutil.copytree(planned, tmp_path / "run")
     done = run_cell("why", "run", "--samples", "1", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "nothing stays open" in done.stdout
+    assert "the whole surface is covered" in done.stdout
     assert len(list((tmp_path / "run" / "why").iterdir())) == 4
 
 

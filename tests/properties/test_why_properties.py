@@ -17,9 +17,9 @@ from cell.scanners.laser_area import LaserArea
 from cell.scene.file import load_scene
 from cell.scene.model import Scene
 from cell.view.palette import MEASURED, REASONS
+from cell.why import explain
 from cell.why import explain as why
-from cell.why import files as why_files
-from cell.why.answer import Answer, Group
+from cell.why.explain import Analysis, Group
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World, compile_world
@@ -67,18 +67,18 @@ def run(run_folder: Path) -> Run:
 
 
 @pytest.fixture(scope="module")
-def answer(run: Run) -> Answer:
+def answer(run: Run) -> Analysis:
     """What is said about it."""
-    return why.answer_of(run, Terminal(quiet_stdout=True), _SAMPLES)
+    return why.analyse(run, Terminal(quiet_stdout=True), _SAMPLES)
 
 
-def _group(answer: Answer, reason: Reason, what: str) -> Group:
+def _group(answer: Analysis, reason: Reason, what: str) -> Group:
     found = [group for group in answer.groups if (group.reason, group.what) == (reason, what)]
     assert len(found) == 1, [(group.reason.name, group.what) for group in answer.groups]
     return found[0]
 
 
-def test_a_closed_void_is_shaded_by_the_part_and_nothing_helps(answer: Answer) -> None:
+def test_a_closed_void_is_shaded_by_the_part_and_nothing_helps(answer: Analysis) -> None:
     """All samples of the void and no others, with the void's area; no change is named."""
     group = _group(answer, Reason.SOURCE_SHADED_BY_PART, "part")
     inside = (np.abs(answer.samples.points) < np.array([0.0201, 0.0151, 0.0061])).all(axis=1)
@@ -86,8 +86,8 @@ def test_a_closed_void_is_shaded_by_the_part_and_nothing_helps(answer: Answer) -
     area = 2 * (0.04 * 0.03 + 0.04 * 0.012 + 0.03 * 0.012)
     np.testing.assert_allclose(answer.samples.areas[group.rows].sum(), area, rtol=0.01)
     assert group.named == ()
-    assert [row[3] for row in why_files.table_rows(why_files.report_of(answer, _NO_RUN)) if "part" in row[0]] == [
-        why_files.NOTHING
+    assert [row[3] for row in explain.table_rows(explain.why_report(answer, _NO_RUN)) if "part" in row[0]] == [
+        explain.NO_CHANGE
     ]
 
 
@@ -98,7 +98,7 @@ class _NoRun:
 _NO_RUN = _NoRun()
 
 
-def test_what_the_clamp_shades_is_its_own_and_gone_without_it(answer: Answer) -> None:
+def test_what_the_clamp_shades_is_its_own_and_gone_without_it(answer: Analysis) -> None:
     """The shade lies under the clamp, on the top; "without fixture clamp" is among the changes and gains all of it."""
     for group in answer.groups:
         if group.what != "clamp":
@@ -113,7 +113,7 @@ def test_what_the_clamp_shades_is_its_own_and_gone_without_it(answer: Answer) ->
     pytest.fail("nothing is shaded by the clamp")
 
 
-def test_sides_out_of_reach_and_views_that_were_not_needed_are_told_apart(answer: Answer) -> None:
+def test_sides_out_of_reach_and_views_that_were_not_needed_are_told_apart(answer: Analysis) -> None:
     """The far side is out of reach; below full coverage there is surface that only waits for a view more."""
     assert (answer.samples.points[_group(answer, Reason.OUT_OF_REACH, "").rows, 0] > -0.0499).any()
     waiting = _group(answer, Reason.NOT_SELECTED, "")
@@ -121,7 +121,7 @@ def test_sides_out_of_reach_and_views_that_were_not_needed_are_told_apart(answer
     assert answer.share(waiting.rows) > 0.02
 
 
-def test_reasons_complete_the_plan_to_the_whole_surface(answer: Answer, run: Run) -> None:
+def test_reasons_complete_the_plan_to_the_whole_surface(answer: Analysis, run: Run) -> None:
     """Every sample is measured or in exactly one group and patch; the plan's own figure is met to sampling error."""
     count = answer.covered.astype(int)
     for group in answer.groups:
@@ -141,7 +141,7 @@ class _Cell:
         part = EmbreeRayCaster(self.reference.vertices, self.reference.faces)
         self.casters = [part, *(EmbreeRayCaster(o.vertices, o.faces) for o in fixed_occluders(self.world))]
 
-    def measured(self, views: Viewpoints, scanner: LaserArea, answer: Answer) -> np.ndarray:
+    def measured(self, views: Viewpoints, scanner: LaserArea, answer: Analysis) -> np.ndarray:
         reached = reach.solve_reach(
             views, self.world.T_base_object, self.world.T_flange_scanner,
             kinematics_of(self.world.model), MujocoCollisionChecker(self.world),
@@ -150,7 +150,7 @@ class _Cell:
 
 
 def test_every_change_that_is_named_measures_what_it_claims_when_it_is_made(
-    answer: Answer, run: Run, run_folder: Path
+    answer: Analysis, run: Run, run_folder: Path
 ) -> None:
     """Settings are taken from the words that are printed, the scene is built from its file, the arm asked again."""
     path = run_folder.parent / "scene.toml"

@@ -180,11 +180,11 @@ def test_advice_is_a_command_that_can_be_pasted(tmp_path: Path) -> None:
         (tmp_path / "setups" / number).mkdir(parents=True)
     one = Run(tmp_path / "setups" / "1", Manifest(argv=("setups", "mug", "--place", "1,2,3", "--most", "2")))
     alone = "cell plan --open-of {} --place 1200,500,0,0,0,0"
-    assert advise.open_of(one, T) == alone.format(one.folder)
+    assert advise.setup_command(one, T) == alone.format(one.folder)
     (tmp_path / "setups.json").touch()
     both = f"{one.folder} --open-of {tmp_path / 'setups' / '2'}"
-    assert advise.open_of(one, T) == alone.format(both)
-    assert advise.elsewhere(one, T) == "cell setups mug --most 2 --place 1200,500,0,0,0,0"
+    assert advise.setup_command(one, T) == alone.format(both)
+    assert advise.replan_command(one, T) == "cell setups mug --most 2 --place 1200,500,0,0,0,0"
 
 
 def test_the_command_for_a_further_set_up_names_those_there_are(tmp_path: Path) -> None:
@@ -193,6 +193,6 @@ def test_the_command_for_a_further_set_up_names_those_there_are(tmp_path: Path) 
         (tmp_path / "setups" / name).mkdir(parents=True)
     (tmp_path / "setups.json").write_text("{}")
     run = Run(tmp_path / "setups" / "2", Manifest())
-    words = advise.open_of(run, np.eye(4)).split()
+    words = advise.setup_command(run, np.eye(4)).split()
     named = [Path(word).name for before, word in pairwise(words) if before == "--open-of"]
     assert named == ["1", "2", "10"]
