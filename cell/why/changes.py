@@ -339,7 +339,7 @@ ROTATIONS = ((2, 180.0), (2, 90.0), (2, -90.0), (0, 180.0))  # axis of the base 
 
 
 def rotated_worlds(world: World) -> Iterator[tuple[str, float, Floats, World]]:
-    """Yield each rotation in words, its size [deg] (upside down is the largest), the centre's pose (4, 4) [m], the cell.
+    """Yield each rotation in words, its size [deg], the pose (4, 4) of the centre [m], the cell.
 
     Rotations that a rotary table makes itself, or cannot carry, are left out.
     """
