@@ -33,6 +33,7 @@ STUDIES = {
 
 REGISTRY = {
     **STUDIES,
+    "built_in_parts": "the built-in parts: seconds to build and to load, and whether the shipped mesh is the built one",
     "kinematics": "inverse kinematics: poses per second beside the round-trip error",
     "robots": "plans with arms from files (ROBOT_FILES): coverage, contacts of their true triangles, limits, seconds",
     "fidelity": "hull or triangles: contacts missed and false refusals beside time",

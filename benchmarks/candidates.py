@@ -20,12 +20,12 @@ import trimesh
 
 from benchmarks.parts import meshes
 from cell.part import workpiece
+from cell.part.builtin import NAMES
 from cell.plan import candidates as generators
 from cell.robot.arm import kinematics_of
 from cell.scanners.laser_area import LaserArea
 from cell.scene.file import load_scene
 from cell.scene.settle import settle
-from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.embree import EmbreeRayCaster
 from cell.world.measurability import surface_samples

@@ -23,13 +23,13 @@ from scipy.spatial.transform import Rotation
 from benchmarks.configurations_beside_part import configurations
 from benchmarks.parts import meshes
 from cell.part import workpiece
+from cell.part.builtin import NAMES
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import first
 from cell.robot.arm import kinematics_of
 from cell.scene.file import load_scene
 from cell.scene.model import Scene
 from cell.scene.settle import settle
-from cell.stand_ins import NAMES
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world
 from planner.geometry.decimation import decimate

@@ -20,7 +20,7 @@ import trimesh
 
 from benchmarks.best_of import best_of
 from benchmarks.claimed_coverage import claim
-from cell import stand_ins
+from cell.part.builtin import NAMES
 from cell.part.workpiece import load
 from cell.scanners.laser_area import LaserArea
 from cell.scene.file import load_scene
@@ -47,7 +47,7 @@ _COLOURS = {"rays": "#c4622d", "aimed": "#2a6f97"}
 def run() -> list[dict[str, Any]]:
     """Two rows for the large Mseke, then eight for each built-in part."""
     rows = []
-    for part in (None, *stand_ins.NAMES):
+    for part in (None, *NAMES):
         rows += _part("mseke", large=True) if part is None else _part(part)
     return rows
 
@@ -60,7 +60,7 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
     figure = Figure(figsize=(11.0, 6.6), dpi=120, layout="constrained")
     axes = figure.subplots(2, 3, sharex=True, sharey=True)
     labels: dict[Any, list[tuple[str, float, float, str, bool]]] = {}
-    for axis, part in zip(axes.flat, stand_ins.NAMES, strict=True):
+    for axis, part in zip(axes.flat, NAMES, strict=True):
         labels[axis] = []
         for method, marker, left in (("rays", "s", False), ("aimed", "o", True)):
             points = [row for row in rows if row["part"] == part and row["fill"].startswith(method)]

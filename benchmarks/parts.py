@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from cell.stand_ins import NAMES
+from cell.part.builtin import NAMES
 
 _SIDE_MM = 150.0
 

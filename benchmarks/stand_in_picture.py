@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cell.stand_ins import STAND_INS, build
+from benchmarks.part_models.build import PART_MODELS
+from cell.part import builtin
 from cell.world.embree import EmbreeRayCaster
 
 # Where the viewer stands (object frame), what is up, and the pixels' share of the diagonal.
@@ -24,7 +25,7 @@ Floats = NDArray[np.float64]
 
 def shade(name: str) -> Floats:
     """(PIXELS, PIXELS, 3) picture of a part: parallel view, one light with shadows, a little light from the viewer."""
-    mesh = build(name)
+    mesh = builtin.load(name)
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
     towards, up = (np.array(v, float) for v in VIEWS[name])
     towards /= np.linalg.norm(towards)
@@ -56,10 +57,10 @@ def shade(name: str) -> Floats:
 def draw(path: Path) -> None:
     """Write the panel of two rows and three columns."""
     figure = Figure(figsize=(10.2, 7.2), dpi=110)
-    for i, name in enumerate(STAND_INS):
+    for i, name in enumerate(PART_MODELS):
         axes = figure.add_axes(((i % 3) / 3, 0.5 - (i // 3) / 2 + 0.035, 1 / 3, 0.455))
         axes.imshow(shade(name), interpolation="nearest")
-        x, y, z = STAND_INS[name].size_mm
-        axes.set_title(f"{name}: {x:g} x {y:g} x {z:g} mm, {STAND_INS[name].faces:,} faces", fontsize=9, y=-0.06)
+        x, y, z = PART_MODELS[name].size_mm
+        axes.set_title(f"{name}: {x:g} x {y:g} x {z:g} mm, {PART_MODELS[name].faces:,} faces", fontsize=9, y=-0.06)
         axes.set_axis_off()
     figure.savefig(path, metadata={"Software": None})

@@ -13,9 +13,8 @@ from scipy.spatial import cKDTree
 
 from benchmarks.methods.bumpy_body import body
 from benchmarks.methods.stability_map import Map, MapPoint
-from cell import stand_ins
 from cell.errors import FileError
-from cell.part import workpiece
+from cell.part import builtin, workpiece
 from cell.part.workpiece import FARTHEST_SIZES, PLAUSIBLE_M
 from cell.scanners.laser_area import LaserArea
 from cell.scene import validation
@@ -174,7 +173,7 @@ _STANDOFF_M, _ROLLS = 0.3, (0.0, np.pi / 2)
 @lru_cache(maxsize=1)
 def _asked(line: str, samples: int) -> tuple[TriangleMesh, EmbreeRayCaster, SurfaceSamples]:
     """A part, rays on it, and samples to judge with."""
-    mesh = body(5).reference if line == _BUMPY else stand_ins.build(line)
+    mesh = body(5).reference if line == _BUMPY else builtin.load(line)
     judged = draw_samples(mesh, mesh, samples, np.random.default_rng(1))
     return mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), judged
 

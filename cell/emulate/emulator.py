@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from cell import caches
 from cell.emulate.options import EmulateOptions
 from cell.errors import DriverFailureError, FileError, UsageError
+from cell.files import atomic_write
 from cell.robot import model as robot
 from cell.runs.cell import table_of
 from cell.runs.run import open_run
@@ -205,7 +205,7 @@ class Memory:
             return
         text = json.dumps({"schema": SCHEMA, "axes": content[0], "boot": boot, "ended_in_order": ended_in_order})
         try:
-            with caches.whole(self._state) as part:
+            with atomic_write(self._state) as part:
                 part.write_text(text + "\n", encoding="utf-8")
         except OSError as error:
             raise FileError(f"{self._state} cannot be written: {error.strerror}; choose another --state") from error

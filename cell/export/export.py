@@ -5,13 +5,13 @@ from pathlib import Path
 
 from pydantic import Field
 
-from cell import caches
 from cell.errors import FileError
 from cell.export import krl, program, tables
 from cell.export.krl import KrlOptions
 from cell.export.krl_names import LONGEST_NAME, check_name
 from cell.export.options import ExportOptions
 from cell.export.program import Program
+from cell.files import atomic_write
 from cell.runs.schema import JsonTable
 from cell.session import ProgressReporter
 from cell.setups.planned_setups import PlannedSetups
@@ -130,7 +130,7 @@ def _write(folder: Path, contents: dict[str, bytes], *, replace: bool) -> tuple[
                     "--name"
                 )
         for path, content in files.items():
-            with caches.whole(path) as part:
+            with atomic_write(path) as part:
                 part.write_bytes(content)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
+from cell.part import builtin
 from cell.part.cad import CadModel
 from cell.part.formats import STEP, units_of, wrong_units
 from cell.part.mesh_checks import Finding, Kind, Severity, repair
@@ -87,17 +88,15 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
         UsageError: if the units are missing for another file, unknown, or given for a built-in part or a STEP file.
         FileError: if the file cannot be used, in one sentence.
     """
-    from cell import stand_ins
-
-    if isinstance(source, str) and source in stand_ins.NAMES:
+    if isinstance(source, str) and source in builtin.NAMES:
         if units is not None:
             raise UsageError(f"the built-in part '{source}' has its own size; leave --units out")
-        return made(source, stand_ins.build(source))
+        return made(source, builtin.load(source))
 
     from cell.part import mesh_files
 
     path = Path(source)
-    _check_name(path, stand_ins.NAMES)
+    _check_name(path, builtin.NAMES)
     content = mesh_files.read_bytes(path)
     if why := wrong_units(path.name, units):
         raise UsageError(f"{path} {why}")

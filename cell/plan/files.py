@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import JsonValue
 
 from cell.errors import FileError
+from cell.files import model_file
 from cell.part.workpiece import Workpiece
 from cell.plan.connected_plan import ConnectedPlan
 from cell.plan.report import markdown
@@ -95,7 +96,7 @@ def _robot_files(scene: Scene) -> list[Path]:
 
 def write_scene(folder: RunFolder, scene_path: Path | None) -> None:
     """`scene.toml`: the scene file verbatim (the built-in one where none was given)."""
-    path = scene_path if scene_path is not None else robot.model_file("scene.toml")
+    path = scene_path if scene_path is not None else model_file("scene.toml")
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib import resources
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, SceneError
+from cell.files import model_file
 from planner.geometry.mesh import TriangleMesh
 from planner.kinematics.closed_form import Dimensions
 from planner.ports import JointLimits
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
 
 KR16 = "kr16"
 """Name of the built-in robot."""
+
+KR16_FILE = "kr16.xml"
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 LINKS = ("base", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6")
@@ -91,23 +92,11 @@ def bodies(model: mujoco.MjModel) -> tuple[str, ...]:
     return (*LINKS, *driven)
 
 
-def model_file(name: str = "kr16.xml") -> Path:
-    """Return the path of a file of `models/`: in the installed package, or beside it in a development tree."""
-    package = Path(str(resources.files("cell")))
-    candidates = (package / "models" / name, package.parent / "models" / name)
-    for path in candidates:
-        if path.is_file():
-            return path
-    raise FileError(
-        f"the file {name} is missing: neither {candidates[0]} nor {candidates[1]} exists; install scan-cell again"
-    )
-
-
 def spec() -> mujoco.MjSpec:
     """Return the specification of the KR 16 alone, which can be attached to a cell."""
     import mujoco
 
-    path = model_file()
+    path = model_file(KR16_FILE)
     try:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
@@ -119,7 +108,7 @@ def load() -> mujoco.MjModel:
     try:
         return spec().compile()
     except ValueError as error:
-        raise FileError(f"{model_file()} does not compile: {error}; install scan-cell again") from error
+        raise FileError(f"{model_file(KR16_FILE)} does not compile: {error}; install scan-cell again") from error
 
 
 def limits(model: mujoco.MjModel) -> JointLimits:

@@ -208,6 +208,6 @@ def _distance(known: Figures) -> str:
 
 
 def _folder() -> Path:
-    from cell.robot.model import model_file
+    from cell.files import model_file
 
     return model_file("scene.toml").parent / "sensors"

@@ -6,8 +6,9 @@ A failure is kept for the report, never for the next run: the trial is computed 
 import json
 from pathlib import Path
 
-from cell import caches
+from cell import files
 from cell.errors import FileError
+from cell.files import atomic_write
 from cell.study.trial import Outcome, Trial
 
 SCHEMA = "scan-cell/trial/2"
@@ -15,7 +16,7 @@ SCHEMA = "scan-cell/trial/2"
 
 def cache_folder() -> Path:
     """Where results are kept."""
-    return caches.folder("studies")
+    return files.cache_folder("studies")
 
 
 def load(trial: Trial, folder: Path) -> Outcome | None:
@@ -48,7 +49,7 @@ def save(outcome: Outcome, folder: Path) -> None:
         allow_nan=False,
     )
     try:
-        with caches.whole(path) as temporary:
+        with atomic_write(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
     except OSError as error:
         raise FileError(

@@ -19,8 +19,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from cell import caches
 from cell.errors import FileError
+from cell.files import atomic_write
 from cell.session import ProgressReporter
 from cell.study.run import run
 from cell.study.trial import Outcome, Trial
@@ -198,7 +198,7 @@ def _csv(rows: Sequence[Mapping[str, object]]) -> str:
 
 
 def _write(path: Path, content: str) -> None:
-    with caches.whole(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(content, encoding="utf-8")
 
 

@@ -115,7 +115,7 @@ def sources_digest(package: str) -> str:
     digest = hashlib.sha256()
     folders = [root / name for name in dict.fromkeys((*_SOURCES, "models", "cell/models", package))]
     for folder in folders:
-        for path in sorted(path for path in folder.rglob("*") if path.suffix in {".py", ".toml", ".xml"}):
+        for path in sorted(path for path in folder.rglob("*") if path.suffix in {".py", ".toml", ".xml", ".npz"}):
             digest.update(str(path.relative_to(folder)).encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -10,8 +10,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from cell import caches, scanners
+from cell import scanners
 from cell.errors import CellError, FileError, UsageError
+from cell.files import atomic_write
 from cell.runs.run import EXECUTIONS, Execution, open_run, read_execution
 from cell.runs.schema import EXPLORE_FILE as EXPLORATION
 from cell.runs.schema import ScannerKeys
@@ -88,7 +89,7 @@ def write(text: str, out: Path | None) -> Path:
     if (path.parent / "manifest.json").is_file():
         raise UsageError(f"--out {path} is in a finished folder, and these are never changed; choose another place")
     try:
-        with caches.whole(path) as beside:  # a browser never reads half a page
+        with atomic_write(path) as beside:  # a browser never reads half a page
             beside.write_text(text, encoding="utf-8")
     except OSError as error:
         raise FileError(f"{path} cannot be written: {(error.strerror or str(error)).lower()}") from error

@@ -21,8 +21,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from cell import caches, scanners
+from cell import files, scanners
 from cell.errors import FileError, SceneError
+from cell.files import atomic_write
 from cell.scene.model import Scene
 from cell.scene.settle import Settings
 from cell.session import ProgressReporter
@@ -136,7 +137,7 @@ def save(path: Path, measurability: Measurability, key: str, columns: Hashes) ->
     """
     features = measurability.samples
     try:
-        with caches.whole(path) as temporary, temporary.open("wb") as stream:
+        with atomic_write(path) as temporary, temporary.open("wb") as stream:
             np.savez(
                 stream,
                 indptr=measurability.indptr,
@@ -214,7 +215,7 @@ _MAX_COLUMN_RATIO = 4
 
 def cache_folder() -> Path:
     """Where matrices are kept."""
-    return caches.folder("measurability")
+    return files.cache_folder("measurability")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cell import caches
+from cell.files import atomic_write, cache_folder
 from cell.robot import model as robot
 from cell.robot.model import AXES, MimicJoints, mesh_of
 from cell.world.shapes import ShapeDistances, enclosing_points, meshes_of
@@ -279,7 +279,7 @@ class LinkPairs:
 
     def classify(self) -> PairClasses:
         """Classify the pairs by the seeded poses. The result is cached: it takes seconds."""
-        file = caches.folder("robots") / f"{self._digest()}.json"
+        file = cache_folder("robots") / f"{self._digest()}.json"
         with contextlib.suppress(OSError, ValueError, TypeError):
             return PairClasses(**json.loads(file.read_text(encoding="utf-8")))
         joined, lowest, widest = list(self.pairs), dict.fromkeys(self.pairs, np.inf), dict.fromkeys(self.pairs, 0.0)
@@ -305,7 +305,7 @@ class LinkPairs:
                 if pair not in joined and pair not in separate and distance < _NEAR
             ],
         )
-        with contextlib.suppress(OSError), caches.whole(file) as temporary:
+        with contextlib.suppress(OSError), atomic_write(file) as temporary:
             temporary.write_text(json.dumps(asdict(classes)), encoding="utf-8")
         return classes
 

@@ -14,9 +14,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.special import ellipk
 
+from cell.files import model_file
 from cell.robot import dynamics
 from cell.robot.dynamics import Tool, ToolBody
-from cell.robot.model import LINKS, model_file
+from cell.robot.model import LINKS
 from cell.robot.plant import FeedForward, MujocoPlant, PlantSettings
 from drivers.profile import resting
 from planner.values import Floats
@@ -38,7 +39,7 @@ class Chain:
     """Masses on KUKA's axes, base frame."""
 
     def __init__(self, tool: Tool) -> None:
-        bodies = {body.get("name"): body for body in ElementTree.parse(model_file()).iter("body")}
+        bodies = {body.get("name"): body for body in ElementTree.parse(model_file("kr16.xml")).iter("body")}
         self.offset = [_numbers(bodies[name].get("pos", "0 0 0")) for name in LINKS[1:]]
         axes = [bodies[name].find("joint") for name in LINKS[1:]]
         self.axis = [_numbers(axis.get("axis")) for axis in axes if axis is not None]
@@ -57,7 +58,9 @@ class Chain:
         # The flange: 158 mm out, z along x of link 6, x along -z.
         self.flange = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
         self.tool_bodies = tool.bodies
-        numeric = {n.get("name"): _numbers(n.get("data")) for n in ElementTree.parse(model_file()).iter("numeric")}
+        numeric = {
+            n.get("name"): _numbers(n.get("data")) for n in ElementTree.parse(model_file("kr16.xml")).iter("numeric")
+        }
         self.rotor = numeric["axis_rotor_inertia_kg_m2"]
         self.viscous = numeric["axis_viscous_friction_Nm_s_rad"]
 

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import cell
+from cell import files
 from cell.errors import FileError, SceneError
+from cell.files import model_file
 from cell.robot import model as robot
 
 # Bounds of the true links' surfaces in their own frames [mm], measured on CAD (models/README.md, step 4).
@@ -189,7 +191,7 @@ def test_excluded_pairs_stay_apart(model, data):
 def test_each_exclusion_has_its_reason():
     """A comment stands before each exclusion of links that are no neighbours, and before those of the neighbours."""
     tree = ElementTree.parse(
-        robot.model_file(), ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+        model_file("kr16.xml"), ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     )
     contact = list(tree.getroot().find("contact"))
     for before, element in itertools.pairwise(contact):
@@ -202,13 +204,13 @@ def test_the_file_is_found_in_an_installed_package_and_in_a_tree(tmp_path, monke
     """cell/models comes first, models beside cell second, and where neither has the file one sentence names both."""
     package = tmp_path / "cell"
     package.mkdir()
-    monkeypatch.setattr(robot.resources, "files", lambda name: package)
+    monkeypatch.setattr(files.resources, "files", lambda name: package)
     with pytest.raises(FileError, match=r"neither .* nor .* exists; install scan-cell again"):
-        robot.model_file()
+        model_file("kr16.xml")
     for folder in (tmp_path / "models", package / "models"):
         folder.mkdir()
         (folder / "kr16.xml").write_text("<mujoco/>", encoding="utf-8")
-        assert robot.model_file() == folder / "kr16.xml"
+        assert model_file("kr16.xml") == folder / "kr16.xml"
     (package / "models" / "kr16.xml").write_text("no xml", encoding="utf-8")
     with pytest.raises(FileError, match="cannot be read as an MJCF"):
         robot.load()
@@ -216,8 +218,8 @@ def test_the_file_is_found_in_an_installed_package_and_in_a_tree(tmp_path, monke
 
 def test_the_real_file_stands_in_one_place():
     """In this tree the file is models/kr16.xml or its installed copy, with the same bytes."""
-    assert robot.model_file().name == "kr16.xml"
-    assert robot.model_file().parent.parent in (Path(cell.__file__).parent, Path(cell.__file__).parent.parent)
+    assert model_file("kr16.xml").name == "kr16.xml"
+    assert model_file("kr16.xml").parent.parent in (Path(cell.__file__).parent, Path(cell.__file__).parent.parent)
 
 
 def spoiled(change):

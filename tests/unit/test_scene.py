@@ -9,7 +9,7 @@ import pytest
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from cell.errors import SceneError
-from cell.robot.model import model_file
+from cell.files import model_file
 from cell.scene.file import load_scene
 from cell.scene.model import BoxFixture, CylinderFixture, MeshFixture, PlanSettings, Region, Scene, Setup, pose
 from cell.scene.settle import with_device

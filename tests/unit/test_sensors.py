@@ -159,7 +159,7 @@ def test_laser_area_without_more_keys_stays_what_it_was() -> None:
 )
 def test_a_damaged_sensor_file_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
     """With the file, the key and what is wrong with it."""
-    from cell.robot.model import model_file
+    from cell.files import model_file
 
     text = model_file("sensors/gocator-2350.toml").read_text(encoding="utf-8")
     assert old in text
@@ -171,7 +171,7 @@ def test_a_damaged_sensor_file_is_refused(tmp_path: Path, old: str, new: str, wo
 
 def test_a_sensor_file_does_not_name_itself(tmp_path: Path) -> None:
     """It is called as its file, or a scene would find another sensor than it asks for."""
-    from cell.robot.model import model_file
+    from cell.files import model_file
 
     path = tmp_path / "own.toml"
     text = model_file("sensors/gocator-2350.toml").read_text(encoding="utf-8")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cell import caches
+from cell.files import cache_folder
 
 
 @pytest.mark.parametrize(
@@ -27,4 +27,4 @@ def test_the_folder_is_where_the_system_keeps_caches_unless_named(platform, envi
         monkeypatch.delenv(name, raising=False)
     for name, value in environment.items():
         monkeypatch.setenv(name, value.format(home=tmp_path))
-    assert caches.folder("matrices") == tmp_path / below
+    assert cache_folder("matrices") == tmp_path / below

@@ -1,30 +1,31 @@
-"""From an implicit shape to a closed triangle mesh with an exact number of faces and exact bounds.
+"""Mesh an implicit shape: marching cubes near its surface, then decimation to an exact number of faces.
 
-The field is evaluated coarse to fine, only near the surface; marching cubes (Lewiner et al. 2003, as in scikit-image)
-cuts it; quadric edge collapse brings the mesh to the count (each removes two faces, so an even count is met exactly).
+The field is evaluated from coarse to fine blocks near the surface. Marching cubes (Lewiner et al. 2003, scikit-image)
+extract the mesh. Each quadric edge collapse removes two faces, so an even count is met exactly.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.stand_ins.fields import Field
+from benchmarks.part_models.fields import Field
 from planner.geometry.decimation import collapse_edges
 from planner.geometry.mesh import TriangleMesh
+from planner.values import Floats, Ints32
 
 Grid = NDArray[np.float32]
 
 _COARSE, _FINE = 16, 4  # cells along an edge of the blocks of the two levels
-_SLACK = 1.6  # the fields are not exact distances: a block is skipped when 1.6 times its reach clears the surface
-_CHUNK = 32768  # points a call, so that a field's temporaries stay in the processor's cache
+_SLACK = 1.6  # the fields are not exact distances: a block is skipped if the surface is 1.6 times its reach away
+_CHUNK = 32768  # points of a call; temporaries of this size stay in the processor's cache
 _SNAP = 0.03  # cells: values nearer to zero are pushed away, so that no vertex falls on a grid point (no slivers)
 
 
 def mesh_of(field: Field, low: tuple[float, ...], high: tuple[float, ...], cell: float) -> TriangleMesh:
-    """The largest body of the field's zero set, closed and outward.
+    """Return the largest body of the field's zero set, closed, with outward faces.
 
     Args:
         field: the shape [mm].
-        low: corner of a box that holds the shape with at least a cell to spare [mm].
+        low: corner of a box around the shape with a margin of one cell [mm].
         high: the opposite corner.
         cell: edge of a grid cell [mm].
 
@@ -42,29 +43,23 @@ def mesh_of(field: Field, low: tuple[float, ...], high: tuple[float, ...], cell:
     return TriangleMesh(points, faces)
 
 
-def to_count(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
-    """The mesh with exactly so many faces, still closed.
+def collapsed_to(mesh: TriangleMesh, face_count: int) -> tuple[Floats, Ints32]:
+    """Decimate a closed mesh to an exact number of faces.
+
+    Returns:
+        The vertices in shares of the diagonal of `mesh`, and the faces.
 
     Raises:
         ArithmeticError: if the count is missed, which is a mistake in the shape's cell size.
     """
-    diagonal = mesh.diagonal
-    vertices, faces = collapse_edges(mesh.vertices / diagonal, mesh.faces, face_count, 7)
+    vertices, faces = collapse_edges(mesh.vertices / mesh.diagonal, mesh.faces, face_count, 7)
     if len(faces) != face_count:
         raise ArithmeticError(f"{len(mesh.faces)} faces were reduced to {len(faces)}, not to {face_count}")
-    return TriangleMesh(vertices * diagonal, faces)
-
-
-def to_bounds(mesh: TriangleMesh, size_mm: tuple[float, float, float]) -> TriangleMesh:
-    """The mesh in metres, scaled per axis to exact bounds; it stands on z = 0 with x and y about the origin."""
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    size = np.array(size_mm) / 1000
-    corner = np.array([-size[0] / 2, -size[1] / 2, 0.0])
-    return TriangleMesh((mesh.vertices - low) / (high - low) * size + corner, mesh.faces)
+    return vertices, faces
 
 
 def _sample(field: Field, low: NDArray[np.float64], high: NDArray[np.float64], cell: float) -> Grid:
-    """The field on a grid; far from the surface a constant of the right sign, large against a cell."""
+    """Sample the field on a grid; far from the surface the value is a large constant of the right sign."""
     blocks = np.ceil((high - low) / (cell * _COARSE)).astype(int)
     shape = blocks * _COARSE
 

@@ -1,0 +1,66 @@
+"""Files of the program: its models, its caches, and files that are written completely or not at all."""
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+
+from cell.errors import FileError
+
+
+def model_file(name: str) -> Path:
+    """Return the path of a file of `models/`: in the installed package, or beside it in a development tree.
+
+    Raises:
+        FileError: if the file is missing.
+    """
+    package = Path(str(resources.files("cell")))
+    candidates = (package / "models" / name, package.parent / "models" / name)
+    for path in candidates:
+        if path.is_file():
+            return path
+    raise FileError(
+        f"the file {name} is missing: neither {candidates[0]} nor {candidates[1]} exists; install scan-cell again"
+    )
+
+
+def cache_folder(kind: str) -> Path:
+    """Return the cache folder of one kind of content.
+
+    This is `$XDG_CACHE_HOME/scan-cell/<kind>` if the variable is set, else a folder below ~/.cache, on macOS below
+    ~/Library/Caches and on Windows below %LOCALAPPDATA%.
+
+    Raises:
+        RuntimeError: if no cache is named and the user has no home.
+    """
+    named = os.environ.get("XDG_CACHE_HOME")
+    if named:
+        base = Path(named)
+    elif sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = Path.home() / ".cache"
+    return base / "scan-cell" / kind
+
+
+@contextlib.contextmanager
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Yield a temporary path to write; at the end of the block it replaces `path`, after an error it is removed.
+
+    Readers see the complete file or none. A missing folder is created.
+
+    Raises:
+        OSError: if the folder or the file cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        temporary.replace(path)
+    finally:
+        with contextlib.suppress(OSError):  # the folder itself can be the cause of the error
+            temporary.unlink(missing_ok=True)
