@@ -1,49 +1,74 @@
-"""The decorator of compiled kernels: numba's `njit`, cached on disk, typed as the function that it decorates.
+"""Decorator for compiled kernels: numba's `njit`, cached on disk, typed like the decorated function.
 
-Kernels live in modules of their own that are imported only where they are used, because importing numba costs about
-0.3 s and compiling a kernel that is not in the cache costs seconds (`docs/internals/dependencies.md`). Their
-arguments are int64 and float64 arrays and numbers, so that one signature is compiled and the result is the same on
-every machine; never `fastmath`.
+numba is imported at the first call of a kernel, because the import takes about 0.3 s and most commands call none
+(`docs/internals/dependencies.md`). The arguments of kernels are numbers and arrays of int64 and float64: one signature
+is compiled, and the result is the same on every machine. Never use `fastmath`.
 
-A kernel calls only kernels of its own file. numba builds what is called into the stored code of the caller, and takes
-that code for current as long as the caller's file is unchanged: a kernel of another file could change unnoticed.
+A kernel calls only kernels of its own file. numba copies the called code into the cached code of the caller, and
+considers that code current as long as the caller's file is unchanged. A change in another file would go unnoticed.
 
-The first kernel of a process that is not in the cache is told as a warning of this module's logger.
+The first kernel of a process that must be compiled causes a warning of this module's logger.
 """
 
+import functools
 import logging
+import threading
 from collections.abc import Callable
-from typing import TypeVar, cast
-
-import numba
-from numba.core import event
+from typing import Any, TypeVar, cast
 
 log = logging.getLogger(__name__)
 log.addHandler(logging.NullHandler())  # without a handler, Python would print the warning on stderr
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
-
-class _Telling(event.Listener):  # type: ignore[misc] # numba ships no types
-    told = False
-
-    def on_start(self, event: object) -> None:
-        if not self.told:
-            log.warning("inner loops are compiled, once for all runs to come: this takes some seconds")
-        self.told = True
-
-    def on_end(self, event: object) -> None:
-        pass
-
-
-event.register("numba:compile", _Telling())
+_lock = threading.Lock()
+_waiting: dict[str, list[Callable[..., Any]]] = {}
+"""Kernels that numba does not know yet, by module."""
 
 
 def compiled(kernel: Kernel) -> Kernel:
-    """Compile a function of arrays and numbers when it is first called; the code is kept beside the module.
+    """Return a module-level function that is compiled by numba at its first call.
 
-    Without the wrapper for callers in C, whom nobody is, a twelfth of the time is saved.
-
-    numba keeps it in the user's cache folder where the module's own cannot be written; `NUMBA_CACHE_DIR` names another.
+    The code is cached beside the module, or in the user's cache folder where that is not writable; `NUMBA_CACHE_DIR`
+    names another folder. The wrapper for callers in C is omitted, which saves a twelfth of the compile time.
     """
-    return cast(Kernel, numba.njit(cache=True, no_cfunc_wrapper=True)(kernel))
+    _waiting.setdefault(kernel.__module__, []).append(kernel)
+
+    @functools.wraps(kernel)
+    def call(*arguments: object) -> object:
+        _replace_by_dispatchers(kernel.__module__)
+        return kernel.__globals__[kernel.__name__](*arguments)
+
+    return cast(Kernel, call)
+
+
+def _replace_by_dispatchers(module: str) -> None:
+    """Replace the kernels of a module by numba's dispatchers, so that they find each other when they are compiled."""
+    with _lock:
+        if not (kernels := _waiting.get(module)):
+            return
+        import numba
+
+        _announce_compilation()
+        for kernel in kernels:
+            kernel.__globals__[kernel.__name__] = numba.njit(cache=True, no_cfunc_wrapper=True)(kernel)
+        del _waiting[module]
+
+
+@functools.cache
+def _announce_compilation() -> None:
+    """Warn once when numba compiles a function."""
+    from numba.core import event
+
+    class Listener(event.Listener):  # type: ignore[misc] # numba ships no types
+        is_announced = False
+
+        def on_start(self, event: object) -> None:
+            if not self.is_announced:
+                log.warning("compiling inner loops, once for all later runs: this takes some seconds")
+            self.is_announced = True
+
+        def on_end(self, event: object) -> None:
+            pass
+
+    event.register("numba:compile", Listener())

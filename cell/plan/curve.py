@@ -42,7 +42,7 @@ def curve_of(
 
 def fewest_of(curve: CoverageCurve) -> Curve:
     """The fewest views for round shares of what can be measured, for report.json."""
-    fewest = {share: curve.fewest(share) for share in ASKED}
+    fewest = {share: curve.fewest_views(share) for share in ASKED}
     return Curve(fewest=[Fewest(of_coverable=share, views=n, at_least=least) for share, (n, least) in fewest.items()])
 
 

@@ -1,25 +1,24 @@
-"""Certified view selection: the fewest, cheapest or best views, and how far they are from what is possible.
+"""Certified view selection: the fewest, cheapest or best views, and their distance from the optimum.
 
     from planner import cover
 
-    answer = cover.solve(cover.Problem(matrix, areas, coverage=0.99), rng=np.random.default_rng(0))
+    answer = cover.solve(cover.CoverProblem(matrix, areas, coverage=0.99), rng=np.random.default_rng(0))
     answer.views, answer.lower_bound, answer.sentence
 
-`Problem` says what is asked for, `solve` answers it with a `Cover`, whose status and bounds say what is proven.
+`CoverProblem` states the problem, `solve` answers it with a `Cover`, whose status and bounds say what is proven.
 
-problem, answer            what goes in and comes out
-canonical, told            whole numbers and sorted columns, and the way back
-sets                       the problem that is searched
-reductions, greedy         exact simplifications (`reduction_kernels`: its compiled test); the first choice
-bound, linear, exact       the certified bound; HiGHS, which proposes its multipliers; branch and bound
-tree, tree_kernels         branch and bound over numbers of columns and its compiled loops
-search, search_kernels     local search and its compiled loops
-meta_raps                  the paper's own solver
-solvers, selection         `SOLVERS` by name; `solve`
-graph, overlap             views whose scans hang together
-targets                    several area targets, by problems with one
-curve, robust              coverage over the number of views; promises although poses are off
-budget                     work, clock, Ctrl-C, best so far
+problem       the problem as stated and as an integer instance; the overlap graph
+answer        `Cover`, and its conversion from selected columns
+budget        effort, clock, Ctrl-C, incumbent
+reductions    canonical form and exact reductions
+search        greedy selection, local search, Meta-RaPS
+bounds        certified lower bounds; the linear programme in HiGHS
+tree          branch and bound
+solvers       `SOLVERS` by name
+selection     `solve`; targets for several regions
+overlap       views whose overlap graph is connected
+curve         coverage over the number of views
+robust        coverage at a confidence under pose errors
 """
 
 from planner.cover.answer import Cover, CoverStatus

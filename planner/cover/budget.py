@@ -1,12 +1,10 @@
-"""What a search may spend, what is known so far, and Ctrl-C: the one place where a search is ended.
+"""Effort budget of a solve: counted computing, the wall clock, Ctrl-C, and the incumbent.
 
-Work is counted in *touched matrix entries* plus a charge for each step and each simplex iteration, not in seconds: the
-same seed and budget then give the same plan on every machine. A current core does `WORK_PER_SECOND` units in about a
-second. The wall clock is only a guard; when it stops a search, `time_limited` says so and the promise of identical
-results is void.
+Effort is counted in *touched matrix entries* plus a charge for each step and each simplex iteration, not in seconds:
+equal seeds and budgets give equal plans on every machine. A current core does `EFFORT_PER_SECOND` units in about a
+second. The wall clock is only a guard. If it stops a search, `time_limited` is True and results need not repeat.
 
-The incumbent is kept here and not in the solver, so that whoever holds the budget still has the best cover when a
-solver is interrupted.
+The incumbent is kept here and not in the solver: if a solver is interrupted, the owner of the budget still has it.
 """
 
 import threading
@@ -21,42 +19,42 @@ from planner.errors import PlannerError
 from planner.values import Ints
 
 EFFORT_PER_SECOND = 500_000_000
-"""Units that one core does in about a second; a budget of so many seconds is this many times that."""
+"""Units that one core does in about a second."""
 
 DEFAULT_EFFORT = 1_000_000_000
-"""Default budget of a selection: about two seconds; most end long before."""
+"""Default budget of a selection: about two seconds; most selections end long before."""
 
 LARGE = 5_000_000
-"""Entries of a matrix from which on budgets grow with it: of what large ones get, half goes before the search (the
-canonical form, the first choice, reductions)."""
+"""Entries of a matrix from which budgets grow with it. For large matrices half of the effort precedes the search
+(canonical form, first selection, reductions)."""
 
 LARGE_PACE = 1.25
-"""What work on a larger one costs: no cache holds it."""
+"""Charge of a unit of effort on a larger matrix, which does not fit into the CPU cache."""
 
 UNLIMITED_EFFORT = 10**15
-"""A budget that only a clock ends."""
+"""A budget that only the clock ends."""
 
 Result = TypeVar("Result")
 
 
-def scaled_effort(work: int, n_entries: int) -> int:
-    """A budget meant for matrices of up to `LARGE` entries, in proportion more for one of more."""
-    return work * max(n_entries, LARGE) // LARGE
+def scaled_effort(effort: int, n_entries: int) -> int:
+    """Scale a budget for matrices of up to `LARGE` entries in proportion to a larger number of entries."""
+    return effort * max(n_entries, LARGE) // LARGE
 
 
 class Budget:
-    """Work left, the clock, and the best choice and bound found so far (of the problem that is searched).
+    """Remaining effort and time, and the incumbent and lower bound of the problem that is being solved.
 
     Attributes:
-        limit: work that may be spent.
-        spent: work spent.
+        limit: effort that may be spent.
+        spent: effort spent.
         time_limited: whether the wall clock stopped a search.
-        interrupted: whether the user did (Ctrl-C).
-        best: columns of the best choice so far; None before the first.
-        objective: its objective (`Sets.objective`), the smaller the better.
-        lower_bound: no choice has a smaller one.
-        tolerance: objectives that differ by no more count as equal.
-        pace: what is charged for a unit of work.
+        interrupted: whether Ctrl-C did.
+        incumbent: columns of the best selection so far; None before the first.
+        objective: its objective (`CoverInstance.objective`), which is minimised.
+        lower_bound: lower bound on the objective of any selection.
+        tolerance: difference up to which objectives count as equal.
+        pace: charge of a unit of effort.
     """
 
     def __init__(
@@ -66,14 +64,14 @@ class Budget:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         if limit < 0:
-            raise PlannerError(f"the budget is {limit} units of work; it must be zero or above")
+            raise PlannerError(f"the budget is {limit} units of effort; it must be zero or above")
         if time_limit_s is not None and not time_limit_s >= 0:
             raise PlannerError(f"the time limit is {time_limit_s} s; it must be zero or above, or None")
         self.limit = limit
         self.spent = 0
         self.time_limited = False
         self.interrupted = False
-        self.best: Ints | None = None
+        self.incumbent: Ints | None = None
         self.objective = 0
         self.lower_bound = 0
         self.tolerance = 0
@@ -82,49 +80,49 @@ class Budget:
         self._deadline = None if time_limit_s is None else clock() + time_limit_s
 
     @property
-    def left(self) -> int:
-        """Work that is left; none once the user has interrupted."""
+    def remaining(self) -> int:
+        """Remaining effort; none after Ctrl-C."""
         return 0 if self.interrupted else max(self.limit - self.spent, 0)
 
     @property
-    def seconds_left(self) -> float | None:
-        """Seconds until the guard fires; None without a guard."""
+    def remaining_seconds(self) -> float | None:
+        """Seconds until the time limit; None without one."""
         return None if self._deadline is None else max(self._deadline - self._clock(), 0.0)
 
     @property
-    def proven(self) -> bool:
-        """Whether the best choice is as good as the lower bound: nothing is left to search."""
-        return self.best is not None and self.objective - self.tolerance <= self.lower_bound
+    def is_proven(self) -> bool:
+        """Whether the incumbent is optimal: it meets the lower bound."""
+        return self.incumbent is not None and self.objective - self.tolerance <= self.lower_bound
 
-    def spend(self, work: int) -> bool:
-        """Book work and say whether the search may go on (work left, clock not run out, best not proven)."""
-        self.spent += int(work * self.pace)
+    def spend(self, effort: int) -> bool:
+        """Charge effort; return whether to go on (effort and time remain, the incumbent is not proven)."""
+        self.spent += int(effort * self.pace)
         if self._deadline is not None and self._clock() >= self._deadline:
             self.time_limited = True
             return False
-        return self.left > 0 and not self.proven
+        return self.remaining > 0 and not self.is_proven
 
     def offer(self, columns: Ints, objective: int) -> bool:
-        """Keep a choice if it is better than the best so far."""
-        if self.best is not None and objective >= self.objective:
+        """Make a selection the incumbent if it is better; return whether it is."""
+        if self.incumbent is not None and objective >= self.objective:
             return False
-        self.best, self.objective = np.array(columns, dtype=np.int64), objective
+        self.incumbent, self.objective = np.array(columns, dtype=np.int64), objective
         return True
 
-    def prove(self, lower_bound: int) -> None:
-        """Note that no choice has a smaller objective."""
+    def raise_lower_bound(self, lower_bound: int) -> None:
+        """Set the lower bound if it is higher than the known one."""
         self.lower_bound = max(self.lower_bound, lower_bound)
 
     def begin(self, tolerance: int = 0, lower_bound: int = 0) -> None:
-        """Forget choice and bound: another problem is searched from here on, with what is left of work and time."""
-        self.best, self.objective = None, 0
+        """Begin with another problem: forget incumbent and bound, keep the remaining effort and time."""
+        self.incumbent, self.objective = None, 0
         self.tolerance, self.lower_bound = tolerance, lower_bound
 
     @contextmanager
     def portion(self, share: float) -> Iterator[None]:
-        """Inside the block only this share of the work, and of the time, that is left may be spent."""
+        """Limit the block to a share of the remaining effort and time."""
         limit, deadline = self.limit, self._deadline
-        self.limit = self.spent + int(self.left * share)
+        self.limit = self.spent + int(self.remaining * share)
         if deadline is not None:
             now = self._clock()
             self._deadline = now + share * max(deadline - now, 0.0)
@@ -134,10 +132,10 @@ class Budget:
             self.limit, self._deadline = limit, deadline
 
     @contextmanager
-    def ended_by_ctrl_c(self) -> Iterator[None]:
-        """Ctrl-C inside the block leaves it and ends the search, which still has its best: no work is left then.
+    def stopped_by_interrupt(self) -> Iterator[None]:
+        """Leave the block at Ctrl-C and end the search, which keeps its incumbent: no effort remains.
 
-        A subclass of `KeyboardInterrupt` is a kill, not a wish for a result, and goes on to the caller.
+        A subclass of `KeyboardInterrupt` is a kill, not a request for a result; it is raised again.
         """
         try:
             yield
@@ -148,11 +146,11 @@ class Budget:
 
 
 def interruptible(call: Callable[[], Result]) -> Result:
-    """The result of a call into a compiled solver, or the `KeyboardInterrupt` that came while it ran.
+    """Return the result of a call into a compiled solver; Ctrl-C raises `KeyboardInterrupt` while it runs.
 
-    Python's handler of a signal runs when the main thread is back in Python. HiGHS lets go of the interpreter while it
-    works, so it is run in a thread of its own and the main thread waits in Python, where the signal reaches it at once.
-    The thread is abandoned then: it ends at the solver's own limits, or with the process.
+    Python handles a signal when the main thread is back in Python. HiGHS releases the interpreter lock, so it runs in
+    another thread while the main thread waits in Python, where the signal arrives at once. The other thread is then
+    abandoned: it ends at the solver's own limits, or with the process.
     """
     results: list[Result] = []
     errors: list[BaseException] = []
@@ -160,7 +158,7 @@ def interruptible(call: Callable[[], Result]) -> Result:
     def run() -> None:
         try:
             results.append(call())
-        except BaseException as error:  # handed to the caller, whatever it is
+        except BaseException as error:  # raised again by the caller
             errors.append(error)
 
     thread = threading.Thread(target=run, name="solver", daemon=True)

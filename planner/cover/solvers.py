@@ -1,227 +1,227 @@
-"""The solvers by name, and what is done before and around each: reductions, greedy, bound."""
+"""The solvers by name, and the steps before and around each: reductions, greedy selection, bound."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from planner.cover.bound import Relaxation
+from planner.cover.bounds import Relaxation, raise_bound
 from planner.cover.budget import EFFORT_PER_SECOND, Budget
-from planner.cover.greedy import complete, greedy, prune
-from planner.cover.meta_raps import meta_raps
+from planner.cover.problem import CoverInstance
 from planner.cover.reductions import Reduction, reduce
-from planner.cover.search import Search
-from planner.cover.sets import Sets
+from planner.cover.search import LocalSearch, complete, greedy, meta_raps, prune
+from planner.cover.tree import close_gap
 from planner.values import Ints
 
 BOUND_SHARE = 0.35
-"""Most of the budget that the linear programme may take."""
+"""Largest share of the budget for the linear programme."""
 
 SEARCH_SHARES = (0.2, 0.4)
-"""`auto`: share of what is left for the search before branch and bound is tried, and before it is tried again."""
+"""`auto`: share of the remaining effort for the search before branch and bound is tried, and before the second try."""
 
 PROOF_SHARE, AREA_PROOF_SHARE, FAR_PROOF_SHARE = 0.8, 0.6, 0.3
-"""`auto`: share of what is left for branch and bound; for the most area, which with many views only the search
-improves; and where more than `FEW` views are left, or for a share of the area more than one: the search may find it."""
+"""`auto`: share of the remaining effort for branch and bound; for maximum coverage, which with many views only the
+search improves; and if the incumbent exceeds the bound by more than `FEW` views (for a share of the area by more than
+one), which the search may find."""
 
 EARLY_SHARE, EARLY_CHUNKS = 0.15, 4
-"""`auto` begins with a search on the problem as it is: with at most this share, and until it finds nothing better in so
-many chunks of work."""
+"""`auto` begins with a search on the problem before its reduction: largest share of the effort, and number of chunks
+without improvement after which it ends."""
 
 SCARCE, SCARCE_PER_ENTRY, SCARCE_SHARE = EFFORT_PER_SECOND // 2, 100, 0.6
-"""With no more work left than this, or than this for each entry (which reductions take), hardly anything can be proven:
-the share of the first search then, which goes to its end."""
+"""With no more effort than the first, or than the second for each entry (which reductions take), hardly anything can be
+proven: the first search then gets this share, and uses it."""
 
 FEW, HOPEFUL_EXCESS = 2.0, 0.1
-"""`auto` tries branch and bound on a choice that exceeds the bound by at most so few columns or this share."""
+"""`auto` tries branch and bound if the incumbent exceeds the bound by at most this number of columns or this share."""
 
 SMALL = 30
-"""With no more columns than this branch and bound comes before the search, and whatever the gap."""
+"""Number of columns up to which branch and bound precedes the search, and is tried whatever the gap."""
 
 CORE = 0.7
-"""The search is confined to the columns that reduced costs leave where these are no more than this share."""
+"""The search is confined to the columns that reduced costs leave if they are no more than this share."""
 
 
 @dataclass(slots=True)
-class Job:
-    """A reduced problem being solved; the best choice and bound are kept in the budget.
+class SolverTask:
+    """A reduced problem that is being solved; the budget keeps the incumbent and the bound.
 
     Attributes:
-        sets: the problem.
-        rng: random choices.
-        budget: work, clock, best so far.
+        instance: the problem.
+        rng: random draws.
+        budget: effort, clock, incumbent, lower bound.
         relaxation: the bound and its multipliers.
     """
 
-    sets: Sets
+    instance: CoverInstance
     rng: np.random.Generator
     budget: Budget
     relaxation: Relaxation
 
     @property
-    def best(self) -> Ints:
-        """The best choice so far; there is one from the beginning."""
-        assert self.budget.best is not None, "the greedy choice comes first"
-        return self.budget.best
+    def incumbent(self) -> Ints:
+        """The best selection so far."""
+        assert self.budget.incumbent is not None, "the greedy selection precedes all solvers"
+        return self.budget.incumbent
 
     @property
-    def hopeful(self) -> bool:
+    def may_be_proven(self) -> bool:
         """Whether branch and bound may close the gap."""
-        if self.sets.n_columns <= SMALL or self.sets.most >= 0:
+        if self.instance.n_columns <= SMALL or self.instance.maximises_area:
             return True
-        return self.excess <= max(FEW, HOPEFUL_EXCESS * len(self.best))
+        return self.excess <= max(FEW, HOPEFUL_EXCESS * len(self.incumbent))
 
     @property
     def excess(self) -> float:
-        """By how many columns of the mean cost the best choice exceeds the bound."""
-        return (self.budget.objective - self.budget.lower_bound) / float(self.sets.costs.mean())
+        """Number of columns of the mean cost by which the incumbent exceeds the bound."""
+        return (self.budget.objective - self.budget.lower_bound) / float(self.instance.costs.mean())
 
     @property
     def proof_share(self) -> float:
-        """Share of what is left for branch and bound; above `FAR_PROOF_SHARE` it comes after a short search."""
-        if self.sets.most >= 0:
+        """Share of the remaining effort for branch and bound; above `FAR_PROOF_SHARE` it follows a short search."""
+        if self.instance.maximises_area:
             return AREA_PROOF_SHARE
         one_left = self.budget.objective - self.budget.lower_bound <= 1
-        return PROOF_SHARE if one_left or (self.sets.full and self.excess <= FEW) else FAR_PROOF_SHARE
+        return PROOF_SHARE if one_left or (self.instance.full and self.excess <= FEW) else FAR_PROOF_SHARE
 
-    def core_search(self) -> Search:
-        """A search on the columns that a better choice may contain (reduced-cost fixing), where these are fewer."""
-        sets = self.sets
-        useful = self.relaxation.useful(self.budget.objective - 1)
+    def core_search(self) -> LocalSearch:
+        """Return a search on the columns that a better selection may contain (reduced-cost fixing), if few enough."""
+        instance = self.instance
+        useful = self.relaxation.useful_columns(self.budget.objective - 1)
         core = np.flatnonzero(useful)
-        if len(core) > CORE * sets.n_columns or (sets.most < 0 and not sets.met(core)):
-            return Search(sets, self.best, self.rng)
-        inside = sets.restricted(columns=useful)
-        keep = np.searchsorted(core, self.best[useful[self.best]])
-        start = prune(inside, complete(inside, keep))
-        self.budget.offer(core[start], inside.objective(start))  # it may be the better one already
-        return Search(inside, start, self.rng, core)
+        is_feasible = instance.maximises_area or instance.is_feasible(core)
+        if len(core) > CORE * instance.n_columns or not is_feasible:
+            return LocalSearch(instance, self.incumbent, self.rng)
+        inside = instance.restricted(columns=useful)
+        kept = np.searchsorted(core, self.incumbent[useful[self.incumbent]])
+        start = prune(inside, complete(inside, kept))
+        self.budget.offer(core[start], inside.objective(start))  # it may already be better
+        return LocalSearch(inside, start, self.rng, core)
 
     def prove(self) -> None:
-        """Branch and bound, as far as the budget goes; it knows no graph."""
-        from planner.cover.exact import close_gap  # importing highspy costs start-up
-
-        if not len(self.sets.adjacent):
+        """Run branch and bound as far as the budget allows; it supports no overlap graph."""
+        if not len(self.instance.adjacent):
             close_gap(self.relaxation, self.budget)
 
 
-Solver = Callable[[Job], None]
-"""Improves what the job's budget holds."""
+Solver = Callable[[SolverTask], None]
+"""Improves the incumbent and the bound in the task's budget."""
 
 
-def auto(job: Job) -> None:
-    """Branch and bound first where little is left; else search and branch and bound, until neither helps.
+def auto(task: SolverTask) -> None:
+    """Run branch and bound first on small problems; then search and branch and bound in turn until neither helps.
 
-    The search is short where branch and bound may close the gap: its trees find what is missing, or show that nothing
-    is.
+    The search is short if branch and bound may close the gap: its trees find a better selection, or prove that none
+    exists.
     """
-    if job.sets.n_columns <= SMALL:
-        job.prove()
-    search, asked = None, -1
+    if task.instance.n_columns <= SMALL:
+        task.prove()
+    search, tried = None, -1
     for share in SEARCH_SHARES:
-        if job.budget.spend(0):
-            search = search or job.core_search()
-            with job.budget.portion(share):
-                search.run(job.budget, EARLY_CHUNKS if job.proof_share > FAR_PROOF_SHARE else None)
-        if job.hopeful and job.budget.objective != asked and job.budget.spend(0):
-            asked = job.budget.objective
-            with job.budget.portion(job.proof_share):
-                job.prove()
-    if search and job.budget.spend(0):
-        search.run(job.budget)
+        if task.budget.spend(0):
+            search = search or task.core_search()
+            with task.budget.portion(share):
+                search.run(task.budget, EARLY_CHUNKS if task.proof_share > FAR_PROOF_SHARE else None)
+        if task.may_be_proven and task.budget.objective != tried and task.budget.spend(0):
+            tried = task.budget.objective
+            with task.budget.portion(task.proof_share):
+                task.prove()
+    if search and task.budget.spend(0):
+        search.run(task.budget)
 
 
-def local_search(job: Job) -> None:
-    """Local search with the whole budget."""
-    if job.budget.spend(0):
-        Search(job.sets, job.best, job.rng).run(job.budget)
+def local_search(task: SolverTask) -> None:
+    """Run the local search with the whole budget."""
+    if task.budget.spend(0):
+        LocalSearch(task.instance, task.incumbent, task.rng).run(task.budget)
 
 
 SOLVERS: dict[str, Solver] = {
     "auto": auto,
-    "greedy": lambda job: None,
-    "meta-raps": lambda job: meta_raps(job.sets, job.rng, job.budget),
+    "greedy": lambda task: None,
+    "meta-raps": lambda task: meta_raps(task.instance, task.rng, task.budget),
     "local-search": local_search,
-    "exact": Job.prove,
+    "exact": SolverTask.prove,
 }
-"""`greedy` has nothing to add: its choice and the bound come first for every solver."""
+"""`greedy` has nothing to add: greedy selection and bound precede every solver."""
 
 
-def answer(
-    sets: Sets, solver: str, rng: np.random.Generator, work: Budget, start: Ints | None = None
+def solve_instance(
+    instance: CoverInstance, solver: str, rng: np.random.Generator, budget: Budget, start: Ints | None = None
 ) -> tuple[Ints, int, int]:
-    """A first choice, a reduced problem for a solver, and what it found lifted.
+    """Solve an instance: first selection, reductions, bound, solver.
 
     Args:
-        sets: the problem; a graph is not looked at.
+        instance: the problem; an overlap graph is ignored.
         solver: a name in `SOLVERS`.
-        rng: random choices.
-        work: budget; at its end it still has what is best of the reduced problem.
-        start: a choice to begin with; it is completed where it does not do.
+        rng: random draws.
+        budget: charged; at the end it still holds the incumbent of the reduced problem.
+        start: a selection to start from; it is completed if it misses the target.
 
     Returns:
-        The best choice, a bound on the objective, and, with a number of columns allowed, how many fewer ones need at
-        least to leave as little open.
+        The best selection, a lower bound on the objective, and, for maximum coverage, the smallest number of columns
+        that may leave as little uncovered.
     """
-    forced = reduce(sets, work, only_forced=True)
-    if start is not None and not forced.sets.trivial:
-        start = forced.left_of(start)
-        start = prune(forced.sets, complete(forced.sets, start if sets.most < 0 else start[: forced.sets.most]))
-    first = _first(forced.sets, start, solver, rng, work)
-    reduction = reduce(forced.sets, work)
-    inner, relaxation = _run(reduction, first, solver, rng, work)
-    chosen, first = forced.lift(reduction.lift(inner)), forced.lift(first)
-    paid = sets.objective(chosen) - reduction.sets.objective(inner)  # what the forced columns cost
-    if sets.objective(first) < sets.objective(chosen):
-        chosen = first
-    found = sets.objective(chosen) - paid
-    fewest = 0
-    if relaxation and sets.most >= 0:
-        fewest = next(k for k in range(sets.most + 1) if k == sets.most or relaxation.certified_units(k) <= found)
-    return chosen, paid + min(work.lower_bound, found), fewest
+    forced = reduce(instance, budget, only_forced=True)
+    if start is not None and not forced.instance.needs_no_column:
+        start = forced.project(start)[: forced.instance.max_columns]
+        start = prune(forced.instance, complete(forced.instance, start))
+    first = _first_selection(forced.instance, start, solver, rng, budget)
+    reduction = reduce(forced.instance, budget)
+    inner, relaxation = _solve_reduced(reduction, first, solver, rng, budget)
+    selected, first = forced.lift(reduction.lift(inner)), forced.lift(first)
+    forced_cost = instance.objective(selected) - reduction.instance.objective(inner)
+    if instance.objective(first) < instance.objective(selected):
+        selected = first
+    found = instance.objective(selected) - forced_cost
+    min_columns = 0
+    if relaxation and (limit := instance.max_columns) is not None:
+        sizes = range(limit + 1)
+        min_columns = next(k for k in sizes if k == limit or relaxation.certified_uncovered(k) <= found)
+    return selected, forced_cost + min(budget.lower_bound, found), min_columns
 
 
-def _first(sets: Sets, start: Ints | None, solver: str, rng: np.random.Generator, work: Budget) -> Ints:
-    """The better of start and greedy choice, and for `auto` what a short search makes of it."""
-    work.begin(sets.tolerance)
-    chosen, spent = greedy(sets)
-    if sets.trivial:
-        return chosen[:0]
-    if start is not None and sets.objective(start) <= sets.objective(chosen):
-        chosen = start
-    work.offer(chosen, sets.objective(chosen))
-    scarce = work.left <= max(SCARCE, SCARCE_PER_ENTRY * sets.n_entries)
-    share, chunks = (SCARCE_SHARE, None) if scarce else (EARLY_SHARE, EARLY_CHUNKS)
-    with work.ended_by_ctrl_c(), work.portion(share):
-        if work.spend(spent) and solver == "auto" and sets.n_columns > SMALL:
-            Search(sets, chosen, rng).run(work, chunks)
-    assert work.best is not None, "the greedy choice is there"
-    return work.best
+def _first_selection(
+    instance: CoverInstance, start: Ints | None, solver: str, rng: np.random.Generator, budget: Budget
+) -> Ints:
+    """Return the better of start and greedy selection, for `auto` improved by a short search."""
+    budget.begin(instance.tolerance)
+    selected, effort = greedy(instance)
+    if instance.needs_no_column:
+        return selected[:0]
+    if start is not None and instance.objective(start) <= instance.objective(selected):
+        selected = start
+    budget.offer(selected, instance.objective(selected))
+    is_scarce = budget.remaining <= max(SCARCE, SCARCE_PER_ENTRY * instance.n_entries)
+    share, chunks = (SCARCE_SHARE, None) if is_scarce else (EARLY_SHARE, EARLY_CHUNKS)
+    with budget.stopped_by_interrupt(), budget.portion(share):
+        if budget.spend(effort) and solver == "auto" and instance.n_columns > SMALL:
+            LocalSearch(instance, selected, rng).run(budget, chunks)
+    assert budget.incumbent is not None, "the greedy selection was offered"
+    return budget.incumbent
 
 
-def _run(
-    reduction: Reduction, first: Ints, solver: str, rng: np.random.Generator, work: Budget
+def _solve_reduced(
+    reduction: Reduction, first: Ints, solver: str, rng: np.random.Generator, budget: Budget
 ) -> tuple[Ints, Relaxation | None]:
-    """Bound and the chosen solver; the best so far when Ctrl-C ends it."""
-    sets = reduction.sets
-    work.begin(sets.tolerance)
-    if sets.trivial:
+    """Compute the bound and run the solver; after Ctrl-C return the incumbent."""
+    instance = reduction.instance
+    budget.begin(instance.tolerance)
+    if instance.needs_no_column:
         nothing = np.zeros(0, dtype=np.int64)
-        work.prove(sets.objective(nothing))
+        budget.raise_lower_bound(instance.objective(nothing))
         return nothing, None
-    if sets.most < 0:
-        work.prove(int(sets.costs.min()))  # one column at least, should Ctrl-C come before the bound
-    kept = prune(sets, complete(sets, reduction.left_of(first)))
-    work.offer(kept, sets.objective(kept))
+    if not instance.maximises_area:
+        budget.raise_lower_bound(int(instance.costs.min()))  # one column at least, if Ctrl-C precedes the bound
+    kept = prune(instance, complete(instance, reduction.project(first)))
+    budget.offer(kept, instance.objective(kept))
     relaxation = None
-    with work.ended_by_ctrl_c():
-        relaxation = Relaxation(sets)
-        work.prove(relaxation.value)
-        if work.spend(12 * sets.n_entries):
-            from planner.cover.row_generation import raise_bound  # importing highspy costs start-up
-
-            with work.portion(BOUND_SHARE):
-                raise_bound(relaxation, work.objective, work)
-        SOLVERS[solver](Job(sets, rng, work, relaxation))
-    assert work.best is not None, "the first choice is there"
-    return work.best, relaxation
+    with budget.stopped_by_interrupt():
+        relaxation = Relaxation(instance)
+        budget.raise_lower_bound(relaxation.bound)
+        if budget.spend(12 * instance.n_entries):
+            with budget.portion(BOUND_SHARE):
+                raise_bound(relaxation, budget.objective, budget)
+        SOLVERS[solver](SolverTask(instance, rng, budget, relaxation))
+    assert budget.incumbent is not None, "the first selection was offered"
+    return budget.incumbent, relaxation

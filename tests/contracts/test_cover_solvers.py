@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from planner.cover import SOLVERS, CoverProblem, CoverStatus, solve
-from planner.cover.answer_of_columns import PRICE_ROUNDING
+from planner.cover.answer import COST_TOLERANCE
 from planner.cover.budget import Budget
 
 WORK = 100_000_000
@@ -82,7 +82,7 @@ def test_costs_add_up_and_bound_the_cheapest(solver, coverage, multiplicity):
     assert result.cost == pytest.approx(costs[result.views].sum(), rel=1e-12)
     assert 0 < result.cost_bound <= result.cost
     assert result.gap == pytest.approx(1 - result.cost_bound / result.cost)
-    assert (result.status is CoverStatus.PROVEN) == (result.cost_bound >= result.cost * (1 - PRICE_ROUNDING))
+    assert (result.status is CoverStatus.PROVEN) == (result.cost_bound >= result.cost * (1 - COST_TOLERANCE))
     assert "cheapest" in result.sentence
     assert result.lower_bound <= len(result.views)
     for view in result.views:
@@ -209,7 +209,7 @@ def test_ctrl_c_returns_the_best_cover_so_far(solver, monkeypatch):
         return spend(self, work)
 
     monkeypatch.setattr(Budget, "spend", interrupted)
-    monkeypatch.setattr("planner.cover.search.CHUNK_WORK", 10_000)
+    monkeypatch.setattr("planner.cover.search.CHUNK_EFFORT", 10_000)
     result = run(M, areas, solver, effort_budget=10**12)
     assert (M[:, result.views].any(axis=1) == M.any(axis=1)).all()
     assert result.status is CoverStatus.INTERRUPTED

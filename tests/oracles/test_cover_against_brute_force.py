@@ -7,13 +7,11 @@ import pytest
 from scipy.optimize import LinearConstraint, linprog, milp
 
 from planner.cover import SOLVERS, CoverProblem, CoverStatus, solve
-from planner.cover.bound import Relaxation
+from planner.cover.bounds import Relaxation, raise_bound
 from planner.cover.budget import Budget
-from planner.cover.canonical import canonical
-from planner.cover.greedy import greedy
-from planner.cover.reductions import reduce
-from planner.cover.row_generation import raise_bound
-from planner.cover.solvers import answer
+from planner.cover.reductions import canonical_form, reduce
+from planner.cover.search import greedy
+from planner.cover.solvers import solve_instance
 
 
 def cheapest(problem):
@@ -88,12 +86,12 @@ def test_reductions_keep_the_optimum():
     shrunk = 0
     for seed in range(108):
         problem = small(seed)
-        found = canonical(problem)
-        reduction = reduce(found.rest, Budget(10**8))
-        shrunk += reduction.sets.n_entries < found.rest.n_entries
-        inner, bound, _ = answer(found.rest, "exact", np.random.default_rng(0), Budget(10**8))
-        assert found.rest.met(inner), seed
-        assert bound == found.rest.cost(inner), seed
+        found = canonical_form(problem)
+        reduction = reduce(found.residual, Budget(10**8))
+        shrunk += reduction.instance.n_entries < found.residual.n_entries
+        inner, bound, _ = solve_instance(found.residual, "exact", np.random.default_rng(0), Budget(10**8))
+        assert found.residual.is_feasible(inner), seed
+        assert bound == found.residual.cost(inner), seed
     assert shrunk > 40  # the reductions did something
 
 
@@ -120,7 +118,7 @@ def test_bound_is_the_linear_relaxation(coverage):
     """Row by row it comes within 1e-5 of the whole programme, and never above it."""
     for seed in range(3):
         M, areas = medium(seed)
-        sets = canonical(CoverProblem(M, areas, coverage=coverage)).whole
+        sets = canonical_form(CoverProblem(M, areas, coverage=coverage)).reduced
         bound = Relaxation(sets)
         raise_bound(bound, len(greedy(sets)[0]), Budget(10**9))
         assert relaxation(M, areas, coverage) * (1 - 1e-5) <= bound.dual <= relaxation(M, areas, coverage) + 1e-7
@@ -150,7 +148,7 @@ def test_local_search_beats_greedy_where_greedy_is_known_to_fail():
     for column, size in enumerate(blocks, start=2):
         M[at : at + size, column] = M[n + at : n + at + size, column] = True
         at += size
-    sets = canonical(CoverProblem(M, np.ones(2 * n))).whole
+    sets = canonical_form(CoverProblem(M, np.ones(2 * n))).reduced
     assert len(greedy(sets)[0]) == 6
     found = solve(
         CoverProblem(M, np.ones(2 * n)), rng=np.random.default_rng(0), solver="local-search", effort_budget=10**8

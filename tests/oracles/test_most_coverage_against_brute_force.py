@@ -70,7 +70,7 @@ def test_the_curve_lies_between_a_selection_and_the_bound(budget):
             fewest = next(
                 k for k in range(M.shape[1] + 1) if most(M, areas, k) >= coverage * coverable - 1e-9 * coverable
             )
-            suffices, possible = curve.fewest(coverage)
+            suffices, possible = curve.fewest_views(coverage)
             assert suffices is None or fewest <= suffices
             assert possible is None or possible <= fewest
 
@@ -123,6 +123,6 @@ def test_below_full_coverage_the_selection_profits_from_searching_by_area():
         M = M[M.any(axis=1)]
         areas = np.ones(len(M))
         curve = coverage_curve(CoverProblem(M, areas), rng=np.random.default_rng(0), effort_budget=10_000_000)
-        suffices, possible = curve.fewest(0.9)
+        suffices, possible = curve.fewest_views(0.9)
         found = solve(CoverProblem(M, areas, coverage=0.9), rng=np.random.default_rng(0), effort_budget=10_000_000)
         assert possible <= len(found.views) <= suffices

@@ -7,11 +7,10 @@ import pytest
 from scipy.sparse import csr_array
 
 from planner.cover import CoverProblem, solve
-from planner.cover.bound import Relaxation
+from planner.cover.bounds import Relaxation, raise_bound
 from planner.cover.budget import Budget
-from planner.cover.canonical import canonical
+from planner.cover.reductions import canonical_form
 from planner.cover.robust import DEMAND, loads, min_views_at_confidence, robust_cover
-from planner.cover.row_generation import raise_bound
 from planner.measurability.pose_ensemble import ProbabilityLayer, credited_probability
 
 
@@ -143,10 +142,10 @@ def test_the_promise_holds_when_the_layer_is_the_truth():
 def test_the_second_rows_of_the_bound_pay():
     """Ten rows, disjoint pairs of columns of 0.9 each: sums of shares ask for 12 columns, all 20 are needed."""
     M = csr_array((0.9 * DEMAND * np.kron(np.eye(10), np.ones((1, 3)))).astype(np.int64))
-    found = canonical(CoverProblem(M, np.ones(10), demand=DEMAND))
-    bound = Relaxation(found.whole)
+    found = canonical_form(CoverProblem(M, np.ones(10), demand=DEMAND))
+    bound = Relaxation(found.reduced)
     raise_bound(bound, 20, Budget(10**8))
-    assert bound.value == 20
+    assert bound.bound == 20
 
 
 def test_parts_are_rounded_down_and_cut_at_the_whole():

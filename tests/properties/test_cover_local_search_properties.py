@@ -5,14 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner.cover import CoverProblem, search_kernels
-from planner.cover.bound import Relaxation
+from planner.cover import CoverProblem
+from planner.cover import search as search_kernels
+from planner.cover.bounds import Relaxation, raise_bound
 from planner.cover.budget import Budget
-from planner.cover.canonical import canonical
-from planner.cover.greedy import greedy
-from planner.cover.row_generation import raise_bound
-from planner.cover.search import Search
-from planner.cover.solvers import Job
+from planner.cover.reductions import canonical_form
+from planner.cover.search import LocalSearch, greedy
+from planner.cover.solvers import SolverTask
 
 
 @st.composite
@@ -22,7 +21,7 @@ def moves(draw):
     M = rng.random((draw(st.integers(1, 25)), draw(st.integers(1, 15)))) < draw(st.floats(0.1, 0.6))
     M[0, 0] = True
     loads = rng.integers(1, 5, M.shape) * M if draw(st.booleans()) else M
-    sets = canonical(
+    sets = canonical_form(
         CoverProblem(
             loads,
             rng.lognormal(0, 1, len(M)),
@@ -32,7 +31,7 @@ def moves(draw):
             group=rng.integers(0, 3, M.shape[1]),
             group_costs=np.array([0.0, 3.0, 5.0]),
         )
-    ).whole
+    ).reduced
     return sets, rng.integers(0, sets.n_columns, draw(st.integers(0, 40)))
 
 
@@ -40,10 +39,10 @@ def moves(draw):
 def test_running_numbers_are_those_computed_from_scratch(case, seed):
     """Losses, gains, loads, members, open rows, cost and missing area after any sequence of moves."""
     sets, columns = case
-    search = Search(sets, np.zeros(0, dtype=np.int64), np.random.default_rng(seed))
+    search = LocalSearch(sets, np.zeros(0, dtype=np.int64), np.random.default_rng(seed))
     state, numbers = search._state, search._state.numbers
     state.rows[search_kernels.FIRST_WEIGHT] = np.random.default_rng(seed).integers(1, 100, sets.n_rows)
-    search._begin(np.zeros(0, dtype=np.int64))
+    search._restart(np.zeros(0, dtype=np.int64))
     chosen: set[int] = set()
     for column in columns.tolist():
         search_kernels.move(state, column, -1 if column in chosen else 1)
@@ -55,17 +54,17 @@ def test_running_numbers_are_those_computed_from_scratch(case, seed):
     other = np.maximum(sets.demand - total + np.where(inside[:, None], loads.T, -loads.T), 0)
     weights = state.rows[search_kernels.WEIGHT]
     worth = np.abs(other - deficit) @ weights
-    if sets.once:
+    if sets.has_unit_demand:
         np.testing.assert_array_equal(state.columns[search_kernels.LOSS, inside], worth[inside])
     np.testing.assert_array_equal(state.rows[search_kernels.OPEN_WEIGHT], weights * (deficit > 0))
     empty = np.array([not inside[sets.group == g].any() for g in range(3)])
     alone = np.array([inside[sets.group == g].sum() == 1 for g in range(3)])
     rate = worth / (sets.costs + sets.group_costs[sets.group] * np.where(inside, alone[sets.group], empty[sets.group]))
     if inside.any():
-        out = search_kernels.leaving(state, -1, 0, 0)
+        out = search_kernels.select_leaving(state, -1, 0, 0)
         assert rate[out] == pytest.approx(rate[inside].min())
     if not inside.all():
-        come = search_kernels.entering(state, np.int64(-1), -1, 0, 0, sets.n_columns)
+        come = search_kernels.select_entering(state, np.int64(-1), -1, 0, 0, sets.n_columns)
         assert rate[come] == pytest.approx(rate[~inside].max())
     np.testing.assert_array_equal(state.rows[search_kernels.LOAD], total)
     assert set(state.columns[search_kernels.MEMBER, : numbers[search_kernels.MEMBERS]].tolist()) == chosen
@@ -77,8 +76,8 @@ def test_running_numbers_are_those_computed_from_scratch(case, seed):
 
 def test_draws_are_even_and_in_range():
     """Ten thousand draws of seven numbers: none outside, each about as often as the others."""
-    sets = canonical(CoverProblem(np.eye(2, dtype=bool), np.ones(2))).whole
-    state = Search(sets, np.zeros(0, dtype=np.int64), np.random.default_rng(0))._state
+    sets = canonical_form(CoverProblem(np.eye(2, dtype=bool), np.ones(2))).reduced
+    state = LocalSearch(sets, np.zeros(0, dtype=np.int64), np.random.default_rng(0))._state
     drawn = np.bincount([search_kernels.draw(state.random, 7) for _ in range(10_000)], minlength=7)
     assert len(drawn) == 7
     assert abs(drawn - 10_000 / 7).max() < 5 * np.sqrt(10_000 / 7)
@@ -90,13 +89,13 @@ def test_a_core_that_begins_with_the_best_choice_ends_its_search(seed):
     rng = np.random.default_rng(seed)
     M = rng.random((40, 50)) < 0.08
     M[np.arange(40), rng.integers(0, 50, 40)] = True
-    sets = canonical(CoverProblem(M, np.ones(40), costs=rng.integers(1, 20, 50).astype(float))).rest
+    sets = canonical_form(CoverProblem(M, np.ones(40), costs=rng.integers(1, 20, 50).astype(float))).residual
     budget = Budget(10**9)
     first, _ = greedy(sets)
     budget.offer(first, sets.objective(first))
     relaxation = Relaxation(sets)
     raise_bound(relaxation, budget.objective, budget)
-    search = Job(sets, rng, budget, relaxation).core_search()
-    assert sets.met(budget.best)
-    assert budget.lower_bound == budget.objective == sets.objective(budget.best) < sets.objective(first)
+    search = SolverTask(sets, rng, budget, relaxation).core_search()
+    assert sets.is_feasible(budget.incumbent)
+    assert budget.lower_bound == budget.objective == sets.objective(budget.incumbent) < sets.objective(first)
     search.run(budget)

@@ -98,7 +98,7 @@ def test_demands_of_rows_are_those_of_all_where_they_are_equal() -> None:
         ({"region": np.full(14, 2), "region_coverage": (0.5, 0.5)}, "from 0 to 1"),
         ({"region": np.zeros(14, int), "region_coverage": (1.5,)}, "from 0 to 1"),
         ({"weights": -np.ones(14)}, "finite numbers"),
-        ({"region": np.zeros(14, int), "region_coverage": (0.5,), "max_views": 2}, "most area"),
+        ({"region": np.zeros(14, int), "region_coverage": (0.5,), "max_views": 2}, "maximises the area"),
     ],
 )
 def test_what_contradicts_itself_is_refused(wishes: dict, said: str) -> None:
@@ -128,7 +128,7 @@ def test_a_beginning_that_meets_all_targets_is_not_lost(seed: int) -> None:
 def test_what_is_said_of_areas_or_groups_is_not_answered_by_weights(wish: dict, targets: dict) -> None:
     """Weighted rows would be taken for the area that views share."""
     matrix, areas, rng = drawn(0)
-    with pytest.raises(PlannerError, match="go without targets for parts"):
+    with pytest.raises(PlannerError, match="cannot be combined with overlap or groups"):
         cover.solve(CoverProblem(matrix, areas, **wish, **targets), rng=rng)
 
 

@@ -9,8 +9,8 @@ from scipy.sparse import csr_array
 
 from planner.cover import CoverProblem, Overlap, solve
 from planner.cover.curve import coverage_curve
-from planner.cover.graph import joined_columns
 from planner.cover.overlap import overlap_graph
+from planner.cover.problem import overlap_adjacency
 from planner.cover.robust import DEMAND, loads, robust_cover
 from planner.measurability.pose_ensemble import ProbabilityLayer
 
@@ -57,7 +57,7 @@ def test_what_is_called_connected_is(problem, share, coverage, seed):
         assert (covered == coverable).all()
     else:
         assert areas[covered].sum() >= coverage * areas[coverable].sum() * (1 - 1e-9)
-    adjacent = joined_columns(M, areas, Overlap(share=share))
+    adjacent = overlap_adjacency(M, areas, Overlap(share=share))
     graph = nx.from_numpy_array(adjacent[np.ix_(views, views)])
     parts = nx.number_connected_components(graph)
     assert parts == len(how.component_area) == len(set(how.component.tolist()))

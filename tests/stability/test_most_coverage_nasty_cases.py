@@ -32,7 +32,7 @@ def test_empty_matrix(shape):
     assert (found.status, len(found.views), found.gap_percent) == (CoverStatus.NOTHING_COVERABLE, 0, 0.0)
     curve = draw(M, np.ones(shape[0]))
     assert (curve.covered_area.tolist(), curve.upper_area.tolist()) == ([0.0], [0.0])
-    assert curve.fewest(1.0) == (0, 0)
+    assert curve.fewest_views(1.0) == (0, 0)
 
 
 def test_no_views_at_all():
@@ -98,7 +98,7 @@ def test_pinned_views_that_measure_nothing_stay():
     found = ask(M, np.ones(2), 2, pinned=[0])
     assert (len(found.views), found.covered_area) == (2, 1.0)
     assert found.views[-1] == 0
-    assert draw(M, np.ones(2), pinned=[0]).first == 1
+    assert draw(M, np.ones(2), pinned=[0]).first_n_views == 1
 
 
 def test_pinned_alone_fill_k():
@@ -151,4 +151,4 @@ def test_a_clock_that_has_run_out_is_said():
 def test_no_area_at_a_coverage_beyond_one():
     """The curve is asked for a share."""
     with pytest.raises(PlannerError, match="from 0 to 1"):
-        draw(np.eye(2, dtype=bool), np.ones(2)).fewest(1.5)
+        draw(np.eye(2, dtype=bool), np.ones(2)).fewest_views(1.5)

@@ -36,7 +36,7 @@ def test_empty_matrix(shape):
     """Nothing to cover: no views, a status each, no exception."""
     found, _ = joined(csr_array(shape, dtype=bool), np.ones(shape[0]), Overlap(area=1.0))
     assert (len(found.views), found.status) == (0, CoverStatus.NOTHING_COVERABLE)
-    assert found.sentence == "no allowed view measures any sample"
+    assert found.sentence == "no allowed candidate measures any sample"
     robust = promised(np.zeros(shape, dtype=bool), np.zeros(0))
     assert (len(robust.cover.views), robust.robust_coverable_area) == (0, 0.0)
 
@@ -50,7 +50,7 @@ def test_two_islands_cannot_be_connected():
     assert sorted(found.views.tolist()) == [0, 1, 2, 3]
     assert how.component_area.tolist() == [7.0, 3.0]
     assert set(found.views[how.component == 0].tolist()) == {0, 1}
-    assert "fall into 2 parts" in how.sentence
+    assert "falls into 2 components" in how.sentence
     assert "2 of 4 views" in how.sentence
     assert "70.00 %" in how.sentence
 
@@ -86,8 +86,8 @@ def test_an_overlap_that_is_met_exactly_counts():
     M = np.zeros((12, 2), dtype=bool)
     M[:7, 0] = M[4:, 1] = True
     for overlap in (Overlap(area=0.1 + 0.1 + 0.1), Overlap(share=3 / 7)):
-        assert joined(M, np.full(12, 0.1), overlap)[1].connected
-    assert not joined(M, np.full(12, 0.1), Overlap(area=0.3001))[1].connected
+        assert joined(M, np.full(12, 0.1), overlap)[1].is_connected
+    assert not joined(M, np.full(12, 0.1), Overlap(area=0.3001))[1].is_connected
 
 
 @pytest.mark.parametrize(
@@ -186,7 +186,7 @@ def test_ctrl_c_gives_the_best_so_far(ask, after, monkeypatch):
         return spend(self, work)
 
     monkeypatch.setattr(Budget, "spend", interrupted)
-    monkeypatch.setattr("planner.cover.search.CHUNK_WORK", 100_000)
+    monkeypatch.setattr("planner.cover.search.CHUNK_EFFORT", 100_000)
     if ask == "overlap":
         found, how = joined(M, np.ones(150), Overlap(area=2.0), effort_budget=10**11)
         assert how.is_connected

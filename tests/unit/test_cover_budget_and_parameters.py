@@ -9,9 +9,8 @@ import pytest
 
 from planner.cover import CoverProblem, CoverStatus, solve, solvers
 from planner.cover.budget import LARGE, Budget, interruptible, scaled_effort
-from planner.cover.canonical import canonical
-from planner.cover.greedy import greedy
-from planner.cover.search import CHUNK_WORK, Search
+from planner.cover.reductions import canonical_form
+from planner.cover.search import CHUNK_EFFORT, LocalSearch, greedy
 
 
 def test_budget_counts_work_and_portions_nest():
@@ -19,9 +18,9 @@ def test_budget_counts_work_and_portions_nest():
     budget = Budget(100)
     assert budget.spend(20)
     with budget.portion(0.5):
-        assert budget.left == 40
+        assert budget.remaining == 40
         assert not budget.spend(45)
-    assert budget.left == 35
+    assert budget.remaining == 35
     assert budget.spend(34)
     assert not budget.spend(1)
 
@@ -36,11 +35,11 @@ def test_clock_guard_is_split_with_the_work():
     now = [0.0]
     budget = Budget(100, time_limit_s=10.0, clock=lambda: now[0])
     with budget.portion(0.5):
-        assert budget.seconds_left == pytest.approx(5.0)
+        assert budget.remaining_seconds == pytest.approx(5.0)
         now[0] = 6.0
         assert not budget.spend(1)
     assert budget.time_limited
-    assert budget.seconds_left == pytest.approx(4.0)
+    assert budget.remaining_seconds == pytest.approx(4.0)
     assert budget.spend(1)
 
 
@@ -49,10 +48,10 @@ def test_budget_keeps_the_smaller_cover_and_knows_when_it_is_proven():
     budget = Budget(100)
     assert budget.offer(np.arange(4), 4)
     assert not budget.offer(np.arange(4) + 1, 4)
-    budget.prove(3)
-    assert not budget.proven
+    budget.raise_lower_bound(3)
+    assert not budget.is_proven
     assert budget.offer(np.arange(3), 3)
-    assert budget.proven
+    assert budget.is_proven
     assert not budget.spend(0)
 
 
@@ -76,7 +75,7 @@ def test_every_status_is_a_sentence():
         assert " " in status.sentence
     M = np.eye(3, dtype=bool)
     said = solve(CoverProblem(M, np.ones(3)), rng=np.random.default_rng(0)).sentence
-    assert said == "proven fewest for these candidates and samples"
+    assert said == "proven fewest views for these candidates and samples"
 
 
 def test_results_are_read_only():
@@ -90,8 +89,8 @@ def test_nothing_is_compiled_where_the_reductions_leave_nothing():
     """Importing the package and solving what reduces to nothing does not import numba: that costs 0.5 s."""
     program = (
         "import sys, numpy as np\n"
-        "from planner.cover import Problem, solve\n"
-        "result = solve(Problem(np.eye(40, dtype=bool), np.ones(40)), rng=np.random.default_rng(0))\n"
+        "from planner.cover import CoverProblem, solve\n"
+        "result = solve(CoverProblem(np.eye(40, dtype=bool), np.ones(40)), rng=np.random.default_rng(0))\n"
         "assert len(result.views) == result.lower_bound == 40\n"
         "assert not {'numba', 'highspy'} & set(sys.modules)\n"
     )
@@ -100,7 +99,7 @@ def test_nothing_is_compiled_where_the_reductions_leave_nothing():
 
 def test_the_solver_of_bounds_is_silent():
     """Standard output is for what a command prints, `--json` above all; some releases greet there."""
-    program = "import planner.cover.linear as linear; linear._highs().run()"
+    program = "import planner.cover.bounds as bounds; bounds._highs().run()"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("", "")
 
@@ -115,14 +114,14 @@ def test_interruptible_hands_over_results_and_errors():
 def test_guard_overrun_is_one_chunk():
     """With a clock that jumps past the limit the search ends at the next look, after one chunk of work at most."""
     rng = np.random.default_rng(0)
-    sets = canonical(CoverProblem(rng.random((200, 300)) < 0.03, np.ones(200))).whole
+    sets = canonical_form(CoverProblem(rng.random((200, 300)) < 0.03, np.ones(200))).reduced
     ticks = iter([0.0, *[0.5] * 3, *[2.0] * 1000])
     budget = Budget(10**12, time_limit_s=1.0, clock=lambda: next(ticks))
     first, _ = greedy(sets)
     budget.offer(first, len(first))
-    Search(sets, first, rng).run(budget)
+    LocalSearch(sets, first, rng).run(budget)
     assert budget.time_limited
-    assert budget.spent <= 4 * CHUNK_WORK
+    assert budget.spent <= 4 * CHUNK_EFFORT
 
 
 @pytest.mark.parametrize(
@@ -140,6 +139,6 @@ def test_branch_and_bound_has_the_most_of_the_budget_where_few_views_are_left(
     best: int, bound: int, full: bool, most: int, share: float
 ) -> None:
     """Beyond two views the search finds more in the same time, as on rail-like problems."""
-    sets = SimpleNamespace(full=full, most=most, costs=np.ones(500, dtype=np.int64), n_columns=500)
+    sets = SimpleNamespace(full=full, maximises_area=most > 0, costs=np.ones(500, dtype=np.int64), n_columns=500)
     budget = SimpleNamespace(objective=best, lower_bound=bound)
-    assert solvers.Job(sets, None, budget, None).proof_share == share  # type: ignore[arg-type]
+    assert solvers.SolverTask(sets, None, budget, None).proof_share == share  # type: ignore[arg-type]

@@ -120,7 +120,7 @@ def test_what_is_seen_has_a_point_beside_it_along_its_normal() -> None:
     rng = np.random.default_rng(5)
     points = rng.uniform(-1, 1, (300, 3)) * np.array([0.02, 0.02, 0.001])
     space = replace(_space(), points=points)
-    assert not _space().seen(points, points).any()
+    assert not _space().is_measured(points, points).any()
     samples = rng.uniform(-1, 1, (400, 3)) * np.array([0.025, 0.025, 0.008])
     normals = rng.standard_normal((400, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
