@@ -1,1 +1,1 @@
-"""Programs for controllers from a run folder: what is driven, as values, and its writers."""
+"""Controller programs and tables from a run folder."""

@@ -1,18 +1,18 @@
-"""Names that a program in KRL cannot have, although they are made as names are.
+"""Reserved names of KRL: well-formed names that a program cannot have.
 
-Words of the language and its predefined functions; what KUKA's `$CONFIG.DAT` declares for every program (a KSS 8; its
-users may have added more); KUKA's own programs; what a program of ours defines itself; and names that Windows gives
-no file. Capitals and small letters are the same.
+They are keywords and predefined functions of the language, declarations of KUKA's `$CONFIG.DAT` (a KSS 8; users may
+have added more), KUKA's own programs, definitions of the exported programs themselves, and names that Windows does not
+allow for files. KRL ignores case.
 """
 
 import re
 
 from cell.errors import UsageError
 
-LONGEST_NAME = 24
-"""Characters of a name in KRL."""
+MAX_NAME_LENGTH = 24
+"""Most characters of a name in KRL."""
 
-_LANGUAGE = """
+_KEYWORDS = """
 abs acos and anin anout as asyptp atan2 aux axis b_and b_exor b_not b_or base bool brake c_dis c_ori c_ptp c_spl c_vel
 cancel case cast_from cast_to cclose channel char cioctl circ circ_rel clear_kcpmsg confirm const const_vel continue
 copen cos cread cwrite decl def default defdat deffct deftp delay digin disable distance do e3axis e3pos e6axis e6pos
@@ -25,7 +25,7 @@ sin slin slin_rel spl spline splin sps sptp sptp_rel sqrt sread statemachine sto
 strcopy strdecllen strfind string strlen strtointerr struc struct stop swrite switch syn sync tan then time_block timer
 to toolcor tq_state trigger true unlock until varstate varstatet wait when while with xor
 """
-_CONFIG = """
+_CONFIG_DAT = """
 act_delay act_distance act_filter adat apo_mode_t appl_run auto_ipo_m bas_command base_corr base_corr_on base_data
 base_name base_type basis_sugg_t cdefault compl_group condstop_para constvel_para cor_tool_no csdefault ctrl_in_t
 ctrl_out_t cvdefault dig_out_type err_to_plc extuserid extuseridwatchdog fct_in_t fct_out_t fdat fdat_act fdefault
@@ -40,29 +40,31 @@ _PROGRAMS = """
 bas bas_src cell cell_src h50 ir_stopm kuka_msg msg_demo msglib new_serv p00 sps userspoc usr_start user_grp vorgabe
 weldctrl
 """
-_OURS = """
+_EXPORTED = """
 sc_at_stop sc_begin sc_clock sc_done sc_end sc_gate sc_near sc_scan sc_scanned sc_settle sc_stand sc_stop sc_timeout
 sc_timer sc_tool sc_trigger sc_view
 """
-_WORDS = frozenset(f"{_LANGUAGE} {_CONFIG} {_PROGRAMS} {_OURS} con".split())
+_RESERVED = frozenset(f"{_KEYWORDS} {_CONFIG_DAT} {_PROGRAMS} {_EXPORTED} con".split())
 
-_FAMILIES = re.compile(r"(com|lpt|x?home|channel_|up|makro|xp)\d+|xhome|def_.*")
-"""Names with a number (devices, positions, signals, KUKA's user programs), and defaults of $CONFIG.DAT."""
+_RESERVED_PATTERNS = re.compile(r"(com|lpt|x?home|channel_|up|makro|xp)\d+|xhome|def_.*")
+"""Patterns: names with a number (devices, positions, signals, KUKA's user programs), and defaults of $CONFIG.DAT."""
 
 
 def check_name(name: str) -> None:
-    """Refuse what is no name of a program in KRL.
+    """Require a name that a KRL program can have.
 
     Raises:
-        UsageError: if it is too long, holds other characters, begins with a digit or is taken.
+        UsageError: if it is too long, holds other characters, begins with a digit or is reserved.
     """
-    if len(name) > LONGEST_NAME:
-        shown = name if len(name) <= 2 * LONGEST_NAME else f"{name[:LONGEST_NAME]}..."
-        raise UsageError(f"--name {shown} has {len(name)} characters; a name in KRL has at most {LONGEST_NAME}")
+    if len(name) > MAX_NAME_LENGTH:
+        shown = name if len(name) <= 2 * MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]}..."
+        raise UsageError(f"--name {shown} has {len(name)} characters; a name in KRL has at most {MAX_NAME_LENGTH}")
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise UsageError(
-            f"--name {name or repr(name)} is no name in KRL; it must begin with a letter and hold only letters, digits "
-            "and _"
+            f"--name {name or repr(name)} is not a name in KRL; it must begin with a letter and hold only letters, "
+            "digits and _"
         )
-    if name.lower() in _WORDS or _FAMILIES.fullmatch(name.lower()):
-        raise UsageError(f"--name {name} is a word of KRL, of $CONFIG.DAT, or of the program itself; choose another")
+    if name.lower() in _RESERVED or _RESERVED_PATTERNS.fullmatch(name.lower()):
+        raise UsageError(
+            f"--name {name} is reserved in KRL, in $CONFIG.DAT or in the exported program; choose another name"
+        )

@@ -1,4 +1,4 @@
-"""What `cell export` can be asked for, checked."""
+"""Validated options of `cell export`."""
 
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -14,9 +14,9 @@ _Percent = Annotated[int, Field(ge=1, le=100)]
 
 
 class ExportOptions(CurrentFiles):
-    """What is written, how fast it moves, what stands between controller and scanner."""
+    """Format, folder and name of the files, speeds, and the signals between controller and scanner."""
 
-    kind: Annotated[Literal["krl", "csv", "json"], Option("What to write: krl, csv or json.", name="format")] = "krl"
+    kind: Annotated[Literal["krl", "csv", "json"], Option("Format: krl, csv or json.", name="format")] = "krl"
     out: Annotated[
         Path | None,
         Field(strict=False),
@@ -24,26 +24,24 @@ class ExportOptions(CurrentFiles):
     ] = None
     name: Annotated[
         str | None,
-        Option("Name of program and files, at most 24 characters. Default: the run folder's, if KRL takes it."),
+        Option("Name of program and files, at most 24 characters. Default: the run folder's, if valid in KRL."),
     ] = None
     speed_percent: Annotated[
         _Percent | None,
-        Option("Of the axis speeds, 1 to 100; sweeps slow down alike. Default: 20, or the plan's if slower.", _KRL),
+        Option("Share of the axis speeds; slows down sweeps too. Default: 20, or the plan's if less.", _KRL),
     ] = None
     acceleration_percent: Annotated[
-        _Percent | None, Option("Of the axis accelerations, 1 to 100. Default: 30, or the plan's if slower.", _KRL)
+        _Percent | None, Option("Share of the axis accelerations. Default: 30, or the plan's if less.", _KRL)
     ] = None
     trigger_output: Annotated[_Signal, Option("$OUT that starts a scan.", _KRL)] = 1
-    gate_output: Annotated[_Signal, Option("$OUT that is on while a sweep is driven.", _KRL)] = 2
-    done_input: Annotated[_Signal, Option("$IN by which the scanner says that it is done.", _KRL, metavar="M")] = 1
+    gate_output: Annotated[_Signal, Option("$OUT that is on during a sweep.", _KRL)] = 2
+    done_input: Annotated[_Signal, Option("$IN by which the scanner reports the end of a scan.", _KRL, metavar="M")] = 1
     timer: Annotated[int, Field(ge=1, le=32), Option("$TIMER that measures the time-out.", _KRL, metavar="K")] = 1
-    settle: Annotated[float, Field(ge=0, le=3600), Option("Standstill before each scan.", _KRL, metavar="S")] = 0.2
-    timeout: Annotated[float, Field(ge=0.1, le=3600), Option("Longest wait for the scanner.", _KRL, metavar="S")] = 10.0
+    settle: Annotated[float, Field(ge=0, le=3600), Option("Settling time before each scan.", _KRL, metavar="S")] = 0.2
+    timeout: Annotated[float, Field(ge=0.1, le=3600), Option("Time-out of the scanner.", _KRL, metavar="S")] = 10.0
 
     @model_validator(mode="after")
-    def _outputs_of_their_own(self) -> Self:
+    def _require_distinct_outputs(self) -> Self:
         if self.gate_output == self.trigger_output:
-            raise ValueError(
-                f".gate_output is {self.gate_output}, and so is the trigger's; a sweep needs two of its own"
-            )
+            raise ValueError(f".gate_output is {self.gate_output}, as is the trigger output; give two outputs")
         return self

@@ -1,8 +1,8 @@
-"""The program as a table (CSV) and as one JSON object: every via point, every stop, joint angles and poses.
+"""Program as a table (CSV) and as a JSON object: every via point with its view, joint angles and poses.
 
-One row per via point, in driving order. Units stand in the names; frames are base (the robot's foot), flange and TCP
-(the scanner frame); A, B, C are KUKA's. Angles of axes are the multiples of 1e-4 deg that they are; poses are rounded
-to 1e-6 mm and 1e-6 deg, times to 1e-6 s: below that stands rounding noise.
+One row per via point, in driving order. Names contain the units. Frames are base (the robot's foot), flange and TCP
+(the scanner frame); A, B, C are KUKA's. Axis angles are exact multiples of 1e-4 deg. Poses are rounded to 1e-6 mm and
+1e-6 deg, times to 1e-6 s, because smaller digits are rounding noise.
 """
 
 import json
@@ -20,7 +20,7 @@ _POSE = ("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg")
 
 
 def csv(program: Program) -> bytes:
-    """The content of `<name>.csv`: a header and one line per via point."""
+    """Return the content of `<name>.csv`: a header and one line per via point."""
     axes = (f"{axis_name(axis)}_deg" for axis in range(program.q.shape[1]))
     columns = (
         "number", "leg", "kind", "view", "pose", "candidate", "t_s", *axes,
@@ -34,17 +34,17 @@ def csv(program: Program) -> bytes:
 
 
 def as_json(program: Program) -> bytes:
-    """The content of `<name>.json`."""
+    """Return the content of `<name>.json`."""
     limits = np.degrees(np.stack([program.limits.lower, program.limits.upper], axis=1))
     content = {
         "schema": SCHEMA,
         "units": "lengths in mm, angles in deg (KUKA A, B, C: R = Rz(A) Ry(B) Rx(C)), times in s, as the names say",
-        "name": program.told.name,
-        "part": program.told.part,
-        "run": program.told.run,
-        "digest": program.told.digest,
-        "speed_fraction": program.told.speed,
-        "acceleration_fraction": program.told.acceleration,
+        "name": program.info.name,
+        "part": program.info.part,
+        "run": program.info.run,
+        "digest": program.info.digest,
+        "speed_fraction": program.info.speed,
+        "acceleration_fraction": program.info.acceleration,
         "tool_flange_tcp_xyz_mm_abc_deg": _pose(program.T_flange_tcp),
         "part_in_base_xyz_mm_abc_deg": _pose(program.T_base_object),
         "joint_limits_deg": limits.round(9).tolist(),
@@ -63,13 +63,13 @@ def as_json(program: Program) -> bytes:
 
 
 def _via_points(program: Program) -> list[dict[str, object]]:
-    """Each via point as `as_json` tells it and in the order of the columns; None where there is none."""
+    """Return the fields of each via point in the order of the columns; None for a missing value."""
     return [
         {
             "number": row + 1,
-            "leg": int(program.leg[row]) + 1,
+            "leg": int(program.segment[row]) + 1,
             "kind": program.kinds[row].value,
-            "view": int(program.stop[row]) or None,
+            "view": int(program.view[row]) or None,
             "pose": None if program.pose[row] < 0 else int(program.pose[row]),
             "candidate": None if program.candidate[row] < 0 else int(program.candidate[row]),
             "t_s": round(float(program.t[row]), _DIGITS),
@@ -84,7 +84,7 @@ def _via_points(program: Program) -> list[dict[str, object]]:
 
 
 def _pose(T: Floats) -> list[float]:
-    """x, y, z [mm], A, B, C [deg]."""
+    """Return x, y, z [mm], A, B, C [deg]."""
     position, abc = kuka_abc_from_pose(T)
     values: list[float] = (np.concatenate([position * 1000, np.degrees(abc)]).round(_DIGITS) + 0.0).tolist()
     return values

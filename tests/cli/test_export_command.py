@@ -1,4 +1,4 @@
-"""`cell export` from outside: files, names, refusals with their exit codes, equal bytes."""
+"""`cell export` end to end: files, names, errors with exit codes, reproducible bytes."""
 
 import csv
 import json
@@ -13,13 +13,18 @@ import pytest
 from cell.export import export
 from cell.runs.run import open_finished
 
+_RESERVED_NAMES = (
+    "PULSE", "ANIN", "ANOUT", "DIGIN", "SEC", "CHANNEL", "CONFIRM", "CCLOSE", "B_AND", "PRIO", "Tool_Data", "XHOME",
+    "XHOME3", "DEF_OV_PRO", "PDEFAULT", "PGNO", "BAS_COMMAND", "CHANNEL_7", "SIN", "STRUC", "LOAD",
+)  # fmt: skip
+
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
-def test_the_files_stand_in_the_run_folder_and_are_the_same_bytes_again(
+def test_files_are_written_below_the_run_folder_and_are_reproducible(
     planned: Path, run_cell: Run, tmp_path: Path
 ) -> None:
-    """`export/` is replaced by each call and changes nothing of the plan; no clock, no machine path in a file."""
+    """Each call replaces `export/` and leaves the plan unchanged; files contain no clock time and no path."""
     run = tmp_path / "trial"
     shutil.copytree(planned, run)
     before = {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
@@ -36,14 +41,14 @@ def test_the_files_stand_in_the_run_folder_and_are_the_same_bytes_again(
     assert {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()} == before
 
 
-def test_csv_and_json_tell_the_same_and_it_is_the_plan(planned: Path, run_cell: Run, tmp_path: Path) -> None:
-    """Every via point and every view, axes to 1e-4 deg, poses of TCP and flange as in plan.json."""
+def test_csv_and_json_agree_with_each_other_and_with_the_plan(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+    """Every via point and view: axes to 1e-4 deg, poses of TCP and flange as in plan.json."""
     from planner.kinematics.frames import pose_from_kuka_abc
 
     for kind in ("csv", "json"):
         done = run_cell("export", str(planned), "--format", kind, "--name", "PART", "--out", "out", cwd=tmp_path)
         assert done.returncode == 0, done.stderr
-    told = json.loads((tmp_path / "out" / "PART.json").read_text())
+    content = json.loads((tmp_path / "out" / "PART.json").read_text())
     with (tmp_path / "out" / "PART.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     motion, plan = np.load(planned / "motion.npz"), json.loads((planned / "plan.json").read_text())
@@ -60,7 +65,7 @@ def test_csv_and_json_tell_the_same_and_it_is_the_plan(planned: Path, run_cell: 
         T = pose_from_kuka_abc(poses[:, :3] / 1000, np.radians(poses[:, 3:]))
         np.testing.assert_allclose(T, [view[f"T_base_{name}"] for view in plan["views"]], atol=1e-7)
     assert [int(row["candidate"]) for row in rows if row["view"]] == [view["id"] for view in plan["views"]]
-    for row, point in zip(rows, told["via_points"], strict=True):
+    for row, point in zip(rows, content["via_points"], strict=True):
         assert [point["number"], point["leg"], point["status"], point["turn"]] == [
             int(row[name]) for name in ("number", "leg", "status", "turn")
         ]
@@ -68,111 +73,83 @@ def test_csv_and_json_tell_the_same_and_it_is_the_plan(planned: Path, run_cell: 
         assert point["tcp_xyz_mm_abc_deg"] == [float(row[name]) for name in row if name.startswith("tcp_")]
         assert point["kind"] == row["kind"]
     assert rows[0]["kind"] == "start"
-    assert told["schema"] == "scan-cell/run/1"
+    assert content["schema"] == "scan-cell/run/1"
 
 
-def test_one_json_object_says_what_was_written(planned: Path, run_cell: Run, tmp_path: Path) -> None:
-    """`--json`: exactly one object on stdout."""
+def test_json_option_prints_one_object(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+    """Stdout holds exactly one object with the name, the speed and the files."""
     done = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--speed", "7", "--json", cwd=tmp_path)
-    told = json.loads(done.stdout)
-    assert told["name"] == "A1"
-    assert told["speed_percent"] == 7
-    assert [Path(name).name for name in told["files"]] == ["A1.src", "A1.dat"]
+    outcome = json.loads(done.stdout)
+    assert (outcome["name"], outcome["speed_percent"]) == ("A1", 7)
+    assert [Path(name).name for name in outcome["files"]] == ["A1.src", "A1.dat"]
     assert b"BAS(#VEL_PTP,7)\r\n" in (tmp_path / "x" / "A1.src").read_bytes()
 
 
-def test_a_program_is_slow_unless_asked_and_never_faster_than_the_plan(
-    planned: Path, run_cell: Run, tmp_path: Path
-) -> None:
-    """20 % of the speeds and 30 % of the accelerations; the plan's where that is less."""
+def test_default_speed_is_low_and_never_above_the_plan(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+    """20 % of the speeds and 30 % of the accelerations, or the plan's scaling if it is less."""
     done = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--json", cwd=tmp_path)
-    told = json.loads(done.stdout)
-    assert (told["speed_percent"], told["acceleration_percent"]) == (20, 30)
+    outcome = json.loads(done.stdout)
+    assert (outcome["speed_percent"], outcome["acceleration_percent"]) == (20, 30)
     source = (tmp_path / "x" / "A1.src").read_bytes()
     assert b"BAS(#VEL_PTP,20)\r\nBAS(#ACC_PTP,30)\r\n" in source
-    assert [export.percent(None, most, 0.079) for most in (20, 30)] == [7, 7]
+    assert [export.percent(None, default, 0.079) for default in (20, 30)] == [7, 7]
     assert export.percent(50, 20, 0.079) == 50
 
 
-def test_a_folder_name_that_krl_does_not_take_gives_a_name_of_the_plan(
+def test_a_folder_name_that_is_invalid_in_krl_is_replaced_by_the_digest(
     planned: Path, run_cell: Run, tmp_path: Path
 ) -> None:
-    """The default names of run folders begin with a digit."""
+    """Default names of run folders begin with a digit; other names are keywords."""
     for name in ("20261121T030106Z-1f0c2a9b", "pulse"):
         run = tmp_path / name
         shutil.copytree(planned, run)
-        told = json.loads(run_cell("export", str(run), "--json", cwd=tmp_path).stdout)
-        assert told["name"] == f"scan_{open_finished(planned).digest[:8]}"
+        outcome = json.loads(run_cell("export", str(run), "--json", cwd=tmp_path).stdout)
+        assert outcome["name"] == f"scan_{open_finished(planned).digest[:8]}"
 
 
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
         (("--name", "a" * 25), "has 25 characters; a name in KRL has at most 24"),
-        (("--name", "7up"), "--name 7up is no name in KRL"),
-        (("--name", "a-b"), "--name a-b is no name in KRL"),
-        (("--name", "ünder"), "is no name in KRL"),
-        (("--name", ""), "is no name in KRL"),
-        (("--name", "Lin"), "--name Lin is a word of KRL"),
-        (("--name", "BAS"), "is a word of KRL, of $CONFIG.DAT, or of the program itself"),
-        *(
-            (("--name", name), "is a word of KRL")
-            for name in (
-                "PULSE",
-                "ANIN",
-                "ANOUT",
-                "DIGIN",
-                "SEC",
-                "CHANNEL",
-                "CONFIRM",
-                "CCLOSE",
-                "B_AND",
-                "PRIO",
-                "Tool_Data",
-                "XHOME",
-                "XHOME3",
-                "DEF_OV_PRO",
-                "PDEFAULT",
-                "PGNO",
-                "BAS_COMMAND",
-                "CHANNEL_7",
-                "SIN",
-                "STRUC",
-                "LOAD",
-            )
-        ),
-        (("--name", "con"), "is a word of KRL, of $CONFIG.DAT, or of the program itself"),
-        (("--name", "SC_TOOL"), "is a word of KRL, of $CONFIG.DAT, or of the program itself"),
+        (("--name", "7up"), "--name 7up is not a name in KRL"),
+        (("--name", "a-b"), "--name a-b is not a name in KRL"),
+        (("--name", "ünder"), "is not a name in KRL"),
+        (("--name", ""), "is not a name in KRL"),
+        (("--name", "Lin"), "--name Lin is reserved in KRL"),
+        (("--name", "BAS"), "is reserved in KRL, in $CONFIG.DAT or in the exported program"),
+        *((("--name", name), "is reserved in KRL") for name in _RESERVED_NAMES),
+        (("--name", "con"), "is reserved in KRL, in $CONFIG.DAT or in the exported program"),
+        (("--name", "SC_TOOL"), "is reserved in KRL, in $CONFIG.DAT or in the exported program"),
         (("--speed", "0"), "--speed is 0; it must be at least 1"),
         (("--speed", "101"), "--speed is 101; it must be at most 100"),
         (("--acceleration", "0"), "--acceleration is 0; it must be at least 1"),
         (("--trigger-output", "0"), "--trigger-output is 0; it must be at least 1"),
         (("--done-input", "4097"), "--done-input is 4097; it must be at most 4096"),
         (("--timer", "0"), "--timer is 0; it must be at least 1"),
-        (("--gate-output", "1"), "--gate-output is 1, and so is the trigger's"),
+        (("--gate-output", "1"), "--gate-output is 1, as is the trigger output"),
         (("--timeout", "0"), "--timeout is 0.0; it must be at least 0.1"),
         (("--timeout", "nan"), "--timeout is nan; it must be a finite number"),
         (("--settle", "-1"), "--settle is -1.0; it must be at least 0"),
         (("--format", "rapid"), "--format is 'rapid'; valid are: krl, csv, json"),
     ],
 )
-def test_wrong_options_are_one_sentence_and_code_2(
+def test_invalid_options_give_one_sentence_and_code_2(
     planned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], sentence: str
 ) -> None:
-    """And nothing is written."""
+    """The command writes no file."""
     from cell.cli import app
     from cell.commands.failures import guarded
 
     words = ["export", str(planned), "--out", str(tmp_path / "out"), *options]
     assert guarded(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json=False) == 2
-    told = capsys.readouterr()
-    assert sentence in told.err
-    assert (told.out, len(told.err.strip().splitlines())) == ("", 1)
+    printed = capsys.readouterr()
+    assert sentence in printed.err
+    assert (printed.out, len(printed.err.strip().splitlines())) == ("", 1)
     assert not (tmp_path / "out").exists()
 
 
-def test_a_file_of_the_user_is_not_replaced(planned: Path, run_cell: Run, tmp_path: Path) -> None:
-    """In a folder that was named, a program that differs stays; the same one may be written again."""
+def test_a_changed_file_in_an_output_folder_is_not_replaced(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+    """With `--out`, a file with other content stays; an equal file may be written again."""
     assert run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path).returncode == 0
     assert run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path).returncode == 0
     edited = tmp_path / "out" / "P.dat"
@@ -180,12 +157,12 @@ def test_a_file_of_the_user_is_not_replaced(planned: Path, run_cell: Run, tmp_pa
     content = edited.read_bytes()
     done = run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path)
     assert done.returncode == 6
-    assert "P.dat exists already and differs" in done.stderr
+    assert "P.dat exists already with other content" in done.stderr
     assert edited.read_bytes() == content
 
 
-def test_a_name_cannot_put_a_statement_into_the_program(planned: Path, run_cell: Run, tmp_path: Path) -> None:
-    """A run folder whose name holds line breaks and more than a line of KRL takes stays one comment."""
+def test_a_folder_name_cannot_inject_a_statement(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+    """A run folder's name with line breaks and more characters than a KRL line stays one comment."""
     run = tmp_path / ("moved\r\nPTP {A1 170}\n" + "x" * 200 + "ü")
     shutil.copytree(planned, run)
     assert run_cell("export", str(run), "--name", "P", "--out", "out", cwd=tmp_path).returncode == 0
@@ -199,7 +176,7 @@ def test_a_name_cannot_put_a_statement_into_the_program(planned: Path, run_cell:
 def test_runs_that_cannot_be_exported(
     planned: Path, run_cell: Run, tmp_path: Path, resealed: Callable[[Path], str]
 ) -> None:
-    """Missing, unfinished, damaged, without a motion: one sentence and code 6."""
+    """Missing, unfinished, damaged, without motion: one sentence and code 6."""
     done = run_cell("export", "nowhere", cwd=tmp_path)
     assert (done.returncode, "the run folder nowhere does not exist" in done.stderr) == (6, True)
 
@@ -234,7 +211,7 @@ def test_runs_that_cannot_be_exported(
 
 
 def test_status_and_turn_as_controllers_export_them() -> None:
-    """HOME exports S 2; T counts negative axes; the branches' shoulder, elbow and wrist are its bits."""
+    """HOME exports S 2; T has a bit per negative axis; the bits of S are shoulder, elbow and wrist of a branch."""
     from cell.export.program import status_and_turn
     from cell.robot.arm import kr16_kinematics
 

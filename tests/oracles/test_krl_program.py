@@ -1,7 +1,7 @@
-"""The exported program, run by an interpreter of its own: where it drives, what it says to the scanner, and when.
+"""The exported program in an independent KRL interpreter: its motions, its signals and their times.
 
-The interpreter knows nothing of the writer. It reads plain KRL (declarations, IF, WHILE, calls, WAIT, motions), has a
-clock, inputs and outputs, and refuses every word that it does not know.
+The interpreter shares no code with the exporter. It reads plain KRL (declarations, IF, WHILE, calls, WAIT, motions),
+has a clock, inputs and outputs, and rejects every unknown statement.
 """
 
 import json
@@ -32,11 +32,11 @@ class Robot:
     now: float = 0.0
     inputs: dict[int, bool] = field(default_factory=dict)
     outputs: dict[int, bool] = field(default_factory=dict)
-    timers: dict[int, float] = field(default_factory=dict)  # time at which the timer stands at 0
+    timers: dict[int, float] = field(default_factory=dict)  # time at which the timer is 0
     moves: list[tuple[str, dict[str, float]]] = field(default_factory=list)
     events: list[tuple[str, float]] = field(default_factory=list)
     variables: dict[str, Any] = field(default_factory=dict)
-    line: Callable[["Robot", dict[str, float]], list[float]] | None = None  # where the axes stand after a LIN
+    line: Callable[["Robot", dict[str, float]], list[float]] | None = None  # axes after a LIN
 
     def wait(self, seconds: float) -> None:
         """Let time pass."""
@@ -115,7 +115,7 @@ class Krl:
                         break
                     self._block(body, at + 1, end)
                 else:
-                    pytest.fail("a loop without end")
+                    pytest.fail("an endless loop")
                 at = end
             elif match := re.fullmatch(r"IF (.+) THEN", line):
                 end = self._end(body, at, "IF", "ENDIF")
@@ -144,7 +144,7 @@ class Krl:
             if match[1] == "PTP":
                 robot.axes = [goal[f"A{axis}"] for axis in range(1, 7)]
             else:
-                assert robot.line, "the program drives a line"
+                assert robot.line, "unexpected LIN"
                 robot.axes = robot.line(robot, goal)
             robot.moves.append((match[1], goal))
             robot.events.append((match[1], robot.now))
@@ -155,7 +155,7 @@ class Krl:
                 if self._value(match[1]):
                     return
                 robot.wait(0.012)
-            pytest.fail(f"waits for ever: {line}")
+            pytest.fail(f"waits forever: {line}")
         elif match := re.fullmatch(r"\$(OUT|TIMER|TIMER_STOP)\[(.+?)\]=(.+)", line):
             number, value = self._value(match[2]), self._value(match[3])
             if match[1] == "OUT":
@@ -183,7 +183,7 @@ class Krl:
             known = (
                 r"(GLOBAL INTERRUPT DECL 3 WHEN \$STOPMESS==TRUE DO IR_STOPM \( \)|INTERRUPT ON 3|DECL (INT|BOOL) \w+)"
             )
-            assert re.fullmatch(known, line), f"not understood: {line}"
+            assert re.fullmatch(known, line), f"unknown statement: {line}"
 
     def _value(self, text: str) -> Any:
         text = text.strip()
@@ -223,8 +223,8 @@ class _Flags:
         return self._robot.now > self._robot.timers[number]
 
 
-def _prompt(output: int = 1, done: int = 1, takes: float = 0.3) -> Callable[[Robot], None]:
-    """A scanner that answers after a time, and takes the answer back when the trigger falls."""
+def _prompt(output: int = 1, done: int = 1, delay: float = 0.3) -> Callable[[Robot], None]:
+    """Return a scanner that answers after `delay` seconds and resets the answer when the trigger falls."""
     since: list[float] = []
 
     def scanner(robot: Robot) -> None:
@@ -233,7 +233,7 @@ def _prompt(output: int = 1, done: int = 1, takes: float = 0.3) -> Callable[[Rob
             robot.inputs[done] = False
         elif not since:
             since.append(robot.now)
-        elif robot.now - since[0] >= takes:
+        elif robot.now - since[0] >= delay:
             robot.inputs[done] = True
 
     return scanner
@@ -241,7 +241,7 @@ def _prompt(output: int = 1, done: int = 1, takes: float = 0.3) -> Callable[[Rob
 
 @pytest.fixture(scope="module")
 def exported(planned: Path, run_cell: Run, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, bytes]:
-    """`.src` and `.dat` of the small plan, signals 7 and 8."""
+    """`.src` and `.dat` of the small plan with signals 7 and 8."""
     folder = tmp_path_factory.mktemp("krl")
     signals = ("--trigger-output", "7", "--done-input", "8", "--timer", "3", "--timeout", "2.5", "--speed", "20")
     done = run_cell("export", str(planned), "--name", "PART_07", "--out", "out", *signals, cwd=folder)
@@ -258,10 +258,8 @@ def _driven(exported: tuple[bytes, bytes], robot: Robot) -> Krl:
     return program
 
 
-def test_the_program_drives_the_planned_via_points_to_the_planned_poses(
-    exported: tuple[bytes, bytes], planned: Path
-) -> None:
-    """Every via point, to the last 1e-4 deg; and at each scan the tool stands within 0.01 mm and 0.001 deg."""
+def test_the_program_follows_the_planned_via_points_and_poses(exported: tuple[bytes, bytes], planned: Path) -> None:
+    """Every via point to 1e-4 deg; at each scan the tool is within 0.01 mm and 0.001 deg."""
     from cell.robot.arm import kr16_kinematics
     from planner.kinematics.frames import pose_from_kuka_abc
 
@@ -290,14 +288,14 @@ def test_the_program_drives_the_planned_via_points_to_the_planned_poses(
     views = json.loads((planned / "plan.json").read_text())["views"]
     assert len(scanned) == len(views)
     T = kr16_kinematics().forward(np.radians(scanned)) @ T_flange_tool
-    wanted = np.array([view["T_base_scanner"] for view in views])
-    assert np.linalg.norm(T[:, :3, 3] - wanted[:, :3, 3], axis=1).max() < 1e-5
-    turned = np.swapaxes(T[:, :3, :3], 1, 2) @ wanted[:, :3, :3]
+    expected = np.array([view["T_base_scanner"] for view in views])
+    assert np.linalg.norm(T[:, :3, 3] - expected[:, :3, 3], axis=1).max() < 1e-5
+    turned = np.swapaxes(T[:, :3, :3], 1, 2) @ expected[:, :3, :3]
     assert np.degrees(np.linalg.norm(turned - np.eye(3), axis=(1, 2))).max() < 0.001
 
 
-def test_it_stands_calm_triggers_once_per_view_and_takes_the_trigger_back(exported: tuple[bytes, bytes]) -> None:
-    """Between two motions: settle, trigger up, answer, trigger down; never a motion while the trigger is up."""
+def test_it_settles_triggers_once_per_view_and_resets_the_trigger(exported: tuple[bytes, bytes]) -> None:
+    """Between two motions: settle, trigger up, answer, trigger down; no motion during the trigger."""
     robot = Robot(list(HOME), _prompt(7, 8))
     _driven(exported, robot)
     up = False
@@ -315,16 +313,16 @@ def test_it_stands_calm_triggers_once_per_view_and_takes_the_trigger_back(export
     assert robot.variables["$ADVANCE"] == 0
 
 
-def test_a_mute_scanner_halts_the_program_and_the_view_is_scanned_again(exported: tuple[bytes, bytes]) -> None:
-    """The time-out branch: trigger back, halt at the view, no motion; after Start the same view, and on."""
-    mute, prompt = [True], _prompt(7, 8)
+def test_a_silent_scanner_halts_the_program_and_the_view_is_repeated(exported: tuple[bytes, bytes]) -> None:
+    """Time-out: reset the trigger, halt at the view without motion; Start repeats the view and continues."""
+    silent, prompt = [True], _prompt(7, 8)
     halts: list[tuple[float, int, bool]] = []
 
     def operator(robot: Robot) -> None:
         halts.append((robot.now, robot.variables["SC_VIEW"], robot.outputs[7]))
-        mute[0] = len(halts) < 2
+        silent[0] = len(halts) < 2
 
-    robot = Robot(list(HOME), lambda robot: None if mute[0] else prompt(robot), operator)
+    robot = Robot(list(HOME), lambda robot: None if silent[0] else prompt(robot), operator)
     _driven(exported, robot)
     assert [(view, trigger) for _, view, trigger in halts] == [(1, False), (1, False)]
     assert halts[1][0] - halts[0][0] == pytest.approx(0.2 + 2.5, abs=0.05)
@@ -335,11 +333,11 @@ def test_a_mute_scanner_halts_the_program_and_the_view_is_scanned_again(exported
 
 @pytest.mark.parametrize("axis", range(6))
 @pytest.mark.parametrize("off", [0.2, -0.2, 360.0])
-def test_an_arm_that_was_jogged_while_the_program_stood_halts_it_again(
+def test_an_arm_that_was_jogged_during_a_halt_halts_it_again(
     exported: tuple[bytes, bytes], axis: int, off: float
 ) -> None:
-    """At the first view's time-out: no trigger and no motion until every axis is back where it stopped."""
-    mute, prompt, stood = [True], _prompt(7, 8), list[tuple[int, list[float]]]()
+    """After the first time-out: no trigger and no motion until every axis is back at its stop."""
+    silent, prompt, stood = [True], _prompt(7, 8), list[tuple[int, list[float]]]()
 
     def operator(robot: Robot) -> None:
         stood.append((len(robot.moves), list(robot.axes)))
@@ -348,21 +346,21 @@ def test_an_arm_that_was_jogged_while_the_program_stood_halts_it_again(
             robot.axes[axis] += off
         elif len(stood) == 3:
             robot.axes = list(stood[0][1])
-            robot.axes[axis] += 0.05  # not as near as the stop is repeated, but at it
-            mute[0] = False
+            robot.axes[axis] += 0.05  # farther than the repeatability, but within SC_NEAR
+            silent[0] = False
 
-    robot = Robot(list(HOME), lambda robot: None if mute[0] else prompt(robot), operator)
+    robot = Robot(list(HOME), lambda robot: None if silent[0] else prompt(robot), operator)
     _driven(exported, robot)
     assert len(stood) == 3
     assert len({moves for moves, _ in stood}) == 1
     halts = [k for k, (name, _) in enumerate(robot.events) if name == "HALT"]
     assert [name for name, _ in robot.events[halts[0] : halts[-1] + 2]] == ["HALT"] * 3 + ["OUT7=True"]
-    assert robot.events[halts[-1] + 1][1] - robot.events[halts[-1]][1] > 0.4 - 1e-9  # stands calm again
+    assert robot.events[halts[-1] + 1][1] - robot.events[halts[-1]][1] > 0.4 - 1e-9  # settles again
     assert robot.axes == HOME
 
 
-def test_an_arm_that_was_jogged_before_the_trigger_halts_it_too(exported: tuple[bytes, bytes]) -> None:
-    """The halt for an answer that hangs: the arm is looked at after it, before the trigger rises."""
+def test_an_arm_that_was_jogged_before_the_trigger_halts_it(exported: tuple[bytes, bytes]) -> None:
+    """After a halt because of a stuck answer, the arm is checked before the trigger rises."""
     hangs, prompt, stood = [True], _prompt(7, 8), list[list[float]]()
 
     def operator(robot: Robot) -> None:
@@ -385,8 +383,8 @@ def test_an_arm_that_was_jogged_before_the_trigger_halts_it_too(exported: tuple[
     assert robot.axes == HOME
 
 
-def test_an_answer_that_stays_is_not_taken_for_the_next_views(exported: tuple[bytes, bytes]) -> None:
-    """A done signal that hangs at TRUE: the trigger never rises."""
+def test_a_stuck_answer_is_not_used_for_the_next_view(exported: tuple[bytes, bytes]) -> None:
+    """If the done signal stays TRUE, the trigger never rises."""
 
     class StopHereError(Exception):
         pass
@@ -403,16 +401,16 @@ def test_an_answer_that_stays_is_not_taken_for_the_next_views(exported: tuple[by
 
 @pytest.mark.parametrize("axis", range(6))
 @pytest.mark.parametrize("off", [0.2, -0.2, 360.0])
-def test_away_from_home_nothing_moves(exported: tuple[bytes, bytes], axis: int, off: float) -> None:
-    """Each axis is looked at; a whole turn off is not home. Once there, the program goes on."""
-    stands = list(HOME)
-    stands[axis] += off
+def test_nothing_moves_away_from_home(exported: tuple[bytes, bytes], axis: int, off: float) -> None:
+    """Every axis is checked; a full turn off is not home. At home the program continues."""
+    start = list(HOME)
+    start[axis] += off
 
     def operator(robot: Robot) -> None:
         assert not robot.moves
         robot.axes = list(HOME)
 
-    robot = Robot(stands, _prompt(7, 8), operator)
+    robot = Robot(start, _prompt(7, 8), operator)
     _driven(exported, robot)
     assert [name for name, _ in robot.events].count("HALT") == 1
     assert robot.axes == HOME
@@ -421,10 +419,10 @@ def test_away_from_home_nothing_moves(exported: tuple[bytes, bytes], axis: int, 
 def _sweeping(
     reverse: bool = False, turn: float = 0.0, speed_percent: int = 100, planned_speed: float = 1.0
 ) -> tuple[bytes, bytes, Any]:
-    """A program of two sweeps, the second of them turned where asked [rad], with a stop between, and its motion."""
+    """Return a program of two sweeps, the second turned by `turn` [rad], with a view between them, and its motion."""
     from cell.export import krl
     from cell.export.options import ExportOptions
-    from cell.export.program import Told, of_motion
+    from cell.export.program import ProgramInfo, program_of_motion
     from cell.robot.arm import kr16_kinematics
     from planner.path.sweeps import TimedSweep, find_sweeps
     from planner.timing.motion import retime
@@ -449,19 +447,19 @@ def _sweeping(
         via, segment, view, kinematics.limits, pose=pose,
         lines={row: TimedSweep(path, mount, kinematics) for row, path in rows.items()},
     )  # fmt: skip
-    program = of_motion(
+    program = program_of_motion(
         motion,
         kinematics,
         mount,
         np.eye(4),
-        Told("SWEEPS", "plate", "run", "0" * 64, planned_speed, 1.0, float("nan"), ""),
+        ProgramInfo("SWEEPS", "plate", "run", "0" * 64, planned_speed, 1.0, float("nan"), ""),
     )
     options = krl.KrlOptions(speed_percent, 100, ExportOptions(trigger_output=7, gate_output=9, done_input=8))
     return krl.source(program, options), krl.data(program, options), (motion, paths, kinematics, mount)
 
 
 def _straight_line(kinematics: Any) -> Callable[[Robot, dict[str, float]], list[float]]:
-    """Axes after a LIN: the nearest solution of the goal's pose, as a controller that follows the line ends."""
+    """Return a function for the axes after a LIN: the configuration of the goal nearest to the start."""
     from planner.kinematics.frames import pose_from_kuka_abc
 
     def frame(of: dict[str, float]) -> np.ndarray:
@@ -482,21 +480,24 @@ def _straight_line(kinematics: Any) -> Callable[[Robot, dict[str, float]], list[
 
 @pytest.mark.parametrize("reverse", [False, True])
 def test_a_sweep_is_one_line_between_trigger_and_answer(reverse: bool) -> None:
-    """From the planned beginning to the planned end within 0.01 mm and 0.001 deg; poses on it; gate; speed."""
+    """Planned start and end within 0.01 mm and 0.001 deg; planned poses on the line; gate; speed."""
     src, dat, (_, paths, kinematics, mount) = _sweeping(reverse)
     robot = Robot(list(HOME), _prompt(7, 8), line=_straight_line(kinematics))
     before: list[list[float]] = []
     drive = robot.line
     assert drive is not None
     robot.line = lambda robot, goal: before.append(list(robot.axes)) or drive(robot, goal)
-    told: list[dict[str, float]] = []
+    variables: list[dict[str, float]] = []
     prompt = robot.scanner
-    robot.scanner = lambda robot: (told.append(dict(robot.variables)) if robot.outputs.get(9) else None, prompt(robot))
+    robot.scanner = lambda robot: (
+        variables.append(dict(robot.variables)) if robot.outputs.get(9) else None,
+        prompt(robot),
+    )
     _driven((src, dat), robot)
     assert robot.axes == HOME
     lines = [goal for kind, goal in robot.moves if kind == "LIN"]
     assert len(lines) == len(before) == 2
-    for path, goal, start, speed in zip(paths, lines, before, (told[0], told[-1]), strict=True):
+    for path, goal, start, speed in zip(paths, lines, before, (variables[0], variables[-1]), strict=True):
         np.testing.assert_allclose(start, np.degrees(path.q[0]), atol=1e-9)
         ends = kinematics.forward(np.stack([path.q[0], path.q[-1]])) @ mount
         assert np.linalg.norm(1e-3 * np.array([goal[axis] for axis in "XYZ"]) - ends[1, :3, 3]) < 1e-5
@@ -505,7 +506,7 @@ def test_a_sweep_is_one_line_between_trigger_and_answer(reverse: bool) -> None:
         assert np.degrees(np.abs(end - path.q[-1])).max() < 2e-4
         T = (kinematics.forward(end) @ mount)[0]
         assert np.degrees(np.linalg.norm(T[:3, :3].T @ ends[1, :3, :3] - np.eye(3))) < 0.001
-        # A line from there to there passes every planned pose.
+        # A line between these poses passes every planned pose.
         u = path.u[path.pose >= 0]
         on_line = ends[0, :3, 3] + u[:, None] * (T[:3, 3] - ends[0, :3, 3])
         planned = kinematics.forward(path.q[path.pose >= 0]) @ mount
@@ -526,12 +527,10 @@ def test_a_sweep_is_one_line_between_trigger_and_answer(reverse: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    ("percent", "planned", "slower"), [(20, 1.0, 0.2), (1, 1.0, 0.01), (20, 0.5, 0.4), (50, 0.5, 1.0), (100, 0.5, 1.0)]
+    ("percent", "planned", "factor"), [(20, 1.0, 0.2), (1, 1.0, 0.01), (20, 0.5, 0.4), (50, 0.5, 1.0), (100, 0.5, 1.0)]
 )
-def test_lines_slow_down_with_the_axes_and_are_never_faster_than_planned(
-    percent: int, planned: float, slower: float
-) -> None:
-    """`--speed` against the plan's own; the ramps v^2 / 2a stay as long as they were planned."""
+def test_lines_slow_down_with_the_axes_and_never_exceed_the_plan(percent: int, planned: float, factor: float) -> None:
+    """`--speed` relative to the plan's scaling; the ramp length v^2 / 2a stays as planned."""
     src, _, (_, paths, _, _) = _sweeping(speed_percent=percent, planned_speed=planned)
     speeds, accelerations = (
         [float(value) for value in re.findall(re.escape(f"${name}=") + r"(\S+)", src.decode())]
@@ -539,12 +538,12 @@ def test_lines_slow_down_with_the_axes_and_are_never_faster_than_planned(
     )
     for path, speed, acceleration in zip(paths, speeds, accelerations, strict=True):
         as_planned = path.line.length / path.profile.cruise
-        assert speed == pytest.approx(slower * as_planned, rel=2e-3)
+        assert speed == pytest.approx(factor * as_planned, rel=2e-3)
         assert speed**2 / acceleration == pytest.approx(as_planned * path.profile.ramp, rel=1e-2)
 
 
 def test_a_sweep_that_turns_is_refused() -> None:
-    """One sentence with the angle; a line whose set-points turn it by their rounding alone is straight."""
+    """The message names the angle; a turn from the rounding of set-points alone is accepted."""
     from cell.errors import UsageError
 
     with pytest.raises(UsageError, match=r"the sweep of view 3 turns by 22\.9\d\d deg.*--format csv or json"):
@@ -553,19 +552,19 @@ def test_a_sweep_that_turns_is_refused() -> None:
         _sweeping(turn=np.radians(0.02))
 
 
-def test_an_arm_jogged_at_the_end_of_a_line_is_not_driven_back() -> None:
-    """The LIN to the beginning waits for the line's end; and the next trigger for its beginning."""
+def test_an_arm_jogged_at_the_end_of_a_line_does_not_return() -> None:
+    """The LIN to the beginning waits until the arm is at the end of the line; the next trigger, at its beginning."""
     src, dat, (_, paths, kinematics, _) = _sweeping()
-    mute, prompt, stood = [True], _prompt(7, 8), list[tuple[int, list[float]]]()
+    silent, prompt, stood = [True], _prompt(7, 8), list[tuple[int, list[float]]]()
 
     def operator(robot: Robot) -> None:
         stood.append((len(robot.moves), list(robot.axes)))
         assert (robot.outputs[7], robot.outputs[9]) == (False, False)
         robot.axes = [angle - 0.3 for angle in robot.axes] if len(stood) == 1 else list(stood[0][1])
-        mute[0] = len(stood) < 2
+        silent[0] = len(stood) < 2
 
     robot = Robot(
-        list(HOME), lambda robot: None if mute[0] else prompt(robot), operator, line=_straight_line(kinematics)
+        list(HOME), lambda robot: None if silent[0] else prompt(robot), operator, line=_straight_line(kinematics)
     )
     _driven((src, dat), robot)
     assert len(stood) == 2
@@ -575,16 +574,16 @@ def test_an_arm_jogged_at_the_end_of_a_line_is_not_driven_back() -> None:
     assert robot.axes == HOME
 
 
-def test_a_sweep_without_an_answer_goes_back_and_is_driven_again() -> None:
-    """Time-out after the line: halt, LIN back to its beginning, the same line again, then on."""
+def test_a_sweep_without_an_answer_is_repeated() -> None:
+    """Time-out after the line: halt, LIN back to its beginning, the same line again, then continue."""
     src, dat, (_, paths, kinematics, _) = _sweeping(False)
-    mute, prompt = [True], _prompt(7, 8)
+    silent, prompt = [True], _prompt(7, 8)
 
     def operator(robot: Robot) -> None:
-        mute[0] = False
+        silent[0] = False
 
     robot = Robot(
-        list(HOME), lambda robot: None if mute[0] else prompt(robot), operator, line=_straight_line(kinematics)
+        list(HOME), lambda robot: None if silent[0] else prompt(robot), operator, line=_straight_line(kinematics)
     )
     _driven((src, dat), robot)
     lines = [goal for kind, goal in robot.moves if kind == "LIN"]
