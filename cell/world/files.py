@@ -1,11 +1,11 @@
-"""`cell.xml`: the checked cell as one MJCF that MuJoCo loads alone, the part at its placed pose; `robot.xml`: its arm.
+"""Writing `cell.xml`, the checked cell as one MJCF with the part at its placement, and `robot.xml`, its arm.
 
-MuJoCo writes six digits, which moves the flange of this arm by micrometres and turns the home pose by 4e-6 rad. So its
-text is taken for the structure, and every length, angle and mesh in it is written again from the specification, with
-all digits of a float64.
+MuJoCo writes six digits, which moves the flange of this arm by micrometres and turns the home pose by 4e-6 rad. So only
+the structure of its text is used: every length, angle and mesh is written from the specification with all digits of a
+float64.
 
-Whoever opens it in MuJoCo's viewer sees the cell: the arm's shapes are in a visible group, there is a light, and the
-arm stands at home: that is its reference configuration (`ref`), which changes no pose at any joint angles.
+MuJoCo's viewer shows the cell of the file: the arm's shapes are in a visible group, there is a light, and the arm is at
+home. Home is its reference configuration (`ref`), which changes no pose at any joint angles.
 """
 
 from pathlib import Path
@@ -27,25 +27,21 @@ _VISIBLE_GROUP = 1
 
 
 def write_mjcf(world: World, folder: Path) -> tuple[str, ...]:
-    """Write `cell.xml` into a folder, and `robot.xml` of a robot that is not built in; meshes are inside them.
+    """Write `cell.xml`, and `robot.xml` for a robot from a file, to an existing folder; meshes are inside the files.
 
-    Part and post are mocap bodies in it, as in the checked model: whoever loads it may move them.
-
-    Args:
-        world: the compiled scene.
-        folder: an existing folder.
+    Part and post are mocap bodies, as in the checked model, and can be moved.
 
     Returns:
-        The names of the files written.
+        The names of the written files.
     """
     T, spec = world.T_base_object, world.spec.copy()
     spec.body("object").pos, spec.body("object").quat = T[:3, 3], quaternion(T[:3, :3])
     post = world.T_base_post(T)
     spec.body("post").pos, spec.body("post").quat = post[:3, 3], quaternion(post[:3, :3])
-    _for_the_eye(spec, world)
+    _prepare_for_viewer(spec, world)
     home = spec.key("home")
     home.qpos = world.mimic_joints.qpos(world.home[:ARM_AXES])
-    home.mpos, home.mquat = [], []  # a key would put the mocap bodies elsewhere
+    home.mpos, home.mquat = [], []  # a key would move the mocap bodies
     _write(spec, folder / FILE_NAME)
     if world.scene.robot.model == KR16:
         return (FILE_NAME,)
@@ -67,8 +63,8 @@ def _write(spec: Any, path: Path) -> None:
     path.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
 
 
-def _for_the_eye(spec: Any, world: World) -> None:
-    """Robot shapes in a visible group, a light from above, home as the configuration in which a viewer begins."""
+def _prepare_for_viewer(spec: Any, world: World) -> None:
+    """Make robot shapes visible, add a light from above, and make home the initial configuration of a viewer."""
     import mujoco
 
     for body in spec.bodies:
@@ -81,7 +77,7 @@ def _for_the_eye(spec: Any, world: World) -> None:
     qpos = world.mimic_joints.qpos(world.home[:ARM_AXES])
     for joint in spec.joints:
         angle = qpos[world.model.joint(joint.name).qposadr[0]]
-        # The body is given as it stands at the reference angle: turned about its own joint.
+        # A body is given at its reference angle: turned about its own joint.
         turned, turn = np.empty(4), np.empty(4)
         mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis), float(angle))
         mujoco.mju_mulQuat(turned, np.asarray(joint.parent.quat), turn)
@@ -90,7 +86,7 @@ def _for_the_eye(spec: Any, world: World) -> None:
 
 
 def _write_exactly(element: ElementTree.Element, spec: Any, model: Any) -> None:
-    """Replace the rounded numbers of one element by those of the specification."""
+    """Replace the rounded numbers of an element by those of the specification."""
     name = element.get("name")
     exact: dict[str, ArrayLike] = {}
     if name is None:
@@ -120,7 +116,7 @@ def _write_exactly(element: ElementTree.Element, spec: Any, model: Any) -> None:
     for attribute, values in exact.items():
         present = element.get(attribute)
         if element.tag == "numeric" and np.array_equal(np.array((present or "").split(), dtype=np.float64), values):
-            continue  # few digits say it all
+            continue  # exact with few digits
         if present is not None:
             count = len(present.split())  # a cylinder's size is written with two numbers, kept with three
             numbers = np.atleast_1d(np.asarray(values, dtype=np.float64)).ravel()[:count]

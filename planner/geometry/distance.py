@@ -1,34 +1,26 @@
-"""Distance of a convex body, or of other triangles, from triangles in a tree: GJK with a certified bound, compiled.
+"""Distance of triangle meshes from convex bodies and from each other: a tree of bounds over GJK, compiled.
 
-GJK (Gilbert, Johnson and Keerthi 1988, doi:10.1109/56.2083) walks towards the point v of the difference A - B that is
-nearest to the origin. At each step the support point w of A - B against v gives
+`TriangleTree` holds a mesh. Its triangles are sorted along Morton's curve and split evenly into the leaves of a
+complete binary tree. A query visits the nearer child first and skips every node whose lower bound is not below the best
+distance so far; the bound of a node is that of two upright boxes, then of a few steps of GJK.
+
+GJK (Gilbert, Johnson and Keerthi 1988, doi:10.1109/56.2083) iterates towards the point v of the difference A - B that
+is nearest to the origin. At each step the support point w of A - B against v gives
 
     v.w / |v|  <=  distance(A, B)  <=  |v|,
 
-the left side being the distance of the origin from a plane that has all of A - B behind it. The largest left side seen
-is what is returned, so a walk that is cut short or stalls on a degenerate simplex says too little, never too much. The
-nearest point of a simplex is looked for among all its faces: slower than Johnson's recursion by a little, and without
-its cases where cancelled digits choose the wrong face.
+the left side being the distance of the origin from a plane that has all of A - B behind it. The largest left side is
+returned: an iteration that is cut short or stalls on a degenerate simplex returns a smaller distance, never a larger
+one. The result is a lower bound within 1e-8 m of the true distance. The nearest point of a simplex is searched among
+all its faces: slightly slower than Johnson's recursion, and without its cases where cancelled digits choose the wrong
+face.
 
-`nearest_triangle` walks through the tree that `planner.geometry.distance` builds, `nearest_pair` through two of them.
+A surface has no depth: bodies that touch or intersect it have distance 0. A body wholly inside a closed mesh is found
+by counting the crossings of a ray, and its distance is negative.
 
-These are kernels: import this module only where they are used (`planner.compiled`). They are written number by number,
-because arrays made inside a kernel take most of its time, and array expressions most of the time to compile it. One
-frame for everything, metres.
-
-How often a ray crosses the triangles of a tree, compiled: import this module only where it is used.
-
-True triangles of a part, fixture or link: their distance from a body by a tree of bounds over GJK, compiled.
-
-A body is a box, a cylinder, or the triangles of another tree.
-
-Triangles are sorted along Morton's curve and split evenly into the leaves of a complete binary tree. A query goes down
-to the nearer child first and leaves out whatever cannot be nearer than what it has found; the bound of a node is that
-of two upright boxes, then a few steps of GJK. The result is a lower bound within 1e-8 m of the true distance
-(`planner.geometry.distance`).
-
-A surface has no depth: bodies that touch or cut it are 0 apart. Where the mesh is closed, a body that floats wholly
-inside is found by counting crossings of a ray, and its distance is negative. Lengths in metres.
+The kernels need numba: import this module only where it is used (`planner.compiled`). They are written number by
+number, because arrays made inside a kernel take most of its time, and array expressions most of the time to compile it.
+Metres.
 """
 
 from functools import cached_property
@@ -41,27 +33,28 @@ from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Ints
 
 BOX, CYLINDER, HULL = 0, 1, 2
-"""Kinds of A: a row of half sides; a row of radius and half length along z; vertices, a row each."""
+"""Kinds of body A, by its rows: half sides; radius and half length along z; vertices."""
 
 TRIANGLE, BOUNDS = 0, 1
-"""Kinds of B: three corners; lowest and highest corner of an upright box in the first two rows."""
+"""Kinds of body B, by its rows: three corners; lowest and highest corner of an upright box."""
 
 TOLERANCE = 1e-8
-"""Gap between both bounds at which the walk ends [m]."""
+"""Gap between both bounds at which the iteration ends [m]."""
 
 WORK = 13
-"""Rows of the scratch array (`WORK`, 4) that a caller hands in."""
+"""Number of rows of the scratch array (`WORK`, 4)."""
 
-POINT, WAY = 11, 9
+POINT, OFFSET = 11, 9
+"""Rows of the scratch array after `distance`: the nearest point of A, and the vector to it from that of B."""
 
 _TOUCHING = 1e-12  # m; |v| below this is contact
 _INFINITE = 1e300
 
-# As int64: numba would compile GJK anew for each constant that it is called with.
-_NODE_STEPS = 6  # of GJK for the bound of a node: most of what the walk would find, for a third of its time
-_HULL_STEPS = 20  # the same of a hull of many vertices, along which the walk is slower
+# Passed as int64: numba compiles GJK anew for each constant argument.
+_NODE_STEPS = 6  # of GJK for the bound of a node: nearly the final bound, in a third of the time
+_HULL_STEPS = 20  # the same for a hull of many vertices, which converges more slowly
 _FULL_STEPS = 64
-_DEPTH = 128  # nodes that wait at most: two for each level
+_DEPTH = 128  # size of the stack of nodes: two for each level
 
 # Rows of the scratch array: four corners of A - B, their points of A, weights, and single vectors.
 _A, _WEIGHT, _V, _W, _P, _OF_B = 4, 8, 9, 10, 11, 12
@@ -71,7 +64,7 @@ Scratch = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Ints]
 
 
 def scratch() -> Scratch:
-    """What a call of `nearest_triangle` works in: zeros. Made there, they would take a tenth of its time to compile."""
+    """Create the arrays of `nearest_triangle`; created inside, they would take a tenth of its time to compile."""
     bounds = np.empty(_DEPTH), np.empty(_DEPTH, dtype=np.int64)
     return np.zeros((3, 3)), np.zeros(3), np.zeros(3), np.zeros((WORK, 4)), np.zeros((2, 3)), *bounds
 
@@ -88,7 +81,7 @@ def nearest_triangle(
     points: Floats,
     scratch: Scratch,
 ) -> float:
-    """Distance of a body from the triangles, `reach` where it is more; see `TriangleTree.distance`."""
+    """Compute the distance of a body from the triangles, at most `reach`; see `TriangleTree.distance`."""
     position, rotation = body
     part_position, part_rotation = part
     triangles, first, bounds = tree
@@ -123,7 +116,7 @@ def nearest_triangle(
                 if apart < best:
                     best, found = apart, True
                     for i in range(3):
-                        nearest[0, i], nearest[1, i] = s[POINT, i], s[POINT, i] - s[WAY, i]
+                        nearest[0, i], nearest[1, i] = s[POINT, i], s[POINT, i] - s[OFFSET, i]
                     if any_nearer or best <= 0.0:
                         count = 0
                         break
@@ -158,14 +151,14 @@ def nearest_pair(
     any_nearer: bool,
     points: Floats,
 ) -> float:
-    """Distance of the triangles of two trees, `reach` where it is more; see `TriangleTree.from_tree`.
+    """Compute the distance of the triangles of two trees, at most `reach`; see `TriangleTree.distance_to_tree`.
 
     Args:
         one: origin (3,) and axes (9,) of the first tree's frame in base.
         tree_one: its triangles, first triangle of each leaf, and boxes.
-        two: the second's frame.
-        tree_two: and its tree.
-        reach: nothing beyond is looked for [m].
+        two: frame of the second tree.
+        tree_two: the second tree.
+        reach: largest distance that is measured [m].
         any_nearer: stop at the first two triangles nearer than `reach`.
         points: (2, 3) is overwritten with the nearest points, base frame [m].
     """
@@ -184,7 +177,7 @@ def nearest_pair(
     size, extent, middle, corners = np.zeros((1, 3)), np.zeros(3), np.zeros(3), np.zeros((3, 3))
     here, upright = np.zeros(3), np.eye(3)
     child, lower = np.zeros((2, 2), dtype=np.int64), np.zeros(2)
-    between = np.zeros(2)  # squared distance of the middles: boxes that overlap alike are told apart by it
+    between = np.zeros(2)  # squared distance of the middles, for boxes with equal bounds
     while count:
         count -= 1
         a, b = waiting[count, 0], waiting[count, 1]
@@ -207,7 +200,7 @@ def nearest_pair(
                     if apart < best:
                         best, found = apart, True
                         for i in range(3):
-                            nearest[1, i], nearest[0, i] = s[POINT, i], s[POINT, i] - s[WAY, i]
+                            nearest[1, i], nearest[0, i] = s[POINT, i], s[POINT, i] - s[OFFSET, i]
                         if any_nearer or best <= 0.0:
                             count = 0
                             break
@@ -251,7 +244,7 @@ def nearest_pair(
 
 @compiled
 def _boxes_apart(one: Floats, two: Floats) -> float:
-    """A lower bound on the distance of two triangles: that of their upright boxes."""
+    """Return a lower bound on the distance of two triangles: that of their upright boxes."""
     squared = 0.0
     for i in range(3):
         gap = max(
@@ -268,7 +261,7 @@ def _boxes_apart(one: Floats, two: Floats) -> float:
 def _node_bound(
     kind: int, size: Floats, R: Floats, p: Floats, extent: Floats, box: Floats, enough: float, s: Floats
 ) -> float:
-    """A lower bound on the distance of the body from an upright box."""
+    """Return a lower bound on the distance of the body from an upright box."""
     squared = 0.0
     for i in range(3):
         gap = max(box[0, i] - p[i] - extent[i], p[i] - extent[i] - box[1, i])
@@ -285,18 +278,18 @@ def _node_bound(
 def distance(
     kind: int, size: Floats, R: Floats, p: Floats, kind_b: int, b: Floats, enough: float, steps: int, s: Floats
 ) -> float:
-    """A lower bound on the distance of two convex bodies that is within `TOLERANCE` of it where it is below `enough`.
+    """Return a lower bound on the distance of two convex bodies, within `TOLERANCE` of it if it is below `enough`.
 
     Args:
-        kind: of A.
-        size: (n, 3) of A [m].
+        kind: kind of A.
+        size: (n, 3) rows of A [m].
         R: (3, 3) axes of A.
         p: (3,) origin of A.
-        kind_b: of B.
-        b: (3, 3) B.
-        enough: the walk ends as soon as the distance is known to be this or more [m].
-        steps: most steps of the walk; few give a cheap bound.
-        s: (WORK, 4) scratch; afterwards rows `POINT` and `WAY` hold the nearest point of A, and the way to it from B's.
+        kind_b: kind of B.
+        b: (3, 3) rows of B.
+        enough: the iteration ends as soon as the distance is known to be this or more [m].
+        steps: largest number of steps; few give a cheap bound.
+        s: (WORK, 4) scratch; afterwards the rows `POINT` and `OFFSET` are valid.
 
     Returns:
         The bound [m]; 0 where they touch or overlap.
@@ -322,7 +315,7 @@ def distance(
         n += 1
         inside = _nearest(n, s)
         kept = 0
-        for k in range(n):  # the simplex keeps the corners that hold v
+        for k in range(n):  # the simplex keeps the corners that span v
             if s[_WEIGHT, k] > 0.0:
                 for i in range(3):
                     s[kept, i], s[_A + kept, i] = s[k, i], s[_A + k, i]
@@ -337,7 +330,7 @@ def distance(
         shrunk = (s[_V, 0] * s[_V, 0] + s[_V, 1] * s[_V, 1] + s[_V, 2] * s[_V, 2]) ** 0.5
         if inside or shrunk <= _TOUCHING:
             return 0.0
-        if shrunk >= upper:  # rounding is all that is left
+        if shrunk >= upper:  # only rounding is left
             return lower
         upper = shrunk
     return lower
@@ -345,7 +338,7 @@ def distance(
 
 @compiled
 def _support(kind: int, size: Floats, R: Floats, p: Floats, kind_b: int, b: Floats, s: Floats) -> None:
-    """The point of A - B that lies farthest against v, into row w; its point of B into row _OF_B."""
+    """Write the support point of A - B against v to row _W, and its point of B to row _OF_B."""
     vx, vy, vz = s[_V, 0], s[_V, 1], s[_V, 2]
     x = -(R[0, 0] * vx + R[1, 0] * vy + R[2, 0] * vz)
     y = -(R[0, 1] * vx + R[1, 1] * vy + R[2, 1] * vz)
@@ -380,11 +373,11 @@ def _support(kind: int, size: Floats, R: Floats, p: Floats, kind_b: int, b: Floa
 
 @compiled
 def _nearest(n: int, s: Floats) -> bool:
-    """Weights of the point of a simplex nearest to the origin; True where the origin is inside a tetrahedron.
+    """Compute the weights of the point of a simplex nearest to the origin; True if the origin is inside a tetrahedron.
 
     Args:
         n: number of corners, 1 to 4, in the first rows of s.
-        s: scratch; row _WEIGHT is overwritten, the first n add up to 1.
+        s: scratch; row _WEIGHT is overwritten with n weights of sum 1.
     """
     if n == 4:
         whole = _volume(s, n)
@@ -414,7 +407,7 @@ def _nearest(n: int, s: Floats) -> bool:
 
 @compiled
 def _of_triangle(i: int, j: int, k: int, best: float, s: Floats) -> float:
-    """Keep the weights of the point of a triangle nearest to the origin where its squared distance is below `best`."""
+    """Store the weights of the point of a triangle nearest to the origin if its squared distance is below `best`."""
     ux, uy, uz = s[j, 0] - s[i, 0], s[j, 1] - s[i, 1], s[j, 2] - s[i, 2]
     vx, vy, vz = s[k, 0] - s[i, 0], s[k, 1] - s[i, 1], s[k, 2] - s[i, 2]
     uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
@@ -424,7 +417,7 @@ def _of_triangle(i: int, j: int, k: int, best: float, s: Floats) -> float:
     if area > 1e-14 * uu * vv:
         a, b = (vv * ru - uv * rv) / area, (uu * rv - uv * ru) / area
         if a > 0 and b > 0 and a + b < 1:
-            return _kept(i, j, k, 1 - a - b, a, b, best, s)
+            return _store(i, j, k, 1 - a - b, a, b, best, s)
     best = _of_segment(i, j, best, s)
     best = _of_segment(j, k, best, s)
     return _of_segment(k, i, best, s)
@@ -432,16 +425,16 @@ def _of_triangle(i: int, j: int, k: int, best: float, s: Floats) -> float:
 
 @compiled
 def _of_segment(i: int, j: int, best: float, s: Floats) -> float:
-    """The same for a segment."""
+    """Store the weights for a segment, as `_of_triangle`."""
     dx, dy, dz = s[j, 0] - s[i, 0], s[j, 1] - s[i, 1], s[j, 2] - s[i, 2]
     along = dx * dx + dy * dy + dz * dz
     t = -(dx * s[i, 0] + dy * s[i, 1] + dz * s[i, 2]) / along if along > 0 else 0.0
     t = min(1.0, max(0.0, t))
-    return _kept(i, j, i, 1 - t, t, 0 * t, best, s)
+    return _store(i, j, i, 1 - t, t, 0 * t, best, s)
 
 
 @compiled
-def _kept(i: int, j: int, k: int, a: float, b: float, c: float, best: float, s: Floats) -> float:
+def _store(i: int, j: int, k: int, a: float, b: float, c: float, best: float, s: Floats) -> float:
     squared: float = 0.0
     for axis in range(3):
         x = a * s[i, axis] + b * s[j, axis] + c * s[k, axis]
@@ -458,7 +451,7 @@ def _kept(i: int, j: int, k: int, a: float, b: float, c: float, best: float, s: 
 
 @compiled
 def _volume(s: Floats, origin: int) -> float:
-    """Six times the signed volume of the tetrahedron, the corner numbered `origin` moved to the origin."""
+    """Return six times the signed volume of the tetrahedron, with corner number `origin` moved to the origin."""
     a, b, c, d = origin != 0, origin != 1, origin != 2, origin != 3
     px, py, pz = a * s[0, 0], a * s[0, 1], a * s[0, 2]
     ux, uy, uz = b * s[1, 0] - px, b * s[1, 1] - py, b * s[1, 2] - pz
@@ -470,7 +463,7 @@ def _volume(s: Floats, origin: int) -> float:
 
 @compiled
 def count_crossings(origin: Floats, ray: Floats, tree: tuple[Floats, Ints, Floats]) -> int:
-    """How often a ray crosses the triangles (Moeller and Trumbore 1997, doi:10.1080/10867651.1997.10487468)."""
+    """Count the crossings of a ray with the triangles (Moeller, Trumbore 1997, doi:10.1080/10867651.1997.10487468)."""
     triangles, first, bounds = tree
     leaves = len(first) - 1
     waiting = np.empty(_DEPTH, dtype=np.int64)
@@ -479,7 +472,7 @@ def count_crossings(origin: Floats, ray: Floats, tree: tuple[Floats, Ints, Float
         count -= 1
         node = waiting[count]
         near, far = 0.0, np.inf
-        for i in range(3):  # the rays have no component that is 0
+        for i in range(3):  # no component of a ray is 0
             one, two = (bounds[node, 0, i] - origin[i]) / ray[i], (bounds[node, 1, i] - origin[i]) / ray[i]
             near, far = max(near, min(one, two)), min(far, max(one, two))
         if near > far:
@@ -509,7 +502,7 @@ def count_crossings(origin: Floats, ray: Floats, tree: tuple[Floats, Ints, Float
 
 @compiled
 def _edges(corners: Floats) -> tuple[float, float, float, float, float, float]:
-    """From the first of three corners to the second and to the third: one specialisation, whatever the corner."""
+    """Return the edges from the first of three corners to the second and third: one compiled form for each caller."""
     x, y, z = corners[0, 0], corners[0, 1], corners[0, 2]
     return (
         corners[1, 0] - x, corners[1, 1] - y, corners[1, 2] - z, corners[2, 0] - x, corners[2, 1] - y, corners[2, 2] - z
@@ -519,18 +512,18 @@ def _edges(corners: Floats) -> tuple[float, float, float, float, float, float]:
 Frames = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 """Origin (3,) and axes (9,), row by row, of two frames in base [m]."""
 
-_BLOCK = 8192  # triangles worked on at once: what they need fits into a core's cache
-_LEAF = 4  # triangles in a leaf, about: fewer cost more nodes, more cost more narrow checks
+_BLOCK = 8192  # triangles a pass: its arrays fit into the cache of a core
+_LEAF = 4  # triangles a leaf, about: fewer cost more nodes, more cost more calls of GJK
 
-# Directions along which nothing is built.
+# Directions that no edge or face of a real part is parallel to.
 _RAYS = np.array([[0.5391, 0.6173, 0.5729], [-0.7213, 0.3911, 0.5717], [0.2417, -0.8719, 0.4259]])
 
 
 class TriangleTree:
-    """A mesh that answers how far it is from a body; never changed, so that checkers share it.
+    """A mesh prepared for distance queries. It never changes, so checkers share it.
 
     Attributes:
-        closed: whether every edge joins two faces, or four where bodies meet, so that there is an inside.
+        closed: whether every edge joins an even number of faces, so that there is an inside.
     """
 
     def __init__(self, mesh: TriangleMesh) -> None:
@@ -571,22 +564,22 @@ class TriangleTree:
         any_nearer: bool = False,
         points: Floats | None = None,
     ) -> float:
-        """Distance of a body from the part.
+        """Compute the distance of a convex body from the mesh.
 
         Args:
-            kind: `planner.geometry.distance.BOX`, `CYLINDER` or `HULL`.
+            kind: `BOX`, `CYLINDER` or `HULL`.
             size: (3,) half sides; radius, half length; (n, 3) the vertices of a hull [m].
-            position: (3,) its middle, base frame [m].
-            rotation: (9,) its axes, row by row, base frame.
-            part_position: (3,) origin of the part's frame, base frame [m].
-            part_rotation: (9,) its axes, row by row, base frame.
-            reach: nothing beyond is looked for [m].
+            position: (3,) middle of the body, base frame [m].
+            rotation: (9,) axes of the body, row by row, base frame.
+            part_position: (3,) origin of the mesh's frame, base frame [m].
+            part_rotation: (9,) axes of the mesh's frame, row by row, base frame.
+            reach: largest distance that is measured [m].
             any_nearer: stop at the first triangle nearer than `reach`: enough for yes or no.
-            points: (2, 3) is overwritten with the nearest points of body and part, base frame [m].
+            points: (2, 3), overwritten with the nearest points of body and mesh, base frame [m].
 
         Returns:
-            The distance [m]: `reach` where it is more, 0 in contact, negative where the body floats inside a closed
-            part (and its distance from the surface is what is measured).
+            The distance [m]: `reach` if it is larger, 0 in contact, the negative distance from the surface for a body
+            inside a closed mesh.
         """
         found = np.zeros((2, 3)) if points is None else points
         measured = nearest_triangle(
@@ -600,14 +593,14 @@ class TriangleTree:
     def distance_to_hull(
         self, other: "TriangleTree", frames: Frames, reach: float, *, any_nearer: bool, points: Floats | None
     ) -> float:
-        """Distance of the convex hull of another tree's triangles from those of this one; see `from_tree`."""
+        """Compute the distance of the convex hull of another mesh from this mesh; see `distance_to_tree`."""
         (middle, vertices), (here, (position, R)) = other.hull, frames
         position = position + R.reshape(3, 3) @ middle
         return self.distance(HULL, vertices, position, R, *here, reach, any_nearer=any_nearer, points=points)
 
     @cached_property
     def hull(self) -> tuple[Floats, Floats]:
-        """Middle (3,) of the triangles' box, and from there the vertices (n, 3) of their convex hull [m]."""
+        """Middle (3,) of the mesh's box, and the vertices (n, 3) of its convex hull relative to it [m]."""
         from scipy.spatial import ConvexHull  # kept out of the start-up
 
         points = np.unique(self._tree[0].reshape(-1, 3), axis=0)
@@ -618,18 +611,17 @@ class TriangleTree:
         self, other: "TriangleTree", frames: Frames, reach: float, *, any_nearer: bool = False,
         points: Floats | None = None,
     ) -> float:  # fmt: skip
-        """Distance from the triangles of another tree.
+        """Compute the distance of another mesh.
 
         Args:
-            other: that tree.
-            frames: of this one and of the other.
-            reach: nothing beyond is looked for [m].
+            other: the other mesh.
+            frames: of this mesh and of the other.
+            reach: largest distance that is measured [m].
             any_nearer: stop at the first two triangles nearer than `reach`.
-            points: (2, 3) is overwritten with the nearest points of this one and the other, base frame [m].
+            points: (2, 3), overwritten with the nearest points of this mesh and of the other, base frame [m].
 
         Returns:
-            The distance [m]: `reach` where it is more, 0 in contact, negative where a triangle of one floats inside
-            the other, which is closed.
+            The distance [m]: `reach` if it is larger, 0 in contact, negative for a mesh inside the other, closed one.
         """
         found = np.zeros((2, 3)) if points is None else points
         measured = nearest_pair(frames[0], self._tree, frames[1], other._tree, reach, any_nearer, found)
@@ -643,7 +635,7 @@ class TriangleTree:
         return float(measured)
 
     def _inside(self, local: Floats) -> bool:
-        """Whether a point off the surface, object frame, is inside the closed mesh: most of three rays say so."""
+        """Return whether a point off the surface is inside the closed mesh, by the majority of three rays."""
         low, high = self._tree[2][1, :2]
         if (local < low).any() or (local > high).any():
             return False
@@ -652,17 +644,17 @@ class TriangleTree:
 
 
 def is_closed(mesh: TriangleMesh) -> bool:
-    """Whether every edge of a mesh is shared by an even number of faces, so that a ray tells inside from outside.
+    """Return whether every edge of a mesh is shared by an even number of faces, so that it has an inside.
 
     Equal edges cancel in the exclusive or of a hash of each (splitmix64 of Steele, Lea, Flood 2014,
-    doi:10.1145/2714064.2660195): 0 is left of a closed mesh, and of one in 2^64 others.
+    doi:10.1145/2714064.2660195): 0 remains of a closed mesh, and of one in 2^64 open ones.
     """
     left = np.uint64(0)
     for begin in range(0, len(mesh.faces), _BLOCK):
         corners = mesh.faces[begin : begin + _BLOCK].T.astype(np.uint64)
         for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             edge = np.minimum(start, end) << np.uint64(32) | np.maximum(start, end)
-            edge = edge[start != end] + np.uint64(0x9E3779B97F4A7C15)  # without those of faces collapsed to a line
+            edge = edge[start != end] + np.uint64(0x9E3779B97F4A7C15)  # without edges of degenerate faces
             for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
                 edge = (edge ^ (edge >> np.uint64(shift))) * np.uint64(factor)
             left ^= np.bitwise_xor.reduce(edge ^ (edge >> np.uint64(31)))
@@ -670,7 +662,7 @@ def is_closed(mesh: TriangleMesh) -> bool:
 
 
 def _morton(points: "Floats") -> NDArray[np.uint64]:
-    """(N,) place of each point on Morton's curve, 21 bits an axis."""
+    """Return the position (N,) of each point on Morton's curve, 21 bits an axis."""
     low = points.min(axis=0)
     span = max(float((points.max(axis=0) - low).max()), 1e-300)
     code = np.zeros(len(points), dtype=np.uint64)

@@ -1,7 +1,8 @@
-"""The convex hull that stands for a mesh in collision checks, with thickness where the mesh has none.
+"""Convex hulls of meshes for collision checks, with thickness where the mesh has none.
 
-A collision engine needs a solid. A flat sheet or a straight wire is grown by `MIN_THICKNESS` across its flat
-directions; the grown solid contains the mesh. A hull overstates a hollow part: nothing ever reaches into a mug.
+A collision engine needs a solid. A flat sheet or a straight wire is thickened by `MIN_THICKNESS` across its flat
+directions; the thickened solid contains the mesh. The hull of a hollow part is larger than the part: nothing ever
+reaches into a mug.
 """
 
 import numpy as np
@@ -10,21 +11,24 @@ from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
-MIN_THICKNESS = 2e-4  # m; a hundredth of the thinnest clearance that makes sense, and still a solid to the engine
+MIN_THICKNESS = 2e-4  # m; far below any useful clearance, and still a solid for the engine
+
+CONVEX = 1e-3
+"""Largest depth of a face below its mesh's hull at which the hull represents the mesh [m]."""
 
 
 def solid_hull(vertices: Floats, name: str = "part") -> TriangleMesh:
-    """Convex hull of points, at least `MIN_THICKNESS` thick in every direction.
+    """Compute the convex hull of points, at least `MIN_THICKNESS` thick in every direction.
 
     Args:
         vertices: (N, 3) [m], any frame, N > 0.
-        name: what the error calls the mesh.
+        name: name of the mesh in the error.
 
     Returns:
-        The hull in the same frame, faces outward, only vertices that the hull has.
+        The hull in the same frame, faces outward, without unused vertices.
 
     Raises:
-        PlannerError: if a coordinate is not finite, or the points have no hull even when grown.
+        PlannerError: if a coordinate is not finite, or the thickened points have no hull.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -48,7 +52,7 @@ def solid_hull(vertices: Floats, name: str = "part") -> TriangleMesh:
 
 
 def _thickened(points: Floats) -> Floats:
-    """The points, doubled to both sides across every principal direction in which they are flat."""
+    """Return the points, doubled to both sides across every principal direction in which they are flat."""
     spread = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(spread.T @ spread)
     for axis in axes.T:
@@ -57,12 +61,8 @@ def _thickened(points: Floats) -> Floats:
     return points
 
 
-CONVEX = 1e-3
-"""How deep a face may lie under a mesh's hull so that the hull stands for it [m]."""
-
-
 def is_convex(mesh: TriangleMesh) -> bool:
-    """Whether no face's middle or corner lies deeper than `CONVEX` under the mesh's convex hull."""
+    """Return whether no middle of a face or edge is deeper than `CONVEX` below the mesh's convex hull."""
     from scipy.spatial import ConvexHull, QhullError  # kept out of the start-up
 
     try:
@@ -70,6 +70,6 @@ def is_convex(mesh: TriangleMesh) -> bool:
     except QhullError:
         return False
     corners = mesh.vertices[mesh.faces]
-    looked_at = np.concatenate([corners.mean(axis=1), *(corners[:, [i, i - 1]].mean(axis=1) for i in range(3))])
-    depth = -(looked_at @ planes[:, :3].T + planes[:, 3]).max(axis=1)
+    points = np.concatenate([corners.mean(axis=1), *(corners[:, [i, i - 1]].mean(axis=1) for i in range(3))])
+    depth = -(points @ planes[:, :3].T + planes[:, 3]).max(axis=1)
     return bool(depth.max() <= CONVEX)
