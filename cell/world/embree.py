@@ -1,16 +1,17 @@
-"""Embree behind the planner's `RayCaster` protocol: first hit, and blocked or not, on one fixed set of triangles.
+"""Embree as the planner's `RayCaster`: first hits and occlusion on one fixed set of triangles.
 
-Embree calculates in float32. The triangles are therefore moved to the middle of their own bounding box first (a part
-that stands 10 m from the origin loses nothing), rays start and end in float64, and the distance to a face that is hit
-is calculated again in float64 from its plane. Errors of Embree itself were measured with 10^6 random legs each on
-spheres of 9 mm, 0.2 m and 5 m: at most 1e-7 of the ray's scale (distance plus the half diagonal of the triangles)
-across the ray, so 1e-7 / cos(grazing angle) along it. They decide which of two faces is hit beside an edge, and what
-blocks a leg.
+Everything else casts rays through the protocol `planner.ports.RayCaster`; another engine only needs another class here.
 
-Limitation: a ray through the exact place of a vertex slips between the faces there in up to 0.5 % of cases (through an
-edge, never: 0 of 800,000). Points of a scan and samples of a surface meet vertices with probability zero.
+Embree calculates in float32. The triangles are therefore moved to the middle of their own bounding box (a part 10 m
+from the origin loses nothing), rays start and end in float64, and the distance to a hit face is computed again in
+float64 from its plane. Errors of Embree were measured with 10^6 random rays on each of three spheres, of 9 mm, 0.2 m
+and 5 m: at most 1e-7 of the ray's scale (distance plus the half diagonal of the triangles) across the ray, so 1e-7 /
+cos(grazing angle) along it. They decide which of two faces is hit beside an edge, and what blocks a ray.
 
-embreex's bindings check no bounds and read foreign memory on a wrong shape or index: everything is validated here.
+Limitation: a ray exactly through a vertex passes between the faces in up to 0.5 % of cases (through an edge, never: 0
+of 800,000). Points of a scan and samples of a surface lie on vertices with probability zero.
+
+embreex's bindings check no bounds and read foreign memory for a wrong shape or index: everything is validated here.
 """
 
 import os
@@ -28,28 +29,28 @@ from planner.ports import Hits
 from planner.values import Floats
 
 HAIR = 2e-6
-"""How far short of its target a leg ends, as a share of its scale (length plus the half diagonal of the triangles).
+"""Length by which a ray ends before its target, as a share of its scale (length plus half diagonal of the triangles).
 
-1 um for a part of 0.3 m at 0.3 m. Legs to points of a convex surface under up to 75 degrees are blocked by their own
+1 um for a part of 0.3 m at 0.3 m. Rays to points of a convex surface under up to 75 degrees are blocked by their own
 surface in 65 % of cases with 0, in 0.3 % with 2.5e-7 and in none of 10^7 with 1e-6 or more; 2e-6 keeps a factor of two.
-At a larger grazing angle the target has to be lifted off its surface as well, see `planner.viewpoints.lines_of_sight`.
+At a larger grazing angle the target also has to be lifted off its surface, see `planner.viewpoints.lines_of_sight`.
 """
 
-_SPLIT_ABOVE = 20_000  # rays; about 3 ms of tracing, against 0.1 ms that starting a thread costs
-_SURE = 1e-4  # of a ray's scale; Embree's distance is off by 1e-7 / cos(grazing angle), so up to 89.9 degrees
-_OCCLUDED = 0  # what embreex's OCCLUDED query returns for a ray that is blocked; -1 is a free one
+_SPLIT_ABOVE = 20_000  # rays; about 3 ms of tracing, against 0.1 ms to start a thread
+_MAX_CORRECTION = 1e-4  # of a ray's scale; Embree's distance is off by 1e-7 / cos(grazing angle): up to 89.9 degrees
+_OCCLUDED = 0  # result of embreex's OCCLUDED query for a blocked ray; -1 is a free one
 
 
 class EmbreeRayCaster:
-    """First hit, and blocked or not, on one fixed set of triangles, by Embree 4 in its robust mode.
+    """Ray caster on one fixed set of triangles, by Embree 4 in its robust mode.
 
-    A bundle of more than 20,000 rays is cut into one piece per core (embreex releases the GIL); each ray is traced on
-    its own, so the result does not depend on the number of cores. Threads live for one call, so a forked process may
-    use a caster that its parent has used.
+    More than 20,000 rays are split into one part per core (embreex releases the GIL). Each ray is traced on its own, so
+    the result does not depend on the number of cores. Threads live for one call, so that a forked process may use a
+    caster of its parent.
 
     Args:
-        vertices: (V, 3) [m], any one frame; rays are given in the same.
-        faces: (F, 3) indices of vertices, F > 0. A face without area is never hit; of two equal faces either is.
+        vertices: (V, 3) [m], any frame; rays are in the same frame.
+        faces: (F, 3) indices of vertices, F > 0. A face without area is never hit; of two equal faces either one is.
 
     Raises:
         CellError: if the triangles are not finite, not indexed correctly or none, or if embreex >= 4.4 is missing.
@@ -59,26 +60,26 @@ class EmbreeRayCaster:
         vertices = np.asarray(vertices, dtype=np.float64)
         indices = np.asarray(faces)
         if vertices.ndim != 2 or vertices.shape[1] != 3:
-            raise CellError(f"the vertices to cast rays on have shape {vertices.shape}; it must be (any, 3)")
+            raise CellError(f"the vertices for ray casting have shape {vertices.shape}; it must be (any, 3)")
         if indices.ndim != 2 or indices.shape[1] != 3 or not len(indices) or indices.dtype.kind not in "iu":
             raise CellError(
-                f"the faces to cast rays on have shape {indices.shape} and type {indices.dtype}; "
+                f"the faces for ray casting have shape {indices.shape} and type {indices.dtype}; "
                 "they must be (1 or more, 3) integers"
             )
         if indices.min() < 0 or indices.max() >= len(vertices):
             raise CellError(
-                f"the faces to cast rays on refer to vertices {indices.min()} to {indices.max()}; "
+                f"the faces for ray casting refer to vertices {indices.min()} to {indices.max()}; "
                 f"valid are 0 to {len(vertices) - 1}"
             )
         named = np.zeros(len(vertices), dtype=np.bool_)
         named[indices] = True
         used = vertices[named]
         if not np.isfinite(used).all():
-            raise CellError("the triangles to cast rays on contain NaN or infinity; every coordinate must be finite")
+            raise CellError("the triangles for ray casting contain NaN or infinity; every coordinate must be finite")
         low, high = used.min(axis=0), used.max(axis=0)
         self._middle: Floats = (low + high) / 2
         self._half_diagonal = float(np.linalg.norm(high - low)) / 2
-        centred = np.where(np.isfinite(vertices), vertices - self._middle, 0.0)  # a vertex that no face uses may be NaN
+        centred = np.where(np.isfinite(vertices), vertices - self._middle, 0.0)  # an unused vertex may be NaN
         corner = np.take(centred, indices[:, 0], axis=0)
         self._normals: Floats = face_cross_products(centred, indices)
         self._offsets: Floats = np.einsum("ij,ij->i", self._normals, corner)
@@ -88,14 +89,7 @@ class EmbreeRayCaster:
         )
 
     def first_hit(self, origins: Floats, directions: Floats) -> Hits:
-        """First intersection of each ray; a triangle is hit from either side.
-
-        Args:
-            origins: (N, 3) [m], in the frame of the triangles.
-            directions: (N, 3) unit vectors.
-
-        Returns:
-            The face, -1 for none, and the distance [m], inf for none.
+        """Find the first intersection of each ray, on either side of a triangle; see `RayCaster.first_hit`.
 
         Raises:
             CellError: if the arrays differ in shape, are not finite, or a direction is not a unit vector.
@@ -104,29 +98,22 @@ class EmbreeRayCaster:
         face = np.empty(len(origins), dtype=np.int32)
         distance = np.empty(len(origins))
 
-        def trace(piece: slice) -> None:
-            start, along = self._to_float32(origins[piece]), _float32("directions", directions[piece])
+        def trace(part: slice) -> None:
+            start, along = self._to_float32(origins[part]), _float32("directions", directions[part])
             if (np.abs(np.einsum("ij,ij->i", along, along) - 1) > 1e-4).any():
                 raise CellError("a ray's direction is not a unit vector; distances would not be in metres")
             found = self._scene.run(start, along, output=True)
-            face[piece] = found["primID"]
-            distance[piece] = self._refined(origins[piece], directions[piece], found["primID"], found["tfar"])
+            face[part] = found["primID"]
+            distance[part] = self._refined(origins[part], directions[part], found["primID"], found["tfar"])
 
         self._split(trace, len(origins))
         return Hits(face, distance)
 
     def blocked(self, origins: Floats, targets: Floats) -> NDArray[np.bool_]:
-        """Whether any triangle stands between origin and target.
+        """Return whether any triangle is between origin and target; see `RayCaster.blocked`.
 
-        The segment ends `HAIR` x (its length + the half diagonal of the triangles) short of the target. A segment that
-        is shorter than that is free.
-
-        Args:
-            origins: (N, 3) free positions [m], in the frame of the triangles.
-            targets: (N, 3) points on a surface [m], same frame.
-
-        Returns:
-            (N,) True where something is in the way.
+        The segment ends `HAIR` x (its length + the half diagonal of the triangles) before the target. A shorter segment
+        is free.
 
         Raises:
             CellError: if the arrays differ in shape or are not finite.
@@ -134,14 +121,14 @@ class EmbreeRayCaster:
         origins, targets = _same_shape("origins", origins, "targets", targets)
         result = np.empty(len(origins), dtype=np.bool_)
 
-        def trace(piece: slice) -> None:
-            along = targets[piece] - origins[piece]
+        def trace(part: slice) -> None:
+            along = targets[part] - origins[part]
             length = np.sqrt(np.einsum("ij,ij->i", along, along))
             along /= np.where(length > 0, length, 1.0)[:, None]
             reach = length - HAIR * (length + self._half_diagonal)
-            start, direction = self._to_float32(origins[piece]), _float32("targets", along)
+            start, direction = self._to_float32(origins[part]), _float32("targets", along)
             end = np.maximum(reach, 0.0).astype(np.float32)
-            result[piece] = (self._scene.run(start, direction, dists=end, query="OCCLUDED") == _OCCLUDED) & (reach > 0)
+            result[part] = (self._scene.run(start, direction, dists=end, query="OCCLUDED") == _OCCLUDED) & (reach > 0)
 
         self._split(trace, len(origins))
         return result
@@ -149,10 +136,10 @@ class EmbreeRayCaster:
     def _refined(
         self, origins: Floats, directions: Floats, face: NDArray[np.int32], rough: NDArray[np.float32]
     ) -> Floats:
-        """(N,) distances to the planes of the triangles that were hit, in float64; inf where none was [m].
+        """Compute the distances (N,) to the planes of the hit triangles in float64; inf for no hit [m].
 
-        Embree's own distance stays where the plane's differs by more than `_SURE` of the scale: there the ray lies
-        almost in the plane, or the triangle is too thin to have one.
+        Embree's own distance is kept if the plane's differs by more than `_MAX_CORRECTION` of the scale: the ray is
+        almost in the plane, or the triangle is degenerate.
         """
         distance = np.full(len(face), np.inf)
         hit = np.flatnonzero(face >= 0)
@@ -163,7 +150,7 @@ class EmbreeRayCaster:
         above = np.take(self._offsets, face) - np.einsum("ij,ij->i", origins - self._middle, normal)
         with np.errstate(divide="ignore", invalid="ignore"):
             exact = above / np.einsum("ij,ij->i", directions, normal)
-        sure = np.abs(exact - own) <= _SURE * (own + self._half_diagonal)
+        sure = np.abs(exact - own) <= _MAX_CORRECTION * (own + self._half_diagonal)
         distance[hit] = np.where(sure, exact, own)
         return distance
 
@@ -171,7 +158,7 @@ class EmbreeRayCaster:
         return _float32("origins", points - self._middle)
 
     def _split(self, trace: Callable[[slice], None], count: int) -> None:
-        """Trace all rays: in this thread, or a piece per core."""
+        """Trace all rays in this thread, or in one thread per core."""
         pieces = self._workers if count > _SPLIT_ABOVE else 1
         bounds = [count * piece // pieces for piece in range(pieces + 1)]
         slices = [slice(start, stop) for start, stop in pairwise(bounds)]
@@ -180,14 +167,14 @@ class EmbreeRayCaster:
                 trace(slices[0])
             return
         with ThreadPoolExecutor(pieces - 1) as pool:
-            others = [pool.submit(trace, piece) for piece in slices[1:]]
+            others = [pool.submit(trace, part) for part in slices[1:]]
             trace(slices[0])
             for other in others:
                 other.result()
 
 
 def _build(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> Any:
-    """An Embree scene, committed (the first query builds it; afterwards threads may share it)."""
+    """Build an Embree scene. The first query commits it; afterwards threads may share it."""
     try:
         import embreex
         from embreex.mesh_construction import TriangleMesh
@@ -217,7 +204,7 @@ def _same_shape(name: str, first: Floats, other_name: str, second: Floats) -> tu
 
 
 def _float32(name: str, values: Floats) -> NDArray[np.float32]:
-    """C-contiguous float32; infinite or NaN values, which Embree silently takes for a miss, are refused."""
+    """Convert to contiguous float32; refuse infinite and NaN values, which Embree silently treats as a miss."""
     with np.errstate(over="ignore"):
         cast: NDArray[np.float32] = np.ascontiguousarray(values, dtype=np.float32)
     if not np.isfinite(cast).all():

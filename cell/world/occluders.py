@@ -1,7 +1,7 @@
-"""Triangles of everything that can stand between scanner and part, for the ray caster.
+"""Occluders: triangles of everything that can be between scanner and part, for the ray caster.
 
-Cylinders become prisms that circumscribe them, the floor a large square. A mesh fixture gives its true triangles, not
-the convex hull that collides. Arm and scanner move and are left out; `arm_triangles` gives them at one configuration.
+Cylinders become circumscribed prisms, the floor a large square. A mesh fixture has its true triangles, not the convex
+hull of collision checks. Arm and scanner move: `arm_occluders` returns their shapes at one configuration.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     import mujoco
 
 
-_SIDES = 48  # of a prism around a cylinder: its corners stand off by 0.2 % of the radius
+_SIDES = 48  # of a prism around a cylinder: its corners exceed the radius by 0.2 %
 _FLOOR_HALF = 10.0  # m
+_NEAR = 1e-4  # m; margin of the box test before a point is tested against a convex shape
 
 _BOX_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
 _BOX_FACES = np.array(
@@ -45,9 +46,9 @@ class Occluder(Value):
     """A named triangle mesh.
 
     Attributes:
-        name: what a reader calls it.
-        vertices: (V, 3) [m], object frame where nothing else is said.
-        faces: (F, 3) int32, outward.
+        name: in reports.
+        vertices: [m], object frame unless stated otherwise.
+        faces: outward.
     """
 
     name: str
@@ -56,62 +57,62 @@ class Occluder(Value):
 
 
 def fixed_occluders(world: World, T_base_object: ArrayLike | None = None) -> tuple[Occluder, ...]:
-    """Post, pedestal, floor and the fixtures that occlude, object frame.
+    """Return post, pedestal, floor and the occluding fixtures, object frame.
 
-    Where a rotary table turns the part, only what turns with it, the table and, where its axis is upright, the floor,
-    which look the same at every angle; what else stands hides differently at each (`standing_beside`).
+    With a rotary table: only what turns with it, the table itself, and the floor below an upright axis, which look the
+    same at every angle. The other obstacles occlude differently at each angle (`occluders_beside_table`).
 
     Args:
         world: the compiled scene.
         T_base_object: (4, 4) placement [m]; None is the scene's.
     """
     T = world.T_base_object if T_base_object is None else readonly("T_base_object", T_base_object, (4, 4))
-    glass = [fixture.name for fixture in world.scene.fixtures if not fixture.occludes]
-    pieces = occluders_of_model(world.data(T), T, world.fixture_meshes, glass)
-    beside = _beside(world)
-    return tuple(piece for piece in pieces if piece.name not in beside)
-
-
-def names_beside_table(table: RotaryTable | None, fixtures: Iterable[str]) -> set[str]:
-    """Names of what stands beside a rotary table and looks different from each of its angles: `fixtures` of the base.
-
-    The floor looks the same about an axis that is upright.
-    """
-    if table is None:
-        return set()
-    return {"pedestal", *fixtures} | (set() if table.upright else {"floor"})
-
-
-def _beside(world: World) -> set[str]:
-    return names_beside_table(world.table, (each.name for each in world.scene.fixtures if each.attached_to == "base"))
+    beside = _names_beside_table(world)
+    return tuple(piece for piece in _all_occluders(world, T) if piece.name not in beside)
 
 
 def occluders_beside_table(world: World) -> tuple[Occluder, ...]:
-    """What stands beside a rotary table and hides, base frame: pedestal, the base's fixtures; else nothing."""
-    beside = _beside(world)
+    """Return the stationary occluders beside a rotary table, base frame: pedestal, fixtures of the base; else none."""
+    beside = _names_beside_table(world)
     if not beside:
         return ()
-    glass = [fixture.name for fixture in world.scene.fixtures if not fixture.occludes]
-    data = world.data()
-    pieces = occluders_of_model(data, world.T_base_object, world.fixture_meshes, glass)
     T = world.T_base_object
     return tuple(
         Occluder(piece.name, piece.vertices @ T[:3, :3].T + T[:3, 3], piece.faces)
-        for piece in pieces
+        for piece in _all_occluders(world, T)
         if piece.name in beside
     )
 
 
+def names_beside_table(table: RotaryTable | None, base_fixtures: Iterable[str]) -> set[str]:
+    """Return the names of the obstacles that look different from each angle of a table; none without a table.
+
+    The floor looks the same about an upright axis.
+    """
+    if table is None:
+        return set()
+    return {"pedestal", *base_fixtures} | (set() if table.upright else {"floor"})
+
+
+def _names_beside_table(world: World) -> set[str]:
+    return names_beside_table(world.table, (each.name for each in world.scene.fixtures if each.attached_to == "base"))
+
+
+def _all_occluders(world: World, T_base_object: Floats) -> tuple[Occluder, ...]:
+    transparent = [fixture.name for fixture in world.scene.fixtures if not fixture.occludes]
+    return occluders_of_model(world.data(T_base_object), T_base_object, world.fixture_meshes, transparent)
+
+
 def occluders_of_model(
-    data: mujoco.MjData, T_base_object: Floats, meshes: Mapping[str, TriangleMesh], glass: Collection[str]
+    data: mujoco.MjData, T_base_object: Floats, meshes: Mapping[str, TriangleMesh], transparent: Collection[str]
 ) -> tuple[Occluder, ...]:
-    """The same of a compiled model, whoever compiled it: everything that is neither robot nor part.
+    """Return everything of a compiled model that is neither robot nor part, object frame.
 
     Args:
-        data: a state of the model with part and post at the placement, kinematics up to date.
+        data: a state with part and post at the placement, kinematics up to date.
         T_base_object: (4, 4) the placement [m].
-        meshes: true triangles of the mesh fixtures by name [m], in the frame of the body that their hulls are on.
-        glass: names of the fixtures that hide nothing.
+        meshes: triangles of the mesh fixtures by name [m], in the frame of the body of their hulls.
+        transparent: names of the fixtures that do not occlude.
     """
     import mujoco
 
@@ -123,7 +124,7 @@ def occluders_of_model(
     part = model.body("object").id
     for geom in np.flatnonzero((model.geom_bodyid == 0) | (model.geom_bodyid == part)):
         name = model.geom(geom).name
-        if name == "floor" or name in glass:
+        if name == "floor" or name in transparent:
             continue
         if name in meshes:
             vertices, faces = meshes[name].vertices, meshes[name].faces
@@ -140,7 +141,7 @@ def occluders_of_model(
 
 
 def post_triangles(data: mujoco.MjData, floor: float, sides: int = _SIDES) -> tuple[Floats, NDArray[np.int32]]:
-    """The post, no longer than to the floor, unlike its collision shape; that of a rotary table ends on it."""
+    """Return the post down to the floor, where its collision shape is longer; on a rotary table down to its face."""
     radius, half = (float(size) for size in data.model.geom("post").size[:2])
     top, R = data.body("post").xpos, data.body("post").xmat.reshape(3, 3)
     length = 2 * half if R[2, 2] <= 0 else min(2 * half, float(top[2] - floor) / float(R[2, 2]))
@@ -149,11 +150,11 @@ def post_triangles(data: mujoco.MjData, floor: float, sides: int = _SIDES) -> tu
 
 
 def make_caster(pieces: Sequence[Occluder], T: NDArray[np.floating[Any]] | None = None) -> EmbreeRayCaster:
-    """One ray caster over several pieces, at least one.
+    """Create one ray caster of several pieces, at least one.
 
     Args:
         pieces: in one frame.
-        T: (4, 4) from their frame to that of the rays [m]; None leaves them where they are.
+        T: (4, 4) from their frame to that of the rays [m]; None is the identity.
     """
     vertices, faces, _ = concatenate_meshes((piece.vertices, piece.faces) for piece in pieces)
     if T is not None:
@@ -161,18 +162,15 @@ def make_caster(pieces: Sequence[Occluder], T: NDArray[np.floating[Any]] | None 
     return EmbreeRayCaster(vertices, faces.astype(np.int32))
 
 
-_NEAR = 1e-4  # around a piece [m]; what is farther away is not on it
-
-
 def arm_occluders(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> list[Occluder]:
-    """The enclosing shapes of base, arm and bracket at one configuration, base frame; of the housing where it can hide.
+    """Return the enclosing shapes of base, arm, bracket and housing at one configuration, base frame.
 
     Args:
         world: the compiled scene.
         q: (axes,) joint angles [rad], KUKA signs.
-        ends: (n, 3) where legs begin [m], scanner frame: source and sensor. A shape in or on which one of them stands
-            has a window there and is left out; the housing is one of the shapes then. With its front face in the plane
-            of the source (its default) no leg comes near it. None leaves the housing out and nothing else.
+        ends: (n, 3) source and sensor [m], scanner frame. A shape that contains one of them has a window there and is
+            left out. With its front face in the plane of the source (the default), the housing occludes nothing. None:
+            the housing is left out, and nothing else.
     """
     import mujoco
 
@@ -196,7 +194,7 @@ def arm_occluders(world: World, q: ArrayLike, ends: ArrayLike | None = None) -> 
 
 
 def _holds_any(piece: Occluder, points: Floats) -> bool:
-    """Whether one of (n, 3) points [m] is inside a convex piece, or on it within a micrometre."""
+    """Return whether one of (n, 3) points [m] is inside a convex piece, or on it within a micrometre."""
     low, high = piece.vertices.min(axis=0) - _NEAR, piece.vertices.max(axis=0) + _NEAR
     points = points[((points >= low) & (points <= high)).all(axis=1)]
     if not len(points):
@@ -210,7 +208,7 @@ def _holds_any(piece: Occluder, points: Floats) -> bool:
 def geom_triangles(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int, sides: int = _SIDES
 ) -> tuple[Floats, NDArray[np.int32]]:
-    """A shape of the model as triangles, base frame; `sides` are those of the prism around a cylinder."""
+    """Return a geom as triangles, base frame; a cylinder is a prism with a number of sides."""
     import mujoco
 
     size = model.geom_size[geom]
@@ -225,20 +223,20 @@ def geom_triangles(
 
 
 def box_triangles(half: Floats) -> tuple[Floats, NDArray[np.int32]]:
-    """A box of half sides (3,) [m], its middle at the origin; faces outward."""
+    """Return a box of half sides (3,) [m] about the origin, faces outward."""
     return _BOX_CORNERS * half, _BOX_FACES
 
 
 def floor_triangles(height: float) -> tuple[Floats, NDArray[np.int32]]:
-    """A large square at a height [m], base frame."""
+    """Return a large square at a height [m], base frame."""
     square = _FLOOR_HALF * np.array([[-1.0, -1.0, 0.0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     square[:, 2] = height
     return square, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
 
 
-@lru_cache(maxsize=64)  # the arm's cylinders are asked for at every configuration
+@lru_cache(maxsize=64)  # the arm's cylinders are needed at every configuration
 def prism_triangles(radius: float, length: float, sides: int = _SIDES) -> tuple[Floats, NDArray[np.int32]]:
-    """A prism around a cylinder along z, its middle at the origin; faces outward. Its arrays are read-only."""
+    """Return a prism around a cylinder along z about the origin, faces outward; the arrays are read-only."""
     angles = np.arange(sides) * (2 * np.pi / sides)
     ring = radius / np.cos(np.pi / sides) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     low = np.column_stack([ring, np.full(sides, -length / 2)])

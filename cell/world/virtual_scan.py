@@ -1,7 +1,7 @@
-"""One scan of the virtual scanner: the ray grid traced on part and occluders (Section 3.6, Figure 5).
+"""Virtual scan: the ray grid of a scanner traced on part and occluders (Section 3.6 of the paper, Figure 5).
 
-Active ray: traced from the source to its first hit on part or occluders. Reflected ray: from the hit to the sensor;
-whatever stands in it is the paper's shadow effect. Every ray keeps the first condition that it fails. Object frame,
+Active ray: from the source to its first hit on part or occluders. Reflected ray: from the hit to the sensor; an object
+in it causes the paper's shadow effect. Each ray has the code of the first condition that it fails. Object frame,
 metres.
 """
 
@@ -20,17 +20,16 @@ from planner.viewpoints.lines_of_sight import flatten_poses, lift_points
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan(Value):
-    """What one scan gave.
+    """Result of one scan.
 
     Attributes:
-        T_object_scanner: (4, 4) pose of the scanner [m].
-        grid_shape: (n_v, n_h); ray (i, j) is number i * n_h + j.
-        codes: (n_v * n_h,) uint8 `Rejection` of every ray; MEASURED for those that gave a point.
-        hit_face: (n_v * n_h,) int32 face of the part that the ray meets first, -1 where it meets none or an occluder
-            first.
-        pixel: (P,) int32 number of the ray that gave each point, ascending.
-        points: (P, 3) [m], object frame.
-        face: (P,) int32 face of the part that each point lies on.
+        T_object_scanner: pose of the scanner [m].
+        grid_shape: (n_v, n_h); ray (i, j) has number i * n_h + j.
+        codes: `Rejection` of every ray; MEASURED for those with a point.
+        hit_face: first face of the part that the ray meets, -1 for none or an occluder before it.
+        pixel: number of the ray of each point, ascending.
+        points: [m], object frame.
+        face: face of the part that each point lies on.
     """
 
     T_object_scanner: Annotated[Floats, "4 4"]
@@ -45,21 +44,21 @@ class Scan(Value):
         freeze(self, rays=self.grid_shape[0] * self.grid_shape[1])
 
     def sigma(self, scanner: Scanner, part_mesh: TriangleMesh) -> Floats:
-        """(P,) expected standard deviation of each point along its ray [m], by the scanner's own model.
+        """Return the expected standard deviation (P,) of each point along its ray [m], by the scanner's model.
 
-        A point at exactly 90 degrees to the sensor, which has none, gets the largest of the others.
+        A point at exactly 90 degrees to the sensor has no finite one and gets the largest of the others.
 
         Args:
-            scanner: that scanned.
+            scanner: scanner of this scan.
             part_mesh: the part, object frame.
 
         Raises:
-            SceneError: if the scanner does not know its sigma, or has none for any point (baseline 0).
+            SceneError: if the scanner has no model of sigma, or no finite sigma for any point (baseline 0).
         """
         law = getattr(scanner, "sigma", None)
         if not callable(law):
             raise SceneError(
-                f"the scanner {type(scanner).__name__} does not know how precise its points are; give --range-noise"
+                f"the scanner {type(scanner).__name__} has no model of the precision of its points; give --range-noise"
             )
         R, t = self.T_object_scanner[:3, :3], self.T_object_scanner[:3, 3]
         sigma: Floats = law((self.points - t) @ R, _normals(part_mesh, self.face) @ R)
@@ -72,7 +71,7 @@ class Scan(Value):
         return np.where(known, sigma, sigma[known].max(initial=0.0))
 
     def counts(self) -> dict[Rejection, int]:
-        """How many rays ended for each reason; they add up to the rays of the grid."""
+        """Count the rays of each code."""
         numbers = np.bincount(self.codes, minlength=len(Rejection))
         return {reason: int(numbers[reason]) for reason in Rejection}
 
@@ -86,19 +85,16 @@ def scan(
 ) -> Scan:
     """Scan the part from one pose.
 
-    A ray that meets an occluder before the part is SOURCE_BLOCKED, whether or not the part stands behind. Range, FOV
-    and grazing angles are judged by `scanner.reject` at the hit, with the normal of the face that is hit: a face that
-    is seen from behind is rejected as grazing.
+    A ray that meets an occluder before the part is SOURCE_BLOCKED, even if the part is not behind it. `scanner.reject`
+    checks range, field of view and grazing angles at the hit, with the normal of the hit face: a face seen from behind
+    is rejected as grazing.
 
     Args:
-        scanner: the sensor's law and its grid.
+        scanner: sensor model and ray grid.
         T_object_scanner: (4, 4) pose [m].
-        part_caster: casts on `part_mesh`.
+        part_caster: casts rays on `part_mesh`.
         part_mesh: the part, object frame.
-        occluder_caster: casts on everything else that may stand in the way, object frame.
-
-    Returns:
-        The points and every ray's code.
+        occluder_caster: casts rays on all occluders, object frame.
     """
     pose = flatten_poses(np.asarray(T_object_scanner)[None, None])[0]
     R, t = pose[:3, :3], pose[:3, 3]
@@ -133,7 +129,7 @@ def scan(
 
 
 def _normals(mesh: TriangleMesh, faces: NDArray[np.int32]) -> Floats:
-    """(N, 3) outward unit normals of some faces: a scan hits a fraction of the part's."""
+    """Return the outward unit normals (N, 3) of some faces: a scan hits only few of a part's."""
     unique, back = np.unique(faces, return_inverse=True)
     a, b, c = (mesh.vertices[mesh.faces[unique, corner]] for corner in range(3))
     cross = np.cross(b - a, c - a)
