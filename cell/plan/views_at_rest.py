@@ -22,7 +22,7 @@ from planner.tour.tour import Tour
 
 _AFTER = {
     OcclusionUpdate.CLEAR: Next.DONE,
-    OcclusionUpdate.OTHER_SOLUTIONS: Next.CONNECT,
+    OcclusionUpdate.OTHER_CONFIGURATIONS: Next.CONNECT,
     OcclusionUpdate.LESS_MEASURED: Next.CHOOSE,
 }
 

@@ -1,13 +1,10 @@
-"""A measurability matrix on disk, with the hash of everything it depends on, so that it is calculated once.
+"""The measurability matrix M of the part alone, and its cache.
 
-The part-only M does not depend on where the part stands: moving the part, changing fixtures or the robot reuses it.
-Its columns do not depend on each other either, so the hash is split: one key over part, features, scanner and method
-names the file, and one hash over each viewpoint's poses stands beside its column. Where candidates are added, taken
-away or sorted anew, the columns that the file holds are taken from it and only the others are calculated. A file is
-refused, with the reason in one sentence, when it is damaged, of another format version or made for other
-inputs; the caller then calculates M anew and says so. Arrays only, nothing is pickled.
-
-Step 5 with its cache: the part-only measurability matrix, calculated once per part, candidates and scanner.
+M without occluders does not depend on the placement: it is valid after the part is moved, and with other fixtures or
+another robot. Its columns do not depend on each other. So one key over part, samples, scanner and method names the
+file, and a hash of each viewpoint's poses is stored with its column. If candidates are added, removed or reordered,
+their stored columns are used and only the others are computed. A file is rejected, with the reason, if it is damaged,
+of another format version or made for other inputs; M is then computed again. Files hold arrays only, no pickles.
 """
 
 import hashlib
@@ -37,7 +34,16 @@ from planner.ports import Progress, RayCaster, Scanner, SigmaScanner
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 FORMAT = 2
-"""Version of the file and of the calculation: raised with every change of what M holds for the same inputs."""
+"""Version of file and computation: incremented with every change of M for equal inputs."""
+
+CACHE_LIMIT_BYTES = 1_000_000_000
+"""Size of the cache above which the oldest matrices are deleted; one of the default plan has about 6 MB."""
+
+MIN_REGION_SAMPLES = 400
+"""Smallest number of samples of a region: 0.25 % of its coverage each."""
+
+_MAX_COLUMN_RATIO = 4
+"""Largest number of stored columns, in multiples of those of one run; beyond, only those of the run are stored."""
 
 _FIELDS = (
     "indptr",
@@ -55,47 +61,47 @@ _FIELDS = (
 
 
 Hashes = NDArray[np.bytes_]
-"""(V,) sha256 of each viewpoint's poses as hex text."""
+"""SHA-256 (hex) of each viewpoint's poses, (V,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CachedMatrix:
-    """What a look into the cache gave: the matrix, or why it was refused.
+    """A matrix read from the cache, or the reason for its rejection.
 
     Attributes:
-        measurability: the matrix as it is stored, or None.
-        columns: (V,) hashes of its columns; empty where the matrix is None.
-        reason: one sentence where the matrix is None, else "".
+        measurability: the stored matrix, or None.
+        columns: (V,) hashes of its columns; empty without a matrix.
+        reason: a sentence if there is no matrix, else "".
     """
 
     measurability: Measurability | None
     columns: Hashes
     reason: str
 
-    def columns_of(self, wanted: Hashes) -> NDArray[np.int64]:
-        """(n,) stored column of each wanted hash, -1 where the file does not hold it."""
+    def columns_of(self, hashes: Hashes) -> NDArray[np.int64]:
+        """Return the stored column (n,) of each hash, -1 for a hash that is not stored."""
         if not len(self.columns):
-            return np.full(len(wanted), -1, dtype=np.int64)
+            return np.full(len(hashes), -1, dtype=np.int64)
         order = np.argsort(self.columns, kind="stable")
-        place = order[np.minimum(np.searchsorted(self.columns, wanted, sorter=order), len(order) - 1)]
-        return np.where(self.columns[place] == wanted, place, -1)
+        column = order[np.minimum(np.searchsorted(self.columns, hashes, sorter=order), len(order) - 1)]
+        return np.where(self.columns[column] == hashes, column, -1)
 
 
 def row_key(
     part: TriangleMesh,
-    features: SurfaceSamples,
+    samples: SurfaceSamples,
     scanner_parameters: Mapping[str, object],
     method: str,
     row_of_face: NDArray[np.integer] | None = None,
 ) -> str:
-    """sha256 (hex) over everything that each column of M depends on, but for its viewpoint.
+    """Hash everything that the columns of M depend on, except their viewpoints (SHA-256, hex).
 
     Args:
-        part: the mesh that rays were cast on.
-        features: the rows.
-        scanner_parameters: the scanner's `parameters()`; anything that JSON can hold.
+        part: mesh of the ray casts.
+        samples: the rows of M.
+        scanner_parameters: `parameters()` of the scanner.
         method: "aimed" or "rays".
-        row_of_face: the map that `rays` used.
+        row_of_face: row of each face, for `rays`.
     """
     digest = hashlib.sha256()
     text = json.dumps([FORMAT, method, dict(scanner_parameters)], sort_keys=True, allow_nan=False)
@@ -103,11 +109,11 @@ def row_key(
     arrays: dict[str, NDArray[Any]] = {
         "vertices": part.vertices,
         "faces": part.faces,
-        "points": features.points,
-        "normals": features.normals,
-        "areas": features.areas,
-        "face": features.face,
-        "planning_face": features.planning_face,
+        "points": samples.points,
+        "normals": samples.normals,
+        "areas": samples.areas,
+        "face": samples.face,
+        "planning_face": samples.planning_face,
     }
     if row_of_face is not None:
         arrays["row_of_face"] = np.asarray(row_of_face, dtype=np.int32)
@@ -118,17 +124,17 @@ def row_key(
 
 
 def column_hashes(viewpoints: Viewpoints) -> Hashes:
-    """(V,) sha256 of each viewpoint's poses: what its column depends on beside the row key."""
+    """Hash the poses of each viewpoint (V,): with the row key everything that its column depends on."""
     poses = np.ascontiguousarray(viewpoints.T_object_scanner)
     return np.array([hashlib.sha256(pose.data).hexdigest() for pose in poses], dtype="S64")
 
 
 def save(path: Path, measurability: Measurability, key: str, columns: Hashes) -> None:
-    """Write the matrix; the file appears complete or not at all. Equal matrices give equal bytes.
+    """Write a matrix atomically. Equal matrices give equal bytes.
 
     Args:
-        path: the .npz file; its folder is made if it is missing.
-        measurability: what to write.
+        path: the .npz file; its folder is created if necessary.
+        measurability: the matrix.
         key: from `row_key`.
         columns: from `column_hashes`, of the matrix's viewpoints.
 
@@ -153,7 +159,7 @@ def save(path: Path, measurability: Measurability, key: str, columns: Hashes) ->
                 format=np.array(FORMAT, dtype=np.int64),
             )
             stream.flush()
-            os.fsync(stream.fileno())  # otherwise a crash may leave a renamed file without its contents
+            os.fsync(stream.fileno())  # after a crash a renamed file could be empty without it
     except OSError as error:
         raise FileError(
             f"the measurability matrix cannot be written to {path}: {error.strerror or error}; choose a folder "
@@ -162,71 +168,60 @@ def save(path: Path, measurability: Measurability, key: str, columns: Hashes) ->
 
 
 def load(path: Path, key: str) -> CachedMatrix:
-    """Read a matrix back, if the file holds the one that is asked for.
+    """Read a matrix with all stored columns.
 
     Args:
         path: the .npz file.
-        key: from `row_key`, of the inputs at hand.
+        key: from `row_key`, of the present inputs.
 
     Returns:
-        The matrix with all columns that the file holds, or the reason why it has to be calculated.
+        The matrix, or the reason why it has to be computed.
     """
     try:
         if not path.exists():
-            return _refused(f"{path} does not exist yet")
+            return _rejected(f"{path} does not exist yet")
         # zip checks a CRC of every array that is read in full, so a flipped bit is found here.
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             missing = [name for name in _FIELDS if name not in stored]
             if missing:
-                return _refused(f"{path} is no measurability matrix: it lacks {', '.join(missing)}")
+                return _rejected(f"{path} is no measurability matrix: it has no {', '.join(missing)}")
             if int(stored["format"]) != FORMAT:
-                return _refused(f"{path} has format {int(stored['format'])}; this version reads {FORMAT}")
+                return _rejected(f"{path} has format {int(stored['format'])}; this version reads {FORMAT}")
             if stored["key"].tobytes() != key.encode("ascii"):
-                return _refused(f"{path} was calculated for another part, scanner, features or method")
+                return _rejected(f"{path} was computed for another part, scanner, other samples or another method")
             arrays = {name: stored[name] for name in _FIELDS}
         features = SurfaceSamples(
             arrays["points"], arrays["normals"], arrays["areas"], arrays["face"], arrays["planning_face"]
         )
         rows, columns = (int(length) for length in arrays["shape"])
         if rows != len(features):
-            return _refused(f"{path} is damaged: {rows} rows for {len(features)} features")
+            return _rejected(f"{path} is damaged: {rows} rows for {len(features)} features")
         if arrays["columns"].shape != (columns,) or arrays["columns"].dtype != np.dtype("S64"):
-            return _refused(f"{path} is damaged: its {columns} columns do not have one hash each")
+            return _rejected(f"{path} is damaged: its {columns} columns do not have one hash each")
         M = Measurability(arrays["indptr"], arrays["indices"], features, columns)
         return CachedMatrix(M, arrays["columns"], "")
-    except Exception as error:  # a damaged zip fails in a dozen ways: BadZipFile, zlib.error, NotImplementedError, ...
-        return _refused(f"{path} cannot be read ({type(error).__name__}: {error})")
+    except Exception as error:  # a damaged zip fails in many ways: BadZipFile, zlib.error, NotImplementedError, ...
+        return _rejected(f"{path} cannot be read ({type(error).__name__}: {error})")
 
 
-def _refused(reason: str) -> CachedMatrix:
+def _rejected(reason: str) -> CachedMatrix:
     return CachedMatrix(None, np.empty(0, dtype="S64"), reason)
 
 
-CACHE_LIMIT_BYTES = 1_000_000_000
-"""Above this the oldest matrices are removed; one of the default plan has some 6 MB."""
-
-
-MIN_REGION_SAMPLES = 400
-"""Rows of the matrix that a region has at least: 0.25 points of its coverage each."""
-
-_MAX_COLUMN_RATIO = 4
-"""A file holds at most this many times the columns that one run asks for; beyond, it is begun anew with these."""
-
-
 def cache_folder() -> Path:
-    """Where matrices are kept."""
+    """Return the folder of the cache."""
     return files.cache_folder("measurability")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartSurface:
-    """The part as its matrix knows it, object frame.
+    """The part with the samples of its matrix, object frame.
 
     Attributes:
         reference: the part [m].
         planning: its decimated copy [m].
-        features: the rows of the matrix, from `surface_features`.
-        caster: casts on the reference.
+        samples: the rows of the matrix, from `surface_samples`.
+        caster: casts rays on the reference.
     """
 
     reference: TriangleMesh
@@ -238,9 +233,9 @@ class PartSurface:
 def surface_samples(
     scene: Scene, reference: TriangleMesh, planning: TriangleMesh, rng: np.random.Generator
 ) -> SurfaceSamples:
-    """The rows of the matrix: samples of the reference (`aimed`), or one per planning face (`rays`).
+    """Draw the rows of the matrix: samples of the reference (`aimed`), or one per planning face (`rays`).
 
-    Regions have them as dense as a part without regions, and at least `REGION_ROWS`, each for less area then.
+    Regions are sampled as densely as a part without regions, and with at least `MIN_REGION_SAMPLES`.
     """
     if scene.plan.fill == "rays":
         return samples_at_face_centres(reference, planning)
@@ -267,96 +262,85 @@ def part_matrix(
     use_cache: bool = True,
     progress: Progress | None = None,
 ) -> Measurability:
-    """Fill M for the part alone, or take from the cache what it holds of it; only the other columns are calculated.
+    """Compute M for the part alone, or read it from the cache; only missing columns are computed.
 
     Args:
         scene: for the scanner's type and the method.
-        settings: for the scanner's numbers.
+        settings: for the scanner's parameters.
         surface: the part and the rows.
         candidates: the columns.
-        reporter: is told when a cached matrix is refused or cannot be kept.
-        use_cache: whether to look into the cache and to leave the result there.
-        progress: called with (poses done, poses in all).
+        reporter: is notified of a rejected file, or one that cannot be written.
+        use_cache: whether the cache is read and written.
+        progress: called with (finished poses, all poses).
     """
-    method, reference, planning, features = scene.plan.fill, surface.reference, surface.planning, surface.samples
-    if features.region is not None:  # what is asked of a region is applied afterwards; the cache knows of none
-        whole = replace(surface, samples=replace(features, region=None))
-        M = part_matrix(scene, settings, whole, candidates, reporter=reporter, use_cache=use_cache, progress=progress)
-        return replace(M, samples=features)
+    method, reference, planning, samples = scene.plan.fill, surface.reference, surface.planning, surface.samples
+    if samples.region is not None:  # targets of regions are applied later; the cache is independent of regions
+        plain = replace(surface, samples=replace(samples, region=None))
+        M = part_matrix(scene, settings, plain, candidates, reporter=reporter, use_cache=use_cache, progress=progress)
+        return replace(M, samples=samples)
     scanner = scanners.make(scene.scanner.type, settings.planning_scanner if method == "rays" else settings.scanner)
     parameters = scanners.identity(scene.scanner.type, scanner)
-    parameters.pop("sigma_angle_mdeg", None)  # M is of the conditions alone; a limit on sigma is applied to it
+    parameters.pop("sigma_angle_mdeg", None)  # M has no limit on sigma; it is applied later
     row_of_face = None
     if method == "rays":
         row_of_face = closest_facing_faces(reference.centres, reference.normals, planning)
     elif "max_spacing_mm" not in parameters:
-        parameters.pop("resolution_deg", None)  # an aimed leg belongs to no grid
-    key = row_key(reference, features, parameters, method, row_of_face)
+        parameters.pop("resolution_deg", None)  # an aimed ray belongs to no grid
+    key = row_key(reference, samples, parameters, method, row_of_face)
     path = cache_folder() / f"{key[:32]}.npz"
     hashes = column_hashes(candidates)
 
-    def calculated(views: Viewpoints) -> Measurability:
+    def compute(views: Viewpoints) -> Measurability:
         return fill_matrix(
-            views,
-            features,
-            scanner,
-            surface.caster,
-            method=method,
-            part=reference,
-            row_of_face=row_of_face,
-            progress=progress,
-        )
+            views, samples, scanner, surface.caster,
+            method=method, part=reference, row_of_face=row_of_face, progress=progress,
+        )  # fmt: skip
 
     if not use_cache:
-        return calculated(candidates)
+        return compute(candidates)
     cached = load(path, key) if path.exists() else None
     if cached is None or cached.measurability is None:
         if cached is not None and reporter is not None:
-            reporter.note(f"a cached matrix is not used: {cached.reason}; it is calculated anew")
-        M = calculated(candidates)
-        _keep(path, M, key, hashes, reporter)
+            reporter.note(f"a cached matrix is not used: {cached.reason}; it is computed again")
+        M = compute(candidates)
+        _store(path, M, key, hashes, reporter)
         return M
-    place = cached.columns_of(hashes)
-    missing = np.flatnonzero(place < 0)
+    columns = cached.columns_of(hashes)
+    missing = np.flatnonzero(columns < 0)
     if not len(missing):
-        return _columns(cached.measurability, place)
-    M = join_measurability([cached.measurability, calculated(pick_viewpoints(candidates, missing))])
-    place[missing] = cached.measurability.n_viewpoints + np.arange(len(missing))
-    wanted = _columns(M, place)
+        return _pick_columns(cached.measurability, columns)
+    M = join_measurability([cached.measurability, compute(pick_viewpoints(candidates, missing))])
+    columns[missing] = cached.measurability.n_viewpoints + np.arange(len(missing))
+    picked = _pick_columns(M, columns)
     if M.n_viewpoints > _MAX_COLUMN_RATIO * len(candidates):
-        _keep(path, wanted, key, hashes, reporter)
+        _store(path, picked, key, hashes, reporter)
     else:
-        _keep(path, M, key, np.concatenate([cached.columns, hashes[missing]]), reporter)
-    return wanted
+        _store(path, M, key, np.concatenate([cached.columns, hashes[missing]]), reporter)
+    return picked
 
 
-def _columns(M: Measurability, place: NDArray[np.int64]) -> Measurability:
-    """The columns in the order that is wanted; M itself where it is in that order already."""
-    return M if np.array_equal(place, np.arange(M.n_viewpoints)) else pick_measurability(M, place)
+def _pick_columns(M: Measurability, columns: NDArray[np.int64]) -> Measurability:
+    """Return the columns in this order; M itself if it is in this order already."""
+    return M if np.array_equal(columns, np.arange(M.n_viewpoints)) else pick_measurability(M, columns)
 
 
-def _keep(path: Path, M: Measurability, key: str, columns: Hashes, reporter: ProgressReporter | None) -> None:
+def _store(path: Path, M: Measurability, key: str, columns: Hashes, reporter: ProgressReporter | None) -> None:
     try:
         save(path, M, key, columns)
         delete_oldest(path.parent, CACHE_LIMIT_BYTES)
     except FileError as error:
         if reporter is not None:
-            reporter.note(f"the matrix is not kept for the next run: {error}")
+            reporter.note(f"the matrix is not cached for the next run: {error}")
 
 
 def delete_oldest(folder: Path, limit: int) -> None:
-    """Keep a folder of matrices below a number of bytes: those written longest ago go first, the newest stays.
-
-    Args:
-        folder: where the `.npz` files are.
-        limit: bytes that they may take in all.
-    """
+    """Delete the oldest `.npz` files of a folder until it has at most `limit` bytes; the newest file stays."""
     files = sorted(((entry.stat(), entry) for entry in folder.glob("*.npz")), key=lambda pair: pair[0].st_mtime)
     size = sum(stat.st_size for stat, _ in files)
     for stat, entry in files[:-1]:
         if size <= limit:
             return
-        entry.unlink(missing_ok=True)  # another run may have been faster
+        entry.unlink(missing_ok=True)  # another run may have deleted it
         size -= stat.st_size
 
 
@@ -369,23 +353,23 @@ def limit_sigma(
     *,
     may_be_empty: bool = False,
 ) -> Measurability:
-    """Only what is measured precisely enough: the matrix with its layer of sigma.
+    """Remove entries of M with a larger standard deviation than allowed; add the layer of sigma.
 
     Args:
         M: the matrix with occluders applied.
         candidates: its columns.
-        scanner: the sensor's law.
+        scanner: sensor model.
         max_sigma_mm: largest expected standard deviation of a point [mm], inclusive.
-        casters: the part's and the occluders'.
-        may_be_empty: whether there are others where these measure nothing so precisely.
+        casters: of the part and of the occluders.
+        may_be_empty: whether an empty result is valid, because there are other candidates.
 
     Raises:
-        SceneError: if the scanner does not know its sigma, or no candidate measures anything so precisely.
+        SceneError: if the scanner has no model of sigma, or the result is empty.
     """
     if not callable(getattr(scanner, "sigma", None)):
         raise SceneError(
-            f"plan.max_sigma_mm is {max_sigma_mm:g}, but the scanner {type(scanner).__name__} does not know how "
-            "precise its points are; leave the limit out, or choose another scanner.type"
+            f"plan.max_sigma_mm is {max_sigma_mm:g}, but the scanner {type(scanner).__name__} has no model of "
+            "the precision of its points; leave the limit out, or choose another scanner.type"
         )
     precise = cast(SigmaScanner, scanner)
     layered = quality.sigma_layer(M, candidates, precise, casters=casters)
@@ -393,7 +377,7 @@ def limit_sigma(
     if len(M.indices) and not len(kept.indices) and not may_be_empty:
         best = 1000 * float(layered.sigma.min()) if layered.sigma is not None else float("nan")
         raise SceneError(
-            f"plan.max_sigma_mm is {max_sigma_mm:g} and no candidate measures anything so precisely: the best point "
+            f"plan.max_sigma_mm is {max_sigma_mm:g} and no candidate measures a sample that precisely: the best point "
             f"has an expected standard deviation of {best:.3g} mm; a longer baseline, a smaller standoff or a smaller "
             "scanner.sigma_angle_mdeg makes it less"
         )

@@ -134,7 +134,7 @@ def test_files_that_do_not_fit_are_refused_with_the_reason(tmp_path, parts, matr
     np.savez(path, **{**arrays, "format": np.array(FORMAT + 1)})
     assert f"has format {FORMAT + 1}" in load(path, key).reason
     np.savez(path, **{name: array for name, array in arrays.items() if name != "face"})
-    assert "lacks face" in load(path, key).reason
+    assert "has no face" in load(path, key).reason
     np.savez(path, **{**arrays, "indices": np.array([0, 4, 9], np.int32)})
     assert "0 to 4" in load(path, key).reason
     np.savez(path, **{**arrays, "shape": np.array([7, 5])})

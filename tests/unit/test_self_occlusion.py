@@ -135,7 +135,7 @@ def test_another_joint_solution_is_taken_before_anything_is_given_up(monkeypatch
     good = solutions[:, 3] <= 0
     assert 0 < good.sum() < len(solutions)
     arm = SelfOcclusion(M, reached, views, world, SCANNER)
-    assert arm.update(np.array([view]), solutions[~good][:1]) is OcclusionUpdate.OTHER_SOLUTIONS
+    assert arm.update(np.array([view]), solutions[~good][:1]) is OcclusionUpdate.OTHER_CONFIGURATIONS
     np.testing.assert_array_equal(arm.configurations(view), solutions[good])
     assert arm.M is M
     assert arm.update(np.array([view]), solutions[good][:1]) is OcclusionUpdate.CLEAR
