@@ -89,9 +89,7 @@ class SelfOcclusion:
             multiplicity[rows[is_visible]] += 1
         result = OcclusionUpdate.CLEAR
         for view, at, rows, is_visible in zip(views.tolist(), q, seen, visible, strict=True):
-            needed = rows[
-                multiplicity[rows] == is_visible
-            ]  # by no other view: 1 if this one measures it, else 0
+            needed = rows[multiplicity[rows] == is_visible]  # by no other view: 1 if this one measures it, else 0
             lost = rows[(multiplicity[rows] == 0) & ~is_visible]
             share = float(areas[lost].sum() / areas[needed].sum()) if len(needed) else 0.0
             if share <= MAX_OCCLUDED_SHARE:
