@@ -440,7 +440,7 @@ def test_an_indexed_table_is_planned_proven_and_gone_on_with(
     (resumed,) = _json(run / "executions" / "0001" / "manifest.json")["resumed"]
     moved = np.abs(np.diff(np.array(resumed["way_deg"]), axis=0)) > 1e-3
     assert not (moved[:, :6].any(axis=1) & moved[:, 6]).any()
-    with pytest.raises(FileError, match="the way moves arm and table at once"):
+    with pytest.raises(FileError, match="the path moves arm and table at once"):
         verify_plan(run).require_path_free(np.stack([via[0], quantise(via[0] + np.radians([1, 0, 0, 0, 0, 0, 1]))]))
 
 
