@@ -1,4 +1,4 @@
-"""How the cell looks in the viewer: colours, and surfaces for the eye alone, which take no part in collisions."""
+"""Appearance of the cell in the viewer: colours, light, and visual meshes that take no part in collisions."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from planner.values import Floats
 if TYPE_CHECKING:
     import mujoco
 
-VIEW_FACES = 200_000
-"""Faces above which the part is decimated for the view: finer than any pixel, and software rendering pays for each."""
+MAX_FACES = 200_000
+"""Largest number of faces of a visual mesh: finer than a pixel, and software rendering pays for each face."""
 
 _IS_PART = re.compile(r"part(_\d+)?")
 _VISUAL_GROUP, _ROBOT_GROUP, _HIDDEN_GROUP = 1, 3, 4
 
 
-def paint(spec: mujoco.MjSpec) -> None:
-    """Give every shape the colour that it has in pictures."""
-    links = {geom.name for body in spec.bodies if of_robot(body) for geom in body.geoms}
+def set_colours(spec: mujoco.MjSpec) -> None:
+    """Give every geom the colour that it has in pictures."""
+    links = {geom.name for body in spec.bodies if is_robot_body(body) for geom in body.geoms}
     for geom in spec.geoms:
         look = look_of("part" if _IS_PART.fullmatch(geom.name) else geom.name, of_robot=geom.name in links)
         geom.rgba = [*LOOKS[look], 1]
@@ -33,24 +33,24 @@ def paint(spec: mujoco.MjSpec) -> None:
             geom.group = _ROBOT_GROUP
 
 
-def of_robot(body: mujoco.MjsBody) -> bool:
-    """Whether a body is the arm's: the base, a link, or what a link drives along."""
+def is_robot_body(body: mujoco.MjsBody) -> bool:
+    """Return whether a body is part of the arm: the base, a link, or a body on a mimic joint."""
     return body.name == "base" or len(body.joints) > 0
 
 
-def part_pieces(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:
-    """The shapes that stand for the part: its hull, or its convex pieces in runs of earlier versions."""
+def part_geoms(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:
+    """Return the geoms of the part: its hull, or its convex pieces in runs of earlier versions."""
     return [geom for geom in spec.body("object").geoms if _IS_PART.fullmatch(geom.name)]
 
 
-def light(spec: mujoco.MjSpec, centre: Floats) -> None:
-    """A pale sky, a floor to the horizon, and even light; part and arm in the middle."""
+def set_lighting(spec: mujoco.MjSpec, centre: Floats) -> None:
+    """Set a pale sky, a floor to the horizon and even light; place part and arm in the middle."""
     import mujoco
 
     sky, gradient = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
     pale, blue = [0.97, 0.98, 1.0], [0.72, 0.78, 0.86]
     spec.add_texture(name="sky", type=sky, builtin=gradient, rgb1=pale, rgb2=blue, width=512, height=3072)
-    spec.geom("floor").size = [0.0, 0.0, 0.1]  # a plane is endless to collisions anyway
+    spec.geom("floor").size = [0.0, 0.0, 0.1]  # collisions treat a plane as infinite anyway
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.25] * 3, [0.15] * 3
     for lamp in spec.lights:
         lamp.castshadow = False
@@ -58,12 +58,12 @@ def light(spec: mujoco.MjSpec, centre: Floats) -> None:
     spec.stat.extent, spec.stat.center = 2.0, [0.5 * centre[0], 0.5 * centre[1], 0.4]
 
 
-def show_surface(spec: mujoco.MjSpec, name: str, mesh: TriangleMesh, hulls: Sequence[mujoco.MjsGeom]) -> None:
-    """A true surface, in the frame of the body that has the convex shapes, in place of these."""
+def add_surface(spec: mujoco.MjSpec, name: str, mesh: TriangleMesh, hulls: Sequence[mujoco.MjsGeom]) -> None:
+    """Show a true surface in place of its hulls, in the frame of their body."""
     import mujoco
 
-    shown = decimate(mesh, VIEW_FACES) if len(mesh.faces) > VIEW_FACES else mesh
-    add_mesh(spec, name, shown, smooth=True)
+    shown = decimate(mesh, MAX_FACES) if len(mesh.faces) > MAX_FACES else mesh
+    add_visual_mesh(spec, name, shown, smooth=True)
     hulls[0].parent.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_MESH,
@@ -77,11 +77,11 @@ def show_surface(spec: mujoco.MjSpec, name: str, mesh: TriangleMesh, hulls: Sequ
         hull.group = _HIDDEN_GROUP
 
 
-def add_mesh(spec: mujoco.MjSpec, name: str, mesh: TriangleMesh, *, smooth: bool = False) -> None:
-    """A mesh for the eye alone: surface inertia, so that open and thin ones compile as well."""
+def add_visual_mesh(spec: mujoco.MjSpec, name: str, mesh: TriangleMesh, *, smooth: bool = False) -> None:
+    """Add a visual mesh. It has surface inertia, so that open and thin meshes compile too."""
     import mujoco
 
-    # The engine asks for four vertices; a lone triangle gets one of its own again.
+    # The engine requires four vertices; a single triangle repeats one of its own.
     vertices = mesh.vertices if len(mesh.vertices) > 3 else np.concatenate([mesh.vertices, mesh.vertices[:1]])
     spec.add_mesh(
         name=name,

@@ -1,9 +1,9 @@
-"""The model that is looked at: the checked cell of a run folder, dressed for the eye.
+"""Model for replay: the checked cell of a run folder with colours and visual meshes.
 
-Made from the run's `cell.xml`, whose shapes, poses, joints and collision pairs stay as they were checked: colours,
-light and sky are added, the true surfaces of part (`reference.ply`) and mesh fixtures stand where their
-hulls stand, and all that is added takes no part in collisions. The hulls move to a hidden group (key 4 in the viewer
-shows it). World frame = base frame, metres.
+Made from the run's `cell.xml`. Its geoms, poses, joints and collision pairs stay as they were checked. Colours, light
+and sky are added. The true surfaces of the part (`reference.ply`) and of mesh fixtures replace their hulls in the
+picture and take no part in collisions; the hulls move to a hidden group (key 4 in the viewer shows it). World frame =
+base frame, metres.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from cell.errors import FileError
-from cell.replay.appearance import add_mesh, light, of_robot, paint, part_pieces, show_surface
+from cell.replay.appearance import add_surface, add_visual_mesh, is_robot_body, part_geoms, set_colours, set_lighting
 from cell.robot import model as robot
 from cell.runs.cell import table_of
 from cell.runs.run import Run
@@ -31,32 +31,32 @@ if TYPE_CHECKING:
     import mujoco
 
 
-POINTS_SHOWN = 6_000
-"""Points of one scan that are shown; more cover the surface without a gap and cost time alone."""
+MAX_POINTS = 6_000
+"""Largest number of points of a scan in the picture; more would cost time and cover the surface no better."""
 
 GLYPH_SHARE = 0.16
-"""Length of a view's small pyramid, as a share of its frustum's."""
+"""Length of the small pyramid at a view, as a share of the frustum's length."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Theatre(Value):
-    """The dressed model of a run and what is drawn into it.
+class ReplayModel(Value):
+    """The model of a run for replay, and the meshes that are drawn into it.
 
     Attributes:
-        model: compiled; the robot's joints are its only ones.
-        home: (axes,) joint angles of the key `home`, a rotary table at 0 [rad].
-        T_flange_scanner: (4, 4) the mount [m]; the scanner's frame is where frustum and TCP path are drawn.
-        T_base_object: (4, 4) placement [m].
-        centre: (3,) middle of the part's bounding box, base frame [m].
+        model: compiled; its joints are the robot's.
+        home: joint angles of the key `home`, a rotary table at 0 [rad].
+        T_flange_scanner: the mount [m].
+        T_base_object: placement [m].
+        centre: middle of the part's bounding box, base frame [m].
         frustum_mesh: number of the mesh of the scanner's measuring volume, scanner frame.
-        glyph_mesh: number of the mesh of its first part, a pyramid with its tip in the source.
-        frustum_corners: (8, 3) its corners, near four and far four, scanner frame [m].
-        cloud_mesh: number of the mesh of each scan's points, object frame, by scan; -1 for a scan without points.
-        entities: for each geom, the name a reader knows ("link_4", "housing", "part").
-        clearance: distance that a free configuration keeps [m].
-        near: what pairs of geoms keep that are guarded by less [m].
-        shapes: who measures distances, by true triangles where these were checked.
-        table: turns the part; None: it stands.
+        glyph_mesh: number of the mesh of a small pyramid with its tip in the source, scanner frame.
+        frustum_corners: corners of the measuring volume, near four and far four, scanner frame [m].
+        cloud_meshes: number of the mesh of each scan's points, object frame; -1 for a scan without points.
+        geom_names: name of each geom in messages ("link_4", "housing", "part").
+        clearance: required distance [m].
+        pair_clearances: smaller required distances of some pairs of geoms [m].
+        shapes: measures distances, with true triangles where these were checked.
+        table: rotary table that turns the part; None for a fixed part.
     """
 
     model: mujoco.MjModel
@@ -67,63 +67,64 @@ class Theatre(Value):
     frustum_mesh: int
     glyph_mesh: int
     frustum_corners: Annotated[Floats, "8 3"]
-    cloud_mesh: tuple[int, ...]
-    entities: tuple[str, ...]
+    cloud_meshes: tuple[int, ...]
+    geom_names: tuple[str, ...]
     clearance: float
-    near: Mapping[tuple[int, int], float]
+    pair_clearances: Mapping[tuple[int, int], float]
     shapes: ShapeDistances
     table: RotaryTable | None
 
 
-def dress(
+def build_replay_model(
     run: Run,
     scene: ResolvedScene,
     reference: TriangleMesh,
     clouds: Sequence[Floats] = (),
-) -> Theatre:
-    """Make the model that is looked at.
+) -> ReplayModel:
+    """Return the model for replay.
 
     Args:
-        run: a run folder that holds cell.xml.
+        run: a run with cell.xml.
         scene: its scene.
         reference: the part, object frame [m].
         clouds: points of each scan, (P, 3) object frame [m].
 
     Raises:
-        FileError: if cell.xml is missing, changed, or is no model of this robot.
+        FileError: if cell.xml is missing, changed, or not a model of this robot.
     """
     spec = run.cell_spec()
     missing = [name for name in ("object", "housing", "link_6") if spec.body(name) is None]
     if missing or spec.geom("part") is None:
         raise FileError(
-            f"{run.folder / 'cell.xml'} is damaged: it has no body {', '.join(missing) or 'with a part'}; plan again"
+            f"{run.folder / 'cell.xml'} is damaged: the body {', '.join(missing) or 'of the part'} is missing; plan "
+            "again"
         )
     centre = (scene.T_base_object @ scene.T_object_centre)[:3, 3]
     opening, (nearest, farthest) = scene.scanner.opening_deg, np.array(scene.scanner.drawn_range_mm) / 1000.0
     corners = np.concatenate([frustum(opening, nearest), frustum(opening, farthest)])
-    entities = {geom.name: body.name for body in spec.bodies for geom in body.geoms if of_robot(body)}
-    entities |= {piece.name: "part" for piece in part_pieces(spec)}
-    paint(spec)
-    light(spec, centre)
+    geom_names = {geom.name: body.name for body in spec.bodies for geom in body.geoms if is_robot_body(body)}
+    geom_names |= {piece.name: "part" for piece in part_geoms(spec)}
+    set_colours(spec)
+    set_lighting(spec, centre)
     radius = reference.diagonal / 2
-    show_surface(spec, "surface", reference, part_pieces(spec))
+    add_surface(spec, "surface", reference, part_geoms(spec))
     exact = [fixture for fixture in scene.fixtures if fixture.collision == "exact"]
     checked = {fixture.name: run.mesh(fixture.file) for fixture in exact if fixture.file is not None}
     for name, mesh in checked.items():
-        show_surface(spec, f"{name}_surface", mesh, [spec.geom(name)])
+        add_surface(spec, f"{name}_surface", mesh, [spec.geom(name)])
     if scene.plan.collision == "exact":
         checked["part"] = reference
     for name, tips in (("frustum", corners), ("glyph", np.concatenate([np.zeros((1, 3)), GLYPH_SHARE * corners[4:]]))):
         spec.add_mesh(name=name, uservert=tips.ravel())
     for number, points in enumerate(clouds):
         if len(points):
-            add_mesh(spec, f"cloud_{number}", specks(points, 0.010 * radius))
+            add_visual_mesh(spec, f"cloud_{number}", point_marks(points, 0.010 * radius))
     with run.compiling():
         model = spec.compile()
-    links = {name: mesh for name, mesh in meshes_of(model).items() if name in entities and entities[name] != "part"}
-    hollow = [*checked, *(name for name, mesh in links.items() if not is_convex(mesh))]
+    links = {name: mesh for name, mesh in meshes_of(model).items() if name in geom_names and geom_names[name] != "part"}
+    nonconvex = [*checked, *(name for name, mesh in links.items() if not is_convex(mesh))]
     mesh_of = {model.mesh(number).name: number for number in range(model.nmesh)}
-    return Theatre(
+    return ReplayModel(
         model=model,
         home=np.append(robot.home(model), [] if scene.table is None else [0.0]),
         T_flange_scanner=scene.T_flange_scanner,
@@ -132,18 +133,18 @@ def dress(
         frustum_mesh=mesh_of["frustum"],
         glyph_mesh=mesh_of["glyph"],
         frustum_corners=corners,
-        cloud_mesh=tuple(mesh_of.get(f"cloud_{number}", -1) for number in range(len(clouds))),
-        entities=tuple(entities.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
+        cloud_meshes=tuple(mesh_of.get(f"cloud_{number}", -1) for number in range(len(clouds))),
+        geom_names=tuple(geom_names.get(model.geom(i).name, model.geom(i).name) for i in range(model.ngeom)),
         clearance=scene.clearance_mm / 1000,
-        near=robot.reduced_clearances(model),
-        shapes=ShapeDistances(model, {**links, **checked}, hollow),
+        pair_clearances=robot.reduced_clearances(model),
+        shapes=ShapeDistances(model, {**links, **checked}, nonconvex),
         table=table_of(scene),
     )
 
 
-def specks(points: Floats, size: float) -> TriangleMesh:
-    """A small octahedron [m] at each point, thinned evenly to POINTS_SHOWN."""
-    shown = points[np.linspace(0, len(points) - 1, min(len(points), POINTS_SHOWN)).astype(np.int64)]
+def point_marks(points: Floats, size: float) -> TriangleMesh:
+    """Return a small octahedron [m] at each point, thinned evenly to MAX_POINTS."""
+    shown = points[np.linspace(0, len(points) - 1, min(len(points), MAX_POINTS)).astype(np.int64)]
     star = size * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64)
     faces = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
     vertices = (shown[:, None] + star).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""What `cell replay` can be asked for, checked."""
+"""Validated options of `cell replay`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,14 +18,14 @@ def _names(texts: Sequence[str]) -> list[str]:
 
 
 class ReplayOptions(Table):
-    """What is wanted; without `frames` and `picture` the viewer opens."""
+    """Content and form of the replay; the viewer opens if neither `frames` nor `picture` is given."""
 
     execution: Annotated[
-        str | None, Option("Replay an execution of it: an id, or latest. Default: the plan.", metavar="ID")
+        str | None, Option("Replay an execution: its id, or latest. Default: the plan.", metavar="ID")
     ] = None
     view: Annotated[int | None, Option("Begin at this view, counted from 1 in visiting order.")] = None
-    tightest: Annotated[bool, Option("Begin at the moment at which two things are nearest.")] = False
-    speed: Annotated[float, Field(gt=0, le=1000), Option("Seconds of the motion for each second.")] = 1.0
+    tightest: Annotated[bool, Option("Begin at the moment with the smallest distance.")] = False
+    speed: Annotated[float, Field(gt=0, le=1000), Option("Speed of the replay relative to the motion.")] = 1.0
     once: Annotated[bool, Option("Close the viewer at the end.")] = False
     frames: Annotated[
         Path | None, Field(strict=False), Option("Draw PNG frames into a folder; needs no display.", metavar="DIR")
@@ -34,20 +34,20 @@ class ReplayOptions(Table):
     picture: Annotated[
         Path | None,
         Field(strict=False),
-        Option("Draw one still of the whole tour; needs no display.", metavar="FILE.png"),
+        Option("Draw one picture of the whole tour; needs no display.", metavar="FILE.png"),
     ] = None
     camera_deg: Annotated[
         tuple[Annotated[float, Field(ge=-360, le=360)], _Elevation] | None,
         Field(strict=False),
         Option(
-            "With --picture: camera's azimuth and elevation from the part, deg.", metavar="AZ,EL",
+            "With --picture: azimuth and elevation of the camera as seen from the part, deg.", metavar="AZ,EL",
             form="azimuth,elevation in degrees", examples=("-60,20",), counts=(2,),
         ),
     ] = None  # fmt: skip
     hide: Annotated[
         tuple[str, ...],
         Field(strict=False),
-        Option("With --picture: leave out robot, post, a fixture, ...", metavar="NAME", made=_names),
+        Option("With --picture: hide robot, post, a fixture, ...", metavar="NAME", made=_names),
     ] = ()
     size: Annotated[
         tuple[_Pixels, _Pixels],
@@ -60,16 +60,16 @@ class ReplayOptions(Table):
 
     @field_validator("picture")
     @classmethod
-    def _a_png(cls, path: Path | None) -> Path | None:
+    def _require_png(cls, path: Path | None) -> Path | None:
         if path is not None and path.suffix.lower() != ".png":
             raise ValueError(f"is {path}; it must end in .png")
         return path
 
     @model_validator(mode="after")
-    def _of_one_kind(self) -> Self:
+    def _require_compatible(self) -> Self:
         if self.tightest and self.view is not None:
-            raise ValueError(".tightest says where to begin, and so does the view that was given; give one of them")
+            raise ValueError(".tightest and view both set the start; give one of them")
         for key in ("camera_deg", "hide"):
             if self.picture is None and getattr(self, key):
-                raise ValueError(f".{key} is for a still; ask for a picture as well")
+                raise ValueError(f".{key} needs a picture; give a file for one too")
         return self

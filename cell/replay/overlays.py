@@ -1,6 +1,6 @@
-"""What replay draws into a scene beside the model: frustum, TCP path, fresh points, contacts.
+"""Marks that replay adds to the model: frustum, TCP path, scanned points, clearance violations.
 
-Everything is appended to an `MjvScene` as decoration, the viewer's own (`user_scn`) or that of an off-screen picture,
+All marks are appended to an `MjvScene` as decoration: the viewer's own (`user_scn`) or that of an off-screen picture,
 so both show the same. Base frame, metres.
 """
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.replay.model import GLYPH_SHARE, Theatre
+from cell.replay.model import GLYPH_SHARE, ReplayModel
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -25,20 +25,20 @@ BEAM: Colour = (0.05, 0.62, 0.55, 0.20)
 BEAM_EDGE: Colour = (0.02, 0.45, 0.42, 0.9)
 GLYPH: Colour = (0.05, 0.55, 0.62, 0.30)
 PATH: Colour = (0.10, 0.25, 0.62, 1.0)
-FRESH: Colour = (0.0, 0.75, 0.45, 1.0)
+NEWEST: Colour = (0.0, 0.75, 0.45, 1.0)
 EARLIER: Colour = (0.16, 0.46, 0.72, 1.0)
-LOST: Colour = (0.72, 0.22, 0.16, 1.0)
+UNREACHABLE: Colour = (0.72, 0.22, 0.16, 1.0)
 CONTACT: Colour = (0.9, 0.0, 0.05, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Touch:
-    """Two things that are nearer than the clearance.
+class ClearanceViolation:
+    """Two bodies whose distance is below the required clearance.
 
     Attributes:
-        names: what a reader calls them, "housing with part".
-        distance: between the two [m]; below 0 where they overlap.
-        position: (3,) between the two, base frame [m].
+        names: of both, such as "housing with part".
+        distance: between them [m]; negative if they overlap.
+        position: (3,) between them, base frame [m].
     """
 
     names: str
@@ -47,25 +47,17 @@ class Touch:
 
     @property
     def sentence(self) -> str:
-        """For captions."""
+        """Text for captions."""
         if self.distance <= 0:
             return f"CONTACT: {self.names}"
         return f"{1000 * self.distance:.1f} mm: {self.names}"
 
 
 def add_mesh(scene: mujoco.MjvScene, model: mujoco.MjModel, mesh: int, T: Floats, rgba: Colour) -> None:
-    """A mesh of the model at a pose.
-
-    Args:
-        scene: is appended to; a full scene stays as it is.
-        model: holds the mesh.
-        mesh: its number.
-        T: (4, 4) pose of the mesh's own frame [m].
-        rgba: colour.
-    """
+    """Draw a mesh of the model at a (4, 4) pose [m] of the mesh's own frame; a full scene stays unchanged."""
     import mujoco
 
-    # The engine keeps a mesh about its middle, turned to its principal axes; this undoes it.
+    # The engine stores a mesh relative to its centre and its principal axes; this restores the original frame.
     R = np.empty(9)
     mujoco.mju_quat2Mat(R, model.mesh_quat[mesh])
     position = T[:3, :3] @ model.mesh_pos[mesh] + T[:3, 3]
@@ -74,35 +66,35 @@ def add_mesh(scene: mujoco.MjvScene, model: mujoco.MjModel, mesh: int, T: Floats
         geom.dataid = 2 * mesh  # even numbers are meshes, odd ones their hulls
 
 
-def add_frustum(scene: mujoco.MjvScene, theatre: Theatre, T_base_scanner: Floats) -> None:
-    """The scanner's measuring volume: translucent sides, and edges that run back to the laser's source."""
-    add_mesh(scene, theatre.model, theatre.frustum_mesh, T_base_scanner, BEAM)
-    corners = theatre.frustum_corners @ T_base_scanner[:3, :3].T + T_base_scanner[:3, 3]
-    near, far, source = corners[:4], corners[4:], T_base_scanner[:3, 3]
+def add_frustum(scene: mujoco.MjvScene, replay_model: ReplayModel, T_base_scanner: Floats) -> None:
+    """Draw the scanner's measuring volume: translucent sides, and edges back to the laser's source."""
+    add_mesh(scene, replay_model.model, replay_model.frustum_mesh, T_base_scanner, BEAM)
+    corners = replay_model.frustum_corners @ T_base_scanner[:3, :3].T + T_base_scanner[:3, 3]
+    pair_clearances, far, source = corners[:4], corners[4:], T_base_scanner[:3, 3]
     for i in range(4):
         add_segment(scene, source, far[i], 0.0016, BEAM_EDGE)
         add_segment(scene, far[i], far[(i + 1) % 4], 0.0016, BEAM_EDGE)
-        add_segment(scene, near[i], near[(i + 1) % 4], 0.0016, BEAM_EDGE)
+        add_segment(scene, pair_clearances[i], pair_clearances[(i + 1) % 4], 0.0016, BEAM_EDGE)
 
 
-def add_glyph(scene: mujoco.MjvScene, theatre: Theatre, T_base_scanner: Floats) -> None:
-    """A view among many: the first part of its frustum, a small pyramid with its tip in the laser's source."""
-    add_mesh(scene, theatre.model, theatre.glyph_mesh, T_base_scanner, GLYPH)
-    far = GLYPH_SHARE * theatre.frustum_corners[4:] @ T_base_scanner[:3, :3].T + T_base_scanner[:3, 3]
+def add_glyph(scene: mujoco.MjvScene, replay_model: ReplayModel, T_base_scanner: Floats) -> None:
+    """Draw a view as a small pyramid with its tip in the laser's source."""
+    add_mesh(scene, replay_model.model, replay_model.glyph_mesh, T_base_scanner, GLYPH)
+    far = GLYPH_SHARE * replay_model.frustum_corners[4:] @ T_base_scanner[:3, :3].T + T_base_scanner[:3, 3]
     for i in range(4):
         add_segment(scene, T_base_scanner[:3, 3], far[i], 0.0012, BEAM_EDGE)
         add_segment(scene, far[i], far[(i + 1) % 4], 0.0012, BEAM_EDGE)
 
 
 def add_path(scene: mujoco.MjvScene, points: Floats, radius: float) -> None:
-    """A polyline through (N, 3) points as thin rods; repeated points are left out."""
-    apart = np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6
-    for start, end in itertools.pairwise(points[np.concatenate([[True], apart])]):
+    """Draw a polyline through (N, 3) points as thin rods; repeated points are left out."""
+    is_new = np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6
+    for start, end in itertools.pairwise(points[np.concatenate([[True], is_new])]):
         add_segment(scene, start, end, radius, PATH)
 
 
 def add_segment(scene: mujoco.MjvScene, start: Floats, end: Floats, radius: float, rgba: Colour) -> None:
-    """A thin rod between two points."""
+    """Draw a thin rod between two points."""
     import mujoco
 
     geom = _geom(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, np.zeros(3), np.zeros(3), np.eye(3), rgba)
@@ -111,14 +103,14 @@ def add_segment(scene: mujoco.MjvScene, start: Floats, end: Floats, radius: floa
 
 
 def add_ball(scene: mujoco.MjvScene, position: Floats, radius: float, rgba: Colour) -> None:
-    """A ball."""
+    """Draw a ball."""
     import mujoco
 
     _geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius), position, np.eye(3), rgba)
 
 
 def add_label(scene: mujoco.MjvScene, position: Floats, text: str) -> None:
-    """A line of text that faces the camera."""
+    """Draw a line of text that faces the camera."""
     import mujoco
 
     geom = _geom(scene, mujoco.mjtGeom.mjGEOM_LABEL, np.full(3, 0.01), position, np.eye(3), (0.0, 0.0, 0.0, 1.0))
@@ -127,51 +119,51 @@ def add_label(scene: mujoco.MjvScene, position: Floats, text: str) -> None:
 
 
 def add_clouds(
-    scene: mujoco.MjvScene, theatre: Theatre, shown: Sequence[int], fresh: int | None, data: mujoco.MjData
+    scene: mujoco.MjvScene, replay_model: ReplayModel, scans: Sequence[int], newest: int | None, data: mujoco.MjData
 ) -> None:
-    """Points of the scans taken so far, where the part is in a state; those of the newest brighter."""
+    """Draw the points of the given scans at the part's pose in `data`; the newest scan is brighter."""
     part, T = data.body("object"), np.eye(4)
     T[:3, :3], T[:3, 3] = part.xmat.reshape(3, 3), part.xpos
-    for scan in shown:
-        mesh = theatre.cloud_mesh[scan]
+    for scan in scans:
+        mesh = replay_model.cloud_meshes[scan]
         if mesh >= 0:
-            add_mesh(scene, theatre.model, mesh, T, FRESH if scan == fresh else EARLIER)
+            add_mesh(scene, replay_model.model, mesh, T, NEWEST if scan == newest else EARLIER)
 
 
-def add_touches(scene: mujoco.MjvScene, found: Sequence[Touch]) -> None:
-    """A red ball at each place that is nearer than the clearance."""
-    for touch in found:
-        add_ball(scene, np.array(touch.position), 0.02, CONTACT)
+def add_violations(scene: mujoco.MjvScene, violations: Sequence[ClearanceViolation]) -> None:
+    """Draw a red ball at each clearance violation."""
+    for violation in violations:
+        add_ball(scene, np.array(violation.position), 0.02, CONTACT)
 
 
-def touches(theatre: Theatre, data: mujoco.MjData) -> tuple[Touch, ...]:
-    """What is nearer than it is guarded by at the pose of `data`, nearest first; looks with the checked shapes.
+def find_violations(replay_model: ReplayModel, data: mujoco.MjData) -> tuple[ClearanceViolation, ...]:
+    """Return the clearance violations at the pose of `data`, smallest distance first, with the checked shapes.
 
-    Of what was checked as its triangles, the hull in the model only finds the shapes to look at.
+    For a body that was checked as triangles, its hull in the model only selects the pairs to measure.
     """
     import mujoco
 
-    mujoco.mj_collision(theatre.model, data)
-    found: dict[str, Touch] = {}
+    mujoco.mj_collision(replay_model.model, data)
+    found: dict[str, ClearanceViolation] = {}
     for contact in data.contact[: data.ncon]:
-        names = " with ".join(theatre.entities[geom] for geom in sorted(contact.geom, reverse=True))
+        names = " with ".join(replay_model.geom_names[geom] for geom in sorted(contact.geom, reverse=True))
         distance, position = float(contact.dist), contact.pos
         a, b = (int(geom) for geom in contact.geom)
-        if a in theatre.shapes.nonconvex or b in theatre.shapes.nonconvex:
+        if a in replay_model.shapes.nonconvex or b in replay_model.shapes.nonconvex:
             points = np.zeros((2, 3))
-            distance = theatre.shapes.distance(data, a, b, theatre.clearance, points=points)
+            distance = replay_model.shapes.distance(data, a, b, replay_model.clearance, points=points)
             position = points.mean(axis=0)
-        least = min(theatre.clearance, theatre.near.get((a, b), np.inf))
-        if distance < least and (names not in found or distance < found[names].distance):
+        required = min(replay_model.clearance, replay_model.pair_clearances.get((a, b), np.inf))
+        if distance < required and (names not in found or distance < found[names].distance):
             x, y, z = (float(value) for value in position)
-            found[names] = Touch(names, distance, (x, y, z))
-    return tuple(sorted(found.values(), key=lambda touch: touch.distance))
+            found[names] = ClearanceViolation(names, distance, (x, y, z))
+    return tuple(sorted(found.values(), key=lambda violation: violation.distance))
 
 
 def _geom(
     scene: mujoco.MjvScene, kind: int, size: Floats, position: Floats, R: Floats, rgba: Colour
 ) -> mujoco.MjvGeom | None:
-    """The next geom of a scene; None where it is full: a picture with too few marks is better than none."""
+    """Return the next geom of a scene, or None if it is full: missing marks are better than no picture."""
     import mujoco
 
     if scene.ngeom >= scene.maxgeom:

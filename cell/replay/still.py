@@ -1,4 +1,4 @@
-"""Replay by rays (`cell.view.cell_picture`): a still of the whole tour, or numbered frames; no OpenGL, no display."""
+"""Replay by ray casting (`cell.view.cell_picture`): a picture of the tour, or numbered frames; needs no OpenGL."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from PIL import Image, ImageDraw
 
 from cell.errors import FileError
 from cell.replay import overlays
-from cell.replay.appearance import VIEW_FACES
-from cell.replay.model import specks
-from cell.replay.show import Show
-from cell.replay.tightest_moment import Closest, near_camera
+from cell.replay.appearance import MAX_FACES
+from cell.replay.model import point_marks
+from cell.replay.show import Playback
+from cell.replay.tightest_moment import TightestMoment, closeup_camera
 from cell.view import rays
 from cell.view.cell_picture import best_view, draw_cell, tour_camera
 from cell.view.palette import GREEN, VERMILION
@@ -24,63 +24,63 @@ from planner.geometry.mesh import TriangleMesh
 from planner.ports import Progress
 from planner.values import Floats
 
-_CANDIDATE = 0.05  # m; a candidate viewpoint is a stroke of this length, from its source along its view
+_CANDIDATE = 0.05  # m; length of the stroke of a candidate viewpoint, from its source along the viewing axis
 _CAPTION = 20  # height of a caption [pixels]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Still:
-    """What a still is drawn of.
+class PictureInputs:
+    """Contents of a picture.
 
     Attributes:
-        show: what is played.
+        playback: model, timeline and marks.
         cell: robot and surroundings.
         part: object frame.
         clouds: (P, 3) points of each scan, object frame [m].
     """
 
-    show: Show
+    playback: Playback
     cell: Cell
     part: TriangleMesh
     clouds: Sequence[Floats]
 
 
 def write_picture(
-    still: Still,
+    inputs: PictureInputs,
     path: Path,
     size: tuple[int, int],
     t: float | None = None,
     camera_deg: tuple[float, float] | None = None,
     hide: Collection[str] = (),
 ) -> None:
-    """Draw it; the tightest pair where the arm stands there, elsewhere it would hang in the air.
+    """Draw one moment, with the tightest pair if the arm is there; at another pose its points would be in mid-air.
 
     Args:
-        still: what is drawn.
+        inputs: contents of the picture.
         path: PNG file to write.
         size: (width, height) [pixels].
-        t: the moment [s]; None takes a stop at which arm and part stand side by side.
-        camera_deg: azimuth and elevation of the camera as seen from the part; None chooses.
-        hide: names of what is left out.
+        t: the moment [s]; None takes the view at which arm and part are side by side.
+        camera_deg: azimuth and elevation of the camera as seen from the part; None fits a camera.
+        hide: names of pieces to hide.
 
     Raises:
-        UsageError: if what is to be left out is not there.
+        UsageError: if a name is unknown.
         FileError: if the file cannot be written.
     """
-    show, timeline = still.show, still.show.timeline
-    best = best_view(still.cell, still.part, show.T_base_scanner)
+    playback, timeline = inputs.playback, inputs.playback.timeline
+    best = best_view(inputs.cell, inputs.part, playback.T_base_scanner)
     moment = t if t is not None else timeline.stops[best].begin if best >= 0 else 0.0
-    closest = show.closest if show.closest is not None and moment == show.closest.time else None
+    tightest = playback.tightest if playback.tightest is not None and moment == playback.tightest.time else None
     camera: rays.Camera | tuple[float, float] | None = camera_deg
-    if closest is not None and camera_deg is None:
-        show.pose(moment)
-        camera = near_camera(show.theatre.model, show.data, closest, size)
-    points = _points(still, moment, len(still.clouds), None)
-    rays.save(_drawn(still, moment, size, camera, points, closest, hide)[0], path)
+    if tightest is not None and camera_deg is None:
+        playback.pose(moment)
+        camera = closeup_camera(playback.replay_model.model, playback.data, tightest, size)
+    points = _points(inputs, moment, len(inputs.clouds), None)
+    rays.save(_drawn(inputs, moment, size, camera, points, tightest, hide)[0], path)
 
 
 def write_frames(
-    still: Still,
+    inputs: PictureInputs,
     folder: Path,
     size: tuple[int, int],
     *,
@@ -89,16 +89,16 @@ def write_frames(
     speed: float = 1.0,
     progress: Progress | None = None,
 ) -> int:
-    """Draw the show as `frame_00001.png`, ... into a folder; the last frame shows its end.
+    """Draw the playback as `frame_00001.png`, ... into a folder; the last frame shows its end.
 
     Args:
-        still: what is drawn.
-        folder: is made; must hold no frames yet.
+        inputs: contents of the pictures.
+        folder: is created; must hold no frames.
         size: (width, height) [pixels].
         start: first moment [s].
-        fps: frames for each second of film.
-        speed: seconds of the show for each second of film.
-        progress: told how far it is.
+        fps: frames per second of film.
+        speed: seconds of the playback per second of film.
+        progress: is called with the number of frames drawn and their total.
 
     Returns:
         The number of frames.
@@ -107,24 +107,24 @@ def write_frames(
         FileError: if the folder holds frames or cannot be written.
     """
     require_empty(folder)
-    if len(still.part.faces) > VIEW_FACES:
-        still = replace(still, part=decimate(still.part, VIEW_FACES))
-    show, timeline = still.show, still.show.timeline
+    if len(inputs.part.faces) > MAX_FACES:
+        inputs = replace(inputs, part=decimate(inputs.part, MAX_FACES))
+    playback, timeline = inputs.playback, inputs.playback.timeline
     poses = [timeline.at(t) for t in (0.0, *(stop.begin for stop in timeline.stops), timeline.duration)]
-    seen_by = [show.path, show.T_base_candidate[:, :3, 3]]
-    camera = tour_camera(still.cell, still.part, poses, np.concatenate(seen_by), size)
+    sources = np.concatenate([playback.path, playback.T_base_candidate[:, :3, 3]])
+    camera = tour_camera(inputs.cell, inputs.part, poses, sources, size)
     times = frame_times(timeline.duration, start, fps, speed)
     for number, t in enumerate(times, start=1):
-        show.pose(t)
-        touching, stop = show.touches(), timeline.stop_at(t)
-        fresh = None if stop is None else timeline.stops.index(stop)
-        points = _points(still, t, timeline.reached(t), fresh)
-        closest = show.closest if show.closest is not None and show.closest.shown_at(t) else None
-        drawn, seen = _drawn(still, t, size, camera, points, closest)
-        places = np.array([touch.position for touch in touching]).reshape(-1, 3)
-        rays.dots(drawn, seen.camera.project(places)[:, :2], VERMILION, 6.0)
+        playback.pose(t)
+        violations, stop = playback.violations(), timeline.stop_at(t)
+        newest = None if stop is None else timeline.stops.index(stop)
+        points = _points(inputs, t, timeline.reached(t), newest)
+        tightest = playback.tightest if playback.tightest is not None and playback.tightest.is_shown_at(t) else None
+        drawn, seen = _drawn(inputs, t, size, camera, points, tightest)
+        positions = np.array([violation.position for violation in violations]).reshape(-1, 3)
+        rays.dots(drawn, seen.camera.project(positions)[:, :2], VERMILION, 6.0)
         ImageDraw.Draw(drawn).text(
-            (8, 4), show.caption(t, touching), "#111111", rays.font(_CAPTION), stroke_width=2, stroke_fill="white"
+            (8, 4), playback.caption(t, violations), "#111111", rays.font(_CAPTION), stroke_width=2, stroke_fill="white"
         )
         rays.save(drawn, folder / f"frame_{number:05d}.png")
         if progress is not None:
@@ -133,63 +133,56 @@ def write_frames(
 
 
 def frame_times(duration: float, start: float, fps: float, speed: float) -> list[float]:
-    """Time of the show [s] of each frame; the last one shows the end.
-
-    Args:
-        duration: of the show [s].
-        start: first moment [s].
-        fps: frames for each second of film.
-        speed: seconds of the show for each second of film.
-    """
+    """Return the playback time [s] of each frame; the last frame shows the end. Arguments as in `write_frames`."""
     step = speed / fps
     count = int(np.ceil(max(duration - start, 0.0) / step - 1e-9)) + 1
     return [min(start + n * step, duration) for n in range(count)]
 
 
 def require_empty(folder: Path) -> None:
-    """Refuse a folder that holds frames.
+    """Require a folder without frames.
 
     Raises:
-        FileError: if it does.
+        FileError: if it holds frames.
     """
     if any(folder.glob("frame_*.png")):
-        raise FileError(f"{folder} holds frames already, and a shorter film would leave some; choose another folder")
+        raise FileError(f"{folder} holds frames already; a shorter film would not replace all; choose another folder")
 
 
 def _drawn(
-    still: Still,
+    inputs: PictureInputs,
     t: float,
     size: tuple[int, int],
     camera: rays.Camera | tuple[float, float] | None,
     points: Sequence[Piece],
-    closest: Closest | None,
+    tightest: TightestMoment | None,
     hide: Collection[str] = (),
 ) -> tuple[Image.Image, rays.Seen]:
-    """The picture of a moment [s], and what its camera saw."""
-    show, candidates = still.show, still.show.T_base_candidate
+    """Return the picture of a moment [s] and the depth seen by its camera."""
+    playback, candidates = inputs.playback, inputs.playback.T_base_candidate
     strokes = np.stack([candidates[:, :3, 3], candidates[:, :3, 3] + _CANDIDATE * candidates[:, :3, 2]], axis=1)
     drawn, seen = draw_cell(
-        still.cell, still.part, show.timeline.at(t), views=show.T_base_scanner, way=show.path, size=size,
+        inputs.cell, inputs.part, playback.timeline.at(t), views=playback.T_base_scanner, way=playback.path, size=size,
         camera=camera, hide=hide, extra=points,
     )  # fmt: skip
-    for reachable, colour in ((True, GREEN), (False, VERMILION)):
-        known = np.zeros(len(strokes), dtype=np.bool_) if show.reachable is None else show.reachable
-        rays.lines(drawn, seen, strokes[known == reachable], colour, width=2)
-    if closest is not None:
-        rays.lines(drawn, seen, closest.points[None], VERMILION, width=4, hidden=VERMILION)
-        at = seen.camera.project(closest.points)[:, :2]
+    reachable = np.zeros(len(strokes), dtype=np.bool_) if playback.reachable is None else playback.reachable
+    rays.lines(drawn, seen, strokes[reachable], GREEN, width=2)
+    rays.lines(drawn, seen, strokes[~reachable], VERMILION, width=2)
+    if tightest is not None:
+        rays.lines(drawn, seen, tightest.points[None], VERMILION, width=4, hidden=VERMILION)
+        at = seen.camera.project(tightest.points)[:, :2]
         rays.dots(drawn, at, VERMILION)
-        rays.labels(drawn, at.mean(axis=0)[None] + [0.0, 18.0], [closest.sentence])
+        rays.labels(drawn, at.mean(axis=0)[None] + [0.0, 18.0], [tightest.sentence])
     return drawn, seen
 
 
-def _points(still: Still, t: float, taken: int, fresh: int | None) -> list[Piece]:
-    """The points of the scans taken until a moment [s] as specks, those of the newest brighter."""
-    T, radius = still.cell.turn(still.show.timeline.at(t)) @ still.cell.T_base_object, still.part.diagonal / 2
+def _points(inputs: PictureInputs, t: float, n_scans: int, newest: int | None) -> list[Piece]:
+    """Return marks at the points of the first `n_scans` scans at a moment [s]; the newest scan is brighter."""
+    T, radius = inputs.cell.turn(inputs.playback.timeline.at(t)) @ inputs.cell.T_base_object, inputs.part.diagonal / 2
     found = []
-    for scan, points in enumerate(still.clouds[:taken]):
+    for scan, points in enumerate(inputs.clouds[:n_scans]):
         if len(points):
-            mesh = specks(points, 0.010 * radius)
-            colour = np.array((overlays.FRESH if scan == fresh else overlays.EARLIER)[:3])
+            mesh = point_marks(points, 0.010 * radius)
+            colour = np.array((overlays.NEWEST if scan == newest else overlays.EARLIER)[:3])
             found.append(Piece("points", 0, mesh.vertices @ T[:3, :3].T + T[:3, 3], np.array(mesh.faces), colour))
     return found

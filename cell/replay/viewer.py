@@ -1,6 +1,6 @@
-"""Replay in MuJoCo's viewer: the clock drives the show, keys pause it, change its speed and step from view to view.
+"""Replay in MuJoCo's viewer: a clock drives the playback; keys pause it, change its speed and step between views.
 
-The viewer calls back on its own thread; a key is put in a queue there and obeyed by the loop here.
+The viewer calls back on its own thread, which puts keys into a queue; the loop here handles them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cell.errors import UsageError
-from cell.replay.show import Show, show_what_is_seen
+from cell.replay.show import Playback, set_visible_groups
 from cell.runs.timeline import Timeline
 from cell.view import rays
 from planner.values import Floats
@@ -27,29 +27,29 @@ REFRESH = 1 / 60
 """Pause between two pictures [s]."""
 
 SPEEDS = (0.05, 20.0)
-"""Slowest and fastest show that the keys go to."""
+"""Slowest and fastest speed that the keys set."""
 
-# GLFW's key codes. They differ from the keys that the viewer takes for itself (letters, digits, F1 to F12, [ and ]).
+# GLFW's key codes. They differ from the keys of the viewer itself (letters, digits, F1 to F12, [ and ]).
 _SPACE, _RIGHT, _LEFT, _DOWN, _UP, _HOME, _END = 32, 262, 263, 264, 265, 268, 269
 
-_CLOSING = 10.0  # patience with a window that closes [s]
+_CLOSING_TIMEOUT = 10.0  # of the viewer's threads [s]
 
 HELP = "space pause   left, right view   up, down speed   home start   end tightest moment"
 
 
 class Player:
-    """Where the show is and how fast it runs."""
+    """Position and speed of the playback."""
 
     def __init__(
         self, timeline: Timeline, speed: float = 1.0, start: float = 0.0, tightest: float | None = None
     ) -> None:
-        """Begin to play.
+        """Start to play.
 
         Args:
-            timeline: the show.
-            speed: seconds of the show for each second of the clock.
+            timeline: joint angles over time.
+            speed: seconds of the playback per second of the clock.
             start: first moment [s].
-            tightest: the tightest moment [s]; None where it is not known.
+            tightest: the moment of the smallest distance [s], if known.
         """
         self.tightest = tightest
         self.timeline, self.speed, self.t = timeline, speed, start
@@ -57,16 +57,16 @@ class Player:
 
     @property
     def ended(self) -> bool:
-        """Whether the show stands at its end."""
+        """Whether the playback is at its end."""
         return self.t >= self.timeline.duration
 
     def advance(self, seconds: float) -> None:
-        """Let a span of the clock pass [s]."""
+        """Advance by a time of the clock [s]."""
         if self.playing:
             self.t = min(self.t + self.speed * seconds, self.timeline.duration)
 
     def press(self, key: int) -> None:
-        """Obey a key (GLFW code); others are left to the viewer."""
+        """Handle a key (GLFW code); other keys are ignored."""
         stops = self.timeline.stops
         if key == _SPACE:
             if self.ended:
@@ -87,12 +87,12 @@ class Player:
             self._step_to(next((stop.begin for stop in reversed(stops) if stop.begin < self.t), 0.0))
 
     def _step_to(self, t: float) -> None:
-        """Stepping is looking: the show stands at the view until space lets it go on."""
+        """Go to a moment and pause there until space continues."""
         self.t, self.playing = t, False
 
 
 def play(
-    show: Show,
+    playback: Playback,
     camera: rays.Camera,
     *,
     clock: Callable[[], float],
@@ -101,16 +101,16 @@ def play(
     start: float = 0.0,
     once: bool = False,
 ) -> None:
-    """Play the show in a window until it is closed.
+    """Play in a window until it is closed.
 
     Args:
-        show: what is played.
-        camera: where the eye is first; its openings are MuJoCo's.
-        clock: seconds, rising.
-        wait: lets seconds pass.
-        speed: seconds of the show for each second of the clock.
+        playback: model, timeline and marks.
+        camera: at the start, with MuJoCo's field of view.
+        clock: monotonic [s].
+        wait: sleeps for a number of seconds.
+        speed: seconds of the playback per second of the clock.
         start: first moment [s].
-        once: close the window at the end of the show.
+        once: close the window at the end.
 
     Raises:
         UsageError: if there is no display or no OpenGL on it.
@@ -120,19 +120,19 @@ def play(
     import mujoco.viewer
 
     keys: queue.SimpleQueue[int] = queue.SimpleQueue()
-    model, data = show.theatre.model, show.data
-    player = Player(show.timeline, speed, start, None if show.closest is None else show.closest.time)
-    show.pose(start)
+    model, data = playback.replay_model.model, playback.data
+    player = Player(playback.timeline, speed, start, None if playback.tightest is None else playback.tightest.time)
+    playback.pose(start)
     others = set(threading.enumerate())
     with mujoco.viewer.launch_passive(
         model, data, key_callback=keys.put, show_left_ui=False, show_right_ui=False
     ) as window:
         threads = [thread for thread in threading.enumerate() if thread not in others]
         with window.lock():
-            place(window.cam, camera, show.theatre.centre)
-            show_what_is_seen(window.opt)
-            show.draw_still(window.user_scn)
-        still = window.user_scn.ngeom
+            set_camera(window.cam, camera, playback.replay_model.centre)
+            set_visible_groups(window.opt)
+            playback.add_static_marks(window.user_scn)
+        n_static = window.user_scn.ngeom
         before = clock()
         while window.is_running() and not (once and player.ended):
             with contextlib.suppress(queue.Empty):
@@ -142,20 +142,20 @@ def play(
             player.advance(now - before)
             before = now
             with window.lock():
-                show.pose(player.t)
-                touching = show.touches()
-                window.user_scn.ngeom = still
-                show.draw_moment(window.user_scn, player.t, touching)
-            window.set_texts(_captions(show, player, touching))
+                playback.pose(player.t)
+                violations = playback.violations()
+                window.user_scn.ngeom = n_static
+                playback.add_moment_marks(window.user_scn, player.t, violations)
+            window.set_texts(_captions(playback, player, violations))
             window.sync()
             wait(REFRESH)
-    # The window is taken down on the viewer's own threads; the program ending under them would abort.
+    # The viewer's own threads close the window; if the program ended before them, it would abort.
     for thread in threads:
-        thread.join(_CLOSING)
+        thread.join(_CLOSING_TIMEOUT)
 
 
-def place(free: mujoco.MjvCamera, camera: rays.Camera, centre: Floats) -> None:
-    """Put MuJoCo's free camera where a camera of pictures stands; it turns about a point as far away as the part."""
+def set_camera(free: mujoco.MjvCamera, camera: rays.Camera, centre: Floats) -> None:
+    """Set MuJoCo's free camera to a camera of pictures; it orbits a point at the distance of the part."""
     forward = camera.forward
     free.azimuth, free.elevation = np.degrees([np.arctan2(forward[1], forward[0]), np.arcsin(forward[2])])
     free.distance = float((centre - camera.eye) @ forward)
@@ -163,15 +163,15 @@ def place(free: mujoco.MjvCamera, camera: rays.Camera, centre: Floats) -> None:
 
 
 def require_display() -> None:
-    """Open and close a hidden window: the viewer's own thread would wait for ever where none can be opened.
+    """Open and close a hidden window; without a display the viewer's own thread would wait forever.
 
     Raises:
-        UsageError: if there is no display, or no OpenGL on it.
+        UsageError: if there is no display, or the display has no OpenGL.
     """
     import glfw
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # glfw says as a warning what is said below as a sentence
+        warnings.simplefilter("ignore")  # the error below replaces glfw's warning
         opened = bool(glfw.init())
         window = None
         if opened:
@@ -181,18 +181,18 @@ def require_display() -> None:
                 glfw.destroy_window(window)
             glfw.terminate()
     if not window:
-        lacking = "there is no display" if not opened else "the display has no OpenGL"
+        reason = "there is no display" if not opened else "the display has no OpenGL"
         raise UsageError(
-            f"the viewer cannot open a window: {lacking}; draw pictures with --frames DIR or --picture FILE.png"
+            f"the viewer cannot open a window: {reason}; draw pictures with --frames DIR or --picture FILE.png"
         )
 
 
-def _captions(show: Show, player: Player, touching: Any) -> list[tuple[Any, ...]]:
+def _captions(playback: Playback, player: Player, violations: Any) -> list[tuple[Any, ...]]:
     import mujoco
 
     state = "" if player.playing else "   paused"
     where = mujoco.mjtGridPos
-    caption = f"{show.caption(player.t, touching)}   x {player.speed:.2g}{state}"
+    caption = f"{playback.caption(player.t, violations)}   x {player.speed:.2g}{state}"
     return [
         (mujoco.mjtFontScale.mjFONTSCALE_150, where.mjGRID_TOPLEFT, caption, ""),
         (mujoco.mjtFontScale.mjFONTSCALE_100, where.mjGRID_BOTTOMLEFT, HELP, ""),

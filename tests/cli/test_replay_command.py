@@ -1,4 +1,4 @@
-"""`cell replay` by its pixels: the arm is there and moves, the part is where the plan says, failed runs are shown."""
+"""`cell replay` by pixels: the arm is drawn and moves, the part is at its planned pose, failed runs are shown."""
 
 import itertools
 import json
@@ -20,9 +20,9 @@ from cell.commands.terminal import Terminal
 from cell.errors import FileError, UsageError
 from cell.replay import overlays
 from cell.replay.options import ReplayOptions
-from cell.replay.replay import load_show, replay
-from cell.replay.show import Show, show_what_is_seen
-from cell.replay.viewer import place
+from cell.replay.replay import load_playback, replay
+from cell.replay.show import Playback, set_visible_groups
+from cell.replay.viewer import set_camera
 from cell.runs.run import open_run
 from cell.view.cell_picture import tour_camera
 from cell.view.pieces import cell_of_run
@@ -37,18 +37,18 @@ draws = pytest.mark.skipif(find_library("EGL") is None, reason=_NO_EGL)
 
 
 class OffScreen:
-    """MuJoCo's own renderer shows what its viewer would."""
+    """MuJoCo's own renderer, which draws like its viewer."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         model.vis.global_.offwidth, model.vis.global_.offheight = _SIZE
         model.vis.quality.offsamples = 4
         self.renderer, self.option = mujoco.Renderer(model, _SIZE[1], _SIZE[0], 20_000), mujoco.MjvOption()
-        show_what_is_seen(self.option)
+        set_visible_groups(self.option)
 
     def picture(
         self, data: mujoco.MjData, camera: mujoco.MjvCamera, decorate: Callable[[mujoco.MjvScene], None] | None = None
     ) -> NDArray[np.uint8]:
-        """(height, width, 3) as MuJoCo draws it."""
+        """Return MuJoCo's (height, width, 3) picture."""
         self.renderer.update_scene(data, camera, self.option)
         if decorate:
             decorate(self.renderer.scene)
@@ -56,34 +56,34 @@ class OffScreen:
         return picture
 
 
-def _beside(planned: Path, show: Show) -> mujoco.MjvCamera:
-    """Where the viewer's eye is first."""
+def _initial_camera(planned: Path, playback: Playback) -> mujoco.MjvCamera:
+    """Return the camera with which the viewer opens."""
     run = open_run(planned)
     cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
-    half = np.tan(np.radians(show.theatre.model.vis.global_.fovy) / 2)
-    poses = [show.timeline.at(stop.begin) for stop in show.timeline.stops]
+    half = np.tan(np.radians(playback.replay_model.model.vis.global_.fovy) / 2)
+    poses = [playback.timeline.at(stop.begin) for stop in playback.timeline.stops]
     camera = mujoco.MjvCamera()
-    mujoco.mjv_defaultFreeCamera(show.theatre.model, camera)
-    place(camera, tour_camera(cell, part, poses, show.path, _SIZE, half), show.theatre.centre)
+    mujoco.mjv_defaultFreeCamera(playback.replay_model.model, camera)
+    set_camera(camera, tour_camera(cell, part, poses, playback.path, _SIZE, half), playback.replay_model.centre)
     return camera
 
 
 @pytest.fixture(scope="module")
-def show(planned: Path) -> Show:
-    """The finished run, ready to be drawn."""
-    return load_show(open_run(planned), None, Terminal())
+def playback(planned: Path) -> Playback:
+    """The playback of the finished run."""
+    return load_playback(open_run(planned), None, Terminal())
 
 
 @pytest.fixture(scope="module")
-def screen(show: Show) -> Iterator[OffScreen]:
-    """An off-screen renderer of it."""
-    opened = OffScreen(show.theatre.model)
+def screen(playback: Playback) -> Iterator[OffScreen]:
+    """An off-screen renderer of the playback."""
+    opened = OffScreen(playback.replay_model.model)
     yield opened
     opened.renderer.close()
 
 
 def _project(camera: mujoco.MjvCamera, fovy_deg: float, points: Floats) -> Floats:
-    """(N, 2) column and row of (N, 3) points: a pinhole, from the free camera's definition."""
+    """Return (N, 2) column and row of (N, 3) points in a pinhole model of the free camera."""
     azimuth, elevation = np.radians([camera.azimuth, camera.elevation])
     forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
@@ -95,13 +95,13 @@ def _project(camera: mujoco.MjvCamera, fovy_deg: float, points: Floats) -> Float
 
 
 def _orange(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Where a picture shows the robot's orange."""
+    """Return the pixels that show the robot's orange."""
     red, green, blue = (picture[..., channel].astype(int) for channel in range(3))
     return (red > 90) & (red > 2 * green) & (green > blue)
 
 
 def _geoms(screen: OffScreen, data: mujoco.MjData, camera: mujoco.MjvCamera) -> np.ndarray:
-    """(height, width) number of the geom that each pixel shows, -1 where it shows none; nothing is decorated."""
+    """Return the (height, width) number of the geom at each pixel, -1 for none, without marks."""
     screen.renderer.enable_segmentation_rendering()
     screen.renderer.update_scene(data, camera, screen.option)
     number, kind = np.moveaxis(screen.renderer.render(), 2, 0)
@@ -110,18 +110,18 @@ def _geoms(screen: OffScreen, data: mujoco.MjData, camera: mujoco.MjvCamera) -> 
 
 
 @draws
-def test_the_part_is_where_the_plan_says(planned: Path, show: Show, screen: OffScreen) -> None:
-    """The outline of the part, seen from near, is that of the reference mesh placed and projected by hand (1 mm)."""
-    show.pose(0.0)
-    camera = _beside(planned, show)
-    assert (_geoms(screen, show.data, camera) == show.theatre.model.geom("surface").id).sum() > 150
+def test_the_part_is_drawn_at_its_planned_pose(planned: Path, playback: Playback, screen: OffScreen) -> None:
+    """The outline of the part in a close-up is that of the reference mesh placed and projected by hand (1 mm)."""
+    playback.pose(0.0)
+    camera = _initial_camera(planned, playback)
+    assert (_geoms(screen, playback.data, camera) == playback.replay_model.model.geom("surface").id).sum() > 150
     camera.lookat[:] = _PLACED_AT + np.array([0.02, -0.03, 0.01])
     camera.distance = 0.45
-    numbers = _geoms(screen, show.data, camera)
-    part = numbers == show.theatre.model.geom("surface").id
+    numbers = _geoms(screen, playback.data, camera)
+    part = numbers == playback.replay_model.model.geom("surface").id
     reference = open_run(planned).mesh("reference.ply").vertices
     centre = (reference.min(axis=0) + reference.max(axis=0)) / 2
-    fovy = show.theatre.model.vis.global_.fovy
+    fovy = playback.replay_model.model.vis.global_.fovy
     pixels = _project(camera, fovy, reference - centre + _PLACED_AT)
     rows, columns = np.nonzero(part)
     assert part.sum() > 5_000
@@ -129,29 +129,29 @@ def test_the_part_is_where_the_plan_says(planned: Path, show: Show, screen: OffS
     np.testing.assert_allclose(outline, [pixels.min(axis=0), pixels.max(axis=0)], atol=1.5)
     column, row = _project(camera, fovy, _PLACED_AT[None])[0].astype(int)
     assert part[row, column]
-    colour = screen.picture(show.data, camera)[row, column].astype(int)
+    colour = screen.picture(playback.data, camera)[row, column].astype(int)
     assert colour[0] >= colour[1] > colour[2] > 60  # the part's ivory, lit
     assert not _orange(colour[None, None].astype(np.uint8)).any()
 
 
 @draws
-def test_the_arm_is_where_the_plan_says_and_moves(planned: Path, show: Show, screen: OffScreen) -> None:
-    """At each stop the housing is drawn where plan.json puts it, or hidden by something nearer; never where it was."""
-    camera, model = _beside(planned, show), show.theatre.model
+def test_the_arm_is_drawn_at_its_planned_poses(planned: Path, playback: Playback, screen: OffScreen) -> None:
+    """At each view the housing is drawn at its pose in plan.json or hidden by something nearer, nowhere else."""
+    camera, model = _initial_camera(planned, playback), playback.replay_model.model
     fovy, housing = model.vis.global_.fovy, model.geom("housing").id
     resolved = json.loads((planned / "scene.resolved.json").read_text())
     T_flange_housing = np.array(resolved["housing"]["T_flange_housing"])
     views = open_run(planned).plan.views
     seen, pictures = 0, []
-    for stop, view in zip(show.timeline.stops, views, strict=True):
-        show.pose(stop.begin)
-        numbers = _geoms(screen, show.data, camera)
-        pictures.append(_orange(screen.picture(show.data, camera)))
+    for stop, view in zip(playback.timeline.stops, views, strict=True):
+        playback.pose(stop.begin)
+        numbers = _geoms(screen, playback.data, camera)
+        pictures.append(_orange(screen.picture(playback.data, camera)))
         middle = (view.T_base_flange @ T_flange_housing)[:3, 3]
         column, row = _project(camera, fovy, middle[None])[0].astype(int)
         seen += int(numbers[row, column] == housing)
         shown = np.argwhere(numbers == housing)
-        if len(shown):  # no part of it is farther from its middle than half its diagonal, 95 mm
+        if len(shown):  # no point of it is farther from its middle than half its diagonal, 95 mm
             edge = np.abs(
                 _project(camera, fovy, middle + 0.095 * np.concatenate([np.eye(3), -np.eye(3)])) - [column, row]
             )
@@ -163,28 +163,28 @@ def test_the_arm_is_where_the_plan_says_and_moves(planned: Path, show: Show, scr
 
 
 @draws
-def test_marks_are_drawn_over_the_model(planned: Path, show: Show, screen: OffScreen) -> None:
+def test_marks_are_drawn_over_the_model(planned: Path, playback: Playback, screen: OffScreen) -> None:
     """Path and frustum change pixels; the frustum is translucent teal over the part."""
-    stop = show.timeline.stops[0]
-    show.pose(stop.begin)
-    camera = _beside(planned, show)
-    bare = screen.picture(show.data, camera).astype(int)
-    still = screen.picture(show.data, camera, show.draw_still).astype(int)
-    beam = screen.picture(show.data, camera, lambda scene: show.draw_moment(scene, stop.begin)).astype(int)
+    stop = playback.timeline.stops[0]
+    playback.pose(stop.begin)
+    camera = _initial_camera(planned, playback)
+    bare = screen.picture(playback.data, camera).astype(int)
+    still = screen.picture(playback.data, camera, playback.add_static_marks).astype(int)
+    beam = screen.picture(playback.data, camera, lambda scene: playback.add_moment_marks(scene, stop.begin)).astype(int)
     blue = (still != bare).any(axis=2)
     assert blue.sum() > 100
-    assert (still[blue][:, 2] > still[blue][:, 0]).mean() > 0.8  # the rest are its edges before the orange arm
+    assert (still[blue][:, 2] > still[blue][:, 0]).mean() > 0.8  # the others are its edges in front of the orange arm
     tinted = (beam - bare)[(beam != bare).any(axis=2)]
     assert len(tinted) > 2000
-    assert (tinted[:, 0] < tinted[:, 1]).mean() > 0.9  # red goes down most
+    assert (tinted[:, 0] < tinted[:, 1]).mean() > 0.9  # red decreases most
 
 
-def test_dressing_leaves_what_was_checked(planned: Path, show: Show) -> None:
-    """Same contacts, pair by pair and to the last digit, as cell.xml alone, at 300 random configurations."""
+def test_visual_meshes_do_not_change_contacts(planned: Path, playback: Playback) -> None:
+    """At 300 random configurations, all contacts equal those of cell.xml, to the last digit."""
     plain = mujoco.MjModel.from_xml_path(str(planned / "cell.xml"))
-    dressed = show.theatre.model
+    dressed = playback.replay_model.model
     rng = np.random.default_rng(3)
-    touching = 0
+    violations = 0
     for _ in range(300):
         q = rng.uniform(plain.jnt_range[:, 0], plain.jnt_range[:, 1])
         found = []
@@ -196,27 +196,27 @@ def test_dressing_leaves_what_was_checked(planned: Path, show: Show) -> None:
             contacts = data.contact[: data.ncon]
             found.append(sorted((*sorted(model.geom(geom).name for geom in c.geom), float(c.dist)) for c in contacts))
         assert found[0] == found[1]
-        touching += bool(found[0])
-    assert 10 < touching < 200
+        violations += bool(found[0])
+    assert 10 < violations < 200
 
 
-def test_a_contact_is_named_and_marked(show: Show) -> None:
-    """With the arm driven into the floor, link and floor are named; at the plan's stops nothing is."""
-    for stop in show.timeline.stops:
-        show.pose(stop.begin)
-        assert show.touches() == ()
-    show.data.qpos[:] = np.radians([0, 35, 60, 0, 0, 0])
-    mujoco.mj_kinematics(show.theatre.model, show.data)
-    touching = show.touches()
-    assert any(touch.names.endswith("with floor") and touch.distance < 0 for touch in touching)
-    assert "CONTACT" in show.caption(0.0, touching)
-    show.pose(0.0)
+def test_a_contact_is_named(playback: Playback) -> None:
+    """With the arm in the floor, link and floor are named; at the planned views there is no violation."""
+    for stop in playback.timeline.stops:
+        playback.pose(stop.begin)
+        assert playback.violations() == ()
+    playback.data.qpos[:] = np.radians([0, 35, 60, 0, 0, 0])
+    mujoco.mj_kinematics(playback.replay_model.model, playback.data)
+    violations = playback.violations()
+    assert any(each.names.endswith("with floor") and each.distance < 0 for each in violations)
+    assert "CONTACT" in playback.caption(0.0, violations)
+    playback.pose(0.0)
 
 
 def test_frames_through_the_command_line(
     planned: Path, tmp_path: Path, run_cell: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Frames are numbered PNGs of the asked size that differ, without OpenGL; a folder with frames is refused."""
+    """Frames are numbered PNGs of the requested size that differ, without OpenGL; a folder with frames is an error."""
     monkeypatch.setenv("MUJOCO_GL", "off")
     arguments = ("replay", str(planned), "--frames", "film", "--fps", "0.3", "--size", "320x240")
     done = run_cell(*arguments, cwd=tmp_path)
@@ -231,10 +231,10 @@ def test_frames_through_the_command_line(
         replay(planned, ReplayOptions(frames=tmp_path / "film"), Terminal())
 
 
-def test_a_still_needs_no_opengl_and_leaves_out_what_it_is_told(
+def test_a_picture_needs_no_opengl_and_hides_named_pieces(
     planned: Path, tmp_path: Path, run_cell: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without EGL and OSMesa: the same bytes twice; without the robot no orange; from elsewhere another picture."""
+    """Without EGL and OSMesa: reproducible bytes; no orange without the robot; another camera, another picture."""
     monkeypatch.setenv("MUJOCO_GL", "off")
 
     def drawn(*options: str) -> NDArray[np.uint8]:
@@ -254,9 +254,9 @@ def test_a_still_needs_no_opengl_and_leaves_out_what_it_is_told(
 
 @draws
 def test_an_execution_shows_its_points(
-    planned: Path, tmp_path: Path, screen: OffScreen, show: Show, capsys: pytest.CaptureFixture[str]
+    planned: Path, tmp_path: Path, screen: OffScreen, playback: Playback, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A stopped execution is shown up to its last whole scan; that scan's points cover the part and nothing else."""
+    """A stopped execution is shown up to its last complete scan, whose points cover only the part."""
     folder = Path(shutil.copytree(planned, tmp_path / "run"))
     scans = folder / "executions" / "0001" / "scans"
     scans.mkdir(parents=True)
@@ -268,17 +268,17 @@ def test_an_execution_shows_its_points(
             T_object_scanner=view.T_object_scanner, source="files", points=points,
         )  # fmt: skip
     (scans / "0003.npz").write_bytes((scans / "0003.npz").read_bytes()[:500])
-    executed = load_show(run, "latest", Terminal())
+    executed = load_playback(run, "latest", Terminal())
     assert "0003.npz is damaged or cut short" in capsys.readouterr().err
     assert len(executed.timeline.stops) == 2
     np.testing.assert_allclose(executed.timeline.at(executed.timeline.stops[1].begin), run.plan.views[1].q + 1e-3)
-    camera = _beside(planned, show)
-    drawn = OffScreen(executed.theatre.model)
+    camera = _initial_camera(planned, playback)
+    drawn = OffScreen(executed.replay_model.model)
     executed.pose(0.0)
-    part = _geoms(drawn, executed.data, camera) == executed.theatre.model.geom("surface").id
+    part = _geoms(drawn, executed.data, camera) == executed.replay_model.model.geom("surface").id
     bare = drawn.picture(executed.data, camera).astype(int)
     with_points = drawn.picture(
-        executed.data, camera, lambda scene: overlays.add_clouds(scene, executed.theatre, [0, 1], 1, executed.data)
+        executed.data, camera, lambda scene: overlays.add_clouds(scene, executed.replay_model, [0, 1], 1, executed.data)
     ).astype(int)
     drawn.renderer.close()
     changed = np.argwhere((np.abs(with_points - bare) > 25).any(axis=2))
@@ -286,12 +286,12 @@ def test_an_execution_shows_its_points(
     rows, columns = np.nonzero(part)
     assert (changed >= [rows.min() - 2, columns.min() - 2]).all()
     assert (changed <= [rows.max() + 2, columns.max() + 2]).all()
-    with pytest.raises(UsageError, match="--view 3 is no view of this run; valid are 1 to 2, in visiting order"):
+    with pytest.raises(UsageError, match="--view 3 is not a view of this run; valid are 1 to 2, in visiting order"):
         replay(folder, ReplayOptions(execution="latest", view=3, picture=tmp_path / "x.png", size=_SIZE), Terminal())
 
 
 def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, run_cell: Run) -> None:
-    """A run that ended before it had a motion says so, and its picture shows the arm and the candidates."""
+    """A run without motion reports it, and its picture shows the arm and the candidates."""
     folder = Path(shutil.copytree(planned, tmp_path / "run.part"))
     for name in ("motion.npz", "plan.json", "report.json", "measurability.npz"):
         (folder / name).unlink()
@@ -305,7 +305,7 @@ def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, r
     picture = np.asarray(Image.open(tmp_path / "p.png")).astype(int)
     assert _orange(picture.astype(np.uint8)).sum() > 1000
     green = (picture[..., 1] > picture[..., 0] + 60) & (picture[..., 1] > picture[..., 2] + 20)
-    assert green.sum() > 50  # reachable ones
+    assert green.sum() > 50  # reachable candidates
     (folder / "cell.xml").unlink()
     options = ReplayOptions(picture=tmp_path / "q.png")
     with pytest.raises(FileError, match="so there is no cell to show: the run failed"):
@@ -314,10 +314,10 @@ def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, r
         replay(tmp_path / "run", options, Terminal())
 
 
-def test_without_a_display_a_sentence_says_what_to_do(
+def test_without_a_display_the_message_names_the_alternatives(
     planned: Path, tmp_path: Path, run_cell: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """--frames and --picture are named; exit code 2."""
+    """The message names --frames and --picture; exit code 2."""
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     done = run_cell("replay", planned, cwd=tmp_path)
@@ -334,13 +334,13 @@ from cell.commands.terminal import Terminal
 from cell.replay.options import ReplayOptions
 from cell.replay.replay import replay
 
-ticks, oranges, places, shown = [0.0], [], [], []
+ticks, oranges, columns, shown = [0.0], [], [], []
 
 def clock():
     return ticks[0]
 
 def wait(seconds):
-    # The viewer draws on its own thread: until there is another picture, or the arm stands.
+    # The viewer draws on its own thread: wait until the picture changes, at most 0.25 s.
     deadline = time.monotonic() + 0.25
     while True:
         picture = np.asarray(ImageGrab.grab()).astype(int)
@@ -350,17 +350,17 @@ def wait(seconds):
     red, green, blue = (picture[..., channel] for channel in range(3))
     orange = (red > 90) & (red > 2 * green) & (green > blue)
     oranges.append(int(orange.sum()))
-    places.append(float(np.nonzero(orange)[1].mean()) if orange.any() else None)
+    columns.append(float(np.nonzero(orange)[1].mean()) if orange.any() else None)
     ticks[0] += 1.6
 
 replay(Path(sys.argv[1]), ReplayOptions(once=True), Terminal(), clock=clock, wait=wait)
-print(json.dumps({"oranges": oranges, "places": places}))
+print(json.dumps({"oranges": oranges, "columns": columns}))
 """
 
 
 @pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="the viewer needs a display: install xvfb")
 def test_the_viewer_shows_a_moving_arm_and_ends(planned: Path) -> None:
-    """Under a virtual display, driven by a clock of the test: the screen shows orange that moves; --once ends it."""
+    """On a virtual display with a clock of the test, the screen shows orange that moves; --once ends the viewer."""
     kept = {key: value for key, value in os.environ.items() if key not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
     done = subprocess.run(
         ["xvfb-run", "-a", "-s", "-screen 0 1024x768x24", sys.executable, "-c", _WATCH, str(planned)],
@@ -368,7 +368,7 @@ def test_the_viewer_shows_a_moving_arm_and_ends(planned: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     watched = json.loads(done.stdout.strip().splitlines()[-1])
-    drawn = [place for place, orange in zip(watched["places"], watched["oranges"], strict=True) if orange > 2000]
+    drawn = [column for column, orange in zip(watched["columns"], watched["oranges"], strict=True) if orange > 2000]
     assert len(drawn) > 4
-    settled = drawn[2:]  # the window's first picture still has the camera that it opened with
+    settled = drawn[2:]  # the first picture of the window may have its default camera
     assert max(settled) - min(settled) > 10

@@ -19,7 +19,7 @@ from cell.edit.editable import EditableRun
 from cell.emulate.emulator import SCHEMA
 from cell.errors import FileError, SceneError
 from cell.metrology.locate import _check_motion
-from cell.replay.replay import load_show
+from cell.replay.replay import load_playback
 from cell.runs.cell import read_cell, world_of
 from cell.runs.current_scene import CurrentFiles, require_current_scene
 from cell.runs.run import open_run, read_execution
@@ -205,10 +205,10 @@ def test_a_table_that_is_another_now_is_told(turned: Path, tmp_path: Path) -> No
 
 def test_the_show_turns_the_part(turned: Path) -> None:
     """At each stop the engine's part stands where plan.json says."""
-    show = load_show(open_run(turned), None, LoggedProgress())
-    for stop, view in zip(show.timeline.stops, _json(turned / "plan.json")["views"], strict=True):
-        show.pose(stop.begin)
-        np.testing.assert_allclose(show.data.body("object").xpos, np.array(view["T_base_object"])[:3, 3], atol=1e-6)
+    playback = load_playback(open_run(turned), None, LoggedProgress())
+    for stop, view in zip(playback.timeline.stops, _json(turned / "plan.json")["views"], strict=True):
+        playback.pose(stop.begin)
+        np.testing.assert_allclose(playback.data.body("object").xpos, np.array(view["T_base_object"])[:3, 3], atol=1e-6)
 
 
 def test_the_page_puts_the_part_on_a_link_of_its_own(

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from cell.errors import SceneError
-from cell.replay.overlays import touches
+from cell.replay.overlays import find_violations
 from cell.robot.arm import kinematics_of
 from cell.scene.model import Scene
 from cell.world.checks import find_problems
@@ -103,12 +103,12 @@ def test_replay_shows_no_contact_with_a_hull_that_was_not_the_part(buckets: dict
     data = world.data()
     data.qpos[:] = q
     mujoco.mj_kinematics(world.model, data)
-    theatre = SimpleNamespace(
-        model=world.model, entities=world.entities, clearance=world.clearance, shapes=world.shapes, near={}
+    replay_model = SimpleNamespace(
+        model=world.model, geom_names=world.entities, clearance=world.clearance, shapes=world.shapes, pair_clearances={}
     )
-    assert touches(theatre, data) == ()
-    theatre.shapes = ShapeDistances(world.model, {}, ())
-    assert any("part" in touch.names for touch in touches(theatre, data))
+    assert find_violations(replay_model, data) == ()
+    replay_model.shapes = ShapeDistances(world.model, {}, ())
+    assert any("part" in touch.names for touch in find_violations(replay_model, data))
 
 
 def _sheet() -> trimesh.Trimesh:

@@ -1,12 +1,12 @@
-"""Parts and scans that are hard to draw: each must give a model, with every point and face that there is."""
+"""Degenerate and large parts and scans: each gives a model with all its faces and points."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cell.replay.appearance import VIEW_FACES
-from cell.replay.model import POINTS_SHOWN, dress
+from cell.replay.appearance import MAX_FACES
+from cell.replay.model import MAX_POINTS, build_replay_model
 from cell.runs.run import open_run
 from planner.geometry.mesh import TriangleMesh
 
@@ -32,22 +32,22 @@ def _grid(n: int) -> TriangleMesh:
     ],
 )
 def test_any_part_is_shown(planned: Path, reference: TriangleMesh) -> None:
-    """The surface has the part's faces, or at most VIEW_FACES of them, and takes no part in contacts."""
+    """The surface has the part's faces, or at most MAX_FACES, and takes no part in contacts."""
     run = open_run(planned)
-    theatre = dress(run, run.scene, reference)
-    surface = theatre.model.geom("surface")
-    faces = int(theatre.model.mesh_facenum[surface.dataid[0]])
-    assert faces == len(reference.faces) or 0.5 * VIEW_FACES < faces <= VIEW_FACES
+    replay_model = build_replay_model(run, run.scene, reference)
+    surface = replay_model.model.geom("surface")
+    faces = int(replay_model.model.mesh_facenum[surface.dataid[0]])
+    assert faces == len(reference.faces) or 0.5 * MAX_FACES < faces <= MAX_FACES
     assert (surface.contype[0], surface.conaffinity[0]) == (0, 0)
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 100, POINTS_SHOWN, 50_000])
+@pytest.mark.parametrize("count", [0, 1, 2, 100, MAX_POINTS, 50_000])
 def test_any_cloud_is_shown(planned: Path, count: int) -> None:
-    """A scan without points has no mesh; else each point, thinned to POINTS_SHOWN, has its eight faces."""
+    """A scan without points has no mesh; otherwise each of at most MAX_POINTS points has eight faces."""
     run = open_run(planned)
     points = np.zeros((count, 3)) if count == 2 else np.random.default_rng(0).normal(size=(count, 3)) * 0.05
-    theatre = dress(run, run.scene, run.mesh("reference.ply"), [points])
+    replay_model = build_replay_model(run, run.scene, run.mesh("reference.ply"), [points])
     if count == 0:
-        assert theatre.cloud_mesh == (-1,)
+        assert replay_model.cloud_meshes == (-1,)
     else:
-        assert theatre.model.mesh_facenum[theatre.cloud_mesh[0]] == 8 * min(count, POINTS_SHOWN)
+        assert replay_model.model.mesh_facenum[replay_model.cloud_meshes[0]] == 8 * min(count, MAX_POINTS)

@@ -1,4 +1,4 @@
-"""The timeline of a replay and its player: arithmetic on a motion that is made by hand."""
+"""The timeline of a replay and its player, on a synthetic motion."""
 
 import dataclasses
 from pathlib import Path
@@ -43,18 +43,18 @@ def _execution(views: tuple[int, ...], off: float, motion: Motion | None = None)
     return RecordedExecution(Path("e"), {}, tuple(scans), motion, ())
 
 
-def test_the_plan_is_shown_with_a_rest_at_each_view() -> None:
-    """Film = motion + rests; each stop has the plan's angles while it rests; without rests it is the motion itself."""
+def test_the_plan_rests_at_each_view() -> None:
+    """Duration = motion + rests; a rest has the planned angles; without rests the timeline is the motion."""
     motion = _motion()
-    film = timeline.plan_timeline(motion, _REST)
-    assert film.duration == pytest.approx(motion.duration + _REST * len(_VIEWS))
-    assert [stop.candidate for stop in film.stops] == list(_VIEWS)
-    for stop in film.stops:
+    shown = timeline.plan_timeline(motion, _REST)
+    assert shown.duration == pytest.approx(motion.duration + _REST * len(_VIEWS))
+    assert [stop.candidate for stop in shown.stops] == list(_VIEWS)
+    for stop in shown.stops:
         q = motion.via_q[motion.view == stop.candidate][0]
         for t in (stop.begin, (stop.begin + stop.end) / 2, stop.end):
-            np.testing.assert_allclose(film.at(t), q, atol=1e-12)
-            assert film.stop_at(t) == stop
-            assert film.moved(t) == pytest.approx(motion.via_t[motion.view == stop.candidate][0])
+            np.testing.assert_allclose(shown.at(t), q, atol=1e-12)
+            assert shown.stop_at(t) == stop
+            assert shown.moved(t) == pytest.approx(motion.via_t[motion.view == stop.candidate][0])
     np.testing.assert_array_equal(timeline.plan_timeline(motion, 0.0).q[[0, -1]], motion.q[[0, -1]])
     for t in np.linspace(0, motion.duration, 50):
         expected = [np.interp(t, motion.t, motion.q[:, axis]) for axis in range(6)]
@@ -62,70 +62,70 @@ def test_the_plan_is_shown_with_a_rest_at_each_view() -> None:
 
 
 def test_an_exact_execution_is_the_plan() -> None:
-    """With reported = commanded = planned, the film is the plan's, sample by sample."""
+    """With reported = commanded = planned angles, both timelines agree sample by sample."""
     motion = _motion()
     plan = timeline.plan_timeline(motion, _REST)
-    film = timeline.execution_timeline(_execution(_VIEWS, 0.0), motion, motion.q[0], _REST)
-    np.testing.assert_allclose(film.t, plan.t, atol=1e-12)
-    np.testing.assert_allclose(film.q, plan.q, atol=1e-12)
-    assert film.notes == ()
+    shown = timeline.execution_timeline(_execution(_VIEWS, 0.0), motion, motion.q[0], _REST)
+    np.testing.assert_allclose(shown.t, plan.t, atol=1e-12)
+    np.testing.assert_allclose(shown.q, plan.q, atol=1e-12)
+    assert shown.notes == ()
 
 
-def test_an_execution_is_shown_where_it_reported_to_be() -> None:
-    """Stops have the reported angles exactly, and the way between never jumps."""
+def test_an_execution_uses_its_reported_angles() -> None:
+    """Stops have exactly the reported angles; the motion between them is continuous."""
     motion = _motion()
     execution = _execution(_VIEWS, 0.02)
-    film = timeline.execution_timeline(execution, motion, motion.q[0], _REST)
-    for stop, scan in zip(film.stops, execution.scans, strict=True):
-        np.testing.assert_allclose(film.at(stop.begin), scan.q_reported, atol=1e-12)
-    np.testing.assert_allclose(film.q[[0, -1]], motion.q[[0, -1]], atol=1e-12)
-    assert (np.diff(film.t) > 0).all()
-    assert (np.abs(np.diff(film.q, axis=0)) / np.diff(film.t)[:, None]).max() < 1.3
+    shown = timeline.execution_timeline(execution, motion, motion.q[0], _REST)
+    for stop, scan in zip(shown.stops, execution.scans, strict=True):
+        np.testing.assert_allclose(shown.at(stop.begin), scan.q_reported, atol=1e-12)
+    np.testing.assert_allclose(shown.q[[0, -1]], motion.q[[0, -1]], atol=1e-12)
+    assert (np.diff(shown.t) > 0).all()
+    assert (np.abs(np.diff(shown.q, axis=0)) / np.diff(shown.t)[:, None]).max() < 1.3
 
 
-def test_a_motion_of_its_own_goes_before_the_plan() -> None:
-    """The recorded motion is shown, not the planned one."""
+def test_a_recorded_motion_replaces_the_planned_one() -> None:
+    """The timeline has the duration of the recorded motion."""
     motion = _motion()
     slow = JointLimits(_LIMITS.lower, _LIMITS.upper, _LIMITS.velocity / 4, _LIMITS.acceleration / 4)
     own = retime(motion.via_q, motion.segment, motion.view, slow)
-    film = timeline.execution_timeline(_execution(_VIEWS, 0.0, own), motion, motion.q[0], 0.0)
-    assert film.duration == pytest.approx(own.duration)
+    shown = timeline.execution_timeline(_execution(_VIEWS, 0.0, own), motion, motion.q[0], 0.0)
+    assert shown.duration == pytest.approx(own.duration)
 
 
 @pytest.mark.parametrize("views", [(9,), (3, 7), (7, 9)])
-def test_a_way_that_nobody_planned_is_straight_and_told(views: tuple[int, ...]) -> None:
-    """A single view or another order: straight moves, and a sentence that names the views."""
+def test_an_unplanned_motion_is_straight_and_noted(views: tuple[int, ...]) -> None:
+    """A single view or another order gives straight moves and a note."""
     motion = _motion()
-    film = timeline.execution_timeline(_execution(views, 0.01), motion, motion.q[0], _REST)
-    assert [stop.candidate for stop in film.stops] == list(views)
-    assert "without a collision check" in film.notes[0]
-    assert (np.diff(film.t) > 0).all()
-    assert (np.abs(np.diff(film.q, axis=0)) / np.diff(film.t)[:, None]).max() < 1.3
+    shown = timeline.execution_timeline(_execution(views, 0.01), motion, motion.q[0], _REST)
+    assert [stop.candidate for stop in shown.stops] == list(views)
+    assert "without a collision check" in shown.notes[0]
+    assert (np.diff(shown.t) > 0).all()
+    assert (np.abs(np.diff(shown.q, axis=0)) / np.diff(shown.t)[:, None]).max() < 1.3
 
 
 def test_stops_have_the_numbers_of_the_plan() -> None:
-    """Where view 1 is missing, the others keep the numbers that they have in the plan, out of the plan's views."""
+    """If view 1 is missing, the others keep their planned numbers, and `n_views` is that of the plan."""
     motion = _motion()
     found = _execution((3, 9), 0.0)
     scans = tuple(dataclasses.replace(scan, stop=number) for number, scan in zip((2, 3), found.scans, strict=True))
-    film = timeline.execution_timeline(dataclasses.replace(found, scans=scans), motion, motion.q[0], _REST)
-    assert [(stop.number, stop.candidate) for stop in film.stops] == [(2, 3), (3, 9)]
-    assert film.n_views == 3
+    shown = timeline.execution_timeline(dataclasses.replace(found, scans=scans), motion, motion.q[0], _REST)
+    assert [(stop.number, stop.candidate) for stop in shown.stops] == [(2, 3), (3, 9)]
+    assert shown.n_views == 3
     assert timeline.plan_timeline(motion).n_views == 3
 
 
-def test_nothing_but_home() -> None:
-    """A run without motion stands at home at every time."""
-    film = timeline.home_timeline(np.arange(6.0))
-    assert film.duration == 0
-    np.testing.assert_array_equal(film.at(3.0), np.arange(6.0))
+def test_a_run_without_motion_is_at_home() -> None:
+    """The angles are those of home at every time."""
+    shown = timeline.home_timeline(np.arange(6.0))
+    assert shown.duration == 0
+    np.testing.assert_array_equal(shown.at(3.0), np.arange(6.0))
     empty = timeline.execution_timeline(_execution((), 0.0), None, np.arange(6.0))
     np.testing.assert_array_equal(empty.at(0.0), np.arange(6.0))
 
 
 @given(st.floats(0, 20), st.floats(0, 20), st.floats(1, 60), st.floats(0.1, 10))
-def test_frames_cover_the_film(duration: float, start: float, fps: float, speed: float) -> None:
-    """The first frame is the start, the last the end; steps are speed / fps."""
+def test_frames_cover_the_playback(duration: float, start: float, fps: float, speed: float) -> None:
+    """The first frame is at the start, the last at the end; the step is speed / fps."""
     times = frame_times(duration, min(start, duration), fps, speed)
     assert times[0] == min(start, duration)
     assert times[-1] == pytest.approx(duration, abs=1e-6)  # nothing moves visibly in a microsecond
@@ -133,21 +133,21 @@ def test_frames_cover_the_film(duration: float, start: float, fps: float, speed:
 
 
 def test_keys() -> None:
-    """Space pauses and restarts at the end, arrows step from view to view and stand there, up and down are inverse."""
-    film = timeline.plan_timeline(_motion(), _REST)
-    player = Player(film, speed=2.0)
+    """Space pauses and restarts at the end; arrows step to a view and pause; up and down are inverse."""
+    shown = timeline.plan_timeline(_motion(), _REST)
+    player = Player(shown, speed=2.0)
     player.advance(0.1)
     assert player.t == pytest.approx(0.2)
     player.press(32)
     player.advance(5.0)
     assert player.t == pytest.approx(0.2)
-    for stop in film.stops:
+    for stop in shown.stops:
         player.press(262)
         assert player.t == stop.begin
         assert not player.playing
     player.press(262)
     assert player.ended
-    for stop in reversed(film.stops):
+    for stop in reversed(shown.stops):
         player.press(263)
         assert player.t == stop.begin
     player.press(263)
@@ -155,7 +155,7 @@ def test_keys() -> None:
     assert player.t == 0
     player.press(32)
     player.advance(1e6)
-    assert player.t == film.duration
+    assert player.t == shown.duration
     player.press(32)
     assert player.t == 0
     assert player.playing

@@ -14,7 +14,7 @@ import pytest
 import trimesh
 
 from cell.errors import CellError
-from cell.replay.overlays import touches
+from cell.replay.overlays import find_violations
 from cell.robot import model as robot
 from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
@@ -238,16 +238,16 @@ def test_what_is_built_near_and_can_touch_is_looked_at_closer(tmp_path: Path) ->
     mujoco.mj_kinematics(world.model, data)
     assert world.shapes.distance(data, *pair, 0.3) == pytest.approx(0.007, abs=1e-6)
     assert world.distance(data, *pair, 0.3) == pytest.approx(0.007 + world.clearance - keep, abs=1e-6)
-    theatre = SimpleNamespace(
+    replay_model = SimpleNamespace(
         model=world.model,
-        entities=world.entities,
+        geom_names=world.entities,
         clearance=world.clearance,
-        near=robot.reduced_clearances(world.model),
+        pair_clearances=robot.reduced_clearances(world.model),
         shapes=world.shapes,
     )
-    assert not [touch for touch in touches(theatre, data) if touch.names == "link_6 with link_4"]  # type: ignore[arg-type]
-    theatre.near = {}
-    assert [touch for touch in touches(theatre, data) if touch.names == "link_6 with link_4"]  # type: ignore[arg-type]
+    assert not [touch for touch in find_violations(replay_model, data) if touch.names == "link_6 with link_4"]  # type: ignore[arg-type]
+    replay_model.pair_clearances = {}
+    assert [touch for touch in find_violations(replay_model, data) if touch.names == "link_6 with link_4"]  # type: ignore[arg-type]
     checker, q_to = MujocoCollisionChecker(world), Q + np.array([0, 0, 0, 0, 0, 2.0])
     looks = subdivide(Q, q_to, checker)
     moved = TravelBound(world.model)(looks[:-1], looks[1:]) / 2  # to the nearest look, either of the two

@@ -14,7 +14,7 @@ import trimesh
 from cell.errors import FileError, UsageError
 from cell.part import workpiece
 from cell.plan import files as plan_files
-from cell.replay.model import dress
+from cell.replay.model import build_replay_model
 from cell.runs.cell import collision_note, read_cell, scene_of_run, world_of
 from cell.runs.folder import RunFolder
 from cell.runs.run import Run, open_run
@@ -169,9 +169,11 @@ def test_a_run_of_an_earlier_version_is_compiled_with_triangles_and_that_is_said
     assert {again.entities[geom] for geom in again.shapes.trees} == triangles
     assert (said is None) == (collision_note(scene) == [])
     assert all(said in sentence for sentence in collision_note(scene) if said)
-    theatre = dress(earlier, scene, part)
-    assert {theatre.entities[geom] for geom in theatre.shapes.trees} == ({"part"} if collision == "exact" else set())
-    assert "horn_surface" not in theatre.entities
+    replay_model = build_replay_model(earlier, scene, part)
+    assert {replay_model.geom_names[geom] for geom in replay_model.shapes.trees} == (
+        {"part"} if collision == "exact" else set()
+    )
+    assert "horn_surface" not in replay_model.geom_names
 
 
 def test_a_mesh_fixture_is_compiled_again_and_shown_as_its_triangles(written: tuple[Run, World]) -> None:
@@ -182,10 +184,12 @@ def test_a_mesh_fixture_is_compiled_again_and_shown_as_its_triangles(written: tu
     assert {world.entities[geom] for geom in world.shapes.trees} == {"horn"}  # compiled from the part's vertices alone
     assert {again.entities[geom] for geom in again.shapes.trees} == {"part", "horn"}
     assert collision_note(scene) == []
-    theatre = dress(run, scene, part)
-    assert {theatre.entities[geom] for geom in theatre.shapes.trees} == {"part", "horn"}
-    assert theatre.model.geom("horn_surface").bodyid == theatre.model.geom("horn").bodyid
-    np.testing.assert_allclose(_extent(theatre.model, "horn_surface"), _extent(theatre.model, "horn"), atol=1e-6)
+    replay_model = build_replay_model(run, scene, part)
+    assert {replay_model.geom_names[geom] for geom in replay_model.shapes.trees} == {"part", "horn"}
+    assert replay_model.model.geom("horn_surface").bodyid == replay_model.model.geom("horn").bodyid
+    np.testing.assert_allclose(
+        _extent(replay_model.model, "horn_surface"), _extent(replay_model.model, "horn"), atol=1e-6
+    )
 
 
 def _extent(model: mujoco.MjModel, name: str) -> np.ndarray:
