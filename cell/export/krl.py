@@ -32,9 +32,9 @@ from cell.errors import UsageError
 from cell.export.krl_routines import BEGIN, routines
 from cell.export.options import ExportOptions
 from cell.export.program import Kind, Program, Sweep, angles_deg
+from planner.geometry.rigid import rotation_vectors
 from planner.kinematics.frames import kuka_abc_from_pose
 from planner.kinematics.setpoints import STEPS_PER_DEGREE, from_steps, to_steps
-from planner.path.sweep_line import rotation_vectors
 from planner.ports import ARM_AXES, axis_name
 from planner.values import Floats
 

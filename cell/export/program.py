@@ -24,9 +24,9 @@ from cell.runs import current_scene
 from cell.runs.current_scene import CurrentFiles
 from cell.runs.verification import verify_plan
 from cell.session import ProgressReporter
+from planner.geometry.rigid import rotation_vectors
 from planner.kinematics.closed_form import KukaKinematics
 from planner.kinematics.setpoints import STEPS_PER_DEGREE, to_steps
-from planner.path.sweep_line import rotation_vectors
 from planner.ports import ARM_AXES, JointLimits, Kinematics
 from planner.timing.motion import Motion
 from planner.values import Floats, Value

@@ -17,7 +17,7 @@ from cell.runs.cell import RunCell
 from cell.scan.pose_error import Disturbance
 from cell.world import virtual_scan
 from cell.world.virtual_scan import Scan
-from planner.path.sweep_line import rotation_vectors, rotations
+from planner.geometry.rigid import rotation_matrices, rotation_vectors
 from planner.values import Floats
 
 LINE_STEP, LINE_ANGLE = 0.001, float(np.radians(0.25))
@@ -51,7 +51,7 @@ def line_poses(T: Floats, each: int) -> Floats:
     turn = rotation_vectors(T[1:, :3, :3] @ np.swapaxes(T[:-1, :3, :3], 1, 2))
     poses: Floats = T[low].copy()
     poses[:, :3, 3] += share * (T[low + 1, :3, 3] - T[low, :3, 3])
-    poses[:, :3, :3] = rotations(share * turn[low]) @ poses[:, :3, :3]
+    poses[:, :3, :3] = rotation_matrices(share * turn[low], scale_first=True) @ poses[:, :3, :3]
     return poses
 
 

@@ -8,15 +8,18 @@ import numpy as np
 from planner.values import Floats
 
 
-def rotation_matrices(vectors: Floats) -> Floats:
-    """Return (n, 3, 3) rotations about vectors (n, 3) by their lengths [rad] (Rodrigues' formula)."""
+def rotation_matrices(vectors: Floats, *, scale_first: bool = False) -> Floats:
+    """Return (n, 3, 3) rotations about vectors (n, 3) by their lengths [rad] (Rodrigues' formula).
+
+    `scale_first` only changes the last bit, by another order of the products: sweeps use it, as stored runs do.
+    """
     angle = np.linalg.norm(vectors, axis=1)
     axis = vectors / np.where(angle > 0, angle, 1.0)[:, None]
     K = np.zeros((len(vectors), 3, 3))
     K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
     K -= K.transpose(0, 2, 1)
-    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + sine * K + (1.0 - cosine) * (K @ K))
+    sine, versine = np.sin(angle)[:, None, None], 1.0 - np.cos(angle)[:, None, None]
+    return np.asarray(np.eye(3) + sine * K + ((versine * K) @ K if scale_first else versine * (K @ K)))
 
 
 def rotation_vectors(R: Floats) -> Floats:

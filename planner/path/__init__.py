@@ -1,1 +1,1 @@
-"""Free paths between configurations, certified between the points that were checked."""
+"""Collision-free paths between configurations, and lines of sweeps, certified between the checked configurations."""

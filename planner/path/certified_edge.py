@@ -1,20 +1,20 @@
-"""Certified straight joint segments: free between the checks too, not only at them.
+"""Certify straight joint segments: free of collision between the checked configurations too.
 
-The argument. Let `c` be the checker's clearance, so that at a free configuration every guarded pair is at least `c`
-apart. A segment is subdivided evenly at the configurations q_0 .. q_n such that from each q_k to the midpoints between
-it and its neighbours no point of arm or tool moves farther than `d = STEP * c`: with n >= travel / (2 d), as such a
-half is a share 1 / (2 n) of the segment and the checker's `travel` bounds displacement in proportion. Every
-configuration q of the segment lies in such a half, so each point of arm and tool is within `d` of where it was at a
+Proof. Let `c` be the checker's clearance, so that at a free configuration every checked pair is at least `c` apart. A
+segment is subdivided evenly at configurations q_0 .. q_n such that from each q_k to the midpoints between it and its
+neighbours no point of arm or tool moves farther than `d = STEP * c`: this holds for n >= travel / (2 d), because such a
+half interval is a share 1 / (2 n) of the segment and the checker's `travel` bounds displacement in proportion. Every
+configuration q of the segment lies in a half interval, so each point of arm and tool is within `d` of its place at a
 checked configuration, and
 
-- a pair of a moving and a standing body is at least `c - d = (1 - STEP) c` apart at q;
-- a pair of two moving bodies (housing and forearm, say) is at least `c - 2 d = (1 - 2 STEP) c` apart: both may have
-  moved towards each other, and `travel` bounds each one's motion in the base frame, not their relative motion.
+- a pair of a moving and a fixed body is at least `c - d = (1 - STEP) c` apart at q;
+- a pair of two moving bodies (such as housing and forearm) is at least `c - 2 d = (1 - 2 STEP) c` apart: both may have
+  moved towards each other, and `travel` bounds the motion of each in the base frame, not their relative motion.
 
 With STEP = 0.45 these are 0.55 c and 0.1 c: no contact anywhere on the segment. STEP = 0.5 would leave two moving
-bodies no distance at all.
+bodies no distance.
 
-Via points are integers of 1e-4 deg (`quantise`) before they are checked, so what is driven is what was certified.
+Via points are rounded to integers of 1e-4 deg (`quantise`) before the check, so the driven path is the certified one.
 """
 
 from collections.abc import Iterator
@@ -31,69 +31,43 @@ from planner.values import Bools, Floats, Ints
 STEP = 0.45
 """Largest travel between a configuration and its nearest checked one, as a share of the clearance; below 0.5."""
 
-_FIRST_BATCH, _GROWTH = 8, 4  # a collision is mostly found within a few checks, a free edge needs them all
+_FIRST_BATCH, _GROWTH = 8, 4  # a collision is mostly found within a few checks; a free segment needs them all
 
 
 def quantise(q: ArrayLike) -> Floats:
-    """Round joint angles to multiples of 1e-4 deg, the integers on every wire; idempotent.
-
-    Args:
-        q: (..., axes) joint angles [rad].
-
-    Returns:
-        (..., axes) joint angles [rad].
-    """
+    """Round joint angles (..., axes) [rad] to multiples of 1e-4 deg, the integers on every wire; idempotent."""
     return from_steps(to_steps(q))
 
 
 def quantise_inside(q: ArrayLike, limits: JointLimits) -> Floats:
-    """Quantise, and move what rounding or the caller put outside the joint range to the last multiple inside.
-
-    Args:
-        q: (..., axes) joint angles [rad].
-        limits: limits of the axes.
-
-    Returns:
-        (..., axes) joint angles [rad] inside the range.
-    """
+    """Quantise joint angles (..., axes) [rad]; those outside the joint range become the last multiple inside."""
     return np.clip(from_steps(np.clip(to_steps(q), *range_in_steps(limits))), limits.lower, limits.upper)
 
 
 def subdivide(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> Floats:
-    """The configurations of a straight segment whose freedom certifies all of it (see the module's argument).
+    """Return the configurations of a straight segment whose freedom certifies all of it (see the module's proof).
 
     Args:
         q_from: (axes,) [rad].
         q_to: (axes,) [rad].
-        checker: gives clearance and travel.
+        checker: gives clearance (which must be above 0) and travel.
 
     Returns:
-        (n + 1, axes) evenly spaced configurations, both ends included; (1, axes) where the ends are equal.
-
-    Raises:
-        PlannerError: if the checker keeps no clearance, without which nothing between two checks is known.
+        (n + 1, axes) evenly spaced configurations with both ends; (1, axes) if the ends are equal.
     """
     return _subdivide_many(q_from[None], q_to[None], checker)[0]
 
 
 def certify(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tuple[bool, int]:
-    """`certify_many` for one segment (axes,) [rad]."""
+    """Certify one segment (axes,) [rad]; see `certify_many`."""
     certified, checks = certify_many(q_from[None], q_to[None], checker)
     return bool(certified[0]), checks
 
 
 def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tuple[Bools, int]:
-    """Which straight segments with free ends are free everywhere.
+    """Return (N,) whether straight segments with free ends (N, axes) [rad] are free everywhere, and the checks.
 
-    The checks run in bisection order in growing batches; of a segment they stop at the first batch with a collision.
-
-    Args:
-        q_from: (N, axes) [rad], free configurations.
-        q_to: (N, axes) [rad], free configurations.
-        checker: the collision checker.
-
-    Returns:
-        (N,) True where the segment is certified, and how many configurations were checked.
+    The checks run in bisection order in growing batches; for a segment they stop at the first batch with a collision.
     """
     segments = _subdivide_many(q_from, q_to, checker)
     waiting = [_bisection_batches(len(s)) for s in segments]
@@ -113,7 +87,7 @@ def certify_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> tup
 
 
 def _subdivide_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> list[Floats]:
-    """`subdivide` for (N, axes) and (N, axes) ends, with one call for all travels."""
+    """Subdivide segments (N, axes), with one call for all travels."""
     allowed = STEP * checker.clearance
     if not allowed > 0:
         raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")
@@ -127,7 +101,7 @@ def _subdivide_many(q_from: Floats, q_to: Floats, checker: CollisionChecker) -> 
 
 
 def _bisection_batches(count: int) -> Iterator[Ints]:
-    """Indices between the ends, 1..count-2, in bisection order, in batches that grow."""
+    """Yield the indices between the ends, 1..count-2, in bisection order, in growing batches."""
     order = _bisection_order(count)[2:]
     start, size = 0, _FIRST_BATCH
     while start < len(order):
@@ -137,11 +111,11 @@ def _bisection_batches(count: int) -> Iterator[Ints]:
 
 @lru_cache(maxsize=4096)
 def _bisection_order(count: int) -> Ints:
-    """0, count - 1, then the middles of ever smaller intervals: (count,), each index once."""
+    """Return (count,) indices, each once: 0, count - 1, then the middles of ever smaller intervals."""
     if count < 3:
         return np.arange(count)
-    # The radical inverse in base 2 visits the multiples of 1 / 2^bits in bisection order; indices in it, first seen
-    # first.
+    # The radical inverse in base 2 visits the multiples of 1 / 2^bits in bisection order; each index counts when it
+    # first occurs.
     bits = int(np.ceil(np.log2(count)))
     counter = np.arange(2**bits)
     inverse = np.zeros(2**bits)

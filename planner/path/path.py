@@ -1,10 +1,10 @@
-"""A certified path between two configurations: the straight joint segment, else a detour made short.
+"""Connect two configurations by a certified path: the straight joint segment, else a short detour.
 
-Where a table is indexed (`planner.path.indexed`), arm and table move one after the other, each by such a path.
+With an indexed table (`planner.path.indexed`), arm and table move one after the other, each along such a path.
 
-A detour is found by RRT-Connect and then shortened in time. Each via point is an exact stop, so what counts is few via
-points first and short moves second: stretches of the path are replaced by a straight segment, or by a single via
-point near them, wherever that is certified and faster.
+A detour is found by RRT-Connect and then shortened in time. Each via point is an exact stop, so few via points matter
+more than short moves: parts of the path are replaced by a straight segment, or by a single via point near them,
+wherever this is certified and faster.
 """
 
 from dataclasses import dataclass, replace
@@ -22,11 +22,11 @@ from planner.values import Floats, Value, readonly
 from planner.worded import Worded
 
 MAX_CHECKS = 40_000
-"""Default budget of a search: configurations checked, about half a second at 80,000 per second."""
+"""Default budget of a search in checked configurations: about half a second at 80,000 per second."""
 
 
 class PathStatus(Worded):
-    """How a connection ended."""
+    """Result of a connection."""
 
     STRAIGHT = 0, "the straight joint move is free"
     DETOUR = 1, "the straight joint move collides; a detour is free"
@@ -37,13 +37,13 @@ class PathStatus(Worded):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathResult(Value):
-    """A certified path, or why there is none.
+    """A certified path, or the reason why there is none.
 
     Attributes:
-        via: (m, axes) via points with both ends [rad], multiples of 1e-4 deg, consecutive ones joined by straight joint
-            segments; None where no path was found.
-        status: how the connection ended.
-        checks: configurations checked.
+        via: (m, axes) via points with both ends [rad], multiples of 1e-4 deg, joined by straight joint segments; None
+            without a path.
+        status: result of the connection.
+        checks: checked configurations.
         duration: time of the moves [s]; inf without a path.
     """
 
@@ -64,15 +64,12 @@ def connect(
     """Connect two configurations by a path that is certified free.
 
     Args:
-        q_from: (axes,) start [rad], inside the joint range; taken to the nearest multiple of 1e-4 deg.
+        q_from: (axes,) start [rad], inside the joint range; rounded to multiples of 1e-4 deg.
         q_to: (axes,) goal [rad], likewise.
-        checker: the collision checker; its clearance must be above 0.
+        checker: collision checker with a clearance above 0.
         limits: the joint range that is searched, and the speeds that rate a detour.
-        rng: source of the search's randomness; not used where the straight segment is free.
-        budget: configurations that the search may check; shortening may check half as many again.
-
-    Raises:
-        PlannerError: if an end lies outside the joint range, a limit cannot be used, or the checker keeps no clearance.
+        rng: source of the search's randomness; not used if the straight segment is free.
+        budget: configurations that the search may check; shortening may check half as many more.
     """
     require_usable(limits)
     axes = len(limits.lower)
@@ -84,14 +81,14 @@ def connect(
         status = PathStatus.GOAL_IN_COLLISION if free[0] else PathStatus.START_IN_COLLISION
         return PathResult(None, status, 2, float("inf"))
     if limits.table_turn_q is not None:
-        return _indexed(ends, checker, limits, rng, budget)
-    return _searched(ends, checker, limits, rng, budget)
+        return _connect_indexed(ends, checker, limits, rng, budget)
+    return _connect_free(ends, checker, limits, rng, budget)
 
 
-def _searched(
+def _connect_free(
     ends: Floats, checker: CollisionChecker, limits: JointLimits, rng: np.random.Generator, budget: int
 ) -> PathResult:
-    """All axes together between free ends (2, axes) [rad]."""
+    """Connect free ends (2, axes) [rad] with all axes moving together."""
     straight, checks = certify(ends[0], ends[1], checker)
     checks += 2
     via, status = ends, PathStatus.STRAIGHT
@@ -106,13 +103,13 @@ def _searched(
     return PathResult(via, status, checks, path_time(via, limits))
 
 
-def _indexed(
+def _connect_indexed(
     ends: Floats, checker: CollisionChecker, limits: JointLimits, rng: np.random.Generator, budget: int
 ) -> PathResult:
-    """Arm, table and arm between free ends (2, axes) [rad]: the table turns at a clear end, or at `q_table_turn`."""
+    """Connect free ends (2, axes) [rad] with an indexed table, which turns at an end or at `table_turn_q`."""
     if np.array_equal(ends[0, ARM_AXES:], ends[1, ARM_AXES:]):
-        return _searched(ends, checker, indexed.fix_table(limits, ends[0]), rng, budget)
-    assert limits.table_turn_q is not None, "asked for"
+        return _connect_free(ends, checker, indexed.fix_table(limits, ends[0]), rng, budget)
+    assert limits.table_turn_q is not None, "the table is indexed"
     checks, found = 0, PathResult(None, PathStatus.NO_PATH_FOUND, 0, float("inf"))
     for place, posture in enumerate((*ends, quantise_inside(limits.table_turn_q, limits))):
         if place == len(ends) and found.via is not None:
@@ -122,8 +119,8 @@ def _indexed(
         if not turns:
             continue
         stops = indexed.table_turn(posture, *ends)
-        # Clear at all angles, it may still come a little nearer than the clearance where nobody looked: what is driven
-        # is certified itself, as whoever drives it will again.
+        # Certified at all angles, the arm may still be closer than the clearance between the checks: the driven move is
+        # certified itself, as the verification before driving will do again.
         if not checker.free(stops).all():
             continue
         turns, used = certify(stops[0], stops[1], checker)
@@ -133,7 +130,7 @@ def _indexed(
         pieces = [
             PathResult(each[:1], PathStatus.STRAIGHT, 0, 0.0)
             if np.array_equal(*each)
-            else _searched(each, checker, indexed.fix_table(limits, each[0]), rng, budget // 2)
+            else _connect_free(each, checker, indexed.fix_table(limits, each[0]), rng, budget // 2)
             for each in (np.stack([ends[0], stops[0]]), np.stack([stops[1], ends[1]]))
         ]
         checks += sum(piece.checks for piece in pieces)
@@ -145,33 +142,33 @@ def _indexed(
 
 
 def is_detour(via: Floats) -> bool:
-    """Whether via points (m, axes) [rad] take more than one move of the arm; turns of an indexed table do not count."""
+    """Return whether via points (m, axes) [rad] need more than one move of the arm; turns of the table do not count."""
     return bool((np.diff(via[:, :ARM_AXES], axis=0) != 0).any(axis=1).sum() > 1)
 
 
 def path_time(via: Floats, limits: JointLimits) -> float:
-    """Time [s] through the via points (m, axes) [rad], stopping at each."""
+    """Return the time [s] through via points (m, axes) [rad] with a stop at each."""
     return float(move_time(via[:-1], via[1:], limits).sum())
 
 
-_PATIENCE = 40  # replacements tried without success before a path counts as short
-_CANDIDATES, _TRIED = 96, 3  # single via points drawn per replacement, and certified at most (fastest first)
+_MAX_FAILURES = 40  # failed replacements in a row after which a path counts as short
+_CANDIDATES, _TRIED = 96, 3  # via points drawn per replacement, and certified at most (fastest first)
 
 
 def shorten(
     via: Floats, checker: CollisionChecker, limits: JointLimits, rng: np.random.Generator, budget: int
 ) -> tuple[Floats, int]:
-    """Make a certified path faster without leaving certified segments; one on which an indexed table turns stays.
+    """Make a certified path faster; a path on which an indexed table turns stays.
 
     Args:
         via: (m, axes) via points of certified segments [rad].
-        checker: the collision checker.
+        checker: collision checker.
         limits: range and speeds.
         rng: source of the candidates.
-        budget: configurations to check at most, the last replacement's apart.
+        budget: largest number of checks before the last replacement.
 
     Returns:
-        (k, axes) via points with the same ends, never slower, and the configurations checked.
+        (k, axes) via points of certified segments with the same ends, never slower, and the checks.
     """
     if limits.table_turn_q is not None:
         if (via[:, ARM_AXES:] != via[0, ARM_AXES:]).any():
@@ -179,13 +176,13 @@ def shorten(
         limits = indexed.fix_table(limits, via[0])
     via, checks = _skip(via, checker, budget)
     failures = 0
-    while len(via) > 2 and checks < budget and failures < _PATIENCE:
+    while len(via) > 2 and checks < budget and failures < _MAX_FAILURES:
         span = int(rng.integers(2, min(4, len(via) - 1) + 1))
         i = int(rng.integers(0, len(via) - span))
         j = i + span
         inner, sigma = via[i + 1 : j], 10.0 ** rng.uniform(-2.0, 0.0)
         middle = 0.5 * (via[i] + via[j])
-        # Around a via point of the stretch, or part of the way from it to the middle of the straight segment.
+        # Near a via point of the replaced part, or between it and the middle of the straight segment.
         seeds = inner[rng.integers(0, len(inner), _CANDIDATES)]
         seeds = seeds + rng.uniform(0.0, 1.0, (_CANDIDATES, 1)) ** 2 * (middle - seeds)
         seeds[::2] += sigma * rng.standard_normal(seeds[::2].shape)
@@ -211,7 +208,7 @@ def shorten(
 
 
 def _skip(via: Floats, checker: CollisionChecker, budget: int) -> tuple[Floats, int]:
-    """Leave out via points greedily: from each one kept, go straight to the farthest that can be reached.
+    """Skip via points greedily: go straight from each kept one to the farthest reachable one.
 
     Fewer stops are never slower: the time of a straight move is subadditive.
     """

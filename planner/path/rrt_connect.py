@@ -1,10 +1,10 @@
 """RRT-Connect (Kuffner and LaValle 2000, doi:10.1109/ROBOT.2000.844730) on certified edges.
 
 Two trees grow from start and goal towards random targets and towards each other. Every edge of a tree is a straight
-joint segment between quantised configurations that `planner.path.certified_edge` has certified, so a path needs no
-later check. Distances between configurations weigh each joint by how far it moves arm and tool, so that steps and
-neighbours are metres rather than degrees. A share of the targets is drawn in narrow places, where an obstacle is near
-on two sides. There is no wrap-around: A4 at 350 and at -10 deg are different configurations, as for the real cable.
+joint segment between quantised configurations, certified by `planner.path.certified_edge`, so a path needs no later
+check. Distances between configurations weigh each joint by its motion of arm and tool, so that steps and neighbours
+are measured in metres rather than degrees. A share of the targets is drawn in narrow places, with an obstacle near on
+two sides. There is no wrap-around: A4 at 350 and at -10 deg are different configurations, as for the real cable.
 """
 
 import numpy as np
@@ -15,22 +15,25 @@ from planner.values import Floats
 
 _STEP_CHECKS = 32  # checks per tree edge: long enough for large batches, short enough to bend around a part
 _FEWEST_CHECKS = 4  # a blocked step is tried once more at this length, to enter narrow gaps
-_NEAR_SHARE = 0.6  # share of the targets drawn around the straight line; the rest covers the whole joint range
-_BEFORE_BRIDGES, _BRIDGE_SHARE = 20, 0.2  # rounds before narrow places are looked for, and how often then
-_BRIDGES = 256  # bridges tried at once
+_NEAR_SHARE = 0.6  # share of the targets drawn around the straight line; the rest covers the full joint range
+_BEFORE_BRIDGES, _BRIDGE_SHARE = (
+    20,
+    0.2,
+)  # rounds before narrow places are searched, and probability per round
+_BRIDGES = 256  # bridges tested at once
 _BRIDGE_LENGTH = (-2.0, -0.3)  # decimal logarithm of their half-lengths [m], 1 cm to 50 cm
-_SLIDES, _SLIDE_STEPS = 40, 48  # slides towards a narrow place at most, and random steps drawn for each
+_SLIDES, _SLIDE_STEPS = 40, 48  # most slides towards a narrow place, and random steps drawn for each
 _FIRST_MARGIN, _LAST_MARGIN = 0.3, 1.5  # half-width of the box around the straight line, growing with the search [rad]
 
 
 class _Tree:
-    """Configurations with their parents, in arrays that grow."""
+    """Configurations with their parents, in growing arrays."""
 
     def __init__(self, root: Floats) -> None:
         self.q = np.empty((256, len(root)))
         self.parent = np.empty(256, dtype=np.int64)
         self.size = 0
-        self.blocked: list[Floats] = []  # colliding configurations into which a step ran
+        self.blocked: list[Floats] = []  # colliding configurations that ended a step
         self.add(root, -1)
 
     def add(self, q: Floats, parent: int) -> int:
@@ -45,7 +48,7 @@ class _Tree:
         return int((((self.q[: self.size] - q) * weights) ** 2).sum(axis=1).argmin())
 
     def branch(self, node: int) -> list[Floats]:
-        """Configurations from the root to the node."""
+        """Return the configurations from the root to the node."""
         found = []
         while node >= 0:
             found.append(self.q[node])
@@ -61,14 +64,14 @@ def rrt_connect(
     Args:
         q_from: (axes,) free, quantised [rad].
         q_to: (axes,) free, quantised [rad].
-        checker: the collision checker.
+        checker: collision checker.
         limits: the joint range to search.
         rng: source of the random targets.
-        budget: configurations to check; the search ends with the step that reaches it.
+        budget: checks; the search ends with the step that reaches them.
 
     Returns:
-        (m, axes) via points with both ends, or None, and the configurations checked. None proves nothing but that the
-        budget was spent: the search is probabilistically complete, not exhaustive.
+        (m, axes) via points with both ends or None, and the checks. None only means that the budget is spent: the
+        search is probabilistically complete, not exhaustive.
     """
     weights = joint_weights(q_from, checker)
     low, high = np.minimum(q_from, q_to), np.maximum(q_from, q_to)
@@ -94,7 +97,7 @@ def rrt_connect(
                 ]
                 return np.array(branches[0] + branches[1][::-1][1:]), checks
         elif used == 0:
-            checks += 1  # the target was a node already; count the round, so that the search ends
+            checks += 1  # the target is a node already; count the round, so that the search ends
         grown, other = other, grown
         rounds += 1
         if not gates and rounds > _BEFORE_BRIDGES and rng.random() < _BRIDGE_SHARE:
@@ -113,7 +116,7 @@ def rrt_connect(
 
 
 def joint_weights(q: Floats, checker: CollisionChecker) -> Floats:
-    """(axes,) metres that arm and tool move per radian of each joint, at least 2 % of the largest."""
+    """Return (axes,) metres that arm and tool move per radian of each joint, at least 2 % of the largest."""
     nudged = q + 1e-3 * np.eye(len(q))
     weights = checker.travel(np.broadcast_to(q, nudged.shape), nudged) / 1e-3
     return np.maximum(weights, max(0.02 * float(weights.max()), 1e-6))
@@ -128,10 +131,10 @@ def _bridges(
     weights: Floats,
     rng: np.random.Generator,
 ) -> tuple[list[Floats], int]:
-    """Free configurations in narrow places: middles of short bridges of which both ends collide; and the checks.
+    """Return free configurations in narrow places, and the checks: middles of short bridges with colliding ends.
 
-    The bridge test of Hsu, Jiang, Reif and Sun (2003, doi:10.1109/ROBOT.2003.1242285). One end is a place where a tree
-    was blocked, or drawn from the box. Each configuration comes twice, so that both trees get it as a target.
+    This is the bridge test of Hsu, Jiang, Reif and Sun (2003, doi:10.1109/ROBOT.2003.1242285). One end is a place where
+    a tree was blocked, or drawn from the box. Each configuration occurs twice, so that both trees get it as a target.
     """
     low, high = np.maximum(low, limits.lower), np.minimum(high, limits.upper)
     hit = [q for tree in trees for q in tree.blocked[-_BRIDGES:]]
@@ -160,10 +163,10 @@ def _slide(
     weights: Floats,
     rng: np.random.Generator,
 ) -> tuple[int, int]:
-    """Grow the tree from its nearest node towards a target in a narrow place, sliding along what is in the way.
+    """Grow the tree from its nearest node towards a target in a narrow place, sliding along obstacles.
 
     Random steps are drawn about the direction to the target; the certified one that ends nearest to it is taken, until
-    none comes nearer or the straight way is free. Returns the node nearest to the target, and the checks.
+    none ends nearer or the straight segment is free. Returns the node nearest to the target, and the checks.
     """
     spacing = 2.0 * STEP * checker.clearance
     near, checks = tree.nearest(target, weights), 0
@@ -206,7 +209,7 @@ def _advance(
 ) -> tuple[int, int]:
     """Grow the tree from its nearest node straight towards the target until a step is blocked.
 
-    Returns the last node added (or the node that is the target already; -1 where the first step is blocked), and the
+    Returns the last added node (or the node that is the target already; -1 if the first step is blocked), and the
     checks.
     """
     near = tree.nearest(target, weights)
@@ -225,7 +228,7 @@ def _advance(
         for stop in batch[1 : count + 1]:
             tip = tree.add(stop, tip)
         if count < len(batch) - 1:
-            _note(tree, batch[count + 1], checker)
+            _remember_blocked(tree, batch[count + 1], checker)
             checks += 1
             break
         done, size = done + size, size * 2
@@ -237,19 +240,19 @@ def _advance(
             if count:
                 tip = tree.add(short[1], near)
             else:
-                _note(tree, short[1], checker)
+                _remember_blocked(tree, short[1], checker)
                 checks += 1
     return (tip if tip != near else -1), checks
 
 
-def _note(tree: _Tree, q: Floats, checker: CollisionChecker) -> None:
-    """Remember where a step was blocked, if the configuration itself collides (and not something on the way to it)."""
+def _remember_blocked(tree: _Tree, q: Floats, checker: CollisionChecker) -> None:
+    """Remember the end of a blocked step if it collides itself."""
     if not checker.free(q[None])[0]:
         tree.blocked.append(q)
 
 
 def _stops(q: Floats, target: Floats, steps: int, limits: JointLimits) -> Floats:
-    """(k, axes) quantised configurations from q to the target, repeats left out; k <= steps + 1."""
+    """Return (k, axes) quantised configurations from q to the target without repeats; k <= steps + 1."""
     stops = quantise_inside(q + np.arange(steps + 1)[:, None] / steps * (target - q), limits)
     stops[0], stops[-1] = q, target
     keep = np.concatenate(([True], (np.diff(stops, axis=0) != 0).any(axis=1)))
@@ -257,7 +260,7 @@ def _stops(q: Floats, target: Floats, steps: int, limits: JointLimits) -> Floats
 
 
 def _free_prefix(stops: Floats, checker: CollisionChecker) -> tuple[int, int]:
-    """How many edges of a chain are certified before the first that is not, and the checks; stops[0] is free."""
+    """Return the number of certified edges at the beginning of a chain, and the checks; stops[0] is free."""
     free = checker.free(stops[1:])
     count = len(free) if free.all() else int(free.argmin())
     checks = len(free)

@@ -1,34 +1,19 @@
-"""The line of a sweep: through the poses of a column, at equal steps, and half a step beyond its first and last pose.
+"""The line of a sweep, and the proof that the arm can follow it on one joint branch.
 
-A line sensor's column holds a pose in the middle of each of K equal cells (`viewpoints.swept`). Driven, the
-sheet has to pass over the whole of every cell, so the line runs from the edge of the first cell to the edge of the last
-one: the poses stand at u = (k + 0.5) / K of it, u from 0 to 1. On the line
+A line sensor's column holds a pose in the middle of each of K equal cells (`viewpoints.sweep_viewpoints`). The driven
+laser sheet has to pass over each cell completely, so the line runs from the edge of the first cell to the edge of the
+last one: the poses are at u = (k + 0.5) / K of it, u from 0 to 1. On the line
 
     p(u) = p(0) + u displacement          R(u) = exp(u turn) R(0)
 
-the position advances straight and the orientation turns about an axis that keeps its direction, both in proportion:
-what a controller's linear motion does. The twist (displacement, turn) of the scanner frame is constant in u.
+the position advances straight and the orientation turns about a fixed axis, both in proportion, as the linear motion
+of a controller does. The twist xi = (displacement, turn) of the scanner frame is constant in u. With J the Jacobian of
+the scanner frame (`ScannerArm`), the joints follow q' = J^-1 xi and q'' = -J^-1 (J' q'), primes by u.
 
-Base frame, metres, radians.
-
-The arm along a line: Jacobian of the scanner frame, joint angles of a branch, their derivatives by the parameter.
-
-J is had from `Kinematics.forward` alone: turning one revolute axis by +-90 deg moves the frame by exactly
-
-    (p+ - p-) / 2 = z x (p - o)        (R+ - R-) R^T / 2 = [z]x
-
-Base frame, metres, radians.
-
-A line followed on one joint branch, proven between its samples: no singularity, no jump, no limit exceeded.
-
-The scanner frame follows a line (`planner.path.sweep_line`) whose twist xi is constant in its parameter u. With J the
-Jacobian of the scanner frame (`planner.path.sweep_line`), the joints follow q' = J^-1 xi and q'' = -J^-1 (J' q'),
-primes by u.
-
-*Between two samples.* Linear rows of J and xi are divided by R, which no axis' distance from the frame exceeds; each
-column's derivative by an axis then has a norm of at most sqrt(2), |J'| <= H |q'| with H = sqrt(51) (36 linear and 15
-angular terms) and |J''| <= H2 |q'|^2 + H |q''| with H2 = sqrt(432). With sigma the smallest singular value of J and
-y = |q'| this gives, at a distance r from a sample,
+*Proof between two samples.* Linear rows of J and xi are divided by R, which no axis' distance from the frame exceeds.
+The derivative of each column by an axis then has a norm of at most sqrt(2), so |J'| <= H |q'| with H = sqrt(51) (36
+linear and 15 angular terms) and |J''| <= H2 |q'|^2 + H |q''| with H2 = sqrt(432). With sigma the smallest singular
+value of J and y = |q'| this gives, at a distance r from a sample,
 
     sigma >= s = sqrt(sigma_k^2 - 2 H |xi| r)     and, tighter, s = sigma_k - H Q1 r
     |q'|   <= Q1 = y_k / (1 - H y_k r / s)
@@ -37,12 +22,12 @@ y = |q'| this gives, at a distance r from a sample,
     |q''''| <= Q4 = (3 H Q1 Q3 + 3 B2 Q2 + B3 Q1) / s     B2 = H2 Q1^2 + H Q2 >= |J''|
                                                           B3 = H3 Q1^3 + 3 H2 Q1 Q2 + H Q3 >= |J'''|, H3 = sqrt(2592)
 
-so |q'_j| <= |q'_j,k| + r Q2 and |q''_j| <= |q''_j,k| + r Q3; the third derivative differs by no more than 2 r Q4 from
-its mean between two samples, which is a difference of q''. From these follows the time that the axes' limits on speed,
-acceleration and jerk need, and the line is driven no faster. Where s > 0 the branch goes on continuously and without a
-singularity. The sample that follows lies on it, and on no other branch, where its distance from the one before is at
-most rho = 2 r Q1 and H rho <= sigma_k / 2: J then changes by less than half of what it would need to lose a direction,
-and no pose is taken twice within rho. Intervals that are not proven are halved, a number of times.
+so |q'_j| <= |q'_j,k| + r Q2 and |q''_j| <= |q''_j,k| + r Q3; the third derivative differs by at most 2 r Q4 from its
+mean between two samples, which is a difference of q''. These bounds give the time that the axes' limits on speed,
+acceleration and jerk need, and the line is driven no faster. If s > 0, the branch continues without a singularity. The
+next sample lies on it, and on no other branch, if its distance from the previous one is at most rho = 2 r Q1 and
+H rho <= sigma_k / 2: J then changes by less than half of what it would need to become singular, and no pose is taken
+twice within rho. Intervals that are not proven are halved, a limited number of times.
 
 Base frame, metres, radians, seconds.
 """
@@ -53,19 +38,28 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
+from planner.geometry.rigid import rotation_matrices, rotation_vectors
 from planner.ports import JointLimits, Kinematics
 from planner.timing.s_curve import Profile
 from planner.values import Bools, Floats, Value, readonly
 from planner.worded import Worded
 
-_EASE = 0.1  # time in which a ramp's acceleration is reached at the fastest [s]
-_SAME = 1e-7
-"""Steps that differ by less [m, rad] are equal: set-points are coarser than that."""
+SLACK = 1.1
+"""R over the largest distance of an axis at a sample; the proof checks that it also holds between samples."""
+
+SLOWEST = 4.0
+"""Largest factor by which a sweep may be slowed down for the axes; beyond, it is refused."""
+
+_EASE = 0.1  # shortest time in which a ramp reaches its acceleration [s]
+_SAME = 1e-7  # steps that differ by less [m, rad] are equal: set-points are coarser than that
+_FIRST, _HALVINGS, _MOST = 32, 7, 3000  # initial intervals, rounds of halving, largest number of samples
+_H, _H2, _H3 = float(np.sqrt(51.0)), float(np.sqrt(432.0)), float(np.sqrt(2592.0))
+_MIN_SIGMA = 1e-4  # below this the arm is in a singularity, within the resolution of a set-point
 
 
 @dataclass(frozen=True, slots=True)
 class SweepSpeed:
-    """How fast a sweep is driven at most; the slower of straight and turning motion holds.
+    """Largest speed of a sweep; the slower of straight and turning motion applies.
 
     Attributes:
         linear: speed of the scanner frame's origin [m/s].
@@ -80,7 +74,7 @@ class SweepSpeed:
     angular_acceleration: float = 1.0
 
     def scaled(self, speed: float, acceleration: float = 1.0) -> "SweepSpeed":
-        """Fractions of the speeds and of the accelerations: an override slows lines down like every other move."""
+        """Return fractions of the speeds and of the accelerations: an override slows lines down like every move."""
         return SweepSpeed(
             self.linear * speed,
             self.angular * speed,
@@ -89,12 +83,12 @@ class SweepSpeed:
         )
 
     def slowed(self, limits: JointLimits, full: JointLimits) -> "SweepSpeed":
-        """As much slower as limits of the axes are than those at full speed."""
+        """Return the speed scaled by the ratio of joint limits to those at full speed."""
         return self.scaled(_fraction(limits.velocity, full.velocity), _fraction(limits.acceleration, full.acceleration))
 
 
 def _fraction(limit: Floats, full: Floats) -> float:
-    """The fraction to which limits were scaled; those that are not finite say nothing."""
+    """Return the fraction to which limits are scaled, from the finite ones."""
     known = np.isfinite(limit) & np.isfinite(full)
     return float((limit[known] / full[known]).min(initial=1.0))
 
@@ -110,7 +104,7 @@ class SweepLine(Value):
         T_base_begin: (4, 4) scanner pose at u = 0 [m].
         displacement: (3,) of the origin from u = 0 to 1 [m], base frame.
         turn: (3,) rotation vector from u = 0 to 1 [rad], base frame, shorter than pi.
-        poses: K measuring poses on it.
+        poses: number K of measuring poses on it.
     """
 
     T_base_begin: Annotated[Floats, "4 4"]
@@ -120,7 +114,7 @@ class SweepLine(Value):
 
     @property
     def length(self) -> float:
-        """Path of the origin [m]."""
+        """Path length of the origin [m]."""
         return float(np.linalg.norm(self.displacement))
 
     @property
@@ -130,18 +124,18 @@ class SweepLine(Value):
 
     @property
     def is_stationary(self) -> bool:
-        """Whether the sweep has no length at all: every pose is the same."""
+        """Whether all poses are the same."""
         return self.length <= _SAME and self.angle <= _SAME
 
     def at(self, u: Floats) -> Floats:
-        """(n, 4, 4) scanner poses [m] at (n,) parameters."""
+        """Return (n, 4, 4) scanner poses [m] at (n,) parameters."""
         T = np.tile(self.T_base_begin, (len(u), 1, 1))
-        T[:, :3, :3] = rotations(u[:, None] * self.turn) @ self.T_base_begin[:3, :3]
+        T[:, :3, :3] = rotation_matrices(u[:, None] * self.turn, scale_first=True) @ self.T_base_begin[:3, :3]
         T[:, :3, 3] += u[:, None] * self.displacement
         return T
 
     def cruise(self, speed: SweepSpeed) -> float:
-        """Time for the line at constant speed [s], ramps not counted: the shortest that `speed` allows."""
+        """Return the shortest time for the line at constant speed [s] that `speed` allows, without ramps."""
         push = max(self.length / speed.linear_acceleration, self.angle / speed.angular_acceleration)
         rising, easing = self.ramp_shares
         return max(
@@ -155,26 +149,19 @@ class SweepLine(Value):
     def ramp_shares(self) -> tuple[float, float]:
         """`ramp` and `ease` of the profile (`planner.timing.s_curve.Profile`) as shares of `cruise`.
 
-        The ramps take the half cells before the first and behind the last pose, all of them, so that every pose is
-        passed at constant speed: a ramp covers half of what the constant speed would in its time.
+        The ramps take exactly the half cells before the first and after the last pose, so that every pose is passed at
+        constant speed: a ramp covers half the distance of the constant speed in the same time.
         """
         return 0.8 / self.poses, 0.2 / self.poses
 
     def profile(self, cruise: float) -> Profile:
-        """The profile of u that takes `cruise` seconds at constant speed, and its ramps besides."""
+        """Return the profile of u that takes `cruise` seconds at constant speed, plus its ramps."""
         rising, easing = self.ramp_shares
         return Profile(np.array(cruise), np.array(cruise * rising), np.array(cruise * easing))
 
 
 def line_through(T_base_scanner: ArrayLike) -> SweepLine | None:
-    """The line of a column of poses.
-
-    Args:
-        T_base_scanner: (K, 4, 4) poses [m], K at least 2.
-
-    Returns:
-        The line; None where the poses do not follow each other at equal steps on one.
-    """
+    """Return the line through K poses (K, 4, 4) [m], or None if they do not follow a line at equal steps (or K < 2)."""
     T = readonly("T_base_scanner", T_base_scanner, (None, 4, 4))
     count = len(T)
     if count < 2:
@@ -188,53 +175,34 @@ def line_through(T_base_scanner: ArrayLike) -> SweepLine | None:
         return None
     begin = T[0].copy()
     begin[:3, 3] -= 0.5 * step
-    begin[:3, :3] = rotations(-0.5 * turn[None])[0] @ begin[:3, :3]
+    begin[:3, :3] = rotation_matrices(-0.5 * turn[None], scale_first=True)[0] @ begin[:3, :3]
     return SweepLine(begin, step * count, turn * count, count)
 
 
-def rotations(vectors: Floats) -> Floats:
-    """(n, 3, 3) rotations of (n, 3) rotation vectors [rad] (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=1)
-    safe = np.where(angle > 0.0, angle, 1.0)
-    x, y, z = (vectors / safe[:, None]).T
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    R: Floats = np.eye(3) + np.sin(angle)[:, None, None] * cross + (1.0 - np.cos(angle))[:, None, None] * cross @ cross
-    return R
-
-
-def rotation_vectors(R: Floats) -> Floats:
-    """(n, 3) rotation vectors [rad] of (n, 3, 3) rotations by less than pi."""
-    sine = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
-    length = np.linalg.norm(sine, axis=1)
-    angle = np.arctan2(length, 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0))
-    factor = np.where(length > 0.0, angle / np.where(length > 0.0, length, 1.0), 1.0)
-    return np.asarray(sine * factor[:, None])
-
-
-SLACK = 1.1
-"""R over the largest distance of an axis at a sample; what the distance may grow in between is checked."""
-
-
 class ScannerArm:
-    """Forward kinematics of the scanner frame, and its Jacobian."""
+    """Forward kinematics of the scanner frame, and its Jacobian.
+
+    The Jacobian needs `Kinematics.forward` only: turning one revolute axis by +-90 deg moves the frame by exactly
+
+        (p+ - p-) / 2 = z x (p - o)        (R+ - R-) R^T / 2 = [z]x
+    """
 
     def __init__(self, kinematics: Kinematics, T_flange_scanner: Floats) -> None:
         self.kinematics, self.mount = kinematics, T_flange_scanner
-        self._unmount = np.linalg.inv(T_flange_scanner)
+        self._T_scanner_flange = np.linalg.inv(T_flange_scanner)
 
     def flange(self, T_base_scanner: Floats) -> Floats:
-        """(n, 4, 4) T_base_flange of scanner poses."""
-        T: Floats = T_base_scanner @ self._unmount
+        """Return (n, 4, 4) T_base_flange of scanner poses."""
+        T: Floats = T_base_scanner @ self._T_scanner_flange
         T[:, 3] = (0.0, 0.0, 0.0, 1.0)
         return T
 
     def scanner(self, q: Floats) -> Floats:
-        """(n, 4, 4) T_base_scanner."""
+        """Return (n, 4, 4) T_base_scanner at (n, 6) joint angles."""
         return np.asarray(self.kinematics.forward(q) @ self.mount)
 
     def jacobian(self, q: Floats) -> tuple[Floats, Floats]:
-        """(n, 3, 6) linear [m/rad] and (n, 3, 6) angular columns."""
+        """Return (n, 3, 6) linear [m/rad] and (n, 3, 6) angular columns."""
         turned = np.repeat(q[:, None], 12, axis=1)
         for axis in range(6):
             turned[:, axis, axis] += 0.5 * np.pi
@@ -248,13 +216,13 @@ class ScannerArm:
 
 
 def follow_branch(line: SweepLine, branch: int, arm: ScannerArm, u: Floats) -> Floats:
-    """(n, 6) joint angles of a branch along the line [rad], without jumps of whole turns; NaN out of reach."""
+    """Return (n, 6) joint angles of a branch along the line [rad], without jumps of full turns; NaN out of reach."""
     q: Floats = np.array(arm.kinematics.inverse(arm.flange(line.at(u)))[:, branch])
     return q if np.isnan(q).any() else np.unwrap(q, axis=0)
 
 
 def joint_derivatives(line: SweepLine, q: Floats, arm: ScannerArm) -> tuple[Floats, Floats, Floats, float, Floats]:
-    """First and second derivative by u (n, 6), singular value (n,), |xi|, and the direction that is weakest (n, 6)."""
+    """Return q' and q'' (n, 6), the smallest singular value (n,), |xi|, and the weakest joint direction (n, 6)."""
     linear, angular = arm.jacobian(q)
     lever = SLACK * float(np.linalg.norm(linear, axis=1).max())
     xi = np.concatenate([line.displacement / lever, line.turn])
@@ -276,21 +244,13 @@ def joint_derivatives(line: SweepLine, q: Floats, arm: ScannerArm) -> tuple[Floa
 
 
 def join_axis_names(which: Bools) -> str:
-    """The names of some axes: "A4 and A6"."""
+    """Return the names of some axes: "A4 and A6"."""
     names = [f"A{axis + 1}" for axis in np.flatnonzero(which)]
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-SLOWEST = 4.0
-"""A sweep may be driven so many times slower than is wanted where the axes need it; then it is refused."""
-
-_FIRST, _HALVINGS, _MOST = 32, 7, 3000  # intervals at first, rounds of halving, samples at most
-_H, _H2, _H3 = float(np.sqrt(51.0)), float(np.sqrt(432.0)), float(np.sqrt(2592.0))
-_LEAST_SIGMA = 1e-4  # below this the arm stands in a singularity, to within what a set-point resolves
-
-
 class SweepRefusal(Worded):
-    """Why a sweep cannot be driven on a branch."""
+    """Reason why a sweep cannot be driven on a branch."""
 
     NO_LINE = 0, "the poses do not follow each other at equal steps on a line"
     OUT_OF_REACH = 1, "the line leaves the arm's reach"
@@ -305,9 +265,9 @@ class RefusedSweep:
     """A branch on which the sweep cannot be driven.
 
     Attributes:
-        branch: slot of the inverse kinematics; -1 where the whole sweep is meant.
+        branch: index in the inverse kinematics; -1 for the sweep as such.
         reason: why.
-        detail: the axes of a singularity or a limit ("A4 and A6"), or what the line collides with; "" for none.
+        detail: the axes of a singularity or a limit ("A4 and A6"), or the colliding pair; "" for none.
     """
 
     branch: int
@@ -322,7 +282,7 @@ class RefusedSweep:
 
 @dataclass(frozen=True, slots=True)
 class SweepProof:
-    """What is proven of a line on a branch: bounds of the joint angles (6,), time at constant speed, least sigma."""
+    """Proven bounds (6,) of the joint angles of a line on a branch, time at constant speed, smallest sigma."""
 
     low: Floats
     high: Floats
@@ -333,9 +293,9 @@ class SweepProof:
 def prove_branch(
     line: SweepLine, branch: int, arm: ScannerArm, limits: JointLimits, cruise: float
 ) -> SweepProof | RefusedSweep:
-    """Follow a branch and prove what lies between the samples; see the module's docstring for the argument.
+    """Follow a branch and prove the motion between the samples (see the proof in the module's docstring).
 
-    Where the limits do not allow the speed that is wanted, the line is driven slower, up to `SLOWEST` times.
+    If the limits do not allow the wanted `cruise` time, the line is driven slower, up to `SLOWEST` times.
     """
     u = np.linspace(0.0, 1.0, _FIRST + 1)
     for halving in range(_HALVINGS + 1):
@@ -343,8 +303,9 @@ def prove_branch(
         if np.isnan(q).any():
             return RefusedSweep(branch, SweepRefusal.OUT_OF_REACH, "")
         first, second, sigma, xi, weak = joint_derivatives(line, q, arm)
-        if sigma.min() < _LEAST_SIGMA:
-            return RefusedSweep(branch, SweepRefusal.SINGULAR, join_axis_names(np.abs(weak[int(sigma.argmin())]) > 0.4))
+        if sigma.min() < _MIN_SIGMA:
+            axes = join_axis_names(np.abs(weak[int(sigma.argmin())]) > 0.4)
+            return RefusedSweep(branch, SweepRefusal.SINGULAR, axes)
         r = 0.5 * np.diff(u)
         mean = np.abs(np.diff(second, axis=0)) / (2.0 * r)[:, None]  # of the third derivative, between the samples
         at_samples = _time_needed(line, np.abs(first[1:]), np.abs(second[1:]), mean, limits)
@@ -353,12 +314,12 @@ def prove_branch(
         good, need, reach = np.ones(len(r), dtype=bool), np.zeros(len(r)), np.zeros((len(r), 6))
         steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
         ends = slice(None, -1), slice(1, None)
-        bounds = [_bounds(sigma[end], first[end], xi, r) for end in ends]
-        y4 = np.maximum(bounds[0][3], bounds[1][3])  # of the whole interval, as the mean is
-        for end, (y1, y2, y3, _, followed) in zip(ends, bounds, strict=True):
+        bounds = [_derivative_bounds(sigma[end], first[end], xi, r) for end in ends]
+        y4 = np.maximum(bounds[0][3], bounds[1][3])  # of the full interval, as the mean is
+        for end, (y1, y2, y3, _, holds) in zip(ends, bounds, strict=True):
             rho = 2.0 * r * y1
-            good &= followed & (steps <= rho + 1e-12) & (_H * rho <= 0.5 * sigma[end])
-            good &= np.sqrt(6.0) * SLACK * y1 * r <= SLACK - 1.0  # no axis' lever outgrows R
+            good &= holds & (steps <= rho + 1e-12) & (_H * rho <= 0.5 * sigma[end])
+            good &= np.sqrt(6.0) * SLACK * y1 * r <= SLACK - 1.0  # no axis' distance exceeds R
             speeds, curves = np.abs(first[end]) + (r * y2)[:, None], np.abs(second[end]) + (r * y3)[:, None]
             jolts = np.minimum(y3[:, None], mean + (2.0 * r * y4)[:, None])
             need = np.maximum(need, _time_needed(line, speeds, curves, jolts, limits).max(axis=1))
@@ -378,19 +339,20 @@ def prove_branch(
     if good.all():
         return _too_fast(branch, first[worst], limits)
     jump = np.abs(np.diff(q, axis=0)[worst]) > 0.1
-    return RefusedSweep(
-        branch, SweepRefusal.SINGULAR, join_axis_names(jump if jump.any() else np.abs(weak[worst]) > 0.4)
-    )
+    axes = join_axis_names(jump if jump.any() else np.abs(weak[worst]) > 0.4)
+    return RefusedSweep(branch, SweepRefusal.SINGULAR, axes)
 
 
 def _too_fast(branch: int, first: Floats, limits: JointLimits) -> RefusedSweep:
-    """The refusal, with the axes that do most of the motion for what they can."""
+    """Return the refusal, with the axes that use the largest share of their speed limits."""
     use = np.abs(first) / limits.velocity
     return RefusedSweep(branch, SweepRefusal.TOO_FAST, join_axis_names(use > 0.5 * use.max()))
 
 
-def _bounds(sigma: Floats, first: Floats, xi: float, r: Floats) -> tuple[Floats, Floats, Floats, Floats, Bools]:
-    """Q1 to Q4 (n,) within r of samples, and whether they hold: whether no singularity can lie so near."""
+def _derivative_bounds(
+    sigma: Floats, first: Floats, xi: float, r: Floats
+) -> tuple[Floats, Floats, Floats, Floats, Bools]:
+    """Return Q1 to Q4 (n,) within r of samples, and whether they hold: whether no singularity can be that near."""
     y = np.linalg.norm(first, axis=1)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         s = np.sqrt(sigma**2 - 2.0 * _H * xi * r)
@@ -406,15 +368,15 @@ def _bounds(sigma: Floats, first: Floats, xi: float, r: Floats) -> tuple[Floats,
 
 
 def _time_needed(line: SweepLine, speeds: Floats, curves: Floats, jolts: Floats, limits: JointLimits) -> Floats:
-    """(n, 6) shortest time at constant speed [s] under which each axis keeps its limits, from bounds of derivatives.
+    """Return (n, 6) the shortest time at constant speed [s] with which each axis keeps its limits.
 
-    `speeds`, `curves` and `jolts` (n, 6) bound the first, second and third derivative by u [rad]. With c the time
-    wanted, u has at most the speed 1 / c, the acceleration g / c^2 and the jerk h / c^3.
+    `speeds`, `curves` and `jolts` (n, 6) bound the first, second and third derivative by u [rad]. With c the wanted
+    time, u has at most the speed 1 / c, the acceleration g / c^2 and the jerk h / c^3.
     """
     rising, easing = line.ramp_shares
     g, h = 1.0 / rising, 1.0 / (rising * easing)
     time: Floats = np.maximum(speeds / limits.velocity, np.sqrt((curves + speeds * g) / limits.acceleration))
     jolt = jolts + 3.0 * curves * g + speeds * h
-    # An axis without a jerk limit asks for no time, where the bounds are infinite too.
+    # An axis without a jerk limit needs no time, even if its bounds are infinite.
     cubed = np.divide(jolt, limits.jerk, out=np.zeros_like(jolt), where=np.isfinite(limits.jerk))
     return np.maximum(time, np.cbrt(cubed))

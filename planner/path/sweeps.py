@@ -1,13 +1,7 @@
-"""A sweep on one joint branch as a value: its set-points and speed, or why it cannot be driven.
+"""Drivable sweeps: the branches, full turns and directions of a column of poses, each proven and certified.
 
-A sweep as a tour sees it: where the arm arrives, where it leaves, and how long it takes.
-
-All ways to drive a column of poses as a sweep: branches, whole turns and directions, each proven and certified.
-
-The driven set-points are vertices on the line, at most `TUBE` from it between them; all measuring poses are among them.
-What is proven stands in `planner.path.sweep_line`. Base frame, metres, radians, seconds.
-
-Joint angles, speeds and accelerations of a sweep over time. Base frame, metres, radians, seconds.
+The set-points of a sweep are vertices on its line (`planner.path.sweep_line`); between them the path deviates from the
+line by at most `TUBE`. All measuring poses are vertices. Base frame, metres, radians, seconds.
 """
 
 import itertools
@@ -19,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.errors import PlannerError
+from planner.geometry.rigid import rotation_vectors
 from planner.kinematics.setpoints import from_steps, to_steps
 from planner.path.certified_edge import certify_many
 from planner.path.sweep_line import (
@@ -34,11 +29,18 @@ from planner.path.sweep_line import (
     joint_derivatives,
     line_through,
     prove_branch,
-    rotation_vectors,
 )
 from planner.ports import CollisionChecker, JointLimits, Kinematics
 from planner.timing.s_curve import Profile, sample_profile
 from planner.values import Floats, Ints, Value
+
+TUBE = 5e-5
+"""Largest distance [m] of the scanner frame from the line on the joint-linear segments between vertices."""
+
+TUBE_ANGLE = 5e-4
+"""Largest angle [rad] likewise."""
+
+_FINEST = 64  # largest number of segments in half a cell
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,11 +48,11 @@ class SweepPath(Value):
     """A sweep on one branch, in one direction.
 
     Attributes:
-        line: in the direction in which it is driven.
-        branch: slot of the inverse kinematics.
-        q: (m, 6) vertices [rad], multiples of 1e-4 deg; at rest at the first and the last, passed without stop between.
+        line: in the driven direction.
+        branch: index in the inverse kinematics.
+        q: (m, 6) vertices [rad], multiples of 1e-4 deg; at rest at the first and the last, no stop between.
         u: (m,) their parameters, rising from 0 to 1.
-        pose: (m,) pose of the column that is measured at the vertex, -1 for none; falling where driven backwards.
+        pose: (m,) pose of the column that is measured at the vertex, -1 for none; falling if driven backwards.
         profile: of u over time.
         sigma: smallest singular value of the Jacobian on it (linear rows over the largest lever); 0 is singular.
     """
@@ -75,71 +77,22 @@ class SweepPath(Value):
         return np.asarray(self.q[rows[np.argsort(self.pose[rows])]])
 
     def reversed(self) -> "SweepPath":
-        """The same sweep driven from its end to its beginning."""
-        line = SweepLine(
-            self.line.at(np.ones(1))[0], -self.line.displacement, -self.line.turn, self.line.poses
-        )  # the turn's axis keeps its direction
+        """Return the same sweep driven from its end to its beginning; the axis of the turn keeps its direction."""
+        line = SweepLine(self.line.at(np.ones(1))[0], -self.line.displacement, -self.line.turn, self.line.poses)
         return SweepPath(line, self.branch, self.q[::-1], 1.0 - self.u[::-1], self.pose[::-1], self.profile, self.sigma)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrivableSweeps:
-    """What can be driven of a column of poses.
+    """All ways to drive a column of poses.
 
     Attributes:
-        paths: every branch and turn that can be driven, each in both directions.
-        refused: the other branches that exist, and why not.
+        paths: every branch and turn that can be driven, in both directions.
+        refused: the other branches that exist, with reasons.
     """
 
     paths: tuple[SweepPath, ...]
     refused: tuple[RefusedSweep, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SweepTraversal(Value):
-    """What the arm does at a view between arriving and leaving: the line of a sweep.
-
-    Attributes:
-        via: (m, axes) via points [rad], certified, the first where the arm arrives and the last where it leaves.
-        pose: (m,) pose of the view that is taken at each, -1 for none.
-        duration: of the passage [s].
-        leaves: joint solution of the same view (its index) that begins where this one ends.
-    """
-
-    via: Annotated[Floats, "m axes"]
-    pose: Annotated[Ints, "m"]
-    duration: float
-    leaves: int
-
-    @property
-    def middle(self) -> Floats:
-        """(axes,) joint angles at the middle one of its poses [rad]."""
-        return np.asarray(self.via[int(np.flatnonzero(self.pose == (self.pose >= 0).sum() // 2)[0])])
-
-
-def sweep_traversals(paths: Sequence[SweepPath]) -> list[SweepTraversal]:
-    """The sweeps of one view as passages of a tour; the reverse of each must be among them, unless it stands.
-
-    Raises:
-        PlannerError: if a sweep cannot be left for want of its reverse.
-    """
-    begins = {tuple(to_steps(path.q[0]).tolist()): i for i, path in enumerate(paths)}
-    passages = []
-    for path in paths:
-        leaves = begins.get(tuple(to_steps(path.q[-1]).tolist()))
-        if leaves is None:
-            raise PlannerError("a sweep's reverse is missing; give both directions of every sweep")
-        passages.append(SweepTraversal(path.q, path.pose, path.duration, leaves))
-    return passages
-
-
-TUBE = 5e-5
-"""Largest distance [m] of the scanner frame on the joint-linear segments between vertices from the line."""
-
-TUBE_ANGLE = 5e-4
-"""Largest angle [rad] likewise."""
-
-_FINEST = 64  # segments in half a cell at most
 
 
 def find_sweeps(
@@ -150,15 +103,15 @@ def find_sweeps(
     speed: SweepSpeed = DEFAULT_SPEED,
     checker: CollisionChecker | None = None,
 ) -> DrivableSweeps:
-    """All ways to drive a sweep.
+    """Find all ways to drive a sweep.
 
     Args:
-        T_base_scanner: (K, 4, 4) the column's poses [m], base frame.
+        T_base_scanner: (K, 4, 4) poses of the column [m].
         T_flange_scanner: (4, 4) mount [m].
-        kinematics: of an arm of six revolute axes.
-        limits: range, speeds, accelerations and jerks that hold.
-        speed: at which the sweep is driven.
-        checker: certifies the vertices' segments where it is given.
+        kinematics: of an arm with six revolute axes.
+        limits: range, speeds, accelerations and jerks of the axes.
+        speed: of the sweep.
+        checker: certifies the segments between the vertices; None: no collision check.
     """
     line = line_through(T_base_scanner)
     if line is None:
@@ -172,7 +125,7 @@ def find_sweeps(
         if isinstance(found, RefusedSweep):
             refused.append(found)
             continue
-        if checker is not None and (blocker := _collides(found[0].q, checker)) is not None:
+        if checker is not None and (blocker := _find_blocker(found[0].q, checker)) is not None:
             refused.append(RefusedSweep(branch, SweepRefusal.COLLISION, blocker))
             continue
         for path in found:
@@ -185,7 +138,7 @@ def find_sweeps(
 def _on_branch(
     line: SweepLine, branch: int, arm: ScannerArm, limits: JointLimits, speed: SweepSpeed
 ) -> list[SweepPath] | RefusedSweep:
-    """The sweep on one branch, once for each turn that the limits allow; or why not."""
+    """Return the sweep on one branch, once per turn that the limits allow, or the refusal."""
     if line.is_stationary:
         q = from_steps(to_steps(follow_branch(line, branch, arm, np.zeros(1))[0]))
         proven: SweepProof | RefusedSweep = SweepProof(q, q, 0.0, float("nan"))
@@ -198,16 +151,13 @@ def _on_branch(
         return RefusedSweep(branch, SweepRefusal.JOINT_LIMIT, turns)
     vertices, u, pose = _vertices(line, branch, arm)
     profile = line.profile(proven.cruise)
-    return [
-        SweepPath(line, branch, np.clip(from_steps(to_steps(vertices + turn)), limits.lower, limits.upper), u, pose,
-                  profile, proven.sigma)
-        for turn in turns
-    ]  # fmt: skip
+    rounded = (np.clip(from_steps(to_steps(vertices + turn)), limits.lower, limits.upper) for turn in turns)
+    return [SweepPath(line, branch, q, u, pose, profile, proven.sigma) for q in rounded]
 
 
 def _vertices(line: SweepLine, branch: int, arm: ScannerArm) -> tuple[Floats, Floats, Ints]:
-    """Set-points whose joint-linear segments stay within the tube about the line, their u, and which pose each is."""
-    if line.is_stationary:  # all poses are one
+    """Return set-points whose joint-linear segments stay in the tube about the line, their u, and the pose of each."""
+    if line.is_stationary:
         q = from_steps(to_steps(follow_branch(line, branch, arm, np.zeros(1))))
         return np.tile(q, (line.poses, 1)), np.linspace(0.0, 1.0, line.poses), np.arange(line.poses)
     fine = 1
@@ -231,23 +181,22 @@ def _vertices(line: SweepLine, branch: int, arm: ScannerArm) -> tuple[Floats, Fl
 
 
 def _turns(low: Floats, high: Floats, limits: JointLimits) -> list[Floats] | str:
-    """Whole turns (6,) [rad] that keep all of a sweep within the limits, no turn first; or the axes that forbid it."""
-    choices = []
-    for axis in range(6):
-        counts = sorted(range(-2, 3), key=lambda k: (abs(k), k))
-        fits = [
+    """Return full turns (6,) [rad] that keep the sweep within the limits, none first; or the axes that prevent it."""
+    choices = [
+        [
             2.0 * np.pi * k
-            for k in counts
+            for k in (0, -1, 1, -2, 2)
             if low[axis] + 2.0 * np.pi * k >= limits.lower[axis] and high[axis] + 2.0 * np.pi * k <= limits.upper[axis]
         ]
-        choices.append(fits)
+        for axis in range(6)
+    ]
     if not all(choices):
         return join_axis_names(np.array([not fits for fits in choices]))
     return [np.array(turn) for turn in itertools.product(*choices)]
 
 
-def _collides(q: Floats, checker: CollisionChecker) -> str | None:
-    """What the vertices or the segments between them come too near to; "" where only a segment does, None if free."""
+def _find_blocker(q: Floats, checker: CollisionChecker) -> str | None:
+    """Return the pair that is too close at a vertex, "" if only a segment collides, None if all is free."""
     free = checker.free(q)
     if not free.all():
         return next(iter(checker.contacts(q[int(free.argmin())])), "")
@@ -256,8 +205,42 @@ def _collides(q: Floats, checker: CollisionChecker) -> str | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SweepTraversal(Value):
+    """Motion of the arm at a view between arriving and leaving, as a tour sees it: the line of a sweep.
+
+    Attributes:
+        via: (m, axes) certified via points [rad], from the arrival to the departure.
+        pose: (m,) pose of the view taken at each, -1 for none.
+        duration: of the traversal [s].
+        leaves: index of the configuration of the same view at which the next traversal would begin here.
+    """
+
+    via: Annotated[Floats, "m axes"]
+    pose: Annotated[Ints, "m"]
+    duration: float
+    leaves: int
+
+    @property
+    def middle(self) -> Floats:
+        """(axes,) joint angles at the middle pose [rad]."""
+        return np.asarray(self.via[int(np.flatnonzero(self.pose == (self.pose >= 0).sum() // 2)[0])])
+
+
+def sweep_traversals(paths: Sequence[SweepPath]) -> list[SweepTraversal]:
+    """Return the sweeps of one view as traversals; each needs its reverse among them, unless it is stationary."""
+    begins = {tuple(to_steps(path.q[0]).tolist()): i for i, path in enumerate(paths)}
+    traversals = []
+    for path in paths:
+        leaves = begins.get(tuple(to_steps(path.q[-1]).tolist()))
+        if leaves is None:
+            raise PlannerError("a sweep's reverse is missing; give both directions of every sweep")
+        traversals.append(SweepTraversal(path.q, path.pose, path.duration, leaves))
+    return traversals
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class TimedSweep:
-    """A sweep with what times it: `planner.timing.motion.TimedLine`.
+    """A sweep with its timing: a `planner.timing.motion.TimedLine`.
 
     Attributes:
         path: the sweep.
@@ -271,7 +254,7 @@ class TimedSweep:
 
     @property
     def times(self) -> Floats:
-        """(m,) times after the start at which the vertices are passed [s]."""
+        """(m,) times of the vertices after the start [s]."""
         path = self.path
         low, high = np.zeros(len(path.u)), np.full(len(path.u), path.duration)
         if path.line.is_stationary:
@@ -284,16 +267,10 @@ class TimedSweep:
         return high
 
     def at(self, t: Floats) -> tuple[Floats, Floats, Floats]:
-        """Joint angles, speeds and accelerations.
+        """Return joint angles (n, 6) [rad], speeds [rad/s], accelerations [rad/s^2] at (n,) times from the start [s].
 
-        The ends are the path's set-points; in between the angles follow the line, the ends' rounding (at most 5e-5 deg)
-        faded from one to the other.
-
-        Args:
-            t: (n,) times after the start [s], in [0, duration].
-
-        Returns:
-            (n, 6) q [rad], (n, 6) qd [rad/s], (n, 6) qdd [rad/s^2].
+        The ends are the set-points of the path. Between them the angles follow the line; the rounding of the ends (at
+        most 5e-5 deg) is blended from one to the other.
         """
         path = self.path
         if path.line.is_stationary:

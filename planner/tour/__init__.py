@@ -1,1 +1,1 @@
-"""In which order views are visited, with which joint solution, and the motion through them."""
+"""Tours: visiting order, configurations and motion over the views."""

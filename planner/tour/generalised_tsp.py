@@ -1,13 +1,13 @@
-"""The generalised travelling salesman: visit every cluster once through one of its nodes, from the first and back.
+"""Generalised travelling salesman problem: a closed tour through one node of every cluster.
 
 Pure combinatorics on a matrix of edge costs. For one order of the clusters the best nodes follow from an exact dynamic
-programme over layers (`best_nodes`). Over orders, `exact` runs the dynamic programme of Held and Karp (1962,
-doi:10.1137/0110015) on subsets of clusters, with nodes as states. Where that is too dear, `search` looks for a good
-tour (`planner.tour.ruin_and_recreate`), and `bound` says how good it is, up to a proof (`planner.tour.bounds`).
+programme over layers (`best_nodes`). Over orders, `solve_exactly` runs the dynamic programme of Held and Karp (1962,
+doi:10.1137/0110015) on subsets of clusters, with nodes as states. If that is too expensive, `search` finds a good tour
+(`planner.tour.ruin_and_recreate`), and a lower bound limits its gap, up to a proof (`planner.tour.bounds`).
 
 Costs may depend on the direction (a sweep ends elsewhere than it begins); the bounds then hold for the cheaper
-direction of each edge, which no tour undercuts. An edge that cannot be used costs `BLOCKED`, a number that dwarfs every
-real cost: a tour is then compared first by how many such edges it needs, which an infinite cost could not do.
+direction of each edge, which no tour undercuts. An edge that cannot be used costs `BLOCKED`, far more than any real
+cost: tours are then compared first by the number of such edges, which infinite costs would not allow.
 """
 
 from dataclasses import dataclass
@@ -23,27 +23,26 @@ BLOCKED = 1e7
 """Cost of an edge that cannot be used."""
 
 ALWAYS_EXACT = 15_000_000
-"""Price (`exact_work`) up to which the exact search is always run: 8 clusters of 24 nodes, 20 ms."""
+"""Effort (`exact_effort`) up to which the exact search is always used: 8 clusters of 24 nodes, 20 ms."""
 
 STEPS = 10_000
-"""Default budget of the search: tours ruined and rebuilt with up to 22 clusters, 0.04 s; more get more (`grown`)."""
+"""Default budget of the search with up to 22 clusters, in tours ruined and rebuilt: 0.04 s; see `scale_steps`."""
 
 BOUND_EFFORT = 400_000_000
-"""Default budget of the bound: edges looked at; about 0.3 s."""
+"""Default budget of the bound in evaluated edges; about 0.3 s."""
 
 _EXACT_PER_STEP = 45_000
-"""Additions of the exact search that are worth one step of the search; at the default, 12 clusters of 24 nodes."""
+"""Additions of the exact search per step of the search; with the default steps, 12 clusters of 24 nodes."""
 
-_FIRST = 10  # share of the steps, as its inverse, after which the strong bound is asked for a proof
+_FIRST = 10  # one part in this many of the steps comes before the first strong bound
 
-_PER_SUBSET = 20_000  # additions that handling one subset costs beside its own
+_PER_SUBSET = 20_000  # overhead of one subset in additions
 
 MANY_CLUSTERS = 22
-"""Clusters from which on the steps grow with the square of their number: 0.6 s at 80, 4 s at 200."""
+"""Number of clusters above which the steps grow with its square: 0.6 s at 80, 4 s at 200."""
 
 _HOT, _COLD, _WARM = 2.5, 0.1, 0.03
-"""Temperatures of the search, in mean costs of the two cheapest edges of a cluster: at its begin and end, and all the
-way from a tour that is good already."""
+"""Temperatures of the search, in mean costs of a cluster's two cheapest edges: first, last, and from a good tour."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,10 +51,9 @@ class Instance:
 
     Attributes:
         cost: (N, N) from node to node, finite, not negative. Entries inside one cluster are never used.
-        back: (N, N) the same transposed; `cost` itself where it is symmetric.
-        either: (N, N) the cheaper direction of each edge; `cost` itself where it is symmetric.
-        first: (m + 1,) cluster k holds the nodes first[k] to first[k + 1] - 1. Tours begin and end in cluster 0; where
-            that is a place such as home, it is its only node.
+        back: (N, N) the transposed costs; `cost` itself if it is symmetric.
+        either: (N, N) the cheaper direction of each edge; `cost` itself if it is symmetric.
+        first: (m + 1,) cluster k holds the nodes first[k] to first[k + 1] - 1. Tours begin and end in cluster 0 (home).
     """
 
     cost: Floats
@@ -70,25 +68,25 @@ class Instance:
 
     @property
     def n_clusters(self) -> int:
-        """Number of clusters, that of the start included."""
+        """Number of clusters, with the start."""
         return len(self.first) - 1
 
     def clusters_of(self, nodes: Ints) -> Ints:
-        """The cluster of each node."""
+        """Return the cluster of each node."""
         return np.asarray(np.searchsorted(self.first, nodes, side="right") - 1)
 
     def length(self, tour: Ints) -> float:
-        """Cost of a closed tour (m,) of nodes."""
+        """Return the cost of a closed tour (m,) of nodes."""
         return float(self.cost[tour, np.roll(tour, -1)].sum()) if len(tour) > 1 else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TourSolution:
-    """A tour and what is known about it.
+    """A tour with its cost and a lower bound.
 
     Attributes:
-        tour: (m,) nodes in visiting order, beginning in cluster 0; where costs are symmetric, the one of its two
-            directions in which the lower of the two neighbours of the start comes first.
+        tour: (m,) nodes in visiting order, beginning in cluster 0; for symmetric costs in the direction in which the
+            neighbour of the start with the smaller cluster number comes first.
         cost: cost of the closed tour.
         lower_bound: no tour costs less.
     """
@@ -104,14 +102,11 @@ class TourSolution:
 
 
 def make_instance(cost: Floats, first: Ints) -> Instance:
-    """Check an instance.
+    """Check costs and clusters and return the instance.
 
     Args:
-        cost: (N, N) costs from node to node, not negative; inf where an edge cannot be used.
+        cost: (N, N) costs from node to node, not negative; inf for an edge that cannot be used.
         first: (m + 1,) first node of each cluster, and the number of nodes.
-
-    Raises:
-        PlannerError: if a cluster is empty or a cost negative.
     """
     first = readonly("first", first, (None,), np.int64)
     if len(first) < 2 or first[0] != 0 or (np.diff(first) < 1).any():
@@ -126,9 +121,9 @@ def make_instance(cost: Floats, first: Ints) -> Instance:
 
 
 def scale_steps(problem: Instance, steps: int, *, warm: bool = False) -> int:
-    """A number of steps as it is spent on an instance: with the square of the number of clusters beyond 22.
+    """Return the steps for an instance: they grow with the square of the number of clusters beyond `MANY_CLUSTERS`.
 
-    From a tour that is good already (`warm`), each part of it is only looked at as often as in a small one: linear.
+    From a good tour (`warm`) they grow linearly: each part of it is changed as often as in a small tour.
     """
     return int(steps * max(1.0, (problem.n_clusters / MANY_CLUSTERS) ** (1 if warm else 2)))
 
@@ -138,20 +133,20 @@ def solve(
     start: Ints,
     rng: np.random.Generator,
     steps: int = STEPS,
-    bound_work: int | None = BOUND_EFFORT,
+    bound_effort: int | None = BOUND_EFFORT,
     *,
     warm: bool = False,
 ) -> TourSolution:
-    """The best tour that the budgets allow, and a bound: by `exact` where that is affordable, else by `search`.
+    """Find the best tour within the budgets, with a bound: by `solve_exactly` if affordable, else by `search`.
 
     Args:
         problem: the instance.
-        start: (m - 1,) clusters 1.. in the visiting order to begin with.
+        start: (m - 1,) clusters 1.. in an initial visiting order.
         rng: source of the search's randomness.
-        steps: budget of the search with up to 22 clusters; larger instances get more (`grown`).
-        bound_work: budget of the bound; with 0 it is the quick one, with None there is none (0).
-        warm: whether `start` is the order of a good tour of nearly the same instance. Beyond 22 clusters it is then
-            searched on at a temperature below that at which a search ends, as a hot one would destroy it, with fewer
+        steps: budget of the search with up to 22 clusters; larger instances get more (`scale_steps`).
+        bound_effort: budget of the bound; 0: the quick one only; None: no bound (0).
+        warm: whether `start` is the order of a good tour of nearly the same instance. Beyond 22 clusters the search
+            then uses a temperature below its usual final one, because a higher one would destroy the tour, and fewer
             steps.
 
     Returns:
@@ -162,30 +157,26 @@ def solve(
     cost, tour = best_nodes(problem, start)
     steps = scale_steps(problem, steps, warm=warm)
     hot = _WARM if warm and problem.n_clusters > MANY_CLUSTERS else _HOT
-    if bound_work is None:
+    if bound_effort is None:
         cost, tour = search(problem, tour, int(rng.integers(2**63)), steps, hot)
-        return _found(problem, tour, cost, 0.0)
+        return _solution(problem, tour, cost, 0.0)
     quick = min(bounds.one_tree_bound(problem.either, problem.first), cost)
     seed, bound = int(rng.integers(2**63)), quick
-    # A first part of the search often ends at a tour that the strong bound proves; the rest is only run where not.
-    for part in (steps // _FIRST, steps) if bound_work > 0 else (steps,):
+    # A first part of the search often ends at a tour that the strong bound proves; the rest only runs if not.
+    for part in (steps // _FIRST, steps) if bound_effort > 0 else (steps,):
         if cost > bound * (1.0 + 1e-9):
             cost, tour = search(problem, tour, seed, part, hot)
-        if cost > bound * (1.0 + 1e-9) and bound == quick and bound_work > 0 and cost < BLOCKED:
-            strong = bounds.walk_bound(problem.either, problem.first, cost, bound_work)
+        if cost > bound * (1.0 + 1e-9) and bound == quick and bound_effort > 0 and cost < BLOCKED:
+            strong = bounds.walk_bound(problem.either, problem.first, cost, bound_effort)
             bound = max(quick, strong.value)
             if strong.tour is not None and problem.length(strong.tour) < cost:
                 tour = strong.tour
                 cost = problem.length(tour)
-    return _found(problem, tour, cost, bound)
+    return _solution(problem, tour, cost, bound)
 
 
 def best_nodes(problem: Instance, order: Ints) -> tuple[float, Ints]:
-    """The exact best node of each cluster for one order.
-
-    Returns:
-        The cost, and the closed tour (m,) of nodes that begins in cluster 0.
-    """
+    """Return the cost and the closed tour (m,) of the best nodes for one order of the clusters 1.., exactly."""
     cost, first = problem.cost, problem.first
     best, tour = np.inf, np.zeros(1, dtype=np.int64)
     if len(order) == 0:
@@ -208,25 +199,25 @@ def best_nodes(problem: Instance, order: Ints) -> tuple[float, Ints]:
 
 
 def exact_effort(problem: Instance) -> int:
-    """What `exact` needs, in additions: subsets times nodes squared and a share each, for each node of the start."""
+    """Return the effort of `solve_exactly` in additions: subsets times squared nodes, for each node of the start."""
     return int(2 ** min(problem.n_clusters - 1, 60)) * (len(problem.cost) ** 2 + _PER_SUBSET) * int(problem.first[1])
 
 
 def solve_exactly(problem: Instance) -> TourSolution:
-    """The optimum over all orders and nodes, by dynamic programming over subsets; see `exact_work` for its price."""
+    """Find the optimum over all orders and nodes by dynamic programming over subsets; see `exact_effort`."""
     if problem.n_clusters == 1:
         return TourSolution(np.zeros(1, dtype=np.int64), 0.0, 0.0)
     found = [_exact_from(problem, start) for start in range(int(problem.first[1]))]
     cost, tour = min(found, key=lambda pair: pair[0])
-    return _found(problem, tour, cost, cost)
+    return _solution(problem, tour, cost, cost)
 
 
 def search(problem: Instance, tour: Ints, seed: int, steps: int, hot: float = _HOT) -> tuple[float, Ints]:
-    """A good tour within a number of steps, never worse than the one to begin with.
+    """Search a good tour within a number of steps, never worse than the initial one.
 
     Args:
         problem: the instance, of at least three clusters.
-        tour: (m,) nodes of the tour to begin with.
+        tour: (m,) nodes of the initial tour.
         seed: from 0 to 2^63 - 1; equal seeds give equal tours.
         steps: tours to ruin and rebuild.
         hot: temperature at the first step, in mean costs of the two cheapest edges of a cluster.
@@ -234,9 +225,9 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int, hot: float = _H
     Returns:
         The cost, and the tour (m,), beginning in cluster 0.
     """
-    if steps <= 0 or problem.n_clusters < 4:  # three clusters and fewer have one cyclic order, which has its best nodes
+    if steps <= 0 or problem.n_clusters < 4:  # up to three clusters have one cyclic order
         return best_nodes(problem, problem.clusters_of(tour)[1:])
-    from planner.tour.ruin_and_recreate import anneal  # importing numba costs 0.3 s, and small tours do without
+    from planner.tour.ruin_and_recreate import anneal  # importing numba costs 0.3 s, which small tours do not need
 
     between = bounds.cluster_distances(problem.either, problem.first)
     np.fill_diagonal(between, -1.0)  # each cluster is its own nearest
@@ -251,11 +242,11 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int, hot: float = _H
 
 
 def _exact_from(problem: Instance, start: int) -> tuple[float, Ints]:
-    """The best tour through one node of the start."""
+    """Return the best tour through one node of the start."""
     n, cost, first = problem.n_clusters - 1, problem.cost, problem.first
     nodes = [slice(int(first[k]), int(first[k + 1])) for k in range(1, n + 1)]
     full = 2**n - 1
-    best = np.full((full + 1, len(cost)), np.inf)  # cheapest way from the start through the subset, by last node
+    best = np.full((full + 1, len(cost)), np.inf)  # cheapest path from the start through the subset, by last node
     for k in range(n):
         best[1 << k, nodes[k]] = cost[start, nodes[k]]
     for subset in range(1, full):
@@ -275,11 +266,11 @@ def _exact_from(problem: Instance, start: int) -> tuple[float, Ints]:
         ends = best[subset] + cost[:, last]
 
 
-def _found(problem: Instance, tour: Ints, cost: float, lower_bound: float) -> TourSolution:
-    """The tour; where costs are symmetric, in the direction in which its second cluster has the smaller number."""
+def _solution(problem: Instance, tour: Ints, cost: float, lower_bound: float) -> TourSolution:
+    """Return the solution; for symmetric costs in the direction in which the second cluster has the smaller number."""
     clusters = problem.clusters_of(tour)
     if problem.symmetric and len(tour) > 2 and clusters[1] > clusters[-1]:
         tour = np.concatenate((tour[:1], tour[:0:-1]))
-    if lower_bound > 0 and (problem.cost == np.floor(problem.cost)).all():  # so is every tour's
+    if lower_bound > 0 and (problem.cost == np.floor(problem.cost)).all():  # the costs of all tours are integers too
         lower_bound = float(np.ceil(lower_bound * (1.0 - 1e-9)))
     return TourSolution(tour, cost, min(lower_bound, cost))

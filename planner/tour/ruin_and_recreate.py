@@ -1,17 +1,16 @@
-"""Search for a generalised travelling salesman's tour: ruin a part of it, rebuild it, choose nodes anew.
+"""Search for a tour of a generalised travelling salesman problem by ruin and recreate.
 
-A step takes stretches of neighbouring clusters out of the tour and puts each cluster back where, and through which of
-its nodes, it costs least among the places beside its nearest clusters (slack induction by string removals: Christiaens
-and Vanden Berghe 2020, doi:10.1287/trsc.2019.0914; with a choice of nodes: Smith and Imeson 2017,
+A step removes strings of neighbouring clusters from the tour and inserts each cluster again at the cheapest place
+beside its nearest clusters, through its cheapest node (slack induction by string removals: Christiaens and Vanden
+Berghe 2020, doi:10.1287/trsc.2019.0914; with a choice of nodes: Smith and Imeson 2017,
 doi:10.1016/j.cor.2017.05.010). So a step costs the same in long tours as in short ones. Worse tours are accepted by
-simulated annealing; where a tour may be worth it, an exact dynamic programme over layers chooses the best node of every
-cluster for its order.
+simulated annealing. For promising tours an exact dynamic programme over layers chooses the best node of every cluster
+for the order.
 
-These are compiled kernels: import this module only where it is used (`planner.compiled`). A tour is cyclic: for each
-cluster the node through which it is visited and the clusters before and after it, rows of one array. Random numbers are
+These are compiled kernels: import this module only where it is used (`planner.compiled`). A tour is cyclic: its array
+has a row with the visited node of each cluster and two rows with the clusters before and after it. Random numbers are
 SplitMix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195), so that equal seeds give equal tours on every
-machine. Arrays are copied number by number: a slice assignment brings its error message along, which costs seconds to
-compile.
+machine. Arrays are copied number by number: a slice assignment compiles its error message too, which takes seconds.
 """
 
 import numpy as np
@@ -20,26 +19,26 @@ from numpy.typing import NDArray
 from planner.compiled import compiled
 from planner.values import Floats, Ints
 
-_STRING = 5  # clusters in one removed stretch at most: the paper's
-_REMOVED = 10  # clusters removed in a step on average, in large tours: the paper's
-_BLINK = 0.01  # probability that an insertion place is overlooked: the paper's
-_BESIDE = 8  # nearest clusters beside which a cluster is put back; all of them in small tours
-_WORTH = 0.2  # nodes are chosen anew where the rebuilt tour is longer than accepted by so many mean edges at most
+_STRING = 5  # largest number of clusters in a removed string, from the paper
+_REMOVED = 10  # mean number of clusters removed in a step in large tours, from the paper
+_BLINK = 0.01  # probability that an insertion place is skipped, from the paper
+_BESIDE = 8  # nearest clusters beside which a cluster is inserted; all of them in small tours
+_PROMISING = 0.2  # nodes are chosen again if the rebuilt tour exceeds the accepted cost by at most this many mean edges
 _NODE, _BEFORE, _AFTER = 0, 1, 2  # rows of a tour
 
 
 def anneal(
     cost: Floats, back: Floats, first: Ints, near: Ints, start: Ints, steps: int, hot: float, cold: float, seed: int
 ) -> Ints:
-    """The best tour seen in a number of steps.
+    """Return the best tour found in a number of steps.
 
     Args:
         cost: (N, N) costs from node to node.
-        back: (N, N) the same transposed, so that costs to a node lie side by side too; of symmetric costs themselves.
+        back: (N, N) the transposed costs, so that costs to a node are contiguous too; `cost` itself if symmetric.
         first: (m + 1,) cluster k holds the nodes first[k] to first[k + 1] - 1.
         near: (m, m) the clusters by distance from each cluster, itself first.
-        start: (m,) nodes of the tour to begin with.
-        steps: how often to ruin and recreate.
+        start: (m,) nodes of the initial tour.
+        steps: number of ruin-and-recreate steps.
         hot: temperature at the first step, in units of cost.
         cold: temperature at the last step.
         seed: seed of the random numbers.
@@ -71,7 +70,7 @@ def _anneal(
     layers: tuple[Ints, Floats, Floats, Ints], out: tuple[Ints, Ints], steps: int, hot: float, cold: float,
     state: NDArray[np.uint64],
 ) -> None:  # fmt: skip
-    """Ruin and recreate the second of three tours; the first becomes the best one seen, the third is scratch."""
+    """Ruin and recreate the second of three tours; the first becomes the best one found, the third is scratch."""
     m = len(first) - 1
     best, tour, trial = tours
     order, value, onward, parent = layers
@@ -87,7 +86,7 @@ def _anneal(
         gone, saved = _ruin(cost, near, trial, removed, is_out, longest, most_strings, state)
         trial_cost = tour_cost + saved + _recreate(cost, back, first, near, trial, removed, gone, is_out, state)
         accepted = tour_cost - temperature * np.log(1.0 - _uniform(state))
-        if trial_cost <= min(accepted, best_cost) + _WORTH * tour_cost / m:
+        if trial_cost <= min(accepted, best_cost) + _PROMISING * tour_cost / m:
             trial_cost = _choose_nodes(cost, back, first, root, trial, order, value, onward, parent)
         if trial_cost < accepted:
             _copy(trial, tour)
@@ -110,7 +109,7 @@ def _choose_nodes(
     onward: Floats,
     parent: Ints,
 ) -> float:
-    """Replace the nodes of a tour by the best ones for its order of clusters, exactly; returns the tour's cost.
+    """Replace the nodes of a tour by the best ones for its order of clusters, exactly; return the tour's cost.
 
     The cycle is cut at cluster `root`. `order` (m,), `value` and `onward` (widest cluster,) and `parent` (m, widest
     cluster) are scratch.
@@ -171,9 +170,9 @@ def _ruin(
     most_strings: float,
     state: NDArray[np.uint64],
 ) -> tuple[int, float]:
-    """Take stretches near one cluster out of a tour; `removed` then begins with their clusters.
+    """Remove strings near one cluster from a tour; `removed` then begins with their clusters.
 
-    Returns how many were taken, and what that adds to the tour's cost.
+    Returns the number of removed clusters and the change of the tour's cost.
     """
     m, gone, more = tour.shape[1], 0, 0.0
     strings = int(_uniform(state) * most_strings) + 1
@@ -211,7 +210,7 @@ def _recreate(
     is_out: Ints,
     state: NDArray[np.uint64],
 ) -> float:
-    """Put the removed clusters back, in random order, each where it costs least; returns what that adds to the cost."""
+    """Insert the removed clusters in random order, each at its cheapest place; return the change of the cost."""
     total = 0.0
     for i in range(gone - 1, 0, -1):
         j = int(_uniform(state) * (i + 1))
@@ -246,7 +245,7 @@ def _recreate(
 
 @compiled
 def _settle(cost: Floats, back: Floats, first: Ints, tour: Ints, k: int) -> float:
-    """Visit a cluster through the node that is best between its neighbours' nodes; returns what that adds."""
+    """Visit a cluster through the best node between its neighbours' nodes; return the change of the cost."""
     a, b = tour[_NODE, tour[_BEFORE, k]], tour[_NODE, tour[_AFTER, k]]
     from_a, to_b = cost[a], back[b]
     now = from_a[tour[_NODE, k]] + to_b[tour[_NODE, k]]
@@ -260,7 +259,7 @@ def _settle(cost: Floats, back: Floats, first: Ints, tour: Ints, k: int) -> floa
 
 @compiled
 def _uniform(state: NDArray[np.uint64]) -> float:
-    """The next random number, in [0, 1)."""
+    """Return the next random number, in [0, 1)."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
     z = state[0]
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

@@ -1,17 +1,17 @@
-"""Shortest closed walks with a short memory: the relaxation from which a tour's lower bound comes.
+"""Shortest closed walks with a short memory: the relaxation that gives the lower bound of a tour.
 
 A walk leaves the start, makes as many visits as there are clusters and returns. It goes through nodes, so it cannot
-arrive at one joint solution and leave from another; but it may come back to a cluster once it has forgotten it. What it
-remembers at a cluster `a` is which clusters of the set `NG(a)` it visited without forgetting them since (the ng-route
+arrive at one configuration and leave from another; but it may visit a cluster again after it has forgotten it. Its
+memory at a cluster `a` holds the clusters of the set `NG(a)` that it visited and has not forgotten since (the ng-route
 relaxation of Baldacci, Mingozzi and Roberti 2011, doi:10.1287/opre.1110.0975). Every tour is such a walk, so the
 shortest walk is never longer than the best tour; with all clusters remembered everywhere it is the best tour.
 
 Costs are symmetric, so walks from the start and walks back to it are the same: layers are computed to the middle only,
-and the halves are put together at the node where they meet.
+and the halves are joined at a common node.
 
-Compiled kernels, to which their results' arrays are handed (to make them in a kernel takes a third of the time to
-compile it): import this module only where it is used. A state is (cluster, memory, node); the states of cluster k
-stand at base[k] + memory * size + node, where `memory` is a number whose bits are the members of NG(k).
+These are compiled kernels that get the arrays of their results (allocation in a kernel takes a third of its compile
+time): import this module only where it is used. A state is (cluster, memory, node); the states of cluster k are at
+base[k] + memory * size + node, where the bits of `memory` are the members of NG(k).
 """
 
 import numpy as np
@@ -21,15 +21,15 @@ from planner.values import Floats, Ints
 
 
 def memory_table(neighbours: Ints, count: Ints) -> tuple[Ints, Ints]:
-    """What is remembered after each step between clusters; in NumPy, for compiling it would take longer than it does.
+    """Tabulate the memory after each step between clusters; in NumPy, because compilation would take longer.
 
     Args:
         neighbours: (m, g) members of each NG set, the first `count[k]` of row k.
         count: (m,) sizes of the NG sets.
 
     Returns:
-        (T, m) the memory on arrival at each cluster, -1 where the walk may not go there; and (m,) the first row of each
-        cluster: row rows[k] + memory is for a walk that leaves k with that memory.
+        (T, m) the memory on arrival at each cluster, -1 if the walk may not go there; and (m,) the first row of each
+        cluster: row rows[k] + memory is for a walk that leaves k with this memory.
     """
     m = len(count)
     bit = np.full((m, m), -1)
@@ -52,12 +52,12 @@ def extend_walks(
     cost: Floats, first: Ints, prize: Floats, start: int, table: Ints, rows: Ints, count: Ints, base: Ints,
     value: Floats,
 ) -> None:  # fmt: skip
-    """Cost of the cheapest walk from the start to each state, by its number of visits.
+    """Compute the cost of the cheapest walk from the start to each state, by number of visits.
 
     Args:
         cost: (N, N) symmetric costs.
         first: (m + 1,) first node of each cluster; cluster 0 is the start's and is not visited.
-        prize: (m,) gained by each visit of a cluster.
+        prize: (m,) gain of each visit to a cluster.
         start: node of cluster 0 at which the walk begins.
         table: from `memory_table`.
         rows: from `memory_table`.
@@ -103,14 +103,13 @@ def extend_walks(
 def join_walks(
     value: Floats, first: Ints, prize: Floats, count: Ints, base: Ints, near: int, far: int, through: Floats
 ) -> tuple[float, int, int, int, int]:
-    """The cheapest closed walk whose halves meet after `near` visits on one side and `far` on the other.
+    """Find the cheapest closed walk whose halves meet after `near` visits on one side and `far` on the other.
 
-    The visit at which they meet counts in both.
-
-    `through` (N,) is lowered, where it is more, to the cost of the cheapest such walk that meets in each node.
+    The visit at which they meet counts in both. `through` (N,) is lowered to the cost of the cheapest such walk that
+    meets in each node.
 
     Returns:
-        Its cost less prizes; cluster, node (from 0 in the cluster) and the memories of the halves where they meet.
+        Its cost less prizes; cluster, node (from 0 in the cluster) and memories of the halves where they meet.
     """
     m = len(first) - 1
     best, cluster, node, memory_near, memory_far = np.inf, 0, 0, 0, 0

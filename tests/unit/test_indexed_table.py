@@ -1,4 +1,4 @@
-"""An indexed table: arm and table never move at once, and the table only while the arm stands clear of all angles."""
+"""An indexed table: arm and table never move at once, and the table only while the arm is clear of it at all angles."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ LIMITS = JointLimits(
 
 
 class Lobe:
-    """A part that reaches where the first axis is below 0.5, but for table angles below 1; every axis moves 1 m/rad."""
+    """A part that blocks a first axis below 0.5, except for table angles below 1; every axis moves 1 m/rad."""
 
     clearance = 0.01
 
@@ -42,7 +42,7 @@ class Lobe:
 
 
 def at(first: float, table: float, second: float = 0.0) -> np.ndarray:
-    """Angles of two axes and of the table, the others at 0 [rad]."""
+    """Return a configuration from the angles of two axes and of the table, the others at 0 [rad]."""
     return quantise([first, second, 0, 0, 0, 0, table])
 
 
@@ -52,7 +52,7 @@ def rng() -> np.random.Generator:
 
 
 def one_after_the_other(via: np.ndarray) -> bool:
-    """No move of both, and every turn where the first axis is beyond the lobe."""
+    """Return whether arm and table never move together and the table turns only with the first axis beyond the lobe."""
     moved = np.diff(via, axis=0) != 0
     turns = moved[:, 6]
     return not (moved[:, :6].any(axis=1) & turns).any() and bool((via[:-1][turns, 0] >= 0.5).all())
@@ -78,7 +78,7 @@ def test_times_of_arm_and_table_add_up() -> None:
 def test_the_table_turns_where_the_arm_is_clear(
     q_from: np.ndarray, q_to: np.ndarray, status: PathStatus, points: int
 ) -> None:
-    """At an end where it may, else at the place given; nothing else moves meanwhile, and the time is the way's."""
+    """At an end if possible, else at the given posture; nothing else moves meanwhile."""
     found = connect(q_from, q_to, Lobe(), LIMITS, rng())
     assert found.via is not None
     assert (found.status, len(found.via)) == (status, points)
@@ -89,20 +89,20 @@ def test_the_table_turns_where_the_arm_is_clear(
     assert np.array_equal(shorten(found.via, Lobe(), LIMITS, rng(), 1000)[0], found.via)
 
 
-def test_a_place_to_turn_at_that_is_not_clear_leaves_no_way() -> None:
-    """Neither end and not the place itself: nothing is found, and nothing is pretended."""
+def test_a_turning_posture_that_is_not_clear_gives_no_path() -> None:
+    """Neither an end nor the posture is clear: no path is found."""
     limits = JointLimits(LIMITS.lower, LIMITS.upper, LIMITS.velocity, LIMITS.acceleration, LIMITS.jerk, at(-2, 0))
     found = connect(at(-1, 0), at(-1, 2.5), Lobe(), limits, rng())
     assert found.via is None
     assert found.status is PathStatus.NO_PATH_FOUND
 
 
-def test_a_turn_that_is_found_is_certified_itself() -> None:
-    """Between two looks at all angles the part may come a little nearer than the clearance; a proof may look there."""
+def test_a_table_turn_is_certified_itself() -> None:
+    """Between the checks at all angles the part may be closer than the clearance; the verification may check there."""
     ends = np.stack([HOME, HOME])
     ends[:, 6] = LIMITS.lower[6], LIMITS.upper[6]
-    looks = subdivide(*quantise_inside(ends, LIMITS), Lobe())[:, 6]
-    dip = looks[np.argmin(np.abs(looks - 0.5))] + 0.5 * (looks[1] - looks[0])
+    checked = subdivide(*quantise_inside(ends, LIMITS), Lobe())[:, 6]
+    dip = checked[np.argmin(np.abs(checked - 0.5))] + 0.5 * (checked[1] - checked[0])
 
     class Dip(Lobe):
         def free(self, q: np.ndarray) -> np.ndarray:
@@ -117,19 +117,18 @@ def test_a_turn_that_is_found_is_certified_itself() -> None:
     assert refused
 
 
-def test_a_way_that_breaks_the_rule_is_told() -> None:
-    """Both at once, and a turn where the arm is in reach of the lobe, free as the way itself may be."""
+def test_a_path_that_breaks_the_rule_is_described() -> None:
+    """Both at once, and a turn with the arm in reach of the lobe, although the path itself may be free."""
     assert "at once" in indexed.find_violation(np.stack([at(1, 0), at(2, 0.5)]), Lobe(), LIMITS)
-    assert "does not stand clear" in indexed.find_violation(np.stack([at(-1, 0), at(-1, 0.5)]), Lobe(), LIMITS)
-    assert (
-        indexed.find_violation(np.stack([at(1, 0), at(1 + 1e-4, 0.5)]), Lobe(), LIMITS) == ""
-    )  # off by less than it may be
+    assert "is not clear of it" in indexed.find_violation(np.stack([at(-1, 0), at(-1, 0.5)]), Lobe(), LIMITS)
+    # The motion of the arm is below the tolerance.
+    assert indexed.find_violation(np.stack([at(1, 0), at(1 + 1e-4, 0.5)]), Lobe(), LIMITS) == ""
 
 
 def test_a_tour_groups_views_by_angle() -> None:
-    """Four views, each taken at 0 or 2.5 rad, two of them at one only: it turns once and back, as stated."""
-    views = [np.stack([at(first, 0.0, second), at(first, 2.5, second)]) for first, second in
-             ((-1, 0), (1, 0), (1, 1), (-1, 1))]  # fmt: skip
+    """Four views, each taken at 0 or 2.5 rad, two of them at one only: the table turns once and back."""
+    places = ((-1, 0), (1, 0), (1, 1), (-1, 1))
+    views = [np.stack([at(first, 0.0, second), at(first, 2.5, second)]) for first, second in places]
     views[0], views[3] = views[0][:1], views[3][1:]
     T = np.repeat(np.eye(4)[None], 4, axis=0)
     tour = plan_tour(Visits(views, HOME, T), Lobe(), LIMITS, rng())
@@ -141,8 +140,8 @@ def test_a_tour_groups_views_by_angle() -> None:
     assert tour.duration == pytest.approx(float(move_time(tour.via[:-1], tour.via[1:], LIMITS).sum()))
 
 
-def test_a_home_in_reach_of_what_turns_is_refused() -> None:
-    """A block beside the axis comes under the arm at home at some angle, not at 0: a sentence says which."""
+def test_a_home_in_reach_of_the_table_is_refused() -> None:
+    """A block beside the axis is under the arm at home at some angle, not at 0: the message names it."""
     block = trimesh.creation.box((0.2, 0.1, 0.9))
     scene = {
         "table": {"position_mm": [900.0, 500.0, -400.0], "moves": "indexed", "swing_mm": 1500.0},

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from planner.path.sweep_line import DEFAULT_SPEED, SweepSpeed, line_through, rotation_vectors, rotations
+from planner.geometry.rigid import rotation_matrices, rotation_vectors
+from planner.path.sweep_line import DEFAULT_SPEED, SweepSpeed, line_through
 from planner.values import Floats
 from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_poses
 
@@ -12,7 +13,7 @@ def _somewhere(seed: int) -> Floats:
     """(4, 4) a random pose."""
     rng = np.random.default_rng(seed)
     T = np.eye(4)
-    T[:3, :3] = rotations(rng.uniform(-2, 2, (1, 3)))[0]
+    T[:3, :3] = rotation_matrices(rng.uniform(-2, 2, (1, 3)))[0]
     T[:3, 3] = rng.uniform(-1, 1, 3)
     return T
 
@@ -36,7 +37,7 @@ def test_a_screw_is_a_line_too() -> None:
     T = _somewhere(5)
     u = np.linspace(0, 1, 6)
     poses = np.tile(T, (6, 1, 1))
-    poses[:, :3, :3] = rotations(u[:, None] * np.array([0.1, -0.2, 0.3])) @ T[:3, :3]
+    poses[:, :3, :3] = rotation_matrices(u[:, None] * np.array([0.1, -0.2, 0.3])) @ T[:3, :3]
     poses[:, :3, 3] += u[:, None] * np.array([0.05, 0.0, -0.1])
     line = line_through(poses)
     assert line is not None
@@ -85,4 +86,4 @@ def test_the_ramps_end_before_the_first_pose_and_keep_the_acceleration(count: in
 def test_rotation_vectors_and_rotations_are_inverse() -> None:
     """Also for no turn and tiny ones."""
     vectors = np.array([[0, 0, 0], [1e-9, 0, 0], [0.3, -0.4, 0.5], [0, 0, 3.0], [-1.2, 0.1, 2.0]], dtype=float)
-    np.testing.assert_allclose(rotation_vectors(rotations(vectors)), vectors, atol=1e-12)
+    np.testing.assert_allclose(rotation_vectors(rotation_matrices(vectors)), vectors, atol=1e-12)
