@@ -44,7 +44,7 @@ BEFORE_S = (
 )  # fmt: skip
 """Of scenes 0 to 19: views of the cover, and the cycle time of the earlier order [s]; it dropped no view."""
 
-_SIMPLE = MotionBudget(rounds=60, quick=10, looks=0, before_settling=1_000_000, polish=0, guesses=((1.1, 0.35),))
+_SIMPLE = MotionBudget(rounds=60, quick=10, inspections=0, guess_checks=1_000_000, polish=0, guesses=((1.1, 0.35),))
 """How tours other than today's are searched: one tour looked at in each of 60 rounds, a lower guess, no polish."""
 
 _FACES, _ROLLS_DEG, _LEAST = 200, (0.0, 45.0, 90.0, 135.0), 40
@@ -141,20 +141,20 @@ def _covered(number: int) -> tuple[Bench, reach.Reach, Measurability, cover.Cove
 
 
 def task_space(
-    moves: TourProblem, T_base_scanner: Any, rng: np.random.Generator, **arguments: Any
+    problem: TourProblem, T_base_scanner: Any, rng: np.random.Generator, **arguments: Any
 ) -> order.OrderedViews:
     """RoboTSP's ordering, with the signature of `planner.tour.orderings.order_views`."""
     positions = np.concatenate((arguments["T_base_home"][None, :3, 3], T_base_scanner[:, :3, 3]))
     lengths = np.linalg.norm(positions[:, None] - positions, axis=2)
-    problem = generalised_tsp.make_instance(lengths, np.arange(len(positions) + 1))
-    tour = generalised_tsp.solve(problem, np.arange(1, len(positions)), rng, 10_000, 0).tour
-    joint = moves.instance()
+    task = generalised_tsp.make_instance(lengths, np.arange(len(positions) + 1))
+    tour = generalised_tsp.solve(task, np.arange(1, len(positions)), rng, 10_000, 0).tour
+    joint = problem.instance()
     duration, chosen = generalised_tsp.best_nodes(joint, tour[1:])
     views = joint.clusters_of(chosen)[1:]
     return order.OrderedViews(
         order=views - 1,
         choice=chosen[1:] - joint.first[views],
-        q=moves.q[chosen[1:]],
+        q=problem.q[chosen[1:]],
         duration=duration,
         baseline_duration=duration,
         lower_bound=0.0,

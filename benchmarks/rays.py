@@ -53,8 +53,8 @@ caster = EmbreeRayCaster(part.reference.vertices, part.reference.faces)
 passed = [0]
 def counting(*arguments):
     passed[0] += len(arguments[3])
-    return legs_free(*arguments)
-legs_free, lines_of_sight.legs_free = lines_of_sight.legs_free, counting
+    return are_free(*arguments)
+are_free, lines_of_sight.lines_of_sight_free = lines_of_sight.lines_of_sight_free, counting
 scanner = LaserArea(**settings.scanner)
 best = None
 for _ in range(int(sys.argv[3])):

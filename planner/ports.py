@@ -1,4 +1,4 @@
-"""What the planner cannot know, it asks through these protocols; `cell` implements them, tests implement toys.
+"""Protocols through which the planner uses rays, scanner, kinematics and collision; `cell` implements them.
 
 Frames: `base` (robot foot, z up), `flange`, `scanner` (origin at the laser source, +z viewing direction, +x from source
 to sensor), `object` (the mesh file's axes, metres). `T_a_b` maps b-coordinates to a.
@@ -15,18 +15,18 @@ from planner.values import Bools, Floats, Ints32, Value
 from planner.worded import Worded
 
 ARM_AXES = 6
-"""Axes of the arm; those behind them in a joint vector are external ones."""
+"""Axes of the arm; the following ones in a joint vector are external axes."""
 
 Progress = Callable[[int, int], None]
-"""Told `(done, total)` while something long goes on; what it raises ends the work."""
+"""Callback with `(done, total)` during long computations; its exceptions end them."""
 
 
 class Rejection(Worded):
-    """Why a ray of a scan, or an aimed sample, gives no point; the first condition that fails is kept.
+    """Reason why a ray of a scan, or an aimed sample, gives no point: the first condition that fails.
 
-    They are asked in this order: NO_HIT, OUT_OF_FOV, OUT_OF_SENSOR_FOV, OUT_OF_RANGE, OUT_OF_DEPTH, GRAZING_SOURCE,
-    GRAZING_SENSOR, TOO_SPARSE, TOO_UNCERTAIN, SOURCE_BLOCKED, SENSOR_BLOCKED. The values stand in files: new ones are
-    appended.
+    The conditions are tested in this order: NO_HIT, OUT_OF_FOV, OUT_OF_SENSOR_FOV, OUT_OF_RANGE, OUT_OF_DEPTH, GRAZING_SOURCE,
+    GRAZING_SENSOR, TOO_SPARSE, TOO_UNCERTAIN, SOURCE_BLOCKED, SENSOR_BLOCKED. The values are stored in files: new
+    ones are appended.
     """
 
     MEASURED = 0, "measured"
@@ -45,11 +45,11 @@ class Rejection(Worded):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hits(Value):
-    """First intersections of a bundle of rays.
+    """First intersections of N rays.
 
     Attributes:
-        face: (N,) int32 index of the face that is hit, -1 where the ray meets nothing.
-        distance: (N,) distance along the unit direction [m], inf where the ray meets nothing.
+        face: (N,) index of the hit face, -1 if the ray meets nothing.
+        distance: (N,) distance along the unit direction [m], inf if the ray meets nothing.
     """
 
     face: Annotated[Ints32, "N"]
@@ -57,10 +57,10 @@ class Hits(Value):
 
 
 class RayCaster(Protocol):
-    """First hit, and blocked or not, on one fixed set of triangles."""
+    """Ray queries on one fixed set of triangles."""
 
     def first_hit(self, origins: Floats, directions: Floats) -> Hits:
-        """First intersection of each ray.
+        """Return the first intersection of each ray.
 
         Args:
             origins: (N, 3) [m], in the frame of the triangles.
@@ -69,23 +69,20 @@ class RayCaster(Protocol):
         ...
 
     def blocked(self, origins: Floats, targets: Floats) -> Bools:
-        """Whether any triangle stands between origin and target.
+        """Return (N,) whether any triangle is between origin and target.
 
-        The segment ends a documented hair short of the target, so that the surface on which the target lies does not
-        block it.
+        The segment ends slightly before the target, by a documented distance, so that the surface of the target does
+        not block it.
 
         Args:
             origins: (N, 3) [m], free positions (a source or a sensor).
             targets: (N, 3) [m], points on a surface.
-
-        Returns:
-            (N,) True where something is in the way.
         """
         ...
 
 
 class Scanner(Protocol):
-    """The law of a triangulation sensor, in its own frame; it knows no part and casts no ray."""
+    """Model of a triangulation sensor in its own frame; it knows no part and casts no ray."""
 
     @property
     def source(self) -> Floats:
@@ -103,11 +100,11 @@ class Scanner(Protocol):
         ...
 
     def ray_directions(self) -> Floats:
-        """(n_v * n_h, 3) unit directions of a scan's rays in the scanner frame, row by row."""
+        """Return (n_v * n_h, 3) unit directions of a scan's rays in the scanner frame, row by row."""
         ...
 
     def reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
-        """The first condition that needs no ray and fails, in the order that `Rejection` gives; FOV first.
+        """Return the first failed condition that needs no ray, in the order of `Rejection`; FOV first.
 
         Every limit is inclusive.
 
@@ -116,46 +113,46 @@ class Scanner(Protocol):
             normals: (N, 3) outward unit normals, scanner frame.
 
         Returns:
-            (N,) `Rejection` values; MEASURED where every condition holds.
+            (N,) `Rejection` values; MEASURED if every condition holds.
         """
         ...
 
 
 class SpacingScanner(Scanner, Protocol):
-    """A scanner that also knows how far apart its points lie."""
+    """A scanner that also computes the spacing of its points."""
 
     def spacing(self, points: Floats, normals: Floats) -> Floats:
-        """Distance of neighbouring points of a scan on the surface, the larger one of the grid's two directions.
+        """Return the distance of neighbouring points of a scan on the surface, the larger of the grid's two directions.
 
         Args:
             points: (N, 3) surface points [m], scanner frame.
             normals: (N, 3) outward unit normals, scanner frame.
 
         Returns:
-            (N,) [m]; inf where the source does not face the surface.
+            (N,) [m]; inf if the source does not face the surface.
         """
         ...
 
 
 class SigmaScanner(Scanner, Protocol):
-    """A scanner that also knows how precise a point will be; only a limit on sigma and model noise need it."""
+    """A scanner that also computes the precision of a point; only limits on sigma and model noise need it."""
 
     def sigma(self, points: Floats, normals: Floats) -> Floats:
-        """Expected standard deviation of the measured point along the ray from the source.
+        """Return the expected standard deviation of the measured point along the ray from the source.
 
         Args:
             points: (N, 3) surface points [m], scanner frame.
             normals: (N, 3) outward unit normals, scanner frame.
 
         Returns:
-            (N,) [m]; inf where no measurement is possible.
+            (N,) [m]; inf if no measurement is possible.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointLimits(Value):
-    """What the axes can do; q in KUKA signs.
+    """Limits of the axes; q in KUKA signs.
 
     Attributes:
         lower: (axes,) smallest joint angles [rad].
@@ -163,8 +160,8 @@ class JointLimits(Value):
         velocity: (axes,) largest joint speeds [rad/s].
         acceleration: (axes,) largest joint accelerations [rad/s^2].
         jerk: (axes,) largest joint jerks [rad/s^3]; inf: no limit.
-        q_table_turn: (axes,) where the arm stands clear while a table turns that never moves together with it, at any
-            other place that is as clear too [rad]; None: all axes move together.
+        table_turn_q: (axes,) configuration in which the arm is clear of an indexed table, which turns there or at any
+            other configuration that is clear [rad]; None: all axes may move together.
     """
 
     lower: Annotated[Floats, "axes"]
@@ -176,7 +173,7 @@ class JointLimits(Value):
 
 
 def axis_name(axis: int) -> str:
-    """What a reader calls an axis by its number from 0: A1 to A6 are the arm's, E1 is the table's."""
+    """Return the name of an axis by its number from 0: A1 to A6 are the arm's, E1 is the table's."""
     return f"A{axis + 1}" if axis < ARM_AXES else f"E{axis + 1 - ARM_AXES}"
 
 
@@ -189,7 +186,7 @@ class Kinematics(Protocol):
         ...
 
     def forward(self, q: Floats) -> Floats:
-        """Flange poses.
+        """Return flange poses.
 
         Args:
             q: (N, axes) joint angles [rad], KUKA signs.
@@ -200,58 +197,39 @@ class Kinematics(Protocol):
         ...
 
     def inverse(self, T_base_flange: Floats) -> Floats:
-        """All branches of each pose, not limited to the joint range: eight of the arm, at each angle of a table.
+        """Return all branches of each pose, also outside the joint range: eight of the arm, at each angle of a table.
 
         Args:
             T_base_flange: (N, 4, 4) [m].
 
         Returns:
-            (N, branches, axes) joint angles [rad], those of the arm in (-pi, pi]; NaN where a branch has no real
-            solution.
+            (N, branches, axes) joint angles [rad], those of the arm in (-pi, pi]; NaN if a branch has no real solution.
         """
         ...
 
 
 class CollisionChecker(Protocol):
-    """Collision of arm and tool with the cell, the part and themselves, at a fixed placement and clearance."""
+    """Collision check of arm and tool with the cell, the part and themselves, at a fixed placement and clearance."""
 
     @property
     def clearance(self) -> float:
-        """Distance [m] that a free configuration keeps from everything it must not touch."""
+        """Smallest distance [m] of a free configuration from every object that it must not touch."""
         ...
 
     def free(self, q: Floats) -> Bools:
-        """Whether every guarded pair is at least the clearance apart.
-
-        Args:
-            q: (N, axes) joint angles [rad].
-
-        Returns:
-            (N,) True where the configuration is free.
-        """
+        """Return (N,) whether every checked pair is at least the clearance apart at q (N, axes) [rad]."""
         ...
 
     def contacts(self, q: Floats) -> tuple[str, ...]:
-        """Names of what is nearer than the clearance at one configuration, nearest first ("housing with part").
-
-        Args:
-            q: (axes,) joint angles [rad].
-        """
+        """Return the names of the pairs closer than the clearance at q (axes,) [rad], closest first ("housing with part")."""
         ...
 
     def distance(self, q: Floats) -> tuple[Floats, tuple[str, ...]]:
-        """Smallest distance of any guarded pair, and which pair.
-
-        Args:
-            q: (N, axes) joint angles [rad].
-
-        Returns:
-            (N,) distance [m] (negative in contact) and N names such as "housing with part".
-        """
+        """Return (N,) the smallest distance [m] of any checked pair at q (N, axes) [rad], negative in contact, and its name."""
         ...
 
     def travel(self, q_from: Floats, q_to: Floats) -> Floats:
-        """An upper bound on how far any point of arm or tool moves along the straight joint segment.
+        """Return an upper bound on the travel of any point of arm or tool along the straight joint segment.
 
         Args:
             q_from: (N, axes) [rad].
@@ -259,8 +237,8 @@ class CollisionChecker(Protocol):
 
         Returns:
             (N,) length [m], a bound in proportion: between two configurations of the segment that are a share f of it
-            apart, no point is displaced by more than f times the length. A bound on speed along the segment gives
-            this, a bound on displacement alone would not; certifying a segment rests on it
+            apart, no point moves by more than f times the length. A bound on speed along the segment gives this, a
+            bound on displacement alone does not; the proof of certified segments needs it
             (`planner.path.certified_edge`).
         """
         ...

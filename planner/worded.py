@@ -1,11 +1,11 @@
-"""Enumerations whose members say in words what they mean."""
+"""Enumerations whose members have a sentence for reports."""
 
 from enum import IntEnum
 from typing import Self
 
 
 class Worded(IntEnum):
-    """Members are declared as `NAME = number, sentence`; only the number is their value, and stands in files.
+    """Members are declared as `NAME = number, sentence`; only the number is their value and is stored in files.
 
     Attributes:
         sentence: the member in words, for reports.
@@ -14,7 +14,7 @@ class Worded(IntEnum):
     sentence: str
 
     def __new__(cls, value: int, sentence: str = "") -> Self:
-        """Make a member; `Kind(number)` looks one up."""
+        """Create a member; `Kind(number)` looks one up."""
         member = int.__new__(cls, value)
         member._value_ = value
         member.sentence = sentence

@@ -21,11 +21,12 @@ from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
 from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
+from planner.geometry.rigid import pose_difference
 from planner.kinematics.frames import kuka_abc_from_pose
 from planner.registration.cloud import ScanCloud
 from planner.registration.localisation import SearchRange, fit_pairs, fit_surface, fit_three_two_one
 from planner.registration.observability import FreeKind, FreeMotion, RigidFit, describe
-from planner.registration.rigid import pose_difference, transform_points
+from planner.registration.rigid import transform_points
 from planner.values import Floats
 
 _TURNS = (0.3, 1.1, 2.0)  # rad; a part of revolution is unchanged by these rotations about its axis

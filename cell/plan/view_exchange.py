@@ -85,7 +85,7 @@ def _exchanged(
     for allowed in (spare, 0.0) if again else (spare,):
         found = exchange_views(
             matrix, chosen.views, arm.configurations, problem.world.home, problem.limits, rng,
-            pinned=chosen.pinned.tolist(), spare=allowed,
+            pinned=chosen.pinned.tolist(), slack=allowed,
         )  # fmt: skip
         if asked >= 1:
             return found, found.groups

@@ -27,8 +27,8 @@ from cell.runs.schema import (
 from cell.scan.achieved import Achieved
 from cell.scan.executed_scans import counts_by_reason, source_of
 from cell.scan.merging import Merged
-from cell.scan.pose_error import difference
 from planner.geometry.mesh import TriangleMesh
+from planner.geometry.rigid import pose_difference
 from planner.registration.observability import describe
 from planner.registration.registration import Registration
 from planner.registration.surface import Deviation
@@ -162,8 +162,8 @@ def _regions(cell: RunCell, achieved: Achieved) -> tuple[ExecutedRegion, ...] | 
 
 def _view(k: int, scan: ExecutedScan, results: Results) -> ExecutedView:
     """One scan of the report."""
-    off = None if scan.T_true is None else difference(scan.T_true, scan.T_reported)
-    after = None if scan.T_true is None else difference(scan.T_true, results.merged.poses[k])
+    off = None if scan.T_true is None else pose_difference(scan.T_true, scan.T_reported)
+    after = None if scan.T_true is None else pose_difference(scan.T_true, results.merged.poses[k])
     registration = results.merged.registration
     registered = None if registration is None else registration.scans[k]
     return ExecutedView(
@@ -196,7 +196,7 @@ def place_of(merged: Merged, scans: Sequence[ExecutedScan]) -> ExecutedPlace | N
     worst = fit.worst_point_sd(merged.cloud.points[:: max(1, len(merged.cloud) // _LOOKED_AT)])
     return ExecutedPlace(
         moved_mm=_mm(float(np.linalg.norm(moved))),
-        turned_deg=_deg(difference(fit.T, np.eye(4))[1]),
+        turned_deg=_deg(pose_difference(fit.T, np.eye(4))[1]),
         worst_point_mm=None if worst is None else _mm(worst),
         undetermined=(
             *([describe(open_)] if (open_ := fit.undetermined_motions(DETERMINED)) else []),

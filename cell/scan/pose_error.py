@@ -115,12 +115,3 @@ def rotation(vector: Floats) -> Floats:
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     R: Floats = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * (K @ K)
     return R
-
-
-def difference(T_a: Floats, T_b: Floats) -> tuple[float, float]:
-    """Distance of the origins [m] and angle between the axes [rad] of two poses (4, 4)."""
-    R = T_a[:3, :3].T @ T_b[:3, :3]
-    # From sine and cosine together: the arc cosine alone loses half the digits near zero.
-    sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
-    angle = float(np.arctan2(sine, (np.trace(R) - 1) / 2))
-    return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), angle

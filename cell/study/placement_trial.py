@@ -78,7 +78,7 @@ def placement(settings: JsonTable) -> dict[str, object]:
     configurations = [reached.configurations_of(int(view)) for view in found.views]
     limits = scale_limits(world.limits, bench.scene.robot.speed_scaling, bench.scene.robot.acceleration_scaling)
     moves = TourProblem.straight(configurations, world.home, limits)
-    tour = order_views(moves, world.T_base_object @ poses[:, 0], rng, bound_work=0)
+    tour = order_views(moves, world.T_base_object @ poses[:, 0], rng, bound_effort=0)
     return {
         **values,
         "views": len(found.views),

@@ -31,15 +31,12 @@ def rotation_vectors(R: Floats) -> Floats:
     return np.asarray(sine * factor[:, None])
 
 
-def rotation_angle(R: Floats) -> float:
-    """Return the angle [rad] of a rotation (3, 3), from sine and cosine: the arc cosine loses half the digits at 0."""
-    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    return float(np.arctan2(np.linalg.norm(axis), np.trace(R) - 1))
-
-
-def angle_between(a: Floats, b: Floats) -> Floats:
-    """Return (...) angles [rad] between unit vectors (..., 3)."""
-    return np.asarray(np.arccos(np.clip((a * b).sum(axis=-1), -1.0, 1.0)))
+def pose_difference(T_a: Floats, T_b: Floats) -> tuple[float, float]:
+    """Return the distance of the origins [m] and the angle between the axes [rad] of two poses (4, 4)."""
+    R = T_a[:3, :3].T @ T_b[:3, :3]
+    # From sine and cosine together: the arc cosine alone loses half the digits near zero.
+    sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), float(np.arctan2(sine, np.trace(R) - 1))
 
 
 def inverse_rigid(T: Floats) -> Floats:

@@ -31,15 +31,6 @@ def length_scale(length: float) -> Floats:
     return np.array([1.0, 1.0, 1.0, length, length, length])
 
 
-def pose_difference(T_a: Floats, T_b: Floats) -> tuple[float, float]:
-    """Return the distance of the origins [m] and the angle between the axes [rad] of two poses (4, 4)."""
-    R = T_a[:3, :3].T @ T_b[:3, :3]
-    # From sine and cosine together: the arc cosine alone loses half the digits near zero.
-    sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
-    angle = float(np.arctan2(sine, (np.trace(R) - 1) / 2))
-    return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), angle
-
-
 def motion_from_vector(change: Floats, centre: Floats) -> Floats:
     """Return the motion (4, 4): rotation by the vector change[3:] about `centre`, then translation by change[:3].
 

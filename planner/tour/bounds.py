@@ -11,7 +11,7 @@ the clusters that the walk visits again are remembered along the cycle (dynamic 
 doi:10.1287/trsc.2013.0474), and nodes are eliminated through which no walk is cheaper than the known tour. A walk that
 visits every cluster once is a tour, and no tour is shorter.
 
-Up to some fifty clusters the second bound is the larger one by far; for more its effort is too high and the first one
+Up to about 100 clusters the second bound is the larger one by far; beyond, its effort is too high and the first one
 applies.
 """
 

@@ -1,9 +1,9 @@
-"""The whole motion over a set of views: order, joint solutions and certified paths, from home and back.
+"""Plan the complete motion over a set of views: order, configurations and certified paths, from home and back.
 
-The search itself is `planner.tour.tour_search`; this file checks its input and puts the legs together.
+`planner.tour.tour_search` does the search; this module checks its input and joins the paths.
 
-A view to which no path is found from any of its joint solutions is dropped and said; the caller may then cover the part
-anew without it.
+A view to which no path is found from any of its configurations is dropped and reported; the caller may then cover the
+part again without it.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ from planner.worded import Worded
 
 
 class TourStatus(Worded):
-    """What became of the views."""
+    """Result for all views."""
 
     COMPLETE = 0, "every view is visited"
     VIEWS_DROPPED = 1, "some views cannot be visited; the tour over the others is complete"
@@ -33,11 +33,11 @@ class TourStatus(Worded):
 
 
 class DropReason(Worded):
-    """Why a view is not visited."""
+    """Reason why a view is not visited."""
 
-    NO_SOLUTION = 0, "the view has no joint solution"
-    IN_COLLISION = 1, "every joint solution of the view is nearer to something than the clearance"
-    NO_PATH = 2, "no free path to any joint solution of the view was found within the budget"
+    NO_SOLUTION = 0, "the view has no configuration"
+    IN_COLLISION = 1, "every configuration of the view is nearer to something than the clearance"
+    NO_PATH = 2, "no free path to any configuration of the view was found within the budget"
     NO_HOME = 3, "home itself is in collision"
 
 
@@ -48,7 +48,7 @@ class DroppedView:
     Attributes:
         view: index into the configurations.
         reason: why.
-        blocker: what its first joint solution is nearest to ("housing with part"), where it collides; else "".
+        blocker: closest pair at its first configuration ("housing with part"), if it collides; else "".
     """
 
     view: int
@@ -58,27 +58,26 @@ class DroppedView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tour(Value):
-    """A certified motion over the views; leg k leads to view `order[k]`, the last leg home.
+    """A certified motion over the views; segment k leads to view `order[k]`, the last segment home.
 
     Attributes:
         order: (n,) visited views, as indices into the configurations.
-        choice: (n,) joint solution of each visited view, as an index into that view's configurations.
+        choice: (n,) configuration of each visited view, as an index into that view's configurations.
         q: (n, axes) joint angles at the views, in visiting order [rad], multiples of 1e-4 deg; of a sweep at its middle
             pose.
-        via: (N, axes) via points from home to home [rad]; one row (home) without views, none where home
-            is in collision.
-        segment: (N,) leg that ends at or passes the via point; 0 for the first.
+        via: (N, axes) via points from home to home [rad]; one row (home) without views, none if home collides.
+        segment: (N,) segment that ends at or passes the via point; 0 for the first.
         view: (N,) view taken at the via point, -1 at home, on detours and between the poses of a sweep.
-        pose: (N,) pose of the view taken at the via point, 0 of a view at rest, -1 where none is.
-        entered: (n,) via point at which each visited view is entered: where its passage begins.
-        detour: (n + 1,) True where the leg takes the arm more than one straight move.
-        duration: time of all moves, stopping at each via point, and of the passages [s].
-        baseline_duration: time of the Christofides tour with straight moves [s], collisions not looked at.
-        lower_bound: no motion over the visited views and more, through these joint solutions, is faster [s].
+        pose: (N,) pose of the view taken at the via point, 0 for a view at rest, -1 for none.
+        entered: (n,) via point at which each visited view is entered: the beginning of its traversal.
+        detour: (n + 1,) whether the segment has more than one straight move of the arm.
+        duration: time of all moves, with a stop at each via point, and of the traversals [s].
+        baseline_duration: time of the Christofides tour with straight moves, without regard to collisions [s].
+        lower_bound: no motion over the visited views and more, through these configurations, is faster [s].
         dropped: views that are not visited, with reasons.
-        status: what became of the views.
-        home_blocker: what home is nearest to, where it collides; else "".
-        rounds: orderings computed.
+        status: result for all views.
+        home_blocker: closest pair at home, if it collides; else "".
+        rounds: number of orderings.
     """
 
     order: Annotated[Ints, "n"]
@@ -89,7 +88,7 @@ class Tour(Value):
     view: Annotated[Ints, "N"]
     pose: Annotated[Ints, "N"]
     entered: Annotated[Ints, "n"]
-    detour: Annotated[Bools, "legs"]
+    detour: Annotated[Bools, "segments"]
     duration: float
     baseline_duration: float
     lower_bound: float
@@ -112,25 +111,21 @@ def plan_tour(
     """Plan the motion that visits every view once, from home and back.
 
     Args:
-        visits: the views and home; joint solutions that are not free are left out.
-        checker: the collision checker; its clearance must be above 0.
+        visits: views and home; configurations that are not free are left out.
+        checker: collision checker with a clearance above 0.
         limits: limits of the axes; scale them (`planner.timing.limits.scale_limits`) to order for a reduced speed.
         rng: source of all randomness.
-        budget: work that may be used.
-        progress: told about real edges as they become known.
-        ordering: how the views are ordered.
+        budget: effort.
+        progress: called with (real edges, edges of the current tour).
+        ordering: function that orders the views.
 
     Returns:
-        The motion with the views that it cannot visit. It is certified: see `planner.path.certified_edge`.
-
-    Raises:
-        PlannerError: if home or a joint solution is outside the joint range, a limit unusable, or the checker keeps no
-            clearance.
+        The motion, with the views that it cannot visit. It is certified: see `planner.path.certified_edge`.
     """
     require_usable(limits)
     require_inside("home: number", visits.home[None], limits)
     for k, q in enumerate(visits.configurations):
-        require_inside(f"joint solution of view {k}: number", q, limits)
+        require_inside(f"configuration of view {k}: number", q, limits)
     if not checker.clearance > 0:
         raise PlannerError(f"the checker's clearance is {checker.clearance} m; it must be above 0 to certify a motion")
     seed = int(rng.integers(2**63))
@@ -163,37 +158,37 @@ def plan_tour(
 
 
 def _tour(roadmap: Roadmap, nodes: list[int], search: TourSearch, dropped: tuple[DroppedView, ...]) -> Tour:
-    """Put the legs together."""
-    passages = search.visits.traversals
+    """Join the paths between the nodes."""
+    traversals = search.visits.traversals
     views = [search.view_of(node) for node in nodes[1:-1]]
-    stands = [
+    stops = [
         SweepTraversal(roadmap.q[[node]], np.zeros(1, dtype=np.int64), 0.0, 0)
-        if passages is None
-        else passages[view][node - int(roadmap.offsets[view])]
+        if traversals is None
+        else traversals[view][node - int(roadmap.offsets[view])]
         for view, node in zip(views, nodes[1:-1], strict=True)
     ]
     via, segment, view, pose, entered = [roadmap.q[:1]], [0], [-1], [-1], []
     detour, duration = [], 0.0
-    for leg, (a, b) in enumerate(search.edges(nodes)):
+    for number, (a, b) in enumerate(search.edges(nodes)):
         path = search.path(a, b)
         duration += path_time(path, search.limits)
         via.append(path[1:])
         view += [-1] * (len(path) - 1)
         pose += [-1] * (len(path) - 1)
-        if leg < len(views):
-            here = stands[leg]
+        if number < len(views):
+            stop = stops[number]
             entered.append(len(view) - 1)
-            via.append(here.via[1:])
-            view[-1:] = np.where(here.pose >= 0, views[leg], -1).tolist()
-            pose[-1:] = here.pose.tolist()
-            duration += here.duration
-        segment += [leg] * (len(view) - len(segment))
+            via.append(stop.via[1:])
+            view[-1:] = np.where(stop.pose >= 0, views[number], -1).tolist()
+            pose[-1:] = stop.pose.tolist()
+            duration += stop.duration
+        segment += [number] * (len(view) - len(segment))
         detour.append(is_detour(path))
     visited = np.array(nodes[1:-1], dtype=np.int64)
     return Tour(
         order=np.array(views, dtype=np.int64),
         choice=visited - roadmap.offsets[views] if views else visited,
-        q=np.array([here.middle for here in stands]).reshape(-1, roadmap.q.shape[1]),
+        q=np.array([stop.middle for stop in stops]).reshape(-1, roadmap.q.shape[1]),
         via=np.concatenate(via),
         segment=np.array(segment),
         view=np.array(view),

@@ -1,9 +1,9 @@
-"""What a view takes of a tour: seconds that it takes in any tour, and seconds that it takes in a given one.
+"""Time that a view costs in a tour: a lower bound for any tour, and the time in a given tour.
 
-A tour through home and the views C takes half the sum, over its stops, of the two moves at each. So no tour is shorter
-than `home_share` and, for every view, half of the two shortest moves that any of its joint solutions has to two other
-candidates or home (`least_moves`): as costs of columns, these turn a bound on the cheapest cover into one on standing
-and moving together.
+The time of a tour through home and the views C is half the sum, over its stops, of the two moves at each. So no tour is
+shorter than `least_home_time` plus, for every view, half of the two shortest moves from any of its configurations to
+two other candidates or home (`least_move_times`). As costs of columns, these turn a bound on the cheapest cover into
+one on the sum of dwell and motion times.
 """
 
 from collections.abc import Iterable
@@ -15,28 +15,28 @@ from planner.ports import JointLimits
 from planner.timing.move_time import move_time
 from planner.values import Floats, Ints
 
-_LOOKED_AT = 24  # nearest joint solutions whose moves are timed; of those beyond, a bound is taken
+_TIMED = 24  # nearest configurations whose moves are timed; for the others a bound applies
 
 
 def least_move_times(q: Floats, offsets: Ints, home: Floats, limits: JointLimits) -> Floats:
-    """(V,) half of the two shortest moves at each candidate in any tour from home and back [s].
+    """Return (V,) half of the two shortest moves at each candidate in any tour from home and back [s].
 
     Args:
-        q: (N, axes) joint solutions [rad], candidate by candidate.
-        offsets: (V + 1,) candidate v owns the rows offsets[v] to offsets[v + 1]; it gets 0 where it has none.
+        q: (N, axes) configurations [rad], candidate by candidate.
+        offsets: (V + 1,) candidate v owns the rows offsets[v] to offsets[v + 1]; 0 s for a candidate without rows.
         home: (axes,) joint angles [rad]; both moves may lead there, as in a tour of one view.
         limits: of the axes.
     """
-    from scipy.spatial import KDTree  # half of what the start-up of a plan would take
+    from scipy.spatial import KDTree  # half of the start-up time of a plan
 
     least = np.zeros(len(offsets) - 1)
     if not len(q):
         return least
     owner = np.repeat(np.arange(len(least)), np.diff(offsets))
     scaled = q / limits.velocity
-    others = min(_LOOKED_AT + int(np.diff(offsets).max()), len(q))
+    others = min(_TIMED + int(np.diff(offsets).max()), len(q))
     near, at = map(np.asarray, KDTree(scaled).query(scaled, np.arange(1, others + 1), p=np.inf))
-    beyond = _at_least(near[:, -1], limits) if others < len(q) else np.full(len(q), np.inf)
+    beyond = _time_bound(near[:, -1], limits) if others < len(q) else np.full(len(q), np.inf)
     times = np.where(owner[at] == owner[:, None], np.inf, move_time(q[:, None], q[at], limits))
     first = times.argmin(axis=1)
     one = times.min(axis=1)
@@ -50,21 +50,21 @@ def least_move_times(q: Floats, offsets: Ints, home: Floats, limits: JointLimits
 
 
 def least_home_time(q: Floats, home: Floats, limits: JointLimits) -> float:
-    """Half of the two shortest moves at home in any tour over one or more of (N, axes) joint solutions [s].
+    """Return half of the two shortest moves at home in any tour over one or more of (N, axes) configurations [s].
 
-    Both may lead to the same one, so it is the shortest move.
+    Both may lead to the same configuration, so it is the shortest move.
     """
     return float(move_time(home, q, limits).min()) if len(q) else 0.0
 
 
 def insertion_times(stops: Floats, views: Iterable[int], q: Floats, offsets: Ints, limits: JointLimits) -> Floats:
-    """(V,) how much longer a tour is for each candidate [s]: it would be added to it, or is left out.
+    """Return (V,) the time that each candidate adds to a tour [s]; for a view of the tour, the time without it less.
 
     Args:
         stops: (n + 2, axes) joint angles of the tour, home at both ends [rad].
         views: n candidates in visiting order.
-        q: (N, axes) joint solutions [rad], candidate by candidate.
-        offsets: (V + 1,) as in `least_moves`; a candidate without joint solutions gets inf.
+        q: (N, axes) configurations [rad], candidate by candidate.
+        offsets: (V + 1,) as in `least_move_times`; inf for a candidate without configurations.
         limits: of the axes.
     """
     more = np.full(len(q), np.inf)
@@ -82,7 +82,7 @@ def insertion_times(stops: Floats, views: Iterable[int], q: Floats, offsets: Int
     return added
 
 
-def _at_least(scaled: Floats, limits: JointLimits) -> Floats:
-    """Time that a move takes at least when the largest of its angles over velocities is this [s]; without jerk."""
+def _time_bound(scaled: Floats, limits: JointLimits) -> Floats:
+    """Return a lower bound on the time of a move from its largest angle over velocity [s], without jerk limits."""
     ramp = float((limits.velocity / limits.acceleration).min())
     return np.where(scaled >= ramp, scaled + ramp, 2.0 * np.sqrt(scaled * ramp))

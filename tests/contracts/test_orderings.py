@@ -1,4 +1,4 @@
-"""What the ordering keeps to."""
+"""Contract of the ordering in joint space."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ HOME = np.full(6, 0.25)
 
 
 def make(seed: int, sizes: list[int]) -> tuple[list[np.ndarray], np.ndarray]:
-    """Random joint solutions, as many per view as asked, and scanner poses."""
+    """Return random configurations, a given number per view, and scanner poses."""
     rng = np.random.default_rng(seed)
     poses = np.tile(np.eye(4), (len(sizes), 1, 1))
     poses[:, :3, 3] = rng.uniform(-1, 1, (len(sizes), 3))
@@ -27,17 +27,17 @@ def make(seed: int, sizes: list[int]) -> tuple[list[np.ndarray], np.ndarray]:
 
 
 def forbidding(configurations: list[np.ndarray], *pairs: tuple[int, int]) -> TourProblem:
-    """Moves of which some cannot be driven, in either direction."""
-    moves = TourProblem.straight(configurations, HOME, LIMITS)
-    times = moves.times.copy()
+    """Return a problem with moves that cannot be driven, in either direction."""
+    problem = TourProblem.straight(configurations, HOME, LIMITS)
+    times = problem.times.copy()
     for a, b in pairs:
         times[a, b] = times[b, a] = np.inf
-    return replace(moves, times=times)
+    return replace(problem, times=times)
 
 
 @pytest.mark.parametrize("sizes", [[], [1], [4], [2, 3], [1, 1, 1], [3] * 7, [2] * 13, [1, 6, 2, 5, 3] * 3])
-def test_a_sequence_is_a_permutation_with_its_own_times(sizes: list[int]) -> None:
-    """Each view once, each q one of its solutions, the duration the sum of its moves, between bound and baseline."""
+def test_an_order_is_a_permutation_with_its_own_times(sizes: list[int]) -> None:
+    """Each view once, each q one of its configurations; the duration is the sum of its moves, in its bounds."""
     configurations, poses = make(len(sizes), sizes)
     found = order_views(TourProblem.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(0), budget=500)
     assert sorted(found.order) == list(range(len(sizes)))
@@ -49,25 +49,25 @@ def test_a_sequence_is_a_permutation_with_its_own_times(sizes: list[int]) -> Non
     assert found.status is not OrderStatus.NO_TOUR
 
 
-def test_equal_seeds_give_equal_sequences() -> None:
+def test_equal_seeds_give_equal_orders() -> None:
     """Same input and seed, same bytes."""
     configurations, poses = make(5, [4] * 14)
-    moves = TourProblem.straight(configurations, HOME, LIMITS)
-    one, two = (order_views(moves, poses, np.random.default_rng(3), budget=800) for _ in range(2))
+    problem = TourProblem.straight(configurations, HOME, LIMITS)
+    one, two = (order_views(problem, poses, np.random.default_rng(3), budget=800) for _ in range(2))
     assert one.q.tobytes() == two.q.tobytes()
     assert one.order.tobytes() == two.order.tobytes()
 
 
 def test_a_forbidden_edge_is_avoided() -> None:
-    """With all ways home but one per view forbidden, in either direction of the pair, those are taken."""
+    """With all moves home except one per view forbidden, in either direction, these are used."""
     configurations, poses = make(6, [3, 3])
-    moves = forbidding(configurations, (0, 1), (2, 0), (0, 4), (0, 5))
-    found = order_views(moves, poses, np.random.default_rng(0))
+    problem = forbidding(configurations, (0, 1), (2, 0), (0, 4), (0, 5))
+    found = order_views(problem, poses, np.random.default_rng(0))
     assert sorted(zip(found.order.tolist(), found.choice.tolist(), strict=True)) == [(0, 2), (1, 2)]
 
 
-def test_no_drivable_tour_is_said() -> None:
-    """Where every way to a view is forbidden the status says so and the duration is infinite."""
+def test_a_missing_tour_is_reported() -> None:
+    """If every move to a view is forbidden, the status says so and the duration is infinite."""
     configurations, poses = make(6, [1, 1])
     found = order_views(forbidding(configurations, (0, 1), (1, 2)), poses, np.random.default_rng(0))
     assert found.status is OrderStatus.NO_TOUR
@@ -87,24 +87,24 @@ def test_two_views_with_one_pose_follow_each_other_at_no_cost() -> None:
     assert twice.duration == pytest.approx(once.duration, rel=1e-12)
 
 
-def test_a_view_without_solution_is_refused_by_number() -> None:
+def test_a_view_without_configuration_is_refused_by_number() -> None:
     """The message names the view and what to do."""
-    with pytest.raises(PlannerError, match="view 1 has no joint solution; drop it"):
+    with pytest.raises(PlannerError, match="view 1 has no configuration; drop it"):
         TourProblem.straight(make(9, [2, 0, 1])[0], HOME, LIMITS)
 
 
 @pytest.mark.parametrize("leave", [[0, 1, 2, 1], [0, 1, 2, 4], [0, 1, 2, -1], [1, 1, 2, 3]])
 def test_leaving_from_another_view_is_refused(leave: list[int]) -> None:
-    """A view that is entered is left, and home as well; numbers of no node are refused with the others."""
+    """The arm leaves the view at which it arrives, and home too; numbers of no node are refused."""
     with pytest.raises(PlannerError, match="leave must name a node of the same view"):
         replace(TourProblem.straight(make(9, [2, 1])[0], HOME, LIMITS), leave=leave)
 
 
 @pytest.mark.parametrize("size", [9, 40])
-def test_a_warm_tour_is_never_longer_than_the_one_it_began_from(size: int) -> None:
-    """Of the views kept, the tour found is no longer than the earlier order with its best joint solutions.
+def test_a_warm_tour_is_never_longer_than_its_start(size: int) -> None:
+    """The tour over some of the views is no longer than the earlier order with its best configurations.
 
-    Nor is it with views added longer than the earlier tour with each of them driven to from home and back.
+    With added views it is no longer than the earlier tour plus a move from home and back for each of them.
     """
     configurations, poses = make(size, [3] * size)
     before = order_views(
@@ -113,31 +113,31 @@ def test_a_warm_tour_is_never_longer_than_the_one_it_began_from(size: int) -> No
     kept = [k for k in range(size) if k % 5]
     place = {view: i for i, view in enumerate(kept)}
     start = np.array([place[view] for view in before.order if view in place])
-    moves = TourProblem.straight([configurations[k] for k in kept], HOME, LIMITS)
-    fewer = order_views(moves, poses[kept], np.random.default_rng(2), budget=50, bound_work=None, start=start)
-    assert fewer.duration <= gtsp.best_nodes(moves.instance(), start + 1)[0] * (1 + 1e-12)
+    problem = TourProblem.straight([configurations[k] for k in kept], HOME, LIMITS)
+    fewer = order_views(problem, poses[kept], np.random.default_rng(2), budget=50, bound_effort=None, start=start)
+    assert fewer.duration <= gtsp.best_nodes(problem.instance(), start + 1)[0] * (1 + 1e-12)
 
-    moves = TourProblem.straight(configurations, HOME, LIMITS)
+    problem = TourProblem.straight(configurations, HOME, LIMITS)
     start = np.array(kept)[fewer.order]
-    more = order_views(moves, poses, np.random.default_rng(3), budget=50, bound_work=None, start=start)
+    more = order_views(problem, poses, np.random.default_rng(3), budget=50, bound_effort=None, start=start)
     assert sorted(more.order) == list(range(size))
     detours = sum(2 * move_time(HOME, configurations[k], LIMITS).min() for k in range(size) if not k % 5)
     assert more.duration <= (fewer.duration + detours) * (1 + 1e-12)
 
 
 def test_a_warm_tour_of_many_views_is_as_good_as_one_from_scratch() -> None:
-    """Forty views of which four are new: within 2 % of the search from scratch, with a fraction of its steps."""
+    """Forty views of which four are new: within 2 % of a search from scratch, with a fraction of its steps."""
     configurations, poses = make(7, [3] * 40)
-    moves = TourProblem.straight(configurations, HOME, LIMITS)
-    scratch = order_views(moves, poses, np.random.default_rng(0), bound_work=None)
+    problem = TourProblem.straight(configurations, HOME, LIMITS)
+    scratch = order_views(problem, poses, np.random.default_rng(0), bound_effort=None)
     start = np.array([view for view in scratch.order if view % 10])
-    warm = order_views(moves, poses, np.random.default_rng(1), budget=500, bound_work=None, start=start)
+    warm = order_views(problem, poses, np.random.default_rng(1), budget=500, bound_effort=None, start=start)
     assert warm.duration <= scratch.duration * 1.02
 
 
 @pytest.mark.parametrize("start", [[0, 0, 1], [0, 4], [-1, 2]])
 def test_a_start_that_is_no_order_is_refused(start: list[int]) -> None:
-    """A view named twice, or that there is not."""
+    """A repeated view, or an unknown one."""
     configurations, poses = make(1, [2] * 4)
     with pytest.raises(PlannerError, match="each at most once"):
         order_views(

@@ -1,4 +1,4 @@
-"""Exchanging views for stand-ins: never longer, nothing lost, whatever is picked."""
+"""Exchange of views for alternatives: never longer, nothing lost, for every combination."""
 
 import itertools
 
@@ -16,7 +16,7 @@ HOME = np.full(6, 0.25)
 
 
 class Case:
-    """A seeded part of 40 samples with 60 candidates of up to three joint solutions, and a cover of it."""
+    """A seeded part of 40 samples with 60 candidates with up to three configurations, and a cover of it."""
 
     def __init__(self, seed: int, density: float = 0.25) -> None:
         rng = np.random.default_rng(seed)
@@ -34,10 +34,10 @@ class Case:
         self.views = np.array(chosen)
 
     def exchanged(self, **arguments: object) -> ViewExchange:
-        """The exchange with these arguments."""
-        matrix = VisibilityIndex(sp.csr_array(self.M), self.areas, self.usable)
+        """Exchange the views with these arguments."""
+        index = VisibilityIndex(sp.csr_array(self.M), self.areas, self.usable)
         rng = np.random.default_rng(0)
-        return exchange_views(matrix, self.views, lambda v: self.q[v], HOME, LIMITS, rng, **arguments)  # type: ignore[arg-type]
+        return exchange_views(index, self.views, lambda v: self.q[v], HOME, LIMITS, rng, **arguments)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -63,8 +63,8 @@ def test_nothing_is_lost_in_any_combination(seed: int) -> None:
         assert (case.M[:, list(picks)].sum(axis=1) >= case.required).all()
 
 
-def test_the_motion_gets_shorter_somewhere() -> None:
-    """Over the seeds the exchange saves at least 5 % on average: there is something to test."""
+def test_exchanges_shorten_the_motion() -> None:
+    """Over the seeds the exchange saves at least 5 % on average."""
     found = [Case(seed).exchanged() for seed in range(6)]
     assert np.mean([x.duration / x.duration_before for x in found]) < 0.95
 
@@ -77,9 +77,9 @@ def test_equal_seeds_give_equal_exchanges() -> None:
         np.testing.assert_array_equal(a, b)
 
 
-def test_where_there_are_too_many_joint_solutions_nothing_is_lost_either(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each view keeps a few: the views measure as much, and the motion is not longer than before."""
-    monkeypatch.setattr(visits, "_NODES", 10)
+def test_nothing_is_lost_with_too_many_configurations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each view keeps a few of them: the views measure as much, and the motion is not longer."""
+    monkeypatch.setattr(visits, "_MAX_NODES", 10)
     for seed in range(4):
         case = Case(seed)
         found = case.exchanged()
@@ -87,16 +87,16 @@ def test_where_there_are_too_many_joint_solutions_nothing_is_lost_either(monkeyp
         assert found.duration <= found.duration_before * (1 + 1e-12)
 
 
-def test_the_joint_solutions_that_are_kept_are_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those that make the tour least longer, by number; never fewer than a few."""
-    monkeypatch.setattr(visits, "_NODES", 10)
-    longer = np.random.default_rng(0).random(9)
+def test_the_kept_configurations_are_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ones with the shortest detours, ascending; never fewer than a few."""
+    monkeypatch.setattr(visits, "_MAX_NODES", 10)
+    detours = np.random.default_rng(0).random(9)
     for n_views, count in ((2, 5), (100, 4), (1, 9)):
-        assert visits.best_nodes_on_tour(longer, n_views).tolist() == sorted(np.argsort(longer)[:count].tolist())
+        assert visits.best_nodes_on_tour(detours, n_views).tolist() == sorted(np.argsort(detours)[:count].tolist())
 
 
-def test_pinned_views_stay_and_stand_in_for_nobody() -> None:
-    """A pinned view's group is itself alone."""
+def test_pinned_views_stay_and_replace_no_other() -> None:
+    """The group of a pinned view is the view itself."""
     case = Case(1)
     pinned = case.views[:2].tolist()
     found = case.exchanged(pinned=pinned)
@@ -106,13 +106,13 @@ def test_pinned_views_stay_and_stand_in_for_nobody() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_spare_area_bounds_what_is_lost(seed: int) -> None:
-    """What the views found measure is at most the spare area less than what the views given did."""
+def test_the_slack_bounds_the_lost_area(seed: int) -> None:
+    """The new views measure at most the slack less than the given ones."""
     case = Case(seed)
-    spare = 0.05 * case.areas.sum()
-    found = case.exchanged(spare=spare)
+    slack = 0.05 * case.areas.sum()
+    found = case.exchanged(slack=slack)
     before, after = (float(case.areas[case.M[:, v].any(axis=1)].sum()) for v in (case.views, found.views))
-    assert after >= before - spare - 1e-12
+    assert after >= before - slack - 1e-12
     assert found.duration <= found.duration_before * (1 + 1e-12)
 
 
@@ -129,8 +129,8 @@ def test_no_view_and_one_view(count: int) -> None:
         assert set(found.groups[0]) == set(expected[: equivalent_views.MAX_ALTERNATIVES])
 
 
-def test_a_candidate_without_joint_solutions_stands_in_for_nobody() -> None:
-    """Equal columns, the copy without joint solutions: it is in no group."""
+def test_a_candidate_without_configurations_replaces_no_view() -> None:
+    """A copy of a column without configurations is in no group."""
     case = Case(2)
     view = int(case.views[0])
     copy = next(v for v in range(60) if v not in case.views)
@@ -141,8 +141,8 @@ def test_a_candidate_without_joint_solutions_stands_in_for_nobody() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_stand_ins_are_ranked_between_the_neighbours_of_the_tour_that_is_given(seed: int) -> None:
-    """By the least time from the stop before to the stop behind, whatever was ordered since."""
+def test_alternatives_are_ranked_by_their_detours_from_the_given_tour(seed: int) -> None:
+    """By the smallest time from the previous stop to the next, regardless of later orderings."""
     case = Case(seed)
     tours = equivalent_views._Tours(lambda view: case.q[view], HOME, LIMITS, np.random.default_rng(seed))
     alone = [case.views[k : k + 1] for k in range(len(case.views))]
@@ -155,10 +155,10 @@ def test_stand_ins_are_ranked_between_the_neighbours_of_the_tour_that_is_given(s
     for place, group in enumerate(found.order, start=1):
 
         def through(view: int, place: int = place) -> float:
-            ways = [
+            detours = [
                 move_time(stops[place - 1], q, LIMITS) + move_time(q, stops[place + 1], LIMITS) for q in case.q[view]
             ]
-            return float(min(ways))
+            return float(min(detours))
 
         expected = sorted(others.tolist(), key=through)[: equivalent_views.MAX_ALTERNATIVES - 1]
         assert ranked[group].tolist() == [case.views[group], *expected]

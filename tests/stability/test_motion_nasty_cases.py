@@ -259,7 +259,7 @@ def test_an_interrupt_passes_through(after: int) -> None:
     ("change", "message"),
     [
         (lambda a: a.update(home=np.full(6, 9.0)), "home: number 0 has A1 at 515"),
-        (lambda a: a.update(configurations=[np.full((1, 6), -9.0)]), "joint solution of view 0: number 0 has A1"),
+        (lambda a: a.update(configurations=[np.full((1, 6), -9.0)]), "configuration of view 0: number 0 has A1"),
         (lambda a: a.update(T_base_scanner=np.eye(4)), "T_base_scanner has shape"),
     ],
 )

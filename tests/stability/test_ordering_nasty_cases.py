@@ -1,11 +1,9 @@
-"""Where ordering could fail, by name: turns and cables, moves of nothing and of everything, costs of 0 and of inf.
+"""Nasty cases of ordering, by name: turns and cables, tiny and huge moves, costs of 0 and of inf.
 
-Every case is ordered twice: exactly where there are few views, and by the search, which many views or a small budget
-bring about.
+Every case is ordered twice: exactly with few views, and by the search with many views or a small budget.
 """
 
-from collections.abc import Mapping
-from collections.abc import Sequence as Many
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,14 +25,14 @@ HOME = np.zeros(6)
 
 
 def degrees(*angles: float) -> np.ndarray:
-    """One joint solution, in radians."""
+    """Return one configuration [rad]."""
     return np.radians(angles)[None]
 
 
 def ordered(
-    views: Many[np.ndarray], prices: Mapping[tuple[int, int], float] | None = None, **arguments: int
+    views: Sequence[np.ndarray], prices: Mapping[tuple[int, int], float] | None = None, **arguments: int
 ) -> OrderedViews:
-    """Order views, some moves at a price; all scanner poses are the same, so that task space says nothing."""
+    """Order views, some moves with given times; all scanner poses are equal, so that task space has no effect."""
     poses = np.tile(np.eye(4), (len(views), 1, 1))
     moves = TourProblem.straight(views, HOME, LIMITS)
     times = moves.times.copy()
@@ -44,12 +42,12 @@ def ordered(
 
 
 def stops(found: OrderedViews) -> np.ndarray:
-    """(n + 2, 6) joint angles from home to home."""
+    """Return (n + 2, 6) joint angles from home to home."""
     return np.concatenate((HOME[None], found.q, HOME[None]))
 
 
-def exactly_ordered(views: Many[np.ndarray]) -> bool:
-    """Whether the default budget lets these views be ordered exactly."""
+def exactly_ordered(views: Sequence[np.ndarray]) -> bool:
+    """Return whether the default budget orders these views exactly."""
     nodes = 1 + sum(map(len, views))
     cost = np.zeros((nodes, nodes))
     problem = gtsp.make_instance(cost, np.cumsum([0, 1, *map(len, views)]))
@@ -58,7 +56,7 @@ def exactly_ordered(views: Many[np.ndarray]) -> bool:
 
 @pytest.mark.parametrize("n", [2, 18])
 def test_views_reachable_only_beyond_half_a_turn(n: int) -> None:
-    """A4 or A6 beyond 180 deg is driven to as it stands: no solution is wrapped, and home is left by the long way."""
+    """A4 or A6 beyond 180 deg is driven to as given: none is wrapped, the move from home is the long one."""
     views = [degrees(5.0 * k, -20, 30, 200 + k, 10, -300 + 2 * k) for k in range(n)]
     found = ordered(views)
     assert exactly_ordered(views) == (n == 2)
@@ -70,10 +68,10 @@ def test_views_reachable_only_beyond_half_a_turn(n: int) -> None:
 
 @pytest.mark.parametrize("n", [4, 20])
 def test_the_cable_is_not_wound_up_over_the_tour(n: int) -> None:
-    """Each view turns the tool 100 deg on from the last one, at any whole turn that A6 has room for.
+    """Each view turns the tool by 100 deg from the previous one, at any full turn within the range of A6.
 
     Followed turn by turn, A6 would be wound up by 100 n deg. Joint angles are absolute: every stop is within the range,
-    the turns of the whole tour add up to none, and no stop is at another angle than one of the view's own.
+    the turns of the tour add up to zero, and every stop is at one of the view's own angles.
     """
     views = []
     for k in range(n):
@@ -90,7 +88,7 @@ def test_the_cable_is_not_wound_up_over_the_tour(n: int) -> None:
 
 @pytest.mark.parametrize("n", [3, 18])
 def test_moves_of_a_billionth_and_of_seven_hundred_degrees(n: int) -> None:
-    """Views that differ by 1e-9 rad stand together, at one end of A6's range; the turn of 700 deg is driven twice."""
+    """Views that differ by 1e-9 rad follow each other at one end of A6's range; the turn of 700 deg is driven twice."""
     low = [degrees(0, 0, 0, 0, 0, -350) + 1e-9 * k * np.eye(6)[2] for k in range(n)]
     high = [degrees(0, 0, 0, 0, 0, 350) - 1e-9 * k * np.eye(6)[2] for k in range(n)]
     found = ordered([*low, *high])
@@ -131,7 +129,7 @@ def test_two_views_with_the_same_pose_follow_each_other(n: int) -> None:
 
 @pytest.mark.parametrize("n", [6, 24])
 def test_clusters_with_one_node_are_a_plain_salesman(n: int) -> None:
-    """Views along A1, one solution each: the tour goes out and back, each view once, and no move is of length 0."""
+    """Views along A1, one configuration each: the tour goes out and back, each view once, and no move has length 0."""
     rng = np.random.default_rng(n)
     views = [degrees(float(angle), 0, 0, 0, 0, 0) for angle in rng.permutation(np.linspace(5, 150, n))]
     found = ordered(views)
@@ -140,8 +138,8 @@ def test_clusters_with_one_node_are_a_plain_salesman(n: int) -> None:
     assert found.lower_bound <= found.duration * (1 + 1e-12)
 
 
-def test_one_view_with_very_many_solutions_among_views_with_one() -> None:
-    """Three hundred solutions of one view: the one that lies on the way is taken."""
+def test_one_view_with_very_many_configurations_among_views_with_one() -> None:
+    """Of three hundred configurations of one view, the one between the others is taken."""
     rng = np.random.default_rng(0)
     many = np.concatenate([rng.uniform(-2, 2, (299, 6)), degrees(50, 0, 0, 0, 0, 0)])
     others = [degrees(float(angle), 0, 0, 0, 0, 0) for angle in np.linspace(10, 150, 15)]
@@ -151,9 +149,9 @@ def test_one_view_with_very_many_solutions_among_views_with_one() -> None:
 
 @pytest.mark.parametrize("n", [3, 20])
 def test_a_view_that_no_move_reaches(n: int) -> None:
-    """Infinite prices on all moves of one view: the status says so, and the time is infinite.
+    """Infinite times of all moves of one view: the status says so, and the duration is infinite.
 
-    The other views still stand in a tour with no more forbidden moves than needed.
+    The other views are still in a tour with no more forbidden moves than needed.
     """
     rng = np.random.default_rng(n)
     views = [rng.uniform(-1, 1, (2, 6)) for _ in range(n)]
@@ -169,7 +167,7 @@ def test_a_view_that_no_move_reaches(n: int) -> None:
 
 @pytest.mark.parametrize("n", [4, 18])
 def test_every_move_but_one_tour_forbidden(n: int) -> None:
-    """Only the moves of one tour have a price: that tour is found."""
+    """Only the moves of one tour have a finite time: this tour is found."""
     rng = np.random.default_rng(n)
     cycle = np.concatenate(([0], 1 + rng.permutation(n)))
     price = {(a, b): np.inf for a in range(n + 1) for b in range(a)}
@@ -189,9 +187,9 @@ def test_no_view_and_one_view(n: int) -> None:
 
 
 def test_a_budget_of_nothing_gives_the_baseline_and_a_bound() -> None:
-    """No step and no work: the baseline with its best solutions, above a bound that is still one."""
+    """Without steps and effort: the baseline with its best configurations, above a valid bound."""
     rng = np.random.default_rng(5)
-    found = ordered([rng.uniform(-2, 2, (4, 6)) for _ in range(20)], budget=0, bound_work=0)
+    found = ordered([rng.uniform(-2, 2, (4, 6)) for _ in range(20)], budget=0, bound_effort=0)
     assert found.duration == found.baseline_duration
     assert 0 < found.lower_bound < found.duration
 
@@ -218,6 +216,6 @@ def test_fewer_clusters_than_a_tour_has_corners(clusters: int) -> None:
     ],
 )
 def test_broken_instances_are_refused(cost: np.ndarray, first: list[int], message: str) -> None:
-    """Each with one sentence."""
+    """The message names the reason."""
     with pytest.raises(PlannerError, match=message):
         gtsp.make_instance(cost, np.array(first))

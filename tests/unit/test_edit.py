@@ -1,7 +1,6 @@
 """What an edit may say, and the two ends of it: nothing changed, and what cannot be."""
 
 from collections.abc import Callable
-from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,6 @@ from cell.edit.options import Edit, Move, Pose, Turn
 from cell.errors import UnreachableError, UsageError
 from cell.scene.options import flag, parse_options
 from planner.kinematics.frames import kuka_abc_from_pose
-from planner.ports import JointLimits
-from planner.tour import generalised_tsp as gtsp
-from planner.tour.orderings import fixed_order
-from planner.tour.visits import TourProblem
 
 POSE = (812.0, 430.0, 655.0, 90.0, 0.0, 180.0)
 
@@ -136,24 +131,3 @@ def test_a_dropped_view_can_be_put_back(planned: Path, tmp_path: Path) -> None:
     assert len(repaired.candidate) == len(run.candidate)
     assert repaired.coverage.planned_on_features == pytest.approx(run.coverage.planned_on_features)
     assert set(without.candidate) <= set(repaired.candidate)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_given_orders_against_all_choices(seed: int) -> None:
-    """Joint solutions as good as the best of all; what is left out goes, one by one, where it costs least."""
-    rng = np.random.default_rng(seed)
-    limits = JointLimits(*(sign * np.full(6, size) for sign, size in ((-1, 9.0), (1, 9.0), (1, 2.0), (1, 4.0))))
-    moves = TourProblem.straight([rng.uniform(-2, 2, (2, 6)) for _ in range(5)], np.zeros(6), limits)
-    problem = moves.instance()
-    for given in ([3, 0, 4, 1, 2], [3, 0, 4, 1], [2]):
-        found = fixed_order(given)(moves, np.tile(np.eye(4), (5, 1, 1)), rng, bound_work=None)
-        assert [view for view in found.order if view in given] == given
-        assert sorted(found.order) == list(range(5))
-        choices = np.stack(np.meshgrid(*[[0, 1]] * 5), axis=-1).reshape(-1, 5)
-        tours = [[0, *(1 + 2 * found.order + choice)] for choice in choices]
-        assert found.duration == pytest.approx(min(problem.length(np.array(tour)) for tour in tours))
-        orders = [o for o in permutations(range(5)) if [v for v in o if v in given] == given]
-        best = min(gtsp.best_nodes(problem, np.array(order) + 1)[0] for order in orders)
-        assert found.duration >= best - 1e-9
-        if len(given) > 3:
-            assert found.duration == pytest.approx(best)

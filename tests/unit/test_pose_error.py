@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cell.scan.pose_error import Disturbance, difference, rotation
+from cell.scan.pose_error import Disturbance, rotation
+from planner.geometry.rigid import pose_difference
 
 
 def _pose(seed=1):
@@ -79,6 +80,6 @@ def test_difference_of_poses_is_the_distance_and_the_angle() -> None:
         moved = T.copy()
         moved[:3, :3] = T[:3, :3] @ Rotation.from_rotvec([0, angle, 0]).as_matrix()
         moved[:3, 3] += [0.3, 0.0, 0.4]
-        assert difference(T, moved) == pytest.approx((0.5, angle), rel=1e-6)
-    assert difference(T, T)[0] == 0.0
-    assert difference(T, T)[1] < 1e-15
+        assert pose_difference(T, moved) == pytest.approx((0.5, angle), rel=1e-6)
+    assert pose_difference(T, T)[0] == 0.0
+    assert pose_difference(T, T)[1] < 1e-15

@@ -1,4 +1,4 @@
-"""The search of a motion through many views settles on real tours, and looks at more edges the more there are."""
+"""The tour search over many views ends with real tours, and inspects more edges for more views."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 2.0), np.full
 
 
 class Open:
-    """A place without obstacles."""
+    """A checker without obstacles."""
 
     clearance = 0.01
 
@@ -28,13 +28,13 @@ class Open:
 class AlwaysNew(TourSearch):
     """A search that finds new collisions beside every tour, whose own edges are free."""
 
-    def look_around(self, nodes: list[int]) -> tuple[list[int], bool]:
-        self.roadmap.look(self.edges(nodes))
+    def inspect_around(self, nodes: list[int]) -> tuple[list[int], bool]:
+        self.roadmap.inspect(self.edges(nodes))
         return nodes, False
 
 
 def search_of(kind: type[TourSearch], views: int) -> TourSearch:
-    """A search over views of two joint solutions each."""
+    """Return a search over views with two configurations each."""
     rng = np.random.default_rng(0)
     q = np.round(np.degrees(rng.uniform(-1, 1, (views, 2, 6))), 4)
     visits = Visits([np.radians(own) for own in q], np.zeros(6), np.tile(np.eye(4), (views, 1, 1)))
@@ -42,8 +42,8 @@ def search_of(kind: type[TourSearch], views: int) -> TourSearch:
     return kind(roadmap, visits, LIMITS, 0, MotionBudget(), order_views, None)
 
 
-def test_of_very_many_views_a_real_tour_is_enough_where_orderings_promise_little_more() -> None:
-    """There is always an edge that nobody looked at: without this, all orderings of the budget would be computed."""
+def test_a_real_tour_of_very_many_views_ends_the_search() -> None:
+    """There is always an uninspected edge: without this rule the search would use all orderings of the budget."""
     search = search_of(AlwaysNew, _VERY_MANY + 1)
     nodes = search.run()
     assert sorted(search.view_of(node) for node in nodes[1:-1]) == list(range(_VERY_MANY + 1))
@@ -52,8 +52,8 @@ def test_of_very_many_views_a_real_tour_is_enough_where_orderings_promise_little
 
 
 @pytest.mark.parametrize("views", [3 * gtsp.MANY_CLUSTERS, 5 * gtsp.MANY_CLUSTERS])
-def test_more_edges_beside_a_tour_are_looked_at_the_more_views_it_has(views: int) -> None:
-    """Of more than a hundred: so that the number of orderings does not grow with that of the views."""
+def test_more_edges_are_inspected_for_more_views(views: int) -> None:
+    """Above a hundred views, so that the number of orderings does not grow with the number of views."""
     search = search_of(TourSearch, views)
-    asked: list[Edge] = search.through([np.array([0]), *map(search.roadmap.nodes_of, range(views)), np.array([0])])[1]
-    assert len(asked) == MotionBudget().around * (5 if views > _VERY_MANY else 1)
+    edges: list[Edge] = search.through([np.array([0]), *map(search.roadmap.nodes_of, range(views)), np.array([0])])[1]
+    assert len(edges) == MotionBudget().neighbours * (5 if views > _VERY_MANY else 1)

@@ -1,4 +1,4 @@
-"""Tours over views that are entered at one end of a sweep and left at the other: whole, timed, in the best order."""
+"""Tours over sweeps, entered at one end and left at the other: complete, timed, in the best order."""
 
 import itertools
 from dataclasses import replace
@@ -25,7 +25,7 @@ HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 
 
 class _FreeSpace:
-    """A checker of an empty cell, but for configurations with A1 in a band."""
+    """A checker of an empty cell, except for configurations with A1 in a band."""
 
     clearance = 0.01
 
@@ -46,7 +46,7 @@ class _FreeSpace:
 
 
 def _views(count: int) -> tuple[list[tuple[SweepPath, ...]], Floats]:
-    """Sweeps of one branch at several places, two directions each, and the columns' first poses."""
+    """Return sweeps of one branch at several places, two directions each, and the first poses of the columns."""
     paths, poses = [], []
     for k in range(count):
         q = np.radians([12 - 14 * k, -75 + 5 * k, 110, 35, -60, 140])
@@ -58,25 +58,25 @@ def _views(count: int) -> tuple[list[tuple[SweepPath, ...]], Floats]:
 
 
 def _visits(paths: list[tuple[SweepPath, ...]], poses: Floats) -> Visits:
-    """The sweeps' begins as joint solutions, with the way along them."""
+    """Return the first configurations of the sweeps, with their traversals."""
     begins = [np.stack([path.q[0] for path in view]) for view in paths]
     return Visits(begins, HOME, poses, traversals=[sweep_traversals(view) for view in paths])
 
 
-def test_the_tour_holds_every_sweep_whole_and_takes_the_shortest_way() -> None:
-    """Against all orders and directions; timed with its lines it takes the time that the tour says."""
+def test_the_tour_contains_every_sweep_and_is_the_shortest() -> None:
+    """Compared with all orders and directions; timed with its lines it has the duration of the tour."""
     paths, poses = _views(4)
     tour = plan_tour(_visits(paths, poses), _FreeSpace(), LIMITS, np.random.default_rng(0))
     assert tour.status is TourStatus.COMPLETE
     best = np.inf
     for order in itertools.permutations(range(4)):
-        for way in itertools.product((0, 1), repeat=4):
-            stands, time = HOME, 0.0
-            for view, which in zip(order, way, strict=True):
+        for direction in itertools.product((0, 1), repeat=4):
+            at, time = HOME, 0.0
+            for view, which in zip(order, direction, strict=True):
                 path = paths[view][which]
-                time += float(move_time(stands, path.q[0], LIMITS)) + path.duration
-                stands = path.q[-1]
-            best = min(best, time + float(move_time(stands, HOME, LIMITS)))
+                time += float(move_time(at, path.q[0], LIMITS)) + path.duration
+                at = path.q[-1]
+            best = min(best, time + float(move_time(at, HOME, LIMITS)))
     assert tour.duration == pytest.approx(best, abs=1e-9)
     chosen = [paths[view][choice] for view, choice in zip(tour.order, tour.choice, strict=True)]
     for path, row, view, q in zip(chosen, tour.entered, tour.order, tour.q, strict=True):
@@ -94,8 +94,8 @@ def test_the_tour_holds_every_sweep_whole_and_takes_the_shortest_way() -> None:
     assert (np.diff(tour.segment) >= 0).all()
 
 
-def test_a_sweep_whose_end_cannot_be_left_is_driven_the_other_way_or_dropped() -> None:
-    """The place of one end is in a wall: neither direction can be driven, and the view is dropped; the rest remains."""
+def test_a_sweep_with_a_blocked_end_is_dropped() -> None:
+    """One end is in a wall: neither direction can be driven, so the view is dropped; the others remain."""
     paths, poses = _views(3)
     ends = np.degrees(np.sort([paths[1][0].q[0][0], paths[1][0].q[-1][0]]))
     wall = _FreeSpace((float(ends[0]) - 0.2, float(ends[0]) + 0.2))
@@ -104,13 +104,13 @@ def test_a_sweep_whose_end_cannot_be_left_is_driven_the_other_way_or_dropped() -
     assert 1 not in tour.order.tolist()
 
 
-def test_passages_must_fit_their_joint_solutions() -> None:
-    """As many as there are, each from its own solution to the one it names."""
+def test_traversals_must_fit_their_configurations() -> None:
+    """One per configuration, from this one to the one that it names."""
     q = np.stack([HOME, HOME + 0.1])
     still = SweepTraversal(HOME[None], np.zeros(1, dtype=np.int64), 0.0, 0)
-    with pytest.raises(PlannerError, match="they must be as many"):
+    with pytest.raises(PlannerError, match="give one for each"):
         Visits([q], HOME, np.eye(4)[None], traversals=[[still]])
     with pytest.raises(PlannerError, match="does not begin and end"):
         Visits([q], HOME, np.eye(4)[None], traversals=[[still, still]])
-    with pytest.raises(PlannerError, match="passage 1 of view 0 must leave at a joint solution of it, 0 to 1"):
+    with pytest.raises(PlannerError, match="traversal 1 of view 0 must leave at a configuration of it, 0 to 1"):
         Visits([q], HOME, np.eye(4)[None], traversals=[[still, replace(still, leaves=2)]])
