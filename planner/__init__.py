@@ -1,5 +1,5 @@
-"""The mathematics of view planning: surface, viewpoints, measurability, set cover, order, path, time.
+"""Mathematics of view planning: geometry, viewpoints, measurability, set cover, tour, path, timing.
 
-Nothing here opens a file or a port or knows a physics or ray engine. What the planner cannot know it asks through the
-protocols of `planner.ports`. Lengths are metres, angles radians, times seconds.
+No module opens a file or a port or uses a physics or ray engine; the protocols of `planner.ports` give access to them.
+Lengths are metres, angles radians, times seconds.
 """

@@ -1,10 +1,10 @@
 """The planner's errors.
 
-    PlannerError            a broken input or a broken world: fact, what would be valid, where
+    PlannerError            invalid input or cell: value, valid values, place
 
 Failure that is data (unreachable, uncoverable, no path, budget spent) is returned, never raised.
 """
 
 
 class PlannerError(ValueError):
-    """The input breaks a documented requirement; the message names it and says what would be valid."""
+    """Violation of a documented requirement of the input; the message names it and the valid values."""

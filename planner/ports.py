@@ -24,9 +24,9 @@ Progress = Callable[[int, int], None]
 class Rejection(Worded):
     """Reason why a ray of a scan, or an aimed sample, gives no point: the first condition that fails.
 
-    The conditions are tested in this order: NO_HIT, OUT_OF_FOV, OUT_OF_SENSOR_FOV, OUT_OF_RANGE, OUT_OF_DEPTH, GRAZING_SOURCE,
-    GRAZING_SENSOR, TOO_SPARSE, TOO_UNCERTAIN, SOURCE_BLOCKED, SENSOR_BLOCKED. The values are stored in files: new
-    ones are appended.
+    The conditions are tested in this order: NO_HIT, OUT_OF_FOV, OUT_OF_SENSOR_FOV, OUT_OF_RANGE, OUT_OF_DEPTH,
+    GRAZING_SOURCE, GRAZING_SENSOR, TOO_SPARSE, TOO_UNCERTAIN, SOURCE_BLOCKED, SENSOR_BLOCKED. The values are stored in
+    files: new ones are appended.
     """
 
     MEASURED = 0, "measured"
@@ -221,11 +221,11 @@ class CollisionChecker(Protocol):
         ...
 
     def contacts(self, q: Floats) -> tuple[str, ...]:
-        """Return the names of the pairs closer than the clearance at q (axes,) [rad], closest first ("housing with part")."""
+        """Return the pairs closer than the clearance at q (axes,) [rad], closest first ("housing with part")."""
         ...
 
     def distance(self, q: Floats) -> tuple[Floats, tuple[str, ...]]:
-        """Return (N,) the smallest distance [m] of any checked pair at q (N, axes) [rad], negative in contact, and its name."""
+        """Return (N,) the smallest distance [m] of any pair at q (N, axes) [rad], negative in contact, and N names."""
         ...
 
     def travel(self, q_from: Floats, q_to: Floats) -> Floats:

@@ -1,16 +1,16 @@
-"""Read-only arrays, and the one helper through which every value type takes its arrays in.
+"""Read-only arrays, and the base class of frozen values that hold them.
 
-A frozen dataclass says in the types of its fields which arrays it holds, and `freeze` takes them all in:
+The types of the fields of a frozen dataclass declare its arrays, and `freeze` copies and checks them:
 
     @dataclass(frozen=True, slots=True, eq=False)
-    class Passage(Value):
+    class Traversal(Value):
         via: Annotated[Floats, "n 6"]
         pose: Annotated[Ints, "n"]
         duration: float
 
-The words beside an array's type are the lengths of its axes: a number, `_` for any length, or a name, which stands
-for one length throughout the value (`n+1` is one more). Beside another type they are its `len()`. A field that may be
-None (`Annotated[Floats, "n 6"] | None`) may also be left out.
+The words beside an array's type are the lengths of its axes: a number, `_` for any length, or a name for one length
+throughout the value (`n+1` is one more). Beside another type they are its `len()`. A field that may be None
+(`Annotated[Floats, "n 6"] | None`) may also be left out.
 """
 
 import sys
@@ -33,16 +33,13 @@ def readonly(name: str, values: ArrayLike, shape: Sequence[int | None], dtype: D
     """Copy, cast and shape-check an array and make it read-only.
 
     Args:
-        name: what the error calls the array.
-        values: anything NumPy can turn into an array.
-        shape: the required shape; None stands for any length on that axis.
-        dtype: the element type of the copy.
+        name: name of the array in error messages.
+        values: anything that NumPy can convert to an array.
+        shape: the required shape; None for any length of an axis.
+        dtype: element type of the copy.
 
     Returns:
-        A C-contiguous, read-only copy.
-
-    Raises:
-        PlannerError: if the shape differs or a floating-point value is NaN.
+        A C-contiguous, read-only copy without NaN.
     """
     array = np.array(values, dtype=dtype, order="C", copy=True)
     _fit(name, array.shape, [("_", 0) if length is None else ("", length) for length in shape], {})
@@ -50,24 +47,21 @@ def readonly(name: str, values: ArrayLike, shape: Sequence[int | None], dtype: D
 
 
 class Value:
-    """What the frozen dataclasses of arrays derive from."""
+    """Base class of frozen dataclasses with arrays."""
 
     __slots__ = ()
 
     def __post_init__(self) -> None:
-        """Take in the arrays; a value that checks more does so after its own call of `freeze`."""
+        """Copy and check the arrays; subclasses with more checks call `freeze` first."""
         freeze(self)
 
 
 def freeze(value: Value, /, **lengths: int) -> None:
-    """Take in the arrays of a frozen dataclass while it is made: copy, cast and shape-check each, make it read-only.
+    """Copy, cast and shape-check the arrays of a frozen dataclass during its construction; make them read-only.
 
     Args:
-        value: the value; the types of its fields say which arrays it holds, as this module's docstring describes.
-        **lengths: lengths that are known from elsewhere, by their names.
-
-    Raises:
-        PlannerError: if a shape differs, lengths of one name disagree, or a floating-point value is NaN.
+        value: the value; the types of its fields declare its arrays, as this module's docstring describes.
+        **lengths: known lengths by their names.
     """
     fields = _declared(type(value))  # type: ignore[arg-type]  # mypy takes the hash of a class for its instances'
     for name, dtype, axes, optional in fields:
@@ -82,11 +76,11 @@ def freeze(value: Value, /, **lengths: int) -> None:
         object.__setattr__(value, name, _sealed(name, array))
 
 
-_Axes = Sequence[tuple[str, int]]  # a name and what is added to it; "" before a fixed length, "_" for any
+_Axes = Sequence[tuple[str, int]]  # a name and a number to add; "" before a fixed length, "_" for any
 
 
 class _Declared(NamedTuple):
-    """A field with a shape; no element type where only its length is declared."""
+    """A field with a shape; without element type if only its length is declared."""
 
     name: str
     dtype: np.dtype[Any] | None
@@ -96,7 +90,7 @@ class _Declared(NamedTuple):
 
 @cache
 def _declared(kind: type) -> tuple[_Declared, ...]:
-    """Fields of a dataclass with a shape, in their order."""
+    """Return the fields of a dataclass with a shape, in their order."""
     found = []
     for name, declared in kind.__annotations__.items():
         if isinstance(declared, str):  # of a module with postponed annotations
@@ -117,7 +111,7 @@ def _axes(shape: str) -> _Axes:
 
 
 def _fit(name: str, shape: tuple[int, ...], axes: _Axes, lengths: dict[str, int]) -> None:
-    """Hold a shape against its axes; names that are met first take their lengths from it."""
+    """Compare a shape with its axes; new names take their lengths from it."""
     if len(shape) == len(axes):
         for have, (axis, length) in zip(shape, axes, strict=True):
             if axis == "_":

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from planner.tour import walk_relaxation as walks
 from planner.values import Floats, Ints
 
 _ONE_TREE_STEPS = 40
@@ -102,9 +103,6 @@ class _Ascent:
     """Prizes, memories, remaining nodes and the best bound so far."""
 
     def __init__(self, cost: Floats, first: Ints, tour_cost: float, effort: int) -> None:
-        from planner.tour import walk_relaxation  # importing numba costs 0.3 s
-
-        self.walks = walk_relaxation
         m = len(first) - 1
         self.cost, self.first, self.upper = np.array(cost), np.array(first), tour_cost
         self.number = np.arange(len(cost))  # of the remaining nodes in the caller's numbering
@@ -179,7 +177,7 @@ class _Ascent:
             self.effort += self.price * visits // self.far
             from_start = np.inf
             for near in range(1, visits + 1):
-                met = self.walks.join_walks(
+                met = walks.join_walks(
                     value, self.first, self.prize, self.count, self.base, near, visits + 1 - near, through
                 )
                 from_start = min(from_start, met[0])
@@ -198,7 +196,7 @@ class _Ascent:
         """Number the states after memories or nodes changed."""
         sizes = np.diff(self.first)
         states = sizes << self.count
-        self.table, self.rows = self.walks.memory_table(self.neighbours, self.count)
+        self.table, self.rows = walks.memory_table(self.neighbours, self.count)
         self.base = np.concatenate(([0], np.cumsum(states)))
         within = np.arange(self.base[-1]) - np.repeat(self.base[:-1], states)
         self.node_of = np.repeat(self.first[:-1], states) + within % np.repeat(sizes, states)
@@ -209,7 +207,7 @@ class _Ascent:
     def _layers(self, prize: Floats, start: int, depth: int) -> Floats:
         """Return the cost of the cheapest walk from a start to each state, by number of visits up to `depth`."""
         value = np.full((depth + 1, self.base[-1]), np.inf)
-        self.walks.extend_walks(
+        walks.extend_walks(
             self.cost, self.first, prize, start, self.table, self.rows, self.count, self.base, value
         )
         return value
@@ -220,7 +218,7 @@ class _Ascent:
         for start in range(self.first[1]):
             value = self._layers(prize, start, self.far)
             self.effort += self.price
-            length, cluster, node, memory, other = self.walks.join_walks(
+            length, cluster, node, memory, other = walks.join_walks(
                 value, self.first, prize, self.count, self.base, self.near, self.far, np.full(len(self.cost), np.inf)
             )
             if length < best:

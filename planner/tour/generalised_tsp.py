@@ -17,6 +17,7 @@ import numpy as np
 
 from planner.errors import PlannerError
 from planner.tour import bounds
+from planner.tour.ruin_and_recreate import anneal
 from planner.values import Floats, Ints, readonly
 
 BLOCKED = 1e7
@@ -227,8 +228,6 @@ def search(problem: Instance, tour: Ints, seed: int, steps: int, hot: float = _H
     """
     if steps <= 0 or problem.n_clusters < 4:  # up to three clusters have one cyclic order
         return best_nodes(problem, problem.clusters_of(tour)[1:])
-    from planner.tour.ruin_and_recreate import anneal  # importing numba costs 0.3 s, which small tours do not need
-
     between = bounds.cluster_distances(problem.either, problem.first)
     np.fill_diagonal(between, -1.0)  # each cluster is its own nearest
     near = np.argsort(between, axis=1, kind="stable")

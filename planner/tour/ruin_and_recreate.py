@@ -7,10 +7,10 @@ doi:10.1016/j.cor.2017.05.010). So a step costs the same in long tours as in sho
 simulated annealing. For promising tours an exact dynamic programme over layers chooses the best node of every cluster
 for the order.
 
-These are compiled kernels: import this module only where it is used (`planner.compiled`). A tour is cyclic: its array
-has a row with the visited node of each cluster and two rows with the clusters before and after it. Random numbers are
-SplitMix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195), so that equal seeds give equal tours on every
-machine. Arrays are copied number by number: a slice assignment compiles its error message too, which takes seconds.
+These are compiled kernels (`planner.compiled`). A tour is cyclic: its array has a row with the visited node of each
+cluster and two rows with the clusters before and after it. Random numbers are SplitMix64 (Steele, Lea and Flood 2014,
+doi:10.1145/2660193.2660195), so that equal seeds give equal tours on every machine. Arrays are copied number by number:
+a slice assignment compiles its error message too, which takes seconds.
 """
 
 import numpy as np

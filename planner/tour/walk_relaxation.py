@@ -10,7 +10,7 @@ Costs are symmetric, so walks from the start and walks back to it are the same: 
 and the halves are joined at a common node.
 
 These are compiled kernels that get the arrays of their results (allocation in a kernel takes a third of its compile
-time): import this module only where it is used. A state is (cluster, memory, node); the states of cluster k are at
+time). A state is (cluster, memory, node); the states of cluster k are at
 base[k] + memory * size + node, where the bits of `memory` are the members of NG(k).
 """
 
