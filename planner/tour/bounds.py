@@ -207,9 +207,7 @@ class _Ascent:
     def _layers(self, prize: Floats, start: int, depth: int) -> Floats:
         """Return the cost of the cheapest walk from a start to each state, by number of visits up to `depth`."""
         value = np.full((depth + 1, self.base[-1]), np.inf)
-        walks.extend_walks(
-            self.cost, self.first, prize, start, self.table, self.rows, self.count, self.base, value
-        )
+        walks.extend_walks(self.cost, self.first, prize, start, self.table, self.rows, self.count, self.base, value)
         return value
 
     def _shortest(self, prize: Floats) -> tuple[float, Ints]:
