@@ -5,7 +5,7 @@ import pytest
 
 from cell.errors import SceneError
 from cell.scene.model import Scene
-from cell.world.checks import hidden_share, require_feasible
+from cell.world.checks import housing_occlusion, require_feasible
 from cell.world.model import compile_world
 
 PART = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)])
@@ -14,7 +14,7 @@ PART = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-
 def share(**housing: object) -> float:
     """Hidden share of the built-in scene with these keys of its housing."""
     scene = Scene.model_validate({"housing": housing})
-    return hidden_share(compile_world(scene, PART, baseline_mm=75.0))
+    return housing_occlusion(compile_world(scene, PART, baseline_mm=75.0))
 
 
 def test_the_default_housing_hides_nothing() -> None:
