@@ -1,14 +1,14 @@
 """Checks of a scene before anything moves: what makes it impossible, and what is probably a mistake.
 
-**Problems** (`find_problems`) make a scene impossible: a part inside a table or the robot, a fixture that blocks the arm
-at home, a scanner that sees its own housing. They are checked for everything stationary (`cell.world.collision` checks
+**Problems** (`find_problems`) make a scene impossible: a part inside a table or the robot, a fixture inside the arm at
+home, a scanner that sees its own housing. They are checked for everything stationary (`cell.world.collision` checks
 motions): the robot at home, the part at its placement, true triangles of both. Objects less than
 `cell.world.solids.FLUSH` deep in each other touch.
 
 **Warnings** (`find_warnings`) are possible but probably not meant: fixtures inside each other, unsupported or tipping
 objects, wrong units. An object is supported if a chain of objects in contact leads to floor or pedestal; the part on
-its post is. An object rests if all its supports touch it from below; then its centre of mass (of uniform density; of the
-surface if that is open) has to be above them. Vertical rays find the contacts.
+its post is. An object rests if all its supports touch it from below; then its centre of mass (of uniform density, or of
+an open surface) has to be above them. Vertical rays find the contacts.
 
 Messages name both objects, the depth, and the smallest move that removes the problem, ready to be typed.
 `cell check` (`check_scene`) reports all of this with the numbers of the cell.
@@ -344,8 +344,8 @@ def _objects_near_arm(world: World, solids: dict[str, Solid]) -> list[str]:
         else:
             problems.append(
                 f"{_named(world, name)} is {1000 * distances[piece]:.1f} mm from {_named(world, piece)} at home, "
-                f"nearer than the clearance of {1000 * world.clearance:g} mm; {_move_object(world, name, move)} or change "
-                "robot.home_deg"
+                f"nearer than the clearance of {1000 * world.clearance:g} mm; {_move_object(world, name, move)} or "
+                "change robot.home_deg"
             )
     return problems
 

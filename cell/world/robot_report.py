@@ -1,4 +1,4 @@
-"""`cell robot`: what was recognised of an arm in a file, what is missing of it, and which of its links touch."""
+"""`cell robot`: properties of an arm in a file, missing ones, and the pairs of links that touch."""
 
 from __future__ import annotations
 
@@ -29,37 +29,36 @@ if TYPE_CHECKING:
     from cell.robot.robot_file import RobotFile
 
 
-_GUESSED_DEG_S = (90.0,) * 6  # shown nowhere: lets an arm without speeds be looked at
+_PLACEHOLDER_DEG_S = (90.0,) * 6  # not reported: an arm without speeds needs some to compile
 
 
 @dataclass(frozen=True, slots=True)
 class RobotReport:
-    """What is known of an arm.
+    """Properties of an arm.
 
     Attributes:
-        file: that says it.
+        file: path of the file.
         base: its base link.
         flange: its flange link.
         joints: names of the six joints in the file.
-        family: whose closed form solves it.
-        dimensions_mm: the family's lengths.
+        family: of the closed form that solves the inverse kinematics.
+        dimensions_mm: lengths of the family.
         signs: 1 or -1 for each axis: angle of the family's chain = sign * axis + offset.
         offsets_deg: these offsets.
-        residual_mm: largest miss of the fitted arm at seeded angles.
-        polished: whether each solution is polished on the file's own chain.
+        residual_mm: largest error of the fitted arm at seeded angles.
+        polished: whether each solution is refined on the chain of the file.
         limits_deg: lowest and highest angle of each axis.
-        velocity_deg_s: of each axis; None where the file says none.
-        followers: what is driven along, "joint by A3 x -1".
+        velocity_deg_s: of each axis; None: not in the file.
+        followers: mimic joints, "joint by A3 x -1".
         shapes: number of collision shapes of each body.
         not_closed: meshes that are not closed.
-        excused: pairs of links that touch at every seeded pose, and are not guarded.
-        apart: pairs that come near each other and are not guarded: how far apart they are proven to be at all angles
-            [mm].
-        near: pairs that are guarded by less than a cell's clearance, and by how much [mm].
-        home_deg: where motions begin and end; None: none was found.
-        home_is: whether it is the file's.
+        excused: pairs of links that touch at every seeded pose, and are not checked.
+        apart: pairs that come near each other and are not checked, with their proven distance at all angles [mm].
+        near: pairs with a smaller clearance than the cell's, and this clearance [mm].
+        home_deg: configuration at which motions begin and end; None: none was found.
+        home_is: origin of the home.
         contacts_at_home: pairs of links that touch there.
-        missing: what the file does not say and what stands for it, and what MuJoCo warned of, one sentence each.
+        missing: assumptions for what the file does not state, and warnings of MuJoCo, one sentence each.
     """
 
     file: str
@@ -86,11 +85,11 @@ class RobotReport:
     missing: tuple[str, ...]
 
     def summary(self) -> dict[str, object]:
-        """The report as JSON values."""
+        """Return the report as JSON values."""
         return {"schema": 1, **asdict(self)}
 
     def rows(self) -> list[tuple[str, str]]:
-        """The report as a table of two columns."""
+        """Return the report as a table of two columns."""
         polish = "each solution is polished on the file's own axes" if self.polished else "exact"
         limits = [
             f"{axis} {low:g}..{high:g}, {'no speed' if speed is None else f'{speed:g}/s'}"
@@ -121,38 +120,35 @@ class RobotReport:
 def report(
     path: Path, base: str | None = None, flange: str | None = None, packages: Mapping[str, str] | None = None
 ) -> tuple[RobotReport, mujoco.MjModel]:
-    """Read an arm and look at it.
+    """Read an arm; return its properties and the compiled model.
 
     Args:
         path: a URDF or an MJCF.
-        base: link that is its base; None: the root.
-        flange: link that is its flange; None: the one of a usual name.
+        base: its base link; None: the root.
+        flange: its flange link; None: the one with a usual name.
         packages: folders of ROS packages by name.
-
-    Returns:
-        What is known, and the compiled model of the arm.
 
     Raises:
         FileError: if the file or a mesh cannot be read.
-        SceneError: if it is no arm that can be planned with.
+        SceneError: if the arm cannot be used for planning.
     """
     if is_normalised(path):
-        raise SceneError(f"{path} is in this program's own form already; cell check says what a scene makes of it")
+        raise SceneError(f"{path} is normalised already; cell check reports on it as part of a scene")
     folders = packages or {}
     file = robot_file.read_robot(
         path, base=base, flange=flange, packages={name: Path(each) for name, each in folders.items()}
     )
-    without = None if np.isfinite(file.velocity).all() else _GUESSED_DEG_S
+    velocity = None if np.isfinite(file.velocity).all() else _PLACEHOLDER_DEG_S
     named = tuple(sorted(folders.items()))
-    model = load_robot(path, base, flange, named, without, stamp=modification_times(path, named)).compile()
+    model = load_robot(path, base, flange, named, velocity, stamp=modification_times(path, named)).compile()
     try:
         fitted = fit_closed_form(chain_of(model))
     except PlannerError as error:
         raise SceneError(f"{path}: {error}") from error
-    own = LinkPairs(model)
+    links = LinkPairs(model)
     home = robot.home(model) if model.nkey else None
     if home is not None:
-        own.set_configuration(home)
+        links.set_configuration(home)
     speeds = np.degrees(file.velocity)
     lengths = fitted.form.lengths
     return RobotReport(
@@ -171,39 +167,39 @@ def report(
         followers=tuple(f"{each.joint} by {AXES[each.axis]} x {each.ratio:g}" for each in file.mimic_joints),
         shapes={name: int(model.body(name).geomnum[0]) for name in robot.bodies(model)},
         not_closed=tuple(name for name, mesh in meshes_of(model).items() if not is_closed(mesh)),
-        excused=tuple(_excused(model)),
-        apart=_told(model, robot.SEPARATION_PREFIX),
-        near=_told(model, robot.CLEARANCE_PREFIX),
+        excused=tuple(_joined_pairs(model)),
+        apart=_pair_distances(model, robot.SEPARATION_PREFIX),
+        near=_pair_distances(model, robot.CLEARANCE_PREFIX),
         home_deg=None if home is None else tuple(np.degrees(home).round(4).tolist()),
         home_is="the file's" if file.home is not None else "found: the flange down at half the reach",
         contacts_at_home=()
         if home is None
-        else tuple(f"{one} with {other}" for one, other in own.pairs if own.distance((one, other), 1e-6) <= 0),
+        else tuple(f"{one} with {other}" for one, other in links.pairs if links.distance((one, other), 1e-6) <= 0),
         missing=tuple(_missing(file)),
     ), model
 
 
-def _told(model: mujoco.MjModel, kind: str) -> dict[str, float]:
-    """Pairs of which the numerics of a kind speak, and their distance [mm]."""
-    numbers = [number for number in range(model.nnumeric) if model.numeric(number).name.startswith(kind)]
+def _pair_distances(model: mujoco.MjModel, prefix: str) -> dict[str, float]:
+    """Return the pairs with a numeric value of this name prefix, and the value [mm]."""
+    numbers = [number for number in range(model.nnumeric) if model.numeric(number).name.startswith(prefix)]
     return {
         " with ".join(robot.named_pair(model, each)): round(1000 * float(model.numeric(each).data[0]), 3)
         for each in numbers
     }
 
 
-def _excused(model: mujoco.MjModel) -> list[str]:
-    """Pairs that are joined by something that the chain does not show."""
-    found = []
+def _joined_pairs(model: mujoco.MjModel) -> list[str]:
+    """Return the pairs that are joined by something that the chain does not show."""
+    pairs = []
     for number in range(model.nexclude):
         if model.exclude(number).name.startswith(JOINED):
             pair = int(model.exclude_signature[number])
-            found.append(f"{model.body(pair >> 16).name} with {model.body(pair & 0xFFFF).name}")
-    return found
+            pairs.append(f"{model.body(pair >> 16).name} with {model.body(pair & 0xFFFF).name}")
+    return pairs
 
 
 def _missing(file: RobotFile) -> list[str]:
-    """What the file does not say, and what stands for it."""
+    """Describe what the file does not state, and what is assumed."""
     slow = [name for name, speed in zip(file.joints, file.velocity, strict=True) if not np.isfinite(speed)]
     return [
         *file.warnings,
