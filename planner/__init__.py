@@ -1,5 +1,5 @@
-"""Mathematics of view planning: geometry, viewpoints, measurability, set cover, tour, path, timing.
+"""Mathematics of view planning: geometry, kinematics, viewpoints, measurability, set cover, tour, path, time.
 
-No module opens a file or a port or uses a physics or ray engine; the protocols of `planner.ports` give access to them.
-Lengths are metres, angles radians, times seconds.
+This package opens no file or port and uses no physics or ray engine: it gets such information through the protocols of
+`planner.ports`. Lengths are in metres, angles in radians, times in seconds.
 """

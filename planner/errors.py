@@ -1,10 +1,10 @@
-"""The planner's errors.
+"""Error of the planner.
 
-    PlannerError            invalid input or cell: value, valid values, place
+    PlannerError            invalid input or an inconsistent world: the value, the valid range, the location
 
-Failure that is data (unreachable, uncoverable, no path, budget spent) is returned, never raised.
+A failure that is a result (unreachable, uncoverable, no path, budget spent) is returned, never raised.
 """
 
 
 class PlannerError(ValueError):
-    """Violation of a documented requirement of the input; the message names it and the valid values."""
+    """The input violates a documented requirement; the message names it and says what is valid."""

@@ -1,7 +1,7 @@
-"""Protocols through which the planner uses rays, scanner, kinematics and collision; `cell` implements them.
+"""Protocols of everything that the planner does not know itself; `cell` implements them, tests implement small ones.
 
 Frames: `base` (robot foot, z up), `flange`, `scanner` (origin at the laser source, +z viewing direction, +x from source
-to sensor), `object` (the mesh file's axes, metres). `T_a_b` maps b-coordinates to a.
+to sensor), `object` (axes of the mesh file, metres). `T_a_b` maps b-coordinates to a. Joint angles have KUKA signs.
 """
 
 from collections.abc import Callable
@@ -11,45 +11,44 @@ from typing import Annotated, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.values import Bools, Floats, Ints32, Value
-from planner.worded import Worded
+from planner.values import Bools, DescribedEnum, Floats, Ints32, Value
 
 ARM_AXES = 6
-"""Axes of the arm; the following ones in a joint vector are external axes."""
+"""Number of axes of the arm; further entries of a joint vector are external axes."""
 
 Progress = Callable[[int, int], None]
-"""Callback with `(done, total)` during long computations; its exceptions end them."""
+"""Receives `(done, total)` during a long computation; an exception that it raises ends the computation."""
 
 
-class Rejection(Worded):
-    """Reason why a ray of a scan, or an aimed sample, gives no point: the first condition that fails.
+class Rejection(DescribedEnum):
+    """First condition that a ray of a scan, or an aimed sample, fails.
 
-    The conditions are tested in this order: NO_HIT, OUT_OF_FOV, OUT_OF_SENSOR_FOV, OUT_OF_RANGE, OUT_OF_DEPTH,
-    GRAZING_SOURCE, GRAZING_SENSOR, TOO_SPARSE, TOO_UNCERTAIN, SOURCE_BLOCKED, SENSOR_BLOCKED. The values are stored in
-    files: new ones are appended.
+    They are checked in this order: NO_HIT, OUT_OF_FOV, OUT_OF_SENSOR_FOV, OUT_OF_RANGE, OUT_OF_DEPTH, GRAZING_SOURCE,
+    GRAZING_SENSOR, TOO_SPARSE, TOO_UNCERTAIN, SOURCE_BLOCKED, SENSOR_BLOCKED. Files contain the values: append new
+    ones.
     """
 
     MEASURED = 0, "measured"
-    NO_HIT = 1, "the ray meets no surface"
+    NO_HIT = 1, "the ray hits no surface"
     OUT_OF_FOV = 2, "outside the field of view"
-    OUT_OF_RANGE = 3, "nearer or farther than the scanner's range"
-    GRAZING_SOURCE = 4, "the laser grazes the surface beyond the limit"
-    GRAZING_SENSOR = 5, "the sensor sees the surface beyond its grazing limit"
-    SOURCE_BLOCKED = 6, "something stands between laser source and surface"
-    SENSOR_BLOCKED = 7, "something stands between surface and sensor (shadow effect)"
-    OUT_OF_DEPTH = 8, "before or behind the depth of field"
+    OUT_OF_RANGE = 3, "outside the scanner's range"
+    GRAZING_SOURCE = 4, "the laser's grazing angle is above the limit"
+    GRAZING_SENSOR = 5, "the sensor's grazing angle is above the limit"
+    SOURCE_BLOCKED = 6, "the line of sight from the laser source is blocked"
+    SENSOR_BLOCKED = 7, "the line of sight to the sensor is blocked (shadow effect)"
+    OUT_OF_DEPTH = 8, "outside the depth of field"
     OUT_OF_SENSOR_FOV = 9, "outside the sensor's field of view"
     TOO_UNCERTAIN = 10, "the expected standard deviation of the point is above the limit"
-    TOO_SPARSE = 11, "the scan's points lie farther apart there than the limit"
+    TOO_SPARSE = 11, "the distance of neighbouring points is above the limit"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hits(Value):
-    """First intersections of N rays.
+    """First intersections of rays.
 
     Attributes:
-        face: (N,) index of the hit face, -1 if the ray meets nothing.
-        distance: (N,) distance along the unit direction [m], inf if the ray meets nothing.
+        face: (N,) index of the face that is hit, -1 if the ray hits nothing.
+        distance: (N,) distance along the unit direction [m], inf if the ray hits nothing.
     """
 
     face: Annotated[Ints32, "N"]
@@ -57,7 +56,7 @@ class Hits(Value):
 
 
 class RayCaster(Protocol):
-    """Ray queries on one fixed set of triangles."""
+    """Ray casting on one fixed set of triangles."""
 
     def first_hit(self, origins: Floats, directions: Floats) -> Hits:
         """Return the first intersection of each ray.
@@ -69,10 +68,9 @@ class RayCaster(Protocol):
         ...
 
     def blocked(self, origins: Floats, targets: Floats) -> Bools:
-        """Return (N,) whether any triangle is between origin and target.
+        """Return (N,) whether any triangle lies between origin and target.
 
-        The segment ends slightly before the target, by a documented distance, so that the surface of the target does
-        not block it.
+        The segment ends slightly short of the target, so that the target's own surface does not block it.
 
         Args:
             origins: (N, 3) [m], free positions (a source or a sensor).
@@ -82,7 +80,7 @@ class RayCaster(Protocol):
 
 
 class Scanner(Protocol):
-    """Model of a triangulation sensor in its own frame; it knows no part and casts no ray."""
+    """Law of a triangulation sensor in its own frame; it knows no part and casts no ray."""
 
     @property
     def source(self) -> Floats:
@@ -100,29 +98,24 @@ class Scanner(Protocol):
         ...
 
     def ray_directions(self) -> Floats:
-        """Return (n_v * n_h, 3) unit directions of a scan's rays in the scanner frame, row by row."""
+        """Return the (n_v * n_h, 3) unit directions of a scan's rays, scanner frame, row by row."""
         ...
 
     def reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
-        """Return the first failed condition that needs no ray, in the order of `Rejection`; FOV first.
-
-        Every limit is inclusive.
+        """Return (N,) the first failed condition that needs no ray, in the order of `Rejection`; limits are inclusive.
 
         Args:
             points: (N, 3) surface points [m], scanner frame.
             normals: (N, 3) outward unit normals, scanner frame.
-
-        Returns:
-            (N,) `Rejection` values; MEASURED if every condition holds.
         """
         ...
 
 
 class SpacingScanner(Scanner, Protocol):
-    """A scanner that also computes the spacing of its points."""
+    """A scanner with a known distance of its points."""
 
     def spacing(self, points: Floats, normals: Floats) -> Floats:
-        """Return the distance of neighbouring points of a scan on the surface, the larger of the grid's two directions.
+        """Return the (N,) distance of neighbouring points on the surface [m], the larger of the grid's directions.
 
         Args:
             points: (N, 3) surface points [m], scanner frame.
@@ -135,10 +128,10 @@ class SpacingScanner(Scanner, Protocol):
 
 
 class SigmaScanner(Scanner, Protocol):
-    """A scanner that also computes the precision of a point; only limits on sigma and model noise need it."""
+    """A scanner with a known precision; only a limit on sigma and model noise need it."""
 
     def sigma(self, points: Floats, normals: Floats) -> Floats:
-        """Return the expected standard deviation of the measured point along the ray from the source.
+        """Return the (N,) expected standard deviation of each measured point along the ray from the source [m].
 
         Args:
             points: (N, 3) surface points [m], scanner frame.
@@ -152,7 +145,7 @@ class SigmaScanner(Scanner, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointLimits(Value):
-    """Limits of the axes; q in KUKA signs.
+    """Limits of the axes.
 
     Attributes:
         lower: (axes,) smallest joint angles [rad].
@@ -160,8 +153,8 @@ class JointLimits(Value):
         velocity: (axes,) largest joint speeds [rad/s].
         acceleration: (axes,) largest joint accelerations [rad/s^2].
         jerk: (axes,) largest joint jerks [rad/s^3]; inf: no limit.
-        table_turn_q: (axes,) configuration in which the arm is clear of an indexed table, which turns there or at any
-            other configuration that is clear [rad]; None: all axes may move together.
+        table_turn_q: (axes,) configuration [rad] of the arm for rotations of a table that never moves together with
+            it; another configuration with the same clearance may be used. None: all axes move together.
     """
 
     lower: Annotated[Floats, "axes"]
@@ -173,7 +166,7 @@ class JointLimits(Value):
 
 
 def axis_name(axis: int) -> str:
-    """Return the name of an axis by its number from 0: A1 to A6 are the arm's, E1 is the table's."""
+    """Return the name of an axis by its number from 0: A1 to A6 for the arm, E1 for the table."""
     return f"A{axis + 1}" if axis < ARM_AXES else f"E{axis + 1 - ARM_AXES}"
 
 
@@ -186,18 +179,11 @@ class Kinematics(Protocol):
         ...
 
     def forward(self, q: Floats) -> Floats:
-        """Return flange poses.
-
-        Args:
-            q: (N, axes) joint angles [rad], KUKA signs.
-
-        Returns:
-            (N, 4, 4) T_base_flange [m].
-        """
+        """Return the (N, 4, 4) flange poses T_base_flange [m] of (N, axes) joint angles [rad]."""
         ...
 
     def inverse(self, T_base_flange: Floats) -> Floats:
-        """Return all branches of each pose, also outside the joint range: eight of the arm, at each angle of a table.
+        """Return all configurations of each pose, ignoring the joint limits: eight of the arm at each table angle.
 
         Args:
             T_base_flange: (N, 4, 4) [m].
@@ -209,36 +195,43 @@ class Kinematics(Protocol):
 
 
 class CollisionChecker(Protocol):
-    """Collision check of arm and tool with the cell, the part and themselves, at a fixed placement and clearance."""
+    """Collision of arm and tool with the cell, the part and themselves, at a fixed placement and clearance."""
 
     @property
     def clearance(self) -> float:
-        """Smallest distance [m] of a free configuration from every object that it must not touch."""
+        """Distance [m] of a free configuration from everything that it must not touch."""
         ...
 
     def free(self, q: Floats) -> Bools:
-        """Return (N,) whether every checked pair is at least the clearance apart at q (N, axes) [rad]."""
+        """Return (N,) whether the distance of each checked pair is at least the clearance at (N, axes) angles [rad]."""
         ...
 
     def contacts(self, q: Floats) -> tuple[str, ...]:
-        """Return the pairs closer than the clearance at q (axes,) [rad], closest first ("housing with part")."""
+        """Return the pairs closer than the clearance at (axes,) angles [rad], nearest first ("housing with part")."""
         ...
 
     def distance(self, q: Floats) -> tuple[Floats, tuple[str, ...]]:
-        """Return (N,) the smallest distance [m] of any pair at q (N, axes) [rad], negative in contact, and N names."""
+        """Return the smallest distance of any checked pair, and the pair.
+
+        Args:
+            q: (N, axes) joint angles [rad].
+
+        Returns:
+            (N,) distance [m] (negative in contact) and N names such as "housing with part".
+        """
         ...
 
     def travel(self, q_from: Floats, q_to: Floats) -> Floats:
-        """Return an upper bound on the travel of any point of arm or tool along the straight joint segment.
+        """Return an upper bound on the displacement of any point of arm or tool along the straight joint segment.
 
         Args:
             q_from: (N, axes) [rad].
             q_to: (N, axes) [rad].
 
         Returns:
-            (N,) length [m], a bound in proportion: between two configurations of the segment that are a share f of it
-            apart, no point moves by more than f times the length. A bound on speed along the segment gives this, a
-            bound on displacement alone does not; the proof of certified segments needs it
+            (N,) length [m]. The bound is proportional: between two configurations of the segment that are a share f of
+            it apart, no point moves by more than f times the length. A bound on speed along the segment has this
+            property, a bound on displacement alone has not. The certification of segments depends on it
             (`planner.path.certified_edge`).
         """
         ...

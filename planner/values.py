@@ -1,22 +1,23 @@
-"""Read-only arrays, and the base class of frozen values that hold them.
+"""Immutable values of read-only arrays, and enumerations with descriptions.
 
-The types of the fields of a frozen dataclass declare its arrays, and `freeze` copies and checks them:
+The fields of a frozen dataclass declare the shapes of its arrays, and `freeze` checks them and makes them read-only:
 
     @dataclass(frozen=True, slots=True, eq=False)
-    class Traversal(Value):
+    class Segment(Value):
         via: Annotated[Floats, "n 6"]
         pose: Annotated[Ints, "n"]
         duration: float
 
-The words beside an array's type are the lengths of its axes: a number, `_` for any length, or a name for one length
-throughout the value (`n+1` is one more). Beside another type they are its `len()`. A field that may be None
-(`Annotated[Floats, "n 6"] | None`) may also be left out.
+The words beside an array type are the lengths of its axes: a number, `_` for any length, or a name, which stands for
+one length in the whole value (`n+1` is one more). Beside another type they are its `len()`. A field that may be None
+(`Annotated[Floats, "n 6"] | None`) may be omitted.
 """
 
 import sys
 from collections.abc import Sequence
+from enum import IntEnum
 from functools import cache
-from typing import Annotated, Any, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, Self, get_args, get_origin
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -29,39 +30,42 @@ Ints32 = NDArray[np.int32]
 Bools = NDArray[np.bool_]
 
 
-def readonly(name: str, values: ArrayLike, shape: Sequence[int | None], dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """Copy, cast and shape-check an array and make it read-only.
+class DescribedEnum(IntEnum):
+    """Enumeration whose members are declared as `NAME = number, sentence`; files contain only the number.
 
-    Args:
-        name: name of the array in error messages.
-        values: anything that NumPy can convert to an array.
-        shape: the required shape; None for any length of an axis.
-        dtype: element type of the copy.
-
-    Returns:
-        A C-contiguous, read-only copy without NaN.
+    Attributes:
+        sentence: description of the member for reports.
     """
-    array = np.array(values, dtype=dtype, order="C", copy=True)
-    _fit(name, array.shape, [("_", 0) if length is None else ("", length) for length in shape], {})
-    return _sealed(name, array)
+
+    sentence: str
+
+    def __new__(cls, value: int, sentence: str = "") -> Self:
+        """Create a member; `Kind(number)` returns an existing one."""
+        member = int.__new__(cls, value)
+        member._value_ = value
+        member.sentence = sentence
+        return member
 
 
 class Value:
-    """Base class of frozen dataclasses with arrays."""
+    """Base class of the frozen dataclasses of arrays."""
 
     __slots__ = ()
 
     def __post_init__(self) -> None:
-        """Copy and check the arrays; subclasses with more checks call `freeze` first."""
+        """Check and freeze the arrays; subclasses that check more call `freeze` first."""
         freeze(self)
 
 
 def freeze(value: Value, /, **lengths: int) -> None:
-    """Copy, cast and shape-check the arrays of a frozen dataclass during its construction; make them read-only.
+    """Copy, cast and check the arrays of a frozen dataclass and make them read-only, during its construction.
 
     Args:
-        value: the value; the types of its fields declare its arrays, as this module's docstring describes.
-        **lengths: known lengths by their names.
+        value: the value; the types of its fields declare the shapes, see this module's docstring.
+        **lengths: known lengths of named axes.
+
+    Raises:
+        PlannerError: if a shape differs, lengths of one name disagree, or a floating-point value is NaN.
     """
     fields = _declared(type(value))  # type: ignore[arg-type]  # mypy takes the hash of a class for its instances'
     for name, dtype, axes, optional in fields:
@@ -69,14 +73,31 @@ def freeze(value: Value, /, **lengths: int) -> None:
         if given is None and optional:
             continue
         if dtype is None:
-            _fit(name, (len(given),), axes, lengths)
+            _check_shape(name, (len(given),), axes, lengths)
             continue
         array = np.array(given, dtype=dtype, order="C", copy=True)
-        _fit(name, array.shape, axes, lengths)
+        _check_shape(name, array.shape, axes, lengths)
         object.__setattr__(value, name, _sealed(name, array))
 
 
-_Axes = Sequence[tuple[str, int]]  # a name and a number to add; "" before a fixed length, "_" for any
+def readonly(name: str, values: ArrayLike, shape: Sequence[int | None], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Return a C-contiguous, read-only copy of an array, cast and checked.
+
+    Args:
+        name: name of the array in error messages.
+        values: the array.
+        shape: required shape; None stands for any length of that axis.
+        dtype: element type of the copy.
+
+    Raises:
+        PlannerError: if the shape differs or a floating-point value is NaN.
+    """
+    array = np.array(values, dtype=dtype, order="C", copy=True)
+    _check_shape(name, array.shape, [("_", 0) if length is None else ("", length) for length in shape], {})
+    return _sealed(name, array)
+
+
+_Axes = Sequence[tuple[str, int]]  # a name and a number to add; "" for a fixed length, "_" for any
 
 
 class _Declared(NamedTuple):
@@ -90,10 +111,10 @@ class _Declared(NamedTuple):
 
 @cache
 def _declared(kind: type) -> tuple[_Declared, ...]:
-    """Return the fields of a dataclass with a shape, in their order."""
-    found = []
+    """Return the fields of a dataclass that have a shape."""
+    fields = []
     for name, declared in kind.__annotations__.items():
-        if isinstance(declared, str):  # of a module with postponed annotations
+        if isinstance(declared, str):  # in a module with postponed annotations
             if "Annotated" not in declared:
                 continue
             declared = eval(declared, vars(sys.modules[kind.__module__]))
@@ -101,29 +122,29 @@ def _declared(kind: type) -> tuple[_Declared, ...]:
             if get_origin(part) is Annotated:
                 array, shape = get_args(part)
                 dtype = np.dtype(get_args(get_args(array)[1])[0]) if get_origin(array) is np.ndarray else None
-                found.append(_Declared(name, dtype, _axes(shape), part is not declared))
-    return tuple(found)
+                fields.append(_Declared(name, dtype, _axes(shape), part is not declared))
+    return tuple(fields)
 
 
 def _axes(shape: str) -> _Axes:
-    parts = [word.partition("+") for word in shape.split()]
-    return [("", int(length)) if length.isdigit() else (length, int(more or 0)) for length, _, more in parts]
+    words = [word.partition("+") for word in shape.split()]
+    return [("", int(length)) if length.isdigit() else (length, int(more or 0)) for length, _, more in words]
 
 
-def _fit(name: str, shape: tuple[int, ...], axes: _Axes, lengths: dict[str, int]) -> None:
-    """Compare a shape with its axes; new names take their lengths from it."""
+def _check_shape(name: str, shape: tuple[int, ...], axes: _Axes, lengths: dict[str, int]) -> None:
+    """Compare a shape with its declaration; the first length of a named axis defines it."""
     if len(shape) == len(axes):
-        for have, (axis, length) in zip(shape, axes, strict=True):
+        for actual, (axis, length) in zip(shape, axes, strict=True):
             if axis == "_":
                 continue
             if axis:
-                length += lengths.setdefault(axis, max(have - length, 0))
-            if have != length:
+                length += lengths.setdefault(axis, max(actual - length, 0))
+            if actual != length:
                 break
         else:
             return
-    wanted = ["any" if a == "_" else str(lengths.get(a, 0) + n) if a == "" or a in lengths else a for a, n in axes]
-    raise PlannerError(f"{name} has shape {shape}; it must be ({', '.join(wanted)}{',' * (len(wanted) == 1)})")
+    required = ["any" if a == "_" else str(lengths.get(a, 0) + n) if a == "" or a in lengths else a for a, n in axes]
+    raise PlannerError(f"{name} has shape {shape}; it must be ({', '.join(required)}{',' * (len(required) == 1)})")
 
 
 def _sealed(name: str, array: NDArray[Any]) -> NDArray[Any]:

@@ -29,7 +29,7 @@ from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics import reach
 from planner.measurability.visibility import find_measured
 from planner.values import Bools, Floats
-from planner.why.reasons import Reason
+from planner.why.why import Reason
 
 
 def judged(work: Exploring, file: ExploreFile, known_model: Path) -> dict[str, tuple[float, float]]:

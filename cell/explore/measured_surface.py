@@ -15,8 +15,7 @@ from scipy.spatial import cKDTree
 from cell.explore import belief
 from cell.metrology.reconstruct import REACH, ReconstructionStatus, reconstruct
 from cell.runs.run import ExecutedScan
-from planner.explore.cubes import first_in_cubes
-from planner.explore.space import UNKNOWN, VoxelSpace
+from planner.explore.space import UNKNOWN, VoxelSpace, first_in_cubes
 from planner.geometry.mesh import TriangleMesh, concatenate_meshes
 from planner.registration.cloud import PointCloud, ScanCloud, merge
 from planner.values import Bools

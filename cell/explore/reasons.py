@@ -15,7 +15,7 @@ from planner.values import Ints, Value
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import why
-from planner.why.reasons import REASON_OF_VERDICT, Reason
+from planner.why.why import REASON_OF_VERDICT, Reason
 
 SMALL, TRIED, NOT_TAKEN = -3, -2, -1
 """Beside `Reason`: what views that were to measure it left, near what was measured and far from it; and what a view

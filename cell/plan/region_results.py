@@ -11,8 +11,7 @@ from planner.geometry.sampling import pick_samples
 from planner.measurability.quality import best_values
 from planner.values import Bools, Ints
 from planner.viewpoints.lines_of_sight import RayTargets
-from planner.why.reasons import REASON_OF_VERDICT, Reason
-from planner.why.why import diagnose
+from planner.why.why import REASON_OF_VERDICT, Reason, diagnose
 
 _ASKED = 300  # samples of a region whose reasons are looked for
 

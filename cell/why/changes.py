@@ -1,6 +1,6 @@
 """Build the single changes that `cell why` tries; docs/internals/conditions.md lists them.
 
-Each is a `planner.why.what_if.WhatIf`: the candidates that are reachable under the change (inverse kinematics and
+Each is a `planner.why.what_if.PlanChange`: the candidates that are reachable under the change (inverse kinematics and
 collision evaluated again), the scanner and the ray casters under it. Nothing is estimated. Object frame, metres.
 """
 
@@ -28,7 +28,7 @@ from planner.values import Floats, Ints
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 from planner.why import what_if
-from planner.why.what_if import Kind, WhatIf
+from planner.why.what_if import ChangeKind, PlanChange
 
 _ROLLS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
 _STANDOFFS = (0.9, 1.1, 0.8, 1.2, 0.7, 1.3, 0.6, 1.4, 0.5, 1.5)  # of the present one, inside the range
@@ -59,7 +59,7 @@ class Changes:
         """Ray casters of the part and of the occluders, unchanged."""
         return self.cell.part_caster, self.cell.occluder_caster
 
-    def ladders(self, aims: tuple[Floats, Floats]) -> Iterator[list[WhatIf]]:
+    def ladders(self, aims: tuple[Floats, Floats]) -> Iterator[list[PlanChange]]:
         """Yield lists of changes of one kind, smallest first, except further views.
 
         `aims` are (n, 3) points [m] and (n, 3) normals at which new candidates are aimed.
@@ -71,20 +71,20 @@ class Changes:
                 yield [self._without(fixture.name)]
         yield from ScannerChanges(self.cell, self.candidates.T_object_scanner[self.usable]).ladders()
 
-    def views(self, targets: RayTargets, rows: Ints) -> list[WhatIf]:
+    def views(self, targets: RayTargets, rows: Ints) -> list[PlanChange]:
         """Return one further candidate, and the few that measure nearly all rows that candidates can measure."""
         T = self.candidates.T_object_scanner[self.usable]
         pairs = what_if.measured_pairs(targets, rows, T, self.cell.scanner, self.casters)
-        chosen = what_if.few_views(pairs, len(rows))
+        chosen = what_if.select_views(pairs, len(rows))
         found = []
         for count in sorted({1, len(chosen)} if chosen else ()):
             names = ", ".join(str(int(self.usable[view])) for view in chosen[:count])
             sentence = f"one view more: candidate {names}" if count == 1 else f"{count} views more: candidates {names}"
             poses = T[np.array(chosen[:count])]
-            found.append(WhatIf(Kind.VIEW, count, sentence, "", poses, self.cell.scanner, self.casters))
+            found.append(PlanChange(ChangeKind.VIEW, count, sentence, "", poses, self.cell.scanner, self.casters))
         return found
 
-    def _of_the_plan(self, aims: tuple[Floats, Floats]) -> Iterator[list[WhatIf]]:
+    def _of_the_plan(self, aims: tuple[Floats, Floats]) -> Iterator[list[PlanChange]]:
         view = self.candidates
         rolls_deg = _distinct(np.degrees(view.roll) % 360)
         few = len(rolls_deg) <= 4
@@ -97,11 +97,15 @@ class Changes:
         listed = ",".join(f"{roll:g}" for roll in rolls_deg)
         yield [
             self._reached(
-                Kind.ROLL, apart[roll], f"a roll of {roll:g} deg", f"--roll {listed},{roll:g}" if few else "",
-                what_if.rolled(base, np.radians(roll)),
+                ChangeKind.ROLL,
+                apart[roll],
+                f"a roll of {roll:g} deg",
+                f"--roll {listed},{roll:g}" if few else "",
+                what_if.with_roll(base, np.radians(roll)),
             )
-            for roll in sorted(_ROLLS_DEG, key=lambda roll: (apart[roll], roll)) if apart[roll] > 1
-        ]  # fmt: skip
+            for roll in sorted(_ROLLS_DEG, key=lambda roll: (apart[roll], roll))
+            if apart[roll] > 1
+        ]
 
         standoffs = _distinct(view.standoff * 1000)
         few = len(standoffs) <= 4
@@ -111,51 +115,59 @@ class Changes:
         near, far = self.cell.scanner_keys.pair("range_mm") or (0.0, np.inf)
         yield [
             self._reached(
-                Kind.STANDOFF, abs(factor - 1), f"standoff {other:g} mm in addition to {now:g}" if few
-                else f"standoff {other:g} mm for all candidates",
+                ChangeKind.STANDOFF,
+                abs(factor - 1),
+                f"standoff {other:g} mm in addition to {now:g}" if few else f"standoff {other:g} mm for all candidates",
                 f"--standoff {listed},{other:g}" if few else f"--standoff {other:g}",
-                what_if.backed_off(base, other / 1000),
+                what_if.with_standoff(base, other / 1000),
             )
-            for factor in _STANDOFFS if near < (other := round_mm(factor * now)) < far and other not in standoffs
-        ]  # fmt: skip
+            for factor in _STANDOFFS
+            if near < (other := round_mm(factor * now)) < far and other not in standoffs
+        ]
 
         limit = self.cell.scanner_keys.number("grazing_max_deg")
         limit = 90.0 if limit is None else limit
-        sweep = np.linalg.inv(what_if.middle(view.T_object_scanner[:1])) @ view.T_object_scanner[0]
+        sweep = np.linalg.inv(what_if.middle_poses(view.T_object_scanner[:1])) @ view.T_object_scanner[0]
         setting = "" if self.cell.scene.plan.candidates == GROWN else f"--candidates {GROWN}"
         rolls = np.radians((0.0, 90.0, 180.0, 270.0)).tolist()
         yield [
             self._reached(
-                Kind.AIMED, tilt,
-                "new candidates aimed along the normal" if tilt == 0
+                ChangeKind.AIMED,
+                tilt,
+                "new candidates aimed along the normal"
+                if tilt == 0
                 else f"new candidates aimed {tilt:g} deg from the normal",
-                setting, what_if.tilted_at(*aims, np.radians(tilt), _AZIMUTHS, now / 1000, rolls, sweep),
+                setting,
+                what_if.tilted_viewpoints(*aims, np.radians(tilt), _AZIMUTHS, now / 1000, rolls, sweep),
             )
-            for tilt in _TILTS_DEG if tilt <= limit - 2 and len(aims[0])
-        ]  # fmt: skip
+            for tilt in _TILTS_DEG
+            if tilt <= limit - 2 and len(aims[0])
+        ]
 
-    def _turned(self, how: str, change: float, T_base_centre: Floats, there: World) -> WhatIf:
+    def _turned(self, how: str, change: float, T_base_centre: Floats, there: World) -> PlanChange:
         """Return the change to a second set-up with the part rotated about its centre."""
-        return self._in(there, Kind.TURN, change, how, f"--place {format_placement(T_base_centre)}")
+        return self._in(there, ChangeKind.TURN, change, how, f"--place {format_placement(T_base_centre)}")
 
-    def _without(self, name: str) -> WhatIf:
+    def _without(self, name: str) -> PlanChange:
         what = "without the post (the part held in another way)" if name == "post" else f"without fixture {name}"
-        return self._in(self.world_without(name), Kind.FIXTURE, float(name == "post"), what, "")
+        return self._in(self.world_without(name), ChangeKind.FIXTURE, float(name == "post"), what, "")
 
-    def _in(self, world: World, kind: Kind, change: float, sentence: str, setting: str) -> WhatIf:
+    def _in(self, world: World, kind: ChangeKind, change: float, sentence: str, setting: str) -> PlanChange:
         """Return a change to another cell with the same candidates."""
-        return WhatIf(
+        return PlanChange(
             kind, change, sentence, setting, self.candidates.T_object_scanner[_reachable(self.candidates, world)],
             self.cell.scanner, (self.cell.part_caster, make_caster(fixed_occluders(world))),
         )  # fmt: skip
 
-    def _reached(self, kind: Kind, change: float, sentence: str, setting: str, made: Viewpoints) -> WhatIf:
+    def _reached(self, kind: ChangeKind, change: float, sentence: str, setting: str, made: Viewpoints) -> PlanChange:
         """Return a change to other candidates, as far as they are reachable."""
         reached = _reachable(made, self.world)
-        return WhatIf(kind, change, sentence, setting, made.T_object_scanner[reached], self.cell.scanner, self.casters)
+        return PlanChange(
+            kind, change, sentence, setting, made.T_object_scanner[reached], self.cell.scanner, self.casters
+        )
 
 
-def ladder_masks(ladder: Sequence[WhatIf], targets: RayTargets, rows: Ints) -> list[np.ndarray[Any, Any]]:
+def ladder_masks(ladder: Sequence[PlanChange], targets: RayTargets, rows: Ints) -> list[np.ndarray[Any, Any]]:
     """Return (n,) the rows that each change of a ladder measures.
 
     Opening a limit never loses a point, so each step of such a ladder is evaluated only on rows that the last step
@@ -163,7 +175,14 @@ def ladder_masks(ladder: Sequence[WhatIf], targets: RayTargets, rows: Ints) -> l
     """
     if not ladder:
         return []
-    nested = ladder[0].kind in (Kind.GRAZING, Kind.RANGE, Kind.SPACING, Kind.SIGMA, Kind.RESOLUTION, Kind.FOV)
+    nested = ladder[0].kind in (
+        ChangeKind.GRAZING,
+        ChangeKind.RANGE,
+        ChangeKind.SPACING,
+        ChangeKind.SIGMA,
+        ChangeKind.RESOLUTION,
+        ChangeKind.FOV,
+    )
     if not nested:
         return [step.measures(targets, rows) for step in ladder]
     final = ladder[-1].measures(targets, rows)
@@ -221,7 +240,7 @@ class ScannerChanges:
         """Sigma limit of the plan [mm]; None without one."""
         return self.cell.scene.plan.max_sigma_mm
 
-    def ladders(self) -> Iterator[list[WhatIf]]:
+    def ladders(self) -> Iterator[list[PlanChange]]:
         """Yield lists of changes of one kind, smallest first."""
         keys = self.cell.scanner_keys
         for name, last, of in (
@@ -230,7 +249,9 @@ class ScannerChanges:
         ):
             if (now := keys.number(name)) is not None:
                 yield [
-                    self._law(Kind.GRAZING, value - now, f"{of} {value} instead of {now:g} deg", name, float(value))
+                    self._law(
+                        ChangeKind.GRAZING, value - now, f"{of} {value} instead of {now:g} deg", name, float(value)
+                    )
                     for value in range(int(np.floor(now)) + 1, last + 1)
                 ]
         for name in ("range_mm", "depth_of_field_mm"):
@@ -243,16 +264,21 @@ class ScannerChanges:
                 h, v = fov
                 yield [
                     self._law(
-                        Kind.FOV, more, f"{of} {h + more:g} x {v + more:g} deg, not {h:g} x {v:g}",
-                        name, (h + more, v + more),
+                        ChangeKind.FOV,
+                        more,
+                        f"{of} {h + more:g} x {v + more:g} deg, not {h:g} x {v:g}",
+                        name,
+                        (h + more, v + more),
                     )
-                    for more in _FOV_DEG if max(fov) + more < 180
-                ]  # fmt: skip
+                    for more in _FOV_DEG
+                    if max(fov) + more < 180
+                ]
         if (now := keys.number("fan_deg")) is not None:
             yield [
-                self._law(Kind.FOV, more, f"fan of {now + more:g} deg instead of {now:g}", "fan_deg", now + more)
-                for more in _FOV_DEG if now + more < 180
-            ]  # fmt: skip
+                self._law(ChangeKind.FOV, more, f"fan of {now + more:g} deg instead of {now:g}", "fan_deg", now + more)
+                for more in _FOV_DEG
+                if now + more < 180
+            ]
         if (limit := keys.number("max_spacing_mm")) is not None:
             yield self._sparser(limit)
         if limit is not None or any(region.max_spacing_mm for region in self.cell.scene.regions or ()):
@@ -262,65 +288,89 @@ class ScannerChanges:
         if now := keys.number("baseline_mm"):
             yield [
                 self._law(
-                    Kind.BASELINE, 1 - share, f"baseline {share * now:.3g} instead of {now:g} mm",
-                    "baseline_mm", share * now,
+                    ChangeKind.BASELINE,
+                    1 - share,
+                    f"baseline {share * now:.3g} instead of {now:g} mm",
+                    "baseline_mm",
+                    share * now,
                 )
                 for share in _BASELINES
-            ]  # fmt: skip
+            ]
 
-    def _sparser(self, limit: float) -> list[WhatIf]:
+    def _sparser(self, limit: float) -> list[PlanChange]:
         """Return larger spacing limits."""
         return [
             self._law(
-                Kind.SPACING, factor, f"points up to {factor * limit:.3g} instead of {limit:g} mm apart",
-                "max_spacing_mm", factor * limit, f"--max-spacing {factor * limit:.3g}",
+                ChangeKind.SPACING,
+                factor,
+                f"points up to {factor * limit:.3g} instead of {limit:g} mm apart",
+                "max_spacing_mm",
+                factor * limit,
+                f"--max-spacing {factor * limit:.3g}",
             )
             for factor in _SIGMAS
-        ]  # fmt: skip
+        ]
 
-    def _denser(self) -> Iterator[list[WhatIf]]:
+    def _denser(self) -> Iterator[list[PlanChange]]:
         """Yield finer ray grids; closer views are among the standoffs."""
         if grid := self.cell.scanner_keys.pair("resolution_deg"):
             yield [
                 self._law(
-                    Kind.RESOLUTION, 1 - share, f"{share * max(grid):.3g} instead of {max(grid):g} deg between rays",
-                    "resolution_deg", (share * grid[0], share * grid[1]),
+                    ChangeKind.RESOLUTION,
+                    1 - share,
+                    f"{share * max(grid):.3g} instead of {max(grid):g} deg between rays",
+                    "resolution_deg",
+                    (share * grid[0], share * grid[1]),
                 )
                 for share in _FINER
-            ]  # fmt: skip
+            ]
 
-    def _range_to(self, name: str, of: str, near: float, far: float) -> list[WhatIf]:
-        return [
-            self._law(Kind.RANGE, _relative_change(to, far), f"{of} to {to:g} instead of {far:g} mm", name, (near, to))
-            for to in (round_mm(far * factor) for factor in _FARTHER) if to != far
-        ]  # fmt: skip
-
-    def _range_from(self, name: str, of: str, near: float, far: float) -> list[WhatIf]:
+    def _range_to(self, name: str, of: str, near: float, far: float) -> list[PlanChange]:
         return [
             self._law(
-                Kind.RANGE, _relative_change(at, near), f"{of} from {at:g} instead of {near:g} mm", name, (at, far)
+                ChangeKind.RANGE, _relative_change(to, far), f"{of} to {to:g} instead of {far:g} mm", name, (near, to)
             )
-            for at in (round_mm(near * factor) for factor in _NEARER) if at != near
-        ]  # fmt: skip
+            for to in (round_mm(far * factor) for factor in _FARTHER)
+            if to != far
+        ]
+
+    def _range_from(self, name: str, of: str, near: float, far: float) -> list[PlanChange]:
+        return [
+            self._law(
+                ChangeKind.RANGE,
+                _relative_change(at, near),
+                f"{of} from {at:g} instead of {near:g} mm",
+                name,
+                (at, far),
+            )
+            for at in (round_mm(near * factor) for factor in _NEARER)
+            if at != near
+        ]
 
     def _law(
-        self, kind: Kind, change: float, sentence: str, key: str, value: float | tuple[float, float], option: str = ""
-    ) -> WhatIf:
+        self,
+        kind: ChangeKind,
+        change: float,
+        sentence: str,
+        key: str,
+        value: float | tuple[float, float],
+        option: str = "",
+    ) -> PlanChange:
         """Return a change of one scanner key with the same candidates."""
         keys = self.cell.scanner_keys
         scanner: Scanner = scanners.load(keys.type)(**{**keys.own, key: value})
         scanner = with_limits(scanner, self.max_sigma_mm, self.cell.scene.regions or ())
         numbers = f"{value:g}" if isinstance(value, float) else f"[{value[0]:g}, {value[1]:g}]"
         setting = option or f"scanner.{key} = {numbers}"
-        return WhatIf(kind, change, sentence, setting, self.T_object_scanner, scanner, self.casters)
+        return PlanChange(kind, change, sentence, setting, self.T_object_scanner, scanner, self.casters)
 
-    def _sigma(self, factor: float, now: float) -> WhatIf:
+    def _sigma(self, factor: float, now: float) -> PlanChange:
         """Another limit on sigma, so many times the present one [mm]."""
         assert isinstance(self.cell.scanner, LimitedScanner)
         scanner = replace(self.cell.scanner, max_sigma=factor * (now / 1000))
         sentence = f"sigma up to {factor * now:.3g} instead of {now:g} mm"
         setting = f"--max-sigma {factor * now:.3g}"
-        return WhatIf(Kind.SIGMA, factor, sentence, setting, self.T_object_scanner, scanner, self.casters)
+        return PlanChange(ChangeKind.SIGMA, factor, sentence, setting, self.T_object_scanner, scanner, self.casters)
 
 
 def _relative_change(value: float, now: float) -> float:

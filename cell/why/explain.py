@@ -46,16 +46,15 @@ from planner.values import Bools, Floats, Ints
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import what_if, why
-from planner.why.reasons import REASON_OF_VERDICT, Reason
-from planner.why.what_if import Kind, WhatIf
-from planner.why.why import Diagnosis
+from planner.why.what_if import ChangeKind, PlanChange
+from planner.why.why import REASON_OF_VERDICT, Diagnosis, Reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EvaluatedChange:
     """A change, and the (S,) samples that it makes measurable among those on which it was evaluated."""
 
-    change: WhatIf
+    change: PlanChange
     gained: Bools
 
 
@@ -117,7 +116,7 @@ class Analysis:
     groups: tuple[Group, ...]
     rest: Ints
     overall: tuple[EvaluatedChange, ...]
-    tried: tuple[tuple[WhatIf, float], ...]
+    tried: tuple[tuple[PlanChange, float], ...]
     part_name: str
 
     @property
@@ -253,14 +252,14 @@ class Findings(NamedTuple):
     groups: tuple[Group, ...]
     rest: Ints
     overall: tuple[EvaluatedChange, ...]
-    tried: tuple[tuple[WhatIf, float], ...]
+    tried: tuple[tuple[PlanChange, float], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Trial:
     """All changes with the representatives that they measure: gains (W, r) bool, place (S,) column or -1."""
 
-    changes: tuple[WhatIf, ...]
+    changes: tuple[PlanChange, ...]
     gains: NDArray[np.bool_]
     place: Ints
 
@@ -270,12 +269,12 @@ class _Trial:
         own = own[own >= 0]
         if not len(own):
             return []
-        apt = [(change.kind is Kind.VIEW) == (reason is Reason.NOT_SELECTED) for change in self.changes]
+        apt = [(change.kind is ChangeKind.VIEW) == (reason is Reason.NOT_SELECTED) for change in self.changes]
         return self.choose(self.gains[:, own].mean(axis=1) * apt, most)
 
     def choose(self, share: Floats, most: int) -> list[int]:
         kinds, sizes = [change.kind for change in self.changes], [change.change for change in self.changes]
-        return what_if.choose(share, kinds, sizes, most=most)
+        return what_if.select_changes(share, kinds, sizes, most=most)
 
 
 def search_changes(
@@ -343,7 +342,7 @@ def _try(
     spread = [_spread(group.rows, count) for group, count in zip(groups, counts, strict=True)]
     representatives = np.unique(np.concatenate(spread))
     aims = _spread(rows, _AIMS)
-    tried: list[WhatIf] = []
+    tried: list[PlanChange] = []
     masks: list[NDArray[np.bool_]] = []
     for done, ladder in enumerate(changes.ladders((samples.points[aims], samples.normals[aims]))):
         masks.extend(ladder_masks(ladder, targets, representatives))
@@ -613,7 +612,7 @@ def _area_mm2(analysis: Analysis, rows: Ints) -> float:
 def samples_ply(analysis: Analysis) -> bytes:
     """Return the held-out samples as a PLY: mm, object frame, coloured by group.
 
-    Properties: `reason` (a `planner.why.reasons.Reason`, 0 measured), `group` (from 1, 0 measured), `gained` (1 if the
+    Properties: `reason` (a `planner.why.why.Reason`, 0 measured), `group` (from 1, 0 measured), `gained` (1 if the
     first recommended change of its group measures the point).
     """
     n = len(analysis.samples)

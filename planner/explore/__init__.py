@@ -1,1 +1,1 @@
-"""Space about a part that nobody knows: free, occupied and unknown voxels, and what a view may gain of them."""
+"""Planning without a model: voxel space of the unknown part, and the expected gain of a view."""

@@ -1,8 +1,8 @@
-"""What a view may gain of what is open: an area, and the probability that a ray to it finds something new.
+"""Expected gain of a view: uncovered area, weighted by the probability that a ray to it finds something new.
 
-What is believed of a part beyond the last measured point is a guess: a wall of the guess itself, behind which the part
-lies deeper, or nothing at all. It is the better, the nearer to a measured point, where the surface goes on, and the
-worse, the more often others should have measured it and did not. How much so is learned from the exploration.
+Belief surface beyond the last measured point is a guess: the part may lie deeper, or there may be nothing at all. The
+guess is better near a measured point, where the surface continues, and worse the more often views failed to measure it.
+The probabilities are learned during the exploration.
 """
 
 from collections.abc import Sequence
@@ -17,36 +17,36 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 MAX_TRIES = 2
-"""Tries beyond this many are as this many."""
+"""More tries count as this number."""
 
-REACHES = (1.1, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""Distances from the nearest measured voxel between the classes [edges of a voxel]; the first is of gaps in it."""
+DISTANCE_CLASSES = (1.1, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""Limits of the classes of distance from the nearest measured voxel [edges of a voxel]; the first class is a gap."""
 
-_PRIOR = 0.5 * 0.5 ** np.arange(MAX_TRIES + 1)[:, None] * 0.7 ** np.maximum(np.arange(len(REACHES) + 1) - 1, 0)
-"""Probability before anything is known of it: halved with each try, less by a third with each class of distance ..."""
+_PRIOR = 0.5 * 0.5 ** np.arange(MAX_TRIES + 1)[:, None] * 0.7 ** np.maximum(np.arange(len(DISTANCE_CLASSES) + 1) - 1, 0)
+"""Probability without observations: halved by each try, multiplied by 0.7 by each class of distance."""
 
-_WORTH = 0.01
-"""... and the weight of this, as a share of the believed surface."""
+_PRIOR_WEIGHT = 0.01
+"""Weight of the prior, as a share of the belief surface."""
 
-_KEPT = 0.7
-"""Weight of earlier stages at each new one: what is believed late is more often true than what was believed early."""
+_FORGETTING = 0.7
+"""Factor of earlier observations at each new batch: late guesses are more often right than early ones."""
 
 _BETWEEN = 0.2
-"""Share of its probability that surface between points of neighbouring rays has: most of it is measured already."""
+"""Factor of the probability of surface between points of neighbouring rays: most of it is measured already."""
 
 
 N_LATEST_BATCHES = 4
-"""Batches of which the last are asked how much came: what is left then is of another kind than what was first."""
+"""Number of latest batches for the gain ratio: the surface that remains differs from the first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenSamples(Value):
-    """Which class open samples of a believed surface are of.
+    """Features of uncovered samples of a belief surface, which define their class.
 
     Attributes:
-        tries: (N,) views that should have measured each and did not.
-        beside: (N,) distance to the nearest measured voxel [edges].
-        between: (N,) whether it lies between points of neighbouring rays: seen, only steeply.
+        tries: (N,) number of views that should have measured each sample and did not.
+        distance_edges: (N,) distance to the nearest measured voxel [edges].
+        between: (N,) whether it lies between points of neighbouring rays: measured, only at a grazing angle.
     """
 
     tries: Annotated[Ints, "N"]
@@ -55,17 +55,18 @@ class OpenSamples(Value):
 
     @property
     def classes(self) -> tuple[Ints, Ints]:
-        """(N,) row and column of each in tables by class."""
-        return np.minimum(self.tries, MAX_TRIES), np.digitize(self.distance_edges, REACHES)
+        """(N,) row and column of each sample in tables by class."""
+        return np.minimum(self.tries, MAX_TRIES), np.digitize(self.distance_edges, DISTANCE_CLASSES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GainRecord(Value):
-    """What became of what was open where views should have measured it, by class.
+    """Expected and found area of uncovered samples, by class.
 
     Attributes:
-        expected: (MOST_TRIES + 1, len(REACHES) + 1) area [share of the believed surface].
-        found: of it, where a ray came back with something new [share of the believed surface].
+        expected: (MAX_TRIES + 1, len(DISTANCE_CLASSES) + 1) area that views should have measured [share of the belief
+            surface].
+        found: area of it for which a ray returned a new point [share of the belief surface].
     """
 
     expected: Annotated[Floats, "T R"]
@@ -73,58 +74,59 @@ class GainRecord(Value):
 
     @classmethod
     def empty(cls) -> "GainRecord":
-        """Before anything was executed."""
+        """Return the record before the first batch."""
         return cls(np.zeros(_PRIOR.shape), np.zeros(_PRIOR.shape))
 
-    def with_batch(self, still_open: OpenSamples, shares: Floats, found: Floats) -> "GainRecord":
-        """With a stage more; what lies between neighbouring rays says nothing of what was not seen.
+    def with_batch(self, samples: OpenSamples, shares: Floats, found: Floats) -> "GainRecord":
+        """Add a batch; samples between neighbouring rays are ignored.
 
         Args:
-            still_open: before it, samples that its views should have measured.
-            shares: (N,) of the believed surface that each stands for.
-            found: (N,) 1 where a ray came back with something new, else 0.
+            samples: uncovered samples before the batch that its views should have measured.
+            shares: (N,) share of the belief surface of each.
+            found: (N,) 1 if a ray returned a new point, else 0.
         """
-        expected, came, shares = _KEPT * self.expected, _KEPT * self.found, shares * ~still_open.between
-        np.add.at(expected, still_open.classes, shares)
-        np.add.at(came, still_open.classes, shares * found)
-        return replace(self, expected=expected, found=came)
+        expected_sum, found_sum = _FORGETTING * self.expected, _FORGETTING * self.found
+        shares = shares * ~samples.between
+        np.add.at(expected_sum, samples.classes, shares)
+        np.add.at(found_sum, samples.classes, shares * found)
+        return replace(self, expected=expected_sum, found=found_sum)
 
-    def weights(self, still_open: OpenSamples) -> Floats:
-        """(N,) probability that a view which should measure each finds something: the share that did, and the prior."""
-        learned = ((self.found + _WORTH * _PRIOR) / (self.expected + _WORTH))[still_open.classes]
-        return np.where(still_open.between, _BETWEEN * learned, learned)
+    def weights(self, samples: OpenSamples) -> Floats:
+        """Return the (N,) probability that a view finds a sample that it should measure, by prior and record."""
+        by_class = (self.found + _PRIOR_WEIGHT * _PRIOR) / (self.expected + _PRIOR_WEIGHT)
+        learned = by_class[samples.classes]
+        return np.where(samples.between, _BETWEEN * learned, learned)
 
 
 def gain_ratio(batches: Sequence[tuple[float, float]]) -> float:
-    """How many times as much as expected comes: the median of the latest batches, and of one more that brought it.
+    """Return measured over expected area: the median of the latest batches and of one that measured what it expected.
 
     Args:
-        batches: area that each was expected to measure, and that it measured [m^2]; one of which nothing was expected
-            does not count.
+        batches: expected and measured area of each [m^2]; batches without expected area are ignored.
     """
     ratios = [measured / expected for expected, measured in batches if expected > 0]
     return float(np.median([1.0, *ratios[-N_LATEST_BATCHES:]]))
 
 
 def select_by_gain_per_second(
-    measured: "csr_array", areas: Floats, seconds: Floats, usable: Bools, count: int, least: float = 0.0
+    measured: "csr_array", areas: Floats, seconds: Floats, usable: Bools, count: int, min_rate: float = 0.0
 ) -> Ints:
-    """Up to `count` views, each with the most open area per second after those before it; ties go to the smaller.
+    """Select up to `count` views, each with the most uncovered area per second; ties go to the smaller index.
 
     Args:
-        measured: (S, V) what each view measures.
-        areas: (S,) expected of each row [m^2].
-        seconds: (V,) that each view takes, above 0.
-        usable: (V,) those that may be taken.
-        count: how many; fewer are returned where no other adds more than `least`.
-        least: area per second that each adds at least [m^2/s].
+        measured: (S, V) whether each view measures a sample.
+        areas: (S,) expected area of each row [m^2].
+        seconds: (V,) duration of each view, above 0.
+        usable: (V,) whether a view may be selected.
+        count: largest number of views.
+        min_rate: area per second that each view must exceed [m^2/s].
     """
-    left, taken = np.array(areas), list[int]()
+    left, selected = np.array(areas), list[int]()
     columns = measured.T.tocsr()
-    while len(taken) < count:
+    while len(selected) < count:
         rates = np.where(usable, columns @ left / seconds, 0.0)
-        if rates[best := int(rates.argmax())] <= least:
+        if rates[best := int(rates.argmax())] <= min_rate:
             break
-        taken.append(best)
+        selected.append(best)
         left[columns[[best]].indices] = 0.0
-    return np.array(taken, dtype=np.int64)
+    return np.array(selected, dtype=np.int64)

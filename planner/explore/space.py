@@ -1,20 +1,20 @@
-"""What is known of the space about a part: free, occupied or unknown voxels within an upright cylinder.
+"""Voxel space of an unknown part: free, occupied or unknown voxels within an upright cylinder.
 
-A part stands somewhere in the cylinder; all of it is unknown at first, all beyond it is free. A ray that came back says
-two things: its point is on the part, and both its legs (source to point, point to sensor) crossed nothing. What did
-not come back says nothing: it may have missed the part, or met it too steeply. So a voxel is
+The part stands in the cylinder; at first all of it is unknown, and everything outside is free. A ray that returns a
+point says two things: the point is on the part, and both line segments (source to point, point to sensor) are free. A
+ray that returns no point says nothing certain: it may have missed the part, or met it at a grazing angle. So a voxel is
 
-    occupied  where a point lies in it, whatever else crossed it;
-    free      where a leg crossed it and no point lies in it;
+    occupied  if a point lies in it, whatever else crossed it;
+    free      if a line segment crossed it and no point lies in it;
     unknown   otherwise.
 
-What did not come back still makes it less likely that the part is where its ray went: `votes` counts, for what is
-believed and planned for, never for what is safe. A ray that may have met the part before the scanner begins to measure
-tells nothing of what lies behind.
+A ray without a point still makes it less likely that the part is on its path: `votes` counts this, for the belief
+and for planning, never for safety. A ray that may have met the part in front of the scanner's range says nothing about
+the space behind it.
 
-The part may be in every voxel that is not free, to within a voxel: a leg may pass beside a piece of surface that lies
-in the same voxel, and what is thinner than the rays are apart may be missed altogether. Object frame, metres: its
-origin is the cylinder's middle, z is its axis.
+The part may be in every voxel that is not free, to within a voxel: a segment may pass by a piece of surface in the same
+voxel, and a piece that is thinner than the distance of rays may be missed. Object frame, metres: the origin is the
+centre of the cylinder, z is its axis.
 """
 
 from collections.abc import Sequence
@@ -26,50 +26,50 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from planner.compiled import compiled
 from planner.errors import PlannerError
-from planner.explore.cubes import first_in_cubes
 from planner.explore.gain import OpenSamples
 from planner.values import Bools, Floats, Ints, Value
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
-MOST_VOXELS = 8_000_000
-"""Of a grid; two arrays of bytes and one of 8-byte counters are made of it."""
+MAX_VOXELS = 8_000_000
+"""Limit of a grid, of which two byte arrays and an array of 8-byte counters are made."""
 
-_BOX, _STEPS = 3, 5
-"""Edges behind what was measured to which the part is believed to go on, a box and steps to face neighbours about it:
-eight along each axis, nine at most, nearly a ball in a tenth of its time. Farther off the part may be anywhere in what
-no leg crossed, or nowhere, and a surface about all of that hides from the planning what lies between."""
+_BELIEF_BOX, _BELIEF_STEPS = 3, 5
+"""Distance from measured voxels up to which the belief continues [edges]: a box, and steps to face neighbours around
+it. This is eight along each axis and nine at most, nearly a ball in a tenth of its time. Farther away the part may be
+anywhere in uncrossed space, or nowhere, and a surface around all of it would occlude the space between in planning."""
 
-_PADDING = 3  # free voxels about the cylinder, so that surfaces about what is not free are closed
-_LIKELY = 0.6  # of the cylinder: a view for this much of it looks deep into it, where the part's surface may be
-_GAP, _KNOWN = 0.9, 0.35
-"""Distances of points at the standoff, and edges (what is believed is known to no less), across its normal from what is
-believed to a measured point, above which there is a gap between points ..."""
+_PADDING = 3  # free voxels around the cylinder, so that surfaces around voxels that are not free are closed
+_FIRST_BELIEF = 0.6  # of the cylinder: a view of this size looks deep into it, where the part's surface may be
+_GAP_SPACINGS, _GAP_EDGES = 0.9, 0.35
+"""Distance across its normal of a belief surface from a measured point from which there is a gap, in point distances at
+the standoff, and in edges (the belief has no higher resolution); the larger one counts."""
 _ABOVE, _BELOW = 0.5, 1.6
-"""... of those no more edges above and below it than a believed surface lies beside the points that it is made of."""
-_APART = 0.7  # of a gap: side of the cubes of which each keeps one point
-_NEIGHBOURS = 8  # that are looked at: next to the middle of a gap there are fewer
-_BLANK = np.int16(2)
-"""Votes of a view whose ray did not come back: most miss the part, while behind a point lies anything."""
-_LOOKED = 0.7  # edges between places at which the way of such a ray is looked at
-_ALL_ROUND = np.ones((3, 3, 3), dtype=np.bool_)
+"""Edges above and below a measured point within which the belief surface around it lies."""
+_THINNING = 0.7  # of a gap: side of the cubes that keep one point each
+_NEIGHBOURS = 8  # nearest points that are compared: near the middle of a gap there are fewer
+_NO_RETURN_VOTE = np.int16(2)
+"""Votes of a view for a ray without a point: most such rays miss the part, while anything may lie behind a point."""
+_RAY_STEP = 0.7  # edges between the positions at which the path of such a ray is checked
+_NEIGHBOURHOOD = np.ones((3, 3, 3), dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VoxelSpace(Value):
-    """The voxels.
+    """Voxels and measured points.
 
     Attributes:
         low: (3,) lowest corner of the grid [m].
         edge: of a voxel [m].
         state: (X, Y, Z) UNKNOWN, FREE or OCCUPIED.
-        votes: (X, Y, Z) twice the views with a ray through a voxel that did not come back, less those that saw a point
-            before it.
-        tries: (X, Y, Z) how many views were executed that were expected to measure what is open in a voxel.
-        gap: distance to the nearest measured point above which nothing is measured [m].
-        points: (P, 3) measured ones, the first in each of small cubes, in the order in which they came [m].
-        between: (Q, 3) places between those of neighbouring rays, likewise [m].
+        votes: (X, Y, Z) twice the number of views with a ray through a voxel that returned no point, less the number of
+            views with a point in front of it.
+        tries: (X, Y, Z) number of executed views that should have measured uncovered surface in a voxel.
+        gap: distance to the nearest measured point above which surface is not measured [m].
+        points: (P, 3) measured points, the first in each of small cubes, in the order of measurement [m].
+        between: (Q, 3) positions between points of neighbouring rays, thinned likewise [m].
         radius: of the cylinder [m].
         height: of the cylinder [m].
     """
@@ -87,249 +87,320 @@ class VoxelSpace(Value):
 
     @classmethod
     def from_cylinder(cls, radius: float, height: float, edge: float, spacing: float) -> "VoxelSpace":
-        """All unknown.
+        """Return a space in which all voxels of the cylinder are unknown.
 
         Args:
             radius: of the cylinder [m].
             height: of the cylinder [m].
             edge: of a voxel [m].
-            spacing: distance of points where the scanner looks squarely [m].
+            spacing: distance of points at perpendicular incidence [m].
 
         Raises:
-            PlannerError: if one of them is not positive, or the grid would have too many voxels.
+            PlannerError: if one of them is not positive, or the grid has too many voxels.
         """
         if not min(radius, height, edge, spacing) > 0:
             sizes = f"radius {radius:g}, height {height:g}, edge {edge:g} and spacing {spacing:g}"
             raise PlannerError(f"{sizes} must be above 0 (in metres)")
         half = np.ceil(np.array([radius, radius, height / 2]) / edge) + _PADDING
         shape = tuple(int(2 * n) for n in half)
-        if np.prod([float(n) for n in shape]) > MOST_VOXELS:
-            raise PlannerError(f"voxels of {1000 * edge:g} mm are too many for the cylinder; choose larger ones")
+        if (count := np.prod([float(n) for n in shape])) > MAX_VOXELS:
+            limit = f"{count:.3g} voxels of {1000 * edge:g} mm exceed the limit of {MAX_VOXELS}"
+            raise PlannerError(f"{limit}; choose larger voxels or a smaller cylinder")
         low = -half * edge
-        nothing = np.zeros(shape, np.uint8)
-        votes, none = nothing.astype(np.int16), np.empty((0, 3))
-        gap = max(_GAP * spacing, _KNOWN * edge)
-        space = cls(low, edge, nothing, votes, nothing, gap, none, none, radius, height)
+        zeros = np.zeros(shape, np.uint8)
+        votes, no_points = zeros.astype(np.int16), np.empty((0, 3))
+        gap = max(_GAP_SPACINGS * spacing, _GAP_EDGES * edge)
+        space = cls(low, edge, zeros, votes, zeros, gap, no_points, no_points, radius, height)
         return replace(space, state=np.where(space._within(edge / 2), UNKNOWN, FREE).astype(np.uint8))
 
-    def centres(self, chosen: Bools) -> Floats:
-        """(n, 3) middles of the chosen voxels [m]."""
-        return np.asarray(self.low + self.edge * (np.argwhere(chosen) + 0.5))
+    def centres(self, which: Bools) -> Floats:
+        """Return the (n, 3) centres of some voxels [m]."""
+        return np.asarray(self.low + self.edge * (np.argwhere(which) + 0.5))
 
     @property
     def unseen_volume(self) -> float:
-        """Volume that no leg crossed and no point lies in [m^3]: the part's inside, solid or hollow, and what hides."""
+        """Volume without points that no line segment crossed [m^3]: interior of the part, and hidden space."""
         return float((self.state == UNKNOWN).sum() * self.edge**3)
 
     def outside(self, points: Floats) -> Bools:
-        """(N,) which points (N, 3) [m] are beyond the cylinder by more than a voxel."""
+        """Return (N,) whether points (N, 3) [m] are outside the cylinder by more than a voxel."""
         beyond = np.hypot(points[:, 0], points[:, 1]) > self.radius + self.edge
         return np.asarray(beyond | (np.abs(points[:, 2]) > self.height / 2 + self.edge))
 
     def values_at(self, points: Floats, values: NDArray[np.generic]) -> NDArray[np.generic]:
-        """(N,) the value of an (X, Y, Z) array at each of the points (N, 3) [m]; beyond the grid that of its border."""
-        found: NDArray[np.generic] = values[tuple(self._place(points).T)]
-        return found
+        """Return the (N,) values of an (X, Y, Z) array at points (N, 3) [m]; outside the grid those of its border."""
+        at_points: NDArray[np.generic] = values[tuple(self._index(points).T)]
+        return at_points
 
     @property
     def maybe_part(self) -> Bools:
-        """(X, Y, Z) where the part may be: hit, or neither crossed nor voted down."""
+        """(X, Y, Z) whether the part may be in a voxel: it has a point, or is neither crossed nor voted down."""
         return np.asarray((self.state == OCCUPIED) | ((self.state == UNKNOWN) & (self.votes <= 0)))
 
-    def with_points(self, points: Floats, stands: Sequence[Floats]) -> "VoxelSpace":
-        """With the points of one view, and its legs.
+    def with_points(self, points: Floats, origins: Sequence[Floats]) -> "VoxelSpace":
+        """Add the points of one view, and free the voxels on their lines of sight.
 
         Args:
             points: (N, 3) measured [m].
-            stands: (3,) places from which every point was in sight [m]: the source, the sensor.
+            origins: (3,) positions from which every point was visible [m]: the source, the sensor.
         """
         crossed = np.zeros(self.state.shape, dtype=np.bool_)
-        for stand in stands:
-            legs = points - stand
-            length = np.linalg.norm(legs, axis=1, keepdims=True)
-            kept = np.maximum(1.0 - self.edge / np.maximum(length, 1e-12), 0.0)  # noise moves a point along its leg
-            crossed |= self._crossed(np.broadcast_to(stand, points.shape), stand + kept * legs)
+        for origin in origins:
+            segments = points - origin
+            length = np.linalg.norm(segments, axis=1, keepdims=True)
+            # noise moves a point along its line of sight: stop an edge before it
+            share = np.maximum(1.0 - self.edge / np.maximum(length, 1e-12), 0.0)
+            crossed |= self._crossed(np.broadcast_to(origin, points.shape), origin + share * segments)
         state = np.array(self.state)
         state[crossed & (state == UNKNOWN)] = FREE
-        within = points[~self.outside(points)]
-        state[tuple(self._place(within).T)] = OCCUPIED
-        return replace(self, state=state, points=self._thinned(np.concatenate([self.points, within])))
+        inside = points[~self.outside(points)]
+        state[tuple(self._index(inside).T)] = OCCUPIED
+        return replace(self, state=state, points=self._thinned(np.concatenate([self.points, inside])))
 
-    def with_surface_between(self, places: Floats) -> "VoxelSpace":
-        """With (N, 3) places between points of neighbouring rays of one view, on one surface with them [m]."""
-        return replace(self, between=self._thinned(np.concatenate([self.between, places[~self.outside(places)]])))
+    def with_surface_between(self, positions: Floats) -> "VoxelSpace":
+        """Add (N, 3) positions between points of neighbouring rays of one view, on the same surface [m]."""
+        inside = positions[~self.outside(positions)]
+        return replace(self, between=self._thinned(np.concatenate([self.between, inside])))
 
     def with_votes(
         self, points: Floats, source: Floats, sensor: Floats, blank: Floats, near: float, far: float
     ) -> "VoxelSpace":
-        """With the votes of one view; what points hide from the sensor would not have come back.
+        """Add the votes of one view.
 
-        Nor would what lies behind a part that stands too near: a ray says nothing where its way to the range leads
-        through what may be the part's.
+        A ray without a point says nothing about voxels that are hidden from the sensor by points. It says nothing at
+        all if the part may be on its path in front of the scanner's range.
 
         Args:
             points: (N, 3) measured [m].
-            source: (3,) where the rays began [m].
-            sensor: (3,) from where they are seen [m].
-            blank: (M, 3) unit directions of the rays that did not come back.
-            near: from where on they would have [m].
-            far: to where they would have [m].
+            source: (3,) origin of the rays [m].
+            sensor: (3,) position of the sensor [m].
+            blank: (M, 3) unit directions of the rays without a point.
+            near: begin of the range [m].
+            far: end of the range [m].
         """
-        behind, hidden = (self._behind(points, stand, far) for stand in (source, sensor))
+        behind, hidden = (self._behind(points, origin, far) for origin in (source, sensor))
         blank = blank[self.is_ray_clear(source, blank, near)]
         through = self._crossed(source + near * blank, source + far * blank)
-        return replace(self, votes=self.votes + _BLANK * (through & ~behind & ~hidden) - behind)
+        return replace(self, votes=self.votes + _NO_RETURN_VOTE * (through & ~behind & ~hidden) - behind)
 
     def is_ray_clear(self, source: Floats, rays: Floats, length: float) -> Bools:
-        """(N,) along which rays nothing that may be the part's stands so far from their source.
+        """Return (N,) whether the part cannot be on a ray up to a distance from its source.
 
         Args:
             source: (3,) [m].
             rays: (N, 3) unit vectors.
             length: [m].
         """
-        clear, possible = np.arange(len(rays)), self.maybe_part
-        outside = np.linalg.norm(source) - np.linalg.norm(self.low)  # as far no ray is in the grid
-        for distance in np.arange(0.0, length, _LOOKED * self.edge):
+        clear, maybe_part = np.arange(len(rays)), self.maybe_part
+        outside = np.linalg.norm(source) - np.linalg.norm(self.low)  # no ray is in the grid up to this distance
+        for distance in np.arange(0.0, length, _RAY_STEP * self.edge):
             if distance < outside:
                 continue
-            clear = clear[~self.values_at(source + distance * rays[clear], possible).astype(np.bool_)]
+            clear = clear[~self.values_at(source + distance * rays[clear], maybe_part).astype(np.bool_)]
         return np.isin(np.arange(len(rays)), clear)
 
     def contradicted_share(self, points: Floats) -> float:
-        """Share of points (N, 3) [m] in space that is free, all its neighbours too: what moved has such points."""
-        far = ~ndimage.binary_dilation(self.state != FREE, _ALL_ROUND)
+        """Return the share of points (N, 3) [m] in free voxels with only free neighbours: a sign that the part moved."""
+        far = ~ndimage.binary_dilation(self.state != FREE, _NEIGHBOURHOOD)
         return float(self.values_at(points, far & self._within(0.0)).mean()) if len(points) else 0.0
 
     def belief_voxels(self, *, unlimited: bool = False) -> Bools:
-        """(X, Y, Z) where the part is believed to be: not free, not voted down, in one piece with a point of it.
+        """Return (X, Y, Z) whether the part is believed to be in a voxel.
 
-        A part, or each body of it, that was hit hangs together; what hangs together with nothing that was hit is space
-        that no leg has crossed yet. It goes on `_BOX` and `_STEPS` behind what was measured, and where that encloses
-        space no leg enters it. Before the first point it is the middle of the cylinder, `_LIKELY`, two voxels at least.
+        Such a voxel is not free, not voted down, and connected to a voxel with a point: a part, or each body of it, is
+        connected, and unknown space without a connection to a point has merely not been crossed yet. The belief
+        continues `_BELIEF_BOX` and `_BELIEF_STEPS` behind measured voxels, and in space that they enclose. Before the
+        first point it is `_FIRST_BELIEF` of the cylinder in its middle, at least two voxels.
 
         Args:
-            unlimited: however far it is from what was measured: where the part may be at most.
+            unlimited: continue to any distance from measured voxels: the largest extent of the part.
         """
         if not (self.state == OCCUPIED).any():
-            return self._cylinder(*(max(_LIKELY * half, self.edge) for half in (self.radius, self.height / 2)))
+            return self._cylinder(*(max(_FIRST_BELIEF * half, self.edge) for half in (self.radius, self.height / 2)))
         solid = self.maybe_part
         if not unlimited:
-            about = ndimage.maximum_filter((self.state == OCCUPIED).view(np.uint8), 2 * _BOX + 1)
-            solid &= ndimage.binary_dilation(about, iterations=_STEPS)
-        labels, count = ndimage.label(solid, _ALL_ROUND)
-        hit = np.zeros(count + 1, dtype=np.bool_)
-        hit[labels[self.state == OCCUPIED]] = True
-        return np.asarray(ndimage.binary_fill_holes(hit[labels]) & (self.state != FREE))
+            near = ndimage.maximum_filter((self.state == OCCUPIED).view(np.uint8), 2 * _BELIEF_BOX + 1)
+            solid &= ndimage.binary_dilation(near, iterations=_BELIEF_STEPS)
+        labels, count = ndimage.label(solid, _NEIGHBOURHOOD)
+        has_points = np.zeros(count + 1, dtype=np.bool_)
+        has_points[labels[self.state == OCCUPIED]] = True
+        return np.asarray(ndimage.binary_fill_holes(has_points[labels]) & (self.state != FREE))
 
     def is_measured(self, points: Floats, normals: Floats) -> Bools:
-        """(N,) which points of a believed surface have a measured point beside them, looked at along their normals.
+        """Return (N,) whether points of a belief surface have a measured point near their normal.
 
         Args:
             points: (N, 3) [m].
             normals: (N, 3) outward unit normals.
         """
-        return self._beside(self.points, points, normals)
+        return self._has_neighbour(self.points, points, normals)
 
     def is_near_measured(self, points: Floats) -> Bools:
-        """(N,) which points (N, 3) [m] are at most an edge from a measured one."""
-        tree = cKDTree(self.points, balanced_tree=False, compact_nodes=False)  # builds faster than it is asked
+        """Return (N,) whether points (N, 3) [m] are at most an edge from a measured one."""
+        tree = cKDTree(self.points, balanced_tree=False, compact_nodes=False)  # faster to build, used once
         return np.isfinite(tree.query(points, distance_upper_bound=self.edge)[0])
 
     def measured_since(self, before: "VoxelSpace", points: Floats, normals: Floats) -> tuple[Bools, Bools]:
-        """(N,) what is seen, and what of it was not `before`, of which this is what followed; `points` as in `seen`."""
-        seen, new = self.is_measured(points, normals), np.zeros(len(points), dtype=np.bool_)
+        """Return (N,) whether points are measured, and whether they are and were not in the earlier space `before`."""
+        measured, new = self.is_measured(points, normals), np.zeros(len(points), dtype=np.bool_)
         added = cKDTree(self.points[len(before.points) :])
-        near = np.isfinite(added.query(points[seen], distance_upper_bound=self._farthest)[0])
-        some = np.flatnonzero(seen)[near]  # without a point more beside it nothing is new
-        new[some] = ~before.is_measured(points[some], normals[some])
-        return seen, new
+        near = np.isfinite(added.query(points[measured], distance_upper_bound=self._max_distance)[0])
+        candidates = np.flatnonzero(measured)[near]  # nothing is new without a new point nearby
+        new[candidates] = ~before.is_measured(points[candidates], normals[candidates])
+        return measured, new
 
     def is_new(self, points: Floats) -> Bools:
-        """(N,) which points (N, 3) of a view [m] lie in a gap between those that were measured before, or beyond."""
+        """Return (N,) whether points (N, 3) of a view [m] lie in a gap between earlier points, or beyond them."""
         near = cKDTree(self.points).query(points, distance_upper_bound=self.gap)[0]
         return np.asarray(~np.isfinite(near))
 
     def is_still_open(self, points: Floats, normals: Floats) -> Bools:
-        """(N,) which points of an earlier believed surface are neither seen nor free.
+        """Return (N,) whether points of an earlier belief surface are neither measured nor free.
 
         Args:
             points: (N, 3) [m].
             normals: (N, 3) outward unit normals.
         """
         inside = points - self.edge * normals
-        return np.asarray(
-            ~self.is_measured(points, normals) & (self.values_at(inside, self.state) != FREE), dtype=np.bool_
-        )
+        is_free = self.values_at(inside, self.state) == FREE
+        return np.asarray(~self.is_measured(points, normals) & ~is_free, dtype=np.bool_)
 
     def with_tries(self, points: Floats) -> "VoxelSpace":
-        """With one more try for the voxels of points (N, 3) [m], each voxel once."""
+        """Count one more try for the voxels of points (N, 3) [m], each voxel once."""
         tries = np.array(self.tries)
-        place = tuple(np.unique(self._place(points), axis=0).T)
-        tries[place] = np.minimum(tries[place].astype(np.int64) + 1, 255).astype(np.uint8)
+        index = tuple(np.unique(self._index(points), axis=0).T)
+        tries[index] = np.minimum(tries[index].astype(np.int64) + 1, 255).astype(np.uint8)
         return replace(self, tries=tries)
 
     def open_samples_at(self, points: Floats, normals: Floats) -> OpenSamples:
-        """What class points of a believed surface are of, as in `seen`; tries within two voxels are of one patch."""
+        """Return the features of points of a belief surface; tries within two voxels count for the same patch."""
         measured = self.centres(self.state == OCCUPIED)
-        beside = cKDTree(measured).query(points)[0] / self.edge if len(measured) else np.full(len(points), np.inf)
+        distance = cKDTree(measured).query(points)[0] / self.edge if len(measured) else np.full(len(points), np.inf)
         tries = self.values_at(points, ndimage.maximum_filter(self.tries, 5))
-        between = self._beside(self.between, points, normals)
-        return OpenSamples(np.asarray(tries, dtype=np.int64), np.asarray(beside), between)
+        between = self._has_neighbour(self.between, points, normals)
+        return OpenSamples(np.asarray(tries, dtype=np.int64), np.asarray(distance), between)
 
-    def _beside(self, known: Floats, points: Floats, normals: Floats) -> Bools:
-        """(N,) whether one of the `known` places (P, 3) next to each is within a gap of its normal."""
+    def _has_neighbour(self, known: Floats, points: Floats, normals: Floats) -> Bools:
+        """Return (N,) whether one of the `known` positions (P, 3) next to each point is within a gap of its normal."""
         found, tree = np.zeros(len(points), dtype=np.bool_), cKDTree(known)
-        for many in (1, _NEIGHBOURS):  # the nearest says enough of most
-            rest = np.flatnonzero(~found)
-            k = np.arange(1, many + 1)
-            distance, at = map(np.asarray, tree.query(points[rest], k=k, distance_upper_bound=self._farthest))
+        for n_neighbours in (1, _NEIGHBOURS):  # the nearest one decides most
+            left = np.flatnonzero(~found)
+            k = np.arange(1, n_neighbours + 1)
+            distance, at = map(np.asarray, tree.query(points[left], k=k, distance_upper_bound=self._max_distance))
             which, _ = np.nonzero(np.isfinite(distance))
-            legs, along = known[at[np.isfinite(distance)]] - points[rest][which], normals[rest][which]
-            height = np.einsum("ij,ij->i", legs, along)
-            across = np.linalg.norm(legs - height[:, None] * along, axis=1)
-            on_it = (height <= _ABOVE * self.edge) & (height >= -_BELOW * self.edge)
-            found[rest] = np.bincount(which[(across <= self.gap) & on_it], minlength=len(rest)) > 0
+            offsets, along = known[at[np.isfinite(distance)]] - points[left][which], normals[left][which]
+            height = np.einsum("ij,ij->i", offsets, along)
+            across = np.linalg.norm(offsets - height[:, None] * along, axis=1)
+            on_surface = (height <= _ABOVE * self.edge) & (height >= -_BELOW * self.edge)
+            found[left] = np.bincount(which[(across <= self.gap) & on_surface], minlength=len(left)) > 0
         return found
 
     def _thinned(self, points: Floats) -> Floats:
-        """The first of the points (N, 3) [m] in each of small cubes."""
-        return points[first_in_cubes(points - self.low, _APART * self.gap)]
+        """Return the first of the points (N, 3) [m] in each of small cubes."""
+        return points[first_in_cubes(points - self.low, _THINNING * self.gap)]
 
     def _crossed(self, starts: Floats, ends: Floats) -> Bools:
-        """(X, Y, Z) the voxels that legs from (N, 3) to (N, 3) cross [m]."""
-        from planner.explore.traverse import cross  # puts off numba
-
+        """Return (X, Y, Z) whether segments from (N, 3) to (N, 3) cross a voxel [m]."""
         count = np.zeros(self.state.size, dtype=np.int64)
         begin, end = (np.ascontiguousarray(each, dtype=np.float64) for each in (starts, ends))
-        cross(begin, end, np.array(self.low), self.edge, self._shape, count)
+        count_crossings(begin, end, np.array(self.low), self.edge, self._shape, count)
         return np.asarray(count > 0).reshape(self.state.shape)
 
-    def _behind(self, points: Floats, stand: Floats, far: float) -> Bools:
-        """(X, Y, Z) the voxels that points (N, 3) hide from a place (3,), as far as `far` from it [m]."""
-        length = np.linalg.norm(points - stand, axis=1, keepdims=True)
-        onward = (points - stand) / np.maximum(length, 1e-12)
-        return self._crossed(points + self.edge * onward, stand + np.maximum(far, length) * onward)
+    def _behind(self, points: Floats, origin: Floats, far: float) -> Bools:
+        """Return (X, Y, Z) whether points (N, 3) hide a voxel from a position (3,), up to `far` from it [m]."""
+        length = np.linalg.norm(points - origin, axis=1, keepdims=True)
+        direction = (points - origin) / np.maximum(length, 1e-12)
+        return self._crossed(points + self.edge * direction, origin + np.maximum(far, length) * direction)
 
     @property
-    def _farthest(self) -> float:
-        """Distance of a measured point that is beside a believed surface, at most [m]."""
+    def _max_distance(self) -> float:
+        """Largest distance of a measured point from the belief surface near it [m]."""
         return float(np.hypot(self.gap, _BELOW * self.edge))
 
     @property
     def _shape(self) -> Ints:
         return np.array(self.state.shape, dtype=np.int64)
 
-    def _place(self, points: Floats) -> Ints:
-        """(N, 3) the voxel of each point, the nearest of the grid."""
+    def _index(self, points: Floats) -> Ints:
+        """Return the (N, 3) voxel of each point, the nearest of the grid."""
         return np.clip(np.floor((points - self.low) / self.edge).astype(np.int64), 0, self._shape - 1)
 
-    def _within(self, more: float) -> Bools:
-        """(X, Y, Z) whose middle is in the cylinder, or so much beyond [m]."""
-        return self._cylinder(self.radius + more, self.height / 2 + more)
+    def _within(self, margin: float) -> Bools:
+        """Return (X, Y, Z) whether the centre of a voxel is inside the cylinder, or at most the margin outside [m]."""
+        return self._cylinder(self.radius + margin, self.height / 2 + margin)
 
     def _cylinder(self, radius: float, half: float) -> Bools:
-        """(X, Y, Z) whose middle is in a cylinder about the axis [m]."""
+        """Return (X, Y, Z) whether the centre of a voxel is in a cylinder about the axis [m]."""
         x, y, z = (low + self.edge * (np.arange(n) + 0.5) for low, n in zip(self.low, self._shape, strict=True))
         disc = np.hypot(x[:, None], y[None]) <= radius
         return np.asarray(disc[:, :, None] & (np.abs(z) <= half))
+
+
+def first_in_cubes(points: Floats, side: float) -> Ints:
+    """Return the (M,) indices of the first point (N, 3) [m] in each cube of a side [m], ascending.
+
+    The extent of the points must be less than two million sides.
+    """
+    if not len(points):
+        return np.empty(0, dtype=np.int64)
+    cubes = np.floor(points / side).astype(np.int64)
+    cubes -= cubes.min(axis=0)
+    number = np.ravel_multi_index(tuple(cubes.T), tuple(cubes.max(axis=0) + 1))
+    return np.sort(np.unique(number, return_index=True)[1])
+
+
+@compiled
+def count_crossings(starts: Floats, ends: Floats, low: Floats, edge: float, shape: Ints, crossed: Ints) -> None:
+    """Count the segments that cross each voxel of a grid (Amanatides and Woo 1987).
+
+    Voxel (i, j, k) is the box from `low + edge * (i, j, k)` to one edge further; its flat index is that of a C-ordered
+    array.
+
+    Args:
+        starts: (N, 3) begin of each segment [m].
+        ends: (N, 3) end of each segment [m].
+        low: (3,) lowest corner of the grid [m].
+        edge: of a voxel [m].
+        shape: (3,) voxels along each axis.
+        crossed: (shape[0] * shape[1] * shape[2],) the counts are added to it.
+    """
+    at, step = np.empty(3, np.int64), np.empty(3, np.int64)
+    border, across = np.empty(3), np.empty(3)
+    for n in range(len(starts)):
+        begin, end = 0.0, 1.0  # part of the segment in the grid, as shares of its length
+        for axis in range(3):
+            along = ends[n, axis] - starts[n, axis]
+            first = low[axis] - starts[n, axis]
+            last = first + edge * shape[axis]
+            if along == 0.0:
+                if first > 0.0 or last < 0.0:
+                    begin = 2.0
+            else:
+                begin = max(begin, min(first / along, last / along))
+                end = min(end, max(first / along, last / along))
+        if begin >= end:
+            continue
+        for axis in range(3):
+            along = ends[n, axis] - starts[n, axis]
+            place = (starts[n, axis] + begin * along - low[axis]) / edge
+            at[axis] = min(max(np.int64(np.floor(place)), 0), shape[axis] - 1)
+            step[axis] = 1 if along > 0.0 else -1
+            if along == 0.0:
+                border[axis], across[axis] = np.inf, np.inf
+            else:
+                wall = low[axis] + edge * (at[axis] + (1 if along > 0.0 else 0))
+                border[axis] = (wall - starts[n, axis]) / along
+                across[axis] = edge / abs(along)
+        while True:
+            crossed[(at[0] * shape[1] + at[1]) * shape[2] + at[2]] += 1
+            axis = 0
+            if border[1] < border[axis]:
+                axis = 1
+            if border[2] < border[axis]:
+                axis = 2
+            if border[axis] >= end:
+                break
+            at[axis] += step[axis]
+            if at[axis] < 0 or at[axis] >= shape[axis]:
+                break
+            border[axis] += across[axis]

@@ -20,9 +20,8 @@ from planner.errors import PlannerError
 from planner.geometry.rigid import inverse_rigid
 from planner.kinematics.setpoints import Setpoints, setpoints
 from planner.ports import CollisionChecker, Kinematics, Progress
-from planner.values import Bools, Floats, Ints, Value, freeze, readonly
+from planner.values import Bools, DescribedEnum, Floats, Ints, Value, freeze, readonly
 from planner.viewpoints.viewpoints import Viewpoints
-from planner.worded import Worded
 
 _CHUNK = 512  # viewpoints between two progress reports: some thousand collision checks, a fraction of a second
 _RIGID = 1e-6
@@ -32,7 +31,7 @@ MAX_FREE_CONFIGURATIONS = 16
 table angles are left out, the last ones of `Kinematics.inverse`."""
 
 
-class Verdict(Worded):
+class Verdict(DescribedEnum):
     """Result of the search for one viewpoint; the values are stored in files."""
 
     REACHABLE = 0, "reachable without collision"

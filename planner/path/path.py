@@ -18,14 +18,13 @@ from planner.path.rrt_connect import rrt_connect
 from planner.ports import ARM_AXES, CollisionChecker, JointLimits
 from planner.timing.limits import require_inside, require_usable
 from planner.timing.move_time import move_time
-from planner.values import Floats, Value, readonly
-from planner.worded import Worded
+from planner.values import DescribedEnum, Floats, Value, readonly
 
 MAX_CHECKS = 40_000
 """Default budget of a search in checked configurations: about half a second at 80,000 per second."""
 
 
-class PathStatus(Worded):
+class PathStatus(DescribedEnum):
     """Result of a connection."""
 
     STRAIGHT = 0, "the straight joint move is free"

@@ -41,8 +41,7 @@ from numpy.typing import ArrayLike
 from planner.geometry.rigid import rotation_matrices, rotation_vectors
 from planner.ports import JointLimits, Kinematics
 from planner.timing.s_curve import Profile
-from planner.values import Bools, Floats, Value, readonly
-from planner.worded import Worded
+from planner.values import Bools, DescribedEnum, Floats, Value, readonly
 
 SLACK = 1.1
 """R over the largest distance of an axis at a sample; the proof checks that it also holds between samples."""
@@ -249,7 +248,7 @@ def join_axis_names(which: Bools) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-class SweepRefusal(Worded):
+class SweepRefusal(DescribedEnum):
     """Reason why a sweep cannot be driven on a branch."""
 
     NO_LINE = 0, "the poses do not follow each other at equal steps on a line"

@@ -20,15 +20,14 @@ from planner.errors import PlannerError
 from planner.tour import bounds
 from planner.tour import generalised_tsp as gtsp
 from planner.tour.visits import TourProblem
-from planner.values import Bools, Floats, Ints, Value, readonly
-from planner.worded import Worded
+from planner.values import Bools, DescribedEnum, Floats, Ints, Value, readonly
 
 _MATCHED = 10  # nearest places that are candidates for the match of a place of odd degree; more if one stays alone
 
 _STEPS_PER_TRIAL = 30  # steps of the free search's budget per trial of an order: evaluating an order takes as long
 
 
-class OrderStatus(Worded):
+class OrderStatus(DescribedEnum):
     """Quality of an order."""
 
     OPTIMAL = 0, "no order and choice of configurations takes less time"

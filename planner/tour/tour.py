@@ -20,11 +20,10 @@ from planner.tour.orderings import Ordering, order_views
 from planner.tour.roadmap import Roadmap
 from planner.tour.tour_search import DEFAULT_BUDGET, MotionBudget, TourSearch
 from planner.tour.visits import Visits
-from planner.values import Bools, Floats, Ints, Value
-from planner.worded import Worded
+from planner.values import Bools, DescribedEnum, Floats, Ints, Value
 
 
-class TourStatus(Worded):
+class TourStatus(DescribedEnum):
     """Result for all views."""
 
     COMPLETE = 0, "every view is visited"
@@ -32,7 +31,7 @@ class TourStatus(Worded):
     HOME_IN_COLLISION = 2, "home is nearer to something than the clearance; there is no motion"
 
 
-class DropReason(Worded):
+class DropReason(DescribedEnum):
     """Reason why a view is not visited."""
 
     NO_SOLUTION = 0, "the view has no configuration"

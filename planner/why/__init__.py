@@ -1,1 +1,1 @@
-"""Why a point of the surface stays open, and what would measure it."""
+"""Causes of uncovered surface points, and changes of the plan that would cover them."""

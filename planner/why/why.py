@@ -1,19 +1,19 @@
-"""Why a surface point stays open: the condition at which the candidate that came closest to measuring it fails.
+"""Cause of an uncovered surface point: the condition that its closest candidate fails.
 
-A candidate measures a point if it passes these conditions, asked in this order:
+A candidate measures a point if these conditions hold, checked in this order:
 
-    the scanner's own (field of view, range, grazing, ...: the order of `planner.ports.Rejection`)
-    the laser's leg, then the sensor's, are free of the part
-    the laser's leg, then the sensor's, are free of everything else (fixtures, post, floor)
-    the arm takes the pose up (in reach, inside the joint limits, without collision, a free path leads to it)
-    the plan has chosen it
+    the scanner's own limits (field of view, range, grazing, ...: in the order of `planner.ports.Rejection`)
+    the lines of sight of laser and sensor are free of the part
+    the lines of sight of laser and sensor are free of all other objects (fixtures, post, floor)
+    the arm reaches the pose (in reach, inside the joint limits, without collision, by a free path)
+    the plan selects it
 
-The *closest* candidate is the one that passes most of them. Of several, it is the one that misses the condition by
-least: by the angle off the viewing axis (field of view), the logarithm of distance over standoff (range), the grazing
-angle of that leg, and, where a condition has no degree (shading, reach), the one that sees the point most squarely.
+The *closest* candidate passes the most conditions. Of several, it is the one that misses the condition by least:
+by the angle from the viewing axis (field of view), the logarithm of distance over standoff (range), the grazing angle
+at source or sensor, and for conditions without a measure (occlusion, reach) by the grazing angle at the source.
 
-`planner.why.reasons` numbers a condition by its place in the order, so the closest candidate has the largest. Object
-frame, metres, radians.
+`Reason` numbers the conditions in this order, so the closest candidate has the largest number. Object frame, metres,
+radians.
 """
 
 from collections.abc import Mapping
@@ -24,30 +24,62 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
+from planner.kinematics.reach import Verdict
 from planner.ports import Progress, RayCaster, Rejection, Scanner
-from planner.values import Floats, Ints, Value, readonly
+from planner.values import DescribedEnum, Floats, Ints, Value, readonly
 from planner.viewpoints.lines_of_sight import BUNDLE, RayTargets, flatten_poses, rejections
 from planner.viewpoints.viewpoints import Viewpoints
-from planner.why.reasons import Reason
+
+
+class Reason(DescribedEnum):
+    """Condition that the closest candidate fails, in the order of the checks; files contain the values."""
+
+    MEASURED = 0, "measured"
+    OUT_OF_FOV = 10, "outside the field of view"
+    OUT_OF_SENSOR_FOV = 12, "outside the sensor's field of view"
+    OUT_OF_RANGE = 14, "outside the range"
+    OUT_OF_DEPTH = 16, "outside the depth of field"
+    GRAZING_SOURCE = 20, "grazing angle of the laser above the limit"
+    GRAZING_SENSOR = 22, "grazing angle of the sensor above the limit"
+    TOO_SPARSE = 23, "distance of neighbouring points above the limit"
+    TOO_UNCERTAIN = 24, "expected sigma above the limit"
+    SOURCE_SHADED_BY_PART = 30, "laser occluded"
+    SENSOR_SHADED_BY_PART = 31, "sensor occluded"
+    SOURCE_SHADED = 32, "laser occluded"
+    SENSOR_SHADED = 33, "sensor occluded"
+    OUT_OF_REACH = 40, "view out of the arm's reach"
+    JOINT_LIMIT = 41, "view beyond a joint limit"
+    COLLISION = 42, "view in collision"
+    NO_PATH = 43, "no free path to the view"
+    NOT_SELECTED = 50, "reachable view not selected"
+
+
+REASON_OF_VERDICT = {
+    Verdict.REACHABLE: Reason.NOT_SELECTED,
+    Verdict.OUT_OF_REACH: Reason.OUT_OF_REACH,
+    Verdict.JOINT_LIMIT: Reason.JOINT_LIMIT,
+    Verdict.COLLISION: Reason.COLLISION,
+}
+"""Condition that a candidate fails which otherwise measures a point, by its reach verdict."""
 
 _PASSES = 255  # no condition that needs no ray fails; above every Reason
-_REASON_OF_CODE = np.full(256, Reason.OUT_OF_FOV, dtype=np.uint8)
-_REASON_OF_CODE[Rejection.MEASURED] = _PASSES
-for _code in Rejection:
-    if _code.name in Reason.__members__ and _code is not Rejection.MEASURED:
-        _REASON_OF_CODE[_code] = Reason[_code.name]
+_REASON_OF_REJECTION = np.full(256, Reason.OUT_OF_FOV, dtype=np.uint8)
+_REASON_OF_REJECTION[Rejection.MEASURED] = _PASSES
+for _rejection in Rejection:
+    if _rejection.name in Reason.__members__ and _rejection is not Rejection.MEASURED:
+        _REASON_OF_REJECTION[_rejection] = Reason[_rejection.name]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis(Value):
-    """Reason and closest candidate of n open points.
+    """Reason and closest candidate of n uncovered points.
 
     Attributes:
         reason: (n,) uint8 `Reason` values.
-        pose: (n,) int64 pose that came closest: candidate pose // K; -1 where there are no candidates.
-        grazing_source: (n,) angle between normal and the direction to the source, at that pose [rad].
+        pose: (n,) closest pose: candidate pose // K; -1 without candidates.
+        grazing_source: (n,) angle between normal and direction to the source, at that pose [rad].
         grazing_sensor: (n,) the same for the sensor [rad].
-        distance: (n,) from source to point, at that pose [m].
+        distance: (n,) distance of source and point, at that pose [m].
     """
 
     reason: Annotated[NDArray[np.uint8], "n"]
@@ -68,38 +100,38 @@ def diagnose(
     *,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Why points stay open.
+    """Find the cause of uncovered points.
 
     Args:
         targets: surface points, object frame.
-        rows: (n,) those that stay open.
+        rows: (n,) the uncovered ones.
         viewpoints: V candidates of K poses.
         scanner: the sensor's law.
-        part_caster: casts on the part.
-        occluder_caster: casts on everything else that occludes.
-        fails: (V,) `Reason` at which each candidate fails even for a point that it would measure: OUT_OF_REACH,
+        part_caster: casts rays on the part.
+        occluder_caster: casts rays on all other occluders.
+        fails: (V,) `Reason` that each candidate fails even for a point that it would measure: OUT_OF_REACH,
             JOINT_LIMIT, COLLISION, NO_PATH or NOT_SELECTED.
-        progress: called with (poses done, poses in all).
+        progress: called with (poses done, all poses).
 
     Raises:
-        PlannerError: if `fails` is not one such reason for each candidate.
+        PlannerError: if `fails` is not one of these reasons for each candidate.
     """
     fails = readonly("fails", fails, (len(viewpoints),), np.uint8)
     if len(fails) and fails.min() < Reason.OUT_OF_REACH:
-        raise PlannerError("fails must hold what a candidate fails at that would measure: OUT_OF_REACH or later")
+        raise PlannerError(f"fails contains {fails.min()}; each value must be OUT_OF_REACH (40) or a later reason")
     poses = flatten_poses(viewpoints.T_object_scanner)
     K = viewpoints.T_object_scanner.shape[1]
     standoff = np.repeat(viewpoints.standoff, K)
-    last = np.repeat(fails, K)  # the farthest that a pose can come
+    last = np.repeat(fails, K)  # largest reason that a pose can reach
     search = _Search(targets, rows, poses, scanner, (part_caster, occluder_caster), last)
-    order = np.argsort(-last.astype(np.int64), kind="stable")  # the best class first: what it measures needs no other
+    order = np.argsort(-last.astype(np.int64), kind="stable")  # best class first: its points need no other
     previous = -1
     for done, pose in enumerate(order):
         if last[pose] != previous:
             search.cast()
             search.retire(int(last[pose]))
             previous = int(last[pose])
-        search.ask(int(pose), float(standoff[pose]))
+        search.check(int(pose), float(standoff[pose]))
         if progress and done % 32 == 31:
             progress(done + 1, len(poses))
     search.cast()
@@ -109,12 +141,17 @@ def diagnose(
 
 
 class _Search:
-    """The running best of every row."""
+    """The best reason so far of each row."""
 
     def __init__(
-        self, targets: RayTargets, rows: Ints, poses: Floats, scanner: Scanner,
-        casters: tuple[RayCaster, RayCaster], last: NDArray[np.uint8],
-    ) -> None:  # fmt: skip
+        self,
+        targets: RayTargets,
+        rows: Ints,
+        poses: Floats,
+        scanner: Scanner,
+        casters: tuple[RayCaster, RayCaster],
+        last: NDArray[np.uint8],
+    ) -> None:
         self.targets, self.rows, self.poses, self.scanner, self.casters = targets, rows, poses, scanner, casters
         self.last = last
         self.best = np.zeros(len(rows), dtype=np.uint8)
@@ -125,26 +162,26 @@ class _Search:
         self._count = 0
 
     def retire(self, level: int) -> None:
-        """Leave out the rows that have come farther than any candidate that is still to be asked."""
+        """Ignore the rows whose best reason is larger than that of any remaining candidate."""
         self.active = np.flatnonzero(self.best <= level)
         self._points = self.targets.points[:, self.rows[self.active]]
         self._normals = self.targets.normals[:, self.rows[self.active]]
 
-    def ask(self, pose: int, standoff: float) -> None:
-        """One pose: judge what fails without a ray; what does not waits for its legs."""
+    def check(self, pose: int, standoff: float) -> None:
+        """Check the conditions of a pose that need no ray; rows that pass wait for ray casting."""
         if not len(self.active):
             return
         T = self.poses[pose]
-        into = T[:3, :3].T
-        points = into @ self._points - (into @ T[:3, 3])[:, None]
-        normals = into @ self._normals
+        rotation = T[:3, :3].T
+        points = rotation @ self._points - (rotation @ T[:3, 3])[:, None]
+        normals = rotation @ self._normals
         codes = rejections(self.targets, self.rows[self.active], self.scanner, points, normals)
-        reason = _REASON_OF_CODE[codes]
+        reason = _REASON_OF_REJECTION[codes]
         passing = np.flatnonzero(reason == _PASSES)
         if len(passing):
             here = self.active[passing]
             miss = _angle(normals[:, passing], self.scanner.source[:, None] - points[:, passing])
-            # Where the row has come as far already, and more squarely, the rays cannot change anything.
+            # If the row has reached as much already, at a smaller angle, the rays change nothing.
             useful = (self.best[here] < self.last[pose]) | (miss < self.miss[here])
             self._waiting.append((pose, here[useful], miss[useful]))
             self._count += int(useful.sum())
@@ -152,12 +189,12 @@ class _Search:
         if len(failing):
             here, level = self.active[failing], reason[failing]
             miss = self._miss(points[:, failing], normals[:, failing], level, standoff)
-            self._keep(here, level, miss, np.full(len(here), pose))
+            self._keep_best(here, level, miss, np.full(len(here), pose))
         if self._count >= BUNDLE:
             self.cast()
 
     def cast(self) -> None:
-        """Cast the legs of all that waits: the part's first, then the rest's."""
+        """Cast the rays of all waiting rows: first on the part, then on the other occluders."""
         if not self._count:
             self._waiting.clear()
             return
@@ -167,7 +204,7 @@ class _Search:
         self._waiting.clear()
         self._count = 0
         level = self.last[pose].copy()
-        alive = np.arange(len(row))
+        free = np.arange(len(row))
         steps = (
             (self.casters[0], self.scanner.source, Reason.SOURCE_SHADED_BY_PART),
             (self.casters[0], self.scanner.sensor, Reason.SENSOR_SHADED_BY_PART),
@@ -176,23 +213,23 @@ class _Search:
         )
         for caster, position, reason in steps:
             origins = self.poses[:, :3, :3] @ position + self.poses[:, :3, 3]
-            blocked = caster.blocked(origins[pose[alive]], self.targets.lifted[self.rows[row[alive]]])
-            level[alive[blocked]] = reason
-            alive = alive[~blocked]
-        # Of a row's pairs the best comes first; a stable order keeps the earlier pose where all is equal.
+            blocked = caster.blocked(origins[pose[free]], self.targets.lifted[self.rows[row[free]]])
+            level[free[blocked]] = reason
+            free = free[~blocked]
+        # The best pair of each row comes first; a stable order keeps the earlier pose of equal ones.
         order = np.lexsort((miss, -level.astype(np.int64), row))
         first = np.ones(len(order), dtype=np.bool_)
         first[1:] = np.diff(row[order]) != 0
-        chosen = order[first]
-        self._keep(row[chosen], level[chosen], miss[chosen], pose[chosen])
+        best = order[first]
+        self._keep_best(row[best], level[best], miss[best], pose[best])
 
-    def _keep(self, row: Ints, level: NDArray[np.uint8], miss: Floats, pose: Ints) -> None:
+    def _keep_best(self, row: Ints, level: NDArray[np.uint8], miss: Floats, pose: Ints) -> None:
         better = (level > self.best[row]) | ((level == self.best[row]) & (miss < self.miss[row]))
         at = row[better]
         self.best[at], self.miss[at], self.pose[at] = level[better], miss[better], pose[better]
 
     def _miss(self, points: Floats, normals: Floats, level: NDArray[np.uint8], standoff: float) -> Floats:
-        """By how much a condition is missed, (n,); see the module. Points and normals (3, n), scanner frame."""
+        """Return by how much each condition is missed, (n,); points and normals are (3, n), scanner frame."""
         miss = np.empty(len(level))
         in_fov = (level == Reason.OUT_OF_FOV) | (level == Reason.OUT_OF_SENSOR_FOV)
         in_range = (level == Reason.OUT_OF_RANGE) | (level == Reason.OUT_OF_DEPTH)
@@ -208,12 +245,12 @@ class _Search:
 
 
 def _dot(first: Floats, second: Floats) -> Floats:
-    """(n,) scalar products of vectors (3, n)."""
+    """Return the (n,) scalar products of (3, n) vectors."""
     return np.asarray(np.einsum("in,in->n", first, second))
 
 
 def _angle(first: Floats, second: Floats) -> Floats:
-    """(n,) angles between vectors (3, n) [rad]; pi / 2 where one has no length."""
+    """Return the (n,) angles between (3, n) vectors [rad]; pi / 2 if one has no length."""
     length = np.sqrt(_dot(first, first) * _dot(second, second))
     cosine = np.divide(_dot(first, second), length, out=np.zeros_like(length), where=length > 0)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
@@ -223,8 +260,8 @@ def _with_angles(
     targets: RayTargets, rows: Ints, poses: Floats, scanner: Scanner, reason: NDArray[np.uint8], pose: Ints
 ) -> Diagnosis:
     if not len(poses):
-        nothing = np.full(len(rows), np.nan)
-        return Diagnosis(reason, pose, nothing, nothing, nothing)
+        unknown = np.full(len(rows), np.nan)
+        return Diagnosis(reason, pose, unknown, unknown, unknown)
     points, normals = targets.points[:, rows], targets.normals[:, rows]
     source, sensor = (
         (poses[pose, :3, :3] @ position + poses[pose, :3, 3]).T - points
@@ -235,23 +272,27 @@ def _with_angles(
 
 
 def occluders_of(
-    targets: RayTargets, rows: Ints, diagnosis: Diagnosis, viewpoints: Viewpoints, scanner: Scanner,
+    targets: RayTargets,
+    rows: Ints,
+    diagnosis: Diagnosis,
+    viewpoints: Viewpoints,
+    scanner: Scanner,
     occluders: Mapping[str, RayCaster],
-) -> list[str]:  # fmt: skip
-    """What shades each row from its closest candidate: "part", the occluders' names joined by " and ", or "".
+) -> list[str]:
+    """Return what occludes each row at its closest candidate: "part", names of occluders joined by " and ", or "".
 
     Args:
         targets: surface points.
-        rows: (n,) the open ones.
+        rows: (n,) the uncovered ones.
         diagnosis: of these rows.
-        viewpoints: the candidates that were asked.
-        scanner: where source and sensor are.
-        occluders: a caster for each thing beside the part.
+        viewpoints: the diagnosed candidates.
+        scanner: positions of source and sensor.
+        occluders: a caster for each object beside the part.
     """
     poses = flatten_poses(viewpoints.T_object_scanner)
-    found = np.full(len(rows), "", dtype=object)
+    names = np.full(len(rows), "", dtype=object)
     by_part = (diagnosis.reason == Reason.SOURCE_SHADED_BY_PART) | (diagnosis.reason == Reason.SENSOR_SHADED_BY_PART)
-    found[by_part] = "part"
+    names[by_part] = "part"
     ends = ((Reason.SOURCE_SHADED, scanner.source), (Reason.SENSOR_SHADED, scanner.sensor))
     for reason, position in ends:
         here = np.flatnonzero(diagnosis.reason == reason)
@@ -261,5 +302,5 @@ def occluders_of(
         origins = poses[pose, :3, :3] @ position + poses[pose, :3, 3]
         for name, caster in occluders.items():
             blocked = here[caster.blocked(origins, targets.lifted[rows[here]])]
-            found[blocked] = [f"{before} and {name}" if before else name for before in found[blocked]]
-    return [str(name) for name in found]
+            names[blocked] = [f"{before} and {name}" if before else name for before in names[blocked]]
+    return [str(name) for name in names]

@@ -14,7 +14,7 @@ from planner.ports import Rejection
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import optimal_scanning_zone
 from planner.why import why
-from planner.why.reasons import Reason
+from planner.why.why import Reason
 
 
 def test_every_reason_is_that_of_the_pair_that_comes_farthest(blob: Callable[[int], trimesh.Trimesh]) -> None:

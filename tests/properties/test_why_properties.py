@@ -27,8 +27,8 @@ from cell.world.occluders import fixed_occluders
 from planner.kinematics import reach
 from planner.measurability import coverage
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
-from planner.why.reasons import Reason
-from planner.why.what_if import Kind
+from planner.why.what_if import ChangeKind
+from planner.why.why import Reason
 
 _SCENE = """
 [[fixtures]]
@@ -106,7 +106,7 @@ def test_what_the_clamp_shades_is_its_own_and_gone_without_it(answer: Analysis) 
         points = answer.samples.points[group.rows]
         assert (points[:, 2] > 0.0199).all()
         assert (np.abs(points[:, :2] - [0.02, 0]) < [0.03, 0.025]).all()
-        without = [named for named in group.named if named.change.kind is Kind.FIXTURE]
+        without = [named for named in group.named if named.change.kind is ChangeKind.FIXTURE]
         assert [named.change.sentence for named in without] == ["without fixture clamp"]
         assert without[0].gained[group.rows].all()
         return
@@ -117,7 +117,7 @@ def test_sides_out_of_reach_and_views_that_were_not_needed_are_told_apart(answer
     """The far side is out of reach; below full coverage there is surface that only waits for a view more."""
     assert (answer.samples.points[_group(answer, Reason.OUT_OF_REACH, "").rows, 0] > -0.0499).any()
     waiting = _group(answer, Reason.NOT_SELECTED, "")
-    assert {named.change.kind for named in waiting.named} == {Kind.VIEW}
+    assert {named.change.kind for named in waiting.named} == {ChangeKind.VIEW}
     assert answer.share(waiting.rows) > 0.02
 
 
@@ -167,22 +167,22 @@ def test_every_change_that_is_named_measures_what_it_claims_when_it_is_made(
             scene = load_scene(path, {"placement": options})
             candidates, parameters = views, dict(limits)
             match change.kind:
-                case Kind.FIXTURE if "clamp" in change.sentence:
+                case ChangeKind.FIXTURE if "clamp" in change.sentence:
                     scene = load_scene(None, {"placement": options})
-                case Kind.FIXTURE:
+                case ChangeKind.FIXTURE:
                     scene = scene.model_copy(update={"post": scene.post.model_copy(update={"enabled": False})})
-                case Kind.TURN:
+                case ChangeKind.TURN:
                     numbers = [float(value) for value in change.setting.removeprefix("--place ").split(",")]
                     scene = load_scene(path, {"placement": {"position_mm": numbers[:3], "abc_deg": numbers[3:]}})
-                case Kind.STANDOFF | Kind.ROLL:
+                case ChangeKind.STANDOFF | ChangeKind.ROLL:
                     numbers = [float(value) for value in change.setting.split()[1].split(",")]
-                    standoffs = [n / 1000 for n in numbers] if change.kind is Kind.STANDOFF else [0.25]
-                    rolls = np.radians(numbers if change.kind is Kind.ROLL else [0, 90]).tolist()
+                    standoffs = [n / 1000 for n in numbers] if change.kind is ChangeKind.STANDOFF else [0.25]
+                    rolls = np.radians(numbers if change.kind is ChangeKind.ROLL else [0, 90]).tolist()
                     candidates = optimal_scanning_zone(run.mesh("planning.ply"), standoffs, rolls)
-                case Kind.VIEW:
+                case ChangeKind.VIEW:
                     chosen = [int(n) for n in re.findall(r"\d+", change.sentence.split("candidate")[1])]
                     candidates = Viewpoints(*(getattr(views, name)[chosen] for name in _FIELDS))
-                case Kind.AIMED:
+                case ChangeKind.AIMED:
                     T = change.T_object_scanner
                     candidates = Viewpoints(T, np.full(len(T), -1), np.full(len(T), 0.25), np.zeros(len(T)))
                 case _:
@@ -192,7 +192,7 @@ def test_every_change_that_is_named_measures_what_it_claims_when_it_is_made(
             np.testing.assert_array_equal(now[rows] | ~named.gained[rows], True, err_msg=change.sentence)
             assert named.gained[rows].any()
             seen.add(change.kind)
-    assert {Kind.VIEW, Kind.AIMED, Kind.FIXTURE, Kind.TURN} <= seen
+    assert {ChangeKind.VIEW, ChangeKind.AIMED, ChangeKind.FIXTURE, ChangeKind.TURN} <= seen
 
 
 _FIELDS = ("T_object_scanner", "face", "standoff", "roll")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner.explore.cubes import first_in_cubes
+from planner.explore.space import first_in_cubes
 
 SIDE = 0.25
 

@@ -10,7 +10,7 @@ from planner.explore.gain import OpenSamples
 from planner.geometry.sampling import SurfaceSamples
 from planner.kinematics.reach import Reach, Verdict
 from planner.viewpoints.viewpoints import aim_viewpoints
-from planner.why.reasons import Reason
+from planner.why.why import Reason
 
 _FAR = EmbreeRayCaster(np.array([[9.0, 0, 0], [9, 1, 0], [9, 0, 1]]), np.array([[0, 1, 2]], dtype=np.int32))
 

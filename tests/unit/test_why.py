@@ -9,8 +9,8 @@ from planner.errors import PlannerError
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints, aim_viewpoints
 from planner.why import what_if, why
-from planner.why.reasons import Reason
-from planner.why.what_if import Kind, WhatIf, choose
+from planner.why.what_if import ChangeKind, PlanChange, select_changes
+from planner.why.why import Reason
 
 _FAR = EmbreeRayCaster(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
 """Something that is never in the way."""
@@ -64,8 +64,8 @@ def test_another_standoff_frees_exactly_the_difference_of_the_shadows() -> None:
     x = np.linspace(0.0005, 0.03, 400)
     targets, part = _on_plate(x), _caster(_PLATE, _WALL)
     scanner = LaserArea(range_mm=(50, 900), baseline_mm=0, grazing_max_deg=90)
-    higher = what_if.backed_off(_down(-0.04, 0.2), 0.4)
-    change = WhatIf(Kind.STANDOFF, 1.0, "", "", higher.T_object_scanner, scanner, (part, _FAR))
+    higher = what_if.with_standoff(_down(-0.04, 0.2), 0.4)
+    change = PlanChange(ChangeKind.STANDOFF, 1.0, "", "", higher.T_object_scanner, scanner, (part, _FAR))
     rows = np.flatnonzero(x < 0.04 * 0.02 / 0.18)
     gained = change.measures(targets, rows)
     np.testing.assert_array_equal(gained, x[rows] > 0.04 * 0.02 / 0.38)
@@ -83,7 +83,7 @@ def test_the_sensor_shadow_of_a_wall_and_the_baseline_that_ends_it() -> None:
     found = _reasons(targets, views, wide, part)
     shaded = -x < 0.07 * 0.02 / 0.18  # the sensor stands 70 mm beyond the wall
     np.testing.assert_array_equal(found.reason == Reason.SENSOR_SHADED_BY_PART, shaded)
-    gained = WhatIf(Kind.BASELINE, 0.35, "", "", views.T_object_scanner, narrow, (part, _FAR)).measures(
+    gained = PlanChange(ChangeKind.BASELINE, 0.35, "", "", views.T_object_scanner, narrow, (part, _FAR)).measures(
         targets, np.flatnonzero(shaded)
     )
     np.testing.assert_array_equal(gained, -x[shaded] > 0.035 * 0.02 / 0.18)
@@ -97,9 +97,9 @@ def test_a_roll_that_turns_the_baseline_along_the_wall_ends_the_sensor_shadow() 
     targets, part = _on_plate(x), _caster(_PLATE, _WALL)
     scanner = LaserArea(range_mm=(50, 900), grazing_max_deg=90, baseline_mm=100)
     assert (_reasons(targets, _down(-0.03, 0.2), scanner, part).reason == Reason.SENSOR_SHADED_BY_PART).any()
-    turned = what_if.rolled(_down(-0.03, 0.2), np.pi / 2)
+    turned = what_if.with_roll(_down(-0.03, 0.2), np.pi / 2)
     np.testing.assert_allclose(turned.T_object_scanner, _down(-0.03, 0.2, np.pi / 2).T_object_scanner, atol=1e-12)
-    change = WhatIf(Kind.ROLL, 90.0, "", "", turned.T_object_scanner, scanner, (part, _FAR))
+    change = PlanChange(ChangeKind.ROLL, 90.0, "", "", turned.T_object_scanner, scanner, (part, _FAR))
     assert change.measures(targets, np.arange(len(x))).all()
 
 
@@ -116,7 +116,7 @@ def test_what_stands_in_the_way_is_named() -> None:
     names = why.occluders_of(targets, np.arange(len(x)), found, views, scanner, casters)
     assert {name for name, dark in zip(names, shaded, strict=True) if dark} == {"clamp"}
     assert {name for name, dark in zip(names, shaded, strict=True) if not dark} == {""}
-    without = WhatIf(Kind.FIXTURE, 0.0, "", "", views.T_object_scanner, scanner, (part, _FAR))
+    without = PlanChange(ChangeKind.FIXTURE, 0.0, "", "", views.T_object_scanner, scanner, (part, _FAR))
     assert without.measures(targets, np.flatnonzero(shaded)).all()
 
 
@@ -134,14 +134,14 @@ def test_grazing_is_told_by_its_exact_angle_and_the_smallest_limit_that_helps_is
     np.testing.assert_allclose(np.degrees(found.grazing_source[0]), angle_deg, atol=1e-9)
     limits = np.arange(76, 90)
     gains = [
-        WhatIf(
-            Kind.GRAZING, limit - 75, "", "", views.T_object_scanner,
+        PlanChange(
+            ChangeKind.GRAZING, limit - 75, "", "", views.T_object_scanner,
             LaserArea(baseline_mm=0, grazing_max_deg=float(limit)), (part, _FAR),
         ).measures(targets, rows)[0]
         for limit in limits
     ]  # fmt: skip
     assert limits[int(np.argmax(gains))] == angle_deg
-    named = choose(np.array(gains, float), [Kind.GRAZING] * len(limits), (limits - 75).tolist())
+    named = select_changes(np.array(gains, float), [ChangeKind.GRAZING] * len(limits), (limits - 75).tolist())
     assert [int(limits[i]) for i in named] == [angle_deg]
 
 
@@ -170,7 +170,7 @@ def test_new_views_are_aimed_at_the_point_at_the_tilt_and_the_standoff() -> None
     points, normals = rng.normal(size=(7, 3)), rng.normal(size=(7, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     tilt, standoff = np.radians(35.0), 0.25
-    made = what_if.tilted_at(points, normals, tilt, 8, standoff, [0.0, np.pi / 2])
+    made = what_if.tilted_viewpoints(points, normals, tilt, 8, standoff, [0.0, np.pi / 2])
     assert len(made) == 7 * 8 * 2
     T = made.T_object_scanner[:, 0]
     point, normal = np.repeat(points, 16, axis=0), np.repeat(normals, 16, axis=0)
@@ -181,22 +181,22 @@ def test_new_views_are_aimed_at_the_point_at_the_tilt_and_the_standoff() -> None
 
 def test_the_smaller_of_two_changes_that_gain_alike_is_named_first_and_none_that_gains_nothing() -> None:
     """Nine tenths of the largest gain counts as much; then the kind decides, then the size; below 1 % is nothing."""
-    kinds = [Kind.GRAZING, Kind.STANDOFF, Kind.STANDOFF, Kind.FOV]
-    assert choose(np.array([1.0, 0.92, 0.95, 0.005]), kinds, [3, 0.1, 0.2, 10]) == [1, 0]
-    assert choose(np.array([1.0, 0.5, 0.6, 0.3]), kinds, [3, 0.1, 0.2, 10]) == [0, 2, 3]
-    assert choose(np.array([0.009, 0.0, 0.0, 0.0]), kinds, [3, 0.1, 0.2, 10]) == []
+    kinds = [ChangeKind.GRAZING, ChangeKind.STANDOFF, ChangeKind.STANDOFF, ChangeKind.FOV]
+    assert select_changes(np.array([1.0, 0.92, 0.95, 0.005]), kinds, [3, 0.1, 0.2, 10]) == [1, 0]
+    assert select_changes(np.array([1.0, 0.5, 0.6, 0.3]), kinds, [3, 0.1, 0.2, 10]) == [0, 2, 3]
+    assert select_changes(np.array([0.009, 0.0, 0.0, 0.0]), kinds, [3, 0.1, 0.2, 10]) == []
 
 
 def test_few_views_cover_greedily_until_nearly_all_is_measured() -> None:
     """View 2 measures rows 0 to 5, view 0 the rest of ten: both are named, no third."""
     pairs = np.array([[row, 2] for row in range(6)] + [[row, 0] for row in range(5, 10)] + [[0, 1], [9, 1]])
-    assert what_if.few_views(pairs, 10) == [2, 0]
-    assert what_if.few_views(np.empty((0, 2), np.int64), 4) == []
+    assert what_if.select_views(pairs, 10) == [2, 0]
+    assert what_if.select_views(np.empty((0, 2), np.int64), 4) == []
 
 
 def test_a_candidate_must_fail_at_something_beyond_measuring() -> None:
     """A reason of the scanner's for a whole candidate is refused."""
-    with pytest.raises(PlannerError, match="OUT_OF_REACH or later"):
+    with pytest.raises(PlannerError, match="each value must be OUT_OF_REACH"):
         _reasons(_on_plate(np.array([0.0])), _down(0.0, 0.2), LaserArea(), _caster(_PLATE), fails=Reason.OUT_OF_FOV)
 
 
@@ -208,8 +208,8 @@ def test_the_middle_of_a_sweep_stays_when_it_backs_off_and_rolls() -> None:
     views = Viewpoints(start, np.zeros(2, np.int32), np.full(2, 0.2), np.array([0.0, 0.3]))
     for poses in (straight_sweep_poses(0.1, 8), turned_sweep_poses(0.5, 8)):
         columns = sweep_viewpoints(views, poses)
-        np.testing.assert_allclose(what_if.middle(columns.T_object_scanner), start[:, 0], atol=1e-12)
-        for change in (lambda v: what_if.backed_off(v, 0.26), lambda v: what_if.rolled(v, 1.1)):
+        np.testing.assert_allclose(what_if.middle_poses(columns.T_object_scanner), start[:, 0], atol=1e-12)
+        for change in (lambda v: what_if.with_standoff(v, 0.26), lambda v: what_if.with_roll(v, 1.1)):
             np.testing.assert_allclose(
                 change(columns).T_object_scanner, sweep_viewpoints(change(views), poses).T_object_scanner, atol=1e-12
             )
