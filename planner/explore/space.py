@@ -200,7 +200,7 @@ class VoxelSpace(Value):
         return np.isin(np.arange(len(rays)), clear)
 
     def contradicted_share(self, points: Floats) -> float:
-        """Return the share of points (N, 3) [m] in free voxels with only free neighbours: a sign that the part moved."""
+        """Return the share of points (N, 3) [m] in free voxels with free neighbours: a sign that the part moved."""
         far = ~ndimage.binary_dilation(self.state != FREE, _NEIGHBOURHOOD)
         return float(self.values_at(points, far & self._within(0.0)).mean()) if len(points) else 0.0
 
