@@ -1,4 +1,4 @@
-"""The controller as a hypothesis state machine: whatever is asked, in whatever order, at whatever time."""
+"""The controller as a hypothesis state machine: any commands in any order at any time."""
 
 import numpy as np
 from hypothesis import settings
@@ -23,12 +23,12 @@ LIMITS = Limits(
 
 
 def via_points(axis: st.SearchStrategy[int]) -> st.SearchStrategy[SetPoints]:
-    """One to four via points."""
+    """Return a strategy for one to four via points."""
     rows = st.lists(st.lists(axis, min_size=6, max_size=6), min_size=1, max_size=4)
     return rows.map(lambda values: np.array(values, dtype=np.int32))
 
 
-# Points between which every step is allowed, and points near the limits and one count beyond them.
+# Points with allowed steps between them, and points near the limits and one count beyond them.
 good = via_points(st.integers(-MAX_STEP // 2, MAX_STEP // 2))
 nasty = via_points(st.one_of(st.integers(-RANGE, RANGE), st.sampled_from([-RANGE - 1, -RANGE, RANGE, RANGE + 1, 0])))
 fractions = st.floats(0.05, 1.0)
@@ -37,7 +37,7 @@ times = st.floats(0.0, 3.0)
 
 
 class ControllerMachine(RuleBasedStateMachine):
-    """A controller, and an independent, simple-minded account of what it must have done."""
+    """A controller and an independent, simple model of its expected behaviour."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -48,13 +48,13 @@ class ControllerMachine(RuleBasedStateMachine):
         self.last: Command | None = None
         self.waiting: list[tuple[int, SetPoints]] = []  # accepted moves that have not ended
         self.ended = 0
-        self.corners = [np.zeros(6)]  # the polyline on which the arm must be [rad]
+        self.corners = [np.zeros(6)]  # the polyline that the arm must not leave [rad]
         self.seen = 0.0, np.zeros(6)
-        self.cut = False  # a move was cut, and the arm has not been seen standing since
+        self.cut = False  # a move was cut, and the arm has not been seen at rest since
         self.estop = False
 
     def send(self, command: Command) -> Result:
-        """Under a new number; the acknowledgement is checked."""
+        """Send under a new number and check the acknowledgement."""
         self.sequence = next_sequence(self.sequence)
         answer = self.controller.command(self.sequence, command)
         assert answer.sequence == self.sequence
@@ -65,31 +65,31 @@ class ControllerMachine(RuleBasedStateMachine):
 
     @rule(points=good, more=good, speed=fractions, seconds=times)
     def move_twice(self, points: SetPoints, more: SetPoints, speed: float, seconds: float) -> None:
-        """Two moves at once, of which the second is refused unless the first is none, and some way along."""
+        """Send two moves; the second is refused unless the first has no length."""
         self.move(points, speed)
         self.move(more, speed)
         self.clock.wait(seconds)
 
     @rule()
     def recover(self) -> None:
-        """Out of every fault: release, stand, reset."""
+        """Clear every fault: release, rest, reset."""
         self.emergency_stop(pressed=False)
-        self.wait_until_the_arm_stands()
+        self.wait_for_rest()
         assert self.send(Reset()) is Result.OK
 
     @rule(points=nasty, speed=fractions)
     def move_near_the_limits(self, points: SetPoints, speed: float) -> None:
-        """Often refused."""
+        """Send a move that is often refused."""
         self.move(points, speed)
 
     @rule(points=good, speed=no_fractions)
     def move_at_no_speed(self, points: SetPoints, speed: float) -> None:
-        """Always refused."""
+        """Send a move that is always refused."""
         self.move(points, speed)
 
     @rule(points=good, speed=fractions)
     def move(self, points: SetPoints, speed: float) -> None:
-        """Accepted exactly when nothing speaks against it; the reasons come in their order."""
+        """Send a move; it is accepted if and only if there is no reason against it, and reasons have an order."""
         before = self.controller.state()
         steps = np.abs(np.diff(np.concatenate([before.axes[None], points]).astype(int), axis=0))
         if before.mode in (Mode.FAULT, Mode.EMERGENCY_STOP):
@@ -112,18 +112,18 @@ class ControllerMachine(RuleBasedStateMachine):
 
     @rule()
     def stop(self) -> None:
-        """Always answered OK; drops everything."""
+        """Stop: always OK, and the queue is empty."""
         assert self.send(Stop()) is Result.OK
         assert self.controller.state().queue_depth == 0
 
     @rule(seconds=times)
     def wait(self, seconds: float) -> None:
-        """Time passes."""
+        """Let time pass."""
         self.clock.wait(seconds)
 
     @rule()
-    def wait_until_the_arm_stands(self) -> None:
-        """time_to_wait() leads to standstill in few steps."""
+    def wait_for_rest(self) -> None:
+        """Wait for rest, which time_to_wait() reaches in few steps."""
         for _ in range(40):
             if self.controller.state().at_rest:
                 break
@@ -135,7 +135,7 @@ class ControllerMachine(RuleBasedStateMachine):
     @precondition(lambda self: self.last is not None)
     @rule()
     def repeat(self) -> None:
-        """The last command once more under its number: the old answer, and nothing else changes."""
+        """Repeat the last command under its number: the old answer, and no other effect."""
         assert self.last is not None
         before, queued = self.controller.state(), self.controller.time_to_wait()
         answer = self.controller.command(self.sequence, self.last)
@@ -152,7 +152,7 @@ class ControllerMachine(RuleBasedStateMachine):
     @precondition(lambda self: self.sequence > 1)
     @rule(points=good, back=st.integers(1, 5))
     def stale_or_reused(self, points: SetPoints, back: int) -> None:
-        """An old number, or the last one with other content, moves nothing."""
+        """Send an old number, or the last one with other content: nothing moves."""
         before = self.controller.state()
         old = self.controller.command(max(self.sequence - back, 1), Move(points, 0.987654))
         reused = self.controller.command(self.sequence, Move(points, 0.987654))
@@ -163,13 +163,13 @@ class ControllerMachine(RuleBasedStateMachine):
 
     @rule(fault=st.sampled_from([Fault.WATCHDOG, Fault.RESTARTED]))
     def fault(self, fault: Fault) -> None:
-        """From outside, at any time."""
+        """Latch a fault at any time."""
         self.controller.latch(fault)
         assert self.controller.state().mode in (Mode.FAULT, Mode.EMERGENCY_STOP)
 
     @rule(pressed=st.booleans())
     def emergency_stop(self, pressed: bool) -> None:
-        """Pressing latches, releasing alone clears nothing."""
+        """Press or release: pressing latches, releasing alone clears nothing."""
         before = self.controller.state().mode
         self.controller.emergency_stop(pressed)
         self.estop = pressed
@@ -177,7 +177,7 @@ class ControllerMachine(RuleBasedStateMachine):
 
     @rule()
     def reset(self) -> None:
-        """Helps when the arm stands and the emergency stop is released, and only then."""
+        """Reset: it succeeds only with the arm at rest and the emergency stop released."""
         before = self.controller.state()
         result = self.send(Reset())
         after = self.controller.state()
@@ -193,14 +193,14 @@ class ControllerMachine(RuleBasedStateMachine):
 
     @invariant()
     def never_leaves_the_limits(self) -> None:
-        """The controller's axes and the plant's, at every instant that is looked at."""
+        """The axes of controller and plant stay inside."""
         state = self.controller.state()
         assert (np.abs(state.axes) <= RANGE).all()
         assert (np.abs(self.plant.reported_axes) <= to_rad(LIMITS.upper)).all()
 
     @invariant()
     def is_on_the_commanded_path(self) -> None:
-        """The arm is on the polyline through what was accepted, moving, braking or standing."""
+        """The arm is on the polyline through the accepted via points, moving, braking or at rest."""
         here, corners = self.plant.reported_axes, np.array(self.corners)
         a, b = corners[:-1], corners[1:]
         if len(a) == 0:
@@ -214,7 +214,7 @@ class ControllerMachine(RuleBasedStateMachine):
 
     @invariant()
     def every_accepted_move_ends_at_its_set_point_or_is_reported_as_cut(self) -> None:
-        """Moves end in order and one after the other; OK only exactly at the last via point."""
+        """Moves end in order; OK only exactly at the last via point."""
         state = self.controller.state()
         if state.done_sequence != self.ended:
             self.ended = state.done_sequence
@@ -229,19 +229,19 @@ class ControllerMachine(RuleBasedStateMachine):
                 assert (self.plant.reported_axes == to_rad(points[-1])).all()
         assert state.queue_depth == len(self.waiting)
         if self.cut and state.at_rest:
-            self.corners, self.cut = [self.plant.reported_axes], False  # what comes next begins here
+            self.corners, self.cut = [self.plant.reported_axes], False  # the next move begins here
 
     @invariant()
     def never_jumps(self) -> None:
-        """Between two looks no axis goes farther than its full speed allows."""
+        """Between two checks no axis moves farther than its full speed allows."""
         now, here = self.clock.now(), self.plant.reported_axes
         then, there = self.seen
         assert (np.abs(here - there) <= LIMITS.velocity * (now - then) + 1e-12).all()
         self.seen = now, here
 
     @invariant()
-    def the_mode_is_what_the_rest_says(self) -> None:
-        """Faults, motion and standstill agree with one another."""
+    def the_mode_agrees_with_the_other_fields(self) -> None:
+        """Faults, motion and rest agree."""
         state = self.controller.state()
         assert (state.fault_code == Fault.EMERGENCY_STOP) == (state.mode is Mode.EMERGENCY_STOP)
         assert (state.fault_code != 0) == (state.mode in (Mode.FAULT, Mode.EMERGENCY_STOP))

@@ -1,18 +1,17 @@
-"""Codecs of the wires: whatever decodes was written like that, and what was mangled never passes for something else."""
+"""Codecs of the wires: decoding inverts encoding, and a corrupted message is never accepted as another one."""
 
 import struct
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cell.robot import model as robot
 from drivers.contract import Answer, Mode, Move, Reset, RobotState, Stop
 from drivers.emulated import stations
 from drivers.errors import ProtocolError
-from drivers.limits import Limits
 from drivers.wire import FULL_SPEED, Stage, StagingBuffer, points_crc, speed_from_wire, speed_to_wire, split_move
 from drivers.wires import modbus_protocol as registers
 from drivers.wires import serial_protocol as messages
@@ -26,17 +25,16 @@ from drivers.wires.serial_protocol import (
     split_frames,
     to_frame_text,
 )
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
+from tests.support.driver_bench import KR16
 
 numbers = st.integers(0, 65535)
 int32 = st.integers(-(2**31), 2**31 - 1)
 texts = st.text(max_size=60)
 
 
-def points(least: int = 1, most: int = 12) -> st.SearchStrategy[np.ndarray]:
-    """(n, 6) int32."""
-    rows = st.lists(st.lists(int32, min_size=6, max_size=6), min_size=least, max_size=most)
+def points(lowest: int = 1, highest: int = 12) -> st.SearchStrategy[np.ndarray]:
+    """Return a strategy for (n, 6) int32 arrays."""
+    rows = st.lists(st.lists(int32, min_size=6, max_size=6), min_size=lowest, max_size=highest)
     return rows.map(lambda values: np.array(values, dtype=np.int32).reshape(-1, 6))
 
 
@@ -69,7 +67,7 @@ frames = st.one_of(
 
 @given(frames)
 def test_a_frame_survives_its_bytes(frame: Frame) -> None:
-    """Encode, decode: the same frame; it fits MAX_FRAME, is ASCII and one line."""
+    """Decoding inverts encoding; a frame fits MAX_FRAME, is ASCII and one line."""
     data = encode_frame(frame)
     assert decode_frame(data) == frame
     assert len(data) <= MAX_FRAME
@@ -79,27 +77,27 @@ def test_a_frame_survives_its_bytes(frame: Frame) -> None:
 
 @given(numbers, numbers, requests)
 def test_a_request_survives_its_frame(number: int, session: int, request: messages.Request) -> None:
-    """Compared by what is sent, since arrays do not compare."""
+    """Parsing inverts building, compared by frames because arrays have no equality."""
     frame = messages.request_frame(number, session, request)
-    again = messages.parse_request(frame)
-    assert again is not None
-    assert messages.request_frame(number, *again) == frame
+    parsed = messages.parse_request(frame)
+    assert parsed is not None
+    assert messages.request_frame(number, *parsed) == frame
 
 
 @given(numbers, states)
 def test_a_state_survives_its_frame(number: int, state: RobotState) -> None:
-    """All of it, text included."""
+    """All fields, text included."""
     frame = messages.status_frame(number, state)
-    again = messages.parse_status(frame)
-    assert again is not None
-    assert messages.status_frame(number, again) == frame
-    assert again.axes.tolist() == state.axes.tolist()
-    assert again.fault_message == state.fault_message
+    parsed = messages.parse_status(frame)
+    assert parsed is not None
+    assert messages.status_frame(number, parsed) == frame
+    assert parsed.axes.tolist() == state.axes.tolist()
+    assert parsed.fault_message == state.fault_message
 
 
 @given(st.sampled_from([TO_CONTROLLER, FROM_CONTROLLER]), numbers, st.text("ASTOPEMVHLR,0123456789-AF ", max_size=60))
-def test_what_is_understood_is_written_in_one_way(start: str, number: int, body: str) -> None:
-    """No two bodies mean the same request, state or answer."""
+def test_each_message_has_one_spelling(start: str, number: int, body: str) -> None:
+    """No two bodies are the same request or answer."""
     frame = Frame(start, number, body)
     request = messages.parse_request(frame)
     if request is not None:
@@ -110,15 +108,15 @@ def test_what_is_understood_is_written_in_one_way(start: str, number: int, body:
 
 
 @given(st.binary(max_size=80))
-def test_any_bytes_decode_to_nothing_or_to_what_encodes_to_them(data: bytes) -> None:
-    """No crash, and one spelling per frame."""
+def test_any_bytes_are_no_frame_or_the_only_spelling_of_one(data: bytes) -> None:
+    """Decoding never fails."""
     frame = decode_frame(data)
     assert frame is None or encode_frame(frame) == data
 
 
 @given(frames, st.data())
-def test_a_mangled_frame_is_no_frame(frame: Frame, data: st.DataObject) -> None:
-    """Bits flipped, cut, or two frames run into each other."""
+def test_a_corrupted_frame_is_no_frame(frame: Frame, data: st.DataObject) -> None:
+    """Flipped bits, cuts, joined frames, lower case."""
     good = encode_frame(frame)
     how = data.draw(st.sampled_from(["flip", "cut", "join", "case"]))
     if how == "flip":
@@ -136,10 +134,8 @@ def test_a_mangled_frame_is_no_frame(frame: Frame, data: st.DataObject) -> None:
 
 
 @given(st.lists(frames, max_size=4), st.lists(st.binary(max_size=30), max_size=5), st.data())
-def test_frames_are_found_in_any_stream_however_it_arrives(
-    sent: list[Frame], noise: list[bytes], data: st.DataObject
-) -> None:
-    """Noise lines between frames, and any cut into reads: every frame is found, in order, and nothing else."""
+def test_frames_are_found_in_any_stream(sent: list[Frame], noise: list[bytes], data: st.DataObject) -> None:
+    """With noise between frames and any division into reads, exactly the sent frames are found, in order."""
     stream = b""
     for k, frame in enumerate(sent):
         if k < len(noise):
@@ -156,31 +152,29 @@ def test_frames_are_found_in_any_stream_however_it_arrives(
 
 
 @pytest.mark.parametrize("body", ["", "move", "MOVE*", "MOVE,<", "MOVE,\n", "MOVE,\u00e4", "M" * 2000, ",MOVE"])
-def test_what_a_frame_cannot_carry_is_refused(body: str) -> None:
-    """With a sentence."""
+def test_a_body_that_no_frame_can_hold_is_refused(body: str) -> None:
+    """Empty, lower case, reserved or other characters, too long, without kind."""
     with pytest.raises(ProtocolError, match="cannot carry"):
         encode_frame(Frame(">", 1, body))
 
 
-def test_what_never_ends_is_not_kept() -> None:
-    """A megabyte without LF leaves no more than a frame behind."""
+def test_an_endless_line_is_not_kept() -> None:
+    """After a megabyte without LF at most one frame remains."""
     _, rest = split_frames(b">" + b"x" * 1_000_000)
     assert len(rest) <= MAX_FRAME
 
 
 @given(points(1, 40), st.floats(1e-4, 1.0), st.integers(1, 12), st.integers(1, 65535), st.randoms())
-def test_a_move_survives_being_staged(
-    whole: np.ndarray, speed: float, size: int, sequence: int, random: object
-) -> None:
-    """Cut, written in order with repetitions, committed: the same points; a changed point or count is not taken."""
-    stages, commit = split_move(Move(whole, speed), size)
+def test_a_staged_move_is_assembled(via: np.ndarray, speed: float, size: int, sequence: int, random: object) -> None:
+    """Split, written in order with repetitions, committed: the same points; another number or point is refused."""
+    stages, commit = split_move(Move(via, speed), size)
     staging = StagingBuffer()
     for stage in stages:
         assert staging.write(sequence, stage)
         assert staging.write(sequence, stage)
-    taken = staging.assemble(sequence, commit)
-    assert taken is not None
-    assert (taken == whole).all()
+    assembled = staging.assemble(sequence, commit)
+    assert assembled is not None
+    assert (assembled == via).all()
     assert staging.assemble(sequence, commit) is not None
     assert all(len(stage.points) <= size for stage in stages)
     assert len(commit.tail) <= size
@@ -191,33 +185,31 @@ def test_a_move_survives_being_staged(
         assert not StagingBuffer().write(sequence, Stage(1, stages[0].points))
 
 
-def test_the_points_crc_is_zlibs_over_big_endian_counts() -> None:
+def test_the_crc_of_points_is_zlibs_over_big_endian_counts() -> None:
     """Point by point, A1 to A6."""
-    given_points = np.array([[1, -2, 3, -4, 5, -6], [7, 8, 9, 10, 11, 12]], dtype=np.int32)
-    assert points_crc(given_points) == zlib.crc32(struct.pack(">12i", 1, -2, 3, -4, 5, -6, *range(7, 13)))
+    via = np.array([[1, -2, 3, -4, 5, -6], [7, 8, 9, 10, 11, 12]], dtype=np.int32)
+    assert points_crc(via) == zlib.crc32(struct.pack(">12i", 1, -2, 3, -4, 5, -6, *range(7, 13)))
 
 
 @given(st.floats())
-def test_a_speed_is_never_faster_than_asked(speed: float) -> None:
-    """What is no fraction travels as 0, which is refused; 1e-4 steps survive exactly."""
+def test_a_speed_is_never_rounded_up(speed: float) -> None:
+    """A value outside (0, 1] becomes 0, which is refused."""
     wire = speed_to_wire(speed)
     assert 0 <= wire <= FULL_SPEED
     assert speed_from_wire(wire) <= max(speed, 0.0) + 1e-10 or not speed > 0
     assert wire == 0 or speed - speed_from_wire(wire) < 1e-4
 
 
-def test_every_wire_speed_survives() -> None:
-    """All 10,000."""
+def test_every_speed_on_the_wire_is_exact() -> None:
+    """All multiples of 1e-4."""
     assert all(speed_to_wire(speed_from_wire(k)) == k for k in range(FULL_SPEED + 1))
 
 
-blocks = st.sampled_from(
-    [block.for_axes(6) for block in registers.BLOCKS] + [block.for_axes(9) for block in registers.BLOCKS]
-)
+blocks = st.sampled_from([block.for_axes(axes) for axes in (6, 9) for block in registers.BLOCKS])
 
 
 def values_of(block: registers.Block, draw: st.DrawFn) -> dict[str, registers.Value]:
-    """Any values of a block's fields."""
+    """Draw values of a block's fields."""
     ranges = {
         "u16": numbers,
         "u32": st.integers(0, 2**32 - 1),
@@ -237,7 +229,7 @@ def values_of(block: registers.Block, draw: st.DrawFn) -> dict[str, registers.Va
 
 @st.composite
 def written_blocks(draw: st.DrawFn) -> tuple[registers.Block, list[int]]:
-    """A block and registers of it."""
+    """Draw a block and its registers."""
     block = draw(blocks)
     via = (
         draw(st.lists(int32, min_size=block.axes, max_size=block.axes)) * draw(st.integers(0, block.max_points))
@@ -248,10 +240,10 @@ def written_blocks(draw: st.DrawFn) -> tuple[registers.Block, list[int]]:
 
 
 @given(written_blocks(), st.data())
-def test_a_block_survives_and_a_mangled_one_does_not(
+def test_a_block_survives_and_a_corrupted_one_is_refused(
     written: tuple[registers.Block, list[int]], data: st.DataObject
 ) -> None:
-    """Decoded and encoded again: the same registers; one bit, one register, the length or the word order: refused."""
+    """Encoding inverts decoding; a flipped bit, shift, cut or swap of words is refused."""
     block, values = written
     fields, via = block.decode(values)
     assert block.encode(fields, via) == values
@@ -272,7 +264,7 @@ def test_a_block_survives_and_a_mangled_one_does_not(
 
 @given(numbers, st.integers(0, 255), st.one_of(st.none(), numbers), st.lists(numbers, min_size=1, max_size=123))
 def test_modbus_telegrams_survive(address: int, unit: int, transaction: int | None, values: list[int]) -> None:
-    """FC16 and FC04, TCP and RTU."""
+    """FC16, TCP and RTU."""
     header = stations.Header(unit, transaction)
     pdu = struct.pack(f">BHHB{len(values)}H", 16, address, len(values), 2 * len(values), *values)
     packet = stations.pack(header, pdu)
@@ -284,8 +276,8 @@ def test_modbus_telegrams_survive(address: int, unit: int, transaction: int | No
 
 
 @given(st.binary(max_size=300))
-def test_any_bytes_make_no_modbus_crash(data: bytes) -> None:
-    """Cut and read without an exception; what is kept is what came last."""
+def test_any_bytes_are_split_and_parsed_without_error(data: bytes) -> None:
+    """The kept rest is the end of the stream."""
     stations.parse_pdu(data)
     stations.parse_tcp(data)
     stations.parse_rtu(data)
@@ -295,17 +287,14 @@ def test_any_bytes_make_no_modbus_crash(data: bytes) -> None:
 
 
 def test_crc16_has_its_published_check_value() -> None:
-    """0x4B37 over "123456789" (the catalogue of parametrised CRC algorithms)."""
+    """0x4B37 over "123456789" (catalogue of parametrised CRC algorithms)."""
     assert stations.crc16(b"123456789") == 0x4B37
 
 
-def test_the_kr16_fits_a_hello() -> None:
-    """The capabilities of the KR 16 survive both wires' forms."""
-    from drivers.contract import Capabilities
-
-    limits = KR16
-    able = Capabilities("emulator", limits.lower, limits.upper, limits.max_step, 0.5, None, True, False)
-    again = messages.parse_hello(messages.hello_frame(3, able))
-    assert again is not None
-    assert again.upper.tolist() == able.upper.tolist()
-    assert (again.max_speed, again.max_via, again.controller) == (0.5, None, "emulator")
+def test_capabilities_survive_their_frame() -> None:
+    """Limits, speed, unlimited via points and name."""
+    sent = replace(KR16.capabilities("emulator", hardware=True, simulated_time=False), max_speed=0.5)
+    parsed = messages.parse_hello(messages.hello_frame(3, sent))
+    assert parsed is not None
+    assert parsed.upper.tolist() == sent.upper.tolist()
+    assert (parsed.max_speed, parsed.max_via, parsed.controller) == (0.5, None, "emulator")

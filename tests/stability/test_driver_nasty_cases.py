@@ -6,66 +6,54 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.robot import model as robot
 from drivers.clock import SimulatedClock
 from drivers.contract import LAST_SEQUENCE, Fault, Mode, Move, Reset, Result, Stop
 from drivers.controller import SETTLE_LIMIT, Controller, IdealPlant
 from drivers.errors import DriverError, FaultError, RefusedError
-from drivers.limits import Limits
 from drivers.profile import Reference, interpolate
 from drivers.registry import Context, DriverUrl
-from drivers.setpoints import SetPoints, from_rad, to_rad
+from drivers.setpoints import from_rad, to_rad
 from drivers.sim import SimDriver
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
-
-START = from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0]))
+from tests.support.driver_bench import HOME, HOME_Q, KR16, turned
 
 
 class SetClock(SimulatedClock):
-    """A clock whose hands a test moves."""
+    """A clock that a test sets."""
 
     def set(self, now: float) -> None:
         self._now = now
 
 
-def controller(clock: SimulatedClock | None = None) -> Controller:
-    """A KR 16 at home."""
-    return Controller(IdealPlant(to_rad(START)), KR16, clock or SimulatedClock())
-
-
-def turned(*degrees: float) -> SetPoints:
-    """(N, 6) home with A1 turned."""
-    points = np.tile(START, (len(degrees), 1))
-    points[:, 0] = np.round(np.array(degrees) * 1e4)
-    return points
+def make_controller(clock: SimulatedClock | None = None) -> Controller:
+    """Return the controller of a KR 16 at home."""
+    return Controller(IdealPlant(HOME_Q), KR16, clock or SimulatedClock())
 
 
 def simulated(plant: type | None = None, clock: SimulatedClock | None = None) -> SimDriver:
-    """A sim:// driver over a plant."""
+    """Return a sim:// driver over a plant."""
     context = Context(KR16, clock=clock, plants={} if plant is None else {"ideal": plant})
     return SimDriver.from_url(DriverUrl("sim://"), context)
 
 
 def test_a_zero_length_move_is_in_position_at_once() -> None:
-    """Accepted, done and in position without any time; also with a hundred equal via points."""
-    robot = controller()
+    """Accepted, done and in position in no time, also with a hundred equal via points."""
+    arm = make_controller()
     for number, count in ((1, 1), (2, 100)):
-        assert robot.command(number, Move(np.tile(START, (count, 1)), 1.0)).result == Result.OK
-        state = robot.state()
+        assert arm.command(number, Move(np.tile(HOME, (count, 1)), 1.0)).result == Result.OK
+        state = arm.state()
         assert (state.mode, state.done_sequence, state.done_result) == (Mode.IN_POSITION, number, Result.OK)
-    assert robot.time_to_wait() == 0.0
+    assert arm.time_to_wait() == 0.0
 
 
 def test_a_move_of_one_count_ends_one_count_further() -> None:
-    """The smallest step there is, on the axis with the widest range."""
+    """The smallest step, on the axis with the widest range."""
     with simulated() as driver:
-        points = START[None] + np.array([0, 0, 0, 0, 0, 1], dtype=np.int32)
+        points = HOME[None] + np.array([0, 0, 0, 0, 0, 1], dtype=np.int32)
         assert driver.move(points, 1.0).axes.tolist() == points[0].tolist()
 
 
 def test_a_hundred_thousand_via_points_are_one_move() -> None:
-    """Each is passed exactly, and the whole is far faster than the arm."""
+    """Each is passed exactly, and the computation is much faster than the arm."""
     rng = np.random.default_rng(0)
     limits = KR16
     points = rng.integers(limits.lower, limits.upper, (100_000, 6), dtype=np.int32)
@@ -75,7 +63,7 @@ def test_a_hundred_thousand_via_points_are_one_move() -> None:
         spent = time.perf_counter() - began
         assert state.axes.tolist() == points[-1].tolist()
         assert driver.clock.now() > 100 * spent
-    reference = interpolate(to_rad(START), to_rad(points), limits.velocity, limits.acceleration, limits.jerk)
+    reference = interpolate(HOME_Q, to_rad(points), limits.velocity, limits.acceleration, limits.jerk)
     ends = np.append(reference.begin[7::7], reference.duration)
     for chosen in (ends[:1000], ends[-1000:]):
         at_rest, speed, _ = reference.sample(chosen)
@@ -85,112 +73,112 @@ def test_a_hundred_thousand_via_points_are_one_move() -> None:
 
 
 def test_a_stop_in_the_middle_of_a_hundred_thousand_via_points_drops_the_rest() -> None:
-    """The arm stands within the leg on which it was, no farther than an axis needs to brake from full speed."""
+    """The arm rests within the segment, no farther than an axis needs to brake from full speed."""
     clock = SimulatedClock()
-    robot = controller(clock)
+    arm = make_controller(clock)
     rng = np.random.default_rng(0)
     points = rng.integers(KR16.lower, KR16.upper, (100_000, 6), dtype=np.int32)
-    robot.command(1, Move(points, 1.0))
-    clock.wait(robot.time_to_wait() / 2)
-    before = robot.state().axes
-    robot.command(2, Stop())
+    arm.command(1, Move(points, 1.0))
+    clock.wait(arm.time_to_wait() / 2)
+    before = arm.state().axes
+    arm.command(2, Stop())
     clock.wait(10.0)
-    state = robot.state()
+    state = arm.state()
     assert (state.mode, state.done_sequence, state.done_result) == (Mode.IDLE, 1, Result.STOPPED)
-    eased = KR16.velocity / KR16.acceleration + KR16.acceleration / KR16.jerk
-    assert (np.abs(to_rad(state.axes - before)) <= KR16.velocity * eased / 2).all()
-    assert robot.time_to_wait() == 0.0
+    braking_time = KR16.velocity / KR16.acceleration + KR16.acceleration / KR16.jerk
+    assert (np.abs(to_rad(state.axes - before)) <= KR16.velocity * braking_time / 2).all()
+    assert arm.time_to_wait() == 0.0
 
 
 @pytest.mark.parametrize("zero", [0.0, -1e6, 1e6, 1.7e9])
 def test_a_clock_may_begin_anywhere(zero: float) -> None:
-    """Epoch seconds have a rounding of 0.2 microseconds: the move still ends exactly, in a few waits."""
+    """Epoch seconds are rounded to 0.2 microseconds: the move still ends exactly, in a few waits."""
     clock = SimulatedClock(zero)
     with simulated(clock=clock) as driver:
         assert driver.move(turned(30.0, -30.0), 0.3).axes.tolist() == turned(-30.0)[0].tolist()
 
 
 def test_a_clock_that_jumps_back_stands_still() -> None:
-    """Nothing moves backwards, and the move goes on from the new time."""
+    """Nothing moves backwards, and the move continues from the new time."""
     clock = SetClock(1000.0)
-    robot = controller(clock)
-    robot.command(1, Move(turned(90.0), 1.0))
+    arm = make_controller(clock)
+    arm.command(1, Move(turned(90.0), 1.0))
     clock.set(1000.3)
-    here = robot.state().axes
+    here = arm.state().axes
     clock.set(-5.0)
-    assert robot.state().axes.tolist() == here.tolist()
-    assert robot.state().mode is Mode.MOVING
+    assert arm.state().axes.tolist() == here.tolist()
+    assert arm.state().mode is Mode.MOVING
     clock.set(-4.9)
-    assert robot.state().axes[0] > here[0]
+    assert arm.state().axes[0] > here[0]
     clock.set(20.0)
-    assert robot.state().axes.tolist() == turned(90.0)[0].tolist()
+    assert arm.state().axes.tolist() == turned(90.0)[0].tolist()
 
 
 def test_a_clock_that_jumps_a_year_ahead_ends_the_move() -> None:
-    """It is done, at its last set-point; another one was refused before, and left nothing behind."""
+    """The move is done at its last set-point; another move was refused before, without effect."""
     clock = SetClock()
-    robot = controller(clock)
-    assert robot.command(1, Move(turned(10.0, -20.0, 30.0), 0.01)).result == Result.OK
-    assert robot.command(2, Move(turned(0.0), 1.0)).result == Result.BUSY
+    arm = make_controller(clock)
+    assert arm.command(1, Move(turned(10.0, -20.0, 30.0), 0.01)).result == Result.OK
+    assert arm.command(2, Move(turned(0.0), 1.0)).result == Result.BUSY
     clock.set(3.2e7)
-    state = robot.state()
+    state = arm.state()
     assert (state.mode, state.done_sequence) == (Mode.IN_POSITION, 1)
     assert state.axes.tolist() == turned(30.0)[0].tolist()
 
 
 @pytest.mark.parametrize("how", ["stop", "fault", "emergency stop"])
-def test_whatever_stops_the_arm_ends_the_move(how: str) -> None:
-    """It does not go on afterwards, and is reported as cut."""
+def test_every_stop_ends_the_move(how: str) -> None:
+    """The move does not continue, and is reported as cut."""
     clock = SimulatedClock()
-    robot = controller(clock)
-    robot.command(1, Move(turned(10.0, -20.0, 30.0), 0.5))
+    arm = make_controller(clock)
+    arm.command(1, Move(turned(10.0, -20.0, 30.0), 0.5))
     clock.wait(0.1)
     if how == "stop":
-        robot.command(2, Stop())
+        arm.command(2, Stop())
     elif how == "fault":
-        robot.latch(Fault.WATCHDOG)
+        arm.latch(Fault.WATCHDOG)
     else:
-        robot.emergency_stop()
-    assert robot.state().queue_depth == 0
+        arm.emergency_stop()
+    assert arm.state().queue_depth == 0
     clock.wait(100.0)
-    state = robot.state()
+    state = arm.state()
     assert state.at_rest
     assert 0 < state.axes[0] < 100_000
     assert (state.done_sequence, state.done_result) == (1, Result.STOPPED if how == "stop" else Result.FAULTED)
 
 
 @pytest.mark.parametrize("now", [float("nan"), float("inf")])
-def test_a_clock_that_says_no_time_is_refused(now: float) -> None:
-    """By name."""
+def test_a_clock_without_a_finite_time_is_refused(now: float) -> None:
+    """NaN and infinity."""
     clock = SetClock()
-    robot = controller(clock)
+    arm = make_controller(clock)
     clock.set(now)
     with pytest.raises(DriverError, match="clock"):
-        robot.state()
+        arm.state()
 
 
 def test_the_sequence_wraps_without_zero() -> None:
-    """65535 is followed by 1; 0 and 65536 are refused; what was before the wrap is stale after it."""
-    robot = controller()
-    assert robot.command(LAST_SEQUENCE - 1, Move(turned(0.0), 1.0)).result == Result.OK
-    assert robot.command(LAST_SEQUENCE, Move(turned(0.0), 1.0)).result == Result.OK
-    assert robot.command(0, Reset()).result == Result.SEQUENCE
-    assert robot.command(LAST_SEQUENCE + 1, Reset()).result == Result.SEQUENCE
-    assert robot.command(1, Move(turned(0.0), 1.0)).result == Result.OK
-    assert robot.state().done_sequence == 1
-    assert robot.command(LAST_SEQUENCE, Move(turned(0.0), 1.0)).result == Result.STALE
+    """65535 is followed by 1; 0 and 65536 are refused; numbers before the wrap are stale after it."""
+    arm = make_controller()
+    assert arm.command(LAST_SEQUENCE - 1, Move(turned(0.0), 1.0)).result == Result.OK
+    assert arm.command(LAST_SEQUENCE, Move(turned(0.0), 1.0)).result == Result.OK
+    assert arm.command(0, Reset()).result == Result.SEQUENCE
+    assert arm.command(LAST_SEQUENCE + 1, Reset()).result == Result.SEQUENCE
+    assert arm.command(1, Move(turned(0.0), 1.0)).result == Result.OK
+    assert arm.state().done_sequence == 1
+    assert arm.command(LAST_SEQUENCE, Move(turned(0.0), 1.0)).result == Result.STALE
 
 
 @pytest.mark.parametrize("number", [0, 1, 40_000, LAST_SEQUENCE, LAST_SEQUENCE + 1, -3])
-def test_a_stop_is_obeyed_whatever_its_number(number: int) -> None:
-    """Used, stale or impossible: the arm stops; the answer may still be a refusal."""
+def test_a_stop_with_any_number_stops_the_arm(number: int) -> None:
+    """Used, stale or invalid numbers; the answer may still be a refusal."""
     clock = SimulatedClock()
-    robot = controller(clock)
-    robot.command(1, Move(turned(90.0), 1.0))
+    arm = make_controller(clock)
+    arm.command(1, Move(turned(90.0), 1.0))
     clock.wait(0.2)
-    robot.command(number, Stop())
+    arm.command(number, Stop())
     clock.wait(1.0)
-    state = robot.state()
+    state = arm.state()
     assert state.at_rest
     assert 0 < state.axes[0] < 900_000
     assert state.done_result == Result.STOPPED
@@ -198,9 +186,9 @@ def test_a_stop_is_obeyed_whatever_its_number(number: int) -> None:
 
 @pytest.mark.parametrize("share", [0.0, 1e-9, 0.1, 0.5, 0.9, 1 - 1e-9, 1.0])
 def test_a_stop_at_any_phase_brakes_on_the_path_as_fast_as_the_limits_allow(share: float) -> None:
-    """Without a limit of jerk; in the ramp, the cruise and the last ramp: never beyond the leg's end."""
+    """Without a jerk limit; in the ramp, the cruise and the last ramp: never beyond the segment's end."""
     limits = KR16
-    reference = interpolate(to_rad(START), to_rad(turned(120.0)), limits.velocity, limits.acceleration)
+    reference = interpolate(HOME_Q, to_rad(turned(120.0)), limits.velocity, limits.acceleration)
     t = share * reference.duration
     braked = reference.braking_from(t)
     (q0,), (v0,), _ = reference.sample(np.array([t]))
@@ -209,29 +197,29 @@ def test_a_stop_at_any_phase_brakes_on_the_path_as_fast_as_the_limits_allow(shar
         assert braked.sample(np.zeros(1))[1][0] == pytest.approx(v0, abs=1e-12)
     assert braked.duration == pytest.approx(abs(v0[0]) / limits.acceleration[0], rel=1e-6, abs=1e-12)
     assert q0[0] - 1e-15 <= braked.end[0] <= to_rad(turned(120.0))[0, 0]
-    assert (braked.end[1:] == to_rad(START)[1:]).all()
-    again = braked.braking_from(braked.duration / 2)
-    assert again.end == pytest.approx(braked.end, abs=1e-12)
+    assert (braked.end[1:] == HOME_Q[1:]).all()
+    repeated = braked.braking_from(braked.duration / 2)
+    assert repeated.end == pytest.approx(braked.end, abs=1e-12)
 
 
 def test_a_fault_while_braking_does_not_prolong_it_and_the_first_fault_is_kept() -> None:
-    """Stop, then a fault, then another: one standstill, the first fault's code; only the emergency stop outranks it."""
+    """A stop, then two faults: one braking, the first fault's code; only the emergency stop outranks it."""
     clock = SimulatedClock()
-    robot = controller(clock)
-    robot.command(1, Move(turned(90.0), 1.0))
+    arm = make_controller(clock)
+    arm.command(1, Move(turned(90.0), 1.0))
     clock.wait(0.4)
-    robot.command(2, Stop())
-    to_go = robot.time_to_wait()
-    robot.latch(Fault.WATCHDOG)
-    robot.latch(Fault.RESTARTED)
-    assert robot.time_to_wait() == pytest.approx(to_go)
-    state = robot.state()
+    arm.command(2, Stop())
+    remaining = arm.time_to_wait()
+    arm.latch(Fault.WATCHDOG)
+    arm.latch(Fault.RESTARTED)
+    assert arm.time_to_wait() == pytest.approx(remaining)
+    state = arm.state()
     assert (state.mode, state.fault_code, state.at_rest) == (Mode.FAULT, Fault.WATCHDOG, False)
-    assert robot.command(3, Reset()).result == Result.BUSY
-    clock.wait(to_go)
-    assert robot.state().at_rest
-    robot.emergency_stop()
-    assert robot.state().fault_code == Fault.EMERGENCY_STOP
+    assert arm.command(3, Reset()).result == Result.BUSY
+    clock.wait(remaining)
+    assert arm.state().at_rest
+    arm.emergency_stop()
+    assert arm.state().fault_code == Fault.EMERGENCY_STOP
 
 
 class Sticky(IdealPlant):
@@ -260,27 +248,27 @@ class Slow(IdealPlant):
 
 
 class Diverging(IdealPlant):
-    """A plant whose axes become NaN half a second after it was made, until it is told to rest."""
+    """A plant whose axes become NaN after half a second, until it gets a reference at rest."""
 
-    _age, _ill = 0.0, False
+    _age, _diverged = 0.0, False
 
     def advance(self, seconds: float) -> None:
         super().advance(seconds)
         self._age += seconds
-        self._ill = self._ill or self._age > 0.5
+        self._diverged = self._diverged or self._age > 0.5
 
     def follow(self, reference: Reference) -> None:
         super().follow(reference)
-        if self._ill:
-            self._age, self._ill = -1e9, False
+        if self._diverged:
+            self._age, self._diverged = -1e9, False
 
     @property
     def reported_axes(self) -> np.ndarray:
-        return np.full(6, np.nan) if self._ill else super().reported_axes
+        return np.full(6, np.nan) if self._diverged else super().reported_axes
 
 
 def test_a_plant_that_settles_late_is_waited_for() -> None:
-    """In position only once it has settled."""
+    """The controller is in position only after it has settled."""
     with simulated(Slow) as late, simulated() as ideal:
         assert late.move(turned(20.0), 1.0).axes.tolist() == turned(20.0)[0].tolist()
         ideal.move(turned(20.0), 1.0)
@@ -288,7 +276,7 @@ def test_a_plant_that_settles_late_is_waited_for() -> None:
 
 
 def test_a_plant_that_never_settles_is_a_fault() -> None:
-    """After SETTLE_LIMIT, with a sentence; the controller does not hang."""
+    """After SETTLE_LIMIT; the controller does not hang."""
     with simulated(Sticky) as driver:
         with pytest.raises(FaultError, match="did not come to rest") as fault:
             driver.move(turned(20.0), 1.0)
@@ -297,7 +285,7 @@ def test_a_plant_that_never_settles_is_a_fault() -> None:
 
 
 def test_a_plant_that_diverges_is_a_fault_and_never_a_position() -> None:
-    """The last finite axes stay in the state, moves are refused, and a reset helps where it cures the plant."""
+    """The last finite axes stay in the state, moves are refused, and a reset clears the fault if the plant recovers."""
     with simulated(Diverging) as driver:
         with pytest.raises(FaultError, match="no numbers") as fault:
             driver.move(turned(90.0), 1.0)
@@ -325,7 +313,7 @@ class Tripped(IdealPlant):
 
 
 def test_a_plant_that_stays_broken_stays_a_fault() -> None:
-    """The plant's own sentence comes through; a reset that does not cure it is refused and changes nothing."""
+    """The plant's own message is reported; a reset without recovery is refused and changes nothing."""
     with simulated(Tripped) as driver:
         with pytest.raises(FaultError, match="drive 3 tripped"):
             driver.move(turned(90.0), 1.0)
@@ -337,30 +325,30 @@ def test_a_plant_that_stays_broken_stays_a_fault() -> None:
         assert driver.state().fault_code == Fault.PLANT
 
 
-def test_an_arm_outside_the_limits_has_no_controller() -> None:
+def test_an_arm_outside_the_limits_is_refused() -> None:
     """By one count, at the start."""
-    outside = START.copy()
+    outside = HOME.copy()
     outside[1] = KR16.upper[1] + 1
     with pytest.raises(DriverError, match="outside the controller's limits"):
         Controller(IdealPlant(to_rad(outside)), KR16, SimulatedClock())
 
 
 def test_a_step_one_count_too_large_is_refused_anywhere() -> None:
-    """From where the arm stands, and between two via points; the allowed step itself is taken."""
+    """From the present position and between two via points; the largest step itself is accepted."""
     driver = SimDriver.from_url(DriverUrl("sim://"), Context(replace(KR16, max_step=np.full(6, 50_000))))
     with driver:
         driver.move(turned(5.0, 10.0), 1.0)
-        robot = driver.controller
-        assert robot.command(100, Move(turned(15.0001), 1.0)).result == Result.STEP
-        assert robot.command(101, Move(turned(15.0, 9.9999), 1.0)).result == Result.STEP
-        assert robot.command(102, Move(turned(15.0, 10.0), 1.0)).result == Result.OK
+        arm = driver.controller
+        assert arm.command(100, Move(turned(15.0001), 1.0)).result == Result.STEP
+        assert arm.command(101, Move(turned(15.0, 9.9999), 1.0)).result == Result.STEP
+        assert arm.command(102, Move(turned(15.0, 10.0), 1.0)).result == Result.OK
 
 
 def test_extreme_int32_set_points_are_a_limit_not_an_overflow() -> None:
-    """The ends of int32, as a swapped word order makes them."""
-    robot = controller()
+    """The ends of int32, as after a swap of words."""
+    arm = make_controller()
     for number, value in enumerate((np.iinfo(np.int32).min, np.iinfo(np.int32).max), start=1):
         points = turned(0.0)
         points[0, 3] = value
-        assert robot.command(number, Move(points, 1.0)).result == Result.LIMIT
-    assert robot.state().axes.tolist() == START.tolist()
+        assert arm.command(number, Move(points, 1.0)).result == Result.LIMIT
+    assert arm.state().axes.tolist() == HOME.tolist()

@@ -1,11 +1,10 @@
-"""Set-points, limits, commands, clocks, plant: the small parts of the driver layer."""
+"""Set-points, limits, commands, clocks and the ideal plant."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from cell.robot import model as robot
 from drivers import clock as clocks
 from drivers.clock import RealTimeClock, SimulatedClock
 from drivers.contract import (
@@ -26,14 +25,12 @@ from drivers.limits import Limits
 from drivers.profile import interpolate
 from drivers.setpoints import from_rad, require_set_points, to_deg, to_rad
 from planner.ports import JointLimits
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
-
-HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
+from tests.support.driver_bench import HOME_Q as HOME
+from tests.support.driver_bench import KR16
 
 
-def test_every_int32_count_survives_the_way_to_radians_and_back() -> None:
-    """At both ends of int32, around zero, and at a million counts in between."""
+def test_counts_survive_the_conversion_to_radians_and_back() -> None:
+    """At both ends of int32, around zero, and a million counts in between."""
     ends = np.iinfo(np.int32)
     counts = np.concatenate(
         [
@@ -47,8 +44,8 @@ def test_every_int32_count_survives_the_way_to_radians_and_back() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e9])
-def test_angles_that_no_wire_can_carry_are_refused(bad: float) -> None:
-    """NaN, infinities and overflow name the axis."""
+def test_angles_outside_int32_are_refused(bad: float) -> None:
+    """NaN, infinities and overflow; the message names the axis."""
     q = np.tile(HOME, (3, 1))
     q[2, 4] = bad
     with pytest.raises(SetPointError, match="A5"):
@@ -56,37 +53,35 @@ def test_angles_that_no_wire_can_carry_are_refused(bad: float) -> None:
 
 
 @pytest.mark.parametrize("bad", [np.zeros((2, 5)), np.float64(0), np.zeros((1, 6), dtype=complex), np.array(["x"] * 6)])
-def test_what_are_no_joint_angles_is_refused(bad: np.ndarray) -> None:
+def test_invalid_joint_angles_are_refused(bad: np.ndarray) -> None:
     """Shape and type."""
     with pytest.raises(SetPointError, match="must be"):
         from_rad(bad)
 
 
 def test_set_points_are_copied_and_read_only() -> None:
-    """The caller's array may change afterwards; the checked one may not."""
+    """The caller's array may change afterwards; the validated one may not."""
     mine = np.zeros((2, 6), dtype=np.int32)
-    taken = require_set_points(mine)
+    validated = require_set_points(mine)
     mine[0, 0] = 7
-    assert taken[0, 0] == 0
+    assert validated[0, 0] == 0
     with pytest.raises(ValueError, match="read-only"):
-        taken[0, 0] = 1
+        validated[0, 0] = 1
     assert require_set_points(np.asfortranarray(mine)).flags.c_contiguous
 
 
 def test_the_kr16_has_its_data_sheets_limits_to_the_count() -> None:
-    """185 deg in radians and back is not rounded inwards by a count."""
-    robot = KR16
-    assert to_deg(robot.lower).tolist() == [-185, -155, -130, -350, -130, -350]
-    assert to_deg(robot.upper).tolist() == [185, 35, 154, 350, 130, 350]
-    assert np.degrees(robot.velocity) == pytest.approx([156, 156, 156, 330, 330, 615])
-    assert np.degrees(robot.acceleration) == pytest.approx([312, 312, 312, 660, 660, 1230])
+    """185 deg in radians is not rounded inwards by a count."""
+    assert to_deg(KR16.lower).tolist() == [-185, -155, -130, -350, -130, -350]
+    assert to_deg(KR16.upper).tolist() == [185, 35, 154, 350, 130, 350]
+    assert np.degrees(KR16.velocity) == pytest.approx([156, 156, 156, 330, 330, 615])
+    assert np.degrees(KR16.acceleration) == pytest.approx([312, 312, 312, 660, 660, 1230])
 
 
 def test_limits_between_counts_are_rounded_inwards() -> None:
-    """A range that ends between two counts holds only the inner one."""
-    robot = KR16
+    """The inner count is the limit."""
     low, high = np.radians(np.full(6, -10.00004)), np.radians(np.full(6, 10.00006))
-    limits = Limits.from_rad(JointLimits(low, high, robot.velocity, robot.acceleration))
+    limits = Limits.from_rad(JointLimits(low, high, KR16.velocity, KR16.acceleration))
     assert limits.lower.tolist() == [-100_000] * 6
     assert limits.upper.tolist() == [100_000] * 6
     assert limits.max_step.tolist() == [200_000] * 6
@@ -105,16 +100,15 @@ def test_limits_between_counts_are_rounded_inwards() -> None:
         ("max_via", 0, "via points"),
     ],
 )
-def test_limits_under_which_nothing_could_move_are_refused(name: str, value: object, words: str) -> None:
+def test_impossible_limits_are_refused(name: str, value: object, words: str) -> None:
     """Each by name."""
-    robot = KR16
-    fields = {k: getattr(robot, k) for k in ("lower", "upper", "velocity", "acceleration", "max_step", "max_speed")}
+    fields = {k: getattr(KR16, k) for k in ("lower", "upper", "velocity", "acceleration", "max_step", "max_speed")}
     with pytest.raises(DriverError, match=words):
         Limits(**{**fields, name: value})
 
 
 def test_numbers_go_round_without_zero_and_half_the_circle_is_newer() -> None:
-    """next_sequence visits 1..65535 and wraps to 1; newer is antisymmetric on every pair that was tried."""
+    """next_sequence wraps from 65535 to 1; is_newer is antisymmetric on random pairs."""
     assert next_sequence(0) == 1
     assert next_sequence(LAST_SEQUENCE) == 1
     assert is_newer(1, LAST_SEQUENCE)
@@ -127,8 +121,8 @@ def test_numbers_go_round_without_zero_and_half_the_circle_is_newer() -> None:
         assert is_newer(a, b) + is_newer(b, a) == (a != b)
 
 
-def test_commands_are_the_same_only_with_the_same_content() -> None:
-    """A NaN speed equals itself here, so that a repeat is a repeat."""
+def test_commands_are_equal_only_with_equal_content() -> None:
+    """A NaN speed equals itself, so that a repetition is recognised."""
     points = np.zeros((2, 6), dtype=np.int32)
     assert is_same_command(Move(points, 0.5), Move(points.copy(), 0.5))
     assert is_same_command(Move(points, np.nan), Move(points, np.nan))
@@ -139,16 +133,16 @@ def test_commands_are_the_same_only_with_the_same_content() -> None:
     assert not is_same_command(Stop(), Reset())
 
 
-def test_every_code_has_a_sentence() -> None:
-    """Ours, and a foreign one."""
+def test_every_code_has_a_message() -> None:
+    """Known codes, and an unknown one."""
     for result in Result:
         assert describe_result(result) == result.message != ""
     assert "4711" in describe_result(4711)
     assert all(fault.message for fault in Fault if fault)
 
 
-def test_a_simulated_clock_jumps_by_what_is_asked() -> None:
-    """And refuses what is no duration."""
+def test_a_simulated_clock_advances_by_the_wait() -> None:
+    """Invalid durations are refused."""
     clock = SimulatedClock(5.0)
     clock.wait(0.25)
     assert clock.now() == 5.25
@@ -158,7 +152,7 @@ def test_a_simulated_clock_jumps_by_what_is_asked() -> None:
 
 
 def test_a_real_time_clock_scales_and_blocks_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """now() is scaled real time; one wait blocks at most LONGEST_WAIT, whatever is asked for."""
+    """now() is scaled real time; one wait blocks at most MAX_WAIT."""
     real = [100.0]
     slept: list[float] = []
 
@@ -179,18 +173,18 @@ def test_a_real_time_clock_scales_and_blocks_briefly(monkeypatch: pytest.MonkeyP
         clock.wait(np.nan)
 
 
-def far(plant: IdealPlant, degrees: float = 40.0) -> None:
+def start_move(plant: IdealPlant, degrees: float = 40.0) -> None:
     """Start a move of all axes."""
     plant.follow(
         interpolate(plant.reported_axes, plant.reported_axes[None] + np.radians(degrees), np.ones(6), np.ones(6))
     )
 
 
-def test_an_ideal_plant_is_where_its_reference_is_whatever_the_steps() -> None:
-    """One step or a thousand: the same axes, and the end exactly."""
+def test_an_ideal_plant_follows_its_reference_with_any_steps() -> None:
+    """One step or a thousand give the same axes, and exactly the end."""
     coarse, fine = IdealPlant(HOME), IdealPlant(HOME)
-    far(coarse)
-    far(fine)
+    start_move(coarse)
+    start_move(fine)
     coarse.advance(0.7)
     for _ in range(1000):
         fine.advance(0.0007)
@@ -201,7 +195,7 @@ def test_an_ideal_plant_is_where_its_reference_is_whatever_the_steps() -> None:
     assert (coarse.reported_axes == HOME + np.radians(40.0)).all()
 
 
-def test_a_plant_refuses_what_is_no_place_and_no_time() -> None:
+def test_a_plant_refuses_invalid_axes_and_times() -> None:
     """NaN axes, wrong shapes, negative time."""
     for bad in (np.full(6, np.nan), np.zeros(5)):
         with pytest.raises(DriverError, match="finite joint angles"):

@@ -1,4 +1,4 @@
-"""Drivers by URL: entry points, options, and the sentences of their errors."""
+"""Drivers by URL: entry points, options and error messages."""
 
 import subprocess
 import sys
@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.robot import model as robot
 from drivers.clock import SimulatedClock
 from drivers.controller import IdealPlant
 from drivers.errors import DriverUrlError
@@ -16,18 +15,17 @@ from drivers.registry import Context, DriverUrl, open_driver, schemes
 from drivers.setpoints import to_deg
 from drivers.sim import SimDriver
 from planner.ports import JointLimits
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
+from tests.support.driver_bench import KR16
 
 
 def sim(url: str, context: Context | None = None) -> SimDriver:
-    """The simulated controller of a URL."""
+    """Return the simulated controller of a URL."""
     return SimDriver.from_url(DriverUrl(url), context or Context(KR16))
 
 
 @pytest.fixture
 def distribution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An installed third-party distribution with good and bad drivers."""
+    """A third-party distribution with valid and broken drivers."""
     info = tmp_path / "acme_robots-2.1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme-robots\nVersion: 2.1\n")
@@ -50,8 +48,8 @@ def distribution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_third_partys_driver_opens_by_its_scheme(distribution: Path) -> None:
-    """Its class is used, with its options."""
+def test_a_third_party_driver_opens_by_its_scheme(distribution: Path) -> None:
+    """With its class and options."""
     assert {"acme", "acme-broken"} <= set(schemes())
     driver = open_driver("acme://?start=10,-90,90,0,90,0", Context(KR16))
     assert type(driver).__name__ == "Acme"
@@ -71,13 +69,13 @@ def test_a_third_partys_driver_opens_by_its_scheme(distribution: Path) -> None:
     ],
 )
 def test_a_broken_plug_in_is_named(distribution: Path, scheme: str, words: str) -> None:
-    """Which distribution, what is wrong, what to do."""
+    """The message has the distribution, the error and the remedy."""
     with pytest.raises(DriverUrlError, match=words):
         open_driver(f"{scheme}://", Context(KR16))
 
 
-def test_nothing_is_imported_to_list_the_schemes(distribution: Path) -> None:
-    """In a fresh process, neither a plug-in nor the simulated controller is loaded by listing."""
+def test_listing_the_schemes_imports_nothing(distribution: Path) -> None:
+    """In a fresh process, neither a plug-in nor the simulated controller is imported."""
     code = (
         f"import sys; sys.path.insert(0, {str(distribution)!r})\n"
         "import drivers.registry as registry\n"
@@ -114,8 +112,8 @@ def test_nothing_is_imported_to_list_the_schemes(distribution: Path) -> None:
         ("sim://h:99999", "is invalid"),
     ],
 )
-def test_a_wrong_url_gets_one_sentence(url: str, words: str) -> None:
-    """What is wrong and what would be valid."""
+def test_an_invalid_url_is_refused(url: str, words: str) -> None:
+    """The message has the error and a valid value, in one line."""
     with pytest.raises(Exception, match=words) as error:
         sim(url)
     assert "DriverUrlError" in type(error.value).__name__ or "SetPointError" in type(error.value).__name__
@@ -123,7 +121,7 @@ def test_a_wrong_url_gets_one_sentence(url: str, words: str) -> None:
 
 
 def test_options_reach_the_controller() -> None:
-    """Where the arm stands first, and whether time is real; limits are the arm's."""
+    """The start position and real time; the limits are the arm's."""
     with sim("sim://?start=1,-80,70,5,50,9.1234") as driver:
         assert to_deg(driver.state().axes).tolist() == [1, -80, 70, 5, 50, 9.1234]
         assert driver.capabilities.simulated_time
@@ -135,8 +133,8 @@ def test_options_reach_the_controller() -> None:
         assert not driver.capabilities.simulated_time
 
 
-def test_the_opener_injects_clock_limits_and_plants() -> None:
-    """Another plant replaces the ideal one."""
+def test_the_caller_injects_clock_limits_and_plants() -> None:
+    """An injected plant replaces the ideal one."""
     narrow = np.radians([10.0] * 6)
     limits = Limits.from_rad(JointLimits(-narrow, narrow, narrow, narrow))
     clock = SimulatedClock(100.0)

@@ -1,21 +1,17 @@
-"""docs/internals/protocol.md is true: a controller says the sessions beside it, its tables are those of the code."""
+"""docs/internals/protocol.md is correct: a controller reproduces its sessions, and its tables match the code."""
 
 import csv
 import re
 import zlib
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from cell.emulate.emulator import Memory
-from cell.robot import model as robot
 from drivers.clock import SimulatedClock
 from drivers.contract import Fault, Result
 from drivers.controller import IdealPlant
 from drivers.emulated.endpoint import Endpoint
 from drivers.emulated.stations import ModbusStation, SerialStation
-from drivers.limits import Limits
 from drivers.wire import MAX_AXES, MAX_POINTS
 from drivers.wires import modbus_protocol as registers
 from drivers.wires.serial_protocol import (
@@ -26,8 +22,7 @@ from drivers.wires.serial_protocol import (
     parse_request,
     parse_status,
 )
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
+from tests.support.driver_bench import HOME_Q, KR16, Journal
 
 INTERNALS = Path(__file__).parents[2] / "docs" / "internals"
 PAGE, SERIAL, MODBUS = (
@@ -37,21 +32,20 @@ PAGE, SERIAL, MODBUS = (
 
 
 def endpoint() -> tuple[Endpoint, SimulatedClock]:
-    """A KR 16 at home, as the page says, and its clock."""
+    """Return a KR 16 at home, as on the page, and its clock."""
     clock = SimulatedClock()
-    plant = IdealPlant(np.radians([0, -90, 90, 0, 90, 0]))
-    return Endpoint(plant, KR16, clock, clock, Memory(None, None)), clock
+    return Endpoint(IdealPlant(HOME_Q), KR16, clock, clock, Journal()), clock
 
 
 def lines(session: str) -> list[str]:
-    """Without comments."""
+    """Return the lines without comments."""
     return [line for line in session.splitlines() if not line.startswith("#")]
 
 
-def test_the_serial_session_is_what_a_controller_says() -> None:
-    """Every frame of the page, in order, byte for byte."""
-    robot, clock = endpoint()
-    station, answer, answered = SerialStation(robot), "", 0
+def test_a_controller_reproduces_the_serial_session() -> None:
+    """Every frame, in order, byte for byte."""
+    controller, clock = endpoint()
+    station, answer, answered = SerialStation(controller), "", 0
     for line in lines(SERIAL):
         if pause := re.fullmatch(r"\.\.\. (\S+) s later", line):
             clock.wait(float(pause[1]))
@@ -63,10 +57,10 @@ def test_the_serial_session_is_what_a_controller_says() -> None:
     assert answered >= 10
 
 
-def test_the_modbus_session_is_what_a_controller_says() -> None:
-    """Every telegram of the page, in order, byte for byte."""
-    robot, clock = endpoint()
-    station, answer, answered = ModbusStation(robot, rtu=True), b"", 0
+def test_a_controller_reproduces_the_modbus_session() -> None:
+    """Every telegram, in order, byte for byte."""
+    controller, clock = endpoint()
+    station, answer, answered = ModbusStation(controller, rtu=True), b"", 0
     for line in lines(MODBUS):
         if pause := re.fullmatch(r"\.\.\. (\S+) s later", line):
             clock.wait(float(pause[1]))
@@ -79,8 +73,8 @@ def test_the_modbus_session_is_what_a_controller_says() -> None:
 
 
 @pytest.mark.parametrize("line", [line for line in lines(SERIAL) if line[0] in "<>"])
-def test_the_pages_frames_can_be_taken_apart_by_its_words(line: str) -> None:
-    """Read as a reader of the page would: fields by position, the length counted, the CRC computed by zlib."""
+def test_the_frames_follow_the_description(line: str) -> None:
+    """Decoded as the page describes: fields by position, the counted length, the CRC of zlib."""
     head, crc = line.rsplit("*", 1)
     start, number, length, body = head[0], head[1:6], head[7:11], head[12:]
     assert start in "<>"
@@ -99,8 +93,8 @@ def test_the_pages_frames_can_be_taken_apart_by_its_words(line: str) -> None:
 
 
 def rows() -> list[list[str]]:
-    """Of the code's registers, as the table has them; n axes."""
-    found = []
+    """Return the rows of the register table for the registers of the code; n axes."""
+    table = []
     for block in registers.BLOCKS:
         at, axes, kind = block.address, 0, [block.name, block.kind]  # an address is `at + axes n`
         for field in block.fields:
@@ -111,26 +105,26 @@ def rows() -> list[list[str]]:
             elif field.registers > 1:
                 where += f"-{at + field.registers - 1}"
             count = "n" if each else f"{field.count}"
-            found.append(
+            table.append(
                 [*kind, where, field.name, field.type if count == "1" else f"{field.type} x {count}", field.meaning]
             )
             at, axes = at + field.registers, axes + 2 * each
         if block.optional_points:
-            found.append([*kind, f"{at}...", "points", "i32 x kn", "k = `points` via points, A1 on each [1e-4 deg]"])
+            table.append([*kind, f"{at}...", "points", "i32 x kn", "k = `points` via points, A1 on each [1e-4 deg]"])
         end = f"{at} + {'2k' if block.optional_points else axes}n"
-        found.append([*kind, end, "crc", "u32", "CRC-32 of all registers before"])
-    return found
+        table.append([*kind, end, "crc", "u32", "CRC-32 of all registers before"])
+    return table
 
 
-def test_the_register_tables_are_the_codes() -> None:
-    """The table of registers and the page's command codes are those of the code."""
+def test_the_tables_match_the_code() -> None:
+    """The table of registers and the command codes."""
     with (INTERNALS / "protocol_registers.csv").open(encoding="utf-8", newline="") as file:
         assert list(csv.reader(file)) == [["block", "kind", "register", "name", "type", "meaning"], *rows()]
     codes = "\n".join(f"| {code} | {meaning} |" for code, meaning in registers.COMMANDS.items())
     assert f"| code | meaning |\n|---|---|\n{codes}\n" in PAGE + "\n"
 
 
-def test_the_numbers_in_the_text_are_the_codes() -> None:
+def test_the_numbers_in_the_text_match_the_code() -> None:
     """Sizes, check values and result codes."""
     page = " ".join(PAGE.split())
     assert f"{zlib.crc32(b'123456789'):08X}" in page
@@ -149,9 +143,9 @@ def test_the_numbers_in_the_text_are_the_codes() -> None:
 @pytest.mark.parametrize("axes", [6, 7, MAX_AXES])
 def test_the_blocks_fit_their_telegrams(axes: int) -> None:
     """123 registers in an FC16, 125 in an FC04, for every number of axes."""
-    command, status, able = (block.for_axes(axes) for block in registers.BLOCKS)
+    command, status, capabilities = (block.for_axes(axes) for block in registers.BLOCKS)
     full = command.registers + command.max_points * 2 * axes
     assert full <= registers.MAX_WRITTEN < full + 2 * axes
     assert status.registers <= 125
-    assert able.registers <= 125
-    assert status.address + status.registers <= able.address
+    assert capabilities.registers <= 125
+    assert status.address + status.registers <= capabilities.address

@@ -1,4 +1,4 @@
-"""The list of faults, and what each does to a telegram; the lines on which emulated controllers listen."""
+"""The list of faults, their effects on telegrams, and the lines of emulated controllers."""
 
 import os
 import socket
@@ -16,12 +16,12 @@ TELEGRAM = bytes(range(40))
 
 
 def injector(text: str, seed: int = 0) -> Injector:
-    """Of a list."""
+    """Return the injector of a list of faults."""
     return Injector(parse_faults(text), np.random.default_rng(seed))
 
 
-def test_a_list_of_faults_is_read() -> None:
-    """Probabilities, durations, defaults, times; sorted by time; an empty list is no fault."""
+def test_a_list_of_faults_is_parsed() -> None:
+    """Probabilities, durations, defaults, times; scheduled faults are sorted; an empty list has no faults."""
     faults = parse_faults("drop=0.01, delay=0.02:0.3,half-open=1,estop@12.5,reboot@3:1.5")
     assert faults.random == {
         "drop": RandomFault(0.01, 0.0),
@@ -36,16 +36,16 @@ def test_a_list_of_faults_is_read() -> None:
     "text", ["drop", "drop=", "drop=x", "drop=nan", "drop=-0.1", "drop=1.1", "fire=0.1", "delay=0.1:-1", "delay@3",
              "drop=0.1,drop=0.2", "estop@-1", "estop@inf", "truncate=0.1:2", "delay=0.1:inf"],
 )  # fmt: skip
-def test_a_list_that_cannot_be_is_refused_with_what_could(text: str) -> None:
-    """One sentence."""
+def test_an_invalid_list_is_refused(text: str) -> None:
+    """With a message in one line."""
     with pytest.raises(DriverError, match=r"fault") as error:
         parse_faults(text)
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("name", WIRE_FAULTS)
-def test_what_a_certain_fault_does_to_a_telegram(name: str) -> None:
-    """Nothing, later, twice, after the next, changed, or shorter; and without faults: itself, at once."""
+def test_the_effect_of_each_fault_on_a_telegram(name: str) -> None:
+    """Lost, late, twice, after the next, changed, or shorter; without faults unchanged at once."""
     assert injector("").transmit("request", TELEGRAM) == [(0.0, TELEGRAM)]
     wire = injector(f"{name}=1")
     first = wire.transmit("request", TELEGRAM)
@@ -68,16 +68,16 @@ def test_what_a_certain_fault_does_to_a_telegram(name: str) -> None:
         assert all(TELEGRAM.startswith(cut) and len(cut) < len(TELEGRAM) for _, cut in first)
 
 
-def test_a_held_telegram_comes_late_where_none_follows() -> None:
-    """Once."""
+def test_a_held_telegram_is_released_once_if_none_follows() -> None:
+    """The release replaces the next telegram."""
     wire = injector("reorder=1")
     wire.transmit("answer", TELEGRAM)
     assert wire.release("answer") == TELEGRAM
     assert wire.release("answer") is None
 
 
-def test_the_same_seed_spoils_the_same_telegrams() -> None:
-    """And another seed others."""
+def test_equal_seeds_disturb_equal_telegrams() -> None:
+    """Another seed disturbs others."""
     text = ",".join(f"{name}=0.2" for name in WIRE_FAULTS)
     runs = [[injector_.transmit("request", TELEGRAM) for _ in range(200)]
             for injector_ in (injector(text, 1), injector(text, 1), injector(text, 2))]  # fmt: skip
@@ -85,15 +85,15 @@ def test_the_same_seed_spoils_the_same_telegrams() -> None:
     assert runs[0] != runs[2]
 
 
-def test_a_fault_happens_as_often_as_it_says() -> None:
+def test_a_fault_occurs_at_its_rate() -> None:
     """Within five standard deviations over 20,000 telegrams."""
     wire = injector("drop=0.05")
     lost = Counter(not wire.transmit("request", TELEGRAM) for _ in range(20_000))[True]
     assert abs(lost - 1000) < 5 * np.sqrt(20_000 * 0.05 * 0.95)
 
 
-def test_an_emulated_controller_listens_on_the_loopback_interface_alone() -> None:
-    """A taken port is one sentence."""
+def test_an_emulated_controller_listens_on_the_loopback_interface_only() -> None:
+    """A port in use is an error; bytes pass in both directions; dropped connections are closed."""
     line = TcpLine()
     try:
         assert LOOPBACK == "127.0.0.1"
@@ -118,8 +118,8 @@ def test_an_emulated_controller_listens_on_the_loopback_interface_alone() -> Non
         line.close()
 
 
-def test_a_pseudo_terminal_has_a_link_that_goes_with_it(tmp_path: Path) -> None:
-    """A stale link is replaced, another file is not; what nobody reads is lost and does not block."""
+def test_the_link_of_a_pseudo_terminal(tmp_path: Path) -> None:
+    """A stale link is replaced, another file is not; unread bytes are lost and do not block."""
     link = tmp_path / "arm"
     link.symlink_to("/nowhere")
     line = PtyLine(link)
