@@ -1,4 +1,4 @@
-"""Another arm, models/kr16.xml with other ranges, speeds and drives: what comes after a plan goes by them."""
+"""Another arm, models/kr16.xml with other ranges, speeds and drives: all steps after a plan use its limits."""
 
 import json
 import re
@@ -40,7 +40,7 @@ CHANGES = {
 def other(
     tmp_path_factory: pytest.TempPathFactory, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> Iterator[Path]:
-    """Run folder of a plan for that arm, which is this process' robot meanwhile."""
+    """Run folder of a plan for that arm, which is the robot of this process meanwhile."""
     folder = tmp_path_factory.mktemp("other")
     text = model_file("kr16.xml").read_text(encoding="utf-8")
     for old, new in CHANGES.items():
@@ -57,10 +57,10 @@ def other(
         yield folder / "run"
 
 
-def test_it_is_planned_driven_and_exported_by_its_own_limits(
+def test_planning_driving_and_export_use_its_limits(
     other: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    """The simulated controller takes the planned time, and the head of the program names the ranges."""
+    """The simulated controller takes the planned time, and the head of the program has the ranges."""
     done = run_cell("scan", other, "--resolution", "2", cwd=other)
     assert done.returncode == 0, done.stderr
     planned = json.loads((other / "report.json").read_text())["motion"]["duration_s"]
@@ -76,7 +76,7 @@ def test_it_is_planned_driven_and_exported_by_its_own_limits(
 def test_its_emulator_has_its_limits_and_its_plan_is_driven_there(
     other: Path, emulate: Callable[..., Any], run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    """`cell emulate --run` in a process that knows the built-in arm alone; a plan is driven over its wire."""
+    """`cell emulate --run` in a process with the built-in arm only; a plan is driven over its wire."""
     limits = load_arm(other, "ideal").limits
     assert (limits.lower / 1e4).tolist() == LOWER
     assert (limits.upper / 1e4).tolist() == UPPER
@@ -89,7 +89,7 @@ def test_its_emulator_has_its_limits_and_its_plan_is_driven_there(
 
 
 def test_a_plan_that_exceeds_a_controllers_limits_is_refused_before_anything_moves(other: Path) -> None:
-    """One sentence with the move, the axis, the angle and the range."""
+    """The message has the move, the axis, the angle and the range."""
     motion = open_run(other).motion
     axis = int(np.argmax(motion.via_q.max(axis=0) - motion.via_q[0]))
     farthest, narrow = motion.via_q[:, axis].max(), motion.limits.upper.copy()
@@ -105,8 +105,8 @@ def test_a_plan_that_exceeds_a_controllers_limits_is_refused_before_anything_mov
     assert sentence.endswith("nothing was moved")
 
 
-def test_the_dynamic_arm_is_that_of_a_file_with_drives_and_masses(other: Path) -> None:
-    """The torque limits are the file's; one without drives or without masses is told, and what moves without."""
+def test_the_dynamic_arm_needs_drives_and_masses(other: Path) -> None:
+    """The torque limits are the file's; without drives or masses the message has a remedy."""
     run = open_run(other)
     plant = plants.plants_of_run(run)["mujoco"](robot.home(robot.load()))
     assert isinstance(plant, MujocoPlant)
@@ -124,10 +124,10 @@ def test_the_dynamic_arm_is_that_of_a_file_with_drives_and_masses(other: Path) -
 
 
 def test_only_an_arm_with_kukas_axes_is_written_in_krl(other: Path) -> None:
-    """Another's program is a table without status and turn."""
+    """The program of another arm is a table without status and turn."""
 
     class Mirrored:
-        """The same arm with A1 turning the other way."""
+        """The same arm with the opposite sign of A1."""
 
         limits = robot.limits(robot.load())
         _kuka = kr16_kinematics()
@@ -135,7 +135,7 @@ def test_only_an_arm_with_kukas_axes_is_written_in_krl(other: Path) -> None:
         def forward(self, q: np.ndarray) -> np.ndarray:
             return self._kuka.forward(q * [-1, 1, 1, 1, 1, 1])
 
-        inverse = _kuka.inverse  # never asked
+        inverse = _kuka.inverse  # not called
 
     motion, info = open_run(other).motion, ProgramInfo("name", "part", "run", "digest", 1.0, 1.0, np.nan, "")
     program = program_of_motion(motion, Mirrored(), np.eye(4), np.eye(4), info)

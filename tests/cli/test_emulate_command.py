@@ -1,4 +1,4 @@
-"""`cell emulate` and the drivers' URLs: what cannot be gets one sentence; libraries are imported when chosen."""
+"""`cell emulate` and the drivers' URLs: refusals, and libraries imported only when needed."""
 
 import subprocess
 import sys
@@ -30,10 +30,10 @@ KR16 = Limits.from_rad(robot.limits(robot.load()))
         (("modbus", "--plant", "rubber"), "must be one of: ideal, mujoco", 2),
     ],
 )
-def test_what_cannot_be_emulated_gets_one_sentence(
+def test_invalid_options_are_refused(
     arguments: tuple[str, ...], words: str, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And its exit code."""
+    """With a message in one line and an exit code."""
     from cell.cli import main
 
     with pytest.raises(SystemExit) as end:
@@ -43,8 +43,8 @@ def test_what_cannot_be_emulated_gets_one_sentence(
     assert end.value.code == code
 
 
-def test_nothing_of_the_libraries_is_imported_before_it_is_chosen() -> None:
-    """In a fresh process: `sim://` takes neither pyserial nor pymodbus, `serial://` takes no pymodbus."""
+def test_libraries_are_imported_only_when_needed() -> None:
+    """In a fresh process `sim://` imports neither pyserial nor pymodbus, `serial://` no pymodbus."""
     code = (
         "import sys; from cell.robot.model import limits, load; from drivers.limits import Limits\n"
         "from drivers.registry import Context, open_driver; arm = Context(Limits.from_rad(limits(load())))\n"
@@ -75,7 +75,7 @@ def test_nothing_of_the_libraries_is_imported_before_it_is_chosen() -> None:
         ("modbus+rtu:///dev/x?poll_ms=900", "twice the poll"),
     ],
 )
-def test_a_wrong_url_of_a_wire_gets_one_sentence(url: str, words: str) -> None:
+def test_invalid_urls_of_wires_are_refused(url: str, words: str) -> None:
     """Before anything is opened."""
     with pytest.raises(DriverUrlError, match=words):
         open_driver(url, Context(KR16))

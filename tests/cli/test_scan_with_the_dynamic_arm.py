@@ -1,4 +1,4 @@
-"""`cell scan --driver sim://?plant=mujoco`: scans from where the arm stands, and none from an arm that diverged."""
+"""`cell scan --driver sim://?plant=mujoco`: scans from the reported poses, and none from a diverged arm."""
 
 import json
 import shutil
@@ -38,12 +38,12 @@ def scanned(planned: Path, tmp_path_factory: pytest.TempPathFactory, run_cell: R
 
 
 def scans(run: Path, execution: str) -> list[dict[str, Any]]:
-    """Content of the scan files in order."""
+    """Return the content of the scan files in order."""
     return [dict(np.load(path)) for path in sorted((run / "executions" / execution / "scans").iterdir())]
 
 
-def test_every_scan_is_taken_from_the_pose_that_the_controller_reports(scanned: Path) -> None:
-    """The reported axes are near the commanded ones but not they; poses and points are of the reported ones."""
+def test_every_scan_is_taken_from_the_reported_pose(scanned: Path) -> None:
+    """The reported axes are near the commanded ones but not equal; poses and points follow the reported ones."""
     record = open_run(scanned)
     scene = record.scene
     T_base_object, T_flange_scanner = scene.T_base_object, scene.T_flange_scanner
@@ -61,7 +61,7 @@ def test_every_scan_is_taken_from_the_pose_that_the_controller_reports(scanned: 
         assert abs(len(scan["points"]) - len(without["points"])) < 0.05 * len(without["points"])
 
 
-def test_the_same_execution_twice_is_the_same_to_the_byte(scanned: Path) -> None:
+def test_equal_executions_are_equal_byte_for_byte(scanned: Path) -> None:
     """Scans and the times of events; only the wall clock differs."""
     names = sorted(path.name for path in (scanned / "executions" / "0001" / "scans").iterdir())
     for name in names:
@@ -74,8 +74,8 @@ def test_the_same_execution_twice_is_the_same_to_the_byte(scanned: Path) -> None
     assert events[0] == events[1]
 
 
-def test_the_report_tells_the_time_that_the_arm_took(scanned: Path) -> None:
-    """Longer than with the ideal arm by the settling at each stop, at most half a second."""
+def test_the_report_has_the_time_of_the_arm(scanned: Path) -> None:
+    """Longer than with the ideal arm by at most half a second of settling at each stop."""
     reports = [json.loads((scanned / "executions" / n / "report.json").read_text()) for n in ("0001", "0003")]
     extra = reports[0]["motion"]["executed_s"] - reports[1]["motion"]["executed_s"]
     stops = reports[0]["n_views"] + 1
@@ -96,10 +96,10 @@ def test_replay_shows_the_reported_stops(scanned: Path) -> None:
         assert at_rest.any()
 
 
-def test_a_diverging_simulation_ends_the_scan_with_its_reason_and_without_a_scan(
+def test_a_diverging_simulation_ends_the_scan_without_a_scan(
     scanned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 5 and one sentence; the execution says that it failed, and holds no scan and no surface."""
+    """Exit code 5; the execution is recorded as failed, without scans and surface."""
     from cell.cli import main
     from cell.robot import plant
 

@@ -1,4 +1,4 @@
-"""Kinematics of arms that a file may hold against their own chains: product of exponentials, brute force, MuJoCo."""
+"""Kinematics of various arms against their chains: product of exponentials, brute force, MuJoCo."""
 
 import mujoco
 import numpy as np
@@ -49,7 +49,7 @@ ARMS = {"upright": UPRIGHT, "level": LEVEL, "sideways": SIDEWAYS, "parallel": PA
 
 
 def arm(name, rng, tilt=0.0):
-    """The chain by name with random signs, zeros, base and flange; every axis turned at random by `tilt` [rad]."""
+    """Return a named chain with random signs, zeros, base and flange; every axis is tilted by `tilt` [rad]."""
     directions, points, flange = (np.array(values, dtype=float) for values in ARMS[name])
     directions += rng.normal(0.0, tilt, (6, 3)) if tilt else 0.0
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -70,7 +70,7 @@ def arm(name, rng, tilt=0.0):
 
 
 def frames(chain, q):
-    """Motion of each axis by those before it, at q (6,)."""
+    """Return the motion of each axis by the axes before it, at q (6,)."""
     T, found = np.eye(4), []
     for w, p, angle in zip(chain.directions, chain.points, q, strict=True):
         found.append(T.copy())
@@ -79,7 +79,7 @@ def frames(chain, q):
 
 
 def about(w, p, angle):
-    """(4, 4) turn about the line through p along w."""
+    """Return the rotation (4, 4) about the line through p along w."""
     K = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
     T = np.eye(4)
     T[:3, :3] = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
@@ -88,20 +88,20 @@ def about(w, p, angle):
 
 
 def rotation(rng):
-    """A random rotation."""
+    """Return a random rotation."""
     turn, R = np.linalg.qr(rng.normal(size=(3, 3)))
     turn = turn * np.sign(np.diag(R))
     return turn if np.linalg.det(turn) > 0 else -turn
 
 
 def apart(a, b):
-    """Largest difference of two sets of angles, turns aside."""
+    """Return the largest difference of two sets of angles modulo full turns."""
     return np.abs((a - b + np.pi) % (2 * np.pi) - np.pi).max(axis=-1)
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_forward_is_mujocos(name):
-    """The product of exponentials gives the flange that MuJoCo gives for the same axes, to 1e-12."""
+def test_forward_equals_mujoco(name):
+    """The product of exponentials equals MuJoCo's flange for the same axes to 1e-12."""
     rng = np.random.default_rng(1)
     chain = arm(name, rng)
     spec = mujoco.MjSpec()
@@ -123,8 +123,8 @@ def test_forward_is_mujocos(name):
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("name", ARMS)
-def test_every_pose_comes_back(name, seed):
-    """Whatever signs, zeros, base and flange: the angles are among the branches, each of which is the pose to 1e-9."""
+def test_every_pose_is_recovered(name, seed):
+    """The angles are among the branches, and each branch gives the pose to 1e-9, for any signs, zeros and frames."""
     rng = np.random.default_rng(seed)
     chain = arm(name, rng)
     kinematics = ArmKinematics(chain, LIMITS)
@@ -141,7 +141,7 @@ def test_every_pose_comes_back(name, seed):
 
 @pytest.mark.parametrize("name", ARMS)
 def test_no_branch_is_missed(name):
-    """Newton's method on the chain from 300 random starts finds no solution that is not among the branches."""
+    """Newton's method on the chain from 300 random starts finds no other solution."""
     rng = np.random.default_rng(7)
     chain = arm(name, rng)
     kinematics = ArmKinematics(chain, LIMITS)
@@ -158,8 +158,8 @@ def test_no_branch_is_missed(name):
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_axes_that_were_rounded_are_polished(name):
-    """Axes off by 1e-4 rad: the residual says so, and every branch is the chain's own pose to 1e-9 all the same."""
+def test_rounded_axes_are_refined(name):
+    """With axes rounded to 1e-4 rad the residual is positive, but every branch gives the chain's pose to 1e-9."""
     rng = np.random.default_rng(11)
     chain = arm(name, rng, tilt=1e-4)
     kinematics = ArmKinematics(chain, LIMITS)
@@ -175,7 +175,7 @@ def test_axes_that_were_rounded_are_polished(name):
 
 
 def test_an_arm_of_neither_family_is_refused():
-    """Six axes of which no two are parallel and no three meet are named, with how far the nearest family is."""
+    """Six axes of which no two are parallel and no three meet; the message has the nearest family's distance."""
     rng = np.random.default_rng(3)
     directions = rng.normal(size=(6, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

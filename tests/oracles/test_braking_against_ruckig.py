@@ -1,4 +1,4 @@
-"""Braking on the path: continuous, within the limits, on the leg, and as short as ruckig's fastest stop."""
+"""Braking on the path: continuous, within the limits, on the segment, and as short as ruckig's fastest stop."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ positive = arrays(float, 6, elements=st.floats(0.05, 20.0))
 
 
 def fastest_stop(speed: float, acceleration: float, limit: float, jerk: float) -> tuple[float, float]:
-    """Duration and length of ruckig's fastest way to rest."""
+    """Return duration and length of ruckig's fastest stop."""
     asked = ruckig.InputParameter(1)
     asked.control_interface = ruckig.ControlInterface.Velocity
     asked.current_position, asked.current_velocity, asked.current_acceleration = [0.0], [speed], [acceleration]
@@ -26,7 +26,7 @@ def fastest_stop(speed: float, acceleration: float, limit: float, jerk: float) -
 
 
 def check_stop(driven: Reference, t: float, jerk: np.ndarray, acceleration: np.ndarray) -> Reference:
-    """Properties of the stop at time t; returns it."""
+    """Check the properties of the stop at time t and return it."""
     braked = driven.braking_from(t)
     q, qd, qdd = (values[0] for values in driven.sample(np.array([t])))
     times = np.linspace(0.0, braked.duration, 400)[:-1] if braked.duration > 0 else np.zeros(1)
@@ -52,10 +52,10 @@ def check_stop(driven: Reference, t: float, jerk: np.ndarray, acceleration: np.n
 @given(
     arrays(float, (2, 6), elements=st.floats(-6.0, 6.0)), positive, positive, positive, shares, shares, st.booleans()
 )
-def test_a_stop_is_smooth_within_the_limits_and_before_the_legs_end(
+def test_a_stop_is_smooth_within_the_limits_and_before_the_segments_end(
     points: np.ndarray, v: np.ndarray, a: np.ndarray, j: np.ndarray, share: float, later: float, endless: bool
 ) -> None:
-    """From any phase, also from a stop that goes on; the arm stands between where it was and the via point."""
+    """From any phase, also during a stop; the arm comes to rest between its position and the via point."""
     jerk = np.full(6, np.inf) if endless else j
     start, end = np.round(points, 6)
     driven = interpolate(start, end[None], v, a, jerk)
@@ -74,7 +74,7 @@ def test_a_stop_is_smooth_within_the_limits_and_before_the_legs_end(
 
 @pytest.mark.parametrize("override", [0.05, 0.3, 1.0])
 def test_no_stop_is_faster_or_shorter(override: float) -> None:
-    """Against ruckig's time-optimal stop from the same speed and acceleration, at full limits whatever the override."""
+    """Against ruckig's time-optimal stop from the same speed and acceleration, at full limits with any override."""
     rng = np.random.default_rng(0)
     for _ in range(100):
         v, a, j = 10.0 ** rng.uniform(-1, 1, 3)

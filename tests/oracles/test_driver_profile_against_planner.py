@@ -1,4 +1,4 @@
-"""Two independent makers of the same mathematics: the controller's interpolator and the planner's timing."""
+"""Two independent implementations: the controller's interpolator and the planner's timing."""
 
 import numpy as np
 import pytest
@@ -17,13 +17,13 @@ KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 
 def limits(speed: float) -> JointLimits:
-    """The controller's limits as the planner's."""
+    """Return the controller's limits for the planner."""
     robot = KR16
     return JointLimits(to_rad(robot.lower), to_rad(robot.upper), robot.velocity * speed, robot.acceleration, robot.jerk)
 
 
 def tour(rng: np.random.Generator, count: int, spread_deg: float) -> np.ndarray:
-    """(count, 6) via points inside the limits [rad], steps of up to `spread_deg` on each axis, some of them zero."""
+    """Return via points (count, 6) inside the limits [rad] with steps of up to `spread_deg`, some of them zero."""
     robot = KR16
     middle = (robot.lower + robot.upper.astype(np.int64)) / 2
     steps = rng.uniform(-spread_deg, spread_deg, (count, 6)) * 1e4 * rng.integers(0, 2, (count, 6))
@@ -31,14 +31,14 @@ def tour(rng: np.random.Generator, count: int, spread_deg: float) -> np.ndarray:
 
 
 def by_controller(via: np.ndarray, speed: float) -> Reference:
-    """What the controller makes of it."""
+    """Return the controller's reference."""
     return interpolate(via[0], via[1:], KR16.velocity * speed, KR16.acceleration, KR16.jerk)
 
 
 @pytest.mark.parametrize("spread_deg", [1e-4, 0.01, 5.0, 170.0])
 @pytest.mark.parametrize("speed", [1e-3, 0.1, 1.0])
 def test_durations_agree(spread_deg: float, speed: float) -> None:
-    """Total and leg by leg, to the two margins that both keep from the limits."""
+    """In total and for each segment, up to the margins that both keep from the limits."""
     via = tour(np.random.default_rng(1), 200, spread_deg)
     expected = move_time(via[:-1], via[1:], limits(speed))
     assert by_controller(via, speed).duration == pytest.approx(expected.sum(), rel=3e-8)
@@ -57,7 +57,7 @@ def test_the_motions_agree_at_every_sample() -> None:
 
 
 def test_speeds_and_accelerations_stay_inside_the_limits_and_integrate() -> None:
-    """No sample exceeds a limit, some axis reaches one, and the mean speed between samples is their difference."""
+    """No sample exceeds a limit, some axis reaches one, and the speeds integrate to the angles."""
     via = tour(np.random.default_rng(3), 30, 120.0)
     reference, allowed = by_controller(via, 1.0), limits(1.0)
     t = np.arange(0, reference.duration, 1e-3)
@@ -73,8 +73,8 @@ def test_speeds_and_accelerations_stay_inside_the_limits_and_integrate() -> None
     assert (missed <= 0.25 * 1e-6 * 2 * allowed.acceleration + 1e-12).all()
 
 
-def test_quantisation_is_the_planners_to_the_bit() -> None:
-    """What the planner checked is what the wire carries: equal floats, equal integers."""
+def test_quantisation_equals_the_planners() -> None:
+    """Planner and wire quantise equally: equal floats, equal integers."""
     q = np.random.default_rng(4).uniform(-6.2, 6.2, (50_000, 6))
     counts = from_rad(q)
     assert (to_rad(counts) == quantise(q)).all()

@@ -1,4 +1,4 @@
-"""The closed form against the chain of bodies that MuJoCo multiplies out."""
+"""The closed form against MuJoCo's chain of bodies."""
 
 import mujoco
 import numpy as np
@@ -10,12 +10,12 @@ from cell.robot.arm import kinematics_of
 
 @pytest.fixture(scope="module")
 def model():
-    """The robot alone, compiled."""
+    """The compiled robot alone."""
     return robot.load()
 
 
 def test_forward_is_the_flange_site_of_the_compiled_model(model):
-    """T_base_flange equals the pose of the site `flange` to 1e-12 m and 1e-12, anywhere within the limits."""
+    """T_base_flange equals the pose of the site `flange` to 1e-12, anywhere within the limits."""
     kinematics = kinematics_of(model)
     rng = np.random.default_rng(1)
     q = rng.uniform(kinematics.limits.lower, kinematics.limits.upper, (2000, 6))

@@ -8,7 +8,7 @@ from cell.robot.arm import kr16_kinematics
 
 
 def test_both_solvers_find_the_same_branches():
-    """On 3000 random poses both find the same real branches to 1e-8 rad, each of ours and each of theirs."""
+    """On 3000 random poses each real branch of one solver is one of the other to 1e-8 rad."""
     kinematics = kr16_kinematics()
     arm = kinematics.arm
     oracle = Robot(

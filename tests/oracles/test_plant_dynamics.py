@@ -65,7 +65,7 @@ class Chain:
         self.viscous = numeric["axis_viscous_friction_Nm_s_rad"]
 
     def bodies(self, q: Floats) -> list[tuple[int, float, Floats, Floats]]:
-        """Joint that carries it, mass, centre of mass and inertia about it in base axes, for each body."""
+        """Return joint, mass, centre of mass and inertia about it in base axes, for each body."""
         found, R, p = [], np.eye(3), np.zeros(3)
         self.anchors, self.axes = [], []
         for i in range(6):
@@ -81,11 +81,11 @@ class Chain:
         return found
 
     def potential(self, q: Floats) -> float:
-        """[J]."""
+        """Return the potential energy [J]."""
         return sum(mass * GRAVITY * com[2] for _, mass, com, _ in self.bodies(q))
 
     def gravity(self, q: Floats) -> Floats:
-        """(6,) torques that hold the arm still [Nm]: lever times weight of every body beyond the axis."""
+        """Return holding torques (6,) [Nm]: lever times weight of every body beyond the axis."""
         bodies, torque = self.bodies(q), np.zeros(6)
         for joint, mass, com, _ in bodies:
             for i in range(joint + 1):
@@ -93,7 +93,7 @@ class Chain:
         return torque
 
     def mass_matrix(self, q: Floats) -> Floats:
-        """(6, 6) from the bodies' Jacobians, rotors included."""
+        """Return the mass matrix (6, 6) from the bodies' Jacobians, rotors included."""
         M = np.diag(self.rotor)
         for joint, mass, com, inertia in self.bodies(q):
             linear, angular = np.zeros((3, 6)), np.zeros((3, 6))
@@ -103,7 +103,7 @@ class Chain:
         return M
 
     def inverse(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
-        """(6,) Lagrange's equations, the mass matrix differentiated by central differences."""
+        """Return torques (6,) by Lagrange's equations, with central differences of the mass matrix."""
         step, gradient = 1e-5, np.zeros((6, 6, 6))
         for k in range(6):
             e = step * np.eye(6)[k]
@@ -136,13 +136,13 @@ def _cross(a: Floats) -> Floats:
 
 @pytest.fixture(scope="module")
 def chain() -> Chain:
-    """The oracle."""
+    """The oracle's arm."""
     return Chain(TOOL)
 
 
 @pytest.mark.parametrize("pose", POSES)
 def test_gravity_is_lever_times_weight(pose: str, chain: Chain) -> None:
-    """The torque that holds the arm is that of the point masses, and the gradient of their potential energy."""
+    """The holding torque is that of the point masses, and the gradient of their potential energy."""
     q = POSES[pose]
     model = dynamics.compile_dynamic_arm(TOOL)
     data = mujoco.MjData(model)
@@ -154,7 +154,7 @@ def test_gravity_is_lever_times_weight(pose: str, chain: Chain) -> None:
 
 
 def test_two_gravity_torques_by_hand() -> None:
-    """Level and stretched, A2 carries every moment of the XML's masses, A1 none; upright, next to nothing is left."""
+    """Stretched horizontally A2 has the moments of all masses and A1 none; upright there is almost none."""
     model = dynamics.compile_dynamic_arm(Tool())
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -169,15 +169,15 @@ def test_two_gravity_torques_by_hand() -> None:
     assert data.qfrc_bias[1] == pytest.approx(9.81 * above, rel=1e-9)
 
 
-def test_mass_matrix_is_that_of_the_jacobians(chain: Chain) -> None:
-    """Also with a tool off the axis, in every named pose."""
+def test_the_mass_matrix_equals_that_of_the_jacobians(chain: Chain) -> None:
+    """In every named pose, with a tool beside the axis."""
     model = dynamics.compile_dynamic_arm(TOOL)
     for q in POSES.values():
         np.testing.assert_allclose(dynamics.mass_matrix(model, q), chain.mass_matrix(q), atol=1e-9)
 
 
-def test_the_feed_forward_is_lagranges(chain: Chain) -> None:
-    """A servo that is right about masses and knows no Coulomb friction asks for Lagrange's torques."""
+def test_the_feed_forward_equals_lagrange(chain: Chain) -> None:
+    """A servo with exact masses and no Coulomb friction gives Lagrange's torques."""
     rng = np.random.default_rng(0)
     right = FeedForward(TOOL, PlantSettings(mass_error=0.0, friction_error=-1.0))
     q, qd, qdd = rng.uniform(-2, 2, (3, 3, 6)) * np.array([1.0, 1.5, 3.0])[:, None, None]
@@ -185,8 +185,8 @@ def test_the_feed_forward_is_lagranges(chain: Chain) -> None:
     np.testing.assert_allclose(right.torque(q, qd, qdd), expected, rtol=1e-6, atol=1e-4)
 
 
-def test_light_masses_make_all_but_the_rotors_light(chain: Chain) -> None:
-    """At 10 % too little mass the torque lacks 10 % of gravity, of velocity terms and of the links' inertia."""
+def test_a_mass_error_affects_all_but_the_rotors(chain: Chain) -> None:
+    """With 10 % too little mass, 10 % of gravity, velocity terms and link inertia are missing."""
     rng = np.random.default_rng(1)
     light = FeedForward(TOOL, PlantSettings(mass_error=-0.1, friction_error=-1.0))
     q, qd, qdd = rng.uniform(-2, 2, (3, 6))
@@ -195,7 +195,7 @@ def test_light_masses_make_all_but_the_rotors_light(chain: Chain) -> None:
     np.testing.assert_allclose(light.torque(q[None], qd[None], qdd[None])[0], expected, rtol=1e-6, atol=1e-4)
 
 
-def test_free_fall_of_one_link_is_a_pendulum(chain: Chain) -> None:
+def test_the_free_fall_of_one_link_is_a_pendulum(chain: Chain) -> None:
     """With every other axis too heavy to move, the forearm about A3 swings with a pendulum's period at any amplitude.
 
     T = 4 sqrt(I / (m g d)) K(sin^2(amplitude / 2)); I, m d and the hanging angle are the oracle's.
@@ -230,7 +230,7 @@ def test_free_fall_of_one_link_is_a_pendulum(chain: Chain) -> None:
 
 
 def test_a_falling_arm_keeps_its_energy_and_follows_lagrange(chain: Chain) -> None:
-    """Without friction and torque, the whole arm falls as an independent integrator says, and loses no energy."""
+    """Without friction and torque the arm falls as an independent integrator predicts, without loss of energy."""
     model = dynamics.compile_dynamic_arm(TOOL, friction_scale=0.0, time_step=5e-5)
     model.dof_damping[:] = 0.0
     frictionless = Chain(TOOL)
@@ -253,7 +253,7 @@ def test_a_falling_arm_keeps_its_energy_and_follows_lagrange(chain: Chain) -> No
 
 @pytest.mark.parametrize("pose", ["home", "stretched level"])
 def test_without_integral_the_arm_droops_like_a_spring(pose: str, chain: Chain) -> None:
-    """At rest, kp (q_ref - q) is the gravity that the light model lacks: droop = 0.1 g(q) / kp, and no more."""
+    """At rest, kp (q_ref - q) is the gravity that the light model lacks: droop = 0.1 g(q) / kp."""
     plant = MujocoPlant(POSES[pose], TOOL)
     model, data = plant.model, plant.data
     kp = -model.actuator_biasprm[:, 1]
@@ -267,8 +267,8 @@ def test_without_integral_the_arm_droops_like_a_spring(pose: str, chain: Chain) 
     np.testing.assert_allclose(droop, 0.1 * chain.gravity(POSES[pose]) / kp, rtol=2e-3, atol=2e-8)
 
 
-def test_a_small_error_dies_out_as_the_linear_servo_says() -> None:
-    """A6 turns about its own axis alone: its error obeys J e''' + kd e'' + kp e' + ki e = 0, in time and size."""
+def test_a_small_error_decays_like_the_linear_servo() -> None:
+    """A6 rotates about its own axis: its error obeys J e''' + kd e'' + kp e' + ki e = 0."""
     model = dynamics.compile_dynamic_arm(Tool())
     plant = MujocoPlant(HOME, Tool(), PlantSettings(time_step=1e-4, friction_error=-1.0))
     plant.model.dof_frictionloss[:] = 0.0

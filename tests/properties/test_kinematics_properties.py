@@ -31,7 +31,7 @@ def test_every_real_branch_leads_back_to_the_pose(q):
 @settings(max_examples=4 * settings.default.max_examples)
 @given(st.tuples(*[ANGLE] * 3), st.tuples(*[st.floats(-1e3, 1e3)] * 3))
 def test_kuka_angles_reproduce_the_rotation_everywhere(abc, position):
-    """A, B, C -> T -> A, B, C -> T gives the same T to 5e-14, in gimbal lock too, in the stated ranges."""
+    """A, B, C -> T -> A, B, C -> T gives the same T to 5e-14, in gimbal lock too, within the ranges."""
     T = pose_from_kuka_abc(position, abc)
     back_position, back = kuka_abc_from_pose(T)
     assert (back_position == position).all()

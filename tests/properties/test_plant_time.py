@@ -1,4 +1,4 @@
-"""Time of the dynamic plant: however it is cut up, the same trajectory to the bit."""
+"""Time of the dynamic plant: any division gives the same trajectory, bit for bit."""
 
 from itertools import pairwise
 
@@ -19,13 +19,13 @@ STEP = PlantSettings().time_step
 
 
 def reference(end: tuple[float, ...]) -> Reference:
-    """From home to home plus so many radians."""
+    """Return the reference from home to home plus `end` [rad]."""
     limits = KR16
     return interpolate(HOME, HOME[None] + np.array(end), limits.velocity, limits.acceleration, limits.jerk)
 
 
 def driven(first: list[float], second: list[float], cut: float) -> tuple[bytes, bool, bool]:
-    """State after two moves, the second taken in the middle of a step; and what was said of rest."""
+    """Return the state after two moves, the second beginning within a step, and whether the arm was settled."""
     plant: Plant = MujocoPlant(HOME)
     move = reference((0.05, -0.03, 0.04, 0.1, -0.1, 0.2))
     plant.follow(move)
@@ -41,7 +41,7 @@ def driven(first: list[float], second: list[float], cut: float) -> tuple[bytes, 
 
 
 def cuts(total: float, at: list[float]) -> list[float]:
-    """`total` cut at fractions of it, in order; the parts sum to it but for rounding."""
+    """Divide `total` at fractions; the parts sum to it except for rounding."""
     marks = [0.0, *sorted(at), 1.0]
     return [total * (b - a) for a, b in pairwise(marks)]
 
@@ -53,8 +53,10 @@ fractions = st.lists(st.floats(0.0, 1.0), max_size=12)
 @example([], [], 0.1)
 @example([0.1] * 5, [k / 40 for k in range(40)], 0.123456789)
 @example([1e-9, 1.0], [1.0 - 1e-9], 0.05)
-def test_the_trajectory_does_not_depend_on_how_time_is_cut(first: list[float], second: list[float], cut: float) -> None:
-    """One advance, or a sum of any others, also with a new reference that comes in the middle of a step."""
+def test_the_division_of_time_does_not_matter(
+    first: list[float], second: list[float], cut: float
+) -> None:
+    """One advance or any division of it, also with a new reference within a step."""
     cut = round(cut, 6) + 0.4e-9  # not within rounding of the edge between two nanoseconds
     assert driven(cuts(cut, first), cuts(0.4, second), cut) == driven([cut], [0.4], cut)
 
@@ -62,14 +64,14 @@ def test_the_trajectory_does_not_depend_on_how_time_is_cut(first: list[float], s
 @settings(max_examples=settings.default.max_examples // 4)
 @given(st.lists(st.floats(0.0, 0.02), max_size=20))
 def test_the_same_commands_and_times_give_the_same_bytes(times: list[float]) -> None:
-    """Two plants that are told the same are the same."""
+    """Two plants with equal inputs are equal."""
     assert driven(times, times, 0.1) == driven(times, times, 0.1)
 
 
 @settings(max_examples=settings.default.max_examples // 4)
 @given(st.floats(0.0, 3e-3))
 def test_nothing_moves_between_two_steps(seconds: float) -> None:
-    """So many whole steps as fit, the rest is carried: the axes are those at the last step."""
+    """The axes are those at the last whole step; the remaining time is carried over."""
     steps: list[float] = []
     plant = MujocoPlant(HOME, observer=lambda _, times, axes: steps.extend(times))
     plant.follow(reference((0.1,) * 6))

@@ -1,4 +1,4 @@
-"""Singular poses by name, and poses beside them: where closed forms divide by zero or lose their digits."""
+"""Singular poses and poses near them, at which closed forms divide by zero or lose digits."""
 
 import numpy as np
 import pytest
@@ -22,13 +22,13 @@ OFFSETS = (0.0, 1e-16, 1e-14, 1e-12, 1e-10, 1e-9, 1e-8, 1e-7)
 
 @pytest.fixture(scope="module")
 def kinematics():
-    """Of models/kr16.xml."""
+    """Kinematics of models/kr16.xml."""
     return kr16_kinematics()
 
 
 @pytest.mark.parametrize("name", SINGULAR)
-def test_round_trip_at_and_beside(kinematics, name):
-    """Within 1e-7 rad of a singular pose a branch exists and every branch leads back to 1e-10 m and 1e-10 rad."""
+def test_round_trip_at_and_near(kinematics, name):
+    """Within 1e-7 rad of a singular pose a branch exists, and every branch leads back to 1e-10 m and 1e-10 rad."""
     rng = np.random.default_rng(7)
     steps = rng.choice([-1.0, 0.0, 1.0], (60, 6))
     q = np.deg2rad(SINGULAR[name]) + np.concatenate([offset * steps for offset in OFFSETS])
@@ -42,7 +42,7 @@ def test_round_trip_at_and_beside(kinematics, name):
 
 @pytest.mark.parametrize("name", ["wrist straight, A4 and A6 share", "wrist straight, A4 = 0"])
 def test_straight_wrist_follows_the_convention(kinematics, name):
-    """At A5 = 0 the branch that the pose came from has A5 = 0, A4 = 0 and A6 = the sum of the two it came with."""
+    """At A5 = 0 the pose's own branch has A5 = 0, A4 = 0 and A6 equal to the sum of the original A4 and A6."""
     q = np.deg2rad(SINGULAR[name])
     solution = kinematics.inverse(kinematics.forward(q[None]))[0, 0]
     np.testing.assert_allclose(solution, [*q[:3], 0.0, 0.0, q[3] + q[5]], rtol=0, atol=1e-12)
@@ -50,8 +50,8 @@ def test_straight_wrist_follows_the_convention(kinematics, name):
     assert solution[4] == 0.0
 
 
-def test_the_wrist_centre_on_a1_takes_a1_zero(kinematics):
-    """With the wrist centre exactly on A1 any A1 would do; the branches take 0 and 180 deg."""
+def test_the_wrist_centre_on_a1_gives_a1_zero(kinematics):
+    """With the wrist centre exactly on A1 any A1 is a solution; the branches have 0 and 180 deg."""
     T = np.eye(4)[None].copy()
     T[0, 2, 3] = 1.9  # flange straight up, the wrist centre below it on the A1 axis
     solutions = kinematics.inverse(T)[0]
@@ -62,7 +62,7 @@ def test_the_wrist_centre_on_a1_takes_a1_zero(kinematics):
 
 
 def test_a_hundred_thousand_poses(kinematics):
-    """Random poses, 40 percent of them near the wrist's, the elbow's or both singularities: round trip to 1e-9."""
+    """Round trip to 1e-9 for random poses, 40 percent of them near singularities of wrist, elbow or both."""
     rng = np.random.default_rng(8)
     q = rng.uniform(kinematics.limits.lower, kinematics.limits.upper, (100_000, 6))
     q[:20_000, 4] *= 10.0 ** rng.uniform(-17, 0, 20_000)

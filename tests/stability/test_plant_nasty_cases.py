@@ -1,4 +1,4 @@
-"""Simulations that diverge, drives that are too weak, clocks that jump: the plant says so, and nothing is scanned."""
+"""Diverging simulations, weak drives, jumping clocks: the plant reports the failure."""
 
 from time import perf_counter
 
@@ -41,7 +41,7 @@ WITHIN_THE_MARGIN = {
 
 
 def context(settings: PlantSettings, made: list[MujocoPlant] | None = None) -> Context:
-    """A controller that moves such a plant; every plant made is kept in `made`."""
+    """Return the context of a plant with these settings; made plants are appended to `made`."""
 
     def make(start: np.ndarray) -> Plant:
         plant = plants.built_in_plants(settings)["mujoco"](start)
@@ -54,8 +54,8 @@ def context(settings: PlantSettings, made: list[MujocoPlant] | None = None) -> C
 
 
 @pytest.mark.parametrize("case", UNSTABLE)
-def test_a_simulation_that_diverges_is_a_latched_fault(case: str) -> None:
-    """The move does not end in position: plant failure or not settled, with a sentence; the state stays finite."""
+def test_a_diverging_simulation_is_a_latched_fault(case: str) -> None:
+    """The move ends with the fault PLANT or NOT_SETTLED and a message; the state stays finite."""
     with open_driver("sim://?plant=mujoco", context(UNSTABLE[case])) as driver:
         with pytest.raises(FaultError) as raised:
             driver.move(GOAL, 1.0)
@@ -68,8 +68,8 @@ def test_a_simulation_that_diverges_is_a_latched_fault(case: str) -> None:
 
 
 @pytest.mark.parametrize("case", WITHIN_THE_MARGIN)
-def test_the_default_has_room_on_every_side(case: str) -> None:
-    """The same move settles, and stays within 1.5 mm at 1.6 m on the way, with each figure far from its default."""
+def test_the_default_settings_have_a_margin(case: str) -> None:
+    """The same move settles and stays within 1.5 mm at 1.6 m, with each setting far from its default."""
     errors: list[float] = []
 
     def watch(reference: Reference, times: np.ndarray, axes: np.ndarray) -> None:
@@ -89,7 +89,7 @@ def test_the_default_has_room_on_every_side(case: str) -> None:
 
 
 def test_a_drive_that_is_too_weak_trips_and_can_be_reset() -> None:
-    """Behind by more than the following error: the fault names the axis, the arm stands, a reset cures it."""
+    """Beyond the following error the fault names the axis, the arm stops, and a reset clears it."""
     made: list[MujocoPlant] = []
     with open_driver("sim://?plant=mujoco", context(PlantSettings(), made)) as driver:
         full = made[0].model.actuator_forcerange.copy()
@@ -107,8 +107,8 @@ def test_a_drive_that_is_too_weak_trips_and_can_be_reset() -> None:
 
 
 @pytest.mark.parametrize("poison", ["qpos", "qvel"])
-def test_a_state_that_is_no_number_is_never_reported_as_a_pose(poison: str) -> None:
-    """NaN in any part of the state latches the fault, and the axes of before stay reported."""
+def test_nan_is_never_reported_as_a_pose(poison: str) -> None:
+    """NaN in any part of the state latches the fault; the previous axes stay reported."""
     made: list[MujocoPlant] = []
     with open_driver("sim://?plant=mujoco", context(PlantSettings(), made)) as driver:
         before = driver.state().axes
@@ -121,7 +121,7 @@ def test_a_state_that_is_no_number_is_never_reported_as_a_pose(poison: str) -> N
 
 
 def test_no_log_file_is_left(tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
-    """MuJoCo writes MUJOCO_LOG.TXT into the working directory when it meets a bad state: the plant stops before."""
+    """MuJoCo writes MUJOCO_LOG.TXT for an invalid state; the plant stops before."""
     from pathlib import Path
 
     folder = Path(str(tmp_path))
@@ -138,7 +138,7 @@ def test_no_log_file_is_left(tmp_path: object, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_jump_of_the_reference_is_a_failure() -> None:
-    """A reference that does not begin where the arm is, as after a bug, is not driven."""
+    """A reference that does not begin at the arm's position is not driven."""
     plant = MujocoPlant(HOME)
     plant.follow(resting(HOME + 0.02))
     plant.advance(0.1)
@@ -151,8 +151,8 @@ def test_a_jump_of_the_reference_is_a_failure() -> None:
     assert plant.settled
 
 
-def test_a_failure_stays_where_the_reset_is_elsewhere() -> None:
-    """The drives go on only for a reference that stands where the arm stands."""
+def test_a_failure_stays_if_the_reset_is_elsewhere() -> None:
+    """The drives continue only with a reference at rest at the arm's position."""
     plant = MujocoPlant(HOME)
     plant.follow(resting(HOME + 2 * FOLLOWING_ERROR))
     plant.advance(0.1)
@@ -165,7 +165,7 @@ def test_a_failure_stays_where_the_reset_is_elsewhere() -> None:
 
 @pytest.mark.parametrize("seconds", [86_400.0, 3e7, 1e12])
 def test_a_clock_that_jumps_ahead_costs_nothing(seconds: float) -> None:
-    """With closed brakes a day, a year and far more pass at once; then the arm moves as if nothing had been."""
+    """With closed brakes a day, a year and more pass at once; then the arm moves normally."""
     clock = SimulatedClock()
     controller = Controller(MujocoPlant(HOME), KR16, clock)
     start = perf_counter()
@@ -181,7 +181,7 @@ def test_a_clock_that_jumps_ahead_costs_nothing(seconds: float) -> None:
 
 
 def test_a_thousand_moves_leave_no_drift() -> None:
-    """Moves of a count, taken at odd times, end where they should; the integral does not wind up."""
+    """Moves by one count at irregular times end exactly; the integral does not wind up."""
     plant = MujocoPlant(HOME)
     limits, at = KR16, HOME
     for k in range(1000):

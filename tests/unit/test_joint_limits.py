@@ -1,4 +1,4 @@
-"""Joint limits of a scene over those of the robot model."""
+"""Joint limits of a scene that replace those of the robot model."""
 
 from pathlib import Path
 
@@ -12,8 +12,8 @@ from cell.scene.file import load_scene
 MODEL = robot.limits(robot.load())
 
 
-def test_what_is_not_given_follows_in_the_models_times() -> None:
-    """Half the speed: half the acceleration and jerk; half the acceleration: half the jerk; an endless jerk is one."""
+def test_omitted_limits_follow_the_given_ones() -> None:
+    """Half the speed: half the acceleration and jerk; half the acceleration: half the jerk; the jerk may be inf."""
     slow = robot.override_limits(MODEL, np.degrees(MODEL.velocity) / 2)
     np.testing.assert_allclose(slow.acceleration, MODEL.acceleration / 2)
     np.testing.assert_allclose(slow.jerk, MODEL.jerk / 2)
@@ -43,8 +43,8 @@ def test_a_scene_gives_limits(tmp_path: Path) -> None:
         ("velocity_deg_s = [100, 100]", "robot.velocity_deg_s"),
     ],
 )
-def test_limits_that_cannot_be_are_refused_by_key(line: str, words: str, tmp_path: Path) -> None:
-    """Zero, negative, NaN, too few; an endless acceleration."""
+def test_invalid_limits_are_refused_by_key(line: str, words: str, tmp_path: Path) -> None:
+    """Zero, negative, NaN, too few; an infinite acceleration."""
     path = tmp_path / "scene.toml"
     path.write_text(f"[robot]\n{line}\n")
     with pytest.raises(SceneError, match=words):

@@ -23,18 +23,18 @@ NAMED = {
 
 @pytest.fixture(scope="module")
 def kinematics():
-    """Of models/kr16.xml."""
+    """Kinematics of models/kr16.xml."""
     return kr16_kinematics()
 
 
 def difference(a, b):
-    """Angle between two joint angles, turns aside."""
+    """Return the difference of two joint angles modulo full turns."""
     return np.abs((a - b + np.pi) % (2 * np.pi) - np.pi)
 
 
 @pytest.mark.parametrize("name", NAMED)
 def test_named_poses(kinematics, name):
-    """Every named pose comes out as tabulated, to the table's last digit, and its branches lead back to it."""
+    """Every named pose is as tabulated, to the last digit, and its branches lead back to it."""
     q_deg, xyz_mm, abc_deg, branches = NAMED[name]
     T = kinematics.forward(np.deg2rad([q_deg]))
     position, abc = kuka_abc_from_pose(T[0])
@@ -50,7 +50,7 @@ def test_named_poses(kinematics, name):
 
 
 def test_telegram_of_a_real_controller(kinematics):
-    """Axis angles and pose that a KR C2 sent in one telegram agree to 0.01 mm and 0.001 deg: d6 is 158 mm, not 115."""
+    """Axis angles and pose from one telegram of a KR C2 agree to 0.01 mm and 0.001 deg: d6 is 158 mm, not 115."""
     q = np.deg2rad([[74.8478, -128.7977, 75.8236, 102.2260, 0.0987, -56.5347]])
     position, abc = kuka_abc_from_pose(kinematics.forward(q)[0])
     np.testing.assert_allclose(position * 1000, (93.9531, -347.9674, 1844.9703), rtol=0, atol=0.01)
@@ -58,7 +58,7 @@ def test_telegram_of_a_real_controller(kinematics):
 
 
 def test_slots_are_shoulder_elbow_wrist(kinematics):
-    """Slot 4 shoulder + 2 elbow + wrist holds the branch with those signs of r, psi and A5, for every real branch."""
+    """Slot 4 shoulder + 2 elbow + wrist has the branch with these signs of r, psi and A5."""
     rng = np.random.default_rng(2)
     q = rng.uniform(kinematics.limits.lower, kinematics.limits.upper, (3000, 6))
     solutions = kinematics.inverse(kinematics.forward(q))
@@ -76,7 +76,7 @@ def test_slots_are_shoulder_elbow_wrist(kinematics):
 
 
 def test_angles_lie_in_the_half_open_turn(kinematics):
-    """Every angle is in (-pi, pi], at the poses whose angles are whole or half turns too."""
+    """Every angle is in (-pi, pi], also at whole and half turns."""
     rng = np.random.default_rng(3)
     q = np.vstack([rng.uniform(-np.pi, np.pi, (2000, 6)), rng.integers(-2, 3, (2000, 6)) * (np.pi / 2)])
     solutions = kinematics.inverse(kinematics.forward(q))
@@ -86,7 +86,7 @@ def test_angles_lie_in_the_half_open_turn(kinematics):
 
 
 def test_out_of_reach_is_nan_in_whole_branches(kinematics):
-    """A branch is NaN in all six angles or in none; beyond the stretched arm all eight are."""
+    """A branch is NaN in all six angles or in none; beyond the stretched arm all eight are NaN."""
     reach = kinematics.arm.a1 + kinematics.arm.a2 + np.hypot(kinematics.arm.d4, kinematics.arm.a3)
     T = np.tile(np.eye(4), (3, 1, 1))
     T[:, 0, 3] = reach + np.array([1e-6, 0.5, -0.2])
@@ -98,7 +98,7 @@ def test_out_of_reach_is_nan_in_whole_branches(kinematics):
 
 
 def test_stretched_arm_within_the_documented_tolerance(kinematics):
-    """Half the tolerance beyond the stretched arm is solved and misses by no more; twice the tolerance is not."""
+    """A pose half the tolerance beyond the stretched arm is solved with that error; twice the tolerance is not."""
     reach = kinematics.arm.a1 + kinematics.arm.a2 + np.hypot(kinematics.arm.d4, kinematics.arm.a3)
     T = np.tile(np.eye(4), (2, 1, 1))
     T[:, 0, 3] = reach + STRETCH_TOLERANCE * np.array([0.5, 2.0])
@@ -108,8 +108,8 @@ def test_stretched_arm_within_the_documented_tolerance(kinematics):
     np.testing.assert_allclose(kinematics.forward(solutions[0, :4]) - T[0], 0.0, rtol=0, atol=STRETCH_TOLERANCE)
 
 
-def test_result_does_not_depend_on_the_company(kinematics):
-    """A pose has the same eight branches, bit for bit, alone and anywhere in a long array."""
+def test_the_result_does_not_depend_on_other_poses(kinematics):
+    """A pose has the same eight branches, bit for bit, alone and in a long array."""
     rng = np.random.default_rng(4)
     T = kinematics.forward(rng.uniform(kinematics.limits.lower, kinematics.limits.upper, (5000, 6)))
     together = kinematics.inverse(T)
@@ -129,14 +129,14 @@ def test_result_does_not_depend_on_the_company(kinematics):
     ],
     ids=["one pose without an axis", "millimetres in the rotation", "NaN", "mirrored"],
 )
-def test_what_is_not_a_rigid_transform_is_refused(kinematics, spoil, words):
-    """A wrong shape, a scaled, mirrored or missing rotation raises and says which pose."""
+def test_a_transform_that_is_not_rigid_is_refused(kinematics, spoil, words):
+    """A wrong shape, a scaled, mirrored or missing rotation; the message has the pose's number."""
     T = kinematics.forward(np.deg2rad([[0, -90, 90, 0, 90, 0]] * 3))
     with pytest.raises(PlannerError, match=words):
         kinematics.inverse(spoil(T))
 
 
 def test_forward_refuses_a_wrong_shape(kinematics):
-    """One configuration needs its leading axis."""
+    """A single configuration without its leading axis."""
     with pytest.raises(PlannerError, match=r"q has shape \(6,\)"):
         kinematics.forward(np.zeros(6))

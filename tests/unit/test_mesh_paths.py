@@ -1,4 +1,4 @@
-"""The meshes of a robot's description are found, and a run names them, so that a changed one is told."""
+"""The meshes of a robot file are found, and a run records them, so that a change is detected."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ MJCF = """<mujoco><compiler meshdir="parts"/><asset><mesh name="m" file="c.stl"/
 
 @pytest.fixture
 def urdf(tmp_path: Path) -> Path:
-    """A description of two collision meshes, one of them in a package elsewhere."""
+    """A robot file with two collision meshes, one of them in a package."""
     for name in ("acme/meshes/a.stl", "here/b.stl", "here/parts/c.stl"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(name.encode())
@@ -30,8 +30,8 @@ def urdf(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_links_collide_as_is_found_once_each(urdf: Path, tmp_path: Path) -> None:
-    """Not what is only seen; of an MJCF in its folder of meshes; a missing one is a sentence."""
+def test_collision_meshes_are_found_once_each(urdf: Path, tmp_path: Path) -> None:
+    """No visuals; an MJCF has a mesh folder; a missing mesh is an error."""
     assert mesh_files(urdf, {"acme": tmp_path / "acme"}) == [tmp_path / "acme/meshes/a.stl", tmp_path / "here/b.stl"]
     mjcf = urdf.with_name("r.xml")
     mjcf.write_text(MJCF)
@@ -41,8 +41,8 @@ def test_what_links_collide_as_is_found_once_each(urdf: Path, tmp_path: Path) ->
         mesh_files(urdf, {})
 
 
-def test_a_run_names_the_robot_s_meshes_with_their_hashes(urdf: Path) -> None:
-    """One whose bytes change has another hash, which a scan compares; the built-in robot names none."""
+def test_a_run_records_the_hashes_of_the_meshes(urdf: Path) -> None:
+    """A changed mesh has another hash, which a scan compares; the built-in robot has none."""
     scene = load_scene(None, {"robot": {"model": str(urdf)}})
     before = named_files(scene, None)
     assert [each.what for each in before] == ["robot"] * 3

@@ -1,4 +1,4 @@
-"""The dynamic plant behind a controller: what it reports, when it rests, what the flange carries, what is refused."""
+"""The dynamic plant behind a controller: reports, rest, tool, table, refusals."""
 
 from time import process_time
 
@@ -33,7 +33,7 @@ _RATES = KR16.velocity, KR16.acceleration
 
 
 def test_a_move_ends_in_position_within_the_repeatability() -> None:
-    """The controller waits until no point of the tool is off by 0.05 mm; it reports the plant's axes, in counts."""
+    """Every point of the tool is within 0.05 mm; the controller reports the plant's axes in counts."""
     kinematics = kinematics_of(robot.load())
     goal = np.array([[200_000, -850_000, 800_000, 300_000, 600_000, -400_000]], dtype=np.int32)
     with open_driver(URL, CONTEXT) as driver:
@@ -47,8 +47,8 @@ def test_a_move_ends_in_position_within_the_repeatability() -> None:
             assert 0.0 < np.linalg.norm(points[0] - points[1]) < SETTLE_TOLERANCE + 3e-6  # a count is some micrometres
 
 
-def test_it_takes_the_references_time_and_then_settles() -> None:
-    """Motion takes longer than that of the ideal arm, by less than half a second."""
+def test_a_move_takes_the_time_of_the_reference_and_then_settles() -> None:
+    """A move takes less than half a second longer than with the ideal arm."""
     goal = from_rad(HOME[None] + 0.3)
     took = {}
     for name in ("ideal", "mujoco"):
@@ -60,7 +60,7 @@ def test_it_takes_the_references_time_and_then_settles() -> None:
 
 
 def test_once_at_rest_it_stays_within_the_repeatability() -> None:
-    """What the integral holds at the end of a move does not swing the arm out again, whatever point of the tool."""
+    """The integral at the end of a move does not swing the arm out again, at any point of the tool."""
     plant, limits, rng, at = built_in_plants()["mujoco"](HOME), KR16, np.random.default_rng(5), HOME
     assert isinstance(plant, MujocoPlant)
     levers = dynamics.lever_arms(plant.model, Tool()) + 0.17  # the housing's farthest corner from the flange
@@ -78,8 +78,8 @@ def test_once_at_rest_it_stays_within_the_repeatability() -> None:
 
 
 @pytest.mark.parametrize("with_jerk", [True, False])
-def test_the_scanner_keeps_to_its_path_faster_than_real_time(with_jerk: bool) -> None:
-    """Through via points at full speed of every axis: below 1 mm on the way, at 10 x real time of one core or more."""
+def test_the_scanner_follows_its_path_faster_than_real_time(with_jerk: bool) -> None:
+    """Via points at full speed of every axis: error below 1 mm, at least 10 times real time on one core."""
     limits, kinematics = KR16, kinematics_of(robot.load())
     via = np.radians([[60, -60, 60, 40, 60, 100], [-40, -20, 20, -80, 30, -100], [0, -90, 90, 0, 90, 0]])
     move = interpolate(HOME, via, limits.velocity, limits.acceleration, limits.jerk if with_jerk else None)
@@ -104,7 +104,7 @@ def test_the_scanner_keeps_to_its_path_faster_than_real_time(with_jerk: bool) ->
 
 
 def test_a_stop_brakes_on_the_path_and_settles() -> None:
-    """A braked reference is followed like any other."""
+    """A braking reference is followed like any other."""
     limits = KR16
     move = interpolate(HOME, HOME[None] + 0.5, limits.velocity, limits.acceleration, limits.jerk)
     plant = MujocoPlant(HOME)
@@ -120,7 +120,7 @@ def test_a_stop_brakes_on_the_path_and_settles() -> None:
 
 
 def test_it_starts_at_rest_and_stays_there() -> None:
-    """At the start the integral already holds what the light model lacks: nothing sags."""
+    """At the start the integral compensates the light model: nothing sags."""
     for start in (HOME, np.zeros(6), np.radians([30.0, -20, 40, 10, 50, 0])):
         plant = MujocoPlant(start, Tool())
         assert plant.settled
@@ -130,7 +130,7 @@ def test_it_starts_at_rest_and_stays_there() -> None:
 
 
 def test_a_move_of_no_length_is_settled_at_once() -> None:
-    """Whatever is left of a step."""
+    """With any remaining fraction of a step."""
     plant = MujocoPlant(HOME)
     for seconds in (0.0, 0.0004, 0.0123, 7.0):
         plant.advance(seconds)
@@ -138,8 +138,8 @@ def test_a_move_of_no_length_is_settled_at_once() -> None:
         assert plant.settled
 
 
-def test_the_mass_on_the_flange_is_that_of_the_shapes() -> None:
-    """Housing at the density of sensors, bracket of aluminium, where the cell's model has them."""
+def test_the_tool_has_the_masses_of_its_shapes() -> None:
+    """Housing at the density of sensors, bracket of aluminium, at their places in the cell's model."""
     plant = built_in_plants()["mujoco"](HOME)
     assert isinstance(plant, MujocoPlant)
     masses = {plant.model.body(name).name: float(plant.model.body(name).mass[0]) for name in ("housing", "bracket")}
@@ -154,8 +154,8 @@ def test_the_mass_on_the_flange_is_that_of_the_shapes() -> None:
     assert not (plant.model.geom_contype.size), "the dynamic model has no shapes"
 
 
-def test_a_heavier_tool_is_felt() -> None:
-    """Eight kilograms more on the flange add to the torque on A2 what they weigh at their lever."""
+def test_a_heavier_tool_needs_more_torque() -> None:
+    """Eight kilograms more on the flange add their weight times lever to the torque on A2."""
     heavy = ToolBody("housing", 8.0, np.full(3, 0.02), np.array([0.0, 0.0, 0.1]), np.eye(4)[0], 0.1)
     torque = []
     for carried in (Tool(), Tool((heavy,))):
@@ -166,8 +166,8 @@ def test_a_heavier_tool_is_felt() -> None:
     assert torque[1] - torque[0] == pytest.approx(-8.0 * 9.81 * (0.68 + 0.67 + 0.158 + 0.1), rel=1e-9)
 
 
-def test_planning_knows_nothing_of_dynamics() -> None:
-    """The planner's compilation of the same file has no actuator, no rotor, no friction."""
+def test_the_planning_model_has_no_dynamics() -> None:
+    """The planner's model of the same file has no actuator, rotor inertia or friction."""
     model = robot.load()
     assert model.nu == 0
     for values in (model.dof_armature, model.dof_damping, model.dof_frictionloss):
@@ -185,8 +185,8 @@ def test_planning_knows_nothing_of_dynamics() -> None:
         assert poses[0].tobytes() == poses[1].tobytes()
 
 
-def test_levers_bound_what_an_axis_moves() -> None:
-    """No pose moves the tool's farthest point by more than the lever times the angle."""
+def test_lever_arms_bound_the_motion_by_an_axis() -> None:
+    """In no pose the tool's farthest point moves by more than lever times angle."""
     carried = Tool((ToolBody("housing", 1.0, np.full(3, 0.01), np.array([0.0, 0.0, 0.2]), np.eye(4)[0], 0.0),))
     levers = dynamics.lever_arms(dynamics.compile_dynamic_arm(carried), carried)
     kinematics, rng = kinematics_of(robot.load()), np.random.default_rng(0)
@@ -199,8 +199,8 @@ def test_levers_bound_what_an_axis_moves() -> None:
         assert moved.max() <= levers[axis] * (1 + 1e-6)
 
 
-def test_a_table_is_a_hinge_of_its_own_with_what_it_turns() -> None:
-    """Inertia of a box beside the axis, a post and the faceplate by hand; the arm's part of the mass matrix stays."""
+def test_a_table_is_a_hinge_with_its_load() -> None:
+    """Inertia of a box beside the axis, a post and the faceplate by hand; the arm's mass matrix is unchanged."""
     spec = mujoco.MjSpec()
     part = spec.worldbody.add_body(
         name="object", mocap=True, pos=[1.5, 0.5, 0.4], quat=[np.cos(0.2), 0, 0, np.sin(0.2)]
@@ -233,8 +233,8 @@ def test_a_table_is_a_hinge_of_its_own_with_what_it_turns() -> None:
         MujocoPlant(HOME, table=load)
 
 
-def test_gains_are_one_bandwidth() -> None:
-    """With the inertia that they are made for, all roots lie within 1.7 of the bandwidth, and are damped."""
+def test_gains_have_one_bandwidth() -> None:
+    """With the assumed inertia all roots are damped and within 1.7 of the bandwidth."""
     made = servo_gains(np.full(6, 3.0), 5.0)
     roots = np.roots([3.0, made.damping[0], made.stiffness[0], made.integral[0]]) / (2 * np.pi * 5.0)
     assert (roots.real < -0.1).all()
@@ -247,14 +247,14 @@ def test_gains_are_one_bandwidth() -> None:
     [{"time_step": 0.0}, {"time_step": np.nan}, {"bandwidth": -1.0}, {"mass_error": -1.0}, {"friction_error": -1.1}],
     ids=str,
 )
-def test_settings_that_cannot_be_are_refused(values: dict[str, float]) -> None:
-    """By the name of what is wrong."""
+def test_impossible_settings_are_refused(values: dict[str, float]) -> None:
+    """The message names the setting."""
     with pytest.raises(UsageError, match=f"plant's {next(iter(values))}"):
         PlantSettings(**values)  # type: ignore[arg-type] # one float by name
 
 
-def test_broken_input_is_refused() -> None:
-    """A start that is no pose, time that passes backwards, a cell without a housing, a robot file without drives."""
+def test_invalid_input_is_refused() -> None:
+    """An invalid start, negative time, a cell without a housing."""
     with pytest.raises(DriverError, match="6 finite joint angles"):
         MujocoPlant([0.0, np.nan, 0, 0, 0, 0])
     with pytest.raises(DriverError, match="must be at least 0"):
@@ -266,7 +266,7 @@ def test_broken_input_is_refused() -> None:
 
 
 def test_a_robot_without_drives_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The missing figure and the file."""
+    """The message names the missing parameter."""
     real = robot.spec
 
     def without() -> mujoco.MjSpec:

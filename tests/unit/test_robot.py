@@ -44,18 +44,18 @@ MAY_TOUCH = {
 
 @pytest.fixture(scope="module")
 def model():
-    """The robot alone, compiled."""
+    """The compiled robot alone."""
     return robot.load()
 
 
 @pytest.fixture(scope="module")
 def data(model):
-    """Its state."""
+    """The state of the model."""
     return mujoco.MjData(model)
 
 
 def touching(model, data, q):
-    """Pairs of links in contact at q (6,) [rad]."""
+    """Return the pairs of links in contact at q (6,) [rad]."""
     data.qpos[:] = q
     mujoco.mj_kinematics(model, data)
     mujoco.mj_collision(model, data)
@@ -64,19 +64,19 @@ def touching(model, data, q):
 
 
 def geoms_of(model, link):
-    """Ids of a link's shapes."""
+    """Return the ids of a link's shapes."""
     return np.flatnonzero(model.geom_bodyid == model.body(link).id)
 
 
 def in_link(model, geom, points):
-    """|points| (n, 3) in the frame of a shape, from its link's frame."""
+    """Return |points| (n, 3) in the frame of a shape, from its link's frame."""
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
     return np.abs((points - model.geom_pos[geom]) @ rotation.reshape(3, 3))
 
 
 def bounds(model, geom):
-    """Bounds of a shape in its link's frame [m]."""
+    """Return the bounds of a shape in its link's frame [m]."""
     size = model.geom_size[geom]
     half = size if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX else np.array([size[0], size[0], size[1]])
     rotation = np.empty(9)
@@ -85,8 +85,8 @@ def bounds(model, geom):
     return model.geom_pos[geom] - extent, model.geom_pos[geom] + extent
 
 
-def test_axes_are_the_data_sheets(model):
-    """The joint vector is A1..A6 with KUKA's ranges and speeds; each axis reaches its speed in 0.5 s."""
+def test_axes_match_the_data_sheet(model):
+    """The joints are A1..A6 with KUKA's ranges and speeds; each axis reaches its speed in 0.5 s."""
     limits = robot.limits(model)
     assert model.nq == 6
     assert [model.joint(index).name for index in range(model.njnt)] == list(robot.AXES)
@@ -97,7 +97,7 @@ def test_axes_are_the_data_sheets(model):
 
 
 def test_dimensions_and_home(model):
-    """675, 260, 680, -35, 670, 158 mm, and the home that is not singular."""
+    """675, 260, 680, -35, 670, 158 mm, and a home that is not singular."""
     arm = robot.dimensions(model)
     np.testing.assert_allclose(
         (arm.d1, arm.a1, arm.a2, arm.a3, arm.d4, arm.d6), (0.675, 0.26, 0.68, -0.035, 0.67, 0.158), rtol=0, atol=1e-15
@@ -105,8 +105,8 @@ def test_dimensions_and_home(model):
     np.testing.assert_allclose(np.rad2deg(robot.home(model)), (0, -90, 90, 0, 90, 0), rtol=0, atol=1e-12)
 
 
-def test_it_is_a_robot_and_nothing_else(model):
-    """No actuator, mesh or floor; every shape is a named primitive of group 3; the estimate of the masses adds up."""
+def test_the_model_contains_only_the_robot(model):
+    """No actuator, mesh or floor; every shape is a named primitive of group 3; the masses have the estimated sum."""
     assert (model.nu, model.nmesh, model.neq, model.nlight) == (0, 0, 0, 0)
     assert [model.body(index).name for index in range(1, model.nbody)] == list(robot.LINKS)
     assert set(model.geom_group.tolist()) == {3}
@@ -125,8 +125,8 @@ def test_shapes_reach_the_bounds_of_the_true_links(model):
         assert (boxes[:, 1].max(axis=0) >= np.array(upper) - 1e-9).all(), link
 
 
-def test_shapes_are_no_fatter_than_the_hulls(model):
-    """The union of the shapes, link by link, takes at most 1.05 of the volume of the true links' convex hulls."""
+def test_shapes_are_hardly_larger_than_the_hulls(model):
+    """The union of each link's shapes has at most 1.05 of the volume of the true link's convex hull."""
     rng = np.random.default_rng(1)
     litres = 0.0
     for link in robot.LINKS:
@@ -147,19 +147,19 @@ def test_shapes_are_no_fatter_than_the_hulls(model):
 
 @pytest.mark.parametrize("name", FREE)
 def test_named_poses_are_free(model, data, name):
-    """No link touches another in the poses that a robot stands in."""
+    """No links touch in usual poses."""
     assert touching(model, data, np.deg2rad(FREE[name])) == set()
 
 
 def test_all_limits_at_once_collide(model, data):
-    """With all axes at their lower, and all at their upper limits, hand and forearm are inside base and column."""
+    """At all lower, and at all upper limits, hand and forearm are inside base and column."""
     limits = robot.limits(model)
     for q in (limits.lower, limits.upper):
         assert touching(model, data, q) >= {frozenset(("base", "link_5")), frozenset(("link_1", "link_5"))}
 
 
 def test_only_the_documented_pairs_ever_touch(model, data):
-    """Over random configurations some percent collide, all of them in pairs that the model's comment lists."""
+    """A few percent of random configurations collide, all in pairs that the model's comment lists."""
     limits = robot.limits(model)
     found = [touching(model, data, q) for q in np.random.default_rng(3).uniform(limits.lower, limits.upper, (8000, 6))]
     assert set().union(*found) <= MAY_TOUCH
@@ -168,7 +168,7 @@ def test_only_the_documented_pairs_ever_touch(model, data):
 
 
 def test_excluded_pairs_stay_apart(model, data):
-    """Links that are excluded though no neighbours keep 10 mm between their shapes over a dense grid of their axes."""
+    """Excluded links that are no neighbours keep 10 mm distance on a dense grid of their axes."""
     signatures = [(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature]
     apart = [(a, b) for a, b in (sorted(pair) for pair in signatures) if b - a > 1]
     assert len(signatures) == 11
@@ -189,7 +189,7 @@ def test_excluded_pairs_stay_apart(model, data):
 
 
 def test_each_exclusion_has_its_reason():
-    """A comment stands before each exclusion of links that are no neighbours, and before those of the neighbours."""
+    """A comment precedes each exclusion of links that are no neighbours, and those of the neighbours."""
     tree = ElementTree.parse(
         model_file("kr16.xml"), ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     )
@@ -201,7 +201,7 @@ def test_each_exclusion_has_its_reason():
 
 
 def test_the_file_is_found_in_an_installed_package_and_in_a_tree(tmp_path, monkeypatch):
-    """cell/models comes first, models beside cell second, and where neither has the file one sentence names both."""
+    """cell/models comes first, models beside cell second; the error of a missing file names both."""
     package = tmp_path / "cell"
     package.mkdir()
     monkeypatch.setattr(files.resources, "files", lambda name: package)
@@ -216,14 +216,14 @@ def test_the_file_is_found_in_an_installed_package_and_in_a_tree(tmp_path, monke
         robot.load()
 
 
-def test_the_real_file_stands_in_one_place():
-    """In this tree the file is models/kr16.xml or its installed copy, with the same bytes."""
+def test_there_is_one_model_file():
+    """The file is models/kr16.xml or its installed copy, with the same bytes."""
     assert model_file("kr16.xml").name == "kr16.xml"
     assert model_file("kr16.xml").parent.parent in (Path(cell.__file__).parent, Path(cell.__file__).parent.parent)
 
 
-def spoiled(change):
-    """The robot's model after a change of its specification."""
+def changed_model(change):
+    """Return the robot's model after a change of its specification."""
     spec = robot.spec()
     change(spec)
     return spec.compile()
@@ -242,8 +242,8 @@ def spoiled(change):
     ],
 )
 def test_another_arm_has_no_dimensions_of_a_kr_16(change):
-    """Other signs, offsets or zeros than the KR 16's are not taken for its own."""
-    assert robot.dimensions(spoiled(change)) is None
+    """Arms with other signs, offsets or zeros have none."""
+    assert robot.dimensions(changed_model(change)) is None
 
 
 @pytest.mark.parametrize(
@@ -255,20 +255,20 @@ def test_another_arm_has_no_dimensions_of_a_kr_16(change):
     ],
 )
 def test_a_model_without_six_hinges_and_a_flange_is_refused(change, words):
-    """What every arm must have is named where it is missing."""
+    """The message names the missing element."""
     with pytest.raises(SceneError, match=words):
-        robot.dimensions(spoiled(change))
+        robot.dimensions(changed_model(change))
 
 
 def test_missing_limits_are_named():
-    """Without a range, a numeric or the key, the sentence says which and where to give it."""
+    """The message names the missing range, numeric or key, and where to add it."""
 
     def without_range(spec):
         spec.joint("A4").limited = mujoco.mjtLimited.mjLIMITED_FALSE
 
     with pytest.raises(SceneError, match="a joint of the robot model has no range"):
-        robot.limits(spoiled(without_range))
+        robot.limits(changed_model(without_range))
     with pytest.raises(SceneError, match="named axis_velocity_limit_deg_s with six values"):
-        robot.limits(spoiled(lambda spec: spec.delete(spec.numeric("axis_velocity_limit_deg_s"))))
+        robot.limits(changed_model(lambda spec: spec.delete(spec.numeric("axis_velocity_limit_deg_s"))))
     with pytest.raises(SceneError, match="no key named home"):
-        robot.home(spoiled(lambda spec: spec.delete(spec.key("home"))))
+        robot.home(changed_model(lambda spec: spec.delete(spec.key("home"))))

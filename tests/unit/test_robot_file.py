@@ -1,4 +1,4 @@
-"""An arm from a URDF or an MJCF: what is read, what it becomes, which links are guarded, what a mistake is told as."""
+"""An arm from a URDF or MJCF: reading, conversion, self-collision, error messages."""
 
 import json
 import os
@@ -50,7 +50,7 @@ CUBE = np.array([[x, y, z] for x in (-0.03, 0.03) for y in (-0.03, 0.03) for z i
 def urdf(
     extra: str = "", limit: str = '<limit lower="-2.8" upper="2.8" velocity="3" effort="0"/>', **links: str
 ) -> str:
-    """An arm of six links made of boxes; `links` replace the collision shape of a link, `extra` is added."""
+    """Return an arm of six box-shaped links; `links` replace the collision shape of a link, `extra` is added."""
     foot = '<collision><geometry><box size="0.2 0.2 0.4"/></geometry></collision>'
     text = f'<robot name="small"><link name="base_link">{foot}</link>'
     for number, (origin, axis, middle, sides) in enumerate(CHAIN, 1):
@@ -83,14 +83,14 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def written(folder: Path, text: str) -> Path:
-    """The text as a file."""
+    """Write the text to a file."""
     path = folder / "arm.urdf"
     path.write_text(text, encoding="utf-8")
     return path
 
 
 def by_mujoco(text: str, q: np.ndarray, body: str) -> np.ndarray:
-    """(4, 4) where MuJoCo puts a link of the URDF, what mimics driven by hand."""
+    """Return the pose (4, 4) of a link of the URDF by MuJoCo, with mimic joints set by hand."""
     kept = '<robot name="small"><mujoco><compiler fusestatic="false"/></mujoco>'
     model = mujoco.MjSpec.from_string(text.replace('<robot name="small">', kept)).compile()
     data = mujoco.MjData(model)
@@ -104,8 +104,8 @@ def by_mujoco(text: str, q: np.ndarray, body: str) -> np.ndarray:
     return T
 
 
-def test_flange_and_levers_are_where_mujoco_puts_them(tmp_path: Path) -> None:
-    """The arm in our form stands as the file's does: flange and, driven by its axis, the lever, to 1e-9."""
+def test_flange_and_levers_have_mujocos_poses(tmp_path: Path) -> None:
+    """Flange and driven lever of the converted arm have the poses of the file's to 1e-9."""
     text = urdf(LEVER)
     model = robot_spec.load_robot(written(tmp_path, text)).compile()
     kinematics, followers, data = kinematics_of(model), robot.MimicJoints.from_model(model), mujoco.MjData(model)
@@ -120,8 +120,8 @@ def test_flange_and_levers_are_where_mujoco_puts_them(tmp_path: Path) -> None:
         np.testing.assert_allclose(turned, due[:3, :3], rtol=0, atol=1e-9)
 
 
-def test_a_home_is_found_where_the_file_has_none(tmp_path: Path) -> None:
-    """The flange looks down, within the limits, and no two links touch."""
+def test_a_home_is_found_if_the_file_has_none(tmp_path: Path) -> None:
+    """The flange points down, within the limits, and no links touch."""
     model = robot_spec.load_robot(written(tmp_path, urdf())).compile()
     home = robot.home(model)
     np.testing.assert_allclose(kinematics_of(model).forward(home[None])[0][:3, 2], (0, 0, -1), atol=1e-9)
@@ -130,7 +130,7 @@ def test_a_home_is_found_where_the_file_has_none(tmp_path: Path) -> None:
 
 
 def fork(apart: float = 0.09) -> trimesh.Trimesh:
-    """Two plates with a web behind them: what turns between them touches the hull and not the fork."""
+    """Return two plates with a web behind them: a body between them touches the hull but not the fork."""
     sides = [
         trimesh.creation.box((0.24, 0.01, 0.12), trimesh.transformations.translation_matrix((0.2, y, 0)))
         for y in (-apart, apart)
@@ -141,7 +141,7 @@ def fork(apart: float = 0.09) -> trimesh.Trimesh:
 
 
 def test_hulls_that_touch_are_decided_by_triangles(tmp_path: Path) -> None:
-    """Between the plates of a fork the last link is free at every pose; its hull would have it in contact at all."""
+    """Between the plates of a fork the last link is always free; with the hull it would always collide."""
     fork().export(tmp_path / "fork.stl")
     text = urdf(l4='<geometry><mesh filename="fork.stl"/></geometry>')
     model = robot_spec.load_robot(written(tmp_path, text)).compile()
@@ -158,13 +158,13 @@ def test_hulls_that_touch_are_decided_by_triangles(tmp_path: Path) -> None:
 
 
 def forked(folder: Path, apart: float) -> Path:
-    """An arm whose last link, a square of 40 mm, turns between the plates of a fork, their middles `apart` off [m]."""
+    """Write an arm whose last link, a square of 40 mm, turns between the plates of a fork at +-`apart` [m]."""
     fork(apart).export(folder / "fork.stl")
     return written(folder, urdf(l4='<geometry><mesh filename="fork.stl"/></geometry>'))
 
 
-def test_what_is_built_near_is_proven_apart(tmp_path: Path) -> None:
-    """Between plates 60 mm apart the square never comes nearer than 30 mm less half its diagonal: the proof says so."""
+def test_links_that_are_always_near_are_proven_separate(tmp_path: Path) -> None:
+    """Between plates 60 mm apart the square keeps 30 mm minus half its diagonal: the proof confirms it."""
     path = forked(tmp_path, 0.035)
     model = robot_spec.load_robot(path).compile()
     assert "apart_link_4_link_6" in {model.exclude(i).name for i in range(model.nexclude)}
@@ -180,7 +180,7 @@ def test_what_is_built_near_is_proven_apart(tmp_path: Path) -> None:
 
 
 def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
-    """The description is the same, its mesh is another: so is the arm."""
+    """An unchanged description with a changed mesh is another arm."""
     of = Scene.model_validate({"robot": {"model": str(forked(tmp_path, 0.09))}}).robot
     widths = []
     for plates in (0.09, 0.11):
@@ -191,8 +191,8 @@ def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
     np.testing.assert_allclose(widths, (0.19, 0.23), atol=1e-6)
 
 
-def test_what_the_seeded_poses_do_not_see_is_no_proof(tmp_path: Path) -> None:
-    """Plates that the square's corners touch, looked at where it lies flat, so that no contact is seen: guarded."""
+def test_sampled_poses_without_contact_are_no_proof(tmp_path: Path) -> None:
+    """The square's corners touch the plates, but not at the sampled poses: the pair is checked."""
     path = forked(tmp_path, 0.0325)
     own = LinkPairs(normalise(robot_file.read_robot(path)).compile())
     own.q = 0.01 * own.q
@@ -202,8 +202,8 @@ def test_what_the_seeded_poses_do_not_see_is_no_proof(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("levers", ["", LEVER])
-def test_no_way_between_two_links_is_longer_than_what_a_proof_takes_for_it(tmp_path: Path, levers: str) -> None:
-    """Seeded steps of the axes between two bodies change their distance by no more than the sum of what each moves."""
+def test_the_motion_bound_of_the_proof_holds(tmp_path: Path, levers: str) -> None:
+    """Random steps of the axes between two bodies change their distance by no more than the sum of the bounds."""
     model = robot_spec.load_robot(written(tmp_path, urdf(levers))).compile()
     shapes, data, followers = ShapeDistances(model, {}, []), mujoco.MjData(model), robot.MimicJoints.from_model(model)
     pairs = [("link_4", "link_6"), ("link_2", "link_4"), ("base", "link_2")] + [("link_3", "lever")] * bool(levers)
@@ -224,7 +224,7 @@ def test_no_way_between_two_links_is_longer_than_what_a_proof_takes_for_it(tmp_p
             assert abs(distances[0] - distances[1]) <= (moved @ np.abs(step)).min() + 1e-9
 
 
-def test_what_is_built_near_and_can_touch_is_looked_at_closer(tmp_path: Path) -> None:
+def test_links_that_are_near_and_can_touch_are_checked_with_a_smaller_clearance(tmp_path: Path) -> None:
     """Two that are never 20 mm apart and touch: half of the largest distance guards them, between two looks too.
 
     So replay marks them where they are nearer than that, and not where they are nearer than the clearance.
@@ -266,10 +266,10 @@ BEYOND = """<geometry><box size="0.05 0.05 0.05"/></geometry></collision><collis
         (0.0, 0.045, "apart_bracket_link_5"),
     ],
 )
-def test_the_bracket_is_excused_from_link_5_only_where_that_is_true(
+def test_the_bracket_is_excluded_from_link_5_only_if_justified(
     tmp_path: Path, x: float, y: float, excluded: str | None
 ) -> None:
-    """Where the two touch at all wrist angles, or are proven to do so at none; else the pair is guarded."""
+    """They touch at all wrist angles, or provably at none; else the pair is checked."""
     path = written(tmp_path, urdf(l5=BEYOND.format(x=x, y=y)))
     mount = {"position_mm": (100.0, 0.0, 120.0)}
     world = compile_world(Scene.model_validate({"robot": {"model": str(path)}, "mount": mount}), CUBE)
@@ -279,8 +279,8 @@ def test_the_bracket_is_excused_from_link_5_only_where_that_is_true(
     assert (frozenset(("bracket", "link_5")) in guarded) is (excluded is None)
 
 
-def test_what_always_touches_is_excused_and_named(tmp_path: Path) -> None:
-    """A block on link 1 that encloses the axis of link 3's far end: excused if, and only if, it touches everywhere."""
+def test_links_that_always_touch_are_excluded_and_reported(tmp_path: Path) -> None:
+    """A block on link 1 around the far end of link 3 is excluded if and only if it always touches."""
     block = '<link name="block"><collision><geometry><box size="0.05 0.05 0.05"/></geometry></collision></link>'
     joint = """<joint name="turn" type="continuous"><parent link="l1"/><child link="block"/>
         <origin xyz="0.1 0 0.2"/><axis xyz="0 1 0"/><mimic joint="j2"/></joint>"""
@@ -294,8 +294,8 @@ def test_what_always_touches_is_excused_and_named(tmp_path: Path) -> None:
     assert "joined_link_2_stop" in {each.name for each in robot_spec.load_robot(renamed, stamp=(1,)).excludes}
 
 
-def test_a_mesh_is_its_hull_only_where_no_face_lies_deep() -> None:
-    """A ball is convex, a fork is not, nor is a ball with a dent."""
+def test_a_mesh_is_replaced_by_its_hull_only_if_convex() -> None:
+    """A ball is convex; a fork and a ball with a dent are not."""
     ball = trimesh.creation.icosphere(3, 0.1)
     assert is_convex(TriangleMesh(ball.vertices, ball.faces.astype(np.int32)))
     assert not is_convex(TriangleMesh(fork().vertices, fork().faces.astype(np.int32)))
@@ -304,8 +304,8 @@ def test_a_mesh_is_its_hull_only_where_no_face_lies_deep() -> None:
 
 
 @pytest.mark.parametrize("base", [None, {"position_mm": (0, 0, 2000), "abc_deg": (0, 0, 180)}])
-def test_a_cell_guards_the_arm_and_bounds_its_travel(tmp_path: Path, base: dict[str, object] | None) -> None:
-    """Standing or hanging: no point moves farther than the bound, and the flange is where kinematics say."""
+def test_a_cell_checks_the_arm_and_bounds_its_travel(tmp_path: Path, base: dict[str, object] | None) -> None:
+    """Standing or hanging: no point moves farther than the bound, and the flange pose equals the kinematics."""
     path = written(tmp_path, urdf(LEVER))
     scene = Scene.model_validate({"robot": {"model": str(path), "base": base, "pedestal_height_mm": 0}})
     world = compile_world(scene, CUBE)
@@ -334,8 +334,8 @@ def test_a_cell_guards_the_arm_and_bounds_its_travel(tmp_path: Path, base: dict[
         np.testing.assert_allclose(data.site("flange").xpos, T[:3, 3], atol=1e-9)
 
 
-def test_what_an_axis_drives_on_the_base_is_in_the_travel(tmp_path: Path) -> None:
-    """A lever on the foot that follows A3 moves, and is bounded, while no link does."""
+def test_mimic_joints_on_the_base_are_in_the_travel_bound(tmp_path: Path) -> None:
+    """A lever on the base that is driven by A3 moves within the bound while no link moves."""
     long = LEVER.replace('parent link="l2"', 'parent link="base_link"').replace('"0 -0.2 0.1"', '"0.9 0 0"')
     long = long.replace('multiplier="-0.5"', 'multiplier="5"')
     scene = Scene.model_validate({"robot": {"model": str(written(tmp_path, urdf(long)))}})
@@ -346,8 +346,8 @@ def test_what_an_axis_drives_on_the_base_is_in_the_travel(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("tip", "guarded"), [(0, False), (0.5, True)])
-def test_a_first_link_that_tips_is_kept_off_the_floor(tmp_path: Path, tip: float, guarded: bool) -> None:
-    """Where A1 is not upright link_1 can come down: floor and pedestal are guarded against it."""
+def test_a_first_link_that_tips_is_checked_against_the_floor(tmp_path: Path, tip: float, guarded: bool) -> None:
+    """With a tilted A1 link_1 can move down: floor and pedestal are checked against it."""
     text = urdf().replace('<origin xyz="0 0 0.3"/>', f'<origin xyz="0 0 0.3" rpy="{tip} 0 0"/>', 1)
     assert "rpy" in text.split("j2")[0]
     world = compile_world(Scene.model_validate({"robot": {"model": str(written(tmp_path, text))}}), CUBE)
@@ -356,8 +356,8 @@ def test_a_first_link_that_tips_is_kept_off_the_floor(tmp_path: Path, tip: float
     assert (frozenset(("link_1", "pedestal")) in named) is guarded
 
 
-def test_what_touched_once_is_not_said_to_touch_never(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A pair that touches at the first seeded pose alone is guarded by half of the largest distance seen."""
+def test_a_pair_that_touched_once_is_not_excluded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pair that touches only at the first sampled pose gets half of the largest sampled distance as clearance."""
     own = LinkPairs(robot_spec.load_robot(written(tmp_path, urdf())).compile())
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "nothing_known"))
     pair = next(iter(own.pairs))
@@ -373,17 +373,17 @@ def test_what_touched_once_is_not_said_to_touch_never(tmp_path: Path, monkeypatc
 
 
 def no_mesh(text: str) -> str:
-    """A hand whose mesh is in a package that is nowhere."""
+    """Return the text with a mesh in a package that does not exist."""
     return text.replace('<box size="0.05 0.05 0.05"/>', '<mesh filename="package://acme/hand.stl"/>')
 
 
 def five_axes(text: str) -> str:
-    """The last axis does not turn."""
+    """Return the text with a fixed last axis."""
     return text.replace('"j6" type="revolute"', '"j6" type="fixed"')
 
 
 def millimetres(text: str) -> str:
-    """Its lengths a thousand times longer."""
+    """Return the text with lengths a thousand times longer."""
     root = ElementTree.fromstring(text)
     for origin in root.iter("origin"):
         origin.set("xyz", " ".join(str(1000 * float(value)) for value in origin.get("xyz", "0 0 0").split()))
@@ -410,8 +410,8 @@ def millimetres(text: str) -> str:
         (no_mesh(urdf()), "--package acme=DIR"),
     ],
 )
-def test_a_mistake_is_one_sentence(tmp_path: Path, text: str, words: str) -> None:
-    """What is wrong and what to do stand in one sentence that names the file."""
+def test_a_mistake_has_a_clear_message(tmp_path: Path, text: str, words: str) -> None:
+    """The message names the file, the error and the remedy in one line."""
     path = written(tmp_path, text)
     with pytest.raises(CellError) as told:
         robot_spec.load_robot(path)
@@ -436,10 +436,10 @@ CAPSULES = """<mujoco model="small"><worldbody><body name="foot"><geom type="box
 FALLS = "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
 
 
-def test_what_is_hardly_meant_in_a_file_is_told(
+def test_warnings_about_a_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """A hinge without a range, and what MuJoCo warns of: a sentence each of arm and cell, nothing else written."""
+    """A hinge without a range and MuJoCo's warnings give one sentence each for arm and cell; no other output."""
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "arm.xml"
     text = CAPSULES.replace('axis="1 0 0" range="-170 170"', 'axis="1 0 0"')
@@ -460,11 +460,11 @@ def test_what_is_hardly_meant_in_a_file_is_told(
     assert capfd.readouterr() == ("", "")
     assert {each.name for each in tmp_path.iterdir()} == {"arm.xml", "cache"}
     path.write_text(CAPSULES, encoding="utf-8")
-    assert len(report(path)[0].missing) == 2  # speeds, accelerations and jerks
+    assert robot_file.read_robot(path).warnings == ()
 
 
-def test_what_stands_beside_the_base_is_a_fixed_shape_of_the_arm(tmp_path: Path) -> None:
-    """A column on the link that carries base_link stands where the file puts it; the floor of an MJCF is left out."""
+def test_fixed_shapes_beside_the_base_belong_to_the_arm(tmp_path: Path) -> None:
+    """A column on the parent of base_link keeps its pose; the floor of an MJCF is omitted."""
     column = """<link name="table"><collision><origin xyz="0 0 0.5"/><geometry><box size="0.1 0.1 1"/></geometry>
         </collision></link><joint name="stands" type="fixed"><parent link="table"/><child link="base_link"/>
         <origin xyz="0.4 0 0.7" rpy="0 0 1"/></joint>"""
@@ -481,7 +481,7 @@ def test_what_stands_beside_the_base_is_a_fixed_shape_of_the_arm(tmp_path: Path)
 
 
 def test_round_shapes_of_an_mjcf_are_enclosed(tmp_path: Path) -> None:
-    """A capsule becomes a polyhedron about it that stands off by no more than 5 %; the key home is taken."""
+    """A capsule becomes an enclosing polyhedron at most 5 % larger; the key home is used."""
     path = tmp_path / "arm.xml"
     path.write_text(CAPSULES, encoding="utf-8")
     model = robot_spec.load_robot(path, velocity_deg_s=(90.0,) * 6).compile()
@@ -496,10 +496,10 @@ def test_round_shapes_of_an_mjcf_are_enclosed(tmp_path: Path) -> None:
     assert (np.linalg.norm(middles, axis=1) >= 0.03 - 1e-7).all()
 
 
-def test_an_arm_is_planned_with_proven_and_driven(
+def test_an_arm_from_a_file_is_planned_verified_and_driven(
     tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    """From the file to a scan and an exploration; a plan keeps its robot, a changed file is told before it drives."""
+    """From the file to a scan and an exploration; a plan keeps its robot, and a changed file is detected."""
     written(tmp_path, urdf(LEVER))
     trimesh.creation.box((50, 50, 40)).export(tmp_path / "block.stl")
     scene = """[robot]
@@ -518,7 +518,7 @@ def test_an_arm_is_planned_with_proven_and_driven(
     done = run_cell("scan", "run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     done = run_cell("scan", "run", "--driver=sim://?plant=mujoco", cwd=tmp_path)
-    assert "the plant 'mujoco' is the built-in arm's, and this plan is of arm.urdf" in done.stderr, done.stderr
+    assert "the plant 'mujoco' models the built-in arm, and this plan is for arm.urdf" in done.stderr, done.stderr
     few = ("--resolution=1", "--ring=2", "--batch=1", "--max-views=2", "--out=explored")
     done = run_cell("explore", "block.stl", "--units=mm", "--scene=cell.toml", *wishes[:-2], *few, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
