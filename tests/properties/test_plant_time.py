@@ -53,9 +53,7 @@ fractions = st.lists(st.floats(0.0, 1.0), max_size=12)
 @example([], [], 0.1)
 @example([0.1] * 5, [k / 40 for k in range(40)], 0.123456789)
 @example([1e-9, 1.0], [1.0 - 1e-9], 0.05)
-def test_the_division_of_time_does_not_matter(
-    first: list[float], second: list[float], cut: float
-) -> None:
+def test_the_division_of_time_does_not_matter(first: list[float], second: list[float], cut: float) -> None:
     """One advance or any division of it, also with a new reference within a step."""
     cut = round(cut, 6) + 0.4e-9  # not within rounding of the edge between two nanoseconds
     assert driven(cuts(cut, first), cuts(0.4, second), cut) == driven([cut], [0.4], cut)
