@@ -1,8 +1,8 @@
-"""Options from fields: what a command line and Python accept is read off the fields of pydantic models.
+"""Options of the command line and keywords of Python, derived from the fields of pydantic models.
 
-A field is offered by an `Option` in its annotation. Type, unit, limits, choices and default are the field's own; the
-option says what it is for. Fields that share a name are one option: its values are dealt to them in order
-(`--place x,y,z,A,B,C`), or each value has a unit that says whose it is (`--pose-sd 0.5mm,0.1deg`).
+An `Option` in the annotation makes a field an option. Type, unit, limits, choices and default are those of the field;
+the option adds its purpose. Fields with the same option name form one option: its values fill them in order
+(`--place x,y,z,A,B,C`), or the unit of each value selects the field (`--pose-sd 0.5mm,0.1deg`).
 """
 
 import re
@@ -19,31 +19,31 @@ from cell.errors import UsageError
 from cell.scene.validation import did_you_mean, error_messages
 
 Spell = Callable[[str], str]
-"""Writes the name of an option as its user does: `flag` for the command line, `str` for a keyword of Python."""
+"""Spells the name of an option: `flag` for the command line, `str` for a keyword of Python."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
 _UNIT = re.compile(r"_(mm2|mm|deg|percent|share)$")
 _METAVARS = {"mm": "MM", "deg": "DEG", "percent": "PERCENT"}
-_MANY = 1e9  # nobody comes near such a limit
-_SCALES = {"%": ("share", 0.01)}  # other units are the ends of the keys that they fill
+_MANY = 1e9  # limits above it are not shown
+_SCALES = {"%": ("share", 0.01)}  # other units equal the ending of the key
 
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """Offers a field on the command line, and to Python as a keyword.
+    """Makes a field an option of the command line and a keyword of Python.
 
     Attributes:
-        help: what it is for, a sentence; limits, choices and default follow of themselves.
-        panel: heading under which `--help` shows it; "" for none.
-        name: the keyword, where it is not the key without its unit.
-        also: another flag for it.
-        metavar: what stands for its value in `--help`, where unit and type do not say it.
-        form: what a text for it must be, for the sentence that refuses one, where its type does not say it.
-        examples: of such texts.
-        counts: how many values it may have; with more than one field they are dealt in order.
-        separator: between its values.
-        made: its value of those values; raises ValueError where they cannot be.
+        help: purpose, a sentence; limits, choices and default are added.
+        panel: heading in `--help`; "" for none.
+        name: the keyword, if it is not the key without its unit.
+        also: an alternative flag.
+        metavar: placeholder of the value in `--help`, if unit and type do not give it.
+        form: required form of a text, for the message that refuses one, if the type does not give it.
+        examples: valid texts.
+        counts: valid numbers of values; they fill several fields in order.
+        separator: between values.
+        made: converts the values to the value of the field; raises ValueError for invalid ones.
     """
 
     help: str
@@ -60,13 +60,13 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What a field's annotation says.
+    """Type of a field by its annotation.
 
     Attributes:
-        base: bool, int, float or another type; str where there are choices.
-        length: values of a tuple; 0 for a single one, -1 for any number.
-        choices: of which it must be one.
-        limits: words such as "above 0 to 1".
+        base: bool, int, float or another type; str for choices.
+        length: number of values of a tuple; 0 for a single value, -1 for any number.
+        choices: the valid values.
+        limits: in words, such as "above 0 to 1".
     """
 
     base: type
@@ -77,7 +77,7 @@ class Kind:
 
 @dataclass(frozen=True, slots=True)
 class OptionSpec:
-    """An option and the fields that it fills, by their keys ("plan.faces"), in order."""
+    """An option and the fields that it fills, in order, by their keys ("plan.faces")."""
 
     name: str
     option: Option
@@ -85,22 +85,22 @@ class OptionSpec:
 
     @property
     def kinds(self) -> list[Kind]:
-        """What the annotation of each field says."""
+        """Type of each field."""
         return [_kind(field.annotation, field.metadata) for field in self.fields.values()]
 
     @property
     def kind(self) -> Kind:
-        """Of the first field: several fields of one option differ in length only."""
+        """Type of the first field: several fields of one option differ only in length."""
         return self.kinds[0]
 
     @property
     def by_unit(self) -> bool:
-        """Whether a value's unit says which field it fills."""
+        """Whether the unit of a value selects the field that it fills."""
         return len(self.fields) > 1 and not self.option.counts
 
     @property
     def metavar(self) -> str | None:
-        """What stands for the value in `--help`; None for a switch."""
+        """Placeholder of the value in `--help`; None for a switch."""
         kind, unit = self.kind, _UNIT.search(next(iter(self.fields)))
         if kind.base is bool or self.option.metavar:
             return self.option.metavar or None
@@ -109,15 +109,15 @@ class OptionSpec:
 
     @property
     def help(self) -> str:
-        """What it is for, its limits or choices, and its default."""
+        """Purpose, limits or choices, and default."""
         kind, default = self.kind, self._default()
         named = all(choice in self.option.help for choice in kind.choices)
         valid = kind.limits if named else f"one of {', '.join(kind.choices)}"
-        said = "; ".join(fact for fact in ("" if self.by_unit else valid, default and f"default {default}") if fact)
-        return f"{self.option.help} {said[0].upper()}{said[1:]}." if said else self.option.help
+        facts = "; ".join(fact for fact in ("" if self.by_unit else valid, default and f"default {default}") if fact)
+        return f"{self.option.help} {facts[0].upper()}{facts[1:]}." if facts else self.option.help
 
     def _default(self) -> str:
-        """The default as a text of this option; "" where the field has none to show."""
+        """Return the default as a text of this option; "" for none."""
         values = [field.default for field in self.fields.values()]
         if self.by_unit or self.kind.base is bool or any(value is None for value in values):
             return ""
@@ -126,69 +126,69 @@ class OptionSpec:
 
 
 def flag(name: str) -> str:
-    """The option of the command line: `max_views` is `--max-views`."""
+    """Return the option of the command line: `--max-views` for `max_views`."""
     return f"--{name.replace('_', '-')}"
 
 
 @cache
 def option_specs(model: type[BaseModel], *names: str) -> Mapping[str, OptionSpec]:
-    """What the fields of a model, and of the tables in it, offer by name: all of it, or only those named."""
+    """Return the options of the fields of a model and its tables, by name: all, or only the given names."""
     found: dict[str, OptionSpec] = {}
-    for key, field, option in _offered(model):
+    for key, field, option in _option_fields(model):
         name = option.name or _UNIT.sub("", key.rpartition(".")[2])
         earlier = found[name].fields if name in found else {}
         found[name] = OptionSpec(name, option, {**earlier, key: field})
     return {name: found[name] for name in names or found}
 
 
-def parse_options(model: type[Model], wishes: Mapping[str, object], spell: Spell = str) -> Model:
-    """A model of wishes; fields that nobody wishes keep their defaults.
+def parse_options(model: type[Model], options: Mapping[str, object], spell: Spell = str) -> Model:
+    """Create a model from options; fields without an option keep their defaults.
 
     Args:
-        model: whose fields are offered.
-        wishes: texts or values by name; None is no wish.
-        spell: how the user writes a name.
+        model: type with `Option` fields.
+        options: texts or values by name; None is no value.
+        spell: spelling of names in messages.
 
     Raises:
-        UsageError: if a name is unknown or a value cannot be.
+        UsageError: if a name is unknown or a value is invalid.
     """
-    filled = option_values(model, wishes, spell)
+    values = option_values(model, options, spell)
     try:
-        return model.model_validate(filled)
+        return model.model_validate(values)
     except ValidationError as error:
-        names = {key: spell(offer.name) for offer in option_specs(model).values() for key in offer.fields}
+        names = {key: spell(spec.name) for spec in option_specs(model).values() for key in spec.fields}
         raise UsageError("; ".join(error_messages(error, model, names))) from error
 
 
-def option_values(model: type[BaseModel], wishes: Mapping[str, object], spell: Spell = str) -> dict[str, object]:
-    """Values of a model's fields by key, as `read`; the model has not checked them.
+def option_values(model: type[BaseModel], options: Mapping[str, object], spell: Spell = str) -> dict[str, object]:
+    """Return the values of a model's fields by key, not validated by the model; arguments as of `parse_options`.
 
     Raises:
-        UsageError: if a name is unknown, or a text is not what its field can be made of.
+        UsageError: if a name is unknown, or a text has not the form of its field.
     """
-    known, filled = option_specs(model), dict[str, object]()
-    for name, wish in wishes.items():
+    known, values = option_specs(model), dict[str, object]()
+    for name, value in options.items():
         if name not in known:
             hint = did_you_mean(name, list(known))
             raise UsageError(f"there is no option {spell(name)}; {hint}there are {', '.join(map(spell, known))}")
-        if wish is None:
+        if value is None:
             continue
         try:
-            filled |= _filled(known[name], wish)
+            values |= _field_values(known[name], value)
         except (ValueError, TypeError, LookupError):
-            raise UsageError(_refusal(known[name], wish, spell(name))) from None
-    return filled
+            raise UsageError(_refusal(known[name], value, spell(name))) from None
+    return values
 
 
-def _offered(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo, Option]]:
+def _option_fields(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo, Option]]:
     for key, field in model.model_fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            yield from _offered(field.annotation, f"{prefix}{key}.")
+            yield from _option_fields(field.annotation, f"{prefix}{key}.")
         yield from ((prefix + key, field, option) for option in field.metadata if isinstance(option, Option))
 
 
 def _kind(annotation: Any, metadata: Sequence[object]) -> Kind:
-    """What an annotation says, None and tuples taken off."""
+    """Return the type of an annotation, without None and tuples."""
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return _kind(inner[0], (*metadata, *inner[1:]))
@@ -203,8 +203,8 @@ def _kind(annotation: Any, metadata: Sequence[object]) -> Kind:
 
 
 def _limits(metadata: Sequence[object]) -> str:
-    """Limits in words: "above 0 to 1", "at least 4"."""
-    flat = [each for told in metadata for each in (told.metadata if isinstance(told, FieldInfo) else [told])]
+    """Return limits in words: "above 0 to 1", "at least 4"."""
+    flat = [item for each in metadata for item in (each.metadata if isinstance(each, FieldInfo) else [each])]
     found = {word: getattr(each, word) for each in flat for word in ("gt", "ge", "lt", "le") if hasattr(each, word)}
     low = f"above {found['gt']:g}" if "gt" in found else f"{found['ge']:g}" if "ge" in found else ""
     high = f"below {found['lt']:g}" if "lt" in found else f"{found['le']:g}" if found.get("le", _MANY) < _MANY else ""
@@ -213,16 +213,16 @@ def _limits(metadata: Sequence[object]) -> str:
     return f"at least {low}" if "ge" in found else low
 
 
-def _filled(offer: OptionSpec, wish: object) -> dict[str, object]:
-    """Values by key of one wish; ValueError, TypeError or LookupError where it has not the option's form."""
-    value: Any = wish.tolist() if hasattr(wish, "tolist") else wish  # numpy's arrays and numbers
-    option, kinds, keys = offer.option, offer.kinds, list(offer.fields)
+def _field_values(spec: OptionSpec, given: object) -> dict[str, object]:
+    """Return the values of an option by key; ValueError, TypeError or LookupError for one of another form."""
+    value: Any = given.tolist() if hasattr(given, "tolist") else given  # arrays and numbers of NumPy
+    option, kinds, keys = spec.option, spec.kinds, list(spec.fields)
     if isinstance(value, str):
-        value = _parsed(offer, value)
-    if offer.by_unit:
-        fills = {key.rpartition("_")[2]: key for key in keys}
+        value = _parsed(spec, value)
+    if spec.by_unit:
+        key_of = {key.rpartition("_")[2]: key for key in keys}
         scaled = {unit: _SCALES.get(unit, (unit, 1.0)) for unit in dict(value)}
-        return {fills[ending]: value[unit] * scale for unit, (ending, scale) in scaled.items()}
+        return {key_of[ending]: value[unit] * scale for unit, (ending, scale) in scaled.items()}
     if not kinds[0].length and not option.counts:
         return {keys[0]: value}
     several = list(value) if isinstance(value, (list, tuple)) else [value]
@@ -232,23 +232,23 @@ def _filled(offer: OptionSpec, wish: object) -> dict[str, object]:
         several = list(option.made(several))
     if len(keys) == 1:
         return {keys[0]: several}
-    filled: dict[str, object] = {}
+    values: dict[str, object] = {}
     for key, kind in zip(keys, kinds, strict=True):
         some, several = several[: kind.length or 1], several[kind.length or 1 :]
         if some:
-            filled[key] = some if kind.length else some[0]
-    return filled
+            values[key] = some if kind.length else some[0]
+    return values
 
 
-def _parsed(offer: OptionSpec, text: str) -> Any:
-    """What Python would give in place of a text."""
-    kind, option = offer.kind, offer.option
-    if offer.by_unit:
+def _parsed(spec: OptionSpec, text: str) -> Any:
+    """Convert a text to the value that Python code would pass."""
+    kind, option = spec.kind, spec.option
+    if spec.by_unit:
         pieces = [re.fullmatch(r"(.*?)\s*(%|[a-z]+2?)", piece.strip()) for piece in text.split(",")]
-        found = {piece[2]: float(piece[1]) for piece in pieces if piece}
-        if len(found) < len(pieces):  # one without a unit, or with another's
+        values = {piece[2]: float(piece[1]) for piece in pieces if piece}
+        if len(values) < len(pieces):  # one without a unit, or with another's
             raise ValueError
-        return found
+        return values
     if kind.base not in (int, float):
         return text
     if kind.length or option.counts:
@@ -256,9 +256,9 @@ def _parsed(offer: OptionSpec, text: str) -> Any:
     return kind.base(text)
 
 
-def _refusal(offer: OptionSpec, wish: object, name: str) -> str:
-    """The sentence for a value that has not the option's form."""
-    option, whole = offer.option, "whole numbers" if offer.kind.base is int else "numbers"
-    form = option.form or (f"{whole} separated by commas" if offer.kind.length else f"a {whole[:-1]}")
+def _refusal(spec: OptionSpec, value: object, name: str) -> str:
+    """Return the message for a value of another form."""
+    option, numbers = spec.option, "whole numbers" if spec.kind.base is int else "numbers"
+    form = option.form or (f"{numbers} separated by commas" if spec.kind.length else f"a {numbers[:-1]}")
     examples = " or ".join(f"{name} {example}" for example in option.examples)
-    return f"{name} {wish} must be {form}" + (f", for instance {examples}" if examples else "")
+    return f"{name} {value} must be {form}" + (f", for instance {examples}" if examples else "")
