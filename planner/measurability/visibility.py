@@ -27,6 +27,7 @@ from planner.viewpoints.lines_of_sight import (
     BUNDLE,
     Pairs,
     RayTargets,
+    bundle_items,
     flatten_poses,
     in_view,
     lift_points,
@@ -273,19 +274,17 @@ def scanned_rows(
     radius = float(np.linalg.norm(used - middle, axis=1).max()) * (1 + 1e-6)
     grid = scanner.ray_directions()
     n_rows = int(row_of_face.max(initial=0)) + 1
-    waiting: list[Ints] = []
-    first, count = 0, 0
-    for pose in range(len(poses)):
+
+    def rays_of(pose: int) -> Ints:
         T = poses[pose]
-        waiting.append(_rays_to_sphere(grid, T[:3, :3].T @ (middle - T[:3, 3]), scanner.source, radius))
-        count += len(waiting[-1])
-        if count < BUNDLE and pose + 1 < len(poses):
-            continue
-        which, face = _scan(poses[first : pose + 1], waiting, grid, normals, diagonal, scanner, ray_caster)
+        return _rays_to_sphere(grid, T[:3, :3].T @ (middle - T[:3, 3]), scanner.source, radius)
+
+    for first, rays in bundle_items(len(poses), rays_of, BUNDLE):
+        done = first + len(rays)
+        which, face = _scan(poses[first:done], rays, grid, normals, diagonal, scanner, ray_caster)
         row = row_of_face[face].astype(np.int64)
         keys = np.unique(((which + first) * n_rows + row)[row >= 0])
-        yield pose + 1, keys // n_rows, keys % n_rows
-        waiting, first, count = [], pose + 1, 0
+        yield done, keys // n_rows, keys % n_rows
 
 
 def _rays_to_sphere(grid: Floats, middle: Floats, source: Floats, radius: float) -> Ints:

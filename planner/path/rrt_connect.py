@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.path.certified_edge import STEP, certify_many, quantise_inside
 from planner.ports import CollisionChecker, JointLimits
-from planner.values import Floats
+from planner.values import Bools, Floats
 
 _STEP_CHECKS = 32  # checks per tree edge: long enough for large batches, short enough to bend around a part
 _FEWEST_CHECKS = 4  # a blocked step is tried once more at this length, to enter narrow gaps
@@ -73,36 +73,32 @@ def rrt_connect(
         (m, axes) via points with both ends or None, and the checks. None only means that the budget is spent: the
         search is probabilistically complete, not exhaustive.
     """
-    weights = joint_weights(q_from, checker)
+    search = _Search(checker, limits, joint_weights(q_from, checker), rng)
     low, high = np.minimum(q_from, q_to), np.maximum(q_from, q_to)
     trees = [_Tree(q_from), _Tree(q_to)]
-    grown, other, checks, rounds, margin = 0, 1, 0, 0, _FIRST_MARGIN
+    grown, other, rounds, margin = 0, 1, 0, _FIRST_MARGIN
     gates: list[Floats] = []
     through_gate = False
     target = q_to
-    while checks < budget:
-        tip, used = _advance(trees[grown], target, checker, limits, weights)
-        checks += used
+    while search.checks < budget:
+        before = search.checks
+        tip = search.advance(trees[grown], target)
         if through_gate:
-            tip, used = _slide(trees[grown], target, checker, limits, weights, rng)
-            checks += used
+            before = search.checks
+            tip = search.slide(trees[grown], target)
         if tip >= 0:
             goal = trees[grown].q[tip].copy()
-            meeting, used = _advance(trees[other], goal, checker, limits, weights)
-            checks += used
+            meeting = search.advance(trees[other], goal)
             if meeting >= 0 and np.array_equal(trees[other].q[meeting], goal):
-                branches = [
-                    trees[0].branch(tip if grown == 0 else meeting),
-                    trees[1].branch(meeting if grown == 0 else tip),
-                ]
-                return np.array(branches[0] + branches[1][::-1][1:]), checks
-        elif used == 0:
-            checks += 1  # the target is a node already; count the round, so that the search ends
+                from_start = trees[0].branch(tip if grown == 0 else meeting)
+                from_goal = trees[1].branch(meeting if grown == 0 else tip)
+                return np.array(from_start + from_goal[::-1][1:]), search.checks
+        elif search.checks == before:
+            search.checks += 1  # the target is a node already; count the round, so that the search ends
         grown, other = other, grown
         rounds += 1
         if not gates and rounds > _BEFORE_BRIDGES and rng.random() < _BRIDGE_SHARE:
-            gates, used = _bridges(trees, low - margin, high + margin, checker, limits, weights, rng)
-            checks += used
+            gates = search.bridges(trees, low - margin, high + margin)
         through_gate = bool(gates)
         if gates:
             target = gates.pop()
@@ -112,7 +108,7 @@ def rrt_connect(
         else:
             target = rng.uniform(limits.lower, limits.upper)
         target = quantise_inside(target, limits)
-    return None, checks
+    return None, search.checks
 
 
 def joint_weights(q: Floats, checker: CollisionChecker) -> Floats:
@@ -122,150 +118,126 @@ def joint_weights(q: Floats, checker: CollisionChecker) -> Floats:
     return np.maximum(weights, max(0.02 * float(weights.max()), 1e-6))
 
 
-def _bridges(
-    trees: list[_Tree],
-    low: Floats,
-    high: Floats,
-    checker: CollisionChecker,
-    limits: JointLimits,
-    weights: Floats,
-    rng: np.random.Generator,
-) -> tuple[list[Floats], int]:
-    """Return free configurations in narrow places, and the checks: middles of short bridges with colliding ends.
+class _Search:
+    """Steps that grow the trees, and the number of checks."""
 
-    This is the bridge test of Hsu, Jiang, Reif and Sun (2003, doi:10.1109/ROBOT.2003.1242285). One end is a place where
-    a tree was blocked, or drawn from the box. Each configuration occurs twice, so that both trees get it as a target.
-    """
-    low, high = np.maximum(low, limits.lower), np.minimum(high, limits.upper)
-    hit = [q for tree in trees for q in tree.blocked[-_BRIDGES:]]
-    drawn = rng.uniform(low, high, (_BRIDGES if not hit else _BRIDGES // 4, len(low)))
-    ends, checks = drawn[~checker.free(drawn)], len(drawn)
-    if hit:
-        ends = np.concatenate((ends, np.array(hit)[rng.integers(0, len(hit), _BRIDGES)]))
-    lengths = 10.0 ** rng.uniform(*_BRIDGE_LENGTH, (len(ends), 1))
-    others = np.clip(ends + lengths * rng.standard_normal(ends.shape) / weights, limits.lower, limits.upper)
-    if not len(ends):
-        return [], checks
-    colliding = ~checker.free(others)
-    checks += len(ends)
-    middles = quantise_inside(0.5 * (ends + others)[colliding], limits)
-    if not len(middles):
-        return [], checks
-    free = checker.free(middles)
-    return [middle for middle in middles[free] for _ in range(2)], checks + len(middles)
+    def __init__(
+        self, checker: CollisionChecker, limits: JointLimits, weights: Floats, rng: np.random.Generator
+    ) -> None:
+        self.checker, self.limits, self.weights, self.rng = checker, limits, weights, rng
+        self.spacing = 2.0 * STEP * checker.clearance
+        self.checks = 0
 
+    def free(self, q: Floats) -> Bools:
+        self.checks += len(q)
+        return self.checker.free(q)
 
-def _slide(
-    tree: _Tree,
-    target: Floats,
-    checker: CollisionChecker,
-    limits: JointLimits,
-    weights: Floats,
-    rng: np.random.Generator,
-) -> tuple[int, int]:
-    """Grow the tree from its nearest node towards a target in a narrow place, sliding along obstacles.
+    def certified(self, q_from: Floats, q_to: Floats) -> Bools:
+        certified, used = certify_many(q_from, q_to, self.checker)
+        self.checks += used
+        return certified
 
-    Random steps are drawn about the direction to the target; the certified one that ends nearest to it is taken, until
-    none ends nearer or the straight segment is free. Returns the node nearest to the target, and the checks.
-    """
-    spacing = 2.0 * STEP * checker.clearance
-    near, checks = tree.nearest(target, weights), 0
-    for _ in range(_SLIDES):
-        q = tree.q[near].copy()
-        ahead = (target - q) * weights
-        distance = float(np.linalg.norm(ahead))
-        if distance == 0.0:
-            break
-        lengths = spacing * 2.0 ** rng.integers(0, 4, (_SLIDE_STEPS, 1))
-        steps = ahead / distance + rng.standard_normal((_SLIDE_STEPS, len(q))) * rng.uniform(
-            0.0, 1.0, (_SLIDE_STEPS, 1)
-        )
-        steps *= np.minimum(lengths, distance) / np.linalg.norm(steps, axis=1, keepdims=True)
-        ends = quantise_inside(q + steps / weights, limits)
-        left = np.linalg.norm((target - ends) * weights, axis=1)
-        ends = ends[np.argsort(left, kind="stable")[: int((left < distance - 0.1 * spacing).sum())]]
+    def bridges(self, trees: list[_Tree], low: Floats, high: Floats) -> list[Floats]:
+        """Return free configurations in narrow places: middles of short bridges with colliding ends.
+
+        This is the bridge test of Hsu, Jiang, Reif and Sun (2003, doi:10.1109/ROBOT.2003.1242285). One end is a place
+        where a tree was blocked, or drawn from the box. Each configuration occurs twice, so that both trees get it as a
+        target.
+        """
+        rng, limits = self.rng, self.limits
+        low, high = np.maximum(low, limits.lower), np.minimum(high, limits.upper)
+        hit = [q for tree in trees for q in tree.blocked[-_BRIDGES:]]
+        drawn = rng.uniform(low, high, (_BRIDGES if not hit else _BRIDGES // 4, len(low)))
+        ends = drawn[~self.free(drawn)]
+        if hit:
+            ends = np.concatenate((ends, np.array(hit)[rng.integers(0, len(hit), _BRIDGES)]))
+        lengths = 10.0 ** rng.uniform(*_BRIDGE_LENGTH, (len(ends), 1))
+        others = ends + lengths * rng.standard_normal(ends.shape) / self.weights
+        others = np.clip(others, limits.lower, limits.upper)
         if not len(ends):
-            break
-        checks += len(ends)
-        ends = ends[checker.free(ends)]
-        moved = False
-        for end in ends[:3]:
-            certified, used = certify_many(q[None], end[None], checker)
-            checks += used
-            if certified[0]:
-                near, moved = tree.add(end, near), True
+            return []
+        middles = quantise_inside(0.5 * (ends + others)[~self.free(others)], limits)
+        return [middle for middle in middles[self.free(middles)] for _ in range(2)] if len(middles) else []
+
+    def slide(self, tree: _Tree, target: Floats) -> int:
+        """Grow the tree from its nearest node towards a target in a narrow place, sliding along obstacles.
+
+        Random steps are drawn about the direction to the target; the certified one that ends nearest to it is taken,
+        until none ends nearer or the straight segment is free. Returns the node nearest to the target.
+        """
+        rng, weights = self.rng, self.weights
+        near = tree.nearest(target, weights)
+        for _ in range(_SLIDES):
+            q = tree.q[near].copy()
+            ahead = (target - q) * weights
+            distance = float(np.linalg.norm(ahead))
+            if distance == 0.0:
                 break
-        if not moved:
-            break
-        tip, used = _advance(tree, target, checker, limits, weights)
-        checks += used
-        if tip >= 0:
-            near = tip
-    return near, checks
+            lengths = self.spacing * 2.0 ** rng.integers(0, 4, (_SLIDE_STEPS, 1))
+            noise = rng.standard_normal((_SLIDE_STEPS, len(q))) * rng.uniform(0.0, 1.0, (_SLIDE_STEPS, 1))
+            steps = ahead / distance + noise
+            steps *= np.minimum(lengths, distance) / np.linalg.norm(steps, axis=1, keepdims=True)
+            ends = quantise_inside(q + steps / weights, self.limits)
+            left = np.linalg.norm((target - ends) * weights, axis=1)
+            ends = ends[np.argsort(left, kind="stable")[: int((left < distance - 0.1 * self.spacing).sum())]]
+            if not len(ends):
+                break
+            ends = ends[self.free(ends)]
+            step = next((end for end in ends[:3] if self.certified(q[None], end[None])[0]), None)
+            if step is None:
+                break
+            near = tree.add(step, near)
+            if (tip := self.advance(tree, target)) >= 0:
+                near = tip
+        return near
+
+    def advance(self, tree: _Tree, target: Floats) -> int:
+        """Grow the tree from its nearest node straight towards the target until a step is blocked.
+
+        Returns the last added node, or the node that is the target already; -1 if the first step is blocked.
+        """
+        near = tree.nearest(target, self.weights)
+        q = tree.q[near].copy()
+        if np.array_equal(q, target):
+            return near
+        travel = float(self.checker.travel(q[None], target[None])[0])
+        steps = max(1, int(np.ceil(travel / (_STEP_CHECKS * self.spacing))))
+        stops = self.stops(q, target, steps)
+        tip, done, size = near, 0, 1
+        while done < len(stops) - 1:
+            batch = stops[done : done + size + 1]
+            count = self.free_prefix(batch)
+            for stop in batch[1 : count + 1]:
+                tip = tree.add(stop, tip)
+            if count < len(batch) - 1:
+                self.remember_blocked(tree, batch[count + 1])
+                break
+            done, size = done + size, size * 2
+        if tip == near:
+            short = self.stops(q, target, max(steps, int(np.ceil(travel / (_FEWEST_CHECKS * self.spacing)))))[:2]
+            if len(short) == 2 and not np.array_equal(short[1], stops[1]):
+                if self.free_prefix(short):
+                    return tree.add(short[1], near)
+                self.remember_blocked(tree, short[1])
+        return tip if tip != near else -1
+
+    def remember_blocked(self, tree: _Tree, q: Floats) -> None:
+        """Remember the end of a blocked step if it collides itself."""
+        if not self.free(q[None])[0]:
+            tree.blocked.append(q)
+
+    def stops(self, q: Floats, target: Floats, steps: int) -> Floats:
+        """Return (k, axes) quantised configurations from q to the target without repeats; k <= steps + 1."""
+        stops = quantise_inside(q + np.arange(steps + 1)[:, None] / steps * (target - q), self.limits)
+        stops[0], stops[-1] = q, target
+        return stops[np.concatenate(([True], (np.diff(stops, axis=0) != 0).any(axis=1)))]
+
+    def free_prefix(self, stops: Floats) -> int:
+        """Return the number of certified edges at the beginning of a chain; stops[0] is free."""
+        count = _n_leading(self.free(stops[1:]))
+        return _n_leading(self.certified(stops[:count], stops[1 : count + 1])) if count else 0
 
 
-def _advance(
-    tree: _Tree, target: Floats, checker: CollisionChecker, limits: JointLimits, weights: Floats
-) -> tuple[int, int]:
-    """Grow the tree from its nearest node straight towards the target until a step is blocked.
-
-    Returns the last added node (or the node that is the target already; -1 if the first step is blocked), and the
-    checks.
-    """
-    near = tree.nearest(target, weights)
-    q = tree.q[near].copy()
-    if np.array_equal(q, target):
-        return near, 0
-    travel = float(checker.travel(q[None], target[None])[0])
-    spacing = 2.0 * STEP * checker.clearance
-    steps = max(1, int(np.ceil(travel / (_STEP_CHECKS * spacing))))
-    stops = _stops(q, target, steps, limits)
-    tip, checks, done, size = near, 0, 0, 1
-    while done < len(stops) - 1:
-        batch = stops[done : done + size + 1]
-        count, used = _free_prefix(batch, checker)
-        checks += used
-        for stop in batch[1 : count + 1]:
-            tip = tree.add(stop, tip)
-        if count < len(batch) - 1:
-            _remember_blocked(tree, batch[count + 1], checker)
-            checks += 1
-            break
-        done, size = done + size, size * 2
-    if tip == near:
-        short = _stops(q, target, max(steps, int(np.ceil(travel / (_FEWEST_CHECKS * spacing)))), limits)[:2]
-        if len(short) == 2 and not np.array_equal(short[1], stops[1]):
-            count, used = _free_prefix(short, checker)
-            checks += used
-            if count:
-                tip = tree.add(short[1], near)
-            else:
-                _remember_blocked(tree, short[1], checker)
-                checks += 1
-    return (tip if tip != near else -1), checks
-
-
-def _remember_blocked(tree: _Tree, q: Floats, checker: CollisionChecker) -> None:
-    """Remember the end of a blocked step if it collides itself."""
-    if not checker.free(q[None])[0]:
-        tree.blocked.append(q)
-
-
-def _stops(q: Floats, target: Floats, steps: int, limits: JointLimits) -> Floats:
-    """Return (k, axes) quantised configurations from q to the target without repeats; k <= steps + 1."""
-    stops = quantise_inside(q + np.arange(steps + 1)[:, None] / steps * (target - q), limits)
-    stops[0], stops[-1] = q, target
-    keep = np.concatenate(([True], (np.diff(stops, axis=0) != 0).any(axis=1)))
-    return stops[keep]
-
-
-def _free_prefix(stops: Floats, checker: CollisionChecker) -> tuple[int, int]:
-    """Return the number of certified edges at the beginning of a chain, and the checks; stops[0] is free."""
-    free = checker.free(stops[1:])
-    count = len(free) if free.all() else int(free.argmin())
-    checks = len(free)
-    if count:
-        certified, used = certify_many(stops[:count], stops[1 : count + 1], checker)
-        checks += used
-        count = count if certified.all() else int(certified.argmin())
-    return count, checks
+def _n_leading(flags: Bools) -> int:
+    """Return the number of True values before the first False."""
+    return len(flags) if flags.all() else int(flags.argmin())

@@ -26,6 +26,12 @@ _BESIDE = 8  # nearest clusters beside which a cluster is inserted; all of them 
 _PROMISING = 0.2  # nodes are chosen again if the rebuilt tour exceeds the accepted cost by at most this many mean edges
 _NODE, _BEFORE, _AFTER = 0, 1, 2  # rows of a tour
 
+Problem = tuple[Floats, Floats, Ints, Ints]
+"""Costs, transposed costs, first node of each cluster, clusters by distance from each cluster (see `anneal`)."""
+
+Layers = tuple[Ints, Floats, Floats, Ints]
+"""Scratch arrays of the choice of nodes: order (m,), values and next values (widest cluster,), parents (m, widest)."""
+
 
 def anneal(
     cost: Floats, back: Floats, first: Ints, near: Ints, start: Ints, steps: int, hot: float, cold: float, seed: int
@@ -57,7 +63,7 @@ def anneal(
     out = np.empty(m, dtype=np.int64), np.zeros(m, dtype=np.int64)
     state = np.array([seed], dtype=np.uint64)
     root = int(sizes.argmin())  # the cycle is cut at its smallest cluster
-    _anneal(cost, back, first, near, root, (best, tour, trial), layers, out, steps, hot, cold, state)
+    _anneal((cost, back, first, near), root, (best, tour, trial), layers, out, steps, hot, cold, state)
     order = [0]
     while len(order) < m:
         order.append(int(best[_AFTER, order[-1]]))
@@ -66,16 +72,14 @@ def anneal(
 
 @compiled
 def _anneal(
-    cost: Floats, back: Floats, first: Ints, near: Ints, root: int, tours: tuple[Ints, Ints, Ints],
-    layers: tuple[Ints, Floats, Floats, Ints], out: tuple[Ints, Ints], steps: int, hot: float, cold: float,
-    state: NDArray[np.uint64],
+    problem: Problem, root: int, tours: tuple[Ints, Ints, Ints], layers: Layers, out: tuple[Ints, Ints], steps: int,
+    hot: float, cold: float, state: NDArray[np.uint64],
 ) -> None:  # fmt: skip
     """Ruin and recreate the second of three tours; the first becomes the best one found, the third is scratch."""
-    m = len(first) - 1
     best, tour, trial = tours
-    order, value, onward, parent = layers
+    m = tour.shape[1]
     removed, is_out = out
-    tour_cost = _choose_nodes(cost, back, first, root, tour, order, value, onward, parent)
+    tour_cost = _choose_nodes(problem, root, tour, layers)
     _copy(tour, best)
     best_cost = tour_cost
     longest = min(_STRING, max(1, m // 3))
@@ -83,11 +87,11 @@ def _anneal(
     temperature, cooling = hot, (cold / hot) ** (1.0 / max(1, steps - 1))
     for _ in range(steps):
         _copy(tour, trial)
-        gone, saved = _ruin(cost, near, trial, removed, is_out, longest, most_strings, state)
-        trial_cost = tour_cost + saved + _recreate(cost, back, first, near, trial, removed, gone, is_out, state)
+        gone, saved = _ruin(problem, trial, removed, is_out, longest, most_strings, state)
+        trial_cost = tour_cost + saved + _recreate(problem, trial, removed, gone, is_out, state)
         accepted = tour_cost - temperature * np.log(1.0 - _uniform(state))
         if trial_cost <= min(accepted, best_cost) + _PROMISING * tour_cost / m:
-            trial_cost = _choose_nodes(cost, back, first, root, trial, order, value, onward, parent)
+            trial_cost = _choose_nodes(problem, root, trial, layers)
         if trial_cost < accepted:
             _copy(trial, tour)
             tour_cost = trial_cost
@@ -98,22 +102,13 @@ def _anneal(
 
 
 @compiled
-def _choose_nodes(
-    cost: Floats,
-    back: Floats,
-    first: Ints,
-    root: int,
-    tour: Ints,
-    order: Ints,
-    value: Floats,
-    onward: Floats,
-    parent: Ints,
-) -> float:
+def _choose_nodes(problem: Problem, root: int, tour: Ints, layers: Layers) -> float:
     """Replace the nodes of a tour by the best ones for its order of clusters, exactly; return the tour's cost.
 
-    The cycle is cut at cluster `root`. `order` (m,), `value` and `onward` (widest cluster,) and `parent` (m, widest
-    cluster) are scratch.
+    The cycle is cut at cluster `root`; `layers` is scratch.
     """
+    cost, back, first, _ = problem
+    order, value, onward, parent = layers
     m = len(order)
     order[0] = root
     for i in range(1, m):
@@ -161,19 +156,14 @@ def _copy(source: Ints, target: Ints) -> None:
 
 @compiled
 def _ruin(
-    cost: Floats,
-    near: Ints,
-    tour: Ints,
-    removed: Ints,
-    is_out: Ints,
-    longest: int,
-    most_strings: float,
+    problem: Problem, tour: Ints, removed: Ints, is_out: Ints, longest: int, most_strings: float,
     state: NDArray[np.uint64],
-) -> tuple[int, float]:
+) -> tuple[int, float]:  # fmt: skip
     """Remove strings near one cluster from a tour; `removed` then begins with their clusters.
 
     Returns the number of removed clusters and the change of the tour's cost.
     """
+    cost, _, _, near = problem
     m, gone, more = tour.shape[1], 0, 0.0
     strings = int(_uniform(state) * most_strings) + 1
     for k in near[int(_uniform(state) * m)]:
@@ -199,18 +189,9 @@ def _ruin(
 
 
 @compiled
-def _recreate(
-    cost: Floats,
-    back: Floats,
-    first: Ints,
-    near: Ints,
-    tour: Ints,
-    removed: Ints,
-    gone: int,
-    is_out: Ints,
-    state: NDArray[np.uint64],
-) -> float:
+def _recreate(problem: Problem, tour: Ints, removed: Ints, gone: int, is_out: Ints, state: NDArray[np.uint64]) -> float:
     """Insert the removed clusters in random order, each at its cheapest place; return the change of the cost."""
+    cost, back, first, near = problem
     total = 0.0
     for i in range(gone - 1, 0, -1):
         j = int(_uniform(state) * (i + 1))
@@ -239,13 +220,14 @@ def _recreate(
         is_out[k] = 0
         total += least
         for c in (place, after, k):
-            total += _settle(cost, back, first, tour, c)
+            total += _settle(problem, tour, c)
     return total
 
 
 @compiled
-def _settle(cost: Floats, back: Floats, first: Ints, tour: Ints, k: int) -> float:
+def _settle(problem: Problem, tour: Ints, k: int) -> float:
     """Visit a cluster through the best node between its neighbours' nodes; return the change of the cost."""
+    cost, back, first, _ = problem
     a, b = tour[_NODE, tour[_BEFORE, k]], tour[_NODE, tour[_AFTER, k]]
     from_a, to_b = cost[a], back[b]
     now = from_a[tour[_NODE, k]] + to_b[tour[_NODE, k]]

@@ -191,18 +191,23 @@ def visible_pairs(
         rows_of: returns the points in view of a pose; called once per pose, in order.
         bundle: smallest number of pairs that are cast together.
     """
-    waiting: list[Ints] = []
-    first, count = 0, 0
-    for pose in range(len(poses)):
-        waiting.append(rows_of(pose))
-        count += len(waiting[-1])
-        if count < bundle and pose + 1 < len(poses):
-            continue
-        which = np.repeat(np.arange(first, pose + 1), [len(rows) for rows in waiting])
+    for first, waiting in bundle_items(len(poses), rows_of, bundle):
+        which = np.repeat(np.arange(first, first + len(waiting)), [len(rows) for rows in waiting])
         rows = np.concatenate(waiting)
         free = lines_of_sight_free(targets, poses, which, rows, scanner, casters)
-        yield pose + 1, which[free], rows[free]
-        waiting, first, count = [], pose + 1, 0
+        yield first + len(waiting), which[free], rows[free]
+
+
+def bundle_items(count: int, items_of: Callable[[int], Ints], size: int) -> Iterator[tuple[int, list[Ints]]]:
+    """Yield bundles of at least `size` items (the last may have less): the first number, and the items per number."""
+    waiting: list[Ints] = []
+    total = 0
+    for number in range(count):
+        waiting.append(items_of(number))
+        total += len(waiting[-1])
+        if total >= size or number + 1 == count:
+            yield number + 1 - len(waiting), waiting
+            waiting, total = [], 0
 
 
 def _free_from(
