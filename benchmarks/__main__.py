@@ -19,7 +19,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from cell.commands.failures import guarded
+from cell.cli.failures import report_errors
 
 STUDIES = {
     "speed": "seconds against error of planning faces, samples on each, and rays of a scan",
@@ -125,7 +125,7 @@ def run_study(name: str, words: list[str]) -> int:
     """Run a study with words and options of its own; returns the exit code."""
     study = import_module("benchmarks.golden" if name == "golden" else f"benchmarks.methods.{name}").app
     program = f"python -m benchmarks {name}"
-    return guarded(lambda: study(words, prog_name=program, standalone_mode=False), as_json="--json" in words)
+    return report_errors(lambda: study(words, prog_name=program, standalone_mode=False), as_json="--json" in words)
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ from rich.table import Table
 
 from benchmarks.edits import no_pictures
 from cell.cli import app as cell_app
-from cell.commands.failures import INTERRUPTED, guarded
+from cell.cli.failures import INTERRUPTED, report_errors
 
 REFERENCE = Path(__file__).with_suffix(".json")
 _DIGITS = 16  # hexadecimal digits of a hash that are kept
@@ -352,7 +352,9 @@ def _cell(home: Path, words: list[str]) -> tuple[int, str, str]:
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(errors),
     ):
-        code = guarded(lambda: cell_app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words)
+        code = report_errors(
+            lambda: cell_app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words
+        )
     gc.collect()
     return code, out.getvalue(), errors.getvalue()
 

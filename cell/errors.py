@@ -1,14 +1,14 @@
-"""The errors that a user of the command line meets, each with its exit code.
+"""Errors that end a command, each with its exit code.
 
     CellError                       root
     |-- UsageError          2       a wrong option or an impossible combination
-    |-- SceneError          2       the scene file, or a scene that cannot be
-    |-- UnreachableError    4       no candidate viewpoint can be reached
+    |-- SceneError          2       a wrong scene file, or an impossible scene
+    |-- UnreachableError    4       no candidate viewpoint is reachable
     |-- DriverFailureError  5       the robot controller, or the wire to it
     `-- FileError           6       a mesh, a run folder or the disk
 
-Every message is one clear sentence: the fact, what would be valid, and where. Coverage below the requirement (exit
-code 3) is a result, not an error. A bug has code 70, Ctrl-C 130.
+Each message is one sentence: what is wrong, and what is valid. Coverage below the requirement (exit code 3) is a result
+and no error. A bug has code 70, Ctrl-C 130.
 """
 
 
@@ -25,7 +25,7 @@ class UsageError(CellError):
 
 
 class SceneError(CellError):
-    """The scene file is wrong, or describes a cell that cannot be."""
+    """A wrong scene file, or one that describes an impossible cell."""
 
     exit_code = 2
 

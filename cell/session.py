@@ -1,7 +1,7 @@
 """Session of a command: folder of its results, progress, confirmation, plots, random streams, effort and origin.
 
 A command makes one `Session` and passes it to every function that writes, reports, draws or chooses at random. The
-reporter of the command line is `cell.commands.terminal.Terminal`.
+reporter of the command line is `cell.cli.terminal.Terminal`.
 """
 
 import logging

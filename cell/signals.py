@@ -1,7 +1,7 @@
-"""What Ctrl-C, a polite kill and a closed terminal do to a command: each ends it, and is told by its name.
+"""Signals that end a command: Ctrl-C, SIGTERM, and SIGHUP of a closed terminal.
 
-While an arm is driven (`driving`) the first of them is a stop with one second for its answer, the second ends the
-process at once; then the controller's own watchdog stops the arm. Elsewhere Ctrl-C keeps what a stage makes of it.
+While an arm moves (`stop_on_signal`), the first signal stops it with one second for the answer of the controller. The
+second ends the process at once; then the watchdog of the controller stops the arm. Elsewhere a stage can catch Ctrl-C.
 """
 
 import os
@@ -14,69 +14,69 @@ from types import FrameType
 from typing import Final
 
 INTERRUPTED: Final = 130
-"""Exit code of a command that was ended like this."""
+"""Exit code of a command that a signal ended."""
 
 NAMES: Final = {
-    signal.Signals[name]: told
-    for name, told in {
+    signal.Signals[name]: text
+    for name, text in {
         "SIGINT": "Ctrl-C",
-        "SIGTERM": "SIGTERM, a polite kill",
+        "SIGTERM": "SIGTERM",
         "SIGHUP": "SIGHUP, its terminal was closed",
     }.items()
     if name in signal.Signals.__members__  # Windows has no SIGHUP
 }
 
-_last = ["Ctrl-C"]  # the name of the one that came; a frame between here and the command's end may lose the exception
+_last = ["Ctrl-C"]  # kept here because a frame between the signal and the end of the command can lose the exception
 
 
 class Killed(KeyboardInterrupt):
-    """A polite kill; unlike Ctrl-C it never means "go on with the best so far"."""
+    """SIGTERM or SIGHUP; unlike Ctrl-C it never means "continue with the best result so far"."""
 
 
-def told() -> str:
-    """The name of the signal that ended the command."""
+def last_signal() -> str:
+    """Return the name of the signal that ended the command."""
     return _last[0]
 
 
-def end_politely() -> None:
-    """SIGTERM and SIGHUP end a command as Ctrl-C does: its folder keeps its status."""
-    for number in _heard():
+def handle_termination() -> None:
+    """Let SIGTERM and SIGHUP end a command as Ctrl-C does, so that its folder keeps its status."""
+    for number in _handled():
         if number != signal.SIGINT:
-            signal.signal(number, _killed)
+            signal.signal(number, _kill)
 
 
-def _heard() -> list[signal.Signals]:
-    """Those that whoever started the process did not ask it to ignore, as nohup does."""
+def _handled() -> list[signal.Signals]:
+    """Return the signals that the parent process does not ignore, as nohup does."""
     return [number for number in NAMES if signal.getsignal(number) != signal.SIG_IGN]
 
 
-def _killed(number: int, frame: FrameType | None) -> None:
+def _kill(number: int, frame: FrameType | None) -> None:
     _last[0] = NAMES[signal.Signals(number)]
     raise Killed(_last[0])
 
 
 @contextmanager
-def driving() -> Iterator[None]:
-    """While an arm may move: the first signal raises, the second ends the process at once.
+def stop_on_signal() -> Iterator[None]:
+    """While an arm can move: raise at the first signal, end the process at the second.
 
-    Only the main thread can be told of signals; in another one nothing changes.
+    Only the main thread receives signals; in another thread nothing changes.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came = False
+    is_stopping = False
 
-    def first_or_second(number: int, frame: FrameType | None) -> None:
-        nonlocal came
-        if came:
+    def stop_or_exit(number: int, frame: FrameType | None) -> None:
+        nonlocal is_stopping
+        if is_stopping:
             sys.stderr.write("cell: ended at once by a second signal; the controller's watchdog stops the arm\n")
             sys.stderr.flush()
             os._exit(INTERRUPTED)
-        came = True
+        is_stopping = True
         _last[0] = NAMES[signal.Signals(number)]
         raise (KeyboardInterrupt if number == signal.SIGINT else Killed)(_last[0])
 
-    before = {number: signal.signal(number, first_or_second) for number in _heard()}
+    before = {number: signal.signal(number, stop_or_exit) for number in _handled()}
     try:
         yield
     finally:

@@ -138,7 +138,7 @@ def cache(made_once: Callable[..., Path]) -> Path:
 def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     """`cell` with arguments in a directory `cwd`, in this process; what it returns looks like that of another."""
     from cell.cli import app
-    from cell.commands.failures import INTERRUPTED, guarded
+    from cell.cli.failures import INTERRUPTED, report_errors
 
     def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
         words = [str(word) for word in arguments]
@@ -153,7 +153,9 @@ def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
             patch.delenv("SCAN_CELL_TRACEBACK", raising=False)
             patch.setattr(sys, "argv", ["cell", *words])
             patch.chdir(cwd)
-            code = guarded(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words)
+            code = report_errors(
+                lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words
+            )
         if code == INTERRUPTED:  # the person at the terminal ends the tests
             raise KeyboardInterrupt
         return subprocess.CompletedProcess(words, code, out.getvalue(), errors.getvalue())

@@ -28,8 +28,8 @@ from benchmarks.covers.chart import draw
 from benchmarks.covers.figures import Row, Store
 from benchmarks.covers.instances import Task
 from benchmarks.covers.solve import CoverOptions, solve_file
-from cell.commands.options import AsJson, from_fields, print_json
-from cell.commands.terminal import Terminal
+from cell.cli.options import AsJson, from_fields, print_json
+from cell.cli.terminal import Terminal
 from cell.study.study import markdown_table
 
 LARGE = (("uniform:10000x10000:0.05:1", 10.0), ("caps:10000x10000:0.05:7", 10.0), ("uniform:30000x30000:0.01:1", 20.0))

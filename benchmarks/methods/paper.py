@@ -9,8 +9,8 @@ import typer
 
 from benchmarks.paper.study import table_study
 from benchmarks.paper.tables import tables
-from cell.commands.options import AsJson, from_fields
-from cell.commands.study import conducted
+from cell.cli.options import AsJson, from_fields
+from cell.cli.study import run_study
 from cell.errors import UsageError
 from cell.study.options import StudyRun
 
@@ -49,4 +49,4 @@ def paper(
             raise UsageError(f"--part {each} is not in the paper's tables; choose one of {', '.join(sorted(parts))}")
     if not 0 < faces_share <= 1:
         raise UsageError(f"--faces-share {faces_share:g} must be above 0 and at most 1")
-    conducted(lambda: table_study(table, faces_share=faces_share, parts=part or []), run, as_json)
+    run_study(lambda: table_study(table, faces_share=faces_share, parts=part or []), run, as_json)

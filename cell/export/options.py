@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from cell.runs.current_scene import CurrentFiles
+from cell.runs.current_files import CurrentFiles
 from cell.scene.options import Option
 
 _KRL = "KRL"

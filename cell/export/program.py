@@ -21,7 +21,7 @@ from cell.errors import UsageError
 from cell.export.krl_names import check_name
 from cell.robot.arm import kinematics_of
 from cell.runs import current_scene
-from cell.runs.current_scene import CurrentFiles
+from cell.runs.current_files import CurrentFiles
 from cell.runs.verification import verify_plan
 from cell.session import ProgressReporter
 from planner.geometry.rigid import rotation_vectors

@@ -1,7 +1,7 @@
 """From the bytes of a file of geometry to arrays: STL (binary and ASCII), OBJ, PLY, OFF, GLB, STEP.
 
 trimesh parses OBJ, PLY, OFF and binary STL; GLB and ASCII STL are read here, because what they announce has to be held
-against what they hold; STEP is read by `cell.part.step`. One sentence says what is wrong, in our words. Coordinates
+against what they hold; STEP is read by `cell.part.cad`. One sentence says what is wrong, in our words. Coordinates
 stay in the file's numbers. Vertices at exactly the same place become one, because STL repeats a corner in each face and
 the others at seams.
 """
@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from cell.errors import FileError
-from cell.part import glb, step
+from cell.part import cad, glb
 from cell.part.formats import STEP
-from planner.values import Floats, Ints
+from planner.geometry.mesh import TriangleMesh
+from planner.values import Bools, Floats, Ints
 
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", *STEP)
 
@@ -68,7 +69,7 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
     """
     suffix = path.suffix.lower()
     if suffix in STEP:
-        solids = step.read(str(path), content)
+        solids = cad.read_step(str(path), content)
         return checked(str(path), solids.vertices, solids.faces)
     if suffix == ".glb":
         try:
@@ -195,3 +196,52 @@ def _merge(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
     position = np.empty(len(one), np.int64)
     position[rank] = np.arange(len(rank))
     return places[one[rank]], np.take(position, corner).reshape(-1, 3)
+
+
+COLOUR_TOLERANCE = 32
+"""Steps of 255 by which each of red, green and blue may be off: paint is blended at its borders, and rounded."""
+
+
+def read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
+    """A coloured mesh.
+
+    Args:
+        path: of the file.
+        metres: in one of its units.
+
+    Returns:
+        The mesh [m], and (F, 3) red, green and blue of its triangles, 0 to 255: of colours at its vertices the mean of
+        three; NaN where a CAD face has none.
+
+    Raises:
+        FileError: if it cannot be read, or has no colours.
+    """
+    content, suffix = read_bytes(path), path.suffix.lower()
+    if suffix in STEP:
+        vertices, faces, of_face = cad.read_coloured_step(str(path), content)
+        if np.isnan(of_face).all():
+            raise FileError(f"{path} has no colours; colour its faces, or select them by their numbers")
+        return TriangleMesh(vertices * metres, faces.astype(np.int32)), of_face
+    import trimesh  # half a second of start-up that only a painted mesh needs
+
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            loaded: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], process=False)
+            if isinstance(loaded, trimesh.Scene):
+                loaded = loaded.to_mesh()
+            visual = loaded.visual
+            visual = visual.to_color() if visual.kind == "texture" else visual
+            known = visual.kind in ("vertex", "face")
+            colours = np.array(visual.face_colors, np.float64)[:, :3] if known else None
+        mesh = TriangleMesh(np.array(loaded.vertices) * metres, np.array(loaded.faces, np.int32))
+    except Exception as error:  # a parser meets broken bytes with any exception there is; each is the same to the user
+        raise FileError(f"{path} cannot be read as a coloured mesh; export it again") from error
+    if colours is None:
+        raise FileError(f"{path} has no colours; paint it, and export it as PLY with colours")
+    return mesh, colours
+
+
+def is_colour(colours: Floats, colour: str) -> Bools:
+    """(F,) which of (F, 3) colours are `#rrggbb`, to `TOLERANCE`."""
+    wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
+    return np.asarray((np.abs(colours - wanted) <= COLOUR_TOLERANCE).all(axis=1))

@@ -103,9 +103,9 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
     units = _known(str(path), units_of(path.name) if units is None else units)
     sha256 = hashlib.sha256(content).hexdigest()
     if path.suffix.lower() in STEP:
-        from cell.part import step
+        from cell.part import cad as step
 
-        solids = step.read(str(path), content)
+        solids = step.read_step(str(path), content)
         merged = mesh_files.checked(str(path), solids.vertices, solids.faces)
         part = from_mesh(path.stem, *merged, units, sha256, solids.cad)
         return replace(part, findings=(*solids.findings, *part.findings))

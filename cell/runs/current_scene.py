@@ -8,22 +8,19 @@ built-in robot always comes from this version (`cell.runs.verification`), so a d
 """
 
 import tomllib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-from pydantic import BeforeValidator, Field
 
 from cell.errors import CellError, FileError, SceneError
 from cell.part import workpiece
 from cell.robot.model import KR16
 from cell.runs.cell import scene_of_run
+from cell.runs.current_files import CurrentFiles
 from cell.runs.verification import VerifiedPlan, sha256_of
-from cell.scene.fields import Table
 from cell.scene.file import load_scene
 from cell.scene.model import Fixture, MeshFixture, Scene
-from cell.scene.options import Option
 from cell.scene.settle import with_device
 from cell.session import ProgressReporter
 from cell.world.shapes import fixture_mesh
@@ -32,37 +29,6 @@ from planner.geometry.mesh import TriangleMesh
 
 MISSING = "missing"
 """Name that accepts missing files."""
-
-_HELP_GROUP = "The cell as it is now"
-
-
-def _one_by_one(names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(name.strip() for text in names for name in text.split(","))
-
-
-class CurrentFiles(Table):
-    """Files that describe the cell now, and the accepted differences."""
-
-    scene: Annotated[
-        Path | None,
-        Field(strict=False),
-        Option(
-            "Scene file of the current cell. Default: the planned one.",
-            _HELP_GROUP,
-            metavar="FILE",
-        ),
-    ] = None
-    part: Annotated[
-        str | None,
-        Option("Mesh file of the current part. Default: the planned one.", _HELP_GROUP, metavar="FILE"),
-    ] = None
-    accept_changed_scene: Annotated[
-        tuple[str, ...],
-        BeforeValidator(_one_by_one),
-        Field(strict=False),
-        Option("Accepted differences from the plan, by the names in the error message.", _HELP_GROUP),
-    ] = ()
-
 
 _SCENE_TOLERANCE = 1e-6  # m, and entries of a rotation
 _TABLES = {

@@ -128,7 +128,7 @@ class RunFolder:
         try:
             yield
         except KeyboardInterrupt:
-            self.fail("interrupted", signals.INTERRUPTED, f"stopped by {signals.told()}")
+            self.fail("interrupted", signals.INTERRUPTED, f"stopped by {signals.last_signal()}")
             raise
         except (CellError, PlannerError) as error:
             self.fail("failed", getattr(error, "exit_code", CellError.exit_code), str(error))

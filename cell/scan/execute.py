@@ -101,7 +101,7 @@ def run(
     except BaseException as error:
         with suppress(FileError):  # a full disk must not hide why it ended
             if isinstance(error, KeyboardInterrupt):
-                say("interrupted", reason=f"stopped by {signals.told()}")
+                say("interrupted", reason=f"stopped by {signals.last_signal()}")
             else:
                 say("failed", reason=str(error))
         raise

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, JsonValue, ValidationError, field_validator, model_validator
 
 from cell.acquisition import SIMULATED
-from cell.runs.current_scene import CurrentFiles
+from cell.runs.current_files import CurrentFiles
 from cell.runs.digest import SHORT_DIGEST
 from cell.scene.fields import NotNegative, Positive, Units
 from cell.scene.options import Option

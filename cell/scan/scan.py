@@ -100,7 +100,7 @@ def execute_and(
     if options.acquire == SIMULATED:
         resources.require_room(cell, legs, run.folder)
     with ExitStack() as connected:
-        connected.enter_context(signals.driving())
+        connected.enter_context(signals.stop_on_signal())
         with drivers_errors_as_ours():  # what the controller refuses leaves no execution behind
             connected.enter_context(driver)
             speed = _allowed_speed(driver, options, cell, released, session.confirm)
@@ -175,7 +175,7 @@ def _resumed(
     if settled.acquire == SIMULATED:
         resources.require_room(cell, legs, run.folder)
     with ExitStack() as connected:
-        connected.enter_context(signals.driving())
+        connected.enter_context(signals.stop_on_signal())
         with drivers_errors_as_ours():
             connected.enter_context(driver)
             planned = of_plan(proven) if begun.view is None else of_legs(proven, legs, _VIEW.format(begun.view))

@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from cell.errors import SceneError
-from cell.part import painted
+from cell.part import mesh_files
 from cell.part.cad import CadModel
 from cell.part.formats import units_of
 from cell.part.workpiece import UNITS, Workpiece
@@ -139,8 +139,8 @@ def _by_colour(region: Region, colour: str, mesh: TriangleMesh, scene: Scene) ->
         )
     units = (scene.part.units if region.painted is None else region.painted_units) or units_of(source)
     assert units is not None, "the scene asks for it"
-    canvas, colours = painted.read(Path(source), UNITS[units])
-    return painted.close(colours, colour)[closest_facing_faces(mesh.centres, mesh.normals, canvas)]
+    canvas, colours = mesh_files.read_coloured(Path(source), UNITS[units])
+    return mesh_files.is_colour(colours, colour)[closest_facing_faces(mesh.centres, mesh.normals, canvas)]
 
 
 def _nothing(region: Region, part: Workpiece, free: Bools) -> str:

@@ -16,7 +16,7 @@ import trimesh
 
 from cell.acquisition.files import Files
 from cell.acquisition.sources import Acquired, Context, View
-from cell.commands.terminal import Terminal
+from cell.cli.terminal import Terminal
 from cell.errors import FileError, UsageError
 from cell.metrology import point_files
 from cell.runs import ply

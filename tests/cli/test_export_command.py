@@ -138,10 +138,10 @@ def test_invalid_options_give_one_sentence_and_code_2(
 ) -> None:
     """The command writes no file."""
     from cell.cli import app
-    from cell.commands.failures import guarded
+    from cell.cli.failures import report_errors
 
     words = ["export", str(planned), "--out", str(tmp_path / "out"), *options]
-    assert guarded(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json=False) == 2
+    assert report_errors(lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json=False) == 2
     printed = capsys.readouterr()
     assert sentence in printed.err
     assert (printed.out, len(printed.err.strip().splitlines())) == ("", 1)

@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from cell.commands.terminal import Terminal
+from cell.cli.terminal import Terminal
 from cell.errors import FileError, UsageError
 from cell.replay import overlays
 from cell.replay.options import ReplayOptions
@@ -330,7 +330,7 @@ import json, sys, time
 from pathlib import Path
 import numpy as np
 from PIL import ImageGrab
-from cell.commands.terminal import Terminal
+from cell.cli.terminal import Terminal
 from cell.replay.options import ReplayOptions
 from cell.replay.replay import replay
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cell.commands.terminal import Terminal
+from cell.cli.terminal import Terminal
 from cell.errors import FileError, UsageError
 from cell.replay.options import ReplayOptions
 from cell.replay.replay import load_playback, replay

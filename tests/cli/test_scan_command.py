@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.commands.terminal import Terminal
+from cell.cli.terminal import Terminal
 from cell.errors import DriverFailureError, FileError
 from cell.runs import folder as process
 from cell.runs import ply

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.commands.terminal import Terminal
+from cell.cli.terminal import Terminal
 from cell.robot.arm import kinematics_of
 from cell.robot.model import load
 from cell.robot.plant import PlantSettings

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cell.commands.terminal import Terminal
+from cell.cli.terminal import Terminal
 from cell.view import looking
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.commands.terminal import Terminal
+from cell.cli.terminal import Terminal
 from cell.robot.arm import kinematics_of
 from cell.runs.run import Run, open_run
 from cell.scanners.laser_area import LaserArea

@@ -10,7 +10,7 @@ import planner
 
 _CALL = """
 import numpy as np
-from cell.commands.terminal import Terminal
+from cell.cli.terminal import Terminal
 Terminal()
 from planner.geometry.distance import count_crossings
 first, bounds = np.array([0, 1]), np.zeros((2, 3, 3))

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from cell.commands.failures import guarded
+from cell.cli.failures import report_errors
 from cell.errors import UsageError
 from cell.signals import INTERRUPTED
 
@@ -28,4 +28,4 @@ def test_a_closed_terminal_holds_nothing_up(
 
     monkeypatch.setattr(sys, "stdout", _Closed())
     monkeypatch.setattr(sys, "stderr", _Closed())
-    assert guarded(run, as_json=as_json) == code
+    assert report_errors(run, as_json=as_json) == code

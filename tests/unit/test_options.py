@@ -13,8 +13,7 @@ import pytest
 import typer
 from pydantic import BaseModel
 
-from cell.cli import app
-from cell.commands import options
+from cell.cli import app, options
 from cell.emulate.options import EmulateOptions
 from cell.errors import SceneError, UsageError
 from cell.explore.options import ExploreOptions
@@ -103,8 +102,8 @@ def test_every_example_of_the_help_parses(line: str, tmp_path: Path, monkeypatch
     for name in ("part.stl", "my_cell.toml"):
         (tmp_path / name).touch()
     function, arguments = _parsed(line)
-    if {"wishes", "scene"} <= set(inspect.signature(function).parameters):
-        assert scene_from_options(arguments["scene"], arguments["wishes"], arguments.get("part"), flag)
+    if {"given", "scene"} <= set(inspect.signature(function).parameters):
+        assert scene_from_options(arguments["scene"], arguments["given"], arguments.get("part"), flag)
 
 
 def test_values_of_python_are_texts_of_the_command_line() -> None:

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from cell.errors import CellError, FileError, UsageError
-from cell.part.cad import CadFace, SurfaceKind
-from cell.part.described import volume
+from cell.part.cad import DEVIATION_MM, CadFace, SurfaceKind, cad_face
+from cell.part.description import volume
 from cell.part.mesh_checks import Kind
-from cell.part.step import DEVIATION_MM, cad_face
 from cell.part.workpiece import Workpiece, load
 from cell.scene.file import load_scene
 from tests.step_files import BLOCK_VOLUME, StepFile, bored_block

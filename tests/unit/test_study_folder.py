@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from cell.commands.terminal import Terminal
+from cell.cli.terminal import Terminal
 from cell.errors import FileError
 from cell.scene.file import option_tables
 from cell.study import study as studies

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from cell.commands.terminal import Terminal
+from cell.cli.terminal import Terminal
 
 _COLUMNS = (
     "place",
@@ -21,7 +21,7 @@ def test_every_word_is_there(width: int, capsys: pytest.CaptureFixture[str], mon
     monkeypatch.setenv("COLUMNS", str(width))
     terminal = Terminal()
     terminal._results = Console(width=width, highlight=False)
-    terminal.grid(_COLUMNS, _ROWS)
+    terminal.print_table(_COLUMNS, _ROWS)
     printed = capsys.readouterr().out
     assert "…" not in printed
     assert max(map(len, printed.splitlines())) <= width
@@ -47,7 +47,7 @@ def test_borders_are_whole_at_any_width(
 
     columns = [words(3) for _ in range(n_columns)]
     rows = [[words(6) for _ in columns] for _ in range(3)]
-    Terminal().grid(columns, rows)
+    Terminal().print_table(columns, rows)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= width
     assert {line[-1] for line in lines} == set("┓┃┩│┘")

@@ -14,7 +14,7 @@ def volume(part: Workpiece) -> float:
     return float(np.einsum("fj,fj->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
 
 
-def described(part: Workpiece) -> list[tuple[str, str]]:
+def rows(part: Workpiece) -> list[tuple[str, str]]:
     """Names and values of the part as a whole."""
     low, high = 1000 * part.bounds
     rows = [
@@ -30,7 +30,7 @@ def described(part: Workpiece) -> list[tuple[str, str]]:
     return rows + [(finding.severity.value, finding.sentence) for finding in part.findings]
 
 
-def heading_and_rows(part: Workpiece, cad: CadModel) -> tuple[list[str], list[list[str]]]:
+def face_table(part: Workpiece, cad: CadModel) -> tuple[list[str], list[list[str]]]:
     """The table of the faces."""
     areas, centres = cad.areas(part.reference), cad.centres(part.reference)
     rows = [

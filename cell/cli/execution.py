@@ -1,0 +1,342 @@
+"""Commands on the real or simulated cell: `cell scan`, `explore`, `locate`, `calibrate hand-eye` and `emulate`."""
+
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from cell.cli.options import (
+    AsJson,
+    Given,
+    Part,
+    RunFolder,
+    SceneFile,
+    SceneOptions,
+    command,
+    print_json,
+)
+from cell.emulate.options import EmulateOptions
+from cell.errors import UsageError
+from cell.explore.options import OF_SCAN, ExploreOptions
+from cell.metrology.options import HandEyeOptions, LocateOptions
+from cell.scan.options import OF_EACH_TIME, STEEL, ScanOptions
+from cell.scene.file import scene_from_options
+from cell.scene.options import flag, option_specs, parse_options
+
+if TYPE_CHECKING:
+    from cell.cli.terminal import Terminal
+    from cell.session import Confirm, Session
+
+_NOT_DETERMINED = 2  # exit code
+_MOVED_PLAN = "The plan there"  # panel of options
+
+calibrate_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode="rich", help="Measure the cell itself for the scene file."
+)
+
+
+@command(
+    "cell scan sim_runs/trial",
+    "cell scan sim_runs/trial --pose-error 0.5,0.1 --range-noise 0.02 --seed 4",
+    "cell scan sim_runs/trial --view 3 --resolution 0.5 --realtime",
+    "cell scan sim_runs/trial --report 0001",
+    "cell scan sim_runs/trial --driver modbus://192.168.0.10:502 --speed 10",
+    "cell scan sim_runs/trial --resume latest --reset",
+    "cell scan sim_runs/both --setup 1 --setup-error 5mm,2deg --range-noise 0.03",
+    note="A report of an execution without all views ends with code 6.",
+)
+def scan(
+    *,
+    run: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan, or the folder of cell setups.")],
+    options: ScanOptions,
+    setup: Annotated[
+        int | None,
+        typer.Option(min=1, help="Set-up of a folder of cell setups. Default: all unscanned ones."),
+    ] = None,
+    resume: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID",
+            help="Resume this execution (or latest) at the first unconfirmed view; if the arm is elsewhere, on a new "
+            "approach path.",
+            rich_help_panel=STEEL,
+        ),
+    ] = None,
+    report: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID",
+            help="Scan nothing: write the report of this execution (or latest) again from its files.",
+            rich_help_panel="Output",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Execute a plan on a controller, scan at every view, merge the scans, reconstruct the surface and evaluate it."""
+    from cell import api
+    from cell.cli.terminal import Terminal
+    from cell.scan import execution_page, post_processing
+    from cell.scan import scan as scan_command
+    from cell.scan.post_processing import ScanOutcome
+
+    _require_compatible(options.model_fields_set, resume, report)
+    terminal = Terminal(quiet_stdout=as_json)
+    if (run / "setups.json").is_file():
+        _scan_setups(run, options, setup, resume, report, terminal)
+    if setup is not None:
+        raise UsageError(f"--setup needs a folder of cell setups, and {run} is none; leave it out")
+    if report is not None:
+        outcome = post_processing.report(_session(terminal), run, report)
+    elif resume is not None:
+        outcome = scan_command.resume(_session(terminal), run, resume, options)
+    else:
+        executed = api.scan(run, options, progress=terminal, argv=sys.argv[1:], ask=_confirm(terminal))
+        outcome = ScanOutcome(executed.folder, executed.exit_code, executed.report)
+    number = outcome.folder.name
+    missing = [("cell", "scan", run, "--resume", number)] if outcome.summary.missing_views else []
+    terminal.print_result(
+        outcome.summary.as_json(), f"Scan of {outcome.summary.part.name}",
+        [*execution_page.table(outcome.summary), ("execution", str(outcome.folder))],
+        *missing, ("cell", "replay", run, "--execution", number),
+    )  # fmt: skip
+    raise typer.Exit(outcome.exit_code)
+
+
+def _scan_setups(
+    folder: Path,
+    options: ScanOptions,
+    setup: int | None,
+    resume: str | None,
+    report: str | None,
+    terminal: "Terminal",
+) -> NoReturn:
+    """Scan the set-ups of a folder, or write the report of their combined scans."""
+    from cell import api
+    from cell.scan.of_setups import report as report_of
+    from cell.scan.whole_page import rows
+    from cell.setups.planned_setups import PlannedSetups
+
+    for option, given in (("--resume", resume), ("--report", report)):
+        if given not in (None, "latest"):
+            raise UsageError(f"{option} of several set-ups takes the latest execution of each: {option} latest")
+    if report is not None:
+        outcome = report_of(_session(terminal), PlannedSetups.opened(folder))
+    else:
+        outcome = api.scan_setups(
+            folder, options, setup=setup, resume=resume is not None, progress=terminal, argv=sys.argv[1:],
+            ask=_confirm(terminal),
+        )  # fmt: skip
+    made = outcome.report
+    following = [("cell", "scan", folder, "--setup", made.missing[0])] if made.missing else []
+    terminal.print_result(
+        made.as_json(), f"Scan of {made.part}", [*rows(made), ("folder", str(outcome.folder))], *following
+    )
+    raise typer.Exit(outcome.exit_code)
+
+
+def _session(terminal: "Terminal") -> "Session[None]":
+    from cell.session import Origin, Session
+
+    return Session(None, terminal, confirm=_confirm(terminal), origin=Origin(tuple(sys.argv[1:])))
+
+
+def _confirm(terminal: "Terminal") -> "Confirm | None":
+    """Return the function that puts questions to the person at the terminal; None if there is nobody."""
+    return terminal.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
+
+
+def _require_compatible(given: set[str], resume: str | None, report: str | None) -> None:
+    """Refuse options of a new scan together with --resume or --report."""
+    if report is not None and resume is not None:
+        raise UsageError("--report uses the existing scans, --resume scans the missing views; give one of them")
+    if resume is not None and given - OF_EACH_TIME:
+        raise UsageError(
+            "--resume keeps the options of the execution; with it give only --driver, --realtime, --speed, "
+            "--confirm-motion, --reset, --accept-time-scale, --scene, --part and --accept-changed-scene"
+        )
+    if report is not None and given:
+        raise UsageError("--report uses the existing scans; leave out the options of a new scan")
+
+
+@command(
+    "cell explore mug --place 1200,500,0",
+    "cell explore part.stl --units mm --place 1200,500,0 --policy two-stage --out sim_runs/first",
+    "cell explore --cylinder 200,120 --place 1100,300,60 --acquire command:./take --points-frame scanner "
+    "--points-units mm --driver modbus://192.168.0.10:502",
+    note="The same command with the same --out resumes a stopped exploration.",
+)
+def explore(
+    *,
+    part: Part = None,
+    scene: SceneFile = None,
+    options: ExploreOptions,
+    scanning: Annotated[Given, option_specs(ScanOptions, *OF_SCAN)],
+    given: SceneOptions,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder to make, or to resume. Default: sim_runs/explore-<UTC>.", rich_help_panel="Output"),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure a part without a model: a first ring of views, then the uncovered surface, batch by batch.
+
+    PART stands in the cell and is hidden from the planning. --max-views is the budget of views.
+    """
+    from cell import api
+    from cell.cli.terminal import Terminal
+
+    terminal = Terminal(quiet_stdout=as_json)
+    checked = scene_from_options(scene, given, part, flag)
+    scans = parse_options(ScanOptions, scanning, flag)
+    done = api.explore(
+        checked, options, scanning=scans, out=out, progress=terminal, argv=sys.argv[1:], ask=_confirm(terminal)
+    )
+    following = []
+    if done.place is not None:
+        place = ",".join(f"{value:g}" for value in done.place)
+        following = [("cell", "plan", done.folder / done.file.model, "--units", "mm", "--place", place)]
+    rows = [*done.file.rows(), ("folder", str(done.folder))]
+    terminal.print_result(done.file.as_json(), f"Exploration of {done.file.part}", rows, *following)
+
+
+@command(
+    "cell locate sim_runs/trial --execution latest",
+    "cell locate sim_runs/trial --points scans --points-frame scanner --points-units mm --view 1,4",
+    "cell locate sim_runs/trial --pairs touched.csv --points-frame base --points-units mm --out sim_runs/there",
+    "cell locate sim_runs/trial --three-two-one touched.csv --points-frame base --points-units mm --point-sd 0.05",
+    note="The plan is not changed; --out makes another one, whose views have moved with the part. If the points do not "
+    "determine the placement, the exit code is 2.",
+)
+def locate(
+    *,
+    run: RunFolder,
+    options: LocateOptions,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Run folder to make: the plan with its views at the found placement.", rich_help_panel=_MOVED_PLAN
+        ),
+    ] = None,
+    repair: Annotated[
+        bool,
+        typer.Option(
+            "--repair",
+            help="Drop views that the arm cannot reach there, and add the fewest others that restore the coverage.",
+            rich_help_panel=_MOVED_PLAN,
+        ),
+    ] = False,
+    keep_planned: Annotated[
+        bool,
+        typer.Option(
+            "--keep-planned",
+            help="Use the planned placement along directions that the points do not determine.",
+            rich_help_panel=_MOVED_PLAN,
+        ),
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Find the true placement of the part from points measured on it, and move the plan there."""
+    from cell import api
+    from cell.cli.terminal import Terminal
+    from cell.plan.report import table
+
+    if out is None and (repair or keep_planned):
+        raise UsageError("--repair and --keep-planned belong to the plan that --out makes; give --out")
+    terminal = Terminal(quiet_stdout=as_json)
+    found = api.locate(run, options, progress=terminal)
+    if not as_json:
+        terminal.print_pairs(f"Placement of the part of {run}", found.rows())
+    if out is None:
+        if as_json:
+            print_json(found.as_json())
+        else:
+            again = [word for word in sys.argv[1:] if word != "--json"]
+            terminal.suggest(("cell", *again, "--out", "sim_runs/there"))
+        return
+    if not keep_planned:
+        found.require_determined()
+    made = api.open_run(run).edited(
+        repair=repair, T_base_object=found.T_base_object, out=out, progress=terminal, argv=sys.argv[1:]
+    )
+    rows = [*table(made.report), ("run folder", str(made.folder))]
+    terminal.print_result(
+        {**found.as_json(), "made": made.as_json()}, "The plan there", rows,
+        ("cell", "scan", made.folder), ("cell", "diff", run, made.folder),
+    )  # fmt: skip
+    raise typer.Exit(made.exit_code)
+
+
+@calibrate_app.callback()
+def _group() -> None:
+    """Keep hand-eye a subcommand although the group has no other."""
+
+
+@command(
+    "cell calibrate hand-eye raw/0001.ply raw/0002.ply raw/0003.ply raw/0004.ply --points-units m --diameter 38.1",
+    "cell calibrate hand-eye 1.ply 2.ply 3.ply 4.ply --target plane --points-units mm --poses flange.csv",
+    note="The target is fixed. Rotate the flange about at least two axes, and see the target in the corners of the "
+    "field of view, from near and far (docs/acquisition.md). If they do not determine the mount, the exit code is 2.",
+    name="hand-eye",
+    group=calibrate_app,
+)
+def hand_eye(
+    *,
+    files: Annotated[
+        list[Path], typer.Argument(metavar="SCAN...", help="Scans of the target, scanner frame (PLY, XYZ, TXT or PCD).")
+    ],
+    options: HandEyeOptions,
+    as_json: AsJson = False,
+) -> None:
+    """Find the mount (flange to scanner) from scans of a sphere or a plane from several poses."""
+    from cell import api
+    from cell.cli.terminal import Terminal
+
+    terminal = Terminal(quiet_stdout=as_json)
+    found = api.hand_eye(files, options, progress=terminal)
+    terminal.print_result(found.as_json(), f"Mount from {len(files)} scans of a {found.target}", found.rows())
+    if found.undetermined:
+        terminal.note(
+            "these poses do not determine the mount; scan the target from poses that are rotated about other axes, "
+            "with the target elsewhere in the field of view"
+        )
+        raise typer.Exit(_NOT_DETERMINED)
+    if not as_json:
+        terminal.print(found.lines)
+
+
+@command(
+    "cell emulate serial --link /tmp/kr16 --state arm.json",
+    "cell emulate modbus --port 5020 --time-scale 10",
+    "cell emulate modbus --run sim_runs/trial --plant mujoco",
+    "cell emulate modbus-rtu --faults drop=0.01,delay=0.02:0.3,estop@12.5 --seed 4 --log moves.jsonl",
+    note="The first line on stdout is the driver URL: cell scan sim_runs/trial --driver URL. Ctrl-C ends it.",
+)
+def emulate(
+    *,
+    protocol: Annotated[str, typer.Argument(metavar="serial|modbus|modbus-rtu", help="Protocol of the controller.")],
+    options: EmulateOptions,
+) -> None:
+    """Put a simulated controller behind a pseudo-terminal or a loopback socket, to be used like hardware."""
+    from cell.emulate import emulator
+
+    if protocol not in emulator.PROTOCOLS:
+        raise UsageError(f"cell emulate {protocol}: unknown protocol; valid are: {', '.join(emulator.PROTOCOLS)}")
+    if options.link is not None and protocol == "modbus":
+        raise UsageError("--link is for pseudo-terminals; cell emulate modbus has --port")
+    if options.port and protocol != "modbus":
+        raise UsageError(f"--port is for cell emulate modbus; cell emulate {protocol} has --link")
+    arm = emulator.load_arm(options.run, options.plant)
+    emulator.emulate(protocol, options, arm, lambda url: _announce(url, options.run, options.time_scale))
+
+
+def _announce(url: str, run: Path | None, time_scale: float) -> None:
+    sys.stdout.write(f"{url}\n")
+    sys.stdout.flush()
+    scaled = "" if time_scale == 1.0 else f" --accept-time-scale {time_scale:g}"
+    plan = "RUN" if run is None else shlex.quote(str(run))
+    sys.stderr.write(
+        "cell: an emulated arm, not a real one, answers there until Ctrl-C\n"
+        f"next, in another terminal:\n  cell scan {plan} --driver {shlex.quote(url)}{scaled}\n"
+    )

@@ -1,0 +1,313 @@
+"""Commands on plans: `cell plan`, `setups`, `edit`, `why` and `diff`."""
+
+import shlex
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cell.cli.options import (
+    AsJson,
+    Given,
+    NewRunFolder,
+    NoCache,
+    Part,
+    RunFolder,
+    SceneFile,
+    SceneOptions,
+    command,
+    print_json,
+)
+from cell.edit.options import Edit
+from cell.scene.file import scene_from_options
+from cell.scene.model import PART, Scene
+from cell.scene.options import flag, option_specs
+from cell.setups.options import SetupOptions
+
+if TYPE_CHECKING:
+    from cell.cli.terminal import Terminal
+    from cell.report.diff import Difference
+
+_SceneOptionsOfSetups = Annotated[
+    Given, {name: spec for name, spec in option_specs(Scene).items() if name not in option_specs(SetupOptions)}
+]
+
+
+@command(
+    "cell plan --place 1200,500,0",
+    "cell plan part.stl --units mm --place 1200,500,0,90,0,0 --standoff 300 --faces 930 --coverage 0.95",
+    "cell plan --scene my_cell.toml --seed 7 --json --out sim_runs/trial",
+    "cell plan --open-of sim_runs/trial --place 1200,500,0,0,0,180",
+    "cell plan --max-views 8 --curve",
+    "cell plan --overlap 20% --coverage 0.98",
+    "cell plan --pose-sd 0.5mm,0.1deg --alpha 0.05 --coverage 0.98",
+)
+def plan(
+    *,
+    part: Part = None,
+    scene: SceneFile = None,
+    given: SceneOptions,
+    open_of: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="RUN",
+            help="Another set-up: plan only the surface that the views of this finished plan leave uncovered, with the "
+            "part at --place. Can be given several times.",
+            rich_help_panel=PART,
+        ),
+    ] = None,
+    out: NewRunFolder = None,
+    as_json: AsJson = False,
+    no_cache: NoCache = False,
+) -> None:
+    """Plan the views that measure a part: selection, reachability, order and motion."""
+    from cell import api
+    from cell.cli.terminal import Terminal
+    from cell.plan.report import table
+    from cell.runs.digest import SHORT_DIGEST
+
+    terminal = Terminal(quiet_stdout=as_json)
+    if open_of:
+        from cell.setups.beside import scene_beside
+
+        checked = scene_beside(api.open_run(open_of[0]), scene, given, part, flag)
+    else:
+        checked = scene_from_options(scene, given, part, flag)
+    run = api.plan(
+        checked, scene=scene, out=out, open_of=open_of or (), use_cache=not no_cache, progress=terminal,
+        argv=sys.argv[1:],
+    )  # fmt: skip
+    rows = [*table(run.report), ("digest", run.digest[:SHORT_DIGEST]), ("run folder", str(run.folder))]
+    following = [("cell", name, run.folder) for name in ("view", "scan", "why", "export")]
+    terminal.print_result(run.as_json(), f"View plan of {run.report.part.name}", rows, *following)
+    raise typer.Exit(run.exit_code)
+
+
+@command(
+    "cell setups part.stl --units mm --place 1200,500,0",
+    "cell setups mug --most 2 --offer 8 --coverage 0.95 --json",
+    "cell setups mug --cost time --setup-seconds 300",
+    "cell setups mug --table --offer 6",
+    "cell setups mug --offer 4 --pin 0:168 --ban 0:1506",
+    note="Each set-up is a run folder of its own in FOLDER/setups; cell scan FOLDER scans one after the other.",
+)
+def setups(
+    *,
+    part: Part = None,
+    scene: SceneFile = None,
+    given: _SceneOptionsOfSetups,
+    options: SetupOptions,
+    out: NewRunFolder = None,
+    as_json: AsJson = False,
+    no_cache: NoCache = False,
+) -> None:
+    """Plan several set-ups of a part as one cover: fewest set-ups, then fewest views, each with a bound."""
+    from cell import api
+    from cell.cli.terminal import Terminal
+    from cell.setups.report import rows
+
+    terminal = Terminal(quiet_stdout=as_json)
+    checked = scene_from_options(scene, given, part, flag)
+    made = api.plan_setups(
+        checked, options, scene=scene, out=out, use_cache=not no_cache, progress=terminal, argv=sys.argv[1:]
+    )
+    terminal.print_result(
+        made.as_json(), f"Set-ups of {made.file.part}", [*rows(made.file), ("folder", str(made.folder))],
+        ("cell", "scan", made.folder, "--setup", 1), ("cell", "view", made.folder),
+    )  # fmt: skip
+    raise typer.Exit(made.exit_code)
+
+
+@command(
+    "cell edit sim_runs/trial --drop 4 --repair",
+    "cell edit sim_runs/trial --turn 7:90 --keep-order --out sim_runs/turned",
+    "cell edit sim_runs/trial --move 7:812,430,655,90,0,180",
+    "cell edit sim_runs/trial --add-candidate 533 --add-pose 812,430,655,90,0,180",
+    note="Views are named by their numbers in visiting order (the column stop of report.md). The edited plan is not "
+    "changed.",
+)
+def edit(*, run: RunFolder, options: Edit, out: NewRunFolder = None, as_json: AsJson = False) -> None:
+    """Change a plan by hand: drop, move, turn, add or reorder views. The result is a new, checked run."""
+    from cell import api
+    from cell.cli.terminal import Terminal
+    from cell.plan.report import table
+    from cell.report.diff import compare_runs
+
+    terminal = Terminal(quiet_stdout=as_json)
+    planned = api.open_run(run)
+    made = planned.edited(options, out=out, progress=terminal, argv=sys.argv[1:])
+    difference = compare_runs(run, made.folder, terminal)
+    rows = [*table(made.report), (f"against {run}", summarise(difference)), ("run folder", str(made.folder))]
+    surface = difference.surface
+    is_repairable = planned.is_single_setup and not options.repair
+    repair = is_repairable and surface is not None and surface.lost_mm2 > surface.gained_mm2
+    terminal.print_result(
+        made.as_json() | {"against": difference.as_json()}, f"Edited view plan of {made.report.part.name}", rows,
+        ("cell", "scan", made.folder), *([("cell", "edit", made.folder, "--repair")] if repair else []),
+        ("cell", "diff", run, made.folder),
+    )  # fmt: skip
+    raise typer.Exit(made.exit_code)
+
+
+def summarise(difference: "Difference") -> str:
+    """Return gain and cost of the second plan in one line."""
+    if difference.is_empty:
+        return "nothing differs"
+    values = {number.name: (number.a, number.b) for number in difference.numbers}
+    facts = []
+    if difference.surface is not None:
+        gained, lost = difference.surface.gained_mm2, difference.surface.lost_mm2
+        facts.append(f"gains {gained:,.0f} mm2 and loses {lost:,.0f} mm2 of the surface")
+    for name, text in (
+        ("views", "{:.0f} views instead of {:.0f}"),
+        ("visible %", "visible {:.2f} % instead of {:.2f} %"),
+        ("motion s", "motion {:.2f} s instead of {:.2f} s"),
+        ("smallest clearance mm", "nearest {:.1f} mm instead of {:.1f} mm"),
+    ):
+        a, b = values.get(name, (None, None))
+        if a is not None and b is not None:
+            facts.append(text.format(b, a))
+    return "; ".join(facts)
+
+
+@command(
+    "cell why sim_runs/trial",
+    "cell why sim_runs/trial --samples 20000 --json",
+    "cell why sim_runs/trial --advise",
+    note="Writes why.json, why.ply, why.png and view.html to why/ in the run folder; the plan is not changed.",
+)
+def why(
+    *,
+    run: RunFolder,
+    samples: Annotated[
+        int | None, typer.Option(metavar="N", help="Number of surface samples. Default: 100,000, as in coverage.")
+    ] = None,
+    advise: Annotated[
+        bool, typer.Option("--advise", help="Instead of causes: gain of a second set-up or of another placement.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Explain the uncovered surface by cause and area, with the smallest single change that would measure it."""
+    from cell.cli.terminal import Terminal
+    from cell.runs.run import open_run
+    from cell.why.explain import TABLE_COLUMNS, explain, table_rows
+
+    terminal = Terminal(quiet_stdout=as_json)
+    if advise:
+        _advise(run, terminal, as_json=as_json)
+        return
+    outcome = explain(run, terminal, samples=samples)
+    summary = outcome.summary
+    if as_json:
+        print_json(summary.as_json())
+        return
+    if summary.groups:
+        title = f"Uncovered surface of {summary.part}: {100 * summary.open:.2f} %"
+        terminal.print_table(TABLE_COLUMNS, table_rows(summary), title)
+    else:
+        terminal.print("the whole surface is covered")
+    terminal.print(f"files: {outcome.folder}")
+    settings = [change.setting for group in summary.groups for change in group.changes]
+    better = [tuple(shlex.split(setting)) for setting in settings if setting.startswith("--")][:1]
+    planned = [word for word in _without(open_run(run).manifest.argv, "--out") if word != "--json"]
+    again = [("cell", *_without(planned, setting[0]), *setting) for setting in better if planned[:1] == ["plan"]]
+    terminal.suggest(*again, ("cell", "scan", run))
+
+
+def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
+    from cell.runs.run import open_finished
+    from cell.why.advise import advise
+
+    visible, found = advise(open_finished(run), terminal)
+    if as_json:
+        print_json({"visible": visible, "advice": [advice.as_json() for advice in found]})
+        return
+    rows = [
+        (str(number), advice.what, f"{100 * advice.share:.2f} % (+- {100 * advice.standard_error:.2f})")
+        for number, advice in enumerate(found, 1)
+    ]
+    title = f"This plan measures {100 * visible:.2f} % of the surface"
+    terminal.print_table(("", "change", "coverage by any pose"), rows, title)
+    for number, advice in enumerate(found, 1):
+        terminal.print(f"{number}: {advice.command}")
+
+
+def _without(argv: Sequence[str], option: str) -> list[str]:
+    """Remove an option and its value from the words of a command."""
+    words = [word for word in argv if not word.startswith(f"{option}=")]
+    while option in words:
+        at = words.index(option)
+        del words[at : at + 2]
+    return words
+
+
+@command(
+    "cell diff sim_runs/trial sim_runs/other",
+    "cell diff sim_runs/trial sim_runs/other --out diff.html",
+    "cell diff sim_runs/trial/executions/0001 sim_runs/trial/executions/0002 --json",
+    note="A view is kept if the other run has one at the same pose relative to the part, and moved if the other run "
+    "has one that measures mostly the same surface from another pose.",
+)
+def diff(
+    *,
+    a: Annotated[Path, typer.Argument(help="Run folder of a finished cell plan, or of an execution.")],
+    b: Annotated[Path, typer.Argument(help="The other one, of the same kind.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Page to write: the part coloured by gained and lost surface."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare two plans or two executions: settings, views, gained and lost surface, time and clearance."""
+    from cell.cli.terminal import Terminal
+    from cell.report.diff import compare_runs
+
+    terminal = Terminal(quiet_stdout=as_json)
+    difference = compare_runs(a, b, terminal, out)
+    if as_json:
+        print_json(difference.as_json())
+    elif difference.is_empty:
+        terminal.print("nothing differs")
+    else:
+        _print_difference(terminal, difference)
+        if out is not None:
+            terminal.print(f"page: {out}")
+        page = [("cell", "diff", a, b, "--out", "diff.html")] if out is None and difference.surface is not None else []
+        replay = "cell", "replay", b.parent.parent, "--execution", b.name
+        terminal.suggest(*page, ("cell", "scan", b) if difference.kind == "plan" else replay)
+
+
+def _print_difference(terminal: "Terminal", difference: "Difference") -> None:
+    from cell.report.diff import format_value
+
+    for heading, values in (
+        ("setting", [(each.key, each.a, each.b) for each in difference.settings]),
+        ("figure", [(each.name, each.a, each.b) for each in difference.numbers]),
+    ):
+        if values:
+            rows = [(name, format_value(a), format_value(b)) for name, a, b in values]
+            terminal.print_table((heading, "A", "B"), rows)
+    views = difference.views
+    moved = [
+        (f"{each.a} moved, now {each.b}", f"{each.distance_mm:.1f} mm, {each.angle_deg:.1f} deg, shared area "
+         f"{100 * each.shared:.0f} % of the union")
+        for each in views.moved
+    ]  # fmt: skip
+    kept = _list(f"{a}" if a == b else f"{a} as {b}" for a, b in views.kept)
+    single = [("only in A", _list(map(str, views.lost))), ("only in B", _list(map(str, views.new)))]
+    terminal.print_pairs("Views, by their numbers in visiting order", [("kept", kept), *moved, *single])
+    surface = difference.surface
+    if surface is None:
+        terminal.print("the two parts are different meshes: gained and lost surface cannot be computed")
+    else:
+        percent = 100 / surface.area_mm2
+        terminal.print(
+            f"B measures {surface.gained_mm2:.0f} mm2 ({percent * surface.gained_mm2:.2f} %) that A does not, and "
+            f"misses {surface.lost_mm2:.0f} mm2 ({percent * surface.lost_mm2:.2f} %) that A measures."
+        )
+
+
+def _list(numbers: Iterable[str]) -> str:
+    return ", ".join(numbers) or "none"

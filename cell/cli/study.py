@@ -1,0 +1,234 @@
+"""Commands with many trials: `cell place`, and one command for each study."""
+
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cell.cli.options import (
+    EXIT_CODES,
+    AsJson,
+    Given,
+    Part,
+    PartOptions,
+    SceneFile,
+    add_moved,
+    command,
+    print_json,
+)
+from cell.errors import UsageError
+from cell.scene.file import load_scene, option_names, option_tables, scene_from_options
+from cell.scene.model import Scene
+from cell.scene.options import flag, option_specs
+from cell.study.options import PlaceRange, ScannerNumber, StudyRun
+
+if TYPE_CHECKING:
+    from cell.cli.terminal import Terminal
+    from cell.study.curves import SceneWith
+    from cell.study.study import Study, StudyResult
+
+app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    help="Vary one number in many trials: curves, maps, and the best value.",
+    epilog="Examples:\n\n"
+    "cell study standoff mug --values 50:500:50\n\n"
+    "cell study placement mug --processes 4 --out map\n\n"
+    "cell study scanner --sensors all --cluster tcp://scheduler:8786\n\n"
+    "The result of each trial is kept: a stopped study resumes, and a repeated one takes a second.\n\n" + EXIT_CODES,
+)
+
+_MAX_ROWS = 24  # of a map: a screen; the folder has all
+_NO_RESULT = 2  # exit code: every trial failed
+
+
+def run_study(
+    make: "Callable[[], Study]", run: StudyRun, as_json: bool, plan: Sequence[object] = ("cell", "plan")
+) -> None:
+    """Run a study and print its result; `plan` is the command that plans its scene."""
+    from cell.cli.terminal import Terminal
+    from cell.study.study import conduct
+    from cell.study.workers import open_workers
+
+    terminal = Terminal(quiet_stdout=as_json)
+    with open_workers(run.count, run.cluster) as workers:
+        result = conduct(make(), workers, out=run.out, reporter=terminal, plan=plan)
+    _print_study(terminal, result, as_json)
+    if not result.rows:
+        raise typer.Exit(_NO_RESULT)
+
+
+def _print_study(terminal: "Terminal", result: "StudyResult", as_json: bool) -> None:
+    from cell.view.study_page import shown
+
+    if as_json:
+        print_json(result.summary())
+        return
+    if result.rows:
+        rows = [[shown(row.get(column)) for column in result.shown] for row in result.rows]
+        terminal.print_table(result.shown, rows, at_most=_MAX_ROWS)
+        if len(rows) > _MAX_ROWS:
+            terminal.print(f"all of them: {result.folder / 'rows.csv'}")
+    for sentence in result.sentences:
+        terminal.print(sentence.replace("**", "").replace("`", ""))  # they are Markdown
+    computed = f"{result.computed} trials computed now" if result.rows else "every trial failed"
+    failed = f", {len(result.failed)} failed (see report.md)" if result.failed else ""
+    terminal.print(f"{computed}{failed}; study folder {result.folder}")
+    best = "" if result.best is None else result.commands[result.best]
+    terminal.suggest(("cell", "view", result.folder), *([shlex.split(best)] if best and "#" not in best else []))
+
+
+def _plan_words(part: str | None, scene: Path | None, given: Given) -> list[object]:
+    """Return the command that plans the scene of these options."""
+    options = [f"{flag(name)}={text}" for name, text in given.items()]
+    return ["cell", "plan", *([part] if part else []), *(["--scene", scene] if scene else []), *options]
+
+
+def scene_maker(part: str | None, scene: Path | None, given: Given) -> "SceneWith":
+    """Return a function that makes the scene of these options with further keys changed.
+
+    Raises:
+        UsageError: as `cell plan` for its options.
+    """
+    own = option_tables(given, part, flag)
+
+    def scene_with(changes: Mapping[str, Mapping[str, object]]) -> Scene:
+        tables = {table: {**own.get(table, {}), **changes.get(table, {})} for table in {**own, **changes}}
+        return load_scene(scene, tables, option_names(own, flag))
+
+    return scene_with
+
+
+_Robot = Annotated[
+    bool, typer.Option("--robot", help="Use only views that the robot reaches at the scene's placement.")
+]
+
+
+@command("cell study placement mug --x 1000:1600:50 --y 300:900:50", group=app)
+def placement(
+    *,
+    part: Part = None,
+    x: Annotated[str, typer.Option(metavar="MM:MM:MM", help="First, last and step of x.")] = "1000:1600:50",
+    y: Annotated[str, typer.Option(metavar="MM:MM:MM", help="First, last and step of y.")] = "300:900:50",
+    z: Annotated[str, typer.Option(metavar="MM[:MM:MM]", help="Heights of the part's centre.")] = "0",
+    yaw: Annotated[str, typer.Option(metavar="DEG[:DEG:DEG]", help="Rotations about the vertical (A).")] = "0",
+    scene: SceneFile = None,
+    given: PartOptions,
+    run: StudyRun,
+    as_json: AsJson = False,
+) -> None:
+    """Map placements of the part: reach, coverage, views and cycle time over its position."""
+    from cell.study.placement_map import placement_study
+    from cell.study.ranges import values
+
+    grids = [values(name, text) for name, text in (("--x", x), ("--y", y), ("--z", z), ("--yaw", yaw))]
+    base = scene_maker(part, scene, given)({})
+    run_study(lambda: placement_study(base, *grids), run, as_json, _plan_words(part, scene, given))
+
+
+@command("cell study standoff mug --values 50:500:50", group=app)
+def standoff(
+    *,
+    part: Part = None,
+    values: Annotated[str, typer.Option(metavar="MM:MM:MM", help="First, last and step.")] = "50:500:50",
+    robot: _Robot = False,
+    scene: SceneFile = None,
+    given: PartOptions,
+    run: StudyRun,
+    as_json: AsJson = False,
+) -> None:
+    """Find the scanning zone: views and coverage over the standoff distance."""
+    from cell.study.curves import knob_study
+    from cell.study.ranges import values as range_of
+
+    standoffs = range_of("--values", values)
+    make = scene_maker(part, scene, given)
+    words = _plan_words(part, scene, given)
+    run_study(lambda: knob_study(make, "standoff", standoffs, robot=robot), run, as_json, words)
+
+
+@command(
+    "cell study scanner mug --fov 10:90:10",
+    "cell study scanner --range 50-150,100-300,200-600",
+    "cell study scanner --sensors gocator-2340,gocator-2350 --baseline 100",
+    group=app,
+)
+def scanner(
+    *,
+    part: Part = None,
+    number: ScannerNumber,
+    robot: _Robot = False,
+    scene: SceneFile = None,
+    given: PartOptions,
+    run: StudyRun,
+    as_json: AsJson = False,
+) -> None:
+    """Find the scanner: views and coverage over one of its numbers, or over real sensors. Give one of the options."""
+    from cell.study.curves import Setting, knob_study
+    from cell.study.ranges import pairs
+    from cell.study.ranges import values as range_of
+
+    varied = number.model_dump(exclude_none=True)
+    if varied.keys() == {"sensors", "baseline"}:  # no sensor of the library states its baseline
+        given = {**given, "baseline": varied.pop("baseline")}
+    if len(varied) != 1:
+        raise UsageError(
+            "give one of --fov, --resolution, --baseline, --grazing, --range and --sensors, for instance --fov 10:90:10"
+        )
+    ((name, text),) = varied.items()
+    make = scene_maker(part, scene, given)
+    values: Sequence[Setting]
+    if name == "ranges":
+        name, values = "range", pairs("--range", text)
+    elif name == "sensors":
+        from cell.scene import sensors as library
+
+        complete = [name for name in library.names() if not library.load(name).not_stated.keys() - {"baseline_mm"}]
+        values = complete if text == "all" else text.split(",")
+    else:
+        values = range_of(flag(name), text)
+    run_study(lambda: knob_study(make, name, values, robot=robot), run, as_json, _plan_words(part, scene, given))
+
+
+for _name in ("speed", "stability"):
+    add_moved(app, _name, f"cell study {_name}", f"python -m benchmarks {_name}")
+for _name in ("table1", "table2", "table3", "table4", "table5", "all"):
+    add_moved(app, _name, f"cell study {_name}", f"python -m benchmarks paper {_name}")
+
+
+@command(
+    "cell place mug",
+    "cell place part.stl --units mm --x 900:1500 --y=-600:600 --z 0 --yaw 0",
+    note="Give the answer to cell plan --place.",
+)
+def place(
+    *,
+    part: Part = None,
+    where: PlaceRange,
+    scene: SceneFile = None,
+    given: Annotated[Given, option_specs(Scene, "units", "seed", "table")],
+    run: StudyRun,
+    as_json: AsJson = False,
+) -> None:
+    """Search the best placement of the part: most coverage, then fewest views, then the shortest cycle."""
+    from cell.cli.terminal import Terminal
+    from cell.study.place_search import pictures, search, sentences
+    from cell.study.placement_map import place_option
+    from cell.study.study import StudyResult, study_folder, write_folder
+    from cell.study.workers import open_workers
+
+    checked = scene_from_options(scene, given, part, flag)
+    folder = study_folder("place", run.out)
+    terminal = Terminal(quiet_stdout=as_json)
+    with open_workers(run.count, run.cluster) as workers, terminal.rounds() as progress:
+        found = search(checked, where, workers, progress=progress)
+    plan = shlex.join(map(str, _plan_words(part, scene, given)))
+    commands = [f"{plan} {place_option(row)}" for row in found.ten]
+    result = StudyResult(
+        folder, found.ten, sentences(found), [], sum(found.places.values()), list(found.ten[0]), commands, 0
+    )
+    seconds = [{"round": name, "places": count} for name, count in found.places.items()]
+    write_folder("place", "Where the part should stand", result, pictures(found), seconds)
+    _print_study(terminal, result, as_json)
