@@ -162,7 +162,7 @@ def no_pictures() -> Iterator[None]:
     """Plans are made without pictures and page, executions without theirs."""
     with (
         mock.patch("cell.plan.picture_process.beside", side_effect=lambda: nullcontext(_Blank())),
-        mock.patch("cell.scan.post_processing.part_and_views", lambda path, *_: path.write_bytes(b"")),
+        mock.patch("cell.scan.results.part_and_views", lambda path, *_: path.write_bytes(b"")),
         mock.patch("cell.view.contents.execution_page", return_value=""),
     ):
         yield

@@ -32,9 +32,9 @@ from cell.robot.arm import kinematics_of
 from cell.robot.model import load
 from cell.robot.plant import MujocoPlant, PlantSettings
 from cell.runs.run import Run, open_run
-from cell.scan import driver as scan_driver
+from cell.scan import execution as scan_driver
 from cell.scan import plants
-from cell.scan.legs import legs_of
+from cell.scan.execution import plan_execution
 from cell.scan.options import ScanOptions
 from planner.kinematics.closed_form import KukaKinematics
 from planner.values import Floats
@@ -70,10 +70,10 @@ def default_plan(run_record: Run, speed: float) -> dict[str, Any]:
             made.append(plant)
             return plant
 
-        driver, clock = scan_driver.prepare(ScanOptions(driver=URL), motion, 1.0, {"mujoco": make})
+        driver, clock = scan_driver.make_driver(ScanOptions(driver=URL), motion, 1.0, {"mujoco": make})
         with driver:
             began, spent = clock.now(), process_time()
-            for leg in legs_of(motion).legs:
+            for leg in plan_execution(motion).segments:
                 state = driver.move(leg.set_points, speed)
                 if attempt == 0:
                     stands.append((state.q, leg.via[-1]))

@@ -26,9 +26,9 @@ from benchmarks.parts import parts, place
 from cell.errors import CellError
 from cell.part.workpiece import load
 from cell.runs.run import open_run
-from cell.scan import driver as scan_driver
+from cell.scan import execution as scan_driver
+from cell.scan.execution import plan_execution
 from cell.scan.execution_folder import EXECUTING
-from cell.scan.legs import legs_of
 from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
@@ -89,10 +89,10 @@ def _farthest(execution: Path) -> float:
 
 def _controller(plan: Path) -> dict[str, Any]:
     motion = open_run(plan).motion
-    legs = legs_of(motion).legs
+    legs = plan_execution(motion).segments
     best, simulated = np.inf, 0.0
     for _ in range(5):
-        driver, clock = scan_driver.prepare(ScanOptions(), motion, 1.0)
+        driver, clock = scan_driver.make_driver(ScanOptions(), motion, 1.0)
         with driver:
             began, start = clock.now(), perf_counter()
             for leg in legs:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cell.part.workpiece import load
-from cell.scan.pose_error import Disturbance
+from cell.scan.simulated import Disturbance
 from cell.scanners.laser_area import LaserArea
 from cell.scene.file import load_scene
 from cell.scene.settle import settle
@@ -93,7 +93,7 @@ def _row(name: str) -> dict[str, Any]:
         local, turned = (points - T[:3, 3]) @ T[:3, :3], normals[scan.face[some]] @ T[:3, :3]
         rays = local / np.linalg.norm(local, axis=1, keepdims=True)
         off = Disturbance(by_model=True)
-        drawn = np.stack([off.as_reported(points, T, T, scanner.source, rng, sigma) - points for _ in range(SCANS)])
+        drawn = np.stack([off.reported_points(points, T, T, scanner.source, rng, sigma) - points for _ in range(SCANS)])
         noise = np.einsum("rpi,pi->rp", drawn @ T[:3, :3], rays)
         incidence = np.degrees(np.arccos(np.clip(-(turned * rays).sum(axis=1), -1, 1)))
         found.append((sigma, noise.std(axis=0), _light(scanner, local, turned, rng), incidence))

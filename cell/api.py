@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from cell.metrology.locate import LocateResult
     from cell.metrology.options import HandEyeOptions, LocateOptions
     from cell.runs.run import Execution, Run
-    from cell.scan.of_setups import SetupsOutcome
     from cell.scan.options import ScanOptions
+    from cell.scan.setups import SetupsOutcome
     from cell.scene.model import Scene
     from cell.session import Confirm, ProgressReporter, Session
     from cell.setups.options import SetupOptions
@@ -204,8 +204,8 @@ def scan_setups(
     Raises:
         CellError: in one sentence; what was scanned is kept.
     """
-    from cell.scan.of_setups import scan_setups as scanned
     from cell.scan.options import ScanOptions
+    from cell.scan.setups import scan_setups as scanned
     from cell.scene.options import parse_options
 
     if confirm is not None:

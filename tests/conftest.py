@@ -203,14 +203,14 @@ def _only_where_looked_at(draw: Callable[..., object], instead: object) -> Calla
 
 
 _PICTURES = (
-    "matplotlib.figure.Figure.savefig", "cell.plan.pictures.cover_curve", "cell.report.deviation_picture.draw",
-    "cell.scan.post_processing.part_and_views", "cell.view.pictures.reasons",
+    "matplotlib.figure.Figure.savefig", "cell.plan.pictures.cover_curve", "cell.report.scan_report.draw_deviation",
+    "cell.scan.results.part_and_views", "cell.view.pictures.reasons",
 )  # fmt: skip
 _PAGES = (
     "cell.view.contents.execution_page", "cell.view.contents.why_page", "cell.view.explore_page.explore_page",
     "cell.report.diff.difference_page",
 )  # fmt: skip
-_CANVASES = ("cell.scan.post_processing.canvas_of", "cell.why.explain.canvas_of")
+_CANVASES = ("cell.scan.results.canvas_of", "cell.why.explain.canvas_of")
 
 
 @contextlib.contextmanager

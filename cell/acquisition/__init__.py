@@ -1,4 +1,1 @@
-"""Where the points of an execution come from: simulated, files, a command, or a plug-in's source (`sources`)."""
-
-SIMULATED = "simulated"
-"""The source of the virtual scanner."""
+"""Entry points of earlier installations; the sources of points are in `cell.scan.acquisition`."""

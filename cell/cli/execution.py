@@ -21,7 +21,7 @@ from cell.emulate.options import EmulateOptions
 from cell.errors import UsageError
 from cell.explore.options import OF_SCAN, ExploreOptions
 from cell.metrology.options import HandEyeOptions, LocateOptions
-from cell.scan.options import OF_EACH_TIME, STEEL, ScanOptions
+from cell.scan.options import REAL_ROBOT, RESUME_OPTIONS, ScanOptions
 from cell.scene.file import scene_from_options
 from cell.scene.options import flag, option_specs, parse_options
 
@@ -61,7 +61,7 @@ def scan(
             metavar="ID",
             help="Resume this execution (or latest) at the first unconfirmed view; if the arm is elsewhere, on a new "
             "approach path.",
-            rich_help_panel=STEEL,
+            rich_help_panel=REAL_ROBOT,
         ),
     ] = None,
     report: Annotated[
@@ -77,9 +77,10 @@ def scan(
     """Execute a plan on a controller, scan at every view, merge the scans, reconstruct the surface and evaluate it."""
     from cell import api
     from cell.cli.terminal import Terminal
-    from cell.scan import execution_page, post_processing
+    from cell.report import scan_report
+    from cell.scan import results
     from cell.scan import scan as scan_command
-    from cell.scan.post_processing import ScanOutcome
+    from cell.scan.results import ScanOutcome
 
     _require_compatible(options.model_fields_set, resume, report)
     terminal = Terminal(quiet_stdout=as_json)
@@ -88,17 +89,17 @@ def scan(
     if setup is not None:
         raise UsageError(f"--setup needs a folder of cell setups, and {run} is none; leave it out")
     if report is not None:
-        outcome = post_processing.report(_session(terminal), run, report)
+        outcome = results.make_report(_session(terminal), run, report)
     elif resume is not None:
         outcome = scan_command.resume(_session(terminal), run, resume, options)
     else:
         executed = api.scan(run, options, progress=terminal, argv=sys.argv[1:], ask=_confirm(terminal))
         outcome = ScanOutcome(executed.folder, executed.exit_code, executed.report)
     number = outcome.folder.name
-    missing = [("cell", "scan", run, "--resume", number)] if outcome.summary.missing_views else []
+    missing = [("cell", "scan", run, "--resume", number)] if outcome.report.missing_views else []
     terminal.print_result(
-        outcome.summary.as_json(), f"Scan of {outcome.summary.part.name}",
-        [*execution_page.table(outcome.summary), ("execution", str(outcome.folder))],
+        outcome.report.as_json(), f"Scan of {outcome.report.part.name}",
+        [*scan_report.table(outcome.report), ("execution", str(outcome.folder))],
         *missing, ("cell", "replay", run, "--execution", number),
     )  # fmt: skip
     raise typer.Exit(outcome.exit_code)
@@ -114,8 +115,8 @@ def _scan_setups(
 ) -> NoReturn:
     """Scan the set-ups of a folder, or write the report of their combined scans."""
     from cell import api
-    from cell.scan.of_setups import report as report_of
-    from cell.scan.whole_page import rows
+    from cell.report.scan_report import combined_rows
+    from cell.scan.setups import combine_setups as report_of
     from cell.setups.planned_setups import PlannedSetups
 
     for option, given in (("--resume", resume), ("--report", report)):
@@ -131,7 +132,7 @@ def _scan_setups(
     made = outcome.report
     following = [("cell", "scan", folder, "--setup", made.missing[0])] if made.missing else []
     terminal.print_result(
-        made.as_json(), f"Scan of {made.part}", [*rows(made), ("folder", str(outcome.folder))], *following
+        made.as_json(), f"Scan of {made.part}", [*combined_rows(made), ("folder", str(outcome.folder))], *following
     )
     raise typer.Exit(outcome.exit_code)
 
@@ -151,7 +152,7 @@ def _require_compatible(given: set[str], resume: str | None, report: str | None)
     """Refuse options of a new scan together with --resume or --report."""
     if report is not None and resume is not None:
         raise UsageError("--report uses the existing scans, --resume scans the missing views; give one of them")
-    if resume is not None and given - OF_EACH_TIME:
+    if resume is not None and given - RESUME_OPTIONS:
         raise UsageError(
             "--resume keeps the options of the execution; with it give only --driver, --realtime, --speed, "
             "--confirm-motion, --reset, --accept-time-scale, --scene, --part and --accept-changed-scene"

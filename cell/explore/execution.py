@@ -7,12 +7,11 @@ from cell.errors import FileError
 from cell.runs.cell import RunCell
 from cell.runs.run import EXECUTIONS, ExecutedScan, Run, open_finished, read_execution
 from cell.scan import scan
-from cell.scan.executed_scans import usable
 from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.options import ScanOptions
+from cell.scan.results import usable_scans
 from cell.session import Session
 from planner.geometry.mesh import TriangleMesh
-from planner.timing.motion import Motion
 
 
 def executed(
@@ -34,9 +33,9 @@ def executed(
     _clear_unbegun(run)
     known = run.execution_ids
     if known and read_execution(run, known[-1]).manifest.status != "finished":
-        scan.resume_and(session, _taken, stage, known[-1], options, stands=stands)
+        scan.resume_run(session, _taken, stage, known[-1], options, true_part=stands)
     elif not known:
-        scan.execute_and(session, _taken, stage, options, stands=stands)
+        scan.execute_run(session, _taken, stage, options, true_part=stands)
     return scans_of_stage(run)
 
 
@@ -47,7 +46,7 @@ def scans_of_stage(run: Run) -> tuple[ExecutedScan, ...]:
         FileError: if one is missing or damaged.
     """
     planned = run.plan.views
-    scans, left_out = usable(read_execution(run, "latest"), planned)
+    scans, left_out = usable_scans(read_execution(run, "latest"), planned)
     if left_out or len(scans) < len(planned):
         why = left_out[0] if left_out else f"{len(planned) - len(scans)} of its {len(planned)} scans are missing"
         raise FileError(f"{run.folder}: {why}; explore anew, or put back what was there")
@@ -63,10 +62,10 @@ def _clear_unbegun(run: Run) -> None:
             shutil.rmtree(folder)
 
 
-def _taken(session: Session[ExecutionFolder], run: Run, cell: RunCell, motion: Motion) -> None:
+def _taken(session: Session[ExecutionFolder], run: Run, cell: RunCell) -> None:
     """Finish an execution that only has to have its scans; nothing is reported, as there is no reference."""
     folder, planned = session.folder, run.plan.views
-    scans, _ = usable(read_execution(run, folder.path.name), planned)
+    scans, _ = usable_scans(read_execution(run, folder.path.name), planned)
     for number in range(1, len(planned) + 1):
         if number in {scan.stop for scan in scans}:
             folder.adopt(f"scans/{number:04d}.npz")

@@ -26,9 +26,9 @@ from cell.part.workpiece import Workpiece
 from cell.runs import ply
 from cell.runs.run import ExecutedScan, open_finished
 from cell.runs.schema import BELIEVED, MEASURED, ExploredStage, ExploreFile, OpenReason, SurfaceName
-from cell.scan import lock
+from cell.scan import safety
 from cell.scan.options import ScanOptions
-from cell.scan.safety import EVERY
+from cell.scan.safety import ANY_MOTION
 from cell.scene.model import Scene
 from cell.session import Session
 from planner.explore.gain import N_LATEST_BATCHES, gain_ratio
@@ -65,7 +65,7 @@ def explore(session: Session[None], scene: Scene, options: ExploreOptions, scann
     """
     work = prepared(session, scene, options, scanning)
     file = work.paths.begin(begun(work))
-    with lock.held(work.paths.root):
+    with safety.exclusive(work.paths.root):
         known = work.paths.known(len(file.stages), work.unknown)
         if file.status != "finished":
             # What is missing is told before anything moves.
@@ -207,7 +207,7 @@ def _executed(work: Exploring, folder: Path) -> tuple[ExecutedScan, ...]:
     """The scans of a stage; its motion is released by its own digest, or with all others of the exploration."""
     word = work.options.confirm_motion
     if word == EVERY_BATCH:
-        word = EVERY
+        word = ANY_MOTION
     options = work.scanning.model_copy(update={"confirm_motion": word})
     if options.acquire.startswith(_FILES):  # views are numbered from 1 in each stage
         options = options.model_copy(update={"acquire": f"{options.acquire.rstrip('/')}/{folder.name}"})

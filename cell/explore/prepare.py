@@ -8,7 +8,6 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from cell import scanners
-from cell.acquisition import SIMULATED
 from cell.errors import SceneError, UsageError
 from cell.explore.hidden import Cylinder, Hidden, cylinder_about
 from cell.explore.options import SPACINGS, VOXELS, ExploreOptions
@@ -17,7 +16,7 @@ from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.runs.folder import SCHEMA
 from cell.runs.schema import ExploredCylinder, ExploreFile
-from cell.scan.options import OF_EACH_TIME, ScanOptions
+from cell.scan.options import RESUME_OPTIONS, ScanOptions
 from cell.scene.model import Scene
 from cell.scene.settle import Settings, resolve, settle_scene
 from cell.session import Session
@@ -193,7 +192,7 @@ def prepared(session: Session[None], scene: Scene, options: ExploreOptions, scan
         raise UsageError("--batch is for stepwise; two-stage takes as many views at a time as are worth it")
     scene.require_fixed_part("an exploration")
     part = hidden = None
-    if scanning.acquire == SIMULATED:
+    if scanning.is_simulated:
         with session.stage("load the part"):
             part = workpiece.load(scene.part.source, scene.part.units)
             hidden = Hidden.of(scene, part)
@@ -281,7 +280,7 @@ def _unknown(options: ExploreOptions, scanning: ScanOptions, settings: Settings,
 def begun(work: Exploring) -> ExploreFile:
     """explore.json before the first stage."""
     options = work.options.model_dump(mode="json", exclude={"confirm_motion"})
-    scanning = work.scanning.model_dump(mode="json", exclude={*OF_EACH_TIME, *_OF_WAITING})
+    scanning = work.scanning.model_dump(mode="json", exclude={*RESUME_OPTIONS, *_OF_WAITING})
     said = work.scene.model_dump(mode="json"), scanning, options
     cylinder = work.cylinder
     return ExploreFile(

@@ -64,7 +64,8 @@ EXECUTIONS = "executions"
 _SMALL, _MAX_EXPANSION = 64 << 20, 50
 """Limits on the uncompressed size of an .npz: in bytes, or as a multiple of its size. Runs reach a multiple of ten."""
 
-_SIMULATED = "simulated"  # source of points; scans of earlier versions do not name it
+SIMULATED = "simulated"
+"""Source of points of the virtual scanner; scans of earlier versions do not name it."""
 
 _EXTERNAL: Mapping[str, str] = {
     "via_q": "via_e",
@@ -532,8 +533,8 @@ def read_scan(path: Path) -> ExecutedScan:
     """Read one scan of an execution."""
     stored = npz_arrays(path, file_bytes(path))
     with reading(path):
-        T, source = stored["T_object_scanner"], str(stored.get("source", _SIMULATED))
-        T_true = stored["T_object_scanner_true"] if source == _SIMULATED else None
+        T, source = stored["T_object_scanner"], str(stored.get("source", SIMULATED))
+        T_true = stored["T_object_scanner_true"] if source == SIMULATED else None
         return ExecutedScan(
             stop=int(stored["stop"]),
             view=int(stored["view"]),

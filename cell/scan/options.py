@@ -1,4 +1,4 @@
-"""What `cell scan` can be asked for, checked."""
+"""Options of `cell scan`, checked."""
 
 import math
 import re
@@ -7,7 +7,6 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, JsonValue, ValidationError, field_validator, model_validator
 
-from cell.acquisition import SIMULATED
 from cell.runs.current_files import CurrentFiles
 from cell.runs.digest import SHORT_DIGEST
 from cell.scene.fields import NotNegative, Positive, Units
@@ -15,11 +14,10 @@ from cell.scene.options import Option
 from cell.scene.validation import error_messages
 from planner.errors import PlannerError
 
-_ERRORS, STEEL = "Errors of the execution", "Real controllers"
-_POINTS = "Where points come from"
+_ERRORS, REAL_ROBOT, _POINTS = "Errors of the execution", "Real controllers", "Source of the points"
 _POSE_ERROR = Option(
-    "Error of the executed pose, one sigma along and about each axis: the scanner stands off what the controller "
-    "reports.",
+    "Error of the executed pose, standard deviation along and about each axis: the scanner deviates from the reported "
+    "pose.",
     _ERRORS,
     metavar="MM,DEG",
     form="two numbers, mm and deg",
@@ -27,37 +25,37 @@ _POSE_ERROR = Option(
     counts=(2,),
 )
 _SETUP_ERROR = Option(
-    "How far off its place the part may stand in this set-up: a simulated one does, in a direction drawn by the seed, "
-    "and all scans are matched to the model as one body, searched so far.",
+    "Largest placement error of the part in this set-up: a simulated part is displaced by it in a random direction, "
+    "and all scans are matched to the model as one body within this range.",
     _ERRORS,
     metavar="LENGTHmm,ANGLEdeg",
     form="a length and an angle with their units",
     examples=("5mm,2deg",),
 )
-OF_EACH_TIME = frozenset(
+RESUME_OPTIONS = frozenset(
     {
         *("driver", "realtime", "confirm_motion", "speed_percent", "reset", "accept_time_scale"),
         *("scene", "part", "accept_changed_scene"),
     }
 )
-"""What is said anew where an execution is resumed; all else stays as it was begun."""
+"""Options that apply to one command; a resumed execution keeps its other options."""
 
 
 class ScanOptions(CurrentFiles):
-    """What `cell scan` was asked for; what None means, each option says."""
+    """Options of `cell scan`; each option documents the meaning of None."""
 
-    driver: Annotated[str, Option("Which controller drives.", metavar="URL")] = "sim://"
-    realtime: Annotated[bool, Option("Let the simulated arm take its time. Default: as fast as it goes.")] = False
+    driver: Annotated[str, Option("URL of the controller.", metavar="URL")] = "sim://"
+    realtime: Annotated[bool, Option("Run the simulated arm in real time. Default: as fast as possible.")] = False
     view: Annotated[
         int | None, Option("Scan this view only, counted from 1 in visiting order. Default: all of them.")
     ] = None
     resolution_deg: Annotated[Positive | None, Option("Angle between rays. Default: the plan's.")] = None
-    range_noise_mm: Annotated[NotNegative, Option("Noise along each ray, one sigma.", _ERRORS)] = 0.0
+    range_noise_mm: Annotated[NotNegative, Option("Noise along each ray, standard deviation.", _ERRORS)] = 0.0
     noise: Annotated[
         Literal["none", "model"],
         Option(
-            "Model: noise along each ray by the scanner's own law as well, from range, triangulation angle and "
-            "incidence.",
+            "Model: add noise along each ray by the scanner's own law, from range, triangulation angle and incidence. "
+            "Or none.",
             _ERRORS,
         ),
     ] = "none"
@@ -68,8 +66,8 @@ class ScanOptions(CurrentFiles):
     registration: Annotated[
         bool | None,
         Option(
-            "Correct the reported poses by matching the scans. Default: with a pose error, and where points are not "
-            "simulated.",
+            "Correct the reported poses by registration of the scans. Default: with a pose error, and for points that "
+            "are not simulated.",
             _ERRORS,
             "register",
         ),
@@ -77,16 +75,16 @@ class ScanOptions(CurrentFiles):
     seed: Annotated[int | None, Field(ge=0), Option("Seed of noise and pose error. Default: the plan's.", _ERRORS)] = (
         None
     )
-    close_holes: Annotated[bool, Option("Close the holes of the surface; the faces are marked.")] = False
+    close_holes: Annotated[bool, Option("Close the holes of the surface; the added faces are marked.")] = False
     acquire: Annotated[
         str,
         Option(
-            "Where points come from: simulated; files:DIR, one PLY, XYZ or PCD a view, named by its number; "
+            "Source of the points: simulated; files:DIR, one PLY, XYZ or PCD per view, named by its number; "
             "command:CMD, called with view, pose and the file to write; or another installed source.",
             _POINTS,
             metavar="SOURCE",
         ),
-    ] = SIMULATED
+    ] = "simulated"
     points_frame: Annotated[
         Literal["scanner", "flange", "base"] | None, Option("Frame of points that are not simulated.", _POINTS)
     ] = None
@@ -94,49 +92,47 @@ class ScanOptions(CurrentFiles):
         None
     )
     acquire_wait_s: Annotated[
-        NotNegative, Option("How long the arm stands and waits for a view's file, with --acquire files.", _POINTS)
+        NotNegative, Option("Time that the arm waits for a view's file, with --acquire files.", _POINTS)
     ] = 0.0
     acquire_timeout_s: Annotated[
-        Positive, Option("How long a call may take, with --acquire command; it is called three times.", _POINTS)
+        Positive, Option("Longest duration of a call, with --acquire command; there are three attempts.", _POINTS)
     ] = 60.0
     speed_percent: Annotated[
         float | None,
         Field(gt=0, le=100),
         Option(
-            "Of the speed that the plan was timed with. Default: 100 in simulation; 10 % of the axis speeds on a real "
-            "controller.",
-            STEEL,
+            "Share of the planned speed. Default: 100 in simulation; 10 % of the axis speeds on a real controller.",
+            REAL_ROBOT,
         ),
     ] = None
     confirm_motion: Annotated[
         str | None,
         Option(
-            "Your word that a real arm may move: the digest of what is driven, or its first 8 characters. Else it is "
-            "asked for.",
-            STEEL,
+            "Confirms that a real arm may move: digest of the motion, or its first 8 characters. Default: ask.",
+            REAL_ROBOT,
             metavar="DIGEST",
         ),
     ] = None
-    reset: Annotated[bool, Option("Clear a latched fault of the controller first.", STEEL)] = False
+    reset: Annotated[bool, Option("Clear a latched fault of the controller first.", REAL_ROBOT)] = False
     accept_time_scale: Annotated[
         Positive | None,
         Option(
-            "Drive a controller that says that its clock is so many times as fast as real time: an emulator's.",
-            STEEL,
+            "Accept a controller that reports a clock N times as fast as real time: an emulator.",
+            REAL_ROBOT,
             metavar="N",
         ),
     ] = None
 
     @model_validator(mode="after")
-    def _errors_are_simulated(self) -> Self:
+    def _check_errors(self) -> Self:
         errors = self.range_noise_mm or self.pose_error_mm or self.pose_error_deg or self.noise != "none"
-        if self.acquire != SIMULATED and errors:
-            raise ValueError(f".acquire is {self.acquire!r}; noise and pose errors are those of simulated points")
+        if not self.is_simulated and errors:
+            raise ValueError(f".acquire is {self.acquire!r}; noise and pose errors apply to simulated points only")
         return self
 
     @field_validator("confirm_motion")
     @classmethod
-    def _a_digest(cls, given: str | None) -> str | None:
+    def _check_digest(cls, given: str | None) -> str | None:
         if given is not None and not re.fullmatch(f"[0-9a-f]{{{SHORT_DIGEST},64}}", given.lower()):
             raise ValueError(
                 f"is {given!r}; it must be a digest as cell plan prints it, {SHORT_DIGEST} characters or more"
@@ -144,38 +140,48 @@ class ScanOptions(CurrentFiles):
         return None if given is None else given.lower()
 
     @property
-    def registers(self) -> bool:
-        """Whether poses are corrected by registration."""
-        moved = self.pose_error_mm > 0 or self.pose_error_deg > 0 or self.acquire != SIMULATED
-        return moved if self.registration is None else self.registration
+    def is_simulated(self) -> bool:
+        """Whether the points come from the virtual scanner."""
+        return self.acquire == "simulated"
 
     @property
-    def search(self) -> tuple[float, float] | None:
-        """How far the part is looked for about its place [m, rad]; None where it stands there."""
+    def uses_wire(self) -> bool:
+        """Whether the driver may move a real arm: every driver except the controller simulated in this process."""
+        return not self.driver.lower().startswith("sim:")
+
+    @property
+    def registers(self) -> bool:
+        """Whether poses are corrected by registration."""
+        default = self.pose_error_mm > 0 or self.pose_error_deg > 0 or not self.is_simulated
+        return default if self.registration is None else self.registration
+
+    @property
+    def search_range(self) -> tuple[float, float] | None:
+        """Range in which the part is localised [m, rad]; None if it is at its planned placement."""
         if self.setup_error_mm == 0 == self.setup_error_deg:
             return None
         return self.setup_error_mm / 1000, math.radians(self.setup_error_deg)
 
-    def kept(self) -> dict[str, JsonValue]:
-        """For the manifest: all that a report made later needs, settled."""
-        said = self.model_dump(mode="json", exclude={"registration", "confirm_motion"})
-        now = {name: said.pop(name) for name in CurrentFiles.model_fields}
-        return {**said, **now, "register": self.registers}
+    def as_manifest(self) -> dict[str, JsonValue]:
+        """Return the options as the manifest stores them, with resolved defaults, for a later report."""
+        values = self.model_dump(mode="json", exclude={"registration", "confirm_motion"})
+        files = {name: values.pop(name) for name in CurrentFiles.model_fields}
+        return {**values, **files, "register": self.registers}
 
     @classmethod
-    def begun(cls, kept: Mapping[str, object]) -> "ScanOptions":
-        """The options of a manifest.
+    def from_manifest(cls, stored: Mapping[str, object]) -> "ScanOptions":
+        """Return the options of a manifest.
 
         Raises:
-            PlannerError: in one sentence, if one of them cannot be.
+            PlannerError: if a value is invalid.
         """
-        own = {key: value for key, value in kept.items() if key in cls.model_fields and key != "confirm_motion"}
+        own = {key: value for key, value in stored.items() if key in cls.model_fields and key != "confirm_motion"}
         try:
-            return cls.model_validate({**own, "registration": kept.get("register")})
+            return cls.model_validate({**own, "registration": stored.get("register")})
         except ValidationError as error:
             raise PlannerError("; ".join(error_messages(error, cls))) from error
 
     def resumed(self, now: "ScanOptions") -> "ScanOptions":
-        """These, as an execution goes on with: `OF_EACH_TIME` as they are now, the driver only where it is given."""
-        said = OF_EACH_TIME if "driver" in now.model_fields_set else OF_EACH_TIME - {"driver"}
-        return self.model_copy(update={name: getattr(now, name) for name in said})
+        """Return these options with the `RESUME_OPTIONS` of `now`; the driver only if it is given."""
+        names = RESUME_OPTIONS if "driver" in now.model_fields_set else RESUME_OPTIONS - {"driver"}
+        return self.model_copy(update={name: getattr(now, name) for name in names})

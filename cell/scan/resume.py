@@ -1,8 +1,8 @@
-"""Going on with an execution that was stopped: what is left of it, and the way from where the arm stands now.
+"""Remaining motion of a stopped execution, with an approach path from the current position of the arm.
 
-A view is confirmed by its scan on disk, whole and unchanged; the rest is driven as planned, from the first view that
-is not confirmed. Where the arm does not stand at the end of the leg before it, a new collision-free way to that view
-is planned in the cell that the plan was checked in.
+A view is confirmed by its scan on disk, complete and unchanged. The segments from the first unconfirmed view on are
+driven as planned. If the arm is not at the end of the segment before it, a new collision-free path to that view is
+planned in the cell that the plan was checked in.
 """
 
 from collections.abc import Collection
@@ -11,83 +11,108 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cell.errors import DriverFailureError
-from cell.scan.execute import stands_at
-from cell.scan.legs import Leg, Legs
+from cell.scan.execution import ExecutionPlan, Segment, is_at
+from cell.world import clearance
+from cell.world.collision import MujocoCollisionChecker
 from drivers.contract import RobotState
 from drivers.setpoints import format_axes
 from planner.path import path
 from planner.ports import CollisionChecker, JointLimits
 from planner.values import Floats
 
+_NAMED = 10  # views named in a note
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rest:
-    """What is left to be driven.
+class RemainingMotion:
+    """Remaining segments of an execution.
 
     Attributes:
-        legs: from where the arm stands, home at the end.
-        way: (m, 6) the newly planned way to the first of them [rad]; None where the arm stands where the plan goes on.
-        stops: numbers of the views that are still to be scanned.
+        plan: from the current position of the arm to home.
+        approach_path: (m, axes) newly planned path to the first segment [rad]; None if the arm is already there.
     """
 
-    legs: Legs
-    way: Floats | None
-    stops: tuple[int, ...]
+    plan: ExecutionPlan
+    approach_path: Floats | None
+
+    def notes(self, done: int, checker: MujocoCollisionChecker) -> list[str]:
+        """Return notes about the views and the approach path; `done` views are confirmed."""
+        stops = self.plan.stops
+        listed = ", ".join(str(stop) for stop in stops[:_NAMED]) + (", ..." if len(stops) > _NAMED else "")
+        notes = [f"{done} views are scanned already; {len(stops)} remain" + (f" ({listed})" if listed else "")]
+        if self.approach_path is not None:
+            goal = f"view {stops[0]}" if stops else "home"
+            moves = len(self.approach_path) - 1
+            found = clearance.motion_clearance(checker, self.approach_path, np.zeros(moves + 1, dtype=np.int64), 1)
+            notes.append(
+                f"the arm is not where the plan continues; a new path to {goal} was planned: {moves} moves, nearest "
+                f"{1000 * found.distance[0]:.1f} mm ({found.between[0] or 'nothing near'})"
+            )
+        return notes
 
 
-def rest_of(
-    legs: Legs, done: Collection[int], state: RobotState, checker: CollisionChecker, limits: JointLimits, seed: int
-) -> Rest:
-    """What is left of an execution.
+def plan_resume(
+    plan: ExecutionPlan,
+    done: Collection[int],
+    state: RobotState,
+    checker: CollisionChecker,
+    limits: JointLimits,
+    seed: int,
+) -> RemainingMotion:
+    """Plan the remaining motion of an execution.
 
     Args:
-        legs: all that was to be driven.
-        done: numbers of the views whose scans are confirmed.
-        state: of the controller; the arm stands.
+        plan: the segments of the execution.
+        done: numbers of the confirmed views.
+        state: of the controller; the arm is at rest.
         checker: of the cell that the plan was checked in.
         limits: of the plan.
-        seed: of the search for a way.
+        seed: of the path search.
 
     Raises:
-        DriverFailureError: if no way is found from where the arm stands.
+        DriverFailureError: if no path is found from the current position.
     """
-    # A view that sweeps has several legs; it is begun anew from the first.
+    segments = plan.segments
+    # A sweep has several segments and is repeated from the first.
     first = next(
-        (index for index, leg in enumerate(legs.legs) if leg.stop and leg.stop not in done),
-        next((index for index, leg in enumerate(legs.legs) if not leg.stop), len(legs.legs)),
+        (index for index, segment in enumerate(segments) if segment.stop and segment.stop not in done),
+        next((index for index, segment in enumerate(segments) if not segment.stop), len(segments)),
     )
-    # Views behind it that are confirmed (its own scan was damaged) are driven through and not scanned again.
-    left = tuple(replace(leg, stop=0, view=-1, pose=0) if leg.stop in done else leg for leg in legs.legs[first:])
-    stops = tuple(dict.fromkeys(leg.stop for leg in left if leg.stop))
-    if not left:
-        return Rest(Legs(state.q, (), 0.0), None, ())
-    before = legs.legs[first - 1].via[-1] if first else legs.start
-    way: Floats | None = None
-    if not stands_at(before, state):
-        leg = left[0]
-        if stands_at(leg.via[-1], state):  # it arrived, and the scan was not kept
-            left = (replace(leg, via=leg.via[-1:]), *left[1:])
+    # Later confirmed views (the scan of an earlier one is damaged) are passed without a scan.
+    rest = tuple(
+        replace(segment, stop=0, view=-1, pose=0) if segment.stop in done else segment for segment in segments[first:]
+    )
+    if not rest:
+        return RemainingMotion(ExecutionPlan(state.q, (), 0.0), None)
+    before = segments[first - 1].via[-1] if first else plan.start
+    approach: Floats | None = None
+    if not is_at(before, state):
+        segment = rest[0]
+        if is_at(segment.via[-1], state):  # it arrived, and the scan was lost
+            rest = (replace(segment, via=segment.via[-1:]), *rest[1:])
         else:
-            way = _way(leg, state, checker, limits, seed)
-            left = (replace(leg, via=way[1:]), *left[1:])
-    return Rest(Legs(state.q, left, legs.planned_seconds), way, stops)
+            approach = _approach_path(segment, state, checker, limits, seed)
+            rest = (replace(segment, via=approach[1:]), *rest[1:])
+    return RemainingMotion(ExecutionPlan(state.q, rest, plan.planned_seconds), approach)
 
 
-def _way(leg: Leg, state: RobotState, checker: CollisionChecker, limits: JointLimits, seed: int) -> Floats:
-    """A certified way from where the arm stands to the end of a leg, (m, 6) [rad]."""
+def _approach_path(
+    segment: Segment, state: RobotState, checker: CollisionChecker, limits: JointLimits, seed: int
+) -> Floats:
+    """Plan a certified path (m, axes) from the current position to the end of a segment [rad]."""
     here = np.clip(state.q, limits.lower, limits.upper)  # a count beyond a limit is a rounded limit
-    if not stands_at(here, state):
+    if not is_at(here, state):
         raise DriverFailureError(
-            f"the arm stands at {format_axes(state.axes)}, outside the joint range of the plan, where no way is "
-            "checked; nothing was moved: drive the arm by hand to a free place, or home, and resume again"
+            f"the arm is at {format_axes(state.axes)}, outside the joint range of the plan, where no path is checked; "
+            "nothing was moved: drive the arm by hand to a free place, or home, and resume again"
         )
-    goal = f"view {leg.stop}" if leg.stop else "home"
-    found = path.connect(here, leg.via[-1], checker, limits, np.random.default_rng([seed, leg.stop]))
+    found = path.connect(here, segment.via[-1], checker, limits, np.random.default_rng([seed, segment.stop]))
     if found.via is None:
-        blocker = next(iter((*checker.contacts(here), *checker.contacts(leg.via[-1]))), "")
+        blocker = next(iter((*checker.contacts(here), *checker.contacts(segment.via[-1]))), "")
         near = f" ({blocker})" if blocker else ""
         raise DriverFailureError(
-            f"no way from where the arm stands, {format_axes(state.axes)}, to {goal}: {found.status.sentence}{near}; "
-            "nothing was moved: drive the arm by hand to a free place, or home, and resume again"
+            f"no path from the current position {format_axes(state.axes)} to {segment.goal}: "
+            f"{found.status.sentence}{near}; nothing was moved: drive the arm by hand to a free place, or home, and "
+            "resume again"
         )
     return found.via

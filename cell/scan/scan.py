@@ -1,259 +1,240 @@
-"""`cell scan`, step 10: execute the plan of a run folder, from its beginning or from where it was stopped, and scan.
+"""`cell scan`: execute the plan of a run folder from its start or from where it was stopped, and scan.
 
-What is made of the scans stands in `cell.scan.post_processing`.
+`cell.scan.results` merges, reconstructs, measures and reports the scans.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from cell import signals
-from cell.acquisition import SIMULATED
 from cell.errors import FileError, UsageError
-from cell.runs import current_scene
-from cell.runs import folder as process
+from cell.runs import folder as run_folder
 from cell.runs.cell import RunCell, read_cell
+from cell.runs.current_scene import require_current_scene
 from cell.runs.run import RecordedExecution, Run, read_execution, read_manifest, reading
-from cell.runs.verification import verify_plan
-from cell.scan import driver as scan_driver
-from cell.scan import execute, lock, plants, resources, safety
-from cell.scan.driven import (
-    acquisition_of,
-    cell_with,
-    drive,
-    drivers_errors_as_ours,
-    part_may_be_near,
+from cell.runs.verification import VerifiedPlan, verify_plan
+from cell.scan import safety
+from cell.scan.execution import (
+    ExecutionPlan,
+    driver_errors,
+    execute_plan,
+    make_acquisition,
+    make_driver,
+    plan_execution,
+    require_drivable,
     write_motion,
 )
-from cell.scan.executed_scans import usable
 from cell.scan.execution_folder import ExecutionFolder
-from cell.scan.legs import legs_of
 from cell.scan.options import ScanOptions
-from cell.scan.post_processing import ScanOutcome, exit_code_of, results
-from cell.scan.resume import Rest, rest_of
-from cell.scan.way import Released, of_legs, of_plan
-from cell.scan.whole_turns import as_planned
-from cell.session import Confirm, Session
-from cell.world import clearance
-from cell.world.collision import MujocoCollisionChecker
+from cell.scan.plants import plants_of_run
+from cell.scan.results import ScanOutcome, exit_code_of, report_execution, usable_scans
+from cell.scan.resume import plan_resume
+from cell.scan.safety import ApprovedMotion
+from cell.scan.table_turns import remove_whole_turns
+from cell.session import Session
+from cell.world.embree import EmbreeRayCaster
 from drivers.contract import Driver
 from drivers.setpoints import from_rad, to_deg
 from planner.geometry.mesh import TriangleMesh
-from planner.timing.motion import Motion
 
 Outcome = TypeVar("Outcome")
-Then = Callable[[Session[ExecutionFolder], Run, RunCell, Motion], Outcome]
-"""What is made of an execution whose scans are on disk; it also finishes the execution's folder."""
-
-_VIEW, _ANEW = "the way to view {} and back,", "the new way and the rest of the plan"
+Finalise = Callable[[Session[ExecutionFolder], Run, RunCell], Outcome]
+"""Process the scans of an execution and finish its folder."""
 
 
-def scan(session: Session[None], run_folder: Path, options: ScanOptions) -> ScanOutcome:
+def scan(session: Session[None], folder: Path, options: ScanOptions) -> ScanOutcome:
     """Execute the plan of a run folder and report.
 
-    Args:
-        session: of the command.
-        run_folder: of a finished plan.
-        options: what was asked for.
-
     Raises:
-        CellError: with one sentence and the exit code; the execution's folder keeps the scans, its status and stage.
+        CellError: with an exit code; the execution's folder keeps the scans, its status and stage.
     """
-    return execute_and(session, _reported, run_folder, options)
+    return execute_run(session, _report, folder, options)
 
 
-def execute_and(
+def execute_run(
     session: Session[None],
-    then: Then[Outcome],
-    run_folder: Path,
+    finalise: Finalise[Outcome],
+    folder: Path,
     options: ScanOptions,
     *,
-    stands: TriangleMesh | None = None,
+    true_part: TriangleMesh | None = None,
 ) -> Outcome:
-    """Execute the plan of a run folder; see `scan`.
+    """Execute the plan of a run folder.
 
     Args:
         session: of the command.
-        then: what is made of it.
-        run_folder: of a finished plan.
-        options: what was asked for.
-        stands: the part on which simulated rays fall [m], object frame; None is the plan's.
+        finalise: processes the scans.
+        folder: of a finished plan.
+        options: of the execution.
+        true_part: part of the simulated rays if it differs from the plan's [m], object frame.
     """
-    proven = verify_plan(run_folder)
-    current_scene.require_current_scene(proven, options, session.reporter, wire=scan_driver.on_a_wire(options.driver))
-    run, motion = proven.run, proven.motion
-    legs = legs_of(motion, options.view)
-    released = of_plan(proven) if options.view is None else of_legs(proven, legs, _VIEW.format(options.view))
-    cell = cell_with(stands, read_cell(run, options.resolution_deg))
+    verified = verify_plan(folder)
+    run, motion = verified.run, verified.motion
+    require_current_scene(verified, options, session.reporter, wire=options.uses_wire)
+    plan = plan_execution(motion, options.view)
+    approved = _approved(verified, plan, options.view)
+    cell = _cell(run, options, true_part)
     seed = options.seed if options.seed is not None else run.seed
-    driver, clock = scan_driver.prepare(options, motion, cell, plants.plants_of_run(run), session.note)
-    kept = options.kept() | {"scanner": cell.scanner_keys.as_json()}
-    if doubt := part_may_be_near(options, cell, run.min_clearance[0]):
-        session.note(doubt)
-    acquisition_of(
-        kept, cell, seed, run.folder, session.reporter
-    )  # what cannot be asked of it leaves no execution behind
-    if options.acquire == SIMULATED:
-        resources.require_room(cell, legs, run.folder)
-    with ExitStack() as connected:
-        connected.enter_context(signals.stop_on_signal())
-        with drivers_errors_as_ours():  # what the controller refuses leaves no execution behind
-            connected.enter_context(driver)
-            speed = _allowed_speed(driver, options, cell, released, session.confirm)
-            state = safety.ready(driver, reset=options.reset, stop_first=False, time_scale=options.accept_time_scale)
-            driver, _ = as_planned(driver, state, proven.scene, motion.limits, session.reporter)
-            execute.require_drivable(legs, driver, speed)
-        way = released.digest if released.own else None
-        folder = ExecutionFolder.make(run, list(session.origin.argv), seed, kept, datetime.now(UTC), way)
-        connected.enter_context(lock.held(folder.path))
+    driver, clock = make_driver(options, motion, cell, plants_of_run(run), session.note)
+    stored = options.as_manifest() | {"scanner": cell.scanner_keys.as_json()}
+    if warning := safety.placement_warning(options, cell, run.min_clearance[0]):
+        session.note(warning)
+    make_acquisition(stored, cell, seed, run.folder, session.note)  # fails before there is an execution
+    if options.is_simulated:
+        safety.require_room(cell, plan, run.folder)
+    with ExitStack() as stack:
+        stack.enter_context(signals.stop_on_signal())
+        with driver_errors():  # a refusal of the controller leaves no execution behind
+            stack.enter_context(driver)
+            speed = _confirmed_speed(session, driver, options, cell, approved)
+            state = safety.prepare_controller(driver, options, stop_first=False)
+            driver, _ = remove_whole_turns(driver, state, verified.scene, motion.limits, session.reporter)
+            require_drivable(plan, driver, speed)
+        digest = approved.digest if approved.is_own_path else None
+        made = ExecutionFolder.make(run, list(session.origin.argv), seed, stored, datetime.now(UTC), digest)
+        stack.enter_context(safety.exclusive(made.path))
         if options.view is not None:
-            write_motion(folder, legs.motion(motion))
-        opened = session.opened(folder, seed)
-        drive(connected, opened, legs, driver, clock, cell, options, speed)
-        return then(opened, run, cell, motion)
+            write_motion(made, plan.to_motion(motion))
+        stack.enter_context(made.keep_on_failure())
+        stack.enter_context(driver_errors())
+        opened = session.opened(made, seed)
+        execute_plan(opened, plan, driver, clock, cell, speed)
+        return finalise(opened, run, cell)
 
 
-def resume(session: Session[None], run_folder: Path, execution: str, options: ScanOptions | None) -> ScanOutcome:
-    """Go on with an execution that was stopped, at the first view that is not confirmed.
+def resume(session: Session[None], folder: Path, execution: str, options: ScanOptions | None) -> ScanOutcome:
+    """Resume a stopped execution at its first unconfirmed view.
 
     Args:
         session: of the command.
-        run_folder: of a finished plan.
+        folder: of a finished plan.
         execution: its id, or "latest".
-        options: those of `OF_EACH_TIME` count (a driver only where given); everything else is as the execution was
-            begun with.
+        options: its `RESUME_OPTIONS` count (the driver only if given); the other options are those of the execution.
 
     Raises:
-        CellError: with one sentence and the exit code; the execution keeps what it has.
+        CellError: with an exit code; the execution keeps its scans.
     """
-    return resume_and(session, _reported, run_folder, execution, options)
+    return resume_run(session, _report, folder, execution, options)
 
 
-def resume_and(
+def resume_run(
     session: Session[None],
-    then: Then[Outcome],
-    run_folder: Path,
+    finalise: Finalise[Outcome],
+    folder: Path,
     execution: str,
     options: ScanOptions | None,
     *,
-    stands: TriangleMesh | None = None,
+    true_part: TriangleMesh | None = None,
 ) -> Outcome:
-    """Go on with an execution, while nobody else does; see `resume` and `execute_and`."""
-    with lock.held(lock.folder_of(run_folder, execution)):
-        return _resumed(session, then, run_folder, execution, options, stands)
+    """Resume an execution, locked against other processes; see `resume` and `execute_run`."""
+    with safety.exclusive(safety.execution_path(folder, execution)):
+        return _resume(session, finalise, folder, execution, options or ScanOptions(), true_part)
 
 
-def _resumed(
+def _resume(
     session: Session[None],
-    then: Then[Outcome],
-    run_folder: Path,
+    finalise: Finalise[Outcome],
+    folder: Path,
     execution: str,
-    options: ScanOptions | None,
-    stands: TriangleMesh | None,
+    given: ScanOptions,
+    true_part: TriangleMesh | None,
 ) -> Outcome:
-    proven = verify_plan(run_folder)
-    run, motion = proven.run, proven.motion
+    verified = verify_plan(folder)
+    run, motion = verified.run, verified.motion
     recorded = read_execution(run, execution)
-    scans, left_out = usable(recorded, proven.plan.views)
-    begun = resumable(run, recorded)
-    settled = begun.resumed(options or ScanOptions())
-    current_scene.require_current_scene(proven, settled, session.reporter, wire=scan_driver.on_a_wire(settled.driver))
-    cell = cell_with(stands, read_cell(run, begun.resolution_deg))
+    scans, unusable = usable_scans(recorded, verified.plan.views)
+    options = resumable_options(run, recorded).resumed(given)
+    require_current_scene(verified, options, session.reporter, wire=options.uses_wire)
+    cell = _cell(run, options, true_part)
     seed = recorded.manifest.require_seed(recorded.folder)
-    legs, done = legs_of(motion, begun.view), {scan.stop for scan in scans}
-    if recorded.manifest.status == "finished" and done >= {leg.stop for leg in legs.legs if leg.stop}:
-        raise UsageError(f"execution {recorded.folder.name} is finished and whole; there is nothing to resume")
-    for sentence in left_out:
+    plan, done = plan_execution(motion, options.view), {scan.stop for scan in scans}
+    if recorded.manifest.status == "finished" and done >= set(plan.stops):
+        raise UsageError(f"execution {recorded.folder.name} is finished and complete; there is nothing to resume")
+    for sentence in unusable:
         session.note(sentence)
-    if doubt := part_may_be_near(settled, cell, run.min_clearance[0]):
-        session.note(doubt)
-    driver, clock = scan_driver.prepare(settled, motion, cell, plants.plants_of_run(run), session.note)
-    if settled.acquire == SIMULATED:
-        resources.require_room(cell, legs, run.folder)
-    with ExitStack() as connected:
-        connected.enter_context(signals.stop_on_signal())
-        with drivers_errors_as_ours():
-            connected.enter_context(driver)
-            planned = of_plan(proven) if begun.view is None else of_legs(proven, legs, _VIEW.format(begun.view))
-            if (
-                session.confirm is None and settled.confirm_motion is None
-            ):  # nobody will agree later: leave the arm alone
-                _allowed_speed(driver, settled, cell, planned, session.confirm)
-            state = safety.ready(driver, reset=settled.reset, stop_first=True, time_scale=settled.accept_time_scale)
-            driver, state = as_planned(driver, state, proven.scene, motion.limits, session.reporter)
-            rest = rest_of(legs, done, state, proven.checker, motion.limits, seed)
-            released = planned if rest.way is None else of_legs(proven, rest.legs, _ANEW)
-            for sentence in _told(rest, len(done), proven.checker):
+    if warning := safety.placement_warning(options, cell, run.min_clearance[0]):
+        session.note(warning)
+    driver, clock = make_driver(options, motion, cell, plants_of_run(run), session.note)
+    if options.is_simulated:
+        safety.require_room(cell, plan, run.folder)
+    with ExitStack() as stack:
+        stack.enter_context(signals.stop_on_signal())
+        with driver_errors():
+            stack.enter_context(driver)
+            approved = _approved(verified, plan, options.view)
+            if session.confirm is None and options.confirm_motion is None:  # nobody can confirm: do not touch the arm
+                _confirmed_speed(session, driver, options, cell, approved)
+            state = safety.prepare_controller(driver, options, stop_first=True)
+            driver, state = remove_whole_turns(driver, state, verified.scene, motion.limits, session.reporter)
+            remaining = plan_resume(plan, done, state, verified.checker, motion.limits, seed)
+            approach: dict[str, object] = {}
+            if remaining.approach_path is not None:
+                approved = safety.approve_path(verified, remaining.plan, "the new path and the rest of the plan")
+                degrees = to_deg(from_rad(remaining.approach_path)).tolist()
+                approach = {"way": approved.digest, "way_deg": tuple(map(tuple, degrees))}
+            for sentence in remaining.notes(len(done), verified.checker):
                 session.note(sentence)
-            # whoever agrees has read which way the arm goes
-            speed = _allowed_speed(driver, settled, cell, released, session.confirm)
-            execute.require_drivable(rest.legs, driver, speed)
-        folder = ExecutionFolder.reopen(recorded.folder, recorded.manifest)
-        folder.resume(list(session.origin.argv), settled.driver, **_kept(rest, released))
-        opened = session.opened(folder, seed)
-        drive(connected, opened, rest.legs, driver, clock, cell, settled, speed)
-        return then(opened, run, cell, motion)
+            # The confirmation comes after these notes, so that the person has read the path.
+            speed = _confirmed_speed(session, driver, options, cell, approved)
+            require_drivable(remaining.plan, driver, speed)
+        reopened = ExecutionFolder.reopen(recorded.folder, recorded.manifest)
+        reopened.resume(list(session.origin.argv), options.driver, **approach)
+        stack.enter_context(reopened.keep_on_failure())
+        stack.enter_context(driver_errors())
+        opened = session.opened(reopened, seed)
+        execute_plan(opened, remaining.plan, driver, clock, cell, speed)
+        return finalise(opened, run, cell)
 
 
-def resumable(run: Run, recorded: RecordedExecution) -> ScanOptions:
-    """The options that an execution was begun with, if it can be gone on with.
+def resumable_options(run: Run, recorded: RecordedExecution) -> ScanOptions:
+    """Return the options of an execution that can be resumed.
 
     Raises:
-        FileError: if it runs, or its manifest is damaged, or it is of another plan.
+        FileError: if it is running, its manifest is damaged, or it belongs to another plan.
     """
     name, manifest = recorded.folder.name, read_manifest(recorded.folder / "manifest.json")
-    if process.is_running(manifest):
+    if run_folder.is_running(manifest):
         raise FileError(f"execution {name} is still running (process {manifest.pid}); stop it with Ctrl-C first")
     if manifest.digest != run.digest:
-        raise FileError(f"execution {name} is not of the plan that is in {run.folder} now; scan anew")
+        raise FileError(f"execution {name} does not belong to the current plan of {run.folder}; scan again")
     with reading(recorded.folder / "manifest.json"):
-        return ScanOptions.begun(manifest.options)
+        return ScanOptions.from_manifest(manifest.options)
 
 
-_NAMED = 10  # views named in a sentence
+def _cell(run: Run, options: ScanOptions, true_part: TriangleMesh | None) -> RunCell:
+    """Return the cell of a run, with another part if its true shape is given."""
+    cell = read_cell(run, options.resolution_deg)
+    if true_part is None:
+        return cell
+    return replace(cell, reference=true_part, part_caster=EmbreeRayCaster(true_part.vertices, true_part.faces))
 
 
-def _kept(rest: Rest, released: Released) -> dict[str, object]:
-    """What an execution keeps of a way that was planned to go on."""
-    if rest.way is None:
-        return {}
-    return {"way": released.digest, "way_deg": tuple(tuple(row) for row in to_deg(from_rad(rest.way)).tolist())}
+def _approved(verified: VerifiedPlan, plan: ExecutionPlan, view: int | None) -> ApprovedMotion:
+    """Return the plan's motion, or the verified path to one view and back."""
+    if view is None:
+        return ApprovedMotion("the plan", verified.digest)
+    return safety.approve_path(verified, plan, f"the path to view {view} and back,")
 
 
-def _told(rest: Rest, done: int, checker: MujocoCollisionChecker) -> Iterator[str]:
-    """What a resumed execution is going to do."""
-    left = ", ".join(str(stop) for stop in rest.stops[:_NAMED]) + (", ..." if len(rest.stops) > _NAMED else "")
-    yield f"{done} views are scanned already; {len(rest.stops)} are left" + (f" ({left})" if left else "")
-    if rest.way is not None:
-        goal = f"view {rest.stops[0]}" if rest.stops else "home"
-        moves = len(rest.way) - 1
-        found = clearance.motion_clearance(checker, rest.way, np.zeros(moves + 1, dtype=np.int64), 1)
-        yield (
-            f"the arm does not stand where the plan goes on; a new way to {goal} was planned: {moves} moves, nearest "
-            f"{1000 * found.distance[0]:.1f} mm ({found.between[0] or 'nothing near'})"
-        )
-
-
-def _allowed_speed(
-    driver: Driver, options: ScanOptions, cell: RunCell, released: Released, ask: Confirm | None
+def _confirmed_speed(
+    session: Session[None], driver: Driver, options: ScanOptions, cell: RunCell, motion: ApprovedMotion
 ) -> float:
-    """The speed to drive at, once a person has agreed to it where steel moves."""
-    speed = safety.speed_fraction(
-        options.speed_percent, cell.scene.speed_scaling, hardware=driver.capabilities.hardware
-    )
-    safety.require_confirmed(driver, speed, released, given=options.confirm_motion, ask=ask)
+    """Return the speed fraction after the confirmation of a real arm's motion."""
+    hardware, planned = driver.capabilities.hardware, cell.scene.speed_scaling
+    speed = safety.speed_fraction(options.speed_percent, planned, hardware=hardware)
+    safety.require_confirmation(driver, speed, motion, given=options.confirm_motion, confirm=session.confirm)
     return speed
 
 
-def _reported(session: Session[ExecutionFolder], run: Run, cell: RunCell, motion: Motion) -> ScanOutcome:
-    """Report what the execution has."""
+def _report(session: Session[ExecutionFolder], run: Run, cell: RunCell) -> ScanOutcome:
+    """Report an execution and finish its folder."""
     folder = session.folder
-    summary = results(session, run, cell, motion, read_execution(run, folder.path.name))
-    if summary.missing_views:  # what was to come did not: the same as an execution that was stopped
-        return ScanOutcome(folder.finish(FileError.exit_code, "incomplete"), FileError.exit_code, summary)
-    code = exit_code_of(summary, cell)
-    return ScanOutcome(folder.finish(code), code, summary)
+    report = report_execution(session, run, cell, read_execution(run, folder.path.name))
+    if report.missing_views:  # the same as a stopped execution
+        return ScanOutcome(folder.finish(FileError.exit_code, "incomplete"), FileError.exit_code, report)
+    code = exit_code_of(report, cell)
+    return ScanOutcome(folder.finish(code), code, report)

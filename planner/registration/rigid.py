@@ -5,7 +5,10 @@ after multiplication by a length, the root mean square distance of the body's po
 then about the distance by which it moves these points.
 """
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.values import Floats
@@ -14,7 +17,7 @@ _UNWIND = 5  # a free screw and the remaining motion do not commute: each pass l
 _SMALL = 1e-3  # rad: below, series whose next term is 1e-12 of the first
 
 
-def transform_points(T: Floats, points: Floats) -> Floats:
+def transform_points(T: NDArray[np.floating[Any]], points: Floats) -> Floats:
     """Apply a motion (4, 4) to points (N, 3)."""
     return np.asarray(points @ T[:3, :3].T + T[:3, 3], dtype=np.float64)
 

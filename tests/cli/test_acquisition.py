@@ -14,16 +14,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.acquisition.files import Files
-from cell.acquisition.sources import Acquired, Context, View
 from cell.cli.terminal import Terminal
 from cell.errors import FileError, UsageError
 from cell.metrology import point_files
 from cell.runs import ply
 from cell.runs.run import open_run, read_scan
 from cell.scan import scan as scan_command
+from cell.scan.acquisition import Acquired, Context, Files, View
 from cell.scan.options import ScanOptions
-from cell.scan.post_processing import ScanOutcome
+from cell.scan.results import ScanOutcome
 from cell.session import Session
 from planner.geometry.closest import ClosestPointQuery
 
@@ -179,11 +178,11 @@ def test_noise_outliers_and_a_missing_view(run: Path, tmp_path: Path) -> None:
     named = {"acquire": f"files:{tmp_path / 'files'}", "points_frame": "scanner", "points_units": "mm"}
     outcome = scan(run, **named)
     assert outcome.exit_code == 6
-    assert outcome.summary.missing_views == (2,)
+    assert outcome.report.missing_views == (2,)
     files[1].with_suffix(".ply").write_bytes(kept)
     outcome = scan_command.resume(Session(None, Terminal(quiet_stdout=True)), run, outcome.folder.name, None)
-    assert outcome.summary.missing_views == ()
-    ours, theirs = outcome.summary, simulated.summary
+    assert outcome.report.missing_views == ()
+    ours, theirs = outcome.report, simulated.report
     assert ours.doubts == ()
     assert ours.registration.left_as_reported == theirs.registration.left_as_reported == 0
     assert ours.registration.rms_after_mm == pytest.approx(theirs.registration.rms_after_mm, rel=0.25)
@@ -216,8 +215,8 @@ def test_what_is_wrong_is_told_with_its_cause(run: Path, tmp_path: Path, name: s
     frame, change, words = CAUSES[name]
     export(run, "0001", tmp_path / "files", as_ply("<f8"), frame, change)
     outcome = scan(run, acquire=f"files:{tmp_path / 'files'}", points_frame=frame, points_units="mm")
-    assert len(outcome.summary.doubts) == 1
-    assert words in outcome.summary.doubts[0]
+    assert len(outcome.report.doubts) == 1
+    assert words in outcome.report.doubts[0]
 
 
 @pytest.mark.slow
@@ -233,10 +232,10 @@ def test_swapped_views_and_another_frame_are_told(run: Path, tmp_path: Path) -> 
     two.write_bytes(first)
     named = {"points_frame": "scanner", "points_units": "mm"}
     outcome = scan(run, acquire=f"files:{tmp_path / 'files'}", **named)
-    assert "given as view 1 is of view 2, 2 is of view 1" in outcome.summary.doubts[0]
+    assert "given as view 1 is of view 2, 2 is of view 1" in outcome.report.doubts[0]
     export(run, "0001", tmp_path / "flange", as_ply("<f8"), "flange")
     outcome = scan(run, acquire=f"files:{tmp_path / 'flange'}", **named)
-    assert "they are in the flange frame, not in the scanner frame" in outcome.summary.doubts[0]
+    assert "they are in the flange frame, not in the scanner frame" in outcome.report.doubts[0]
 
 
 def test_a_command_is_called_with_view_pose_and_file(run: Path, tmp_path: Path) -> None:
@@ -259,7 +258,7 @@ def test_a_command_is_called_with_view_pose_and_file(run: Path, tmp_path: Path) 
         run, acquire=f"command:{sys.executable} {program}", points_frame="scanner", points_units="mm",
         registration=False,
     )  # fmt: skip
-    assert outcome.summary.missing_views == (2,)
+    assert outcome.report.missing_views == (2,)
     events = [json.loads(line) for line in (outcome.folder / "events.jsonl").read_text().splitlines()]
     taken = [event for event in events if event["event"] == "scan"]
     assert {event["calls"] for event in taken} == {2}
@@ -275,7 +274,7 @@ def test_a_slow_command_is_ended(run: Path) -> None:
         run, acquire=f"command:{sys.executable} -c 'import time; time.sleep(60)'", points_frame="base",
         points_units="mm", view=1, acquire_timeout_s=0.2,
     )  # fmt: skip
-    assert outcome.summary.missing_views == (1,)
+    assert outcome.report.missing_views == (1,)
 
 
 def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, tmp_path: Path) -> None:
@@ -361,7 +360,7 @@ def test_a_source_of_another_distribution(run: Path, tmp_path: Path, monkeypatch
     monkeypatch.syspath_prepend(str(target))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(target), os.environ.get("PYTHONPATH", "")]).strip(":;"))
     outcome = scan(run, acquire="wall:300", registration=False)
-    assert outcome.summary.source == "a wall at 300 mm"
+    assert outcome.report.source == "a wall at 300 mm"
     stored = read_scan(outcome.folder / "scans" / "0001.npz")
     T = stored.stored["T_object_scanner"]
     np.testing.assert_allclose((stored.points - T[:3, 3]) @ T[:3, 2], 0.3, atol=1e-12)

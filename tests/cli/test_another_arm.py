@@ -23,8 +23,8 @@ from cell.robot import model as robot
 from cell.robot.arm import kr16_kinematics
 from cell.robot.plant import MujocoPlant
 from cell.runs.run import open_run
-from cell.scan import execute, plants
-from cell.scan.legs import legs_of
+from cell.scan import execution, plants
+from cell.scan.execution import plan_execution
 from drivers.limits import Limits
 from drivers.registry import Context, open_driver
 
@@ -97,7 +97,7 @@ def test_a_plan_that_exceeds_a_controllers_limits_is_refused_before_anything_mov
     start = ",".join(f"{angle:.4f}" for angle in np.degrees(motion.via_q[0]))
     driver = open_driver(f"sim://?start={start}", Context(Limits.from_rad(replace(motion.limits, upper=narrow))))
     with driver, pytest.raises(DriverFailureError) as refused:
-        execute.require_drivable(legs_of(motion), driver, 1.0)
+        execution.require_drivable(plan_execution(motion), driver, 1.0)
     sentence = str(refused.value)
     assert re.match(r"the controller refuses move \d+ \(to view \d+\): via point \d+ has A\d at ", sentence)
     bounds = f"{LOWER[axis]:.4f} to {np.degrees(narrow[axis]):.1f}"

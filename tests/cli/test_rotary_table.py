@@ -21,7 +21,8 @@ from cell.errors import FileError, SceneError
 from cell.metrology.locate import _check_motion
 from cell.replay.replay import load_playback
 from cell.runs.cell import read_cell, world_of
-from cell.runs.current_scene import CurrentFiles, require_current_scene
+from cell.runs.current_files import CurrentFiles
+from cell.runs.current_scene import require_current_scene
 from cell.runs.run import open_run, read_execution
 from cell.runs.verification import verify_plan
 from cell.scene.file import scene_from_options

@@ -22,10 +22,10 @@ from cell.runs import folder as process
 from cell.runs import ply
 from cell.runs.run import Run, open_run, read_execution, read_scan
 from cell.runs.schema import Manifest
-from cell.scan import post_processing
+from cell.scan import results
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
-from cell.scan.post_processing import ScanOutcome
+from cell.scan.results import ScanOutcome
 from cell.session import Session
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
@@ -66,7 +66,7 @@ def _scan(run: Path, **options: Any) -> ScanOutcome:
 
 
 def _remake(run: Path, execution: str = "0001") -> dict[str, Any]:
-    return post_processing.report(Session(None, Terminal(quiet_stdout=True)), run, execution).summary
+    return results.make_report(Session(None, Terminal(quiet_stdout=True)), run, execution).report
 
 
 def _rewrite(path: Path, **changed: Any) -> None:
@@ -219,13 +219,13 @@ def test_one_view_is_scanned_as_in_the_whole_execution(executed: Path, tmp_path:
     scans = sorted((outcome.folder / "scans").iterdir())
     assert [path.name for path in scans] == ["0002.npz"]
     assert scans[0].read_bytes() == (run / "executions" / "0001" / "scans" / "0002.npz").read_bytes()
-    coverage = outcome.summary.coverage
+    coverage = outcome.report.coverage
     assert coverage.visible == coverage.predicted < coverage.predicted_all_views
-    assert outcome.summary.complete
+    assert outcome.report.complete
     recorded = read_execution(open_run(run), outcome.folder.name)
     assert recorded.motion is not None
-    assert recorded.motion.duration == pytest.approx(outcome.summary.motion.planned_s)
-    assert outcome.summary.motion.executed_s == pytest.approx(recorded.motion.duration, abs=1e-4)
+    assert recorded.motion.duration == pytest.approx(outcome.report.motion.planned_s)
+    assert outcome.report.motion.executed_s == pytest.approx(recorded.motion.duration, abs=1e-4)
 
 
 def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Path) -> None:
@@ -233,10 +233,10 @@ def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Pat
     run = tmp_path / "run"
     shutil.copytree(executed, run)
     outcome = _scan(run, pose_error_mm=0.5, pose_error_deg=0.1, range_noise_mm=0.02, seed=9)
-    cloud = outcome.summary.cloud
+    cloud = outcome.report.cloud
     assert cloud.rms_to_reference_as_reported_mm > 0.3
     assert cloud.rms_to_reference_mm < cloud.rms_to_reference_as_reported_mm / 4
-    for view in outcome.summary.views:
+    for view in outcome.report.views:
         assert view.pose_error_after_mm < view.pose_error_mm / 4
         assert view.reported_minus_commanded_deg == 0
     assert "as reported" in (outcome.folder / "report.md").read_text()
@@ -244,43 +244,43 @@ def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Pat
     assert (one.q_commanded == one.q_reported).all()
     assert (one.stored["T_object_scanner"] != one.stored["T_object_scanner_true"]).any()
     raw = _scan(run, pose_error_mm=0.5, pose_error_deg=0.1, range_noise_mm=0.02, seed=9, registration=False)
-    assert raw.summary.registration is None
-    assert raw.summary.cloud.rms_to_reference_mm == cloud.rms_to_reference_as_reported_mm
-    assert raw.summary.deviation.rms_mm > 1.5 * outcome.summary.deviation.rms_mm
+    assert raw.report.registration is None
+    assert raw.report.cloud.rms_to_reference_mm == cloud.rms_to_reference_as_reported_mm
+    assert raw.report.deviation.rms_mm > 1.5 * outcome.report.deviation.rms_mm
 
 
 def test_closed_holes_are_marked_and_said(copied: Path) -> None:
     """The faces that close holes are those that the open mesh lacks; mesh.ply marks them and the page says so."""
     open_faces = _without_schema(copied / "executions" / "0001")["model"]["faces"]
     outcome = _scan(copied, close_holes=True)
-    model = outcome.summary.model
+    model = outcome.report.model
     assert model.closed_faces > 0
     assert model.faces == open_faces + model.closed_faces
     body = (outcome.folder / "mesh.ply").read_bytes().partition(b"end_header\n")[2]
     faces = np.frombuffer(body[28 * model.vertices :], dtype=[("n", "u1"), ("v", "<i4", 3), ("closed", "u1")])
     assert faces["closed"].sum() == model.closed_faces
-    apart = outcome.summary.deviation.closed
+    apart = outcome.report.deviation.closed
     page = (outcome.folder / "report.md").read_text()
-    assert "invented, not measured, marked `closed` in mesh.ply, and not part of the deviation below" in page
+    assert "are not measured, are marked `closed` in mesh.ply, and do not count in the deviation below" in page
     assert f"deviate by {apart.rms_mm:.4f} mm rms, by {apart.largest_mm:.4f} mm at most" in page
 
 
 def test_an_execution_that_sees_nothing_is_reported(copied: Path) -> None:
     """The scanner stands metres off: every scan is empty, nothing is measured, there is no surface, all is said."""
     outcome = _scan(copied, pose_error_mm=5000.0, view=1)
-    assert outcome.summary.n_points == 0
-    assert outcome.summary.registration.left_as_reported == 1
-    assert outcome.summary.coverage.visible == outcome.summary.coverage.sampled == 0
-    assert outcome.summary.deviation is None
+    assert outcome.report.n_points == 0
+    assert outcome.report.registration.left_as_reported == 1
+    assert outcome.report.coverage.visible == outcome.report.coverage.sampled == 0
+    assert outcome.report.deviation is None
     text = (outcome.folder / "report.md").read_text()
-    assert "View 1 saw nothing of the part." in text
+    assert "View 1 has no point of the part." in text
     assert "No surface" in text
     assert "1 scan of 1 could not be registered and stayed at the reported pose" in text
     assert not (outcome.folder / "mesh.ply").exists()
 
 
 def test_one_empty_scan_among_others_is_said_and_the_rest_used(copied: Path) -> None:
-    """View 2 saw nothing: it is in the table with no point, and the surface is made from the others."""
+    """View 2 has no point: it is in the table with no point, and the surface is made from the others."""
     path = copied / "executions" / "0001" / "scans" / "0002.npz"
     counts = np.zeros(len(Rejection), dtype=np.int64)
     counts[Rejection.NO_HIT] = 3600
@@ -290,7 +290,7 @@ def test_one_empty_scan_among_others_is_said_and_the_rest_used(copied: Path) -> 
     assert summary.complete
     assert summary.views[1].points == 0
     assert summary.deviation is not None
-    assert "View 2 saw nothing" in (copied / "executions" / "0001" / "report.md").read_text()
+    assert "View 2 has no point" in (copied / "executions" / "0001" / "report.md").read_text()
 
 
 def test_a_truncated_scan_and_one_with_nan_are_named_and_left_out(copied: Path) -> None:
@@ -437,7 +437,7 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
     shutil.rmtree(folder / "scans")
     (folder / "scans").mkdir()
     summary = _remake(copied)
-    assert post_processing.report(Session(None, Terminal(quiet_stdout=True)), copied, "0001").exit_code == 6
+    assert results.make_report(Session(None, Terminal(quiet_stdout=True)), copied, "0001").exit_code == 6
     assert summary.missing_views == tuple(range(1, summary.n_views_planned + 1))
     assert summary.coverage.visible == 0
     assert not list(folder.glob("*.png"))
@@ -474,7 +474,7 @@ def test_a_stopped_execution_keeps_its_scans_and_is_reported(
     assert 1 <= summary["n_views"] == there < summary["n_views_planned"]
     assert summary["missing_views"] == list(range(there + 1, summary["n_views_planned"] + 1))
     assert "did not finish" in done.stderr
-    said = f"the execution is incomplete: {there} of {summary['n_views_planned']} views are there; the report says what"
+    said = f"the execution is incomplete: {there} of {summary['n_views_planned']} views are scanned"
     assert said in done.stderr
     after = json.loads((folder / "manifest.json").read_text())
     ended = ("interrupted", 130) if how == signal.SIGINT else ("incomplete", None)

@@ -17,9 +17,9 @@ from cell.api import scan_setups as scan_all
 from cell.errors import UsageError
 from cell.runs.cell import read_cell
 from cell.runs.run import open_run
-from cell.scan.driven import part_may_be_near
-from cell.scan.of_setups import scan_setups
 from cell.scan.options import ScanOptions
+from cell.scan.safety import placement_warning
+from cell.scan.setups import scan_setups
 from cell.session import Session
 from cell.setups.contact import touching
 from cell.setups.planned_setups import PlannedSetups
@@ -130,7 +130,7 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: Run, start_
     ("words", "told"),
     [
         (("made", "--setup", "3"), "there is no set-up 3 of made; there are 1 to 2"),
-        (("made", "--view", "1"), "--view is of one run: give its folder in place of that of all set-ups"),
+        (("made", "--view", "1"), "--view applies to one run: give its folder instead of that of all set-ups"),
         (("made", "--report", "0001"), "--report latest"),
         (("made/setups/1", "--setup", "1"), "--setup is of a folder that cell setups made"),
     ],
@@ -169,7 +169,7 @@ def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_
     assert not (folder / "setups" / "2" / "executions").exists()
     done = run_cell("scan", "made", "--resume", "latest", cwd=beside)
     assert done.returncode == 2
-    assert "files:points has the points of set-up 1; begin with cell scan made --setup 2" in done.stderr
+    assert "files:points has the points of set-up 1; start with cell scan made --setup 2" in done.stderr
 
 
 def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Path, run_cell: Run) -> None:
@@ -198,7 +198,7 @@ def test_who_lets_the_arm_move_says_how_the_part_lies(folder: Path, monkeypatch:
         asked.append(question)
         return "no"
 
-    monkeypatch.setattr("cell.scan.of_setups.scan", scan)
+    monkeypatch.setattr("cell.scan.setups.scan", scan)
     planned = PlannedSetups.opened(folder).file
     for number, chosen in enumerate(planned.chosen, start=1):
         with pytest.raises(UsageError, match="not confirmed"):
@@ -220,7 +220,7 @@ def test_that_a_part_may_be_near_is_told_again_where_an_execution_goes_on(folder
     for words in ((*files, "--setup-error", "500mm,2deg"), ("--resume", "latest")):
         done = run_cell("scan", "made", "--setup", "1", *words, cwd=folder.parent)
         assert done.returncode == 6
-        assert "the part may stand up to 50" in done.stderr
+        assert "the part may be displaced by up to 50" in done.stderr
 
 
 def test_set_ups_whose_folders_were_exchanged_are_not_driven(folder: Path, run_cell: Run) -> None:
@@ -267,6 +267,6 @@ def test_a_part_that_may_stand_nearer_than_the_motion_is_clear_of_it_is_told(pla
     radius = np.linalg.norm(cell.reference.vertices - centre, axis=1).max()
     moved = 0.005 + 2 * radius * np.sin(np.radians(1.0))
     off = ScanOptions(setup_error_mm=5.0, setup_error_deg=2.0)
-    assert part_may_be_near(off, cell, moved * 1.001) == ""
-    assert f"the part may stand up to {1000 * moved:.1f} mm off" in part_may_be_near(off, cell, moved * 0.999)
-    assert part_may_be_near(ScanOptions(), cell, 0.0) == ""
+    assert placement_warning(off, cell, moved * 1.001) == ""
+    assert f"the part may be displaced by up to {1000 * moved:.1f} mm" in placement_warning(off, cell, moved * 0.999)
+    assert placement_warning(ScanOptions(), cell, 0.0) == ""

@@ -17,10 +17,9 @@ import pytest
 
 from cell.errors import CellError
 from cell.robot.model import load
-from cell.scan import execute
-from cell.scan.legs import Leg, Legs
-from cell.scan.pose_error import Disturbance
-from cell.scan.simulated import Simulated
+from cell.scan import execution
+from cell.scan.execution import ExecutionPlan, Segment
+from cell.scan.simulated import Disturbance, Simulated
 from cell.world.travel import TravelBound
 from drivers.contract import Mode, RobotState
 from drivers.errors import DriverError
@@ -31,7 +30,7 @@ from tests.support.driver_bench import WIRES, Bench, make_bench
 PHASES = ("connect", "move", "standing", "scan", "stop")
 HOME = to_rad(HOME_COUNTS)
 GOALS = to_rad(from_rad(HOME + np.radians([[20.0, 0, 0, 0, 0, 0], [20.0, 10.0, -10.0, 0, 5.0, 30.0]])))
-LEGS = Legs(HOME, (Leg(GOALS[:1], 1, 7), Leg(GOALS[1:], 2, 8), Leg(HOME[None], 0, -1)), 3.0)
+PLAN = ExecutionPlan(HOME, (Segment(GOALS[:1], 1, 7), Segment(GOALS[1:], 2, 8), Segment(HOME[None], 0, -1)), 3.0)
 MAX_WAIT = 5.0 + 5.0 + 1.0 + 1.0  # s: no progress, an arm not seen at rest after the stop, a state, a margin
 TRAVEL = TravelBound(load())
 CELL = SimpleNamespace(arrival=0.001, travel=TRAVEL)
@@ -135,20 +134,20 @@ class Rig:
                 self.call("connect", driver.connect)
                 self.call("connect", driver.take)
                 self.phase = "standing"
-                execute.run(LEGS, Phased(), CELL, simulated, folder, speed=1.0, clock=self.bench.clock)
+                execution.drive(PLAN, Phased(), CELL, simulated, folder, speed=1.0, clock=self.bench.clock)
                 self.call("stop", driver.stop)
             finally:
                 self.call("stop", driver.close)
         except (DriverError, CellError) as error:
             self.outcome = str(error)
 
-    def scan(self, looks: Any, *_: Any, still: Callable[[], None], **__: Any) -> tuple[int, dict[str, Any]]:
-        """Replace `execute.scan_and_write`: wait half a second and record the true state at both ends."""
-        begin, goal = self.true_state(), looks[0][0].set_points[-1]
+    def scan(self, reached: Any, cell: Any, *arguments: Any) -> tuple[int, dict[str, Any]]:
+        """Replace `execution.scan_view`: wait half a second and record the true state at both ends."""
+        begin, goal, driver = self.true_state(), reached[0][0].set_points[-1], arguments[-1]
         self.phase = "scan"
         try:
             self.bench.clock.wait(0.5)
-            still()
+            execution._require_arrived(reached[-1][0], driver.require_ready(), cell)
         finally:
             self.phase = "standing"
         end = self.true_state()
@@ -176,7 +175,7 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Rig]:
 
     def make(wire: str) -> Rig:
         made = Rig(make_bench(wire))
-        monkeypatch.setattr(execute, "scan_and_write", made.scan)
+        monkeypatch.setattr(execution, "scan_view", made.scan)
         return made
 
     return make

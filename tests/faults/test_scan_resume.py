@@ -152,7 +152,7 @@ def test_an_arm_that_stands_elsewhere_goes_on_a_new_free_way(
     (execution / "manifest.json").write_text(json.dumps({**manifest, "status": "failed"}))
     done = run_cell("scan", executed_folder, "--resume", "latest", cwd=executed_folder.parent)
     assert done.returncode == 0, done.stderr
-    assert "a new way to view 2 was planned" in done.stderr
+    assert "a new path to view 2 was planned" in done.stderr
     assert _scans(execution) == undisturbed
 
 
@@ -189,7 +189,7 @@ def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, 
     options = ScanOptions(driver=str(standing.url), speed_percent=50.0, accept_time_scale=20.0)
     with pytest.raises(UsageError, match="nothing was moved"):
         resume(Session(None, reporter, confirm=ask), executed_folder, "latest", options)
-    assert "a new way to view 2 was planned" in known[1]
+    assert "a new path to view 2 was planned" in known[1]
     assert "Type yes" in known[2]
     assert standing.entries("move") == []
     assert (execution / "manifest.json").read_bytes() == kept
@@ -212,7 +212,7 @@ def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
     done = run_cell("scan", executed_folder, "--resume", "latest", cwd=executed_folder.parent)
     assert done.returncode == 0, done.stderr
     assert ("0002.npz" if torn else "0099.npz") in done.stderr
-    assert "1 are left (2)" in done.stderr
+    assert "1 remain (2)" in done.stderr
     (execution / "scans" / "0099.npz").unlink(missing_ok=True)
     assert run_cell("scan", executed_folder, "--report", "latest", cwd=executed_folder.parent).returncode == 0
     assert [event["stop"] for event in _events(execution)[before:] if event["event"] == "scan"] == [2]
@@ -263,7 +263,7 @@ def test_an_arm_that_does_not_stand_at_the_plan_s_start_is_not_moved(
 @pytest.mark.parametrize(
     ("change", "code", "words"),
     [
-        ({"status": "failed", "digest": "another"}, 6, "not of the plan"),
+        ({"status": "failed", "digest": "another"}, 6, "does not belong to the current plan"),
         ({"status": "failed", "options": None}, 6, "manifest.json"),
     ],
     ids=["other plan", "damaged"],

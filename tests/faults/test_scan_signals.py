@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from cell.runs.run import open_finished
-from cell.scan import lock
+from cell.scan import safety
 
 SIGNALS = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP"}
 MOMENTS = [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 34))]
@@ -62,7 +62,7 @@ def test_a_signal_ends_an_execution_that_goes_on_later(
         assert f"stopped by {SIGNALS[name]}" in said
     again = ("scan", str(run_folder), "--resume", "latest", *_FAST, "--reset")
     done = run_cell(*again, *word, cwd=run_folder.parent)
-    if own := re.search("not the digest of the new way.* which is ([0-9a-f]+)", done.stderr):
+    if own := re.search("not the digest of the new path.* which is ([0-9a-f]+)", done.stderr):
         done = run_cell(*again, "--confirm-motion", own[1], cwd=run_folder.parent)
     assert done.returncode == (0 if process.returncode == 130 else 2), done.stderr
     assert _scans(run_folder) == {
@@ -76,10 +76,10 @@ def test_two_processes_cannot_work_on_one_execution(
     """Whatever drives, `sim://` too: the second is told so at once, and the first ends in order."""
     run_folder = Path(shutil.copytree(executed, tmp_path / "run"))
     (run_folder / "executions" / "0001" / "scans" / "0002.npz").unlink()
-    with lock.held(run_folder / "executions" / "0001"):
+    with safety.exclusive(run_folder / "executions" / "0001"):
         done = run_cell("scan", str(run_folder), "--resume", "latest", cwd=run_folder.parent)
     assert done.returncode == 6, done.stderr
-    assert "another process works on execution 0001" in done.stderr
+    assert "another process uses execution 0001" in done.stderr
     both = [start_cell("scan", run_folder, "--resume", "latest") for _ in range(2)]
     said = [each.communicate(timeout=120)[1] for each in both]
     codes = [each.returncode for each in both]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cell.acquisition.sources import Acquired
+from cell.scan.acquisition import Acquired
 
 
 class Wall:

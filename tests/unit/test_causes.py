@@ -9,8 +9,8 @@ import pytest
 
 from cell.part import workpiece
 from cell.runs.run import ExecutedScan
-from cell.scan import causes
-from cell.scan.pose_error import Disturbance
+from cell.scan import point_checks
+from cell.scan.simulated import Disturbance
 from cell.scanners.laser_area import LaserArea
 from cell.world import virtual_scan
 from cell.world.embree import EmbreeRayCaster
@@ -49,7 +49,7 @@ def scans_of(part: workpiece.Workpiece, views: int = 8) -> tuple[list[ExecutedSc
         seen = virtual_scan.scan(scanner, true, caster, mesh, nowhere)
         if len(seen.points) < 50:
             continue
-        points = disturbance.as_reported(seen.points, true, T, scanner.source, rng)
+        points = disturbance.reported_points(seen.points, true, T, scanner.source, rng)
         still = np.zeros(6)
         scans.append(
             ExecutedScan(number, number, still, still, T, T[None], None, None, points, None, "files", "scanner")
@@ -94,7 +94,9 @@ def spoilt(scans: list[ExecutedScan], cause: str) -> list[ExecutedScan]:
 def named(part: workpiece.Workpiece) -> dict[str, list[str]]:
     """What is said of each cause, and of none."""
     scans, cell, nearest = scans_of(part)
-    return {cause: causes.doubts(spoilt(scans, cause), cell, nearest, "mm") for cause in ("", *CAUSES)}
+    return {
+        cause: point_checks.find_contradictions(spoilt(scans, cause), cell, nearest, "mm") for cause in ("", *CAUSES)
+    }
 
 
 @pytest.mark.parametrize(

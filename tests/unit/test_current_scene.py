@@ -10,7 +10,8 @@ import pytest
 import trimesh
 
 from cell.errors import SceneError
-from cell.runs.current_scene import CurrentFiles, require_current_scene
+from cell.runs.current_files import CurrentFiles
+from cell.runs.current_scene import require_current_scene
 from cell.runs.verification import VerifiedPlan, verify_plan
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

@@ -20,13 +20,11 @@ from cell.runs.cell import RunCell
 from cell.runs.folder import SCHEMA
 from cell.runs.run import Run, read_scan
 from cell.runs.schema import Manifest, ScannerKeys
-from cell.scan import driver as scan_driver
-from cell.scan import execute
+from cell.scan import execution
+from cell.scan.execution import ExecutionPlan, Segment, plan_execution
 from cell.scan.execution_folder import ExecutionFolder
-from cell.scan.legs import Leg, Legs, legs_of
 from cell.scan.options import ScanOptions
-from cell.scan.pose_error import Disturbance
-from cell.scan.simulated import Simulated
+from cell.scan.simulated import Disturbance, Simulated
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from cell.world.travel import TravelBound
@@ -114,9 +112,9 @@ class Recorded:
 
 
 def _run(driver, motion, folder, stop=None, disturbance=None, seed=5):
-    legs = legs_of(motion, stop)
+    plan = plan_execution(motion, stop)
     source = Simulated(_scene(), disturbance or Disturbance(), seed)
-    execute.run(legs, driver, _scene(), source, folder, speed=0.5, clock=SimulatedClock())
+    execution.drive(plan, driver, _scene(), source, folder, speed=0.5, clock=SimulatedClock())
 
 
 def _events(folder) -> list[dict]:
@@ -126,12 +124,12 @@ def _events(folder) -> list[dict]:
 def test_the_legs_of_a_plan_are_its_via_points_once_each_in_order() -> None:
     """Start and legs joined are exactly the plan's via points; each stop ends a leg, numbered in visiting order."""
     motion = _tour()
-    legs = legs_of(motion)
-    joined = np.concatenate([legs.start[None], *(leg.via for leg in legs.legs)])
+    plan = plan_execution(motion)
+    joined = np.concatenate([plan.start[None], *(segment.via for segment in plan.segments)])
     assert (joined == motion.via_q).all()
-    assert [(leg.stop, leg.view) for leg in legs.legs] == [(1, 70), (2, 71), (3, 72), (0, -1)]
-    assert legs.planned_seconds == motion.duration
-    again = legs.motion(motion)
+    assert [(segment.stop, segment.view) for segment in plan.segments] == [(1, 70), (2, 71), (3, 72), (0, -1)]
+    assert plan.planned_seconds == motion.duration
+    again = plan.to_motion(motion)
     assert (again.view == motion.view).all()
     assert again.duration == pytest.approx(motion.duration, abs=1e-12)
 
@@ -140,24 +138,24 @@ def test_the_legs_of_a_plan_are_its_via_points_once_each_in_order() -> None:
 def test_one_view_is_reached_and_left_on_the_plans_own_path(stop: int) -> None:
     """Every step of the way is a step of the plan, forward or backward, from home to home, by the shorter side."""
     motion = _tour()
-    legs = legs_of(motion, stop)
+    plan = plan_execution(motion, stop)
     at = int(np.flatnonzero(motion.view >= 0)[stop - 1])
-    joined = np.concatenate([legs.start[None], *(leg.via for leg in legs.legs)])
+    joined = np.concatenate([plan.start[None], *(segment.via for segment in plan.segments)])
     steps = {(a.tobytes(), b.tobytes()) for a, b in zip(motion.via_q[:-1], motion.via_q[1:], strict=True)}
     for a, b in itertools.pairwise(joined):
         assert (a.tobytes(), b.tobytes()) in steps or (b.tobytes(), a.tobytes()) in steps
     assert (joined[0] == motion.via_q[0]).all()
     assert (joined[-1] == motion.via_q[0]).all()
-    assert (legs.legs[0].via[-1] == motion.via_q[at]).all()
-    assert [leg.stop for leg in legs.legs] == [stop, 0]
-    assert legs.planned_seconds == pytest.approx(2 * min(motion.via_t[at], motion.duration - motion.via_t[at]))
+    assert (plan.segments[0].via[-1] == motion.via_q[at]).all()
+    assert [segment.stop for segment in plan.segments] == [stop, 0]
+    assert plan.planned_seconds == pytest.approx(2 * min(motion.via_t[at], motion.duration - motion.via_t[at]))
 
 
 @pytest.mark.parametrize("stop", [0, 4, -1])
 def test_a_view_that_the_plan_does_not_have_is_refused(stop: int) -> None:
     """The sentence names the views there are."""
     with pytest.raises(UsageError, match="views 1 to 3"):
-        legs_of(_tour(), stop)
+        plan_execution(_tour(), stop)
 
 
 def test_the_controller_gets_exactly_the_planned_counts_at_the_planned_speed(folder: ExecutionFolder) -> None:
@@ -243,9 +241,9 @@ def test_a_view_that_sees_nothing_is_a_scan_without_points(folder: ExecutionFold
     """Far from the part every ray meets nothing; the file is whole and readable, with noise asked for as well."""
     motion = _tour((1,), seed=3)
     away = motion.via_q[:1] + np.array([1.5, 0, 0, 0, 0, 0])
-    legs = Legs(motion.via_q[0], (Leg(away, 1, 70),), 1.0)
+    plan = ExecutionPlan(motion.via_q[0], (Segment(away, 1, 70),), 1.0)
     source = Simulated(_scene(), Disturbance(range_noise=1e-4), 0)
-    execute.run(legs, Recorded(), _scene(), source, folder, speed=0.5, clock=SimulatedClock())
+    execution.drive(plan, Recorded(), _scene(), source, folder, speed=0.5, clock=SimulatedClock())
     scan = read_scan(folder.path / "scans" / "0001.npz")
     assert scan.points.shape == (0, 3)
     assert scan.stored["counts"][Rejection.NO_HIT] == 400
@@ -283,12 +281,12 @@ def test_an_execution_that_ends_early_keeps_its_scans_and_says_why(
 
 
 def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder: ExecutionFolder) -> None:
-    """With the plan's limits and speed its clock agrees with the plan to a microsecond a leg."""
+    """With the plan's limits and speed its clock agrees with the plan to a microsecond a segment."""
     motion, clock = _tour(), SimulatedClock()
     with open_driver("sim://", Context(KR16, clock)) as driver:
         scene = _scene()
         source = Simulated(scene, Disturbance(), 0)
-        seconds = execute.run(legs_of(motion), driver, scene, source, folder, speed=1.0, clock=clock)
+        seconds = execution.drive(plan_execution(motion), driver, scene, source, folder, speed=1.0, clock=clock)
     assert seconds == pytest.approx(motion.duration, abs=1e-6 * len(motion.via_q))
     assert _events(folder)[-1]["t_s"] == pytest.approx(motion.duration, abs=1e-4)
 
@@ -297,7 +295,7 @@ def test_the_clock_of_events_is_the_controllers_own() -> None:
     """With a time scale there is one clock, so that times of events and of moves are the controller's."""
     cell = _scene()
     for url in ("sim://?realtime=1&time_scale=50", "sim://"):
-        driver, clock = scan_driver.prepare(ScanOptions(driver=url), _tour(), cell)
+        driver, clock = execution.make_driver(ScanOptions(driver=url), _tour(), cell)
         assert clock is driver.clock
         assert clock.simulated == (url == "sim://")
 
@@ -337,7 +335,7 @@ def test_an_arm_that_was_moved_by_hand_between_two_moves_is_not_moved_on(folder:
 def test_an_arm_that_arrived_elsewhere_is_not_scanned_from_there(folder: ExecutionFolder, off: int) -> None:
     """A controller that says it arrived and stands 0.1 or 0.03 deg off: several mm at the tool."""
     driver = Recorded(off=off)
-    with pytest.raises(DriverFailureError, match=r"up to \d+\.\d+ mm off, where 1 mm are allowed"):
+    with pytest.raises(DriverFailureError, match=r"may deviate by \d+\.\d+ mm, and 1 mm are allowed"):
         _run(driver, _tour(), folder)
     assert len(driver.moves) == 1
     assert list((folder.path / "scans").iterdir()) == []

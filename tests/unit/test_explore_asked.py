@@ -20,7 +20,7 @@ from cell.explore.state import Paths
 from cell.runs import ply
 from cell.runs.schema import BELIEVED, MEASURED, SurfaceName
 from cell.scan.options import ScanOptions
-from cell.scan.safety import EVERY
+from cell.scan.safety import ANY_MOTION
 from cell.scanners.laser_area import LaserArea
 from cell.session import Session
 from cell.world.embree import EmbreeRayCaster
@@ -397,7 +397,7 @@ def test_one_word_releases_every_motion_of_an_exploration(
         scanning=ScanOptions(acquire=f"files:{tmp_path}", points_frame="base", points_units="mm"),
     )  # fmt: skip
     explore._executed(work, Path("stages") / "0007")
-    assert given[0].confirm_motion == (EVERY if word == "explore" else word)
+    assert given[0].confirm_motion == (ANY_MOTION if word == "explore" else word)
     assert given[0].acquire == f"files:{tmp_path}/0007"
     assert (tmp_path / "0007").is_dir()
 

@@ -167,11 +167,11 @@ def test_options_of_a_scan_are_those_given_and_checked() -> None:
     asked = parse_options(ScanOptions, {"pose_error": "0.5,0.1", "register": False}, flag)
     assert asked.model_fields_set == {"pose_error_mm", "pose_error_deg", "registration"}
     assert (asked.pose_error_mm, asked.pose_error_deg, asked.registers) == (0.5, 0.1, False)
-    assert ScanOptions.begun({**asked.kept(), "of_later": 1}) == asked
+    assert ScanOptions.from_manifest({**asked.as_manifest(), "of_later": 1}) == asked
     with pytest.raises(UsageError, match="--noise is 'loud'; valid are: none, model"):
         parse_options(ScanOptions, {"noise": "loud"}, flag)
     with pytest.raises(ValueError, match="seed is 'three'; it must be a whole number"):
-        ScanOptions.begun({"seed": "three"})
+        ScanOptions.from_manifest({"seed": "three"})
 
 
 def test_a_resumed_scan_keeps_what_it_was_begun_with() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from cell.scan.pose_error import Disturbance
+from cell.scan.simulated import Disturbance
 from planner.errors import PlannerError
 from planner.geometry.rigid import rotation_matrices
 from planner.geometry.sampling import SurfaceSamples

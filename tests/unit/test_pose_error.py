@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cell.scan.pose_error import Disturbance, rotation
+from cell.scan.simulated import Disturbance, rotation_from_vector
 from planner.geometry.rigid import pose_difference
 
 
@@ -20,7 +20,7 @@ def _pose(seed=1):
 def test_rotation_is_scipys(length: float) -> None:
     """Rodrigues' formula against SciPy's rotation vector."""
     vector = length * np.array([0.6, -0.48, 0.64])
-    np.testing.assert_allclose(rotation(vector), Rotation.from_rotvec(vector).as_matrix(), atol=1e-15)
+    np.testing.assert_allclose(rotation_from_vector(vector), Rotation.from_rotvec(vector).as_matrix(), atol=1e-15)
 
 
 def test_switched_off_nothing_changes_bit_for_bit() -> None:
@@ -28,7 +28,7 @@ def test_switched_off_nothing_changes_bit_for_bit() -> None:
     off, T, points = Disturbance(), _pose(), np.random.default_rng(0).normal(size=(9, 3))
     rng = np.random.default_rng(4)
     assert off.true_pose(T, rng) is T
-    assert off.as_reported(points, T, T, np.zeros(3), rng) is points
+    assert off.reported_points(points, T, T, np.zeros(3), rng) is points
     assert rng.random() == np.random.default_rng(4).random()
     assert not off.moves_pose
 
@@ -50,7 +50,7 @@ def test_range_noise_lies_along_the_ray_only() -> None:
     T, source = _pose(), np.array([0.02, 0.0, 0.01])
     rng = np.random.default_rng(3)
     points = T[:3, 3] + rng.normal(size=(5000, 3)) + 5.0
-    noisy = Disturbance(range_noise=2e-3).as_reported(points, T, T, source, rng)
+    noisy = Disturbance(range_noise=2e-3).reported_points(points, T, T, source, rng)
     origin = T[:3, :3] @ source + T[:3, 3]
     before, after = points - origin, noisy - origin
     assert np.abs(np.cross(before, after)).max() < 1e-9
@@ -65,7 +65,7 @@ def test_a_pose_error_moves_the_scan_as_one_piece() -> None:
     rng = np.random.default_rng(5)
     true = asked.true_pose(T, rng)
     points = rng.normal(size=(20, 3))
-    told = asked.as_reported(points, true, T, np.zeros(3), rng)
+    told = asked.reported_points(points, true, T, np.zeros(3), rng)
 
     def scanner(pose, p):
         return (p - pose[:3, 3]) @ pose[:3, :3]

@@ -7,8 +7,8 @@ import pytest
 
 from cell.errors import DriverFailureError
 from cell.robot import model as robot
-from cell.scan.legs import Leg, Legs
-from cell.scan.resume import Rest, rest_of
+from cell.scan.execution import ExecutionPlan, Segment
+from cell.scan.resume import RemainingMotion, plan_resume
 from drivers.contract import Mode, RobotState
 from drivers.limits import Limits
 from drivers.setpoints import from_rad, to_rad
@@ -29,23 +29,23 @@ def at(degrees: float) -> np.ndarray:
 
 # Home, view 1, a via point, view 2, a sweep of three poses, view 4, home.
 ENDS = {1: at(10), 2: at(30), 4: at(70)}
-LEGS = Legs(
+PLAN = ExecutionPlan(
     HOME,
     (
-        Leg(at(10)[None], 1, 70),
-        Leg(np.stack([at(20), at(30)]), 2, 71),
-        *(Leg(at(40 + 5 * pose)[None], 3, 72, pose) for pose in range(3)),
-        Leg(at(70)[None], 4, 73),
-        Leg(np.stack([at(35), HOME]), 0, -1),
+        Segment(at(10)[None], 1, 70),
+        Segment(np.stack([at(20), at(30)]), 2, 71),
+        *(Segment(at(40 + 5 * pose)[None], 3, 72, pose) for pose in range(3)),
+        Segment(at(70)[None], 4, 73),
+        Segment(np.stack([at(35), HOME]), 0, -1),
     ),
     60.0,
 )
 MOTION: Motion = retime(np.stack([HOME, at(10)]), np.array([0, 1]), np.array([-1, 70]), LIMITS)
 
 
-def rest(done: set[int], q: np.ndarray) -> Rest:
+def rest(done: set[int], q: np.ndarray) -> RemainingMotion:
     """What is left where the arm stands at q."""
-    return rest_of(LEGS, done, RobotState(Mode.IDLE, from_rad(q), True), CHECKER, MOTION.limits, 0)
+    return plan_resume(PLAN, done, RobotState(Mode.IDLE, from_rad(q), True), CHECKER, MOTION.limits, 0)
 
 
 @pytest.mark.parametrize(
@@ -64,28 +64,28 @@ def test_between_a_scan_and_the_next_move_the_plan_goes_on(
 ) -> None:
     """The legs that are left are the plan's own, and start where the arm stands."""
     left = rest(done, stands)
-    assert left.way is None
-    assert left.stops == stops
-    assert left.legs.legs == LEGS.legs[len(LEGS.legs) - legs :]
-    assert (left.legs.start == stands).all()
+    assert left.approach_path is None
+    assert left.plan.stops == stops
+    assert left.plan.segments == PLAN.segments[len(PLAN.segments) - legs :]
+    assert (left.plan.start == stands).all()
 
 
 @pytest.mark.parametrize(("done", "goal"), [(set(), at(10)), ({1}, at(30)), ({1, 2}, at(40)), ({1, 2, 3, 4}, HOME)])
 def test_between_the_end_of_a_move_and_its_scan_nothing_is_driven_again(done: set[int], goal: np.ndarray) -> None:
     """It arrived and the scan was not kept: a move of no length, then the scan; the way home likewise."""
     left = rest(done, goal)
-    assert left.way is None
-    assert (left.legs.legs[0].via == goal[None]).all()
-    after = left.legs.legs[1:]
-    assert after == LEGS.legs[len(LEGS.legs) - len(after) :]
+    assert left.approach_path is None
+    assert (left.plan.segments[0].via == goal[None]).all()
+    after = left.plan.segments[1:]
+    assert after == PLAN.segments[len(PLAN.segments) - len(after) :]
 
 
 def test_views_behind_a_damaged_scan_are_driven_through() -> None:
     """View 1 is scanned again; 2 and the sweep are passed without a scan, on the plan's own legs."""
     left = rest({2, 3, 4}, HOME)
-    assert left.stops == (1,)
-    assert [leg.stop for leg in left.legs.legs] == [1, 0, 0, 0, 0, 0, 0]
-    assert all((a.via == b.via).all() for a, b in zip(left.legs.legs, LEGS.legs, strict=True))
+    assert left.plan.stops == (1,)
+    assert [segment.stop for segment in left.plan.segments] == [1, 0, 0, 0, 0, 0, 0]
+    assert all((a.via == b.via).all() for a, b in zip(left.plan.segments, PLAN.segments, strict=True))
 
 
 def test_from_outside_the_plan_s_joint_range_no_way_is_driven() -> None:

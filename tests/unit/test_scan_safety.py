@@ -9,7 +9,7 @@ from cell.errors import DriverFailureError, UsageError
 from cell.robot import model as robot
 from cell.scan import safety
 from cell.scan.options import ScanOptions
-from cell.scan.way import Released
+from cell.scan.safety import ApprovedMotion
 from cell.scene.options import flag, parse_options
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.limits import Limits
@@ -17,8 +17,8 @@ from drivers.setpoints import from_rad
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 
-_PLAN = Released("the plan", "0123456789abcdef" * 4)
-_WAY = Released("the new way", "fedcba9876543210" * 4, own=True)
+_PLAN = ApprovedMotion("the plan", "0123456789abcdef" * 4)
+_PATH = ApprovedMotion("the new path", "fedcba9876543210" * 4, is_own_path=True)
 
 
 class _Controller:
@@ -69,10 +69,12 @@ def test_a_speed_that_is_no_percentage_is_refused(percent: float) -> None:
 def test_steel_does_not_move_without_somebody_s_word() -> None:
     """Nobody at a terminal: the sentence names the option. Any answer but yes: nothing moves."""
     with pytest.raises(UsageError, match="--confirm-motion"):
-        safety.require_confirmed(_Controller(), 0.1, _PLAN, given=None, ask=None)
+        safety.require_confirmation(_Controller(), 0.1, _PLAN, given=None, confirm=None)
     for answer in ("", "y", "no", "yes please"):
         with pytest.raises(UsageError, match="nothing was moved"):
-            safety.require_confirmed(_Controller(), 0.1, _PLAN, given=None, ask=lambda question, said=answer: said)
+            safety.require_confirmation(
+                _Controller(), 0.1, _PLAN, given=None, confirm=lambda question, said=answer: said
+            )
 
 
 def test_a_word_is_an_option_or_a_typed_yes_and_simulation_needs_none() -> None:
@@ -83,14 +85,14 @@ def test_a_word_is_an_option_or_a_typed_yes_and_simulation_needs_none() -> None:
         questions.append(question)
         return " Yes\n"
 
-    safety.require_confirmed(_Controller(), 0.1, _PLAN, given=None, ask=yes)
-    safety.require_confirmed(_Controller(), 0.1, _PLAN, given=_PLAN.shown, ask=None)
-    safety.require_confirmed(_Controller(), 0.1, _PLAN, given=_PLAN.digest, ask=None)
-    safety.require_confirmed(_Controller(hardware=False), 1.0, _PLAN, given=None, ask=None)
-    for released in (_PLAN, _WAY):  # a batch, and the way that it is gone on with
-        safety.require_confirmed(_Controller(), 0.1, released, given=safety.EVERY, ask=None)
+    safety.require_confirmation(_Controller(), 0.1, _PLAN, given=None, confirm=yes)
+    safety.require_confirmation(_Controller(), 0.1, _PLAN, given=_PLAN.short_digest, confirm=None)
+    safety.require_confirmation(_Controller(), 0.1, _PLAN, given=_PLAN.digest, confirm=None)
+    safety.require_confirmation(_Controller(hardware=False), 1.0, _PLAN, given=None, confirm=None)
+    for released in (_PLAN, _PATH):  # a batch, and the way that it is gone on with
+        safety.require_confirmation(_Controller(), 0.1, released, given=safety.ANY_MOTION, confirm=None)
     assert len(questions) == 1
-    assert f"along the plan {_PLAN.shown}" in questions[0]
+    assert f"along the plan {_PLAN.short_digest}" in questions[0]
     assert "KR C4" in questions[0]
     assert "10 %" in questions[0]
 
@@ -98,13 +100,13 @@ def test_a_word_is_an_option_or_a_typed_yes_and_simulation_needs_none() -> None:
 def test_the_digest_of_something_else_is_no_word() -> None:
     """Not for the plan, and that of the plan not for a way of its own; a person at the terminal is asked about that."""
     other = "c" * 64
-    with pytest.raises(UsageError, match=f"which is {_PLAN.shown}; nothing was moved"):
-        safety.require_confirmed(_Controller(), 0.1, _PLAN, given=other, ask=lambda question: "yes")
-    with pytest.raises(UsageError, match=f"which is {_WAY.shown}; nothing was moved"):
-        safety.require_confirmed(_Controller(), 0.1, _WAY, given=_PLAN.digest, ask=None)
+    with pytest.raises(UsageError, match=f"which is {_PLAN.short_digest}; nothing was moved"):
+        safety.require_confirmation(_Controller(), 0.1, _PLAN, given=other, confirm=lambda question: "yes")
+    with pytest.raises(UsageError, match=f"which is {_PATH.short_digest}; nothing was moved"):
+        safety.require_confirmation(_Controller(), 0.1, _PATH, given=_PLAN.digest, confirm=None)
     with pytest.raises(UsageError, match="not confirmed"):
-        safety.require_confirmed(_Controller(), 0.1, _WAY, given=_PLAN.digest, ask=lambda question: "no")
-    safety.require_confirmed(_Controller(), 0.1, _WAY, given=_WAY.shown, ask=None)
+        safety.require_confirmation(_Controller(), 0.1, _PATH, given=_PLAN.digest, confirm=lambda question: "no")
+    safety.require_confirmation(_Controller(), 0.1, _PATH, given=_PATH.short_digest, confirm=None)
 
 
 @pytest.mark.parametrize("word", ["yes", "0" * 7, "0" * 65, "0123456z"])
@@ -120,23 +122,23 @@ def test_a_latched_fault_is_cleared_only_on_demand(mode: Mode) -> None:
     """Without --reset the sentence says what is latched and what to give."""
     latched = _Controller(mode)
     with pytest.raises(DriverFailureError, match="--reset"):
-        safety.ready(latched, reset=False, stop_first=True)
+        safety.prepare_controller(latched, ScanOptions(reset=False), stop_first=True)
     assert latched.asked == ""
-    assert safety.ready(latched, reset=True, stop_first=False).mode is Mode.IDLE
+    assert safety.prepare_controller(latched, ScanOptions(reset=True), stop_first=False).mode is Mode.IDLE
     assert latched.asked == "reset "
 
 
 def test_an_arm_that_moves_is_stopped_only_where_an_execution_is_resumed() -> None:
     """A new execution does not take an arm away from another client."""
     with pytest.raises(DriverFailureError, match="another client"):
-        safety.ready(_Controller(Mode.MOVING, at_rest=False), reset=False, stop_first=False)
+        safety.prepare_controller(_Controller(Mode.MOVING, at_rest=False), ScanOptions(reset=False), stop_first=False)
     waiting = _Controller()
     waiting.queue = 1
     with pytest.raises(DriverFailureError, match="another client"):
-        safety.ready(waiting, reset=False, stop_first=False)
+        safety.prepare_controller(waiting, ScanOptions(reset=False), stop_first=False)
     moving = _Controller(Mode.MOVING, at_rest=False)
     moving.mode = Mode.IDLE
-    assert safety.ready(moving, reset=False, stop_first=True).at_rest
+    assert safety.prepare_controller(moving, ScanOptions(reset=False), stop_first=True).at_rest
     assert moving.asked == "stop "
 
 
@@ -149,7 +151,7 @@ def test_a_clock_that_is_not_real_time_wants_a_word() -> None:
             safety.require_time_scale(emulator, accepted)
     safety.require_time_scale(emulator, 20.0)
     safety.require_time_scale(_Controller(), None)
-    with pytest.raises(UsageError, match="is real time, not 20 times"):
+    with pytest.raises(UsageError, match="in real time, not 20 times"):
         safety.require_time_scale(_Controller(), 20.0)
     emulator.capabilities = replace(emulator.capabilities, hardware=False)
     safety.require_time_scale(emulator, None)
@@ -158,4 +160,4 @@ def test_a_clock_that_is_not_real_time_wants_a_word() -> None:
 def test_every_motion_is_released_by_no_option() -> None:
     """The word of `cell explore` for all of its batches is none that a user, a file or Python gives to an execution."""
     with pytest.raises(UsageError, match="--confirm-motion"):
-        parse_options(ScanOptions, {"confirm_motion": safety.EVERY}, flag)
+        parse_options(ScanOptions, {"confirm_motion": safety.ANY_MOTION}, flag)

@@ -15,12 +15,10 @@ from cell.runs.cell import RunCell
 from cell.runs.folder import SCHEMA
 from cell.runs.run import Run, read_scan
 from cell.runs.schema import Manifest, ScannerKeys
-from cell.scan import execute
+from cell.scan import execution
+from cell.scan.execution import plan_execution
 from cell.scan.execution_folder import ExecutionFolder
-from cell.scan.legs import legs_of
-from cell.scan.pose_error import Disturbance
-from cell.scan.simulated import Simulated
-from cell.scan.sweep_scan import line_poses, lines_between
+from cell.scan.simulated import Disturbance, Simulated, line_poses, lines_per_step
 from cell.scanners.laser_line import LaserLine
 from cell.world.embree import EmbreeRayCaster
 from cell.world.travel import TravelBound
@@ -108,28 +106,30 @@ def _folder(tmp_path: Path) -> ExecutionFolder:
 def test_legs_end_at_each_pose_and_drive_every_vertex_once(path: SweepPath) -> None:
     """Two views of four poses, the second backwards: eight scanning legs and the way home."""
     motion = _motion(path)
-    legs = legs_of(motion)
-    assert [(leg.stop, leg.view, leg.pose) for leg in legs.legs] == [
+    plan = plan_execution(motion)
+    assert [(segment.stop, segment.view, segment.pose) for segment in plan.segments] == [
         *((1, 70, pose) for pose in range(4)), *((2, 71, pose) for pose in (3, 2, 1, 0)), (0, -1, 0),
     ]  # fmt: skip
-    np.testing.assert_array_equal(np.concatenate([HOME[None], *(leg.via for leg in legs.legs)]), motion.via_q)
+    np.testing.assert_array_equal(
+        np.concatenate([HOME[None], *(segment.via for segment in plan.segments)]), motion.via_q
+    )
 
 
 @pytest.mark.parametrize("stop", [1, 2])
 def test_one_view_alone_is_driven_along_checked_paths_only(path: SweepPath, stop: int) -> None:
     """There, through its poses, and back: every move is one of the plan's, one way or the other."""
     motion = _motion(path)
-    legs = legs_of(motion, stop)
-    assert [leg.stop for leg in legs.legs] == [stop] * 4 + [0]
-    assert sorted(leg.pose for leg in legs.legs[:4]) == [0, 1, 2, 3]
-    driven = np.concatenate([legs.start[None], *(leg.via for leg in legs.legs)])
+    plan = plan_execution(motion, stop)
+    assert [segment.stop for segment in plan.segments] == [stop] * 4 + [0]
+    assert sorted(segment.pose for segment in plan.segments[:4]) == [0, 1, 2, 3]
+    driven = np.concatenate([plan.start[None], *(segment.via for segment in plan.segments)])
     np.testing.assert_array_equal(driven[[0, -1]], motion.via_q[[0, 0]])
     known = {(a.tobytes(), b.tobytes()) for a, b in pairwise(motion.via_q)}
     for a, b in pairwise(driven):
         assert (a.tobytes(), b.tobytes()) in known or (b.tobytes(), a.tobytes()) in known
-    own = legs.motion(motion)
+    own = plan.to_motion(motion)
     assert own.view[own.stops].tolist() == [70 if stop == 1 else 71]
-    assert legs.planned_seconds > 0
+    assert plan.planned_seconds > 0
 
 
 def test_a_view_is_one_scan_of_all_lines_whichever_way_it_was_driven(
@@ -137,8 +137,8 @@ def test_a_view_is_one_scan_of_all_lines_whichever_way_it_was_driven(
 ) -> None:
     """Poses in the column's order, points on the ball, forwards and backwards the same lines."""
     folder = _folder(tmp_path)
-    execute.run(
-        legs_of(_motion(path)), _Driver(), scene, Simulated(scene, Disturbance(), 5), folder, speed=1.0,
+    execution.drive(
+        plan_execution(_motion(path)), _Driver(), scene, Simulated(scene, Disturbance(), 5), folder, speed=1.0,
         clock=SimulatedClock(),
     )  # fmt: skip
     first, second = (read_scan(folder.path / "scans" / f"{stop:04d}.npz") for stop in (1, 2))
@@ -157,8 +157,8 @@ def test_a_sweep_that_breaks_off_leaves_no_scan(path: SweepPath, scene: RunCell,
     """The driver fails on the way to the third pose of the second view: the first is on disk, the second is not."""
     folder = _folder(tmp_path)
     with pytest.raises(FaultError):
-        execute.run(
-            legs_of(_motion(path)), _Driver(6), scene, Simulated(scene, Disturbance(), 5), folder, speed=1.0,
+        execution.drive(
+            plan_execution(_motion(path)), _Driver(6), scene, Simulated(scene, Disturbance(), 5), folder, speed=1.0,
             clock=SimulatedClock(),
         )  # fmt: skip
     assert [file.name for file in (folder.path / "scans").iterdir()] == ["0001.npz"]
@@ -169,7 +169,7 @@ def test_a_sweep_that_breaks_off_leaves_no_scan(path: SweepPath, scene: RunCell,
 )
 def test_lines_stand_between_the_poses_and_half_a_step_beyond(column: Floats) -> None:
     """As close as wanted, equally far apart, symmetric; a cell's middle lines mean its pose."""
-    each = lines_between(column)
+    each = lines_per_step(column)
     lines = line_poses(column, each)
     assert len(lines) == each * len(column)
     steps = np.linalg.norm(np.diff(lines[:, :3, 3], axis=0), axis=1)
@@ -184,4 +184,4 @@ def test_lines_stand_between_the_poses_and_half_a_step_beyond(column: Floats) ->
 
 def test_a_single_pose_is_one_line() -> None:
     """A view at rest is scanned as ever."""
-    assert lines_between(np.eye(4)[None]) == 1
+    assert lines_per_step(np.eye(4)[None]) == 1

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cell.scan.whole_turns import turns_off
+from cell.scan.table_turns import whole_turns
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.limits import ENDLESS_RANGE, Limits
 from planner.ports import JointLimits
@@ -19,7 +19,7 @@ def _turns(angle_deg: float, lower_deg: float, upper_deg: float, able: Capabilit
     if able is None:
         able = Limits.from_rad(limits).with_endless_axis().capabilities("endless", hardware=False, simulated_time=True)
     axes = np.array([0] * 6 + [round(1e4 * angle_deg)], dtype=np.int32)
-    return turns_off(RobotState(Mode.IDLE, axes, True), able, limits)
+    return whole_turns(RobotState(Mode.IDLE, axes, True), able, limits)
 
 
 @pytest.mark.parametrize(("lower", "upper"), [(-180, 180), (-300, 60), (-20, 340), (-90, 45)])
