@@ -1,10 +1,9 @@
-"""Mangled frames and telegrams against the codecs: none may crash them, and none may pass for what was not sent.
+"""Corrupted frames and telegrams against the codecs: none may crash them, none may be accepted as another message.
 
-Good frames are made from random values, then mangled as wires mangle: bits flipped, bytes lost, doubled, swapped or put
-in, a burst, a cut, two frames run into each other, digits changed one for another. What decodes although it is not one
-of the good frames that went into it is a *false accept*. Of the frames of the serial line and of the blocks of the
-register map a CRC-32 is to find it, of RTU telegrams a CRC-16 is the first and the block's CRC-32 the second guard; a
-TCP telegram has only the second.
+Valid frames with random values are corrupted as on a wire: flipped bits, lost, doubled, swapped or inserted bytes,
+bursts, cuts, joined frames, exchanged digits. A decoded frame that is none of the valid frames is a *false accept*. A
+CRC-32 must detect it in frames of the serial line and blocks of the register map; RTU telegrams have a CRC-16 before
+the block's CRC-32, TCP telegrams only the latter.
 
 `FUZZ_FRAMES` in the environment changes the 1,000,000 frames.
 """
@@ -28,14 +27,14 @@ from drivers.wires import serial_protocol as messages
 from drivers.wires.serial_protocol import decode_frame, encode_frame, split_frames
 
 GOOD = 500
-"""Different good frames of each form, each mangled many times."""
+"""Different valid frames of each form, each corrupted many times."""
 
 Decoder = Callable[[bytes], "set[bytes]"]
 """Bytes to what was accepted in them, in its one spelling."""
 
 
-def mangled(good: bytes, other: bytes, rng: np.random.Generator) -> bytes:
-    """One frame after a bad wire."""
+def corrupted(good: bytes, other: bytes, rng: np.random.Generator) -> bytes:
+    """Return one frame after a bad wire."""
     data, n = bytearray(good), len(good)
     at = int(rng.integers(n))
     match int(rng.integers(9)):
@@ -65,7 +64,7 @@ def mangled(good: bytes, other: bytes, rng: np.random.Generator) -> bytes:
 
 
 def serial_frames(rng: np.random.Generator) -> list[bytes]:
-    """Good frames of all kinds."""
+    """Return valid frames of all kinds."""
     made = []
     for k in range(GOOD):
         points = rng.integers(-(2**31), 2**31, (int(rng.integers(1, 13)), 6)).astype(np.int32)
@@ -86,7 +85,7 @@ def serial_frames(rng: np.random.Generator) -> list[bytes]:
 
 
 def accepted_frames(data: bytes) -> set[bytes]:
-    """What the serial line's receivers take, all the way to its meaning."""
+    """Return the frames that the serial receivers accept, arguments included."""
     found = set()
     for candidate in split_frames(data)[0]:
         frame = decode_frame(candidate)
@@ -104,7 +103,7 @@ _COMMAND = registers.COMMAND.for_axes(6)
 
 
 def command_blocks(rng: np.random.Generator) -> list[list[int]]:
-    """Good command blocks."""
+    """Return valid command blocks."""
     made = []
     for k in range(GOOD):
         points = rng.integers(-(2**31), 2**31, (k % 10, 6))
@@ -118,7 +117,7 @@ def command_blocks(rng: np.random.Generator) -> list[list[int]]:
 
 
 def telegrams(rng: np.random.Generator, transaction: int | None) -> list[bytes]:
-    """Good FC16 telegrams, TCP or RTU."""
+    """Return valid FC16 telegrams, TCP or RTU."""
     made = []
     for block in command_blocks(rng):
         pdu = struct.pack(f">BHHB{len(block)}H", 16, 0, len(block), 2 * len(block), *block)
@@ -127,7 +126,7 @@ def telegrams(rng: np.random.Generator, transaction: int | None) -> list[bytes]:
 
 
 def accepted_blocks(data: bytes, rtu: bool) -> set[bytes]:
-    """Command blocks that a controller would take from these bytes."""
+    """Return the command blocks that a controller would accept from these bytes."""
     cut = stations.split_rtu(data) if rtu else stations.split_tcp(data)
     found = set()
     for packet in cut[0] if cut else []:
@@ -144,13 +143,13 @@ def accepted_blocks(data: bytes, rtu: bool) -> set[bytes]:
 
 
 def fuzz(good: list[bytes], accept: Decoder, frames: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Mangle, decode and count.
+    """Corrupt, decode and count.
 
     Args:
-        good: frames that are accepted as they are.
-        accept: what a receiver takes from bytes.
-        frames: how many mangled ones.
-        rng: of the mangling.
+        good: valid frames.
+        accept: function from bytes to the frames that a receiver accepts.
+        frames: number of corrupted frames.
+        rng: of the corruption.
     """
     meanings = [accept(data) for data in good]
     assert all(meanings)
@@ -158,10 +157,10 @@ def fuzz(good: list[bytes], accept: Decoder, frames: int, rng: np.random.Generat
     began = perf_counter()
     for k in range(frames):
         a, b = k % len(good), int(rng.integers(len(good)))
-        data = mangled(good[a], good[b], rng)
+        data = corrupted(good[a], good[b], rng)
         try:
             taken = accept(data)
-        except Exception:  # whatever it is, it is a crash
+        except Exception:  # any exception is a crash
             crashes += 1
             continue
         survived += bool(taken)
@@ -176,7 +175,7 @@ def fuzz(good: list[bytes], accept: Decoder, frames: int, rng: np.random.Generat
 
 
 def run(frames: int | None = None, seed: int = 0) -> list[dict[str, Any]]:
-    """A row per form."""
+    """Return a row for each form."""
     total = int(os.environ.get("FUZZ_FRAMES", "1000000")) if frames is None else frames
     forms: tuple[tuple[str, Callable[[np.random.Generator], list[bytes]], Decoder, int], ...] = (
         ("serial frame", serial_frames, accepted_frames, total // 2),

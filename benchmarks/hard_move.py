@@ -1,7 +1,7 @@
-"""One hard move of the dynamic arm, and what is seen of it at every step of the simulation.
+"""One hard move of the dynamic arm, recorded at every simulation step.
 
-Three legs with every axis, at full speed and acceleration and without a limit of jerk, so that accelerations jump: the
-move on which time steps, integrators and gains are compared. Metres, radians, seconds.
+Three segments with every axis, at full speed and acceleration and without a jerk limit, so that accelerations jump:
+time steps, integrators and gains are compared with it. Metres, radians, seconds.
 """
 
 from dataclasses import dataclass
@@ -26,30 +26,30 @@ MOVE = np.radians([[60, -60, 60, 40, 60, 100], [-40, -20, 20, -80, 30, -100], [0
 MOUNT = 0.12
 """From the flange to the point that is watched [m]."""
 
-_POLL = 0.004  # how often a controller asks whether the arm stands [s]
+_POLL = 0.004  # period of a controller's check for rest [s]
 
 
 class Trace:
-    """Collects what a plant's observer is told."""
+    """Record of a plant's observer."""
 
     def __init__(self) -> None:
         self.references: list[Reference] = []
         self.steps: list[list[tuple[Floats, Floats]]] = []
 
     def __call__(self, reference: Reference, times: Floats, axes: Floats) -> None:
-        """As `cell.robot.plant.Observer`."""
+        """Record steps, as a `cell.robot.plant.Observer`."""
         if not self.references or self.references[-1] is not reference:
             self.references.append(reference)
             self.steps.append([])
         self.steps[-1].append((times, axes))
 
     def axes(self) -> tuple[Floats, Floats]:
-        """Times (N,) since the first reference's begin and axes (N, 6) of the first reference."""
+        """Return times (N,) since the beginning of the first reference, and axes (N, 6) during it."""
         times, axes = (np.concatenate(parts) for parts in zip(*self.steps[0], strict=True))
         return times, axes
 
     def errors(self, kinematics: KukaKinematics, T_flange_scanner: Floats) -> dict[str, Floats]:
-        """Per step: reference and true position (N, 3) [m], speed (N,) [m/s], path deviation (N,) [m]."""
+        """Return for each step reference and true position (N, 3) [m], speed (N,) [m/s], path deviation (N,) [m]."""
         found: dict[str, list[Floats]] = {"reference": [], "true": [], "velocity": [], "off": []}
 
         def position(q: Floats) -> Floats:
@@ -68,7 +68,7 @@ class Trace:
 
 
 def _to_polyline(points: Floats, path: Floats) -> Floats:
-    """(N,) distance of points (N, 3) to a dense path (M, 3): to the segments beside the nearest vertex."""
+    """Return distances (N,) of points (N, 3) to a dense path (M, 3), to the segments at the nearest vertex."""
     nearest = cKDTree(path).query(points)[1]
     best = np.full(len(points), np.inf)
     for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(path) - 2)):
@@ -81,14 +81,14 @@ def _to_polyline(points: Floats, path: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OneMove:
-    """The move as it was simulated.
+    """The simulated move.
 
     Attributes:
-        outcome: settled; restless (not at rest within the time that the controller gives); failed.
+        outcome: settled; restless (not at rest within the controller's limit); failed.
         trace: every step.
         duration: of the reference [s].
-        processor_s: what the simulation of it took.
-        waited: until the arm stood after the reference's end [s].
+        processor_s: processor time of the simulation [s].
+        waited: time from the end of the reference until the arm was at rest [s].
     """
 
     outcome: str
@@ -98,18 +98,18 @@ class OneMove:
     waited: float
 
     def tracking_error(self) -> float:
-        """Largest distance of the point on the flange from its reference at the same time [m]."""
+        """Return the largest distance of the flange's point from its reference at the same time [m]."""
         errors = self.trace.errors(kinematics_of(load()), _mount())
         return float(np.linalg.norm(errors["true"] - errors["reference"], axis=1).max())
 
     def positions(self) -> tuple[Floats, Floats]:
-        """Times (N,) [s] and positions (N, 3) [m] of the point on the flange, at each step."""
+        """Return times (N,) [s] and positions (N, 3) [m] of the flange's point at each step."""
         times, axes = self.trace.axes()
         return times, np.asarray((kinematics_of(load()).forward(axes) @ _mount())[:, :3, 3])
 
 
 def one_move(settings: PlantSettings) -> OneMove:
-    """Drive it with a plant of these settings."""
+    """Drive the move with a plant of these settings."""
     limits = robot.limits(load())
     reference = interpolate(HOME, MOVE, limits.velocity, limits.acceleration)
     trace = Trace()

@@ -1,6 +1,6 @@
-"""Closed-form kinematics: poses per second beside the worst error of the round trip.
+"""Closed-form kinematics: poses per second and worst error of the round trip.
 
-Half of the poses are uniform in the joint limits; the other half lie next to the wrist's or the elbow's singularity, at
+Half of the poses are uniform in the joint limits; the other half lie near the wrist's or the elbow's singularity, at
 distances from 1e-16 to 1 rad.
 """
 
@@ -18,7 +18,7 @@ REPEATS = 7
 
 
 def run() -> list[dict[str, Any]]:
-    """One row for the inverse, one for the forward kinematics, one for turns and limits."""
+    """Return one row each for inverse kinematics, forward kinematics, and turns and limits."""
     kinematics = kr16_kinematics()
     limits = kinematics.limits
     rng = np.random.default_rng(0)
@@ -57,7 +57,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def _best(work: Any) -> float:
-    """Shortest of some runs [s]; the others measure what else the machine does."""
+    """Return the shortest of several runs [s]; longer ones are disturbed by other processes."""
     times = []
     for _ in range(REPEATS):
         start = time.perf_counter()

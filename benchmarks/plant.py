@@ -1,18 +1,18 @@
-"""The dynamic KR 16 (`sim://?plant=mujoco`): how well it follows, how fast it is simulated, and where that ends.
+"""The dynamic KR 16 (`sim://?plant=mujoco`): following error, simulation speed, and limits of stability.
 
-Rows `default plan` drive the legs of the built-in Mseke's plan through the simulated controller, without scanning. All
-errors are of the scanner's origin (its laser source) at every step of the simulation, true position against reference:
-`error` is the distance at one time, the time lag included; `along` and `across` are its parts in the direction of the
-reference's motion and perpendicular to it; `off the path` is the distance to the nearest point of the reference path,
-the time lag excluded; `lag` is the error along over the speed, where that is above 0.1 m/s. `at rest` is the
-largest error when the controller says that the arm stands, as the scanner then sees it. `x real time` is the clock of
-the controller over the processor time of one core, best of 3, with nobody looking at the steps.
+Rows `default plan` drive the segments of the built-in Mseke's plan through the simulated controller, without scanning.
+All errors are those of the scanner's origin (its laser source) at every simulation step, true position against
+reference: `error` is the distance at equal time, with the time lag; `along` and `across` are its components in the
+direction of the reference's motion and perpendicular to it; `off the path` is the distance to the nearest point of the
+reference path, without the time lag; `lag` is the error along divided by the speed, above 0.1 m/s. `at rest` is the
+largest error when the controller reports the arm at rest, as the scanner sees it. `x real time` is the controller's
+time over the processor time of one core, best of 3, without an observer.
 
-Rows `stability` drive one move of three legs with every axis (full speed and acceleration, no limit of jerk, so that
-accelerations jump) at each time step, integrator and bandwidth of the servo. `outcome`: settled; `restless`, the arm
-did not come to rest within the time that the controller gives it; `failed`, the plant gave up on the way. `warned`:
-whether the program warns of such a time step. `off mm`, of the default servo alone, is how far the time step takes the
-flange from where a step of 0.05 ms has it at the same time.
+Rows `stability` drive one move of three segments with every axis (full speed and acceleration, no jerk limit, so that
+accelerations jump) for each time step, integrator and bandwidth of the servo. `outcome`: settled; `restless`, the arm
+did not come to rest within the controller's limit; `failed`, the plant failed during the move. `warned`: whether the
+program warns of such a time step. `off mm`, for the default servo only, is the distance of the flange from its position
+with a step of 0.05 ms at the same time.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ BANDWIDTHS_HZ = (3.0, 6.0, 12.0, 24.0, 48.0)
 INTEGRATORS = ("Euler", "implicitfast")
 AT_SPEED = 0.1
 
-_FINE_STEP = 5e-5  # of the simulation that `off mm` is measured against [s]
+_FINE_STEP = 5e-5  # of the reference simulation of `off mm` [s]
 
 
 def run() -> list[dict[str, Any]]:
-    """The default plan, then the grid."""
+    """Run the default plan, then the grid."""
     with tempfile.TemporaryDirectory() as scratch:
         plan = Path(scratch) / "default"
         run_cell(Path(scratch), "plan", "mseke", "--out", str(plan), cache=Path(scratch) / "cache")
@@ -58,7 +58,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def default_plan(run_record: Run, speed: float) -> dict[str, Any]:
-    """One row: the plan's legs at a speed fraction."""
+    """Return one row: the plan's segments at a speed fraction."""
     motion, T = run_record.motion, run_record.scene.T_flange_scanner
     kinematics = kinematics_of(load())
     seconds, stands, trace = np.inf, [], Trace()
@@ -110,7 +110,7 @@ def _position(kinematics: KukaKinematics, T_flange_scanner: Floats, q: Floats) -
 
 
 def stability() -> list[dict[str, Any]]:
-    """One row per time step, integrator and bandwidth."""
+    """Return one row for each time step, integrator and bandwidth."""
     return [
         _one_move(PlantSettings(time_step=step / 1e3, integrator=integrator, bandwidth=bandwidth))
         for integrator in INTEGRATORS
@@ -130,14 +130,14 @@ def _one_move(settings: PlantSettings) -> dict[str, Any]:
         "outcome": move.outcome,
         "warned": "yes" if settings.warning else "",
         "error mm": 1e3 * move.tracking_error(),
-        "off mm": 1e3 * _off(move) if usual and move.outcome == "settled" else "",
+        "off mm": 1e3 * _step_error(move) if usual and move.outcome == "settled" else "",
         "settling s": move.waited if move.outcome == "settled" else "",
         "x real time": move.duration / move.processor_s if move.outcome != "failed" else "",
     }
 
 
-def _off(move: OneMove) -> float:
-    """How far the point on the flange is from where a fine step has it at the same time, at most [m]."""
+def _step_error(move: OneMove) -> float:
+    """Return the largest distance of the flange's point from its position with a fine step at the same time [m]."""
     times, position = move.positions()
     fine_times, fine = _fine_move()
     truth = np.stack([np.interp(times, fine_times, fine[:, axis]) for axis in range(3)], axis=1)
@@ -150,7 +150,7 @@ def _fine_move() -> tuple[Floats, Floats]:
 
 
 def chart(rows: list[dict[str, Any]], folder: Path) -> None:
-    """Error against simulation speed, and the map of time step and bandwidth for each integrator."""
+    """Draw error over simulation speed, and the map of time step and bandwidth for each integrator."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,10 +1,10 @@
 """Plans with arms from files: `ROBOT_FILES=a.urdf:b.xml SCENES=10 python -m benchmarks robots`.
 
-The default job with the built-in Mseke scaled so that its longest side is a tenth of the arm's reach, at seeded places
-before the arm. `surface %` is what reachable candidates measure of the whole surface, `visible %` what the plan
-measures of that. `contacts` counts configurations, half a degree apart along the motion, at which true triangles of the
-file touch each other or the part, by fcl and by MuJoCo's frames of the file itself; neighbours and pairs that
-`cell robot` names as excused are left out. `limits` is the largest share of a limit of angle, speed, acceleration or
+The default scene with the built-in Mseke, scaled to a longest side of a tenth of the arm's reach, at random positions
+in front of the arm. `surface %` is the share of the surface that reachable candidates measure, `visible %` the share of
+that which the plan measures. `contacts` counts configurations, half a degree apart along the motion, at which true
+triangles of the file touch each other or the part, by fcl and MuJoCo's frames of the file itself, without neighbours
+and pairs that `cell robot` lists as excluded. `limits` is the largest share of a limit of angle, speed, acceleration or
 jerk.
 """
 
@@ -38,7 +38,7 @@ _STEP = np.radians(0.5)
 
 
 def run() -> list[dict[str, Any]]:
-    """One row a scene."""
+    """Return one row for each scene."""
     files = [Path(each) for each in os.environ.get("ROBOT_FILES", "").split(":") if each]
     if not files:
         raise SystemExit("no arm is given; ROBOT_FILES=a.urdf:b.xml names them")
@@ -46,7 +46,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def _row(file: Path, number: int) -> dict[str, Any]:
-    """The first draw of a scene that can be: in others the part stands at the arm's home, say."""
+    """Return the row of the first feasible draw of a scene: in others the part collides with the arm at home, say."""
     for draw in range(_DRAWS):
         try:
             return _scene(file, number, draw)
@@ -96,7 +96,7 @@ def _scene(file: Path, number: int, draw: int) -> dict[str, Any]:
 
 
 def _share_of_limits(motion: dict[str, Any]) -> float:
-    """The largest share of a limit that a sampled motion takes."""
+    """Return the largest share of a limit that a sampled motion uses."""
     low, high = motion["limit_lower"], motion["limit_upper"]
     shares = [np.abs((2 * motion["q"] - low - high) / (high - low)).max()]
     for name, limit in (("qd", "limit_velocity"), ("qdd", "limit_acceleration")):
@@ -110,7 +110,7 @@ def _share_of_limits(motion: dict[str, Any]) -> float:
 def _contacts(
     file: RobotFile, via: Floats, part: TriangleMesh, T_base_object: Floats, excused: set[frozenset[str]]
 ) -> tuple[int, int]:
-    """At how many configurations of a motion true triangles touch, and how many were looked at."""
+    """Return the number of configurations of a motion with touching triangles, and the number checked."""
     model, data = file.model, mujoco.MjData(file.model)
     base = model.body(file.base).id
     links = {int(model.jnt_bodyid[model.joint(name).id]): f"link_{i + 1}" for i, name in enumerate(file.joints)}

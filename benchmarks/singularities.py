@@ -1,9 +1,9 @@
-"""Beside the singularities: the joint speed that 100 mm/s at the tool needs.
+"""Near singularities: the joint speed for 100 mm/s at the tool.
 
 Three singularities, each approached along one joint: the wrist straight (A5 towards 0), the arm stretched (A3) and the
 wrist centre over A1 (A3 as well). At each distance the tool, 120 mm beyond the flange, moves at 100 mm/s in its worst
-direction without turning; the share of an axis' speed limit is of the axis that needs most. What is left of the inverse
-kinematics there is a map of `python -m benchmarks stability ik`.
+direction without rotation; the share of the speed limit is the largest of all axes. The accuracy of the inverse kinematics
+there is a map of `python -m benchmarks stability ik`.
 """
 
 from typing import Any
@@ -16,12 +16,12 @@ from planner.kinematics.closed_form import KukaKinematics
 from planner.values import Floats
 
 _TOOL, _SPEED = 0.12, 0.1  # m, m/s
-_DISTANCES = 10.0 ** np.arange(-5.0, 0.01, 0.25)  # nearer, the differences lose their digits
+_DISTANCES = 10.0 ** np.arange(-5.0, 0.01, 0.25)  # at smaller distances the differences lose digits
 _STEP = 1e-6  # rad, of the central differences: their error is 1e-10
 
 
 def run() -> list[dict[str, Any]]:
-    """A row for each singularity and decade of distance."""
+    """Return a row for each singularity and decade of distance."""
     kinematics = kr16_kinematics()
     rows = []
     for name, (q, joint) in _singular(kinematics).items():
@@ -33,7 +33,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def _singular(kinematics: KukaKinematics) -> dict[str, tuple[Floats, int]]:
-    """Singular configurations [rad], and the joint along which they are left."""
+    """Return singular configurations [rad], and the joint along which they are left."""
     arm = kinematics.arm
     stretched = -np.arctan2(-arm.a3, arm.d4)
     a2 = np.radians(-120.0)
@@ -61,7 +61,7 @@ def _beside(kinematics: KukaKinematics, q: Floats) -> dict[str, float]:
 
 
 def _jacobian(kinematics: KukaKinematics, q: Floats) -> Floats:
-    """(6, 6) velocity of the tool [m/s] and angular velocity [rad/s], base frame, per joint speed [rad/s]."""
+    """Return the Jacobian (6, 6): velocity of the tool [m/s] and angular velocity [rad/s] per joint speed [rad/s]."""
     nudges = _STEP * np.eye(6)
     ahead, behind = kinematics.forward(q + nudges), kinematics.forward(q - nudges)
     here = kinematics.forward(q[None])[0]
@@ -74,7 +74,7 @@ def _jacobian(kinematics: KukaKinematics, q: Floats) -> Floats:
 
 
 def chart(rows: list[dict[str, Any]], folder: Any) -> None:
-    """Joint speed over the distance, one line a singularity."""
+    """Draw the joint speed over the distance, one line for each singularity."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,13 +1,13 @@
-"""Thousands of moves over a wire on which everything goes wrong, and what the controller's journal says of them.
+"""Thousands of moves over a disturbed wire, and their comparison with the controller's journal.
 
-An emulated controller runs in a process of its own with 1 % of every fault; a client commands random moves, and gets
-out of what goes wrong as a careful program would: stop where the state is unknown, reset where a fault is latched, then
-go on from where the arm stands. Afterwards what was commanded is compared with what the controller wrote down:
+An emulated controller runs in a process of its own with 1 % of every fault. A client commands random moves and recovers
+like a careful program: it stops if the state is unknown, resets a latched fault, and continues from the arm's position.
+Afterwards the commanded moves are compared with the journal:
 
-- no move began twice, out of order, or without having been commanded; what returned was executed to its end, what was
-  refused never began;
-- the arm stood on the commanded path whenever it was stopped;
-- every fault that the controller latched was reported to the client under its own code.
+- no move began twice, out of order, or without a command; a move that returned was completed, a refused one never
+  began;
+- the arm was on the commanded path whenever it was stopped;
+- every latched fault was reported to the client under its own code.
 
 `SOAK_MOVES` and `SOAK_BACKENDS` in the environment change the 2,000 moves and the three back ends; `SOAK_RUN` names a
 run folder whose axes are moved, seven where it has a rotary table.
@@ -62,14 +62,14 @@ Counts = NDArray[np.int64]
 
 @dataclass
 class Soak:
-    """What was commanded, and what the client was told.
+    """Commanded moves and reports to the client.
 
     Attributes:
         commanded: set-points and outcome of each move, in order: "done", "refused", "stopped", "fault", "unknown".
-        reported: fault codes that the client was told, once in each recovery, in order.
-        outcomes: how often what happened.
+        reported: fault codes reported to the client, once in each recovery, in order.
+        outcomes: number of each outcome.
         seconds: wall time [s].
-        wait: lets seconds pass.
+        wait: function that lets seconds pass.
     """
 
     commanded: list[tuple[SetPoints, str]] = field(default_factory=list)
@@ -80,24 +80,24 @@ class Soak:
 
 
 def drive(driver: Driver, moves: int, rng: np.random.Generator, wait: Callable[[float], None] = time.sleep) -> Soak:
-    """Command random moves, and recover from whatever happens.
+    """Command random moves, and recover from all failures.
 
     Args:
         driver: not yet connected.
-        moves: how many to command.
+        moves: number of moves.
         rng: of the moves.
-        wait: lets seconds pass before a recovery is tried again.
+        wait: function that lets seconds pass before another attempt to recover.
 
     Raises:
         DriverError: if the driver cannot be recovered.
     """
     soak, began = Soak(wait=wait), time.perf_counter()
-    _patiently(soak, driver.connect)
+    _retry(soak, driver.connect)
     try:
         _recover(driver, soak)
         for _ in range(moves):
             points = _random_points(driver, soak, rng)
-            outcome, code = _one(driver, points)
+            outcome, code = _move(driver, points)
             soak.commanded.append((points, outcome))
             soak.outcomes[outcome] += 1
             if outcome != "done":
@@ -108,8 +108,8 @@ def drive(driver: Driver, moves: int, rng: np.random.Generator, wait: Callable[[
     return soak
 
 
-def _one(driver: Driver, points: SetPoints) -> tuple[str, int]:
-    """What became of one move, and the fault that ended it."""
+def _move(driver: Driver, points: SetPoints) -> tuple[str, int]:
+    """Command one move; return its outcome and the fault that ended it."""
     try:
         state = driver.move(points, 1.0)
     except FaultError as fault:
@@ -128,18 +128,18 @@ def _one(driver: Driver, points: SetPoints) -> tuple[str, int]:
 
 
 def _recover(driver: Driver, soak: Soak, code: int = 0) -> None:
-    """Stop, see what is latched, and reset, until the controller takes moves again."""
-    told = {code} - {0}
+    """Stop, read latched faults and reset, until the controller accepts moves again."""
+    reported = {code} - {0}
 
     def once() -> None:
-        told.update({driver.stop().fault_code} - {0})
+        reported.update({driver.stop().fault_code} - {0})
         driver.reset()
 
-    _patiently(soak, once)
-    soak.reported += sorted(told)
+    _retry(soak, once)
+    soak.reported += sorted(reported)
 
 
-def _patiently(soak: Soak, act: Callable[[], object]) -> None:
+def _retry(soak: Soak, act: Callable[[], object]) -> None:
     for left in reversed(range(MOST_RECOVERIES)):
         try:
             act()
@@ -152,28 +152,28 @@ def _patiently(soak: Soak, act: Callable[[], object]) -> None:
 
 
 def _random_points(driver: Driver, soak: Soak, rng: np.random.Generator) -> SetPoints:
-    """One to three via points near the arm, sometimes forty: more than a frame or a block holds."""
+    """Return one to three via points near the arm, sometimes forty: more than a frame or a block holds."""
     axes: list[Any] = []
-    _patiently(soak, lambda: axes.append(driver.state().axes))
-    able = driver.capabilities
+    _retry(soak, lambda: axes.append(driver.state().axes))
+    capabilities = driver.capabilities
     n = 40 if rng.random() < 0.05 else int(rng.integers(1, 4))
-    steps = rng.integers(-60_000, 60_001, (n, len(able.lower))) // (1 if n < 4 else 20)
-    low, high = able.lower.astype(np.int64) // 2, able.upper.astype(np.int64) // 2
+    steps = rng.integers(-60_000, 60_001, (n, len(capabilities.lower))) // (1 if n < 4 else 20)
+    low, high = capabilities.lower.astype(np.int64) // 2, capabilities.upper.astype(np.int64) // 2
     points = axes[0].astype(np.int64) + np.cumsum(steps, axis=0)
     return np.clip(points, np.minimum(low, axes[0]), np.maximum(high, axes[0])).astype(np.int32)
 
 
 @dataclass
 class Verdict:
-    """What the journal says.
+    """Result of the comparison with the journal.
 
     Attributes:
         twice: moves that began more than once.
-        lost: moves that returned as done and did not end so.
-        foreign: moves that began and were refused or never commanded.
+        lost: moves that returned as done but did not end so.
+        foreign: moves that began but were refused or never commanded.
         out_of_order: moves that began after a later one.
-        off_path: farthest that a stopped arm stood from the commanded path, counts of 1e-4 deg.
-        unreported: faults that were latched and of which the client was not told.
+        off_path: largest distance of a stopped arm from the commanded path, counts of 1e-4 deg.
+        unreported: latched faults that were not reported to the client.
     """
 
     twice: int = 0
@@ -185,14 +185,14 @@ class Verdict:
 
     @property
     def clean(self) -> bool:
-        """Nothing twice, lost, foreign or out of order, on the path to rounding, and every fault reported."""
+        """True if no move is twice, lost, foreign, out of order or off the path, and every fault was reported."""
         return not (self.twice or self.lost or self.foreign or self.out_of_order or self.unreported) and (
             self.off_path <= 2.0
         )
 
 
 def judge(soak: Soak, journal: list[dict[str, Any]]) -> Verdict:
-    """Compare what was commanded with what was executed.
+    """Compare commanded and executed moves.
 
     Args:
         soak: of the client.
@@ -203,7 +203,7 @@ def judge(soak: Soak, journal: list[dict[str, Any]]) -> Verdict:
     for k, (points, _) in enumerate(soak.commanded):
         index[json.dumps(points.tolist())] = k
     began, ended = Counter[int](), dict[int, int]()
-    faulted: set[int] = set()  # done, and a fault was latched before the next one
+    faulted: set[int] = set()  # completed moves with a fault before the next one
     last, current = -1, (-1, -1, -1)
     path: NDArray[Any] = np.zeros((1, 0))
     for entry in journal:
@@ -225,7 +225,7 @@ def judge(soak: Soak, journal: list[dict[str, Any]]) -> Verdict:
         verdict.lost += outcome == "done" and not (began[k] == 1 and ended.get(k) == 0)
         ends = (0, 20, 21) if outcome == "fault" and k in faulted else (20, 21)
         verdict.lost += outcome in ("fault", "stopped") and not (began[k] == 1 and ended.get(k) in ends)
-    # The next move begins where a stopped one stands: there the arm is compared with the path that was commanded.
+    # The next move begins at the position of a stopped one, which must lie on the commanded path.
     here: NDArray[Any] | None = None
     for entry in journal:
         if entry["event"] != "move":
@@ -234,15 +234,14 @@ def judge(soak: Soak, journal: list[dict[str, Any]]) -> Verdict:
         if here is not None:
             verdict.off_path = max(verdict.off_path, _distance(start, here))
         here = np.array([entry["from"], *entry["set_points"]], dtype=np.float64)
-    verdict.unreported = sum((_to_be_told(journal) - Counter(soak.reported)).values())
+    verdict.unreported = sum((_reportable_faults(journal) - Counter(soak.reported)).values())
     return verdict
 
 
-def _to_be_told(journal: list[dict[str, Any]]) -> Counter[int]:
-    """Faults of which a client must hear: those that were latched until it reset them, and restarts.
+def _reportable_faults(journal: list[dict[str, Any]]) -> Counter[int]:
+    """Return the faults that must be reported to a client: those latched until its reset, and restarts.
 
-    The emergency stop outranks what was latched before it. What a controller that was restarted had latched is gone
-    with its memory; the restart itself is told.
+    The emergency stop outranks earlier faults. A restart erases latched faults, but is reported itself.
     """
     told = Counter[int]()
     latched = 0
@@ -259,7 +258,7 @@ def _to_be_told(journal: list[dict[str, Any]]) -> Counter[int]:
 
 
 def _distance(point: NDArray[Any], path: NDArray[Any]) -> float:
-    """Largest axis distance of a point from the nearest point of a polyline, counts."""
+    """Return the largest axis distance of a point from the nearest point of a polyline, counts."""
     a, b = path[:-1], path[1:]
     along = b - a
     length = np.maximum((along**2).sum(axis=1), 1e-9)
@@ -274,13 +273,13 @@ def soak_backend(
 
     Args:
         backend: protocol of `cell emulate`.
-        moves: how many.
+        moves: number of moves.
         faults: list of faults.
         seed: of faults and moves.
-        folder: a run whose axes are moved; None: the arm's.
+        folder: a run whose axes are moved; None: those of the built-in arm.
 
     Returns:
-        What the client knows, and the controller's journal.
+        Record of the client, and the controller's journal.
     """
     limits = KR16 if folder is None else Limits.from_rad(open_run(folder).motion.limits)
     with tempfile.TemporaryDirectory() as kept:
@@ -301,7 +300,7 @@ def soak_backend(
 
 
 def run() -> list[dict[str, Any]]:
-    """A row per back end."""
+    """Return a row for each wire."""
     rows = []
     for backend in os.environ.get("SOAK_BACKENDS", " ".join(BACKENDS)).split():
         moves = int(os.environ.get("SOAK_MOVES", "2000"))

@@ -1,10 +1,9 @@
 """Round trips of a state and of a command over each wire, with the controller in another process on this machine.
 
-Loopback sockets and pseudo-terminals move bytes in no time, so what is measured is what lies beyond the time of the
-bytes on the wire: both programs, the operating system, the library. A state over Modbus is two telegrams, a heartbeat
-written and a status read. The last columns say what the same bytes would take at 115,200 baud (RTU with 11 bits, serial
-with 10 a byte). A row of the bare line, a byte there and back through a process that echoes it, says what this machine
-gives at best.
+Loopback sockets and pseudo-terminals have no transfer time, so the rows measure only both programs, the operating
+system and the library. A state over Modbus takes two telegrams, a written heartbeat and a read status. The last columns
+have the transfer time of the same bytes at 115,200 baud (RTU with 11 bits, serial with 10 bits a byte). The row of the
+bare line, a byte echoed by another process, is the best possible value of this machine.
 
 `WIRE_ROUNDS` in the environment changes the 500 rounds.
 """
@@ -42,7 +41,7 @@ _ECHO = (
 
 
 def _timed(act: Callable[[], object], rounds: int) -> tuple[float, float, float]:
-    """Median and 99th percentile [ms], and the processor's time of this process alone for one [ms]."""
+    """Return median and 99th percentile [ms], and the processor time of this process for one round [ms]."""
     for _ in range(20):
         act()
     spent, busy = [], process_time()
@@ -55,7 +54,7 @@ def _timed(act: Callable[[], object], rounds: int) -> tuple[float, float, float]
 
 
 def _bytes(backend: str) -> tuple[int, int]:
-    """Bytes there and back of a state, and bits of each."""
+    """Return the bytes of a state in both directions, and the bits of a byte."""
     if backend == "serial":
         return len(">00502,0010,STATE,4711*E559936D\r\n") + 100, 10
     fc16, fc04 = 9 + 2 * registers.COMMAND.registers + 8, 8 + 5 + 2 * registers.STATUS.for_axes(6).registers
@@ -88,7 +87,7 @@ def _bare_line(rounds: int) -> dict[str, Any]:
 
 
 def run() -> list[dict[str, Any]]:
-    """A row per wire."""
+    """Return a row for each wire."""
     rounds = int(os.environ.get("WIRE_ROUNDS", "500"))
     rows = [_bare_line(rounds)]
     arm = Context(Limits.from_rad(robot.limits(robot.load())))
