@@ -2,8 +2,8 @@
 
 Three singularities, each approached along one joint: the wrist straight (A5 towards 0), the arm stretched (A3) and the
 wrist centre over A1 (A3 as well). At each distance the tool, 120 mm beyond the flange, moves at 100 mm/s in its worst
-direction without rotation; the share of the speed limit is the largest of all axes. The accuracy of the inverse kinematics
-there is a map of `python -m benchmarks stability ik`.
+direction without rotation; the share of the speed limit is the largest of all axes. The accuracy of the inverse
+kinematics there is a map of `python -m benchmarks stability ik`.
 """
 
 from typing import Any
