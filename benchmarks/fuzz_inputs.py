@@ -1,6 +1,6 @@
 """Mangled files of every kind that is read: meshes, scenes (TOML), JSON and npz of run folders.
 
-Good files are mangled as bytes (`benchmarks.fuzz.mangled`), or in their structure: a number, a word or a bracket of a
+Good files are mangled as bytes (`benchmarks.fuzz.corrupted`), or in their structure: a number, a word or a bracket of a
 text becomes a nasty one, of a GLB in its description, of an npz in a member with its zip made anew. Whatever comes out
 must be read, or refused by an error of ours that ends with an exit code other than 70, in bounded time and memory: the
 readers run in a process of their own whose memory is limited to a gigabyte more than it begins with, where an
@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from benchmarks.fuzz import mangled
+from benchmarks.fuzz import corrupted
 from cell.errors import CellError
 from cell.part import workpiece
 from cell.runs.run import Run, read_manifest, read_scan
@@ -95,7 +95,7 @@ def _npz(good: bytes, rng: np.random.Generator) -> bytes:
         head, brace, rest = member.partition(b"}")
         members[name] = structured(head, rng) + brace + rest
     else:
-        members[name] = mangled(member, member, rng)
+        members[name] = corrupted(member, member, rng)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as made:
         for each, content in members.items():
@@ -106,12 +106,12 @@ def _npz(good: bytes, rng: np.random.Generator) -> bytes:
 def disturbed(name: str, good: bytes, rng: np.random.Generator) -> bytes:
     """One mangled file."""
     if rng.random() < 0.4:
-        return mangled(good, good, rng)
+        return corrupted(good, good, rng)
     if name.endswith(".glb"):
         return _glb(good, rng)
     if name.endswith(".npz"):
         return _npz(good, rng)
-    return structured(good, rng) if name != "binary.stl" else mangled(good[:90], good, rng) + good[90:]
+    return structured(good, rng) if name != "binary.stl" else corrupted(good[:90], good, rng) + good[90:]
 
 
 def kinds(run: Path, scan: Path | None) -> list[Kind]:
