@@ -1,4 +1,4 @@
-"""Whole motions of a toy arm among spheres, re-checked ten times finer on the sampled motion by plain distances."""
+"""Complete motions of a toy arm among spheres, checked ten times finer on the sampled motion by plain distances."""
 
 from functools import lru_cache
 
@@ -32,7 +32,7 @@ RADIUS = np.array([radius for *_, radius in BALLS])
 
 
 def reach() -> np.ndarray:
-    """How far each axis can move any surface point per radian: the stretched chain beyond it."""
+    """Return the largest travel of a surface point per radian of each axis: the length of the chain beyond it."""
     tool = (np.linalg.norm(CENTRE - POINTS[4], axis=1) + RADIUS)[LINK >= 5].max()
     spin = (np.abs(CENTRE[:, 2] - 0.64) + RADIUS)[LINK == 6].max()
     elbow = max(
@@ -44,7 +44,7 @@ def reach() -> np.ndarray:
 
 
 class Arm:
-    """Balls on an arm against spheres, a floor, and its own tool against its upper arm (both of which move)."""
+    """Balls on an arm against spheres, a floor, and the tool against the upper arm (both move)."""
 
     clearance = 0.01
 
@@ -92,7 +92,7 @@ class Arm:
 
 @lru_cache
 def cell_with_part(seed: int, n: int) -> tuple[Arm, list[np.ndarray], np.ndarray]:
-    """A part on a post between two pillars, and views: two free joint solutions each, tool near the part."""
+    """Return a part on a post between two pillars, and views near the part with two free configurations each."""
     rng = np.random.default_rng(seed)
     post = [(1.2, 0.2, z, 0.06) for z in np.arange(-0.6, 0.4, 0.12)]
     pillars = [(x, y, z, 0.08) for x, y in ((0.75, 0.6), (0.75, -0.3)) for z in np.arange(-0.6, 1.2, 0.14)]
@@ -112,7 +112,7 @@ def cell_with_part(seed: int, n: int) -> tuple[Arm, list[np.ndarray], np.ndarray
 
 @lru_cache
 def planned(seed: int) -> tuple[Arm, Tour, Motion]:
-    """A tour of eight views and its motion."""
+    """Return a tour of eight views and its motion."""
     arm, configurations, poses = cell_with_part(seed, 8)
     tour = plan_tour(Visits(configurations, HOME, poses), arm, LIMITS, np.random.default_rng(seed))
     return arm, tour, retime(tour.via, tour.segment, tour.view, LIMITS)
@@ -120,7 +120,7 @@ def planned(seed: int) -> tuple[Arm, Tour, Motion]:
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_no_configuration_of_the_driven_motion_is_in_contact(seed: int) -> None:
-    """Samples at a tenth of the certified spacing keep what certification promises: 0.55 c outside, 0.1 c of itself."""
+    """Samples at a tenth of the certified spacing keep the proven 0.55 c to others and 0.1 c to the arm itself."""
     arm, tour, _ = planned(seed)
     assert tour.status is TourStatus.COMPLETE
     outside = len(arm.spheres) * len(BALLS) + len(BALLS)
@@ -132,7 +132,7 @@ def test_no_configuration_of_the_driven_motion_is_in_contact(seed: int) -> None:
 
 
 def test_the_motions_needed_detours() -> None:
-    """Precondition of this file: straight moves alone would not have done."""
+    """Precondition of this file: straight moves alone do not suffice."""
     assert sum(int(planned(seed)[1].detour.sum()) for seed in range(2)) >= 1
 
 
@@ -157,8 +157,8 @@ def test_no_limit_is_exceeded_by_samples_or_their_differences(seed: int) -> None
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_the_tour_is_what_its_fields_say(seed: int) -> None:
-    """Home at both ends, each view at its solution exactly once, legs numbered, detours tagged."""
+def test_the_fields_of_the_tour_are_consistent(seed: int) -> None:
+    """Home at both ends, each view at its configuration exactly once, segments numbered, detours tagged."""
     _, tour, _ = planned(seed)
     _, configurations, _ = cell_with_part(seed, 8)
     np.testing.assert_allclose(tour.via[[0, -1]], [HOME, HOME], atol=1e-15)

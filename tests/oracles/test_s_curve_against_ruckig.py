@@ -1,4 +1,4 @@
-"""The closed form of the S-curve against ruckig (Berscheid and Kroeger 2021), and against integrating its own jerk.
+"""The closed form of the S-curve compared with ruckig (Berscheid and Kroeger 2021) and with its integrated jerk.
 
 Ruckig solves the general state-to-state problem by case enumeration and polynomial roots; only its state-to-state call
 is used.
@@ -24,7 +24,7 @@ LIMITS = JointLimits(
 
 
 def by_ruckig(velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray, to: np.ndarray) -> ruckig.Trajectory:
-    """Its fastest motion from rest at 0 to rest at `to`, all axes in one phase."""
+    """Return ruckig's fastest motion from rest at 0 to rest at `to`, all axes in one phase."""
     dof = len(to)
     asked = ruckig.InputParameter(dof)
     asked.current_position, asked.current_velocity, asked.current_acceleration = [0.0] * dof, [0.0] * dof, [0.0] * dof
@@ -36,17 +36,17 @@ def by_ruckig(velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray, 
     return found
 
 
-def random_law(rng: np.random.Generator) -> np.ndarray:
-    """Limits of speed, acceleration and jerk of a path of length 1, over four decades each."""
+def random_limits(rng: np.random.Generator) -> np.ndarray:
+    """Return limits of speed, acceleration and jerk of a path of length 1, over four decades each."""
     return 10.0 ** rng.uniform(-1.5, 2.5, 3)
 
 
 def test_durations_and_states_agree_in_every_case() -> None:
-    """2,000 random laws: duration to 1e-9, position, speed and acceleration at random times; all four cases occur."""
+    """2,000 random limits: duration to 1e-9, position, speed and acceleration at random times; all four cases occur."""
     rng = np.random.default_rng(0)
     cases = set()
     for _ in range(2000):
-        velocity, acceleration, jerk = random_law(rng)
+        velocity, acceleration, jerk = random_limits(rng)
         profile = Profile(
             *(w.item() for w in fastest_profile(*(np.array(1.0 / x) for x in (velocity, acceleration, jerk))))
         )
@@ -62,7 +62,7 @@ def test_durations_and_states_agree_in_every_case() -> None:
 
 
 def test_synchronised_moves_of_six_axes_take_as_long_as_ruckigs_in_one_phase() -> None:
-    """Random moves of the KR 16 from 1e-4 to 6 rad: times agree to the margin that is kept from the limits."""
+    """Random moves of the KR 16 from 1e-4 to 6 rad: times agree up to the margin of the limits."""
     rng = np.random.default_rng(1)
     for _ in range(200):
         to = rng.uniform(-1, 1, 6) * 10.0 ** rng.uniform(-4, 0.78)
@@ -93,7 +93,7 @@ def test_the_jerk_integrates_to_the_samples(law: list[float]) -> None:
 
 
 def test_no_jerk_limit_is_the_limit_of_large_ones() -> None:
-    """Times fall with the jerk limit towards those without, and never below."""
+    """Times decrease with the jerk limit towards those without limit, never below."""
     rng = np.random.default_rng(2)
     a, b = rng.uniform(-6, 6, (2, 500, 6))
     bound = move_time(a, b, without_jerk_limit(LIMITS))

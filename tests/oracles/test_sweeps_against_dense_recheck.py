@@ -1,4 +1,4 @@
-"""Driven sweeps, judged by what they claim: dense forward kinematics and differences, no Jacobian and no bound."""
+"""Claims of driven sweeps, checked by dense forward kinematics and differences, without Jacobian and bounds."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ COLUMNS = {
 
 
 def _paths(column: Floats, rng: np.random.Generator, count: int) -> list[SweepPath]:
-    """Sweeps from random configurations, one per branch and direction."""
+    """Return sweeps from random configurations, one per branch and direction."""
     found: list[SweepPath] = []
     while len(found) < count:
         q = rng.uniform(0.6 * LIMITS.lower, 0.6 * LIMITS.upper)
@@ -112,7 +112,7 @@ def test_the_vertices_are_set_points_within_the_tube_and_hold_every_pose(name: s
         np.testing.assert_allclose(relative, np.linalg.inv(column[0]) @ column, atol=3e-5)
 
 
-def test_backwards_is_the_same_way_in_the_other_direction() -> None:
+def test_the_reverse_is_the_same_path_backwards() -> None:
     """Same vertices, same duration, times mirrored; the reverse of the reverse is the path."""
     (path,) = _paths(COLUMNS["along the baseline"], np.random.default_rng(3), 1)[:1]
     back = path.reversed()
@@ -126,8 +126,8 @@ def test_backwards_is_the_same_way_in_the_other_direction() -> None:
     np.testing.assert_array_equal(back.reversed().u, path.u)
 
 
-def test_times_of_the_vertices_are_those_at_which_they_are_passed() -> None:
-    """At its time the arm is at the vertex, to the rounding of set-points."""
+def test_the_arm_is_at_each_vertex_at_its_time() -> None:
+    """Up to the rounding of set-points."""
     for path in _paths(COLUMNS["turned"], np.random.default_rng(9), 4):
         q, _, _ = _driven(path).at(_driven(path).times)
         assert np.degrees(np.abs(q - path.q)).max() < 1.1e-4

@@ -1,4 +1,4 @@
-"""The closed-form profile against numerical integration and against a linear programme."""
+"""The closed-form profile compared with numerical integration and with a linear programme."""
 
 import numpy as np
 import pytest

@@ -17,13 +17,13 @@ positive = arrays(float, 6, elements=st.floats(0.01, 50.0))
 
 
 def limits(velocity: np.ndarray, acceleration: np.ndarray) -> JointLimits:
-    """Limits with a range that holds every generated angle."""
+    """Return limits with a range that contains every generated angle."""
     return JointLimits(np.full(6, -BOUND), np.full(6, BOUND), velocity, acceleration)
 
 
 @given(angles, angles, angles, positive, positive)
 def test_move_time_is_a_metric(a: np.ndarray, b: np.ndarray, c: np.ndarray, v: np.ndarray, acc: np.ndarray) -> None:
-    """Symmetric, zero exactly between equal angles, and no way over a third configuration is faster."""
+    """Symmetric, zero exactly between equal angles, and no move over a third configuration is faster."""
     law = limits(v, acc)
     ab, ba = float(move_time(a, b, law)), float(move_time(b, a, law))
     assert ab == ba >= 0
@@ -48,7 +48,7 @@ def test_samples_never_exceed_a_limit(via: list[np.ndarray], v: np.ndarray, acc:
 
 @given(angles, positive, positive, st.floats(0.1, 1.0))
 def test_less_speed_never_saves_time(q: np.ndarray, v: np.ndarray, acc: np.ndarray, fraction: float) -> None:
-    """Scaling limits down never shortens a move (but for the last bits: limits in one ratio are timed by one of them).
+    """Lower limits never shorten a move, except for the last bits: limits in one ratio are timed by one of them.
 
     Scaling speed by f and acceleration by f^2 takes exactly 1 / f.
     """
@@ -63,7 +63,7 @@ def test_less_speed_never_saves_time(q: np.ndarray, v: np.ndarray, acc: np.ndarr
 
 @given(angles, arrays(float, 6, elements=st.floats(-BOUND, 0)), arrays(float, 6, elements=st.floats(0.001, BOUND)))
 def test_set_points_stay_inside_any_range(q: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
-    """The nearest set-point inside the range, at most half a step away where the angle itself is inside by a step."""
+    """The nearest set-point inside the range, at most half a step away if the angle is inside by a step."""
     law = JointLimits(low, high, np.ones(6), np.ones(6))
     found = quantise_inside(q, law)
     assert ((found >= low) & (found <= high)).all()
@@ -72,7 +72,7 @@ def test_set_points_stay_inside_any_range(q: np.ndarray, low: np.ndarray, high: 
 
 
 class Weighted:
-    """A checker of which only clearance and travel are asked."""
+    """A checker with clearance and travel only."""
 
     def __init__(self, clearance: float, weights: np.ndarray) -> None:
         self.clearance, self.weights = clearance, weights

@@ -1,4 +1,4 @@
-"""Properties of jerk-limited moves on generated limits and distances, the infinite and the tiny ones among them."""
+"""Properties of jerk-limited moves with generated limits and distances, also infinite and tiny ones."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -18,12 +18,12 @@ inverse = st.floats(1e-9, 1e9) | st.just(0.0)
 
 
 def limits(velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> JointLimits:
-    """Limits with a range that holds every generated angle."""
+    """Return limits with a range that contains every generated angle."""
     return JointLimits(np.full(6, -13.0), np.full(6, 13.0), velocity, acceleration, jerk)
 
 
 def widths(v: float, a: float, j: float) -> Profile:
-    """The fastest profile as floats."""
+    """Return the fastest profile as floats."""
     return Profile(*(width.item() for width in fastest_profile(np.array(v), np.array(a), np.array(j))))
 
 
@@ -73,7 +73,7 @@ def test_samples_rise_from_0_to_1_and_are_symmetric(v: float, a: float, j: float
 def test_move_time_is_a_metric(
     a: np.ndarray, b: np.ndarray, c: np.ndarray, v: np.ndarray, acc: np.ndarray, jerk: np.ndarray
 ) -> None:
-    """Symmetric, zero exactly between equal angles, and no way over a third configuration is faster."""
+    """Symmetric, zero exactly between equal angles, and no move over a third configuration is faster."""
     law = limits(v, acc, jerk)
     ab = float(move_time(a, b, law))
     assert ab == float(move_time(b, a, law)) >= float(move_time(a, b, without_jerk_limit(law))) >= 0
@@ -101,7 +101,7 @@ def test_samples_never_exceed_a_limit(
 
 @given(arrays(float, (3, 1, 6), elements=st.floats(-7, 7)), arrays(float, (4, 6), elements=st.floats(-7, 7)), positive)
 def test_limits_in_one_ratio_are_timed_as_all_others(a: np.ndarray, b: np.ndarray, v: np.ndarray) -> None:
-    """Where one axis limits speed, acceleration and jerk alike, the shortcut gives what three maxima give."""
+    """If one axis limits speed, acceleration and jerk, the shortcut gives the result of three maxima."""
     together = limits(v, 2 * v, 20 * v)
     # One part in 10^9 apart on an axis is no longer one ratio for the shortcut.
     apart = limits(v, 2 * v * [1, 1, 1, 1, 1, 1 + 1e-9], 20 * v * [1, 1, 1, 1, 1 + 1e-9, 1])

@@ -1,4 +1,4 @@
-"""Where ordering, paths and timing could fail, by name."""
+"""Nasty cases of ordering, paths and timing, by name."""
 
 from collections.abc import Callable
 
@@ -55,12 +55,12 @@ class Boxes:
 
 
 def rng() -> np.random.Generator:
-    """A fresh generator, the same each time."""
+    """Return a generator with a fixed seed."""
     return np.random.default_rng(0)
 
 
 def box(**sides: tuple[float, float]) -> tuple[list[float], list[float]]:
-    """A box given by some axes (x, y, z), unbounded in the others."""
+    """Return a box with limits on some axes (x, y, z), unbounded on the others."""
     low, high = [-BIG] * 6, [BIG] * 6
     for axis, (a, b) in sides.items():
         low["xyz".index(axis)], high["xyz".index(axis)] = a, b
@@ -68,12 +68,12 @@ def box(**sides: tuple[float, float]) -> tuple[list[float], list[float]]:
 
 
 def at(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
-    """A set-point with the tool at a place."""
+    """Return a set-point with the tool at a place."""
     return quantise([x, y, z, 0, 0, 0])
 
 
 def motion_over(views: list[np.ndarray], checker: Boxes, **arguments: object) -> Tour:
-    """Plan over views that are given by their joint solutions."""
+    """Plan over views given by their configurations."""
     poses = np.tile(np.eye(4), (len(views), 1, 1))
     for pose, q in zip(poses, views, strict=True):
         pose[:3, 3] = q[0, :3] if len(q) else 0.0
@@ -92,14 +92,14 @@ def test_both_ends_equal() -> None:
     ("x_from", "x_to", "status"),
     [(0.0, 1.0, PathStatus.START_IN_COLLISION), (1.0, 0.0, PathStatus.GOAL_IN_COLLISION)],
 )
-def test_an_end_in_collision_is_said(x_from: float, x_to: float, status: PathStatus) -> None:
-    """Which end it is is returned, and nothing is searched."""
+def test_an_end_in_collision_is_reported(x_from: float, x_to: float, status: PathStatus) -> None:
+    """The status names the end, and nothing is searched."""
     found = connect(at(x_from), at(x_to), Boxes(box(x=(-0.1, 0.1))), LIMITS, rng())
     assert (found.status, found.via, found.checks) == (status, None, 2)
 
 
 def test_a_wall_across_the_whole_range_has_no_path() -> None:
-    """The search ends at its budget, overshooting by no more than one step, and says what that proves."""
+    """The search ends at its budget, exceeded by at most one step, and the status says what this proves."""
     found = connect(at(-1), at(1), Boxes(box(x=(-0.1, 0.1))), LIMITS, rng(), 5000)
     assert found.status is PathStatus.NO_PATH_FOUND
     assert 5000 <= found.checks < 8000
@@ -143,7 +143,7 @@ def test_tiny_moves_have_time_and_samples(distance: float) -> None:
 @pytest.mark.parametrize("value", [0.0, -1.0])
 @pytest.mark.parametrize("which", ["velocity", "acceleration"])
 def test_a_limit_that_allows_no_motion_is_refused_by_name(which: str, value: float) -> None:
-    """The message names the limit, the axis and what would be valid."""
+    """The message names the limit, the axis and the valid values."""
     broken = {"velocity": LIMITS.velocity.copy(), "acceleration": LIMITS.acceleration.copy()}
     broken[which][3] = value
     limits = JointLimits(LIMITS.lower, LIMITS.upper, **broken)
@@ -192,7 +192,7 @@ def test_a_view_at_home_and_duplicates() -> None:
 
 
 def test_home_in_collision() -> None:
-    """There is no motion; the status says so, with what home touches, and no view is silently lost."""
+    """There is no motion; the status says so, with the blocker of home, and every view is reported."""
     tour = motion_over([at(1)[None], at(2)[None]], Boxes(box(x=(-0.1, 0.1))))
     assert tour.status is TourStatus.HOME_IN_COLLISION
     assert tour.home_blocker == "tool with box 0"
@@ -201,7 +201,7 @@ def test_home_in_collision() -> None:
 
 
 def test_views_that_cannot_be_visited_are_dropped_with_their_reasons() -> None:
-    """No solution, all solutions in collision, all behind a wall: three reasons; the tour over the rest is complete."""
+    """No configuration, all in collision, all behind a wall: three reasons; the tour over the others is complete."""
     wall = Boxes(box(x=(1.5, 1.6)))
     views = [
         np.zeros((0, 6)),
@@ -222,14 +222,14 @@ def test_views_that_cannot_be_visited_are_dropped_with_their_reasons() -> None:
 
 
 def test_another_branch_is_taken_where_one_is_walled_off() -> None:
-    """A view with one solution behind the wall and one before it keeps the view, at the solution before it."""
+    """A view with one configuration behind the wall and one before it is visited with the latter."""
     tour = motion_over([np.array([at(2.0), at(-1.4)])], Boxes(box(x=(1.5, 1.6))), budget=MotionBudget(path_checks=3000))
     assert tour.status is TourStatus.COMPLETE
     assert tour.choice.tolist() == [1]
 
 
 def test_all_branches_of_all_views_walled_off() -> None:
-    """Every view is dropped; what remains is a motion that stays at home."""
+    """Every view is dropped; the motion stays at home."""
     views = [at(2.0)[None], at(2.3)[None]]
     tour = motion_over(views, Boxes(box(x=(1.5, 1.6))), budget=MotionBudget(path_checks=2000))
     assert tour.status is TourStatus.VIEWS_DROPPED
@@ -238,7 +238,7 @@ def test_all_branches_of_all_views_walled_off() -> None:
 
 
 def test_a_detour_between_views_is_part_of_the_tour() -> None:
-    """Two views on both sides of a bar: the leg between them goes around and is tagged."""
+    """Two views on both sides of a bar: the segment between them goes around and is tagged."""
     bar = Boxes(box(x=(0.4, 0.6), y=(-BIG, 0.5)))
     tour = motion_over([at(1)[None]], bar)
     assert tour.detour.tolist() == [True, True]
@@ -264,15 +264,15 @@ def test_an_interrupt_passes_through(after: int) -> None:
     ],
 )
 def test_broken_input_is_refused_in_one_sentence(change: Callable[[dict], None], message: str) -> None:
-    """The message names the argument and what would be valid."""
+    """The message names the argument and the valid values."""
     arguments = {"configurations": [at(1)[None]], "home": HOME, "T_base_scanner": np.eye(4)[None]}
     change(arguments)
     with pytest.raises(PlannerError, match=message):
         plan_tour(Visits(**arguments), Boxes(), LIMITS, rng())
 
 
-def test_more_work_never_makes_the_motion_longer() -> None:
-    """Among bars: looking around, a second guess and polish each give a motion that is no longer than without."""
+def test_more_effort_never_makes_the_motion_longer() -> None:
+    """Among bars: inspected neighbours, a second guess and polish each give a motion that is no longer."""
     bars = Boxes(box(x=(0.4, 0.6), y=(-BIG, 0.5)), box(x=(-0.9, -0.7), y=(-0.3, BIG)))
     views = [np.array([at(x), at(x + 0.1)]) for x in (1.0, -1.3, 0.2)]
     high, low = (1.1, 1.2), (1.1, 0.35)

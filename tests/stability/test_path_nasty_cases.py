@@ -1,4 +1,4 @@
-"""Where the search of a path could fail in the compiled cell, by name: narrow gaps, full workspaces, bad ends."""
+"""Nasty cases of path search in a compiled cell, by name: narrow gaps, full workspaces, bad ends."""
 
 from functools import lru_cache
 
@@ -22,7 +22,7 @@ FLANGE, ASIDE = np.array([1.1, 0.0, 0.8]), np.array([-0.2, 0.35, 0.1])
 
 @lru_cache
 def cell(beyond_mm: float) -> tuple[World, MujocoCollisionChecker, KukaKinematics]:
-    """Two plates, the housing's width, the clearance on both sides and `beyond_mm` on both sides apart."""
+    """Return a cell with two plates; their gap is the housing's width plus clearance and `beyond_mm` on both sides."""
     middle = 40.0 + 10.0 + beyond_mm + 10.0
     plates = [
         {"name": name, "shape": "box", "size_mm": [100, 20, 500], "position_mm": [1190, y, 800]}
@@ -36,7 +36,7 @@ def cell(beyond_mm: float) -> tuple[World, MujocoCollisionChecker, KukaKinematic
 
 
 def at(kinematics: KukaKinematics, checker: MujocoCollisionChecker, position: np.ndarray, turn: float) -> np.ndarray:
-    """The first free set-point with the flange there, turned about its axis."""
+    """Return the first free set-point with the flange at a position, turned about its axis."""
     T = np.eye(4)
     spin = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
     T[:3, :3], T[:3, 3] = FORWARD @ spin, position
@@ -50,7 +50,7 @@ def at(kinematics: KukaKinematics, checker: MujocoCollisionChecker, position: np
 
 @pytest.mark.parametrize("seed", range(2))
 def test_the_housing_enters_a_gap_5_mm_beyond_the_clearance(seed: int) -> None:
-    """From beside the plates, turned by 60 deg: a detour leads in, and the tool keeps what certification promises."""
+    """From beside the plates, turned by 60 deg: a detour leads in, and the tool keeps the certified clearance."""
     world, checker, kinematics = cell(5.0)
     inside = at(kinematics, checker, FLANGE, 0.0)
     outside = at(kinematics, checker, FLANGE + ASIDE, np.radians(60))
@@ -66,7 +66,7 @@ def test_the_housing_enters_a_gap_5_mm_beyond_the_clearance(seed: int) -> None:
 
 
 def test_a_gap_narrower_than_the_clearance_has_no_place_inside() -> None:
-    """The goal is refused, and nothing is searched."""
+    """The goal is refused without a search."""
     _, wide, kinematics = cell(5.0)
     world, narrow, _ = cell(-1.0)
     inside = at(kinematics, wide, FLANGE, 0.0)
@@ -78,7 +78,7 @@ def test_a_gap_narrower_than_the_clearance_has_no_place_inside() -> None:
 
 
 def test_a_part_that_fills_the_workspace() -> None:
-    """A block as high and wide as the arm reaches: no way past it, no view near it, and both are said."""
+    """A block as high and wide as the arm's reach: no path past it and no view near it, and both are reported."""
     corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3) * [1.2, 1.4, 1.5]
     scene = Scene.model_validate(
         {

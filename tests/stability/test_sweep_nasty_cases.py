@@ -1,4 +1,4 @@
-"""Sweeps where methods fail: singularities in the way, no length, out of reach, no branch that goes through."""
+"""Nasty cases of sweeps, by name: singularities on the line, no length, out of reach, no branch that passes."""
 
 from dataclasses import replace
 
@@ -48,14 +48,14 @@ def test_through_the_wrist_singularity(off_deg: float) -> None:
     "pose", [(50.7, -103.7, -118.4, -338.4, 81.5, 288.9), (42.7, -82.1, 153.2, 336.6, 48.2, 105.3)]
 )
 def test_axes_without_a_jerk_limit_are_those_of_an_enormous_one(pose: tuple[float, ...]) -> None:
-    """A line through singularities has bounds without end; where jerk has none either, nothing is made of the two."""
+    """A line through singularities has infinite bounds; without a jerk limit they must not give NaN."""
     column = _pose(*pose) @ turned_sweep_poses(np.radians(24.0), 5)
     free, enormous = (replace(LIMITS, jerk=np.full(6, jerk)) for jerk in (np.inf, 1e15))
     assert _reasons(column, free) == _reasons(column, enormous)
 
 
 def test_through_the_wrist_singularity_the_axes_are_named() -> None:
-    """A4 and A6 are what turns against each other there."""
+    """A4 and A6 turn against each other there."""
     column = _pose(10, -60, 80, 40, 0.0, 30) @ straight_sweep_poses(0.1, 5, (0, 1, 0))
     found = {refused.branch: refused for refused in find_sweeps(column, MOUNT, KINEMATICS, LIMITS).refused}
     assert "A4" in found[0].detail
@@ -80,7 +80,7 @@ def test_through_the_shoulder_singularity() -> None:
 
 @pytest.mark.parametrize("count", [2, 7])
 def test_a_sweep_of_zero_length_is_a_stop(count: int) -> None:
-    """All poses equal: every free branch stands there, for no time, in one direction."""
+    """All poses equal: one path per free branch, without duration."""
     column = np.tile(_pose(12, -75, 110, 35, -60, 140), (count, 1, 1))
     found = find_sweeps(column, MOUNT, KINEMATICS, LIMITS)
     assert found.paths
@@ -94,13 +94,13 @@ def test_a_sweep_of_zero_length_is_a_stop(count: int) -> None:
 
 
 def test_a_sweep_longer_than_the_reach() -> None:
-    """Three metres: out of reach on every branch, or beyond a limit on the way."""
+    """Three metres: out of reach or beyond a limit on every branch."""
     paths, reasons = _reasons(_pose(12, -75, 110, 35, -60, 140) @ straight_sweep_poses(3.0, 8))
     assert paths == 0
     assert SweepRefusal.OUT_OF_REACH in reasons.values()
 
 
-def test_a_sweep_all_of_whose_branches_jump() -> None:
+def test_a_sweep_with_a_jump_on_every_branch() -> None:
     """Past the axis of A1 at 2 mm: every branch needs half a turn of A1 within a few millimetres."""
     column = _pose(0, -120, 33.857864, 0, 60, 0)
     column[1, 3] += 0.002
@@ -111,7 +111,7 @@ def test_a_sweep_all_of_whose_branches_jump() -> None:
 
 
 def test_a_sweep_that_only_just_keeps_a_joint_limit() -> None:
-    """The limits moved onto what the sweep takes: it stays; a hundredth of a degree nearer: the axis is named."""
+    """With limits at the sweep's own range it is driven; a hundredth of a degree tighter, the axis is named."""
     column = _pose(12, -75, 110, 35, -60, 140) @ straight_sweep_poses(0.15, 8)
     path = next(path for path in find_sweeps(column, MOUNT, KINEMATICS, LIMITS).paths if path.branch == 1)
     low, high = path.q.min(axis=0), path.q.max(axis=0)
@@ -127,7 +127,7 @@ def test_a_sweep_that_only_just_keeps_a_joint_limit() -> None:
 
 
 def test_slow_axes_slow_the_sweep_down_and_then_refuse_it() -> None:
-    """Axes too slow for the speed: the sweep is slower, up to four times; then it is refused."""
+    """Slow axes make the sweep up to four times slower; beyond, it is refused."""
     column = _pose(12, -75, 110, 35, -60, 140) @ straight_sweep_poses(0.15, 8)
     durations = []
     for factor in (1.0, 0.012, 0.008):
@@ -142,7 +142,7 @@ def test_slow_axes_slow_the_sweep_down_and_then_refuse_it() -> None:
 
 
 def test_poses_that_are_no_line() -> None:
-    """An arc cannot be driven as a line; the whole sweep is refused, once."""
+    """An arc cannot be driven as a line; the sweep is refused once."""
     bent = straight_sweep_poses(0.1, 5) @ turned_sweep_poses(0.2, 5)
     bent[2, 1, 3] += 0.001
     found = find_sweeps(_pose(12, -75, 110, 35, -60, 140) @ bent, MOUNT, KINEMATICS, LIMITS)
@@ -150,7 +150,7 @@ def test_poses_that_are_no_line() -> None:
 
 
 class _Wall:
-    """A checker that calls everything with A1 above an angle not free."""
+    """A checker in which a configuration with A1 above an angle is not free."""
 
     clearance = 0.01
 
@@ -170,8 +170,8 @@ class _Wall:
         return np.abs(q_to - q_from).sum(axis=1) * 2.0
 
 
-def test_a_line_that_collides_is_refused_with_what_is_in_the_way() -> None:
-    """One vertex too near to the wall is enough."""
+def test_a_colliding_line_is_refused_with_the_blocker() -> None:
+    """One vertex too close to the wall is enough."""
     column = _pose(12, -75, 110, 35, -60, 140) @ straight_sweep_poses(0.15, 8)
     free = find_sweeps(column, MOUNT, KINEMATICS, LIMITS, checker=_Wall(10.0))
     assert free.paths

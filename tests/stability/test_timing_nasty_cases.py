@@ -1,4 +1,4 @@
-"""Where jerk-limited timing could fail, by name: limits of 0 and without end, moves of nothing and of two turns."""
+"""Nasty cases of jerk-limited timing, by name: zero and infinite limits, moves of zero length and of two turns."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ REST = np.zeros(6)
 
 
 def turned(axis: int, angle: float) -> np.ndarray:
-    """Rest with one axis turned [rad]."""
+    """Return the rest configuration with one axis turned [rad]."""
     q = np.zeros(6)
     q[axis] = angle
     return q
@@ -29,7 +29,7 @@ def turned(axis: int, angle: float) -> np.ndarray:
 @pytest.mark.parametrize("which", ["velocity", "acceleration", "jerk"])
 @pytest.mark.parametrize("value", [0.0, -1.0, -np.inf])
 def test_a_limit_that_allows_no_motion_is_refused_by_name(which: str, value: float) -> None:
-    """The message names limit, axis, value and what would be valid."""
+    """The message names limit, axis, value and valid values."""
     broken = getattr(LIMITS, which).copy()
     broken[3] = value
     with pytest.raises(PlannerError, match=f"{which} limit of A4 is {value} rad/s.*it must be above 0"):
@@ -37,7 +37,7 @@ def test_a_limit_that_allows_no_motion_is_refused_by_name(which: str, value: flo
 
 
 def test_neither_acceleration_nor_jerk_limited_is_refused() -> None:
-    """Its speed would jump; one of the two is enough."""
+    """The speed would jump; one of the two limits suffices."""
     with pytest.raises(PlannerError, match=r"acceleration limit of A1 is inf .* jerk limit inf"):
         move_time(REST, turned(0, 1.0), replace(LIMITS, acceleration=ENDLESS, jerk=ENDLESS))
 
@@ -83,8 +83,8 @@ def test_a_move_of_a_nanoradian_is_limited_by_jerk_alone() -> None:
     assert (np.abs(motion.qdd) <= LIMITS.acceleration).all()
 
 
-def test_moves_up_to_the_rounding_of_angles_are_none() -> None:
-    """1e-14 rad takes no time and adds no sample, also between moves that do."""
+def test_moves_below_the_rounding_of_angles_take_no_time() -> None:
+    """1e-14 rad takes no time and adds no sample, also between other moves."""
     via = np.array([REST, turned(2, 1e-14), turned(2, 1.0), turned(2, 1.0)])
     motion = retime(via, [0, 1, 2, 3], [-1] * 4, LIMITS)
     assert motion.via_t[1] == 0.0
@@ -93,7 +93,7 @@ def test_moves_up_to_the_rounding_of_angles_are_none() -> None:
 
 
 def test_no_move_at_all() -> None:
-    """A motion of one point, or of equal ones, takes no time; its bound neither."""
+    """A motion of one point or of equal points takes no time, and its bound is 0."""
     for via in ([REST], [REST, REST]):
         motion = retime(np.array(via), [0] * len(via), [-1] * len(via), LIMITS)
         assert motion.duration == jerk_free_duration(motion) == 0.0
@@ -117,7 +117,7 @@ def test_a_turn_of_700_degrees_reaches_every_limit() -> None:
 
 
 def test_an_override_leaves_acceleration_and_jerk() -> None:
-    """As $OV_PRO: the speed is a percentage; ramps are the shorter, and both bounds follow."""
+    """Like $OV_PRO: the speed is a percentage; ramps are shorter, and both bounds follow."""
     slow = scale_limits(LIMITS, 0.1)
     np.testing.assert_array_equal(slow.velocity, 0.1 * LIMITS.velocity)
     np.testing.assert_array_equal(slow.jerk, LIMITS.jerk)
@@ -138,6 +138,6 @@ def test_limits_decades_apart() -> None:
     assert before == pytest.approx(bound, rel=1e-9)
 
 
-def test_a_profile_of_nothing_has_no_duration() -> None:
+def test_a_profile_without_length_has_no_duration() -> None:
     """All three widths 0."""
     assert Profile(np.zeros(2), np.zeros(2), np.zeros(2)).duration.tolist() == [0.0, 0.0]

@@ -22,7 +22,7 @@ LIMITS = JointLimits(
 
 
 class Boxes:
-    """A 'tool' that moves 1 m per rad along each of six axes, between boxes of that space; its travel is exact."""
+    """A 'tool' that moves 1 m per rad along each of six axes, between boxes in this space; its travel is exact."""
 
     clearance = 0.01
 
@@ -56,12 +56,12 @@ LEFT, RIGHT = quantise([-1.0, 0, 0, 0, 0, 0]), quantise([1.0, 0, 0, 0, 0, 0])
 
 
 def rng() -> np.random.Generator:
-    """A fresh generator, the same each time."""
+    """Return a generator with a fixed seed."""
     return np.random.default_rng(0)
 
 
 def test_quantised_angles_are_integers_of_a_ten_thousandth_of_a_degree() -> None:
-    """Rounding moves an angle by half a step at most, and rounding again moves it not at all."""
+    """Rounding moves an angle by at most half a step; rounding again does not move it."""
     q = np.random.default_rng(1).uniform(-6, 6, (1000, 6))
     rounded = quantise(q)
     steps = np.degrees(rounded) * 1e4
@@ -71,7 +71,7 @@ def test_quantised_angles_are_integers_of_a_ten_thousandth_of_a_degree() -> None
 
 
 def test_quantising_stays_inside_a_range_that_is_no_multiple() -> None:
-    """Beyond a limit the last multiple inside is taken."""
+    """An angle beyond a limit becomes the last multiple inside."""
     outside = quantise_inside(np.full(6, 9.0), LIMITS)
     assert (outside <= LIMITS.upper).all()
     assert np.degrees(LIMITS.upper - outside).max() < 1e-4
@@ -89,7 +89,7 @@ def test_subdivision_keeps_every_configuration_near_a_checked_one() -> None:
 
 
 def test_a_thin_obstacle_between_two_free_ends_is_found() -> None:
-    """A wall of no thickness at all blocks the edge: its clearance zone is wider than the spacing of the checks."""
+    """A wall without thickness blocks the edge: its clearance zone is wider than the spacing of the checks."""
     for place in np.linspace(-0.9, 0.9, 61):
         sheet = Boxes(([place] + [-BIG] * 5, [place] + [BIG] * 5))
         assert not certify(LEFT, RIGHT, sheet)[0]
@@ -115,7 +115,7 @@ def test_a_blocked_edge_is_refused_after_few_checks() -> None:
 
 
 def test_a_free_straight_move_is_taken() -> None:
-    """Without obstacle the path is its two ends, and the random numbers are not touched."""
+    """Without obstacles the path is its two ends, and no random number is drawn."""
     source = rng()
     found = connect(LEFT, RIGHT, Boxes(([2] * 6, [2.5] * 6)), LIMITS, source)
     assert found.status is PathStatus.STRAIGHT
@@ -125,7 +125,7 @@ def test_a_free_straight_move_is_taken() -> None:
 
 
 def test_a_detour_goes_around_the_wall() -> None:
-    """Via points are set-points with the given ends; ten times denser than certified, nothing is in contact."""
+    """Via points are set-points with the given ends; sampled ten times denser than certified, nothing is in contact."""
     checker = Boxes(WALL)
     found = connect(LEFT, RIGHT, checker, LIMITS, rng())
     assert found.status is PathStatus.DETOUR
@@ -138,15 +138,15 @@ def test_a_detour_goes_around_the_wall() -> None:
     assert found.duration == path_time(found.via, LIMITS)
 
 
-def test_the_work_is_counted() -> None:
-    """`checks` is what the checker was asked, to the last configuration."""
+def test_the_checks_are_counted() -> None:
+    """`checks` is the number of configurations that the checker evaluated."""
     checker = Boxes(WALL)
     found = connect(LEFT, RIGHT, checker, LIMITS, rng())
     assert found.checks == checker.asked
 
 
 def test_shortening_never_slows_and_keeps_the_ends() -> None:
-    """A zigzag of certified edges becomes faster; the way back straight is found where it is free."""
+    """A zigzag of certified edges becomes faster; the straight segment is used where it is free."""
     checker = Boxes(([2] * 6, [2.5] * 6))
     zigzag = quantise(np.array([LEFT, [0, 1, 0, 0, 0, 0], [0.5, -1, 0, 0, 0, 0], RIGHT]))
     short, _ = shorten(zigzag, checker, LIMITS, rng(), 10_000)
@@ -157,7 +157,7 @@ def test_shortening_never_slows_and_keeps_the_ends() -> None:
 
 
 def test_a_checker_without_clearance_is_refused() -> None:
-    """Nothing is known between two checks without clearance, so there is nothing to certify with."""
+    """Without clearance nothing is known between two checks, so no segment can be certified."""
     checker = Boxes()
     checker.clearance = 0.0
     with pytest.raises(PlannerError, match=r"clearance is 0\.0 m; it must be above 0"):

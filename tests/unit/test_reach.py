@@ -24,16 +24,16 @@ T_BASE_OBJECT = pose_from_kuka_abc([1.2, 0.3, 0.4], np.deg2rad([20.0, 0.0, 0.0])
 
 @dataclass
 class Wall:
-    """A checker that keeps the flange left of a plane y = wall, and remembers what it was asked."""
+    """A checker that keeps the flange on one side of a plane y = wall, and records its queries."""
 
     wall: float = -9.0
     clearance: float = 0.01
 
     def __post_init__(self):
-        self.asked = []
+        self.queries = []
 
     def free(self, q):
-        self.asked.append(q)
+        self.queries.append(q)
         return KINEMATICS.forward(q)[:, 1, 3] > self.wall
 
     def contacts(self, q):
@@ -49,26 +49,26 @@ class Wall:
 
 
 def viewpoints_of(T_base_flange):
-    """Viewpoints (V, K) for which the flange must be at T_base_flange (V, K, 4, 4)."""
+    """Return viewpoints with the flange at T_base_flange (V, K, 4, 4)."""
     T = np.linalg.inv(T_BASE_OBJECT) @ np.asarray(T_base_flange) @ T_FLANGE_SCANNER
     count = len(T)
     return Viewpoints(T, np.full(count, -1, np.int32), np.full(count, 0.3), np.zeros(count))
 
 
 def random_flanges(count, seed=1):
-    """(count, 4, 4) flange poses that the arm can take up."""
+    """Return (count, 4, 4) reachable flange poses."""
     limits = KINEMATICS.limits
     q = np.random.default_rng(seed).uniform(limits.lower, limits.upper, (count, 6))
     return KINEMATICS.forward(q)
 
 
 def solved(viewpoints, checker, **options):
-    """`solve` at this file's placement and mount."""
+    """Call `solve_reach` with the placement and mount of this file."""
     return solve_reach(viewpoints, T_BASE_OBJECT, T_FLANGE_SCANNER, KINEMATICS, checker, **options)
 
 
-def test_each_solution_puts_the_scanner_on_its_viewpoint():
-    """Every set-point of every viewpoint takes the scanner to T_base_object T_object_scanner, to rounding's 8 um."""
+def test_each_configuration_puts_the_scanner_at_its_viewpoint():
+    """Every set-point takes the scanner to T_base_object T_object_scanner, up to 8 um of rounding."""
     viewpoints = viewpoints_of(random_flanges(1500)[:, None])
     reach = solved(viewpoints, Wall())
     assert reach.reachable.all()
@@ -81,7 +81,7 @@ def test_each_solution_puts_the_scanner_on_its_viewpoint():
 
 
 def test_set_points_are_rounded_inside_the_limits_and_checked_as_they_are():
-    """What is returned was asked of the checker, turns aside, is a multiple of 1e-4 deg and keeps every limit."""
+    """Returned configurations are checked (turns aside), multiples of 1e-4 deg and within every limit."""
     checker = Wall(-0.2)
     reach = solved(viewpoints_of(random_flanges(800)[:, None]), checker)
     assert (reach.q >= KINEMATICS.limits.lower).all()
@@ -89,10 +89,12 @@ def test_set_points_are_rounded_inside_the_limits_and_checked_as_they_are():
     steps = np.rad2deg(reach.q) * 1e4
     assert np.abs(steps - np.rint(steps)).max() < 1e-6
     turn = 3_600_000
-    asked = {tuple(row) for row in (np.rint(np.rad2deg(np.vstack(checker.asked)) * 1e4).astype(int) % turn).tolist()}
+    checked = {
+        tuple(row) for row in (np.rint(np.rad2deg(np.vstack(checker.queries)) * 1e4).astype(int) % turn).tolist()
+    }
     returned = {tuple(row) for row in (np.rint(steps).astype(int) % turn).tolist()}
-    assert returned <= asked
-    assert sum(len(q) for q in checker.asked) < len(reach.q)  # a turn is not asked again
+    assert returned <= checked
+    assert sum(len(q) for q in checker.queries) < len(reach.q)  # turns are not checked again
 
 
 def test_verdicts():
@@ -117,7 +119,7 @@ def test_verdicts():
     assert [len(reach.configurations_of(v)) > 0 for v in range(4)] == [False, False, True, False]
 
 
-def test_the_blocker_is_what_is_nearest_in_most_solutions():
+def test_the_blocker_is_the_closest_pair_in_most_configurations():
     """With A1 = -40 and, overhead, A1 = 140 deg in the way, the sign of A1 that has more branches gives the name."""
     T = KINEMATICS.forward(np.deg2rad([[-40.0, -60.0, 90.0, 0.0, 45.0, 0.0]]))
     names = []
@@ -126,7 +128,7 @@ def test_the_blocker_is_what_is_nearest_in_most_solutions():
     checker.contacts = lambda q: names.append(contacts(q)[0]) or contacts(q)
     reach = solved(viewpoints_of(T[:, None]), checker)
     assert reach.blocker[0] == max(dict.fromkeys(names), key=names.count)
-    assert len(names) == len(checker.asked[0])
+    assert len(names) == len(checker.queries[0])
 
 
 def test_a_column_of_several_poses_needs_them_all():
@@ -144,8 +146,8 @@ def test_a_column_of_several_poses_needs_them_all():
 
 
 @pytest.mark.parametrize("poses", [1, 3])
-def test_taking_up_is_being_reachable(poses):
-    """The short answer is the long one's, for stops and for columns of poses."""
+def test_are_reachable_agrees_with_solve_reach(poses):
+    """For single poses and for columns of poses."""
     viewpoints = viewpoints_of(random_flanges(1200 * poses, seed=8).reshape(1200, poses, 4, 4))
     expected = solved(viewpoints, Wall(0.1)).reachable
     assert 0 < expected.sum() < 1200
@@ -154,7 +156,7 @@ def test_taking_up_is_being_reachable(poses):
 
 
 def test_chunks_and_progress_change_nothing():
-    """A viewpoint's result does not depend on its neighbours; progress rises to V, and what it raises comes through."""
+    """A viewpoint's result does not depend on its neighbours; exceptions of the progress callback pass."""
     T = random_flanges(1300, seed=4)
     calls = []
     whole = solved(viewpoints_of(T[:, None]), Wall(0.1), progress=lambda done, total: calls.append((done, total)))
@@ -174,7 +176,7 @@ def test_chunks_and_progress_change_nothing():
 
 
 def test_no_viewpoint_is_no_error():
-    """Of nothing, nothing is reachable."""
+    """Without viewpoints nothing is reachable."""
     reach = solved(viewpoints_of(np.empty((0, 1, 4, 4))), Wall())
     assert len(reach) == 0
     assert reach.q.shape == (0, 6)
@@ -204,8 +206,8 @@ def test_reach_refuses_contradictions():
         Reach(np.array([0]), np.zeros((1, 6)), np.array([0, 1]), ())
 
 
-def test_picked_and_joined_solutions_are_their_viewpoints_own():
-    """In any order, with those that have none between them; joining what was cut apart gives the whole."""
+def test_picked_and_joined_reach_keeps_the_configurations():
+    """In any order, with viewpoints that have none; joining the parts gives the original."""
     reach = solved(viewpoints_of(random_flanges(60)[:, None]), Wall(0.1))
     which = np.random.default_rng(0).permutation(60)[:40]
     some = pick_reach(reach, which)
@@ -217,8 +219,8 @@ def test_picked_and_joined_solutions_are_their_viewpoints_own():
     assert len(pick_reach(reach, np.arange(0))) == 0
 
 
-def test_one_more_solution_goes_behind_those_of_its_viewpoint():
-    """Beside a list of lists; one that is there already is not added again, and other viewpoints stay as they are."""
+def test_an_added_configuration_follows_those_of_its_viewpoint():
+    """Compared with a list of lists; a known one is not added again, and other viewpoints stay unchanged."""
     q = np.arange(30.0).reshape(5, 6)
     reach = Reach(np.array([0, 1, 0, 0], dtype=np.uint8), q, [0, 2, 2, 4, 5], ("", "", "", ""))
     more = np.array([q[3], np.full(6, 7.0), np.full(6, 9.0)])

@@ -13,7 +13,7 @@ LIMITS = JointLimits(
 
 
 def degrees(*rows):
-    """(1, len(rows), 6) branches of one pose [rad]; a row None is a branch without solution."""
+    """Return (1, len(rows), 6) branches of one pose [rad]; None for a branch without solution."""
     return np.deg2rad([[row if row is not None else [np.nan] * 6 for row in rows]])
 
 
@@ -38,7 +38,7 @@ def test_every_multiple_inside_the_limits_is_found():
 
 
 def test_a_turn_shares_the_geometry_of_its_branch():
-    """Rows of one geometry differ by whole turns only, `first` is its first row, and each branch is one geometry."""
+    """Rows of one geometry differ by full turns only, `first` is its first row, and each branch is one geometry."""
     found = setpoints(degrees((10, -90, 90, 20, 45, -30), None, (10, -90, 90, -160, -45, 150)), LIMITS)
     assert len(found.q) == 2 * 4  # A4 and A6 have two angles each
     assert found.geometry.tolist() == [0] * 4 + [1] * 4
@@ -56,7 +56,7 @@ def test_a1_has_two_angles_only_behind_the_robot():
     assert set(one.round(9).tolist()) == {170.0}
 
 
-def test_no_solution_and_no_room_are_told_apart():
+def test_no_solution_and_no_room_are_distinguished():
     """`real` is False without any branch, True with a branch that exceeds a limit; neither gives a row."""
     branches = np.concatenate([degrees(None), degrees((0, 100, 0, 0, 0, 0)), degrees((0, 0, 0, 0, 45, 0))])
     found = setpoints(branches, LIMITS)
@@ -85,7 +85,7 @@ def test_limits_between_two_steps_are_kept():
     assert set(np.rad2deg(found.q[:, 0]).round(6).tolist()) == {10.0}
 
 
-def test_steps_come_back():
-    """Integers survive the way to radians and back, over two turns."""
+def test_steps_survive_the_conversion_to_radians():
+    """To radians and back, over two turns."""
     steps = np.arange(-3_600_000, 3_600_001, 7)
     np.testing.assert_array_equal(to_steps(from_steps(steps)), steps)

@@ -20,8 +20,8 @@ def _somewhere(seed: int) -> Floats:
 
 @pytest.mark.parametrize("count", [2, 3, 8, 40])
 @pytest.mark.parametrize("turned", [False, True])
-def test_the_poses_stand_in_the_middles_of_the_lines_cells(count: int, turned: bool) -> None:
-    """At u = (k + 0.5) / K; the line is as long as the sweep that was asked for."""
+def test_the_poses_are_in_the_middles_of_the_cells_of_the_line(count: int, turned: bool) -> None:
+    """At u = (k + 0.5) / K; the line is as long as the sweep."""
     poses = _somewhere(count) @ (
         turned_sweep_poses(0.4, count) if turned else straight_sweep_poses(0.15, count, (1, 2, 0.5))
     )
@@ -44,7 +44,7 @@ def test_a_screw_is_a_line_too() -> None:
     np.testing.assert_allclose(line.at((np.arange(6) + 0.5) / 6), poses, atol=1e-12)
 
 
-def test_what_is_no_line_is_none() -> None:
+def test_poses_without_a_line_give_none() -> None:
     """A bend, unequal steps, a single pose, more than half a turn."""
     straight = straight_sweep_poses(0.1, 5)
     bent = straight.copy()
@@ -57,8 +57,8 @@ def test_what_is_no_line_is_none() -> None:
     assert line_through(turned_sweep_poses(3.1, 3) @ turned_sweep_poses(3.1, 3)) is None
 
 
-def test_a_sweep_without_length_stands() -> None:
-    """All poses equal: no speed is asked of it."""
+def test_a_sweep_without_length_is_stationary() -> None:
+    """All poses equal: it needs no speed."""
     line = line_through(np.tile(_somewhere(2), (4, 1, 1)))
     assert line is not None
     assert line.is_stationary
@@ -67,7 +67,7 @@ def test_a_sweep_without_length_stands() -> None:
 @pytest.mark.parametrize("count", [2, 8, 64])
 @pytest.mark.parametrize("length", [1e-3, 0.15, 2.0])
 def test_the_ramps_end_before_the_first_pose_and_keep_the_acceleration(count: int, length: float) -> None:
-    """Between the first and the last pose the speed is constant, and at most what was asked for."""
+    """Between the first and the last pose the speed is constant, and at most the given one."""
     from planner.timing.s_curve import sample_profile
 
     line = line_through(straight_sweep_poses(length, count))
@@ -84,6 +84,6 @@ def test_the_ramps_end_before_the_first_pose_and_keep_the_acceleration(count: in
 
 
 def test_rotation_vectors_and_rotations_are_inverse() -> None:
-    """Also for no turn and tiny ones."""
+    """Also for zero and tiny rotations."""
     vectors = np.array([[0, 0, 0], [1e-9, 0, 0], [0.3, -0.4, 0.5], [0, 0, 3.0], [-1.2, 0.1, 2.0]], dtype=float)
     np.testing.assert_allclose(rotation_vectors(rotation_matrices(vectors)), vectors, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Sweeps inside a timed motion: rest to rest in their own time, the joint moves around them as ever."""
+"""Sweeps in a timed motion: rest to rest with their own timing, between joint moves."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_a_sweep_takes_its_own_time_and_the_moves_theirs(path: SweepPath) -> Non
 
 
 def test_no_sample_exceeds_a_limit_and_none_is_far_from_its_neighbour(path: SweepPath) -> None:
-    """Also where moves and lines meet; differences agree with the speeds that are told."""
+    """Also where moves and lines meet; differences agree with the returned speeds."""
     motion = _motion(path)
     assert (np.diff(motion.t) > 0).all()
     assert np.diff(motion.t).max() <= 0.012 + 1e-9
@@ -76,7 +76,7 @@ def test_a_view_stops_once_a_sweep_at_its_middle_pose(path: SweepPath) -> None:
 
 
 def test_a_line_without_room_is_refused(path: SweepPath) -> None:
-    """More via points than there are left."""
+    """A line with more via points than remain is refused."""
     with pytest.raises(PlannerError, match="there is no room for them"):
         retime(path.q[:-1], [0] * (len(path.q) - 1), [-1] * (len(path.q) - 1), LIMITS,
                lines={0: TimedSweep(path, MOUNT, KINEMATICS)})  # fmt: skip

@@ -19,7 +19,7 @@ REST = np.zeros(6)
 
 
 def along(axis: int, distance: float) -> np.ndarray:
-    """Rest, with one axis moved."""
+    """Return the rest configuration with one axis moved."""
     q = np.zeros(6)
     q[axis] = distance
     return q
@@ -63,8 +63,8 @@ def test_a_motion_stops_at_each_via_point_and_holds_it_exactly() -> None:
     assert motion.duration == motion.via_t[-1] == pytest.approx(move_time(via[:-1], via[1:], LIMITS).sum())
 
 
-def test_samples_know_the_leg_that_they_drive() -> None:
-    """A sample belongs to the leg of the via point at which its move ends."""
+def test_samples_have_the_number_of_their_segment() -> None:
+    """A sample belongs to the segment of the via point at which its move ends."""
     via = np.array([REST, along(0, 1.0), along(0, 2.0), REST])
     motion = retime(via, [0, 0, 1, 2], [-1, 0, 1, -1], LIMITS)
     ends = np.searchsorted(motion.via_t[1:], motion.t, side="left")
@@ -89,7 +89,7 @@ def test_a_speed_fraction_scales_the_time() -> None:
 
 @pytest.mark.parametrize("fraction", [0.0, -1.0, 1.01, np.nan])
 def test_a_fraction_outside_zero_to_one_is_refused(fraction: float) -> None:
-    """The message names the fraction and what would be valid."""
+    """The message names the fraction and the valid range."""
     with pytest.raises(PlannerError, match=r"speed fraction is .* must be above 0 and at most 1"):
         scale_limits(LIMITS, speed=fraction)
 
@@ -100,7 +100,7 @@ def test_a_via_point_outside_the_range_is_refused_by_axis() -> None:
         retime(np.array([REST, along(3, 8.0)]), [0, 0], [-1, -1], LIMITS)
 
 
-def test_legs_out_of_order_are_refused() -> None:
+def test_segments_out_of_order_are_refused() -> None:
     """Segment numbers never decrease along a motion."""
     with pytest.raises(PlannerError, match="segment decreases"):
         retime(np.array([REST, REST]), [1, 0], [-1, -1], LIMITS)
