@@ -137,12 +137,12 @@ class Bench:
 
     def arm(self) -> ViewEvaluator:
         """Who measures, and where it gets to."""
-        return generators.arm_of(self.world, self.kinematics, self.checker, self.scanner, self.casters)
+        return generators.view_evaluator(generators.Cell(self.world, self.checker), self.scanner, self.casters)
 
     def views(self, generator: str) -> Viewpoints:
         """The generator's candidates before reach is asked."""
         scene = load_scene(None, {**self.tables, "plan": {"candidates": generator}})
-        return generators.first(scene, self.settings, self.part, self.planning)
+        return generators.generate_viewpoints(scene, self.settings, self.part, self.planning)
 
     def measure_alone(self, views: Viewpoints) -> Measurability:
         """M where nothing but the part itself occludes."""
@@ -159,7 +159,7 @@ class Bench:
         reached = self.reach_of(views)
         if generator == generators.GROWN:
             scouts = draw_samples(self.part.reference, self.planning, growth.N_SCOUTS, np.random.default_rng([0, 7]))
-            added = generators.grow(views, reached.reachable, scouts, self.arm())
+            added = generators.grow_viewpoints(views, reached.reachable, scouts, self.arm())
             views, reached = join_viewpoints([views, added]), join_reach([reached, self.reach_of(added)])
         M = self.measure(views)
         chosen = self.choose(M, reached, 1.0)

@@ -147,7 +147,7 @@ def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
     loaded = workpiece.load(scene.part.source, scene.part.units)
     settings = settle(scene, loaded).settings
     planning = decimate(loaded.reference, settings.faces)
-    views = candidates.first(scene, settings, loaded, planning)
+    views = candidates.generate_viewpoints(scene, settings, loaded, planning)
     features = surface_samples(scene, loaded.reference, planning, np.random.default_rng(0))
     scanner = LaserArea(**settings.scanner)
     caster = EmbreeRayCaster(loaded.reference.vertices, loaded.reference.faces)

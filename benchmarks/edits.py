@@ -30,8 +30,8 @@ from benchmarks.parts import parts, place
 from benchmarks.random_edits import random_edit
 from cell.api import open_run, plan, scan
 from cell.errors import CellError
-from cell.plan.picture_process import Drawing
 from cell.report.diff import compare_runs
+from cell.report.plots import PlotProcess
 from cell.session import LoggedProgress
 from cell.view.contents import HALF_PAGE
 
@@ -142,7 +142,7 @@ def _counted(name: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-class _Blank(Drawing):
+class _Blank(PlotProcess):
     """Leaves empty files in place of pictures and of the page's first half."""
 
     def __init__(self) -> None:
@@ -161,7 +161,7 @@ class _Blank(Drawing):
 def no_pictures() -> Iterator[None]:
     """Plans are made without pictures and page, executions without theirs."""
     with (
-        mock.patch("cell.plan.picture_process.beside", side_effect=lambda: nullcontext(_Blank())),
+        mock.patch("cell.report.plots.plot_process", side_effect=lambda: nullcontext(_Blank())),
         mock.patch("cell.scan.results.part_and_views", lambda path, *_: path.write_bytes(b"")),
         mock.patch("cell.view.contents.execution_page", return_value=""),
     ):

@@ -25,7 +25,7 @@ from benchmarks.parts import meshes
 from cell.part import workpiece
 from cell.part.builtin import NAMES
 from cell.part.workpiece import Workpiece
-from cell.plan.candidates import first
+from cell.plan.candidates import generate_viewpoints
 from cell.robot.arm import kinematics_of
 from cell.scene.file import load_scene
 from cell.scene.model import Scene
@@ -131,7 +131,7 @@ def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
     mesh = part.reference
     settings = settle(scene, part).settings
     planning = decimate(mesh, settings.faces)
-    views = first(scene, settings, part, planning)
+    views = generate_viewpoints(scene, settings, part, planning)
     worlds, rows, judged = {}, [], None
     for fidelity in FIDELITIES:
         table = scene.model_dump(exclude_unset=True)

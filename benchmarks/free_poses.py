@@ -47,11 +47,11 @@ def run() -> list[dict[str, Any]]:
 def _part(bench: Bench) -> dict[str, Any]:
     scene = load_scene(None, {**bench.tables, "plan": {"candidates": "optimal-scanning-zone"}})
     arm = bench.arm()
-    zone = generators.first(scene, bench.settings, bench.part, bench.planning)
+    zone = generators.generate_viewpoints(scene, bench.settings, bench.part, bench.planning)
     usable = bench.reach_of(zone).reachable
     start = process_time()
     scouts = draw_samples(bench.part.reference, bench.planning, growth.N_SCOUTS, np.random.default_rng([0, 7]))
-    added = generators.grow(zone, usable, scouts, arm)
+    added = generators.grow_viewpoints(zone, usable, scouts, arm)
     seconds = process_time() - start
     first, second = zone.T_object_scanner[usable], added.T_object_scanner
     one, both = (

@@ -20,8 +20,8 @@ import numpy as np
 from benchmarks.parts import parts, place
 from cell import api
 from cell.errors import CellError
+from cell.plan import setups as planning
 from cell.runs.cell import read_cell
-from cell.setups import plan_setups, search
 from cell.world.prediction import held_out_samples
 from planner import cover
 from planner.cover import CoverProblem
@@ -43,9 +43,9 @@ def run() -> list[dict[str, Any]]:
 def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     wishes: dict[str, object] = {"place": place()} | ({"units": words[2]} if len(words) > 1 else {})
     asked: list[tuple[CoverProblem, GroupedCover]] = []
-    searches: list[search.Search] = []
+    searches: list[planning.SetupSearch] = []
 
-    class Kept(search.Search):
+    class Kept(planning.SetupSearch):
         def __init__(self, *known: Any) -> None:
             super().__init__(*known)
             searches.append(self)
@@ -56,13 +56,14 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
         return found
 
     start = time.process_time()
-    search.solve_grouped, plan_setups.Search = told, Kept  # type: ignore[misc]
+    own = planning.SetupSearch
+    planning.solve_grouped, planning.SetupSearch = told, Kept  # type: ignore[misc]
     try:
         made = api.plan_setups(words[0], out=folder / name, **wishes)
     except CellError as error:
         return {"part": name, "said": str(error)[:100]}
     finally:
-        search.solve_grouped, plan_setups.Search = solve_grouped, search.Search  # type: ignore[misc]
+        planning.solve_grouped, planning.SetupSearch = solve_grouped, own  # type: ignore[misc]
     seconds, file = time.process_time() - start, made.file
     wish, joint = asked[-1]
     poses = [setup.measured.candidates.T_object_scanner[:, 0] for setup in searches[0].setups.values()]
@@ -73,9 +74,9 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
         "part": name,
         "offered": len(file.offered),
         "set-ups": len(file.chosen),
-        "bound": file.group_bound,
+        "bound": file.setups_bound,
         "views": file.views,
-        "views bound": file.view_bound,
+        "views bound": file.views_bound,
         "one cover": f"{len(joint.views)} / {joint.n_views}",
         "one after the other": f"{setups} / {views}",
         "views first": f"{first_setups} / {first_views}",

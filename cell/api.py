@@ -22,19 +22,19 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import trimesh
 
-    from cell.edit.editable import EditableRun
     from cell.explore.exploration import Exploration
     from cell.explore.options import ExploreOptions
     from cell.metrology.hand_eye import HandEyeResult
     from cell.metrology.locate import LocateResult
     from cell.metrology.options import HandEyeOptions, LocateOptions
+    from cell.plan.edit import EditableRun
+    from cell.plan.setup_options import SetupOptions
     from cell.runs.run import Execution, Run
+    from cell.runs.setups import SetupsRun
     from cell.scan.options import ScanOptions
     from cell.scan.setups import SetupsOutcome
     from cell.scene.model import Scene
     from cell.session import Confirm, ProgressReporter, Session
-    from cell.setups.options import SetupOptions
-    from cell.setups.planned_setups import PlannedSetups
 
 Progress = Callable[[str, int, int], None]
 """Told `(stage, done, total)` while work goes on; what it raises ends the work. A stage begins with (0, 0)."""
@@ -49,7 +49,6 @@ def plan(
     *,
     scene: "str | Path | None" = None,
     out: "str | Path | None" = None,
-    open_of: "Sequence[Run | str | Path]" = (),
     use_cache: bool = True,
     progress: "Progress | ProgressReporter | None" = None,
     argv: Sequence[str] = (),
@@ -62,8 +61,6 @@ def plan(
             checked scene. None takes the scene's part.
         scene: scene file (TOML); None is the built-in scene.
         out: run folder to make; None makes one below sim_runs/.
-        open_of: finished plans of the part in other poses: only what their views leave open is planned, in the cell of
-            the first unless a scene is given (docs/setups.md).
         use_cache: whether measurability matrices are taken from and left in the user's cache.
         progress: told how far the work is; None works in silence.
         argv: kept in the manifest beside the options.
@@ -76,21 +73,11 @@ def plan(
     Raises:
         CellError: in one sentence; the run folder keeps what was finished.
     """
-    from cell.edit.editable import EditableRun
     from cell.plan import pipeline
-    from cell.plan.asked import scene_and_part
+    from cell.plan.edit import EditableRun
 
     session = _session(progress, out=out, scene=scene, use_cache=use_cache, argv=argv)
-    if open_of:
-        from cell.scene.model import Scene
-        from cell.setups.beside import scene_beside
-        from cell.setups.open_of import plan_open
-
-        earlier = [open_run(_folder(run)) for run in open_of]
-        checked = part if isinstance(part, Scene) else scene_beside(earlier[0], session.origin.scene_path, wishes, part)
-        return EditableRun.opened(plan_open(session, earlier, checked))
-    checked, workpiece = scene_and_part(part, scene, wishes)
-    return EditableRun.opened(pipeline.plan(session, checked, part=workpiece))
+    return EditableRun.opened(pipeline.plan(session, *pipeline.read_request(part, scene, wishes)))
 
 
 def plan_setups(
@@ -103,7 +90,7 @@ def plan_setups(
     progress: "Progress | ProgressReporter | None" = None,
     argv: Sequence[str] = (),
     **wishes: object,
-) -> "PlannedSetups":
+) -> "SetupsRun":
     """Plan several set-ups of a part as one cover: fewest set-ups, then fewest views (docs/setups.md).
 
     Args:
@@ -119,17 +106,17 @@ def plan_setups(
     Raises:
         CellError: in one sentence; the folder keeps what was finished.
     """
-    from cell.plan.asked import scene_and_part
+    from cell.plan.pipeline import read_request
+    from cell.plan.setup_options import SetupOptions
+    from cell.plan.setups import plan_setups as planned
+    from cell.runs.setups import SetupsRun
     from cell.scene.options import option_specs, parse_options
-    from cell.setups.options import SetupOptions
-    from cell.setups.plan_setups import plan_setups as planned
-    from cell.setups.planned_setups import PlannedSetups
 
     own = {name: wishes.pop(name) for name in option_specs(SetupOptions) if name in wishes}
-    checked, workpiece = scene_and_part(part, scene, wishes)
+    checked, workpiece = read_request(part, scene, wishes)
     wanted = parse_options(SetupOptions, own) if options is None else options
     session = _session(progress, out=out, scene=scene, use_cache=use_cache, argv=argv)
-    return PlannedSetups.opened(planned(session, checked, options=wanted, part=workpiece))
+    return SetupsRun.opened(planned(session, checked, options=wanted, part=workpiece))
 
 
 def scan(
@@ -173,7 +160,7 @@ def scan(
 
 
 def scan_setups(
-    folder: "PlannedSetups | str | Path",
+    folder: "SetupsRun | str | Path",
     options: "ScanOptions | None" = None,
     *,
     setup: int | None = None,
@@ -250,7 +237,7 @@ def explore(
     from cell.explore.exploration import Exploration
     from cell.explore.explore import explore as run
     from cell.explore.options import OF_SCAN, ExploreOptions
-    from cell.plan.asked import scene_and_part
+    from cell.plan.pipeline import read_request
     from cell.scan.options import ScanOptions
     from cell.scene.options import option_specs, parse_options
 
@@ -258,7 +245,7 @@ def explore(
         {name: wishes.pop(name) for name in names if name in wishes}
         for names in (option_specs(ExploreOptions), OF_SCAN)
     )
-    checked, _ = scene_and_part(part, scene, wishes)
+    checked, _ = read_request(part, scene, wishes)
     wanted = parse_options(ExploreOptions, own) if options is None else options
     scans = parse_options(ScanOptions, of_scan) if scanning is None else scanning
     folder = Path("sim_runs") / f"explore-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else Path(out)
@@ -331,7 +318,7 @@ def open_run(folder: "str | Path") -> "EditableRun":
     Raises:
         FileError: if it is missing, damaged, not a run folder, or its plan did not finish.
     """
-    from cell.edit.editable import EditableRun
+    from cell.plan.edit import EditableRun
 
     return EditableRun.opened(Path(folder))
 

@@ -160,7 +160,7 @@ class LoggedProgress:
 
 
 class PlotQueue:
-    """Queue of the plots of a run; this one draws nothing. `cell.plan.picture_process` has one that draws."""
+    """Queue of the plots of a run; this one draws nothing. `cell.report.plots` has one that draws."""
 
     def part_ready(self, folder: Path) -> None:
         """Prepare the part for drawing: the meshes are in the run folder."""
@@ -172,7 +172,7 @@ class PlotQueue:
         """Queue a plot.
 
         Args:
-            plot: function of `cell.plan.pictures` or `cell.plan.picture_jobs`.
+            plot: function of `cell.report.figures`.
             path: PNG to write.
             arrays: its arguments; numbers and words arrive as arrays without dimension.
         """
@@ -238,12 +238,6 @@ class Session(Generic[FolderT]):
             folder, self.reporter, self.out, self.confirm, self.plots if plots is None else plots, seed, self.effort,
             self.use_cache, self.origin,
         )  # fmt: skip
-
-    def closed(self, out: Path | None) -> "Session[None]":
-        """Return this session without a folder, for a command inside that makes a folder of its own."""
-        return Session(
-            None, self.reporter, out, self.confirm, effort=self.effort, use_cache=self.use_cache, origin=self.origin
-        )
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Progress]:

@@ -36,7 +36,7 @@ from hypothesis import settings
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
-from cell.plan import picture_process
+from cell.report import plots
 from cell.runs import digest
 from cell.session import Effort, effort_of
 from cell.view.contents import HALF_PAGE
@@ -172,7 +172,7 @@ class _Looks:
     drawn = False
 
 
-class _DrawingHere(picture_process.Drawing):
+class _DrawingHere(plots.PlotProcess):
     """Draws in this process what the plan's process for pictures draws."""
 
     def __init__(self) -> None:
@@ -180,7 +180,7 @@ class _DrawingHere(picture_process.Drawing):
 
     def _post(self, what: str, path: Path, **arrays: Any) -> None:
         if _Looks.drawn:
-            picture_process.draw(what, path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
+            plots.draw(what, path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
         elif not path.is_dir():
             path.write_bytes(b"")
             (path.parent / HALF_PAGE).write_bytes(b"")
@@ -203,7 +203,7 @@ def _only_where_looked_at(draw: Callable[..., object], instead: object) -> Calla
 
 
 _PICTURES = (
-    "matplotlib.figure.Figure.savefig", "cell.plan.pictures.cover_curve", "cell.report.scan_report.draw_deviation",
+    "matplotlib.figure.Figure.savefig", "cell.report.figures.cover_curve", "cell.report.scan_report.draw_deviation",
     "cell.scan.results.part_and_views", "cell.view.pictures.reasons",
 )  # fmt: skip
 _PAGES = (
@@ -224,7 +224,7 @@ def _drawn() -> Iterator[None]:
 def drawing_is_here() -> Iterator[None]:
     """A plan made in this process needs no other for its pictures; those of `start_cell` have their own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(picture_process, "beside", lambda: contextlib.nullcontext(_DrawingHere()))
+        patch.setattr(plots, "plot_process", lambda: contextlib.nullcontext(_DrawingHere()))
         for names, instead in ((_PICTURES, Path), (_PAGES, ""), (_CANVASES, None)):
             for name in names:
                 patch.setattr(name, _only_where_looked_at(resolve_name(name), instead))

@@ -6,7 +6,7 @@ import numpy as np
 
 from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
-from cell.setups.contact import touching
+from cell.world.contact import in_contact
 from cell.world.prediction import held_out_samples
 from planner.measurability.visibility import find_measured
 from planner.values import Bools
@@ -19,7 +19,7 @@ def seen_and_touching(run: Path) -> tuple[Bools, Bools]:
     samples = held_out_samples(cell.reference, cell.planning, planned.seed)
     poses = np.stack([view.T_object_poses for view in planned.plan.views])
     seen = find_measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True).any(axis=1)
-    return seen, touching(samples, cell.occluders)
+    return seen, in_contact(samples, cell.occluders)
 
 
 def seen_samples(run: Path) -> Bools:

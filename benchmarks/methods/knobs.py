@@ -16,7 +16,7 @@ from benchmarks.claimed_coverage import claim
 from benchmarks.eight_scans import eight_scans, noisy
 from cell.errors import UsageError
 from cell.metrology.reconstruct import Reconstruction, reconstruct
-from cell.plan.candidates import first
+from cell.plan.candidates import generate_viewpoints
 from cell.scene.model import PlanSettings, Scanner
 from cell.study.bench import Bench
 from cell.study.scenes import bench_of
@@ -105,7 +105,7 @@ def decimation(bench: Bench, share: float, repeats: int) -> KnobResult:
 
     def work() -> tuple[Viewpoints, cover.Cover]:
         planning = _planning(bench, share)
-        candidates = first(bench.scene, bench.settings, bench.part, planning)
+        candidates = generate_viewpoints(bench.scene, bench.settings, bench.part, planning)
         rng = np.random.default_rng([bench.scene.plan.seed, _FEATURES])
         count = bench.scene.plan.samples_per_face * len(planning.faces)
         features = draw_samples(bench.part.reference, planning, count, rng)
@@ -154,7 +154,7 @@ def _planning(bench: Bench, share: float) -> TriangleMesh:
 @lru_cache(maxsize=2)
 def _most(bench: Bench) -> float:
     """Share of the surface that the finest candidates measure together, on the held-out samples."""
-    candidates = first(bench.scene, bench.settings, bench.part, _planning(bench, FINEST))
+    candidates = generate_viewpoints(bench.scene, bench.settings, bench.part, _planning(bench, FINEST))
     found = find_measured(candidates.T_object_scanner, bench.samples, bench.scanner, (bench.caster,))
     return float(bench.samples.areas[found].sum() / bench.samples.areas.sum())
 

@@ -116,14 +116,14 @@ def _scan_setups(
     """Scan the set-ups of a folder, or write the report of their combined scans."""
     from cell import api
     from cell.report.scan_report import combined_rows
+    from cell.runs.setups import SetupsRun
     from cell.scan.setups import combine_setups as report_of
-    from cell.setups.planned_setups import PlannedSetups
 
     for option, given in (("--resume", resume), ("--report", report)):
         if given not in (None, "latest"):
             raise UsageError(f"{option} of several set-ups takes the latest execution of each: {option} latest")
     if report is not None:
-        outcome = report_of(_session(terminal), PlannedSetups.opened(folder))
+        outcome = report_of(_session(terminal), SetupsRun.opened(folder))
     else:
         outcome = api.scan_setups(
             folder, options, setup=setup, resume=resume is not None, progress=terminal, argv=sys.argv[1:],
@@ -241,7 +241,7 @@ def locate(
     """Find the true placement of the part from points measured on it, and move the plan there."""
     from cell import api
     from cell.cli.terminal import Terminal
-    from cell.plan.report import table
+    from cell.report.plan_report import table
 
     if out is None and (repair or keep_planned):
         raise UsageError("--repair and --keep-planned belong to the plan that --out makes; give --out")

@@ -198,11 +198,11 @@ def view(
             )
         looking.watch(what, out, terminal, open_page, time.sleep)
     elif what is not None and (what / "setups.json").is_file():
-        from cell.setups.planned_setups import PlannedSetups
+        from cell.runs.setups import SetupsRun
 
         if out is not None:
             raise UsageError(f"{what} holds several set-ups with a page each; leave out --out")
-        for folder in PlannedSetups.opened(what).folders:
+        for folder in SetupsRun.opened(what).folders:
             open_page(looking.page_of(folder, None, terminal))
         Terminal(quiet_stdout=True).suggest(("cell", "scan", what))
     else:

@@ -20,11 +20,12 @@ from cell.cli.options import (
     command,
     print_json,
 )
-from cell.edit.options import Edit
+from cell.errors import UsageError
+from cell.plan.edit_options import Edit
+from cell.plan.setup_options import SetupOptions
 from cell.scene.file import scene_from_options
-from cell.scene.model import PART, Scene
+from cell.scene.model import Scene
 from cell.scene.options import flag, option_specs
-from cell.setups.options import SetupOptions
 
 if TYPE_CHECKING:
     from cell.cli.terminal import Terminal
@@ -39,7 +40,6 @@ _SceneOptionsOfSetups = Annotated[
     "cell plan --place 1200,500,0",
     "cell plan part.stl --units mm --place 1200,500,0,90,0,0 --standoff 300 --faces 930 --coverage 0.95",
     "cell plan --scene my_cell.toml --seed 7 --json --out sim_runs/trial",
-    "cell plan --open-of sim_runs/trial --place 1200,500,0,0,0,180",
     "cell plan --max-views 8 --curve",
     "cell plan --overlap 20% --coverage 0.98",
     "cell plan --pose-sd 0.5mm,0.1deg --alpha 0.05 --coverage 0.98",
@@ -49,15 +49,7 @@ def plan(
     part: Part = None,
     scene: SceneFile = None,
     given: SceneOptions,
-    open_of: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="RUN",
-            help="Another set-up: plan only the surface that the views of this finished plan leave uncovered, with the "
-            "part at --place. Can be given several times.",
-            rich_help_panel=PART,
-        ),
-    ] = None,
+    open_of: Annotated[list[Path] | None, typer.Option(hidden=True)] = None,
     out: NewRunFolder = None,
     as_json: AsJson = False,
     no_cache: NoCache = False,
@@ -65,18 +57,17 @@ def plan(
     """Plan the views that measure a part: selection, reachability, order and motion."""
     from cell import api
     from cell.cli.terminal import Terminal
-    from cell.plan.report import table
+    from cell.report.plan_report import table
     from cell.runs.digest import SHORT_DIGEST
 
     terminal = Terminal(quiet_stdout=as_json)
     if open_of:
-        from cell.setups.beside import scene_beside
-
-        checked = scene_beside(api.open_run(open_of[0]), scene, given, part, flag)
-    else:
-        checked = scene_from_options(scene, given, part, flag)
+        raise UsageError(
+            "--open-of was replaced by a fixed first set-up of cell setups: give the same part and options with "
+            f"cell setups --first {open_of[0]}"
+        )
     run = api.plan(
-        checked, scene=scene, out=out, open_of=open_of or (), use_cache=not no_cache, progress=terminal,
+        scene_from_options(scene, given, part, flag), scene=scene, out=out, use_cache=not no_cache, progress=terminal,
         argv=sys.argv[1:],
     )  # fmt: skip
     rows = [*table(run.report), ("digest", run.digest[:SHORT_DIGEST]), ("run folder", str(run.folder))]
@@ -91,6 +82,7 @@ def plan(
     "cell setups mug --cost time --setup-seconds 300",
     "cell setups mug --table --offer 6",
     "cell setups mug --offer 4 --pin 0:168 --ban 0:1506",
+    "cell setups mug --first sim_runs/trial",
     note="Each set-up is a run folder of its own in FOLDER/setups; cell scan FOLDER scans one after the other.",
 )
 def setups(
@@ -106,7 +98,7 @@ def setups(
     """Plan several set-ups of a part as one cover: fewest set-ups, then fewest views, each with a bound."""
     from cell import api
     from cell.cli.terminal import Terminal
-    from cell.setups.report import rows
+    from cell.report.setups_report import rows
 
     terminal = Terminal(quiet_stdout=as_json)
     checked = scene_from_options(scene, given, part, flag)
@@ -132,8 +124,8 @@ def edit(*, run: RunFolder, options: Edit, out: NewRunFolder = None, as_json: As
     """Change a plan by hand: drop, move, turn, add or reorder views. The result is a new, checked run."""
     from cell import api
     from cell.cli.terminal import Terminal
-    from cell.plan.report import table
     from cell.report.diff import compare_runs
+    from cell.report.plan_report import table
 
     terminal = Terminal(quiet_stdout=as_json)
     planned = api.open_run(run)

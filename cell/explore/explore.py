@@ -19,7 +19,7 @@ from cell.explore.options import EVERY_BATCH, ExploreOptions
 from cell.explore.policies import POLICIES, Batch, So
 from cell.explore.prepare import Exploring, Eye, begun, prepared
 from cell.explore.reasons import StillOpen
-from cell.explore.stage import EnoughError, plan_stage
+from cell.explore.stage import StopReason, explain_uncovered, plan_stage
 from cell.explore.state import Known, scans_of
 from cell.explore.too_near import keep_off, too_near
 from cell.part.workpiece import Workpiece
@@ -72,11 +72,11 @@ def explore(session: Session[None], scene: Scene, options: ExploreOptions, scann
             known = replace(known, scans=scans_of(work.paths, file.stages))
         while file.status != "finished":
             number = len(file.stages) + 1
-            try:
-                folder = _planned(work, file, known, *_next(work, file))
-            except EnoughError as error:
-                is_still_open = () if error.open is None else error.open.by_area()
-                file = _finished(work, file, known.scans, str(error), is_still_open)
+            folder = _planned(work, file, known, *_next(work, file))
+            if isinstance(folder, StopReason):
+                uncovered = stays_open(work, file, known)
+                causes = () if uncovered is None else uncovered.by_area()
+                file = _finished(work, file, known.scans, folder.sentence, causes)
                 break
             on = MEASURED if work.paths.measured(number).is_file() else BELIEVED
             scans = _executed(work, folder)
@@ -104,65 +104,58 @@ def _next(work: Exploring, file: ExploreFile) -> tuple[Sequence[Batch], str]:
     return POLICIES[work.options.policy](work.options, so), "no batch of the policy is left that is worth its views"
 
 
-def _planned(work: Exploring, file: ExploreFile, known: Known, batches: Sequence[Batch], ended: str) -> Path:
-    """The run folder of a stage's plan; one that finished before the exploration was stopped is taken.
+def _planned(
+    work: Exploring, file: ExploreFile, known: Known, batches: Sequence[Batch], ended: str
+) -> Path | StopReason:
+    """Return the run folder of a batch, planned now unless it was finished before the exploration was stopped.
 
-    Raises:
-        EnoughError: if no batch is worth its views: why the last on the believed surface is not, and what stays open.
+    If no batch is worth its views, the reason is that of the last batch on the believed surface.
     """
     if (folder := work.paths.stage(len(file.stages) + 1)).is_dir():
         return folder
+    stop = StopReason(ended)
     for batch in batches:
         work.paths.clear(len(file.stages) + 1)
         plan = _on_measured if batch.on == MEASURED else _on_believed
-        try:
-            return plan(work, file, known, batch)
-        except EnoughError as error:
-            ended = str(error) if batch.on == BELIEVED else ended
-    raise EnoughError(ended, stays_open(work, file, known))
+        found = plan(work, file, known, batch)
+        if not isinstance(found, StopReason):
+            return found
+        stop = found if batch.on == BELIEVED else stop
+    return stop
 
 
 def stays_open(work: Exploring, file: ExploreFile, known: Known) -> StillOpen | None:
-    """What stays open of all that the part may be, and why; None where nothing does."""
+    """Return the uncovered surface of all that the part may be, by cause; None if there is none."""
     number, asked = len(file.stages) + 1, Asked(known.space, known.record, Batch(0), 0.0)
     work.paths.clear(number)
     whole = known.space.belief_voxels(unlimited=True)
-    try:
-        _stage(work, asked, number, belief.part_of(belief.surface_about(known.space, whole), work.name))
-    except EnoughError as error:
-        work.paths.clear(number)
-        return error.open
-    raise AssertionError("a batch without views is no plan")
+    surface = belief.part_of(belief.surface_about(known.space, whole), work.name)
+    scene = _scene_of(work, asked, number, surface)
+    found = explain_uncovered(work.session, scene, surface, asked, work.paths.stage(number))
+    work.paths.clear(number)
+    return found
 
 
-def _on_believed(work: Exploring, file: ExploreFile, known: Known, batch: Batch) -> Path:
-    """A stage's plan on the surface about all that was not seen free; who keeps off for nothing goes near again.
-
-    Raises:
-        EnoughError: if no batch is worth its views.
-    """
+def _on_believed(work: Exploring, file: ExploreFile, known: Known, batch: Batch) -> Path | StopReason:
+    """Plan a batch on the boundary of unseen space; if keeping the minimum range yields nothing, plan without it."""
     number = len(file.stages) + 1
     least = work.options.least_gain if number > 1 else 0.0
     part = belief.part_of(known.believed, work.name)
     asked = Asked(known.space, known.record, batch, least, _measured_area(file), _came(file))
     if keep_off(_nearness(file)):
-        try:
-            return _stage(work, replace(asked, cautious=True), number, part)
-        except EnoughError:
-            work.paths.clear(number)
+        found = _stage(work, replace(asked, cautious=True), number, part)
+        if not isinstance(found, StopReason):
+            return found
+        work.paths.clear(number)
     return _stage(work, asked, number, part)
 
 
-def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch) -> Path:
-    """A stage's plan on the surface of all points and where it leads.
-
-    Raises:
-        EnoughError: if the points describe none, or no batch is worth its views.
-    """
+def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch) -> Path | StopReason:
+    """Plan a batch on the surface of all points and its continuation."""
     number = len(file.stages) + 1
     surface = continued(known.scans, known.space, known.solid)
     if surface is None:
-        raise EnoughError("the points describe no surface")
+        return StopReason("the points describe no surface")
     work.paths.measured(number).write_bytes(ply.mesh_bytes(surface))
     poses = np.stack([scan.T_reported for scan in known.scans])
     latest = tuple(
@@ -174,13 +167,17 @@ def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch)
     return _stage(work, asked, number, belief.part_of(surface, work.name, MEASURED))
 
 
-def _stage(work: Exploring, asked: Asked, number: int, surface: Workpiece) -> Path:
-    """A stage's plan on a surface, arm and housing out of all that was not seen free."""
-    paths = work.paths
-    belief.write_unseen(asked.space, paths.unseen(number))
+def _stage(work: Exploring, asked: Asked, number: int, surface: Workpiece) -> Path | StopReason:
+    """Plan a batch on a surface; arm and housing stay out of unseen space."""
+    scene = _scene_of(work, asked, number, surface)
+    return plan_stage(work.session, scene, surface, asked, work.paths.stage(number))
+
+
+def _scene_of(work: Exploring, asked: Asked, number: int, surface: Workpiece) -> Scene:
+    """Return the scene of a batch, with the unseen space as an obstacle."""
+    belief.write_unseen(asked.space, work.paths.unseen(number))
     scene = specification.without(work.scene) if asked.batch.rough else work.scene
-    scene = belief.scene_of(scene, work.cylinder, surface, paths.unseen(number))
-    return plan_stage(work.session, scene, surface, asked, paths.stage(number))
+    return belief.scene_of(scene, work.cylinder, surface, work.paths.unseen(number))
 
 
 def _measured_area(file: ExploreFile) -> float:

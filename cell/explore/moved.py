@@ -6,16 +6,16 @@ if it were the only one; which of them stand together is chosen among all, those
 asks the scouts, the choice the rows of the matrix, which it has not seen.
 """
 
-from cell.plan.candidates import GROWN, arm_of
-from cell.plan.problem import Problem
-from cell.plan.refined import Append
+from cell.plan.candidates import GROWN, view_evaluator
+from cell.plan.improvement import Append
+from cell.plan.selection import SelectionProblem
 from planner.values import Ints
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.refinement import improve_views
 from planner.viewpoints.viewpoints import pick_viewpoints, viewpoints_from_poses
 
 
-def with_better(problem: Problem, views: Ints, append: Append) -> Problem:
+def with_better(problem: SelectionProblem, views: Ints, append: Append) -> SelectionProblem:
     """The problem with poses behind its candidates at which these measure more of what is open, if any may be grown.
 
     Args:
@@ -27,7 +27,7 @@ def with_better(problem: Problem, views: Ints, append: Append) -> Problem:
         return problem
     known, candidates = problem.prediction, pick_viewpoints(problem.candidates, views)
     scouts, distance = known.samples, candidates.standoff
-    arm = arm_of(problem.world, problem.kinematics, problem.checker, known.scanner, known.casters)
+    arm = view_evaluator(problem.cell, known.scanner, known.casters)
     targets = RayTargets.of(scouts.points, scouts.normals)
     T, moved = improve_views(candidates.T_object_scanner[:, 0], distance, targets, scouts.areas, arm)
     if not moved.any():

@@ -7,7 +7,7 @@ the executed views measure at all, and what of that none of them measures within
 import numpy as np
 
 from cell.part import workpiece
-from cell.plan.candidates import limited
+from cell.plan.candidates import limited_scanner
 from cell.scene.model import Scene
 from cell.scene.settle import settle
 from cell.world.embree import EmbreeRayCaster
@@ -51,4 +51,4 @@ def missed(scene: Scene, model: TriangleMesh, poses: Floats) -> float:
 def _law(scene: Scene, model: TriangleMesh) -> Scanner:
     """The scanner's law with the limits of a scene."""
     part = workpiece.from_arrays("model", model.vertices, model.faces, "m")
-    return limited(scene, settle(scene, part).scanner)
+    return limited_scanner(scene, settle(scene, part).scanner)

@@ -1,16 +1,16 @@
-"""One stage's plan: steps 2 to 9 of `cell plan` on what is believed of the part, for what is open of it.
+"""Plan of one batch: the stages of `cell.plan.pipeline` on the surface of a belief, for its uncovered part.
 
-The run folder that comes out is proven, driven and read back as any other. Its coverage is that of the believed
-surface which the batch is asked for, the rows of its matrix (`cell.explore.asked`).
+The run folder is verified, executed and read as any other. Its coverage refers to the part of the surface that the
+batch is requested for, the rows of its matrix (`cell.explore.asked`).
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from cell import scanners
 from cell.errors import UnreachableError
 from cell.explore import belief
 from cell.explore.asked import Asked, came_of, wanted
@@ -18,33 +18,35 @@ from cell.explore.moved import with_better
 from cell.explore.reasons import StillOpen, still_open
 from cell.explore.too_near import BeyondNear
 from cell.part.workpiece import Workpiece
-from cell.plan import files as plan_files
-from cell.plan import pipeline, steps
-from cell.plan.appended_candidates import behind
-from cell.plan.candidates import GROWN, arm_of, first, grow, limited
-from cell.plan.connected_plan import ConnectedPlan
-from cell.plan.problem import Problem
-from cell.plan.refined import Append
-from cell.plan.request import seconds_of_views
-from cell.plan.steps import Cell, Job, Measured, PlanSession
-from cell.plan.summary import Further, plan_report
-from cell.plan.view_plan import choose_and_connect, first_choice
+from cell.plan import files, pipeline
+from cell.plan.candidates import (
+    CandidateSet,
+    Cell,
+    PlanSession,
+    generate_viewpoints,
+    limited_scanner,
+    make_surface,
+    measure,
+    reach_viewpoints,
+    with_grown,
+)
+from cell.plan.evaluation import OptionalResults, plan_report
+from cell.plan.improvement import Append
+from cell.plan.motion import ConnectedPlan, connect_views
+from cell.plan.selection import SelectionProblem, least_view_times, select_views
 from cell.scene.model import Scene
+from cell.scene.settle import SettledScene
 from cell.session import Origin, Session, Stream
-from cell.world.embree import EmbreeRayCaster
 from cell.world.measurability import PartSurface
-from cell.world.prediction import Prediction
 from planner.explore.gain import select_by_gain_per_second
 from planner.geometry.decimation import cluster_vertices, decimate
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
-from planner.kinematics.reach import Reach, join_reach
-from planner.measurability.matrix import spread_measurability
 from planner.path.path import MAX_CHECKS
-from planner.ports import RayCaster, Scanner
+from planner.ports import RayCaster
 from planner.tour.tour_search import DEFAULT_BUDGET
 from planner.values import Ints
 from planner.viewpoints import growth
-from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints
+from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
 
 DRAWN, ROWS_KEPT, SCOUTS_KEPT = 20_000, 3_000, 1_000
 """Samples of the believed surface that are drawn, of those rows of the matrix at most, and scouts at most."""
@@ -67,176 +69,200 @@ STARTS = 6
 """Candidates, each the best after those before it, from which one is searched that measures more."""
 
 
-class EnoughError(UnreachableError):
-    """No further batch is worth its views.
+@dataclass(frozen=True, slots=True)
+class StopReason:
+    """Reason for which no further batch is planned, in one sentence."""
+
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surface:
+    """Sampled surface of a batch.
 
     Attributes:
-        open: what stays open, and why; None where nobody looked.
+        part: meshes and rows of the matrix.
+        scouts: samples for which viewpoints are grown, and on which candidates are evaluated.
+        viewpoints: that face the rows.
+        asked: the request, with the realised gain of the latest batches.
     """
 
-    def __init__(self, message: str, still_open: StillOpen | None = None) -> None:
-        super().__init__(message)
-        self.open = still_open
+    part: PartSurface
+    scouts: SurfaceSamples
+    viewpoints: Viewpoints
+    asked: Asked
 
 
-def plan_stage(session: Session[None], scene: Scene, believed: Workpiece, asked: Asked, out: Path) -> Path:
+def plan_stage(session: Session[None], scene: Scene, surface: Workpiece, asked: Asked, out: Path) -> Path | StopReason:
     """Plan a batch and write its run folder.
 
     Args:
         session: of the exploration.
-        scene: of the stage.
-        believed: the part.
-        asked: what it is planned for.
-        out: the folder to make.
+        scene: of the batch.
+        surface: of the belief, as a part.
+        asked: request.
+        out: folder to make; without a plan it is left unfinished.
 
     Raises:
-        EnoughError: if no batch is asked for, the best is expected to add too little, or none can be measured.
         CellError: as `cell plan`.
     """
+    with _open_run(session, scene, surface, asked, out) as run:
+        stop = _plan(run.session, run.settled, asked)
+        run.stopped = "" if stop is None else stop.sentence
+    return run.path if stop is None else stop
+
+
+def explain_uncovered(
+    session: Session[None], scene: Scene, surface: Workpiece, asked: Asked, out: Path
+) -> StillOpen | None:
+    """Return the uncovered surface of a belief by cause, or None if there is none; `out` is left unfinished."""
+    with _open_run(session, scene, surface, asked, out) as run:
+        run.stopped = "explanation of the uncovered surface; no batch is planned"
+        found = _sample_surface(run.session, run.settled, asked)
+        if found is None:
+            return None
+        cell = pipeline.compile_cell(run.session, run.settled, found.part, is_belief=True)
+        candidates, casters = _find_candidates(run.session, run.settled, found, cell)
+        left = pick_samples(found.scouts, ~asked.space.is_measured(found.scouts.points, found.scouts.normals))
+        of = asked.space.open_samples_at(left.points, left.normals)
+        left = replace(left, areas=left.areas / asked.record.weights(of))
+        scanner = limited_scanner(run.settled.scene, run.settled.scanner)
+        return still_open(left, of, candidates.viewpoints, candidates.reached, scanner, casters)
+
+
+def _open_run(
+    session: Session[None], scene: Scene, surface: Workpiece, asked: Asked, out: Path
+) -> AbstractContextManager[pipeline.OpenRun]:
     own = {"max_views": asked.batch.views or None, "curve": False, "required_visible": 0.0, "solver": "auto"}
-    plan = scene.plan.model_copy(update=own)
-
-    def work(session: PlanSession, job: Job) -> int:
-        return _steps(session, job, asked)
-
-    inner = replace(session.closed(out), use_cache=False, origin=Origin())
-    return pipeline.plan(inner, scene.model_copy(update={"plan": plan}), part=believed, steps_of=work, drawn=False)
+    scene = scene.model_copy(update={"plan": scene.plan.model_copy(update=own)})
+    inner = replace(session, out=out, use_cache=False, origin=Origin())
+    return pipeline.open_run(inner, scene, surface, with_plots=False)
 
 
-def _steps(session: PlanSession, job: Job, asked: Asked) -> int:
-    """Steps 2 to 9 and the report."""
-    surface, scouts, candidates, asked = _sample_surface(session, job, asked)
-    cell = steps.compile_cell(session, job, surface, believed=True)
-    with session.stage("reach and grow") as progress:
-        reached = steps.reach_of(job, cell, candidates, progress)
-        casters = _casters(job, asked, surface, cell)
-        scanner = limited(job.scene, job.scanner)
-        arm = arm_of(cell.world, cell.kinematics, cell.checker, scanner, casters)
-        if job.scene.plan.candidates == GROWN:
-            schedule = SCHEDULE if asked.poses is None and asked.batch.views != 0 else growth.SCHEDULE
-            grown = grow(candidates, reached.reachable, scouts, arm, schedule=schedule)
-            reached = join_reach([reached, steps.reach_of(job, cell, grown)])
-            candidates = join_viewpoints([candidates, grown])
-        plan_files.write_viewpoints(session.folder, scanners.sweep_columns(job.scanner, candidates))
-        plan_files.write_reach(session.folder, reached)
-    if asked.batch.views == 0:
-        raise EnoughError("no batch is asked for", _explained(asked, scouts, candidates, reached, scanner, casters))
-    if not reached.reachable.any():
-        raise EnoughError("the arm reaches no view of what is open")
+def _plan(session: PlanSession, settled: SettledScene, asked: Asked) -> StopReason | None:
+    """Plan a batch into the open folder; return the reason if none is worth its views."""
+    found = _sample_surface(session, settled, asked)
+    if found is None:
+        return StopReason("nothing is open")
+    surface, asked = found.part, found.asked
+    cell = pipeline.compile_cell(session, settled, surface, is_belief=True)
+    candidates, casters = _find_candidates(session, settled, found, cell)
+    if not candidates.reached.reachable.any():
+        return StopReason("the arm reaches no view of what is open")
     with session.stage("measurability") as progress:
-        usable = np.flatnonzero(reached.reachable)
-        M, scanner = steps.columns(session, job, surface, casters, pick_viewpoints(candidates, usable), progress)
-        M = spread_measurability(M, usable, len(candidates))
-        plan_files.write_measurability(session.folder, M)
-        measured = Measured(candidates, reached, M, scanner, casters)
-        poses = candidates.T_object_scanner[usable]
-        prediction = Prediction.of(scouts, scanner, casters, poses, progress)
-    problem = steps.ask(session, job, cell, measured, prediction)
+        measured = measure(session, settled, surface, candidates, casters, progress, samples=found.scouts)
+        files.write_measurability(session.folder, measured.M)
+    problem = pipeline.make_problem(session, settled, cell, measured)
+    append = pipeline.appending(session, settled, cell, surface)
     try:
-        problem, chosen = _connected(session, problem, surface, asked, behind(session, job, cell, surface))
+        problem, plan = _select_and_connect(session, problem, surface, asked, append)
     except UnreachableError as error:
-        raise EnoughError(str(error)) from error
-    if told := _too_little(chosen, asked):
-        raise EnoughError(told)
-    _finish(session, job, surface, problem, chosen)
-    return 0
+        return StopReason(str(error))
+    if sentence := _too_little(plan, asked):
+        return StopReason(sentence)
+    clearance, motion = pipeline.time_motion(session, problem, plan)
+    with session.stage("report"):
+        report = plan_report(settled, surface.planning, problem, plan, clearance, motion, OptionalResults())
+        files.write_plan(session.folder, report, plan, problem.candidates, problem.world)
+        files.write_report(session.folder, report)
+    return None
 
 
-def _casters(job: Job, asked: Asked, surface: PartSurface, cell: Cell) -> Sequence[RayCaster]:
-    """The surface's and the occluders'; to who is asked to keep off, what may be the part's hides what is behind."""
-    casters = steps.casters_of(surface, cell)
-    if not asked.cautious:
-        return casters
-    assert job.scene.scanner.range_mm is not None
-    return [casters[0], BeyondNear(casters[1], asked.space, job.scene.scanner.range_mm[0] / 1000)]
+def _find_candidates(
+    session: PlanSession, settled: SettledScene, found: _Surface, cell: Cell
+) -> tuple[CandidateSet, Sequence[RayCaster]]:
+    """Reach and grow candidates; also return the ray casters.
 
-
-def _sample_surface(
-    session: PlanSession, job: Job, asked: Asked
-) -> tuple[PartSurface, SurfaceSamples, Viewpoints, Asked]:
-    """Planning mesh and rows of the matrix, points that candidates are grown for, candidates that face the rows.
-
-    And what is asked, with what came of the latest batches.
-
-    Raises:
-        EnoughError: if nothing is open.
+    If views must keep the minimum range, space in which the part may be nearer occludes everything behind it.
     """
+    asked, casters = found.asked, cell.casters(found.part)
+    if asked.cautious:
+        assert settled.scene.scanner.range_mm is not None
+        near = settled.scene.scanner.range_mm[0] / 1000
+        casters = (casters[0], BeyondNear(casters[1], asked.space, near))
+    is_short = asked.poses is None and asked.batch.views != 0
+    with session.stage("reach and grow") as progress:
+        candidates = reach_viewpoints(settled, cell, found.viewpoints, progress)
+        schedule = SCHEDULE if is_short else growth.SCHEDULE
+        candidates = with_grown(settled, cell, candidates, found.scouts, casters, schedule=schedule)
+        files.write_candidates(session.folder, settled, candidates)
+    return candidates, casters
+
+
+def _sample_surface(session: PlanSession, settled: SettledScene, asked: Asked) -> _Surface | None:
+    """Make the planning mesh, and draw rows and scouts; None if nothing is uncovered."""
     with session.stage("decimate and sample"):
-        reference = job.part.reference
+        reference, faces = settled.part.reference, settled.settings.faces
         if asked.poses is None:
-            planning = decimate(belief.rough(asked.space, whole=asked.batch.views == 0), job.settings.faces)
+            planning = decimate(belief.rough(asked.space, whole=asked.batch.views == 0), faces)
         else:
-            coarse = cluster_vertices(reference, max(_COARSE, _EACH * job.settings.faces)) or reference
-            planning = decimate(coarse, job.settings.faces)
-        plan_files.write_meshes(session.folder, reference, planning)
-        caster, scanner = EmbreeRayCaster(reference.vertices, reference.faces), limited(job.scene, job.scanner)
+            planning = decimate(cluster_vertices(reference, max(_COARSE, _EACH * faces)) or reference, faces)
+        files.write_meshes(session.folder, reference, planning)
         counts = (DRAWN, DRAWN) if asked.poses is None else DRAWN_MEASURED
         drawn = [
             draw_samples(reference, planning, count, session.rng(stream))
             for count, stream in zip(counts, (Stream.BELIEF_SAMPLES, Stream.BELIEF_SCOUTS), strict=True)
         ]
+        part, scanner = make_surface(reference, planning, drawn[0]), limited_scanner(settled.scene, settled.scanner)
         rows, scouts = (
-            wanted(samples, asked, kept, scanner, caster)
+            wanted(samples, asked, kept, scanner, part.caster)
             for samples, kept in zip(drawn, (ROWS_KEPT, SCOUTS_KEPT), strict=True)
         )
         if not len(rows) or not len(scouts):
-            raise EnoughError("nothing is open")
-        asked = replace(asked, came=came_of(drawn[0], asked, scanner, caster))
-        candidates = first(job.scene, job.settings, job.part, planning)
-        if (candidates.face >= 0).all():
-            candidates = pick_viewpoints(candidates, np.isin(candidates.face, rows.planning_face))
-        return PartSurface(reference, planning, rows, caster), scouts, candidates, asked
+            return None
+        asked = replace(asked, came=came_of(drawn[0], asked, scanner, part.caster))
+        viewpoints = generate_viewpoints(settled.scene, settled.settings, settled.part, planning)
+        if (viewpoints.face >= 0).all():
+            viewpoints = pick_viewpoints(viewpoints, np.isin(viewpoints.face, rows.planning_face))
+        return _Surface(replace(part, samples=rows), scouts, viewpoints, asked)
 
 
-def _connected(
-    session: PlanSession, problem: Problem, surface: PartSurface, asked: Asked, append: Append
-) -> tuple[Problem, ConnectedPlan]:
-    """Steps 6 to 8; views that cannot be connected are replaced by those that measure the most."""
+def _select_and_connect(
+    session: PlanSession, problem: SelectionProblem, surface: PartSurface, asked: Asked, append: Append
+) -> tuple[SelectionProblem, ConnectedPlan]:
+    """Select a batch and plan its motion; views that cannot be connected are replaced by the best others."""
     batch = asked.batch
     if not batch.per_second or batch.views is None:
-        if asked.least_gain:  # the ring is planned for a cylinder: nothing is gained by looking at it better
-            before, problem = problem, with_better(problem, _each_worth(problem, asked), append)
-            steps.write_changed(session, before, problem)
-            problem = _worth(problem, asked)
-        return steps.connect(session, problem, surface)
+        if asked.least_gain:  # the ring is planned for a cylinder: a better view of it gains nothing
+            before, problem = problem, with_better(problem, _views_worth_it(problem, asked), append)
+            files.write_measured(session.folder, problem, before)
+            limit = max(len(_views_worth_it(problem, asked)), 1)
+            plan = problem.request.plan.model_copy(update={"max_views": limit})
+            problem = replace(problem, request=replace(problem.request, plan=plan))
+        return pipeline.select_and_connect(session, problem, surface)
     with session.stage("select, order and connect") as progress:
         rng, before = session.rng(Stream.SELECTION), problem
-        problem = with_better(problem, _best(problem, max(batch.views, STARTS)), append)
-        others = tuple(np.setdiff1d(np.arange(len(problem.candidates)), _best(problem, batch.views)).tolist())
-        plan = problem.request.plan.model_copy(update={"banned": others})
-        selected = first_choice(replace(problem, request=replace(problem.request, plan=plan)), rng)
+        problem = with_better(problem, _most_per_second(problem, max(batch.views, STARTS)), append)
+        best = _most_per_second(problem, batch.views)
+        others = tuple(np.setdiff1d(np.arange(len(problem.candidates)), best).tolist())
+        options = problem.request.plan.model_copy(update={"banned": others})
+        selection = select_views(replace(problem, request=replace(problem.request, plan=options)), rng)
         problem = replace(problem, request=replace(problem.request, motion=_BRIEF))
-        chosen = choose_and_connect(
-            problem, selected, selection_rng=rng, motion_rng=session.rng(Stream.MOTION), progress=progress
+        connected = connect_views(
+            problem, selection, selection_rng=rng, motion_rng=session.rng(Stream.MOTION), progress=progress
         )
-        steps.write_changed(session, before, problem)
-        return problem, chosen
+        files.write_measured(session.folder, problem, before)
+        return problem, connected
 
 
-def _best(problem: Problem, count: int) -> Ints:
-    """So many candidates, each with the most per second after those before it."""
-    seconds = seconds_of_views(problem.request.plan, problem.reached, problem.world.home, problem.limits)
+def _most_per_second(problem: SelectionProblem, count: int) -> Ints:
+    """Return candidates, each with the largest marginal gain per second after those before it."""
+    seconds = least_view_times(problem.request.plan, problem.reached, problem.world.home, problem.limits)
     M = problem.M
-    return select_by_gain_per_second(M.matrix(), M.samples.areas, seconds, problem.usable(()), count)
+    return select_by_gain_per_second(M.matrix(), M.samples.areas, seconds, problem.usable(), count)
 
 
-def _each_worth(problem: Problem, asked: Asked) -> Ints:
-    """Views that greedily each add the least gain."""
-    M, usable = problem.M, problem.usable(())
-    most = len(usable) if asked.batch.views is None else asked.batch.views
+def _views_worth_it(problem: SelectionProblem, asked: Asked) -> Ints:
+    """Return views that greedily each add the least gain."""
+    M, usable = problem.M, problem.usable()
+    limit = len(usable) if asked.batch.views is None else asked.batch.views
     gains = asked.came * M.samples.areas
-    return select_by_gain_per_second(M.matrix(), gains, np.ones(len(usable)), usable, most, asked.least_area)
+    return select_by_gain_per_second(M.matrix(), gains, np.ones(len(usable)), usable, limit, asked.least_area)
 
 
-def _worth(problem: Problem, asked: Asked) -> Problem:
-    """The problem for no more views than greedily each add the least gain."""
-    plan = problem.request.plan.model_copy(update={"max_views": max(len(_each_worth(problem, asked)), 1)})
-    return replace(problem, request=replace(problem.request, plan=plan))
-
-
-def _too_little(chosen: ConnectedPlan, asked: Asked) -> str:
-    """Why a batch is not worth its views; "" where it is."""
-    each = asked.came * chosen.cover.covered_area / len(chosen.cover.views)
+def _too_little(plan: ConnectedPlan, asked: Asked) -> str:
+    """Return the reason for which a batch is not worth its views; "" if it is."""
+    each = asked.came * plan.cover.covered_area / len(plan.cover.views)
     if asked.batch.whole or each >= asked.least_area:
         return ""
     times = "" if asked.batch.worth == 1 else f"{asked.batch.worth:g} x "
@@ -244,23 +270,3 @@ def _too_little(chosen: ConnectedPlan, asked: Asked) -> str:
         f"a further view is expected to add {100 * each / asked.measured_area:.3f} % of what was measured, less than "
         f"{times}the {100 * asked.least_gain:g} % asked for"
     )
-
-
-def _explained(
-    asked: Asked, scouts: SurfaceSamples, candidates: Viewpoints, reached: Reach, scanner: Scanner,
-    casters: Sequence[RayCaster],
-) -> StillOpen:  # fmt: skip
-    """What is open with the reasons why it stays open."""
-    left = pick_samples(scouts, ~asked.space.is_measured(scouts.points, scouts.normals))
-    of = asked.space.open_samples_at(left.points, left.normals)
-    left = replace(left, areas=left.areas / asked.record.weights(of))
-    return still_open(left, of, candidates, reached, scanner, casters)
-
-
-def _finish(session: PlanSession, job: Job, surface: PartSurface, problem: Problem, chosen: ConnectedPlan) -> None:
-    """Prove and time the motion, and write what is known of the plan."""
-    clearance, motion = steps.prove_and_time(session, problem, chosen)
-    with session.stage("report"):
-        report = plan_report(job, surface.planning, problem, chosen, clearance, motion, Further())
-        plan_files.write_plan(session.folder, report, chosen, problem.candidates, problem.world)
-        plan_files.write_report(session.folder, report)

@@ -13,8 +13,8 @@ from cell.export.options import ExportOptions
 from cell.export.program import Program, load_program, program_name
 from cell.files import atomic_write
 from cell.runs.schema import JsonTable
+from cell.runs.setups import SetupsRun
 from cell.session import ProgressReporter
-from cell.setups.planned_setups import PlannedSetups
 
 FOLDER = "export"
 """Folder below the run folder. It is not part of the plan; each call replaces its files."""
@@ -62,7 +62,7 @@ def export_setups(folder: Path, options: ExportOptions, reporter: ProgressReport
     Raises:
         UsageError, FileError: as `export`.
     """
-    planned = PlannedSetups.opened(folder)
+    planned = SetupsRun.opened(folder)
     digest = planned.file.chosen[0].digest
     name = options.name or program_name(folder.resolve().name, digest)
     if len(name) > MAX_NAME_LENGTH - 3:  # the names of the set-ups' programs end with `_` and a number

@@ -1,19 +1,22 @@
-"""The artefacts of a plan's run folder, one function each. docs/internals/run_folder.md is their contract."""
+"""Artefacts and plots of the run folder of a plan, one function each; see docs/internals/run_folder.md."""
 
 import hashlib
 import json
-from collections.abc import Mapping
+import shutil
 from pathlib import Path
 
 import numpy as np
-from pydantic import JsonValue
 
+from cell import scanners
 from cell.errors import FileError
 from cell.files import model_file
 from cell.part.workpiece import Workpiece
-from cell.plan.connected_plan import ConnectedPlan
-from cell.plan.report import markdown
+from cell.plan.candidates import CandidateSet, MeasuredSet, PlanSession
+from cell.plan.motion import ConnectedPlan
+from cell.plan.selection import SelectionProblem
+from cell.report.plan_report import markdown
 from cell.robot import model as robot
+from cell.robot.arm import wrist_positions
 from cell.robot.robot_file import mesh_files
 from cell.runs.facts import (
     degrees,
@@ -27,7 +30,7 @@ from cell.runs.facts import (
     table_values,
 )
 from cell.runs.folder import RunFolder
-from cell.runs.run import split_axes
+from cell.runs.run import Run, split_axes
 from cell.runs.schema import (
     NamedFile,
     PlanFile,
@@ -41,7 +44,7 @@ from cell.runs.schema import (
     ScannerKeys,
 )
 from cell.scene.model import MeshFixture, Scene, with_rest
-from cell.scene.settle import Settings
+from cell.scene.settle import SettledScene
 from cell.world.clearance import MotionClearance
 from cell.world.files import write_mjcf
 from cell.world.model import World
@@ -50,13 +53,17 @@ from planner.kinematics.reach import Reach
 from planner.measurability.matrix import Measurability
 from planner.ports import ARM_AXES
 from planner.timing.motion import Motion
+from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints
+
+_ENVELOPE_STEP = np.radians(2.0)  # of the axes, for the envelope of the wrist
+_PATH_STEPS = 12  # of the scanner's path between two via points
 
 
 def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
-    """sha256 of what the plan depends on: the part and everything that the scene says (paths by their content)."""
-    there = {"region": scene.region, "setup": scene.setup, "table": scene.table.enabled}
-    content = scene.model_dump(mode="json", exclude={key for key, given in there.items() if not given})
+    """Return the sha256 of the inputs of a plan: the part, and the scene with files by their content."""
+    optional = {"region": scene.region, "setup": scene.setup, "table": scene.table.enabled}
+    content = scene.model_dump(mode="json", exclude={key for key, given in optional.items() if not given})
     for region in content.get("region", ()):
         if region["painted"] is not None:
             region["painted"] = hashlib.sha256(Path(region["painted"]).read_bytes()).hexdigest()
@@ -73,7 +80,7 @@ def input_hashes(scene: Scene, part: Workpiece) -> dict[str, str]:
 
 
 def named_files(scene: Scene, scene_path: Path | None) -> tuple[NamedFile, ...]:
-    """The files that the user named: the scene, the part, the robot with its meshes, meshes of fixtures."""
+    """Return the files that the user named: scene, part, robot with its meshes, meshes of fixtures."""
     named = [("scene", scene_path), ("part", scene.part.path)]
     named += [("robot", path) for path in _robot_files(scene)]
     named += [
@@ -87,7 +94,7 @@ def named_files(scene: Scene, scene_path: Path | None) -> tuple[NamedFile, ...]:
 
 
 def _robot_files(scene: Scene) -> list[Path]:
-    """The robot's description and the meshes that it names; none of the robot that is built in."""
+    """Return the robot's description and its meshes; none for the built-in robot."""
     if scene.robot.model == robot.KR16:
         return []
     path, packages = Path(scene.robot.model), scene.robot.packages or {}
@@ -95,7 +102,7 @@ def _robot_files(scene: Scene) -> list[Path]:
 
 
 def write_scene(folder: RunFolder, scene_path: Path | None) -> None:
-    """`scene.toml`: the scene file verbatim (the built-in one where none was given)."""
+    """Write `scene.toml`: the scene file verbatim, or the built-in one."""
     path = scene_path if scene_path is not None else model_file("scene.toml")
     try:
         text = path.read_text(encoding="utf-8")
@@ -105,13 +112,13 @@ def write_scene(folder: RunFolder, scene_path: Path | None) -> None:
 
 
 def write_meshes(folder: RunFolder, reference: TriangleMesh, planning: TriangleMesh) -> None:
-    """`reference.ply` and `planning.ply`: the meshes exactly as used."""
+    """Write `reference.ply` and `planning.ply`: the meshes exactly as used."""
     folder.write_mesh("reference.ply", reference)
     folder.write_mesh("planning.ply", planning)
 
 
 def write_viewpoints(folder: RunFolder, candidates: Viewpoints) -> None:
-    """`viewpoints.npz`: the candidates."""
+    """Write `viewpoints.npz`: the candidates."""
     folder.write_arrays(
         "viewpoints.npz",
         T_object_scanner=candidates.T_object_scanner,
@@ -121,22 +128,15 @@ def write_viewpoints(folder: RunFolder, candidates: Viewpoints) -> None:
     )
 
 
-def write_cell(
-    folder: RunFolder,
-    scene: Scene,
-    settings: Settings,
-    part: Workpiece,
-    planning_faces: int,
-    world: World,
-    scanner_parameters: Mapping[str, JsonValue],
-) -> None:
-    """`scene.resolved.json` and the MuJoCo model that is checked."""
+def write_cell(folder: RunFolder, settled: SettledScene, planning: TriangleMesh, world: World) -> None:
+    """Write `scene.resolved.json` and the MuJoCo model of the collision checker."""
+    scene, settings, part = settled.scene, settled.settings, settled.part
     resolved = ResolvedScene(
         part=ResolvedPart(name=part.name, units=scene.part.units, sha256=part.sha256),
         T_base_object=world.T_base_object,
         T_object_centre=world.T_object_centre,
         T_flange_scanner=world.T_flange_scanner,
-        scanner=ScannerKeys(**scanner_parameters),
+        scanner=ScannerKeys(**scanners.describe(scene.scanner.type, settled.scanner)),
         planning_resolution_deg=scene.scanner.planning_resolution_deg,
         housing=ResolvedHousing(
             size_mm=scene.housing.sides_mm,
@@ -156,7 +156,7 @@ def write_cell(
             dict(scene.plan)
             | {
                 "faces": settings.faces,
-                "planning_faces": planning_faces,
+                "planning_faces": len(planning.faces),
                 "standoffs_mm": [mm(standoff) for standoff in settings.standoffs],
                 "sphere_radius_mm": mm(settings.sphere_radius),
             }
@@ -171,7 +171,7 @@ def write_cell(
 
 
 def write_reach(folder: RunFolder, reached: Reach) -> None:
-    """`reach.npz`: verdicts and joint solutions."""
+    """Write `reach.npz`: verdicts and configurations."""
     folder.write_arrays(
         "reach.npz",
         verdict=reached.verdict,
@@ -182,25 +182,25 @@ def write_reach(folder: RunFolder, reached: Reach) -> None:
 
 
 def write_measurability(folder: RunFolder, M: Measurability) -> None:
-    """`measurability.npz`: the matrix with occluders applied, and its features."""
-    features = M.samples
+    """Write `measurability.npz`: the matrix with occluders applied, and its samples."""
+    samples = M.samples
     folder.write_arrays(
         "measurability.npz",
         indptr=M.indptr,
         indices=M.indices,
         shape=np.array(M.shape, dtype=np.int64),
-        points=features.points,
-        normals=features.normals,
-        areas=features.areas,
-        face=features.face,
-        planning_face=features.planning_face,
+        points=samples.points,
+        normals=samples.normals,
+        areas=samples.areas,
+        face=samples.face,
+        planning_face=samples.planning_face,
         **({} if M.sigma is None else {"sigma": M.sigma}),
-        **({} if features.region is None else {"region": features.region}),
+        **({} if samples.region is None else {"region": samples.region}),
     )
 
 
 def write_motion(folder: RunFolder, motion: Motion, measured: MotionClearance) -> None:
-    """`motion.npz`: via points, samples, the limits used and the clearance of each segment."""
+    """Write `motion.npz`: via points, samples, limits and the clearance of each segment."""
     folder.write_arrays(
         "motion.npz",
         **split_axes(via_q=motion.via_q),
@@ -224,29 +224,107 @@ def write_motion(folder: RunFolder, motion: Motion, measured: MotionClearance) -
 
 
 def write_plan(
-    folder: RunFolder, report: Report, chosen: ConnectedPlan, candidates: Viewpoints, world: World
+    folder: RunFolder, report: Report, plan: ConnectedPlan, candidates: Viewpoints, world: World
 ) -> PlanFile:
-    """`plan.json`: the views in visiting order, with what is known about the selection; returns its content."""
+    """Write `plan.json`: the views in visiting order and the selection; return its content."""
     views = [
         PlanView(
             id=candidate,
             roll_deg=np.degrees(candidates.roll[candidate]).round(9),
-            T_object_scanner=chosen.T_object_scanner[stop],
-            T_base_scanner=chosen.T_base_scanner[stop],
-            T_base_flange=chosen.T_base_flange[stop],
-            q_deg=degrees(chosen.tour.q[stop][:ARM_AXES]),
-            **table_values(world, chosen.tour.q[stop]),
-            sweep=sweep_values(chosen.T_object_poses[stop], chosen.sweeps[stop]) if chosen.sweeps else None,
+            T_object_scanner=plan.T_object_scanner[stop],
+            T_base_scanner=plan.T_base_scanner[stop],
+            T_base_flange=plan.T_base_flange[stop],
+            q_deg=degrees(plan.tour.q[stop][:ARM_AXES]),
+            **table_values(world, plan.tour.q[stop]),
+            sweep=sweep_values(plan.T_object_poses[stop], plan.sweeps[stop]) if plan.sweeps else None,
         )
-        for stop, candidate in enumerate(chosen.candidate.tolist())
+        for stop, candidate in enumerate(plan.candidate.tolist())
     ]
-    said = {key: value for key, value in report if key in PlanFile.model_fields}
-    plan = PlanFile(**said | {"views": views})
-    folder.write_json("plan.json", plan.as_json())
-    return plan
+    shared = {key: value for key, value in report if key in PlanFile.model_fields}
+    file = PlanFile(**shared | {"views": views})
+    folder.write_json("plan.json", file.as_json())
+    return file
 
 
 def write_report(folder: RunFolder, report: Report) -> None:
-    """`report.json` and `report.md`."""
+    """Write `report.json` and `report.md`."""
     folder.write_json("report.json", report.as_json())
     folder.write_text("report.md", markdown(report))
+
+
+def write_candidates(folder: RunFolder, settled: SettledScene, candidates: CandidateSet) -> None:
+    """Write viewpoints and reach of candidates that are not measured yet."""
+    write_viewpoints(folder, scanners.sweep_columns(settled.scanner, candidates.viewpoints))
+    write_reach(folder, candidates.reached)
+
+
+def write_measured(folder: RunFolder, measured: MeasuredSet, before: MeasuredSet | None = None) -> None:
+    """Write candidates, reach and matrix; only those that differ from earlier ones if these are given."""
+    if before is None or measured.candidates is not before.candidates:
+        write_viewpoints(folder, measured.candidates)
+    if before is None or measured.reached is not before.reached:
+        write_reach(folder, measured.reached)
+    if before is None or measured.M is not before.M:
+        write_measurability(folder, measured.M)
+
+
+def copy_meshes(folder: RunFolder, run: Run) -> None:
+    """Copy the meshes of another run, to the byte."""
+    for name in ("reference.ply", "planning.ply"):
+        shutil.copyfile(run.folder / name, folder.path / name)
+        folder.adopt(name)
+
+
+def queue_views(session: PlanSession, settled: SettledScene, problem: SelectionProblem, plan: ConnectedPlan) -> None:
+    """Queue the plots that need no timed motion: part and views, cell, cover curve, candidates by verdict."""
+    plots, folder, cover, world = session.plots, session.folder.path, plan.cover, problem.world
+    picture = settled.scene.picture
+    plots.send(
+        "part_and_views", folder / "views.png", T_object_poses=plan.T_object_poses,
+        T_object_scanner=plan.T_object_scanner, seen=plan.seen,
+    )  # fmt: skip
+    via, steps = plan.tour.via, np.linspace(0, 1, _PATH_STEPS)[None, :, None]
+    q = (via[:-1, None] + steps * np.diff(via, axis=0)[:, None]).reshape(-1, via.shape[1])
+    plots.send(
+        "cell_with_arm", folder / "cell.png", q=plan.tour.q, T_base_scanner=plan.T_base_scanner,
+        source_path=(world.in_base(q, problem.cell.kinematics.forward(q)) @ world.T_flange_scanner)[:, :3, 3],
+        camera_deg=picture.camera_deg or (), hide=picture.hide,
+    )  # fmt: skip
+    plots.send(
+        "cover_curve", folder / "cover.png", marginal_area=cover.marginal_area, coverable=cover.coverable_area,
+        total=cover.total_area, lower_bound=cover.lower_bound,
+    )  # fmt: skip
+    corners = np.array(np.meshgrid(*settled.part.bounds.T)).reshape(3, -1).T
+    T = np.linalg.inv(world.scene.robot.T_base) @ world.T_base_object  # the plot is in the frame of the robot
+    plots.send(
+        "reach_map", folder / "reach.png", T_base_scanner=T @ problem.candidates.T_object_scanner[:, 0],
+        verdict=problem.reached.verdict, part_corners=corners @ T[:3, :3].T + T[:3, 3], chosen=plan.candidate,
+        envelope=np.stack(wrist_positions(world.model, world.scene.robot.T_base, _ENVELOPE_STEP), axis=1),
+    )  # fmt: skip
+
+
+def queue_motion(session: PlanSession, motion: Motion) -> None:
+    """Queue the plot of joint angles and speeds."""
+    session.plots.send(
+        "joint_motion", session.folder.path / "motion.png", t=motion.t, q=motion.q, qd=motion.qd,
+        limit=motion.limits.velocity, stops=motion.via_t[motion.stops],
+    )  # fmt: skip
+
+
+def finish_page(session: PlanSession, report: Report, plan: PlanFile, motion: Motion, T_base_object: Floats) -> None:
+    """Wait for the plots, and complete the page with views, motion and numbers."""
+    # The page's modules are kept out of the start-up.
+    from cell.view.contents import HALF_PAGE, NAME, plan_play
+    from cell.view.page import second_half
+
+    rest = second_half(plan_play(report, plan.views, motion, T_base_object))
+    adopt_plots(session)
+    half = session.folder.path / HALF_PAGE
+    session.folder.write_text(NAME, half.read_text(encoding="utf-8") + rest)
+    half.unlink()
+
+
+def adopt_plots(session: PlanSession) -> None:
+    """Wait for the plots, and record them in the run folder."""
+    for path in session.plots.finish():
+        session.folder.adopt(path.name)

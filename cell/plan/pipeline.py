@@ -1,191 +1,185 @@
-"""`cell plan`, steps 1 to 9: part in, measured views in collision-free order and a timed motion out.
+"""Planning pipeline: candidates, measured candidates, selection, motion, report.
 
-`_steps` shows the whole on one screen. Every noun is an immutable value; what a step has finished is on disk before the
-next one starts.
+Each stage is a function of the session and values. `plan` shows them on one screen. Edited plans (`cell.plan.edit`),
+several set-ups (`cell.plan.setups`) and batches of an exploration (`cell.explore.stage`) use the same stages with other
+candidates, rows, requests and verdicts. A finished stage is on disk before the next one starts.
 """
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from cell import scanners
-from cell.errors import FileError, UsageError
+from cell.errors import FileError, UnreachableError, UsageError
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
-from cell.plan import curve as curves
-from cell.plan import files as plan_files
-from cell.plan import picture_process, pose_uncertainty, region_report, steps, wish_results
-from cell.plan.appended_candidates import behind
-from cell.plan.connected_plan import ConnectedPlan
-from cell.plan.drawing import draw_motion, draw_views, finish_drawing
-from cell.plan.problem import Problem
-from cell.plan.steps import Job, PlanSession
-from cell.plan.summary import Further, plan_report
+from cell.plan import evaluation, files, selection
+from cell.plan.candidates import (
+    GROWN,
+    CandidateSet,
+    Cell,
+    MeasuredSet,
+    PlanSession,
+    append_viewpoints,
+    generate_viewpoints,
+    make_surface,
+    measure,
+    reach_viewpoints,
+    require_reachable,
+    with_grown,
+)
+from cell.plan.evaluation import OptionalResults, Verdict, judge_plan
+from cell.plan.improvement import Append, is_refinable, refine_views
+from cell.plan.motion import ConnectedPlan, connect_views
+from cell.plan.selection import (
+    RegionGroups,
+    Request,
+    Selection,
+    SelectionProblem,
+    pose_error,
+    pose_probabilities,
+    select_least_time,
+    select_with_row_generation,
+)
+from cell.report import plots
 from cell.runs.folder import SCHEMA, WITH_TABLE, RunFolder
+from cell.runs.run import Run
 from cell.runs.schema import Report
-from cell.scene.model import Scene
+from cell.scene import settle, validation
+from cell.scene.file import BUILT_IN, scene_from_options
+from cell.scene.model import Scene, with_rest
 from cell.scene.regions import with_regions
-from cell.scene.settle import notes, require_attainable, resolve, settle_scene
-from cell.session import PlotQueue, ProgressReporter, Session, Stream
+from cell.scene.settle import SettledScene
+from cell.session import PlotQueue, Session, Stream
+from cell.world import clearance
+from cell.world.checks import find_warnings, require_feasible
+from cell.world.clearance import MotionClearance
+from cell.world.measurability import PartSurface, surface_samples
+from cell.world.model import compile_settled
+from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import draw_samples
+from planner.timing.limits import scale_limits
+from planner.timing.motion import Motion, retime
+from planner.viewpoints import growth
+from planner.viewpoints.viewpoints import Viewpoints
+
+if TYPE_CHECKING:
+    import trimesh
 
 log = logging.getLogger(__name__)
 
 
-def plan(
-    session: Session[None],
-    scene: Scene,
-    *,
-    part: Workpiece | None = None,
-    steps_of: Callable[[PlanSession, Job], int] | None = None,
-    drawn: bool = True,
-) -> Path:
-    """Plan and write the run folder.
+@dataclass(slots=True)
+class OpenRun:
+    """An open run folder with the values that a plan begins with.
+
+    Attributes:
+        session: with the open folder.
+        settled: scene, part and scanner.
+        exit_code: of the finished run.
+        stopped: reason if the run is to be abandoned; "" if it is to be finished.
+    """
+
+    session: PlanSession
+    settled: SettledScene
+    exit_code: int = 0
+    stopped: str = ""
+
+    @property
+    def path(self) -> Path:
+        """The folder, where it is now."""
+        return self.session.folder.path
+
+    def conclude(self, verdict: Verdict) -> None:
+        """Report a verdict and take its exit code."""
+        for sentence in verdict.missed:
+            self.session.note(sentence)
+        self.exit_code = verdict.exit_code
+
+
+def plan(session: Session[None], scene: Scene, part: Workpiece | None = None) -> Path:
+    """Plan the views of a part and write the run folder.
 
     Args:
-        session: without a folder; this function makes it.
-        scene: the checked scene, the command line's options in it.
-        part: in place of the scene's.
-        steps_of: what is done once part, scanner and folder are there, in place of steps 2 to 9.
-        drawn: whether `steps_of` draws; else it has nobody to draw for it.
+        session: of the command.
+        scene: checked, with the options of the command line.
+        part: in place of the scene's part.
 
     Returns:
         The run folder.
 
     Raises:
-        CellError: with one sentence and the exit code; the run folder keeps what was finished, its status and stage.
+        CellError: in one sentence; the run folder keeps the finished stages, its status and stage.
     """
-    if scene.setup and steps_of is None:
+    if scene.setup:
         raise UsageError(
-            f"the scene gives {len(scene.setup)} set-ups, and this plans one: give it to cell setups, or leave its "
-            "[[setup]] tables out"
+            f"the scene has {len(scene.setup)} set-ups, and cell plan plans one: use cell setups, or remove its "
+            "[[setup]] tables"
         )
-    with picture_process.beside() if drawn else nullcontext(PlotQueue()) as plots:
+    with open_run(session, scene, part) as run:
+        session_, settled = run.session, run.settled
+        surface, viewpoints = sample_part(session_, settled)
+        cell = compile_cell(session_, settled, surface)
+        candidates = find_candidates(session_, settled, surface, cell, viewpoints)
+        measured = measure_candidates(session_, settled, surface, cell, candidates)
+        problem = make_problem(session_, settled, cell, measured)
+        problem, plan = select_and_connect(session_, problem, surface, appending(session_, settled, cell, surface))
+        report = finish(session_, settled, surface.planning, problem, plan)
+        run.conclude(_judge(report))
+    return run.path
+
+
+@contextmanager
+def open_run(
+    session: Session[None], scene: Scene, part: Workpiece | None = None, *, with_plots: bool = True
+) -> Iterator[OpenRun]:
+    """Settle a scene for its part, and open the run folder; finish or abandon the folder at the end of the block.
+
+    Args:
+        session: of the command.
+        scene: checked.
+        part: in place of the scene's part.
+        with_plots: whether plots are drawn.
+    """
+    with plots.plot_process() if with_plots else nullcontext(PlotQueue()) as queue:
         with session.stage("load the part"):
             part = workpiece.load(scene.part.source, scene.part.units) if part is None else part
             part = with_regions(part, scene)
-        for sentence in (*(finding.sentence for finding in part.findings), *notes(scene, part)):
+        for sentence in (*(finding.sentence for finding in part.findings), *settle.notes(scene, part)):
             session.note(sentence)
-        scene = settle_scene(scene, part)
-        settings = resolve(scene, part)
-        inputs = plan_files.input_hashes(scene, part)
-        schema = WITH_TABLE if scene.table.enabled else SCHEMA
+        settled = settle.settle(scene, part)
+        if hasattr(settled.scanner, "T_view_scanner"):
+            settled.scene.require_fixed_part("a scanner that sweeps")
         folder = RunFolder.create(
-            session.out, list(session.origin.argv), scene.plan.seed, inputs, datetime.now(UTC), schema
+            session.out,
+            list(session.origin.argv),
+            scene.plan.seed,
+            files.input_hashes(settled.scene, part),
+            datetime.now(UTC),
+            WITH_TABLE if scene.table.enabled else SCHEMA,
         )
-        opened = session.opened(folder, scene.plan.seed, plots)
+        run = OpenRun(session.opened(folder, scene.plan.seed, queue), settled)
         with folder.keep_on_failure(), _logged(folder.path / "run.log"):
-            plan_files.write_scene(folder, session.origin.scene_path)
-            folder.named(plan_files.named_files(scene, session.origin.scene_path))
-            scanner = scanners.make(scene.scanner.type, settings.scanner)
-            settings = replace(settings, scanner=scanners.with_own_parameters(settings.scanner, scanner))
-            require_attainable(scene, scanner)
-            if hasattr(scanner, "T_view_scanner"):
-                scene.require_fixed_part("a scanner that sweeps")
-            exit_code = (steps_of or _steps)(opened, Job(scene, part, settings, scanner))
-            if (folder.path / "plan.json").is_file():  # of several set-ups each has its own folder and digest
+            files.write_scene(folder, session.origin.scene_path)
+            folder.named(files.named_files(settled.scene, session.origin.scene_path))
+            yield run
+            if (folder.path / "plan.json").is_file():  # each of several set-ups has a folder and digest of its own
                 folder.seal()
-        return folder.finish(exit_code)
-
-
-def _steps(session: PlanSession, job: Job) -> int:
-    """Steps 2 to 9 and the report; returns 0, or 3 where the plan stays below a coverage that was asked for."""
-    surface, candidates = steps.sample_surface(session, job)
-    cell = steps.compile_cell(session, job, surface)
-    session.plots.cell_ready(session.folder.path)
-    reached = steps.reach_candidates(session, job, cell, candidates)
-    candidates, reached = steps.grow_candidates(session, job, surface, cell, candidates, reached)
-    measured, prediction = steps.measure(session, job, surface, cell, candidates, reached)
-    problem = steps.ask(session, job, cell, measured, prediction)
-    problem, chosen = steps.connect(session, problem, surface, behind(session, job, cell, surface))
-    return 3 if _below(session.reporter, finish(session, job, surface.planning, problem, chosen)) else 0
-
-
-def finish(
-    session: PlanSession,
-    job: Job,
-    planning: TriangleMesh,
-    problem: Problem,
-    chosen: ConnectedPlan,
-    told: Mapping[str, object] = MappingProxyType({}),
-) -> Report:
-    """Prove and time the motion of a connected plan, draw it, and write what is known of it."""
-    draw_views(session.plots, session.folder, job.part, problem, chosen, job.scene.picture)
-    clearance, motion = steps.prove_and_time(session, problem, chosen)
-    draw_motion(session.plots, session.folder, motion)
-    further = _further(session, problem, chosen)
-    with session.stage("report"):
-        report = plan_report(job, planning, problem, chosen, clearance, motion, further)
-        report = report.model_copy(update=dict(told))
-        plan_file = plan_files.write_plan(session.folder, report, chosen, problem.candidates, problem.world)
-        plan_files.write_report(session.folder, report)
-        finish_drawing(session.plots, session.folder, report, plan_file, motion, problem.world.T_base_object)
-    return report
-
-
-def _further(session: PlanSession, problem: Problem, chosen: ConnectedPlan) -> Further:
-    """What is worked out beyond the plan itself: what is lost, the promise simulated, the curve."""
-    selected, wishes = chosen.selected, problem.request.plan
-    if selected.note:
-        session.note(selected.note)
-    promised, fewest = None, None
-    if robust := wish_results.robust_of(selected, chosen.cover.total_area):
-        with session.stage("simulate executions") as progress:
-            rng = session.rng(Stream.SIMULATED_EXECUTIONS)
-            promised = pose_uncertainty.simulate(
-                wishes, robust, chosen.T_object_poses, problem.prediction, rng, progress
-            )
-    if wishes.curve:
-        with session.stage("coverage over views"):
-            curve = curves.curve_of(
-                problem.request, selected, chosen.matrix, problem.reached, session.rng(Stream.COVERAGE_CURVE),
-                session.effort.curve_work,
-            )  # fmt: skip
-            curves.write(session.folder, session.plots, curve, len(chosen.cover.views), chosen.cover.covered_area)
-        fewest = curves.fewest_of(curve)
-    return Further(steps.what_is_lost(session, problem, chosen), promised, fewest)
-
-
-def _below(reporter: ProgressReporter, report: Report) -> bool:
-    """Whether the plan stays below a coverage that was asked for; says which, and what would help.
-
-    A coverage of 1 asks for every coverable sample of the matrix, which a plan always covers; one that is asked several
-    times, or with a probability, is of the matrix' samples as well.
-    """
-    coverage, settings = report.coverage, report.settings
-    share, asked = coverage.visible_of_coverable, settings.coverage
-    plain = report.most_coverage is None and report.multiplicity is None and report.promise is None
-    missed = plain and report.regions is None and asked < 1 and share < asked
-    if missed:
-        why = (
-            f"{len(report.dropped)} views that were chosen could not be connected; move the part, or ask for less"
-            if report.dropped
-            else "what is left is measured by views that the arm shades, or falls between all samples; see cell why"
-        )
-        reporter.note(
-            f"the plan measures {100 * share:.2f} % of what can be measured, less than the {100 * asked:g} % asked "
-            f"for: {why}"
-        )
-    if plain:
-        for sentence in region_report.missed(report):
-            reporter.note(sentence)
-            missed = True
-    if coverage.visible < settings.required_visible:
-        reporter.note(
-            f"the plan measures {100 * coverage.visible:.2f} % of the surface, less than the "
-            f"{100 * settings.required_visible:g} % required; move the part, or allow more standoffs and rolls"
-        )
-        return True
-    return missed
+        if run.stopped:
+            folder.fail("failed", UnreachableError.exit_code, run.stopped)
+        else:
+            folder.finish(run.exit_code)
 
 
 @contextmanager
 def _logged(path: Path) -> Iterator[None]:
-    """What is logged while the run goes on also stands in its folder."""
+    """Write the log of this process to a file as well."""
     root = logging.getLogger()
     try:
         handler = logging.FileHandler(path, encoding="utf-8")
@@ -201,3 +195,251 @@ def _logged(path: Path) -> Iterator[None]:
         root.setLevel(level)
         root.removeHandler(handler)
         handler.close()
+
+
+def sample_part(session: PlanSession, settled: SettledScene) -> tuple[PartSurface, Viewpoints]:
+    """Decimate the part, draw the rows of the matrix, and generate viewpoints."""
+    with session.stage("decimate and sample"):
+        reference, faces = settled.part.reference, settled.settings.faces
+        planning = decimate(reference, faces)
+        files.write_meshes(session.folder, reference, planning)
+        session.plots.part_ready(session.folder.path)
+        viewpoints = generate_viewpoints(settled.scene, settled.settings, settled.part, planning)
+        rows = surface_samples(settled.scene, reference, planning, session.rng(Stream.MATRIX_SAMPLES))
+        deviation = validation.mesh_deviation(rows, planning)
+        for note in (
+            validation.face_count_note(len(planning.faces), faces),
+            validation.coarse_mesh_note(deviation, len(planning.faces)),
+        ):
+            if note:
+                session.note(note)
+        files.write_viewpoints(session.folder, scanners.sweep_columns(settled.scanner, viewpoints))
+        return make_surface(reference, planning, rows), viewpoints
+
+
+def copy_surface(session: PlanSession, settled: SettledScene, run: Run) -> PartSurface:
+    """Take meshes and rows of the matrix from a finished run."""
+    with session.stage("read the plan"):
+        files.copy_meshes(session.folder, run)
+        session.plots.part_ready(session.folder.path)
+        return make_surface(settled.part.reference, run.planning_mesh, run.measurability.samples)
+
+
+def part_of_run(run: Run) -> Workpiece:
+    """Return the part of a finished run."""
+    return Workpiece(run.scene.part.name, run.reference, run.scene.part.sha256)
+
+
+def compile_cell(session: PlanSession, settled: SettledScene, surface: PartSurface, *, is_belief: bool = False) -> Cell:
+    """Compile the cell. The surface of a belief is inside unseen space, so that it is not checked for contacts."""
+    with session.stage("compile the cell"):
+        world = compile_settled(settled, surface.reference)
+        if not is_belief:
+            require_feasible(world)
+            for sentence in (*find_warnings(world), *filter(None, [validation.sweep_note(settled.scanner)])):
+                session.note(sentence)
+        files.write_cell(session.folder, settled, surface.planning, world)
+        session.plots.cell_ready(session.folder.path)
+        return Cell.of(world)
+
+
+def find_candidates(
+    session: PlanSession, settled: SettledScene, surface: PartSurface, cell: Cell, viewpoints: Viewpoints
+) -> CandidateSet:
+    """Reach viewpoints, and grow more for samples that no reachable viewpoint measures."""
+    plan = settled.scene.plan
+    with session.stage("reach") as progress:
+        candidates = reach_viewpoints(settled, cell, viewpoints, progress)
+        files.write_reach(session.folder, candidates.reached)
+    if plan.candidates == GROWN:
+        with session.stage("grow the candidates") as progress:
+            scouts = draw_samples(surface.reference, surface.planning, growth.N_SCOUTS, session.rng(Stream.SCOUTS))
+            candidates = with_grown(settled, cell, candidates, scouts, cell.casters(surface), progress)
+            files.write_candidates(session.folder, settled, candidates)
+    require_reachable(plan, settled.part, candidates.reached)
+    return candidates
+
+
+def measure_candidates(
+    session: PlanSession, settled: SettledScene, surface: PartSurface, cell: Cell, candidates: CandidateSet,
+    *, may_be_empty: bool = False,
+) -> MeasuredSet:  # fmt: skip
+    """Fill the matrix, evaluate the candidates on held-out samples, and write them."""
+    with session.stage("measurability") as progress:
+        measured = measure(
+            session, settled, surface, candidates, cell.casters(surface), progress, may_be_empty=may_be_empty
+        )
+        files.write_measured(session.folder, measured)
+        return measured
+
+
+def appending(session: PlanSession, settled: SettledScene, cell: Cell, surface: PartSurface) -> Append:
+    """Return the function that appends viewpoints to the candidates of a problem; their matrix is not cached."""
+    uncached = replace(session, use_cache=False)
+
+    def append(problem: SelectionProblem, viewpoints: Viewpoints) -> SelectionProblem:
+        return append_viewpoints(uncached, settled, surface, problem, reach_viewpoints(settled, cell, viewpoints))
+
+    return append
+
+
+def make_problem(session: PlanSession, settled: SettledScene, cell: Cell, measured: MeasuredSet) -> SelectionProblem:
+    """Combine measured candidates with the request of the scene."""
+    scene, options = settled.scene, settled.scene.plan
+    layer = None
+    if not pose_error(options).is_exact:
+        with session.stage("pose errors") as progress:
+            layer = pose_probabilities(options, measured, session.rng(Stream.POSE_ERRORS), progress)
+    request = Request(options, None, layer, RegionGroups.of(with_rest(scene.region), options), effort=session.effort)
+    limits = scale_limits(cell.world.limits, scene.robot.speed_scaling, scene.robot.acceleration_scaling)
+    problem = SelectionProblem(
+        measured.candidates, measured.reached, measured.M, measured.prediction, request, cell, limits
+    )
+    return problem.priced() if options.cost == "time" else problem
+
+
+def select_and_connect(
+    session: PlanSession, problem: SelectionProblem, surface: PartSurface, append: Append | None = None
+) -> tuple[SelectionProblem, ConnectedPlan]:
+    """Select the views, order them and plan the motion.
+
+    Args:
+        session: of the plan.
+        problem: candidates and request.
+        surface: the part, for further rows.
+        append: appends refined views to the candidates; None: views are not refined.
+
+    Returns:
+        The problem with added rows and candidates, and the plan.
+    """
+    with session.stage("select, order and connect") as progress:
+        rng, before = session.rng(Stream.SELECTION), problem
+        fresh = session.rng(Stream.FRESH_SAMPLES)
+        choice = initial = select_with_row_generation(problem.unpriced(), surface, rng, fresh)
+        if append is not None and is_refinable(initial[0]):
+            choice = refine_views(*initial, append, rng)
+        if before.request.costs is not None:
+            choice = initial = select_least_time(*choice, rng)
+
+        def connect(problem: SelectionProblem, selection: Selection) -> ConnectedPlan:
+            motion_rng = session.rng(Stream.MOTION)
+            return connect_views(problem, selection, selection_rng=rng, motion_rng=motion_rng, progress=progress)
+
+        problem, plan = choice[0], connect(*choice)
+        # A refined view that cannot be connected may be replaced by worse ones than the initial views.
+        if choice[1] is not initial[1] and plan.selection is not choice[1]:
+            try:
+                unrefined = connect(*initial)
+            except UnreachableError:  # only the refined views can be connected
+                unrefined = plan
+            fewer = len(unrefined.cover.views) < len(plan.cover.views)
+            if fewer or plan.visible.area < unrefined.visible.area:
+                problem, plan = initial[0], unrefined
+        problem = problem.with_configurations(plan.candidate, plan.tour.q)
+        files.write_measured(session.folder, problem, before)
+        return problem, plan
+
+
+def time_motion(session: PlanSession, problem: SelectionProblem, plan: ConnectedPlan) -> tuple[MotionClearance, Motion]:
+    """Measure the clearance of every segment, and time the motion."""
+    with session.stage("measure the clearance") as progress:
+        tour = plan.tour
+        measured = clearance.motion_clearance(problem.cell.checker, tour.via, tour.segment, len(tour.detour), progress)
+        evaluation.require_no_contact(measured)
+        motion = retime(tour.via, tour.segment, plan.via_candidate, problem.limits, pose=tour.pose, lines=plan.lines)
+        files.write_motion(session.folder, motion, measured)
+        return measured, motion
+
+
+def finish(
+    session: PlanSession,
+    settled: SettledScene,
+    planning: TriangleMesh,
+    problem: SelectionProblem,
+    plan: ConnectedPlan,
+    annotations: Mapping[str, object] = MappingProxyType({}),
+) -> Report:
+    """Time the motion of a connected plan, and write plan, report, plots and page.
+
+    Args:
+        session: of the plan.
+        settled: scene and part.
+        planning: planning mesh.
+        problem: candidates and request.
+        plan: connected.
+        annotations: values that replace those of the report.
+    """
+    files.queue_views(session, settled, problem, plan)
+    measured, motion = time_motion(session, problem, plan)
+    files.queue_motion(session, motion)
+    optional = _optional_results(session, problem, plan)
+    with session.stage("report"):
+        report = evaluation.plan_report(settled, planning, problem, plan, measured, motion, optional)
+        report = report.model_copy(update=dict(annotations))
+        file = files.write_plan(session.folder, report, plan, problem.candidates, problem.world)
+        files.write_report(session.folder, report)
+        files.finish_page(session, report, file, motion, problem.world.T_base_object)
+    return report
+
+
+def _optional_results(session: PlanSession, problem: SelectionProblem, plan: ConnectedPlan) -> OptionalResults:
+    """Compute optional results: simulated pose errors, coverage curve, attainable coverage."""
+    found, options, cover = plan.selection, problem.request.plan, plan.cover
+    if found.note:
+        session.note(found.note)
+    robust, curve = None, None
+    if numbers := evaluation.robust_selection(found, cover.total_area):
+        with session.stage("simulate executions") as progress:
+            rng = session.rng(Stream.SIMULATED_EXECUTIONS)
+            robust = selection.simulate_pose_errors(
+                options, numbers, plan.T_object_poses, problem.prediction, rng, progress
+            )
+    if options.curve:
+        with session.stage("coverage over views"):
+            rng = session.rng(Stream.COVERAGE_CURVE)
+            points = selection.curve_of_plan(problem, plan.matrix, found, rng)
+            selection.write_curve(session.folder, session.plots, points, len(cover.views), cover.covered_area)
+        curve = selection.fewest_of(points)
+    with session.stage("attainable coverage"):
+        attainable = evaluation.attainable_coverage(problem, plan.visible, session.rng(Stream.ATTAINABLE_SAMPLES))
+    return OptionalResults(attainable, robust, curve)
+
+
+def _judge(report: Report) -> Verdict:
+    cause = "the arm shades the views that measure the rest, or the rest lies between all samples; see cell why"
+    if report.dropped:
+        cause = f"{len(report.dropped)} selected views could not be connected; move the part, or request less"
+    has_target = report.most_coverage is None and report.multiplicity is None and report.promise is None
+    return judge_plan(report, (cause, "move the part, or allow more standoffs and rolls"), has_target=has_target)
+
+
+def read_request(
+    part: "str | Path | trimesh.Trimesh | Scene | None", path: str | Path | None, options: dict[str, object]
+) -> tuple[Scene, Workpiece | None]:
+    """Return the checked scene, and the part unless it comes from a file.
+
+    Args:
+        part: mesh file or built-in part by name, a mesh in memory, a whole scene, or None for the scene's part.
+        path: scene file; None is the built-in scene.
+        options: by the names of `cell.scene.options.option_specs(Scene)`; `units` is the unit of a mesh in memory.
+
+    Raises:
+        UsageError: if options are given beside a whole scene.
+        SceneError: if the scene is not possible.
+    """
+    if isinstance(part, Scene):
+        if options:
+            raise UsageError(
+                f"{', '.join(options)} given beside a whole Scene, which contains all options; set them there, or give "
+                "a scene file instead"
+            )
+        return part, None
+    file = None if path is None else Path(path)
+    if part is None or isinstance(part, str | Path):
+        return scene_from_options(file, options, part), None
+    units = options.get("units")
+    name = Path(str(part.metadata.get("file_name") or "mesh")).stem
+    loaded = workpiece.from_arrays(
+        "mesh" if name in BUILT_IN else name, part.vertices, part.faces, None if units is None else str(units)
+    )
+    return scene_from_options(file, {key: value for key, value in options.items() if key != "units"}), loaded

@@ -1,1 +1,1 @@
-"""Reports for people: tables, pages and pictures of plans and executions."""
+"""Reports, plots and figures of runs."""

@@ -263,12 +263,12 @@ def _draw(
         folder.remove("views.png")
         folder.remove("cover.png")
         return
-    from cell.plan import pictures  # matplotlib
+    from cell.report import figures  # matplotlib
 
     poses = np.stack([poses[len(poses) // 2] for poses in executed_poses(scans, results.merged)])
     opening, stops = cell.scanner_keys.opening_deg, [scan.stop for scan in scans]
     part_and_views(folder.path / "views.png", canvas, achieved.surface, poses, opening, stops, title)
-    pictures.cover_curve(
+    figures.cover_curve(
         folder.path / "cover.png",
         marginal_area=achieved.marginal_sorted,
         coverable=run.plan.coverage.coverable,

@@ -20,11 +20,13 @@ from numpy.typing import NDArray
 from cell.errors import FileError, UsageError
 from cell.metrology import point_files
 from cell.metrology.reconstruct import reconstruct
+from cell.plan.shared_surface import shared_surfaces, unconnected_setups
 from cell.report import scan_report
 from cell.runs.cell import RunCell, read_cell
 from cell.runs.folder import RunFolder
 from cell.runs.run import ExecutedScan, Run, open_finished, read_execution
 from cell.runs.schema import OpenShares, ScannedSetup, ScannedSetups
+from cell.runs.setups import SetupsRun
 from cell.scan.options import ScanOptions
 from cell.scan.point_checks import find_contradictions
 from cell.scan.results import (
@@ -42,10 +44,8 @@ from cell.scan.results import (
 )
 from cell.scan.scan import resume, scan
 from cell.session import Session, Stream, random_stream
-from cell.setups.contact import touching
-from cell.setups.planned_setups import PlannedSetups
-from cell.setups.shared import apart, shared
 from cell.words import listed
+from cell.world.contact import in_contact
 from cell.world.prediction import held_out_samples
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.sampling import SurfaceSamples
@@ -99,7 +99,7 @@ def scan_setups(
         FileError: if views have no points, or a set-up's folder belongs to another plan.
         CellError: from an execution; its scans are kept.
     """
-    planned = PlannedSetups.opened(folder)
+    planned = SetupsRun.opened(folder)
     folders = planned.folders
     if setup is not None and not 1 <= setup <= len(folders):
         raise UsageError(f"there is no set-up {setup} of {folder}; there are 1 to {len(folders)}")
@@ -135,7 +135,7 @@ def scan_setups(
     return combine_setups(session, planned)
 
 
-def _new_options(planned: PlannedSetups, number: int, given: ScanOptions | None, *, resumed: bool) -> ScanOptions:
+def _new_options(planned: SetupsRun, number: int, given: ScanOptions | None, *, resumed: bool) -> ScanOptions:
     """Return the options of a new execution: the given ones, or in a resumed sequence those of the set-up before."""
     if not resumed:
         return given or ScanOptions()
@@ -187,7 +187,7 @@ def _with_placement(session: Session[None], placement: str) -> Session[None]:
     return replace(session, confirm=lambda question: confirm(f"{placement}. {question}"))
 
 
-def _describe_placement(planned: PlannedSetups, number: int) -> str:
+def _describe_placement(planned: SetupsRun, number: int) -> str:
     """Describe the placement of the part; raise FileError if the folder has another plan than setups.json names."""
     chosen, folder = planned.file.chosen[number - 1], planned.folders[number - 1]
     run = open_finished(folder)
@@ -241,7 +241,7 @@ class _ScannedBody:
         """Return (S,) samples that the executed views measure and no support touches."""
         cell = self.cell if self.merged.fit is None else self.cell.about_part(self.merged.fit.T)
         seen = _measured_by(cell, executed_poses(self.scans, self.merged), samples)
-        return seen & ~touching(samples, self.cell.occluders)
+        return seen & ~in_contact(samples, self.cell.occluders)
 
     def values(self, measured: Bools, before: Bools) -> ScannedSetup:
         """Return its values for the report; `before` (S,) are the samples measured by set-ups before."""
@@ -257,7 +257,7 @@ class _ScannedBody:
         )
 
 
-def combine_setups(session: Session[None], planned: PlannedSetups) -> SetupsOutcome:
+def combine_setups(session: Session[None], planned: SetupsRun) -> SetupsOutcome:
     """Make `scanned/` from the latest complete execution of each scanned set-up.
 
     Raises:
@@ -320,7 +320,7 @@ def _register_bodies(
 def _write_combined(
     session: Session[None],
     folder: RunFolder,
-    planned: PlannedSetups,
+    planned: SetupsRun,
     bodies: list[_ScannedBody],
     registration: Registration | None,
     nearest: ClosestPointQuery,
@@ -343,7 +343,7 @@ def _write_combined(
             folder.adopt("deviation.png")
         samples = held_out_samples(reference, first.cell.planning, first.run.seed)
         measured = {body.number: body.measured(samples) for body in bodies}
-        pairs = shared(measured, samples)
+        pairs = shared_surfaces(measured, samples)
         radius = coverage.sampling_radius(reference)
         report = ScannedSetups(
             part=planned.file.part,
@@ -356,7 +356,7 @@ def _write_combined(
             open=_uncovered_by_cause(planned, measured, samples),
             shared=pairs,
             registration=None if registration is None else registration_values(registration),
-            doubts=(*_doubts(bodies), *_disconnected(apart(pairs, tuple(measured)))),
+            doubts=(*_doubts(bodies), *_disconnected(unconnected_setups(pairs, tuple(measured)))),
             surface=surface_values(reference, surface),
             deviation=None if deviation is None else deviation_values(deviation),
         )
@@ -386,14 +386,14 @@ def _combined_cloud(bodies: Sequence[_ScannedBody]) -> tuple[PointCloud, NDArray
     return PointCloud(points, normals, scan.astype(np.int32)), stop.astype(np.int32), sigma
 
 
-def _uncovered_by_cause(planned: PlannedSetups, measured: Mapping[int, Bools], samples: SurfaceSamples) -> OpenShares:
+def _uncovered_by_cause(planned: SetupsRun, measured: Mapping[int, Bools], samples: SurfaceSamples) -> OpenShares:
     """Return the uncovered surface by cause; each sample counts once, for the first cause that applies."""
     uncovered = ~np.logical_or.reduce(list(measured.values()))
     remaining, lost, in_contact = np.zeros_like(uncovered), np.zeros_like(uncovered), np.ones_like(uncovered)
     for number, folder in enumerate(planned.folders, start=1):
         run = open_finished(folder)
         cell = read_cell(run)
-        touches = touching(samples, cell.occluders)
+        touches = in_contact(samples, cell.occluders)
         expected = _measured_by(cell, [view.T_object_poses for view in run.plan.views], samples) & ~touches
         in_contact &= touches
         if number in measured:

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from cell import scanners
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
-from cell.plan.candidates import first
+from cell.plan.candidates import generate_viewpoints
 from cell.scene.model import Scene, require_no_region_targets
 from cell.scene.regions import with_regions
 from cell.scene.settle import Settings, resolve, settle_scene
@@ -108,14 +108,16 @@ class Bench:
     @cached_property
     def zone(self) -> Viewpoints:
         """Candidates by the scene's generator and rolls."""
-        return scanners.sweep_columns(self.scanner, first(self.scene, self.settings, self.part, self.planning))
+        return scanners.sweep_columns(
+            self.scanner, generate_viewpoints(self.scene, self.settings, self.part, self.planning)
+        )
 
     @cached_property
     def sphere(self) -> Viewpoints:
         """Candidates of the view sphere, 15 degrees apart."""
         plan = self.scene.plan.model_copy(update={"candidates": "view-sphere"})
         scene = self.scene.model_copy(update={"plan": plan})
-        return scanners.sweep_columns(self.scanner, first(scene, self.settings, self.part, self.planning))
+        return scanners.sweep_columns(self.scanner, generate_viewpoints(scene, self.settings, self.part, self.planning))
 
     @cached_property
     def world(self) -> World:

@@ -9,12 +9,10 @@ import numpy as np
 
 from cell import scanners
 from cell.errors import SceneError
-from cell.plan.candidates import GROWN, arm_of
+from cell.plan.candidates import GROWN, Cell, view_evaluator
 from cell.study.bench import Bench, reach_in
 from cell.study.scenes import bench_of
 from cell.study.trial import JsonTable
-from cell.world.collision import MujocoCollisionChecker
-from cell.world.model import World
 from cell.world.occluders import fixed_occluders, make_caster
 from planner import cover
 from planner.kinematics.frames import pose_from_kuka_abc
@@ -22,7 +20,7 @@ from planner.kinematics.reach import Reach, join_reach, pick_reach
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability, join_measurability, pick_measurability
 from planner.measurability.visibility import apply_occluders, fill_matrix
-from planner.ports import CollisionChecker, RayCaster
+from planner.ports import RayCaster
 from planner.timing.limits import scale_limits
 from planner.tour.orderings import order_views
 from planner.tour.visits import TourProblem
@@ -52,8 +50,8 @@ def placement(settings: JsonTable) -> dict[str, object]:
     except SceneError:  # a table that stands where it stands does not carry the part there
         return {"reachable": 0.0, "coverable": 0.0, "home_free": False}
     candidates, M = bench.some(settings["candidates"])
-    checker = MujocoCollisionChecker(world)
-    if not checker.free(world.home[None])[0]:
+    cell = Cell.of(world)
+    if not cell.checker.free(world.home[None])[0]:
         return {"reachable": 0.0, "coverable": 0.0, "home_free": False}
     reached = reach_in(world, candidates)
     allowed = reached.reachable
@@ -66,7 +64,7 @@ def placement(settings: JsonTable) -> dict[str, object]:
     M = apply_occluders(M, views, bench.scanner, in_the_way, ray_caster=bench.caster)
     reached = pick_reach(reached, which)
     if bench.scene.plan.candidates == GROWN and settings["candidates"] is None:
-        views, reached, M = _grown(bench, world, checker, (bench.caster, in_the_way), (views, reached, M))
+        views, reached, M = _grown(bench, cell, (bench.caster, in_the_way), (views, reached, M))
     measured = np.diff(M.indptr) > 0
     values["coverable"] = float(M.samples.areas[measured].sum() / M.samples.areas.sum())
     if settings["what"] == COVERAGE_ONLY or not measured.any():
@@ -90,8 +88,7 @@ def placement(settings: JsonTable) -> dict[str, object]:
 
 def _grown(
     bench: Bench,
-    world: World,
-    checker: CollisionChecker,
+    cell: Cell,
     casters: tuple[RayCaster, RayCaster],
     known: tuple[Viewpoints, Reach, Measurability],
 ) -> tuple[Viewpoints, Reach, Measurability]:
@@ -99,14 +96,13 @@ def _grown(
 
     Args:
         bench: the part and the scanner.
-        world: the cell with the part at this placement.
-        checker: of the cell there.
+        cell: with the part at this placement.
         casters: the part's and the occluders'.
         known: reachable candidates, their reach, and what they measure.
     """
     views, reached, M = known
     scanner, features = bench.scanner, M.samples
-    arm = arm_of(world, world.kinematics, checker, scanner, casters)
+    arm = view_evaluator(cell, scanner, casters)
     found = growth.grow(RayTargets.of(features.points, features.normals, features.region), np.diff(M.indptr) > 0, arm)
     if not len(found):
         return known
@@ -115,5 +111,5 @@ def _grown(
     measured = apply_occluders(
         fill_matrix(added, features, scanner, casters[0]), added, scanner, casters[1], ray_caster=casters[0]
     )  # fmt: skip
-    of_added = reach_in(world, added)
+    of_added = reach_in(cell.world, added)
     return join_viewpoints([views, added]), join_reach([reached, of_added]), join_measurability([M, measured])

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import JsonValue
 
-from cell.plan.candidates import arm_of
+from cell.plan.candidates import Cell, view_evaluator
 from cell.runs.cell import read_cell, world_of
 from cell.runs.run import Run
 from cell.session import ProgressReporter, Stream, default_effort, random_stream
 from cell.why.changes import ROTATIONS, format_placement, moved_world, rotated_worlds
-from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from cell.world.occluders import fixed_occluders, make_caster
 from cell.world.prediction import held_out_samples
@@ -69,10 +68,9 @@ def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
     visible = float(seen.mean())
 
     def arm(there: World | None) -> ViewEvaluator | None:
-        if there is None or not (checker := MujocoCollisionChecker(there)).free(there.home[None])[0]:
+        if there is None or not (moved := Cell.of(there)).checker.free(there.home[None])[0]:
             return None
-        casters = (cell.part_caster, make_caster(fixed_occluders(there)))
-        return arm_of(there, there.kinematics, checker, cell.scanner, casters)
+        return view_evaluator(moved, cell.scanner, (cell.part_caster, make_caster(fixed_occluders(there))))
 
     advice: list[Advice] = []
     left = np.sort(rng.permutation(np.flatnonzero(~seen))[: default_effort().searched_samples])
@@ -114,13 +112,17 @@ def _displaced_placements(world: World) -> Iterator[tuple[str, Floats]]:
 
 
 def setup_command(run: Run, T_base_centre: Floats) -> str:
-    """Return the command that plans a further set-up for a run, or for all set-ups of its folder."""
-    runs = [run.folder]
-    if run.is_in_setups_folder:
-        numbers = sorted(int(path.name) for path in run.folder.parent.iterdir() if path.name.isdecimal())
-        runs = [run.folder.parent / str(number) for number in numbers]
-    named = [word for folder in runs for word in ("--open-of", str(folder))]
-    return shlex.join(["cell", "plan", *named, "--place", format_placement(T_base_centre)])
+    """Return the command that plans a further set-up with the run as the fixed first one."""
+    words = list(run.manifest.argv)
+    if words[:1] in (["plan"], ["setups"]):
+        words = words[1:]
+    else:  # of `cell edit` or Python
+        part, units = run.scene.part, run.scene.part.units
+        path = next((file.path for file in run.manifest.files or () if file.what == "part"), part.name)
+        words = [path, *(["--units", units] if units else [])]
+    words = _without(words, "--place", "--out", "--offer", "--most", "--first")
+    first = ("--first", str(run.folder), "--offer", "1")
+    return shlex.join(["cell", "setups", *words, *first, "--place", format_placement(T_base_centre)])
 
 
 def replan_command(run: Run, T_base_centre: Floats) -> str:
@@ -129,8 +131,13 @@ def replan_command(run: Run, T_base_centre: Floats) -> str:
     words = list(run.manifest.argv)
     if words[:1] not in (["plan"], ["setups"]):
         return f"--place {place}"
-    for option in ("--place", "--out"):
+    return shlex.join(["cell", *_without(words, "--place", "--out"), "--place", place])
+
+
+def _without(words: list[str], *options: str) -> list[str]:
+    """Remove options with their values from a command line."""
+    for option in options:
         while option in words:
             at = words.index(option)
-            del words[at : at + 2]
-    return shlex.join(["cell", *words, "--place", place])
+            words = words[:at] + words[at + 2 :]
+    return words

@@ -21,9 +21,9 @@ from cell.explore.hidden import Hidden
 from cell.explore.measured_surface import continued
 from cell.explore.options import ExploreOptions
 from cell.explore.prepare import Exploring, prepared
-from cell.explore.stage import EnoughError
+from cell.explore.stage import StopReason
 from cell.part import workpiece
-from cell.plan.problem import Problem
+from cell.plan.selection import SelectionProblem
 from cell.runs import ply, schema
 from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
@@ -89,7 +89,7 @@ def test_views_are_moved_to_where_they_measure_more(
     `cell plan`.
     """
     before, better = list[int](), stage_plan.with_better
-    schedules, grow, believed = list[Any](), stage_plan.grow, explore._on_believed
+    schedules, grow, believed = list[Any](), stage_plan.with_grown, explore._on_believed
 
     def counted(*asked: Any, schedule: Any) -> Any:
         schedules.append(schedule)
@@ -98,12 +98,12 @@ def test_views_are_moved_to_where_they_measure_more(
     def measured_at_last(work: Exploring, file: ExploreFile, known: Any, batch: Any) -> Path:
         return (explore._on_measured if len(file.stages) == 2 else believed)(work, file, known, batch)
 
-    def with_better(problem: Problem, *asked: Any) -> Problem:
+    def with_better(problem: SelectionProblem, *asked: Any) -> SelectionProblem:
         before.append(len(problem.candidates))
         return better(problem, *asked)
 
     monkeypatch.setattr(stage_plan, "with_better", with_better)
-    monkeypatch.setattr(stage_plan, "grow", counted)
+    monkeypatch.setattr(stage_plan, "with_grown", counted)
     monkeypatch.setattr(explore, "_on_believed", measured_at_last)
     grown = (*PLACE[:-1], "grown", "--resolution", "0.5", "--max-views", "3")
     done = run_cell("explore", part_file, "--units", "mm", *grown, "--out", "explored", cwd=tmp_path)
@@ -220,11 +220,11 @@ def soon_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     """The believed surface is worth no further view after the first batch, as if so little of it stayed open."""
     believed = explore._on_believed
 
-    def plan(work: Exploring, file: ExploreFile, *asked: Any) -> Path:
+    def plan(work: Exploring, file: ExploreFile, *asked: Any) -> Path | StopReason:
         folder = believed(work, file, *asked)
-        if file.stages:
+        if file.stages and isinstance(folder, Path):
             shutil.rmtree(folder)
-            raise EnoughError("too little of the believed surface is open")
+            return StopReason("too little of the believed surface is open")
         return folder
 
     monkeypatch.setattr(explore, "_on_believed", plan)

@@ -131,7 +131,7 @@ def test_json_prints_one_object_on_stdout(planned: Path) -> None:
         (("plan", "PART", "--units", "mm", "--coverage", "1.2"), 2, "coverage"),
         (("plan", "PART", "--units", "mm", "--solver", "magic"), 2, "solver"),
         (("plan", "PART", "--units", "mm", "--out", "taken"), 6, "taken"),
-        (("plan", "PART", "--units", "mm", "--out", "."), 6, "no name of its own"),
+        (("plan", "PART", "--units", "mm", "--out", "."), 6, "has no name"),
         (("plan", "PART", "--units", "mm", "--bogus"), 2, "No such option"),
         (("plan", "PART", "--units", "mm", "--seed", "1.5"), 2, "--seed"),
         (("plan", "PART", "--units", "mm", "--speed", "1.5"), 2, "--speed is 1.5; it must be at most 1"),

@@ -3,12 +3,15 @@
 import json
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
+
+from cell.session import default_effort, effort_of
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -119,15 +122,14 @@ def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict
 
 
 def test_scans_that_hang_together(
-    ask: Callable[..., tuple[Path, dict[str, Any]]], monkeypatch: pytest.MonkeyPatch
+    ask: Callable[..., tuple[Path, dict[str, Any]]],
 ) -> None:
     """The graph of the files' views is connected, by networkx; the price is what the report says."""
     import networkx as nx
 
-    monkeypatch.setattr(
-        "cell.plan.request._MOST_WORK", 300_000_000
-    )  # of the search for fewer views, which is not judged
-    folder, said = ask("overlap", "--faces", "60", "--overlap", "50%", "--overlap-in-order")
+    effort = replace(default_effort(), constrained_work=300_000_000)  # the search for fewer views is not judged
+    with effort_of(effort):
+        folder, said = ask("overlap", "--faces", "60", "--overlap", "50%", "--overlap-in-order")
     views, _ = covered(folder)
     M, areas = matrix(folder)
     graph = nx.Graph()

@@ -15,10 +15,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cell.api import locate
-from cell.edit.editable import EditableRun
 from cell.emulate.emulator import SCHEMA
 from cell.errors import FileError, SceneError
 from cell.metrology.locate import _check_motion
+from cell.plan.edit import EditableRun
 from cell.replay.replay import load_playback
 from cell.runs.cell import read_cell, world_of
 from cell.runs.current_files import CurrentFiles

@@ -17,12 +17,12 @@ from cell.api import scan_setups as scan_all
 from cell.errors import UsageError
 from cell.runs.cell import read_cell
 from cell.runs.run import open_run
+from cell.runs.setups import SetupsRun
 from cell.scan.options import ScanOptions
 from cell.scan.safety import placement_warning
 from cell.scan.setups import scan_setups
 from cell.session import Session
-from cell.setups.contact import touching
-from cell.setups.planned_setups import PlannedSetups
+from cell.world.contact import in_contact
 from cell.world.prediction import held_out_samples
 from planner.measurability.visibility import find_measured
 
@@ -94,7 +94,7 @@ def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: R
                 poses.append(scan["T_object_scanner_true"])
         T = np.stack(poses)[:, None]
         found = find_measured(T, samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
-        seen.append(found & ~touching(samples, cell.occluders))
+        seen.append(found & ~in_contact(samples, cell.occluders))
     assert report["visible"] == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
     assert all(setup["place"] is None for setup in report["setups"])
     again = (folder / "scanned" / "report.json").read_bytes()
@@ -199,7 +199,7 @@ def test_who_lets_the_arm_move_says_how_the_part_lies(folder: Path, monkeypatch:
         return "no"
 
     monkeypatch.setattr("cell.scan.setups.scan", scan)
-    planned = PlannedSetups.opened(folder).file
+    planned = SetupsRun.opened(folder).file
     for number, chosen in enumerate(planned.chosen, start=1):
         with pytest.raises(UsageError, match="not confirmed"):
             scan_setups(

@@ -12,9 +12,8 @@ import pytest
 import trimesh
 
 from cell.api import open_run, plan_setups
+from cell.plan.setups import Setup, cause_of_omission
 from cell.runs.cell import read_cell
-from cell.setups.measured import Setup
-from cell.setups.plan_setups import left_out
 from tests.seen_samples import seen_samples
 
 Cell = Callable[..., Any]
@@ -232,7 +231,7 @@ def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: Cell, t
     assert "is one of several set-ups" in done.stderr
     done = run_cell("edit", one, "--drop", "1", "--out", "edited", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "what they measure together now is not known" in " ".join(done.stderr.split())
+    assert "their coverage together is not known now" in " ".join(done.stderr.split())
     assert "--repair" not in done.stdout + done.stderr
     assert "more than the fewest" not in open_run(tmp_path / "edited").report.status
     done = run_cell("edit", "edited", "--repair", "--out", "repaired", cwd=tmp_path)  # wherever it lies
@@ -261,7 +260,7 @@ def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell,
     wishes = ("--candidates", "optimal-scanning-zone", "--coverage", "0.5")
     done = run_cell("setups", "ball.stl", *small, *wishes, "--offer", "6", "--out", "made", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "the part has no other stable pose: it is offered as it is placed, turned, alone" in done.stderr
+    assert "the part has no other stable pose: the only candidate is the part as it is placed, turned," in done.stderr
     assert len(json.loads((tmp_path / "made" / "setups.json").read_text())["offered"]) == 4
 
 
@@ -269,8 +268,8 @@ def test_why_a_set_up_is_left_out() -> None:
     """It cannot be, adds nothing, or is not needed for what was asked."""
     seen = np.array([True, True, False, False])
     found = cast(Setup, SimpleNamespace(coverable=np.array([True, False, False, False])))
-    assert left_out("home is not free", seen) == "home is not free"
-    assert left_out(found, seen) == "it adds nothing that the others do not measure"
-    assert "does not need it (it can add 50.00 % of the surface)" in left_out(
+    assert cause_of_omission("home is not free", seen) == "home is not free"
+    assert cause_of_omission(found, seen) == "it measures nothing that the others do not measure"
+    assert "the request is met without it (it can add 50.00 % of the surface)" in cause_of_omission(
         cast(Setup, SimpleNamespace(coverable=~seen)), seen
     )

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cell.runs.schema import SetupsFile
+from cell.runs.setups import SetupsRun
 from cell.runs.verification import verify_plan
-from cell.setups.planned_setups import PlannedSetups
 from tests.seen_samples import seen_samples
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -51,7 +51,7 @@ def folder(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Pa
 
 def test_each_set_up_is_a_plan_of_seven_axes_on_the_same_table(folder: Path) -> None:
     """Layout 2, the motion's certificate made again from the folder; the table stands where it stood."""
-    made = PlannedSetups.opened(folder)
+    made = SetupsRun.opened(folder)
     tables = []
     for run in made.folders:
         assert json.loads((run / "manifest.json").read_text())["schema"] == "scan-cell/run/2"
@@ -69,7 +69,7 @@ def test_each_set_up_is_a_plan_of_seven_axes_on_the_same_table(folder: Path) -> 
 
 def test_a_pose_is_offered_once_where_the_table_turns_it(folder: Path) -> None:
     """Turned by hand the part would be measured as it is turned by the table."""
-    file: SetupsFile = PlannedSetups.opened(folder).file
+    file: SetupsFile = SetupsRun.opened(folder).file
     assert len(file.offered) == 3
     assert not any("turned" in offer.name for offer in file.offered)
     assert len(file.chosen) == file.setups_bound == 2
@@ -110,7 +110,7 @@ def test_what_the_table_cannot_carry_is_left_out(part_file: Path, run_cell: Run,
     (tmp_path / "cell.toml").write_text(text + near + aside + wide)
     done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    file = PlannedSetups.opened(tmp_path / "made").file
+    file = SetupsRun.opened(tmp_path / "made").file
     assert [bool(offer.left_out) for offer in file.offered] == [False, False, True]
     assert "swings through a circle of" in file.offered[2].left_out
     assert "the set-up 'far off' is left out: the part swings" in done.stderr

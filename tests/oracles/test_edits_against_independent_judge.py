@@ -10,8 +10,8 @@ from benchmarks.diff_recount import recounted
 from benchmarks.edit_judge import EditJudge
 from benchmarks.random_edits import RandomEdit, random_edit
 from cell.api import open_run
-from cell.edit.editable import EditableRun
 from cell.errors import CellError, UnreachableError, UsageError
+from cell.plan.edit import EditableRun
 from cell.report.diff import compare_runs
 from cell.session import LoggedProgress
 

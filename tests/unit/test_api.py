@@ -10,8 +10,8 @@ import pytest
 import trimesh
 
 from cell.api import explore, open_run, plan, scan
-from cell.edit.editable import EditableRun
 from cell.errors import FileError, SceneError, UsageError
+from cell.plan.edit import EditableRun
 from cell.runs.run import Run
 from cell.scene.file import load_scene
 

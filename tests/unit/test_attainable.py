@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.plan.attainable import of_plan, sentence
+from cell.plan.evaluation import attainable_coverage
+from cell.plan.selection import Request
+from cell.report.plan_report import attainable_sentence
 from cell.runs.schema import Attainable
 from cell.scanners.laser_area import LaserArea
-from cell.session import Effort, effort_of
+from cell.session import Effort
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.coverage import Coverage
@@ -86,7 +88,6 @@ def test_poses_of_a_point_are_tested_until_one_is_reachable():
     assert sorted(tested) == np.flatnonzero(np.any(until, axis=0)).tolist()
 
 
-@pytest.mark.usefixtures("full_effort")
 def test_the_share_of_a_plan_is_that_of_all_samples(monkeypatch):
     """The share of few samples is exact; from half of them it is within a few standard errors."""
     targets, evaluator = _ball(lambda T: (T[:, :, 2, 3] > -0.02).all(axis=1))
@@ -95,22 +96,27 @@ def test_the_share_of_a_plan_is_that_of_all_samples(monkeypatch):
     covered = targets.points[2] > 0.02
     some = Coverage(covered, float(areas[covered].sum()), float(areas.sum()))
     prediction = SimpleNamespace(samples=samples, coverable=some, scanner=None, casters=())
-    problem = SimpleNamespace(prediction=prediction, world=None, kinematics=None, checker=None)
-    monkeypatch.setattr("cell.plan.attainable.arm_of", lambda *_: evaluator)
-    exact = of_plan(problem, some, np.random.default_rng(0))
+    monkeypatch.setattr("cell.plan.evaluation.view_evaluator", lambda *_: evaluator)
+
+    def estimated(effort: Effort):
+        problem = SimpleNamespace(prediction=prediction, cell=None, request=Request(effort=effort))
+        return attainable_coverage(problem, some, np.random.default_rng(0))
+
+    exact = estimated(Effort())
     truth = probe_attainable(targets, evaluator)
     assert exact.standard_error == 0
     assert exact.share == pytest.approx((covered | truth.measured).mean(), abs=0.01)
     assert exact.share + exact.out_of_reach + exact.out_of_sight == pytest.approx(1.0)
-    with effort_of(Effort(searched_samples=int((~covered).sum()) // 2)):
-        half = of_plan(problem, some, np.random.default_rng(0))
+    half = estimated(Effort(searched_samples=int((~covered).sum()) // 2))
     assert half.standard_error > 0
     assert abs(half.share - exact.share) < 4 * half.standard_error + 0.01
 
 
-def test_the_line_names_the_largest_loss_where_little_is_measured():
+def test_the_sentence_names_the_largest_loss_if_little_is_measured():
     """Above four fifths of the surface it only says how much."""
     found = Attainable(share=0.75, standard_error=0.001, asked=1000, out_of_reach=0.2, out_of_sight=0.05)
-    assert sentence(0.85, 0.9, found.model_copy(update={"share": 0.91})).endswith("(standard error 0.10)")
-    assert "20.0 % of the surface is lost because the arm takes up no pose that sees it" in sentence(0.7, 0.74, found)
-    assert "30.0 % of the surface is lost because the plan was not asked for it" in sentence(0.44, 0.74, found)
+    assert attainable_sentence(0.85, 0.9, found.model_copy(update={"share": 0.91})).endswith("measures 85.00 %")
+    low = attainable_sentence(0.7, 0.74, found)
+    assert "20.0 % of the surface is lost because the arm reaches no pose that sees it" in low
+    low = attainable_sentence(0.44, 0.74, found)
+    assert "30.0 % of the surface is lost because the request did not include it" in low

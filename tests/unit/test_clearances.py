@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from cell.plan.clearances import require_no_contact, tightest_sentence
+from cell.plan.evaluation import require_no_contact
+from cell.report.plan_report import tightest_moment
 from cell.runs import schema
 from cell.world.clearance import MotionClearance, TightestMoment, time_of_tightest
 from planner.errors import PlannerError
@@ -40,10 +41,10 @@ def test_the_moment_is_found_between_the_samples_of_its_segment() -> None:
 def test_a_motion_that_is_far_from_everything_has_no_tightest_moment() -> None:
     """Nothing is said then; else distance, pair, time and segment from 1."""
     segment = schema.SegmentClearance(minimum_mm=20.0, at_least_mm=19.0, between="housing with post")
-    assert tightest_sentence(schema.Clearance(collision="exact", segments=[segment], tightest=None)) == ""
+    assert tightest_moment(schema.Clearance(collision="exact", segments=[segment], tightest=None)) == ""
     tightest = schema.Tightest(
         segment=1, time_s=3.2, distance_mm=12.345, between="housing with post",
         points_in_base_mm=np.zeros((2, 3)).tolist(), q_deg=np.zeros(6).tolist(),
     )  # fmt: skip
-    said = tightest_sentence(schema.Clearance(collision="exact", segments=[segment] * 3, tightest=tightest))
-    assert said == "12.3 mm, housing with post, 3.20 s after the start, on the way of segment 2 of 3"
+    said = tightest_moment(schema.Clearance(collision="exact", segments=[segment] * 3, tightest=tightest))
+    assert said == "12.3 mm, housing with post, 3.20 s after the start, on segment 2 of 3"

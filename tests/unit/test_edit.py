@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cell.api import open_run
-from cell.edit.options import Edit, Move, Pose, Turn
 from cell.errors import UnreachableError, UsageError
+from cell.plan.edit_options import Edit, Move, Pose, Turn
 from cell.scene.options import flag, parse_options
 from planner.kinematics.frames import kuka_abc_from_pose
 
@@ -51,7 +51,7 @@ def test_texts_and_values_say_the_same(wishes: dict[str, Any]) -> None:
         ({"order": "1,2,2"}, "view 2 twice"),
         ({"order": "1,2", "keep_order": True}, "give one of them"),
         ({"drop": "1", "turn": "1:90"}, "view 1 twice"),
-        ({"drop": "1", "table_angle": 30}, "--table-angle is of the poses that move and add_pose give"),
+        ({"drop": "1", "table_angle": 30}, "table_angle_deg concerns the poses of move and add_pose"),
     ],
 )
 def test_what_an_edit_cannot_say(wishes: dict[str, Any], told: str) -> None:

@@ -1,7 +1,6 @@
 """Which surface a stage of an exploration is planned on, and what of it is wanted."""
 
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,11 +10,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.explore import belief, explore, stage
+from cell.explore import explore, stage
 from cell.explore.asked import Asked, came_of, probable, wanted
 from cell.explore.options import ExploreOptions
 from cell.explore.policies import Batch
-from cell.explore.stage import EnoughError
+from cell.explore.stage import StopReason
 from cell.explore.state import Paths
 from cell.runs import ply
 from cell.runs.schema import BELIEVED, MEASURED, SurfaceName
@@ -25,7 +24,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.session import Session
 from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import GainRecord, gain_ratio
-from planner.explore.space import OCCUPIED, VoxelSpace
+from planner.explore.space import VoxelSpace
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
 from planner.values import Bools, Floats
@@ -140,10 +139,10 @@ class _Worth:
     def __init__(self, *surfaces: str) -> None:
         self.surfaces, self.asked = surfaces, list[str]()
 
-    def on(self, surface: str) -> Callable[..., Path]:
+    def on(self, surface: str) -> Callable[..., Any]:
         """The planner of a surface; what it leaves behind is in the way of the next."""
 
-        def plan(work: Any, *_: object) -> Path:
+        def plan(work: Any, *_: object) -> Path | StopReason:
             self.asked.append(surface)
             assert not work.paths.measured(2).exists()
             assert not work.paths.unseen(2).exists()
@@ -151,7 +150,7 @@ class _Worth:
             if surface == MEASURED:
                 work.paths.measured(2).touch()
             if surface not in self.surfaces:
-                raise EnoughError(f"of {surface}, {len(self.asked)}")
+                return StopReason(f"of {surface}, {len(self.asked)}")
             return Path(surface)
 
         return plan
@@ -180,7 +179,6 @@ def test_batches_are_tried_in_turn_until_one_is_worth_its_views(
     (tmp_path / "stages").mkdir()
     monkeypatch.setattr(explore, "_on_believed", planners.on(BELIEVED))
     monkeypatch.setattr(explore, "_on_measured", planners.on(MEASURED))
-    monkeypatch.setattr(explore, "stays_open", lambda work, *_: work.paths.clear(2))
     file, batches = SimpleNamespace(stages=[None]), [Batch(1, on=on) for on in tried]
     given: Any = (SimpleNamespace(paths=paths), file, None, batches, "nothing was tried")
     if ends in (BELIEVED, MEASURED):
@@ -188,9 +186,9 @@ def test_batches_are_tried_in_turn_until_one_is_worth_its_views(
         assert paths.measured(2).exists() == (ends == MEASURED)
         assert paths.unseen(2).exists()
     else:
-        with pytest.raises(EnoughError, match=ends):
-            explore._planned(*given)
-        assert list((tmp_path / "stages").iterdir()) == []
+        stop = explore._planned(*given)
+        assert isinstance(stop, StopReason)
+        assert ends in stop.sentence
     assert planners.asked == asked
 
 
@@ -267,9 +265,9 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     near: Any = SimpleNamespace(stages=[stages[0], SimpleNamespace(**{**told, "too_near_mm2": 0.6})])
     assert explore._on_believed(work, near, known, Batch(1))[0].cautious  # type: ignore[index]
 
-    def nothing_from_afar(work: Any, asked: Any, number: int, part: Any) -> tuple[Any, ...]:
+    def nothing_from_afar(work: Any, asked: Any, number: int, part: Any) -> Any:
         if asked.cautious:
-            raise EnoughError("too far off")
+            return StopReason("too far off")
         return asked, number, part
 
     with monkeypatch.context() as now:
@@ -290,35 +288,13 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     assert after[0].latest == ((1, 0.0), *((2, 1e-6),) * 3)
 
 
-def test_what_stays_open_is_of_all_that_the_part_may_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However deep it lies behind what was measured; nothing of that planning is left."""
-    middle, rim = tuple(size // 2 for size in UNKNOWN.state.shape), np.array(UNKNOWN.state)
-    rim[middle] = OCCUPIED
-    space, told, paths = replace(UNKNOWN, state=rim), SimpleNamespace(), Paths(tmp_path)
-    (tmp_path / "stages").mkdir()
-
-    def stage(work: Any, asked: Any, number: int, part: Any) -> None:
-        work.paths.unseen(number).touch()
-        whole = belief.surface_about(space, space.belief_voxels(unlimited=True))
-        assert asked.batch == Batch(0)
-        assert np.array_equal(part.reference.vertices, whole.vertices)
-        assert whole.areas.sum() > 2 * belief.surface_about(space, space.belief_voxels()).areas.sum()
-        raise EnoughError("", told)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(explore, "_stage", stage)
-    given: Any = (SimpleNamespace(paths=paths, name="ball"), SimpleNamespace(stages=[]))
-    known: Any = SimpleNamespace(space=space, record=GainRecord.empty())
-    assert explore.stays_open(*given, known) is told
-    assert list((tmp_path / "stages").iterdir()) == []
-
-
 def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """There is no further view then, and no file."""
     monkeypatch.setattr(explore, "continued", lambda scans, space, solid: None)
     work: Any = SimpleNamespace(paths=Paths(tmp_path))
     known: Any = SimpleNamespace(space=UNKNOWN, scans=(), solid=None)
-    with pytest.raises(EnoughError, match="describe no surface"):
-        explore._on_measured(work, SimpleNamespace(stages=[None]), known, Batch(1))
+    stop = explore._on_measured(work, SimpleNamespace(stages=[None]), known, Batch(1))  # type: ignore[arg-type]
+    assert stop == StopReason("the points describe no surface")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -334,55 +310,6 @@ def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:
     assert explore._planned(work, file, known, [Batch(1)], "") == paths.stage(2)
     assert paths.unseen(2).is_file()
     assert paths.measured(2).is_file()
-
-
-@pytest.mark.parametrize(("on", "faces"), [(BELIEVED, 500), (MEASURED, 500), (MEASURED, 3000)])
-def test_more_is_drawn_of_a_measured_surface_and_what_came_is_asked_of_it(
-    on: SurfaceName, faces: int, balls: TriangleMesh, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Little of it is wanted; of the believed one what came is known before. Its planning mesh is of a coarse copy."""
-    drawn, copied = list[int](), list[int]()
-
-    def copy(reference: TriangleMesh, count: int) -> None:
-        copied.append(count)
-
-    def counted(reference: TriangleMesh, planning: TriangleMesh, count: int, rng: np.random.Generator) -> Any:
-        drawn.append(count)
-        return draw_samples(reference, planning, 300, rng)
-
-    monkeypatch.setattr(stage, "sample", counted)
-    monkeypatch.setattr(stage, "clustered", copy)
-    monkeypatch.setattr(stage, "limited", lambda scene, scanner: LAW)
-    monkeypatch.setattr(stage, "first", lambda *asked: SimpleNamespace(face=np.array([-1])))
-    monkeypatch.setattr(stage.plan_files, "write_meshes", lambda *meshes: None)
-    streams = np.random.default_rng
-    run: Any = SimpleNamespace(step=lambda name: nullcontext(), folder=None, rng=lambda stream: streams(7))
-    job: Any = SimpleNamespace(
-        part=SimpleNamespace(reference=balls), settings=SimpleNamespace(faces=faces), scene=None, scanner=None
-    )
-    state = np.array(UNKNOWN.state)
-    state[20, 20, 20] = OCCUPIED
-    space = replace(UNKNOWN, state=state, points=balls.centres[balls.centres[:, 1] > 0])
-    asked = replace(_asked(_poses()[:2] if on == MEASURED else None, space=space), latest=[(2, 1e-9)], came=1.5)
-    _, _, _, learnt = stage._sample_surface(run, job, asked)
-    assert drawn == [60_000 if on == MEASURED else 20_000, 20_000]
-    assert copied == ([max(10_000, 4 * faces)] if on == MEASURED else [])
-    assert learnt.came > 1000 if on == MEASURED else learnt.came == 1.5
-
-
-@pytest.mark.parametrize("cautious", [False, True])
-def test_who_keeps_off_sees_nothing_through_what_may_begin_before_the_range(
-    cautious: bool, balls: TriangleMesh, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of a stage's casters the occluders' blocks legs through what nobody looked at; without caution it does not."""
-    nothing = EmbreeRayCaster(np.eye(3) + 10, np.array([[0, 1, 2]]))
-    monkeypatch.setattr(stage.steps, "casters_of", lambda surface, cell: [nothing, nothing])
-    job: Any = SimpleNamespace(scene=SimpleNamespace(scanner=SimpleNamespace(range_mm=(150.0, 450.0))))
-    asked = Asked(UNKNOWN, GainRecord.empty(), Batch(1), 0.0, cautious=cautious)
-    part, others = stage._casters(job, asked, None, None)  # type: ignore[arg-type]
-    assert part is nothing
-    stands, middle = np.array([[0.14, 0.0, 0.0], [0.5, 0.0, 0.0]]), np.zeros((2, 3))
-    assert others.blocked(stands, middle).tolist() == [cautious, False]
 
 
 @pytest.mark.parametrize("word", ["explore", "0123abcd", None])

@@ -18,12 +18,11 @@ from cell.explore.policies import POLICIES, Batch, So
 from cell.explore.prepare import Eye, begun, prepared
 from cell.explore.state import Known, Paths
 from cell.part import mesh_files
-from cell.plan.request import Request
 from cell.runs.schema import BELIEVED, MEASURED, ExploreFile
 from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
 from cell.scene.file import scene_from_options
-from cell.scene.model import PlanSettings, Scene
+from cell.scene.model import Scene
 from cell.session import Session
 from planner.explore.gain import GainRecord
 from planner.explore.space import FREE, UNKNOWN, VoxelSpace
@@ -220,7 +219,6 @@ class Stub:
     """What the number of views that are worth it asks of a problem."""
 
     M: Any
-    request: Request
     usable: Any
 
 
@@ -228,10 +226,10 @@ def test_a_batch_is_of_as_many_views_as_each_add_what_is_asked_of_them() -> None
     """Where nothing is expected as batches brought nothing, it is one view that is told to be too little."""
     areas = np.array([3.0, 2.0, 1.0])
     M = SimpleNamespace(matrix=lambda: csr_array(np.eye(3, dtype=bool)), samples=SimpleNamespace(areas=areas))
-    problem = Stub(M, Request(PlanSettings()), lambda _: np.ones(3, dtype=bool))
+    problem = Stub(M, lambda: np.ones(3, dtype=bool))
     for came, worth, views in ((1.0, 1.0, 3), (1.0, 50.0, 2), (0.5, 50.0, 1), (0.0, 1.0, 1)):
         asked = stage.Asked(None, None, Batch(None, worth=worth), 0.01, 3.0, came)
-        assert stage._worth(problem, asked).request.plan.max_views == views
+        assert max(len(stage._views_worth_it(problem, asked)), 1) == views
 
 
 def test_what_came_is_held_against_what_was_expected() -> None:

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.plan import pictures
-from cell.plan.picture_process import beside  # before the fixture that has other tests draw in their own process
+from cell.report import figures
+from cell.report.plots import plot_process  # before the fixture that has other tests draw in their own process
 
 COVER = {"marginal_area": np.array([0.5, 0.3]), "coverable": 0.9, "total": 1.0, "lower_bound": 1}
 
@@ -15,21 +15,21 @@ COVER = {"marginal_area": np.array([0.5, 0.3]), "coverable": 0.9, "total": 1.0, 
 def test_pictures_drawn_at_a_time_are_those_drawn_alone(tmp_path: Path) -> None:
     """Every picture that was sent is there when `finish` returns, with the bytes that a call in this process gives."""
     shares = (0.5, 0.7, 0.9)
-    with beside() as drawing:
+    with plot_process() as drawing:
         for share in shares:
             drawing.send("cover_curve", tmp_path / f"{share}.png", **COVER | {"coverable": share})
         drawn = drawing.finish()
     assert drawn == [tmp_path / f"{share}.png" for share in shares]
     for share in shares:
-        pictures.cover_curve(tmp_path / "alone.png", **COVER | {"coverable": share})
+        figures.cover_curve(tmp_path / "alone.png", **COVER | {"coverable": share})
         assert (tmp_path / f"{share}.png").read_bytes() == (tmp_path / "alone.png").read_bytes()
 
 
 def test_picture_that_cannot_be_drawn_is_told(tmp_path: Path) -> None:
     """One picture without a place to go fails the whole, in the words of the process; the one beside it is drawn."""
-    with beside() as drawing:
+    with plot_process() as drawing:
         drawing.send("cover_curve", tmp_path / "missing" / "cover.png", **COVER)
         drawing.send("cover_curve", tmp_path / "cover.png", **COVER)
-        with pytest.raises(RuntimeError, match=r"(?s)pictures were not drawn: .*missing"):
+        with pytest.raises(RuntimeError, match=r"(?s)plots were not drawn: .*missing"):
             drawing.finish()
     assert (tmp_path / "cover.png").exists()

@@ -11,7 +11,7 @@ import trimesh
 
 from cell.errors import CellError, FileError, SceneError
 from cell.part.workpiece import Workpiece, load
-from cell.plan.region_goals import RegionGoals
+from cell.plan.selection import RegionGroups
 from cell.scanners.laser_area import LaserArea
 from cell.scene.file import load_scene
 from cell.scene.model import Scene, require_no_region_targets, with_rest
@@ -261,21 +261,21 @@ def test_regions_become_demands_weights_and_parts(box: Path) -> None:
         {"name": "c", "weight": 2.0},
     ]
     scene = scene_with(box, asked, "mm")
-    goals = RegionGoals.of(scene.region, scene.plan)
+    goals = RegionGroups.of(scene.region, scene.plan)
     assert goals.coverage.tolist() == [0.99, 0.9]
-    assert goals.part.tolist() == [1, 0, 0]
-    assert not goals.plain
+    assert goals.group.tolist() == [1, 0, 0]
+    assert not goals.is_plain
     part = with_regions(load(box, "mm"), scene)
     rows = draw_samples(part.reference, part.reference, 300, np.random.default_rng(0))
-    wish = goals.applied(CoverProblem(np.ones((300, 2), bool), rows.areas), rows)
+    wish = goals.apply(CoverProblem(np.ones((300, 2), bool), rows.areas), rows)
     assert (wish.demand == np.array([1, 3, 1])[rows.region]).all()
     assert (wish.region == np.array([1, 0, 0])[rows.region]).all()
     assert wish.weights == pytest.approx(rows.areas * np.array([1, 1, 2])[rows.region])
-    assert RegionGoals.of((), scene.plan) is None
+    assert RegionGroups.of((), scene.plan) is None
     huge = scene.region[0].model_copy(update={"views": 10**20})
-    assert RegionGoals.of((huge,), scene.plan).views.dtype == np.int64
+    assert RegionGroups.of((huge,), scene.plan).views.dtype == np.int64
     only = scene_with(box, [{"name": "a", "kind": "plane", "max_spacing_mm": 1.0}, NO], "mm")
-    assert RegionGoals.of(only.region, only.plan).plain
+    assert RegionGroups.of(only.region, only.plan).is_plain
 
 
 def test_studies_refuse_what_they_do_not_know(box: Path) -> None:

@@ -1,13 +1,9 @@
 """Views that their own arm shades: judged by brute force, given other joint solutions, else cut to what is left."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 import trimesh
 
-from cell.plan import view_plan
-from cell.plan.views_at_rest import ViewsAtRest
 from cell.robot.arm import kinematics_of
 from cell.scanners.laser_area import LaserArea
 from cell.scene.model import Scene
@@ -201,33 +197,3 @@ def test_the_housing_hides_only_where_it_stands_apart_from_source_and_sensor():
     aside = _world(housing={"position_mm": [200.0, 0.0, 10.0]})
     assert "housing" in {piece.name for piece in arm_occluders(aside, q, ENDS)}
     assert "housing" not in {piece.name for piece in arm_occluders(aside, q)}
-
-
-def test_a_shorter_motion_that_hides_more_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Solutions that nobody looked at may stand at angles between: a motion that takes a worse one is left."""
-    world = _world(mount=SIDEWAYS)
-    M, reached, views = _cell(world)
-    prediction = SimpleNamespace(scanner=SCANNER)
-    at_rest = ViewsAtRest(SimpleNamespace(M=M, reached=reached, candidates=views, world=world, prediction=prediction))
-    hides = SelfOcclusion(M, reached, views, world, SCANNER).occludes_no_more
-    view, good, bad = next(
-        (v, a, b)
-        for v in range(len(views))
-        for a in reached.configurations_of(v)
-        for b in reached.configurations_of(v)
-        if not hides(v, a, b[None])[0]
-    )
-
-    def motion(q: np.ndarray, duration: float) -> SimpleNamespace:
-        return SimpleNamespace(order=np.array([0]), q=q[None], duration=duration, detour=np.zeros(2, bool), dropped=())
-
-    groups = SimpleNamespace(views=np.array([view]))
-    monkeypatch.setattr(at_rest, "finer", lambda *_: groups, raising=False)
-    monkeypatch.setattr(view_plan, "replace", lambda value, **_: value)
-    problem = SimpleNamespace(request=SimpleNamespace(motion=SimpleNamespace(guesses=(0,))))
-    before = view_plan._Connected(groups, motion(good, 2.0))
-    monkeypatch.setattr(view_plan, "_visited", lambda *_: ())
-    for q, duration in ((bad, 2.0), (good, 1.0)):
-        monkeypatch.setattr(view_plan, "_motion", lambda *_, q=q: motion(q, 1.0))
-        found = view_plan._at_finer_angles(problem, at_rest, None, before, None)
-        assert found.motion.duration == duration

@@ -1,6 +1,5 @@
-"""Further set-ups: what a support touches, and which scene a set-up has."""
+"""Set-ups: contact with supports, proposed candidates, recommended commands."""
 
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -8,17 +7,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.api import open_run
-from cell.errors import SceneError, UsageError
+from cell.errors import SceneError
+from cell.part import workpiece
+from cell.plan.setups import first_possible_cell, proposed_candidates, with_fixed_table
 from cell.runs.run import Run
 from cell.runs.schema import Manifest
 from cell.scene.model import Scene
-from cell.scene.options import flag
-from cell.setups.beside import scene_beside
-from cell.setups.contact import touching
-from cell.setups.earlier import EarlierSetup, require_one_part
-from cell.setups.offered import proposed, with_table_kept
+from cell.scene.settle import SettledScene, settle
 from cell.why import advise
+from cell.world.contact import in_contact
 from cell.world.model import compile_world
 from cell.world.occluders import Occluder
 from planner.geometry.mesh import TriangleMesh
@@ -55,15 +52,15 @@ def test_a_sample_touches_where_its_normal_meets_the_support_within_a_millimetre
 ) -> None:
     """Above a plate, by height and direction; the plate ends beside it."""
     samples = _samples([[0.01, 0.02, height_mm / 1000], [0.3, 0, height_mm / 1000]], [normal, normal])
-    assert touching(samples, [_table(-0.05, 0.0)]).tolist() == [touched, False]
+    assert in_contact(samples, [_table(-0.05, 0.0)]).tolist() == [touched, False]
 
 
 def test_a_support_does_not_touch_through_a_sheet() -> None:
     """A sheet of 0.3 mm between two plates: its lower side touches the lower one, its upper side the upper one."""
     samples = _samples([[0, 0, 0], [0, 0, 0.0003]], [[0, 0, -1], [0, 0, 1]])
     below, above = _table(-0.05, 0.0), _table(0.0003, 0.05)
-    assert touching(samples, [below]).tolist() == [True, False]
-    assert touching(samples, [above]).tolist() == [False, True]
+    assert in_contact(samples, [below]).tolist() == [True, False]
+    assert in_contact(samples, [above]).tolist() == [False, True]
 
 
 def test_a_ball_touches_with_the_cap_that_is_near() -> None:
@@ -72,49 +69,9 @@ def test_a_ball_touches_with_the_cap_that_is_near() -> None:
     normals = np.random.default_rng(0).normal(size=(200_000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     samples = _samples(normals * radius + [0, 0, radius], normals)
-    touched = touching(samples, [_table(-0.05, 0.0)])
+    touched = in_contact(samples, [_table(-0.05, 0.0)])
     np.testing.assert_array_equal(touched, -normals[:, 2] >= radius / (radius + 1e-3))
     assert touched.mean() == pytest.approx(1e-3 / (radius + 1e-3) / 2, rel=0.1)
-
-
-def test_the_scene_of_a_further_set_up_is_the_runs_but_for_the_pose(planned: Path) -> None:
-    """Three numbers keep the part's angles, six replace them; coverage may be another."""
-    run = open_run(planned)
-    scene = scene_beside(run, None, {"place": "1100,400,100,0,0,180", "coverage": "0.9"})
-    assert scene.placement.position_mm == (1100, 400, 100)
-    assert scene.placement.abc_deg == (0, 0, 180)
-    assert (scene.plan.coverage, scene.plan.seed, scene.plan.faces) == (0.9, 3, 120)
-    assert scene_beside(run, None, {"place": (1000, 0, 100)}).placement.abc_deg == (0, 0, 0)
-
-
-@pytest.mark.parametrize(
-    ("wishes", "part", "told"),
-    [
-        ({}, None, "needs another pose of the part: give --place"),
-        ({"place": "1100,400,100,0,0,180", "seed": "4"}, None, "--seed beside --open-of is that of the run"),
-        ({"place": "1100,400,100,0,0,180", "faces": "50"}, None, "--faces beside --open-of is that of the run"),
-        (
-            {"place": "1100,400,100,0,0,180", "speed": "0.5"},
-            None,
-            "--speed beside --open-of is the run's; give",
-        ),
-        ({"place": "1100,400,100,0,0,180"}, "mug", "mug beside --open-of: the part is that of"),
-    ],
-)
-def test_what_set_ups_share_cannot_be_wished(
-    wishes: dict[str, object], part: str | None, told: str, planned: Path
-) -> None:
-    """Part, samples and seed are the run's, and so is the cell without a scene file."""
-    with pytest.raises(UsageError, match=told):
-        scene_beside(open_run(planned), None, wishes, part, flag)
-
-
-def test_runs_go_together_that_have_one_part(planned: Path, swept: Path) -> None:
-    """A run is named once; the part is known by its mesh."""
-    one, other = (EarlierSetup.of(open_run(path)) for path in (planned, swept))
-    require_one_part([one, other])  # both are of the blob
-    with pytest.raises(UsageError, match="named twice"):
-        require_one_part([one, one])
 
 
 def test_a_box_is_offered_on_its_six_sides() -> None:
@@ -122,7 +79,7 @@ def test_a_box_is_offered_on_its_six_sides() -> None:
     box = trimesh.creation.box(extents=[0.06, 0.1, 0.16])
     scene = Scene.model_validate({"placement": {"position_mm": [1200, 500, 30]}})
     world = compile_world(scene, box.vertices, part_faces=box.faces, baseline_mm=75.0)
-    offers = proposed(world, TriangleMesh(box.vertices, box.faces.astype(np.int32)), 100)
+    offers = proposed_candidates(world, TriangleMesh(box.vertices, box.faces.astype(np.int32)), 100)
     assert len(offers) == 24
     assert offers[0].placement == scene.placement
     assert len({offer.name for offer in offers[:4]}) == 4
@@ -132,7 +89,7 @@ def test_a_box_is_offered_on_its_six_sides() -> None:
     np.testing.assert_allclose(T[:, :2, 3], [[1.2, 0.5]] * 24, atol=1e-9)
     lowest = [(box.vertices @ pose[:3, :3].T)[:, 2].min() + pose[2, 3] for pose in T]
     np.testing.assert_allclose(lowest, -0.05, atol=2e-6)  # angles are rounded to a thousandth of a degree
-    assert [offer.placement for offer in proposed(world, TriangleMesh(box.vertices, box.faces), 5)] == [
+    assert [offer.placement for offer in proposed_candidates(world, TriangleMesh(box.vertices, box.faces), 5)] == [
         offer.placement for offer in offers[:5]
     ]
 
@@ -150,9 +107,9 @@ def test_a_turn_that_the_table_makes_is_not_proposed(table: dict[str, object], t
     box = trimesh.creation.box(extents=[0.06, 0.1, 0.16])
     scene = Scene.model_validate({"placement": {"position_mm": [1200, 500, 30]}, "table": table})
     world = compile_world(scene, box.vertices, part_faces=box.faces, baseline_mm=75.0)
-    offers = proposed(world, TriangleMesh(box.vertices, box.faces.astype(np.int32)), 4)
+    offers = proposed_candidates(world, TriangleMesh(box.vertices, box.faces.astype(np.int32)), 4)
     assert sum("turned" in offer.name for offer in offers) == turned
-    kept = with_table_kept(scene, world)
+    kept = with_fixed_table(scene, world)
     for offer in offers:  # the table stands where it stood
         again = compile_world(offer.scene(kept), box.vertices, part_faces=box.faces, baseline_mm=75.0)
         assert again.table is not None
@@ -167,32 +124,34 @@ def test_no_set_up_is_proposed_on_a_tilted_table() -> None:
     scene = Scene.model_validate({"table": {"abc_deg": [0, 30, 0]}})
     world = compile_world(scene, box.vertices, part_faces=box.faces, baseline_mm=75.0)
     part = TriangleMesh(box.vertices, box.faces.astype(np.int32))
-    assert proposed(world, part, 0) == []
+    assert proposed_candidates(world, part, 0) == []
     with pytest.raises(SceneError, match="this one is tilted; give"):
-        proposed(world, part, 4)
+        proposed_candidates(world, part, 4)
 
 
 def test_advice_is_a_command_that_can_be_pasted(tmp_path: Path) -> None:
-    """Of one of several set-ups it goes on from all of them; another place takes the command that began the run."""
+    """The run becomes the fixed first set-up of its own command; another placement takes the command of the run."""
     T = np.eye(4)
     T[:3, 3] = 1.2, 0.5, 0
-    for number in ("1", "2"):
-        (tmp_path / "setups" / number).mkdir(parents=True)
-    one = Run(tmp_path / "setups" / "1", Manifest(argv=("setups", "mug", "--place", "1,2,3", "--most", "2")))
-    alone = "cell plan --open-of {} --place 1200,500,0,0,0,0"
-    assert advise.setup_command(one, T) == alone.format(one.folder)
-    (tmp_path / "setups.json").touch()
-    both = f"{one.folder} --open-of {tmp_path / 'setups' / '2'}"
-    assert advise.setup_command(one, T) == alone.format(both)
-    assert advise.replan_command(one, T) == "cell setups mug --most 2 --place 1200,500,0,0,0,0"
+    run = Run(tmp_path / "run", Manifest(argv=("plan", "mug", "--place", "1,2,3", "--faces", "60", "--out", "run")))
+    first = f"--first {run.folder} --offer 1 --place 1200,500,0,0,0,0"
+    assert advise.setup_command(run, T) == f"cell setups mug --faces 60 {first}"
+    assert advise.replan_command(run, T) == "cell plan mug --faces 60 --place 1200,500,0,0,0,0"
+    several = Run(tmp_path / "setups" / "1", Manifest(argv=("setups", "mug", "--place", "1,2,3", "--most", "2")))
+    assert advise.replan_command(several, T) == "cell setups mug --most 2 --place 1200,500,0,0,0,0"
+    assert advise.setup_command(several, T).startswith("cell setups mug --first ")
 
 
-def test_the_command_for_a_further_set_up_names_those_there_are(tmp_path: Path) -> None:
-    """In the order of their numbers, without what else lies beside them."""
-    for name in ("1", "2", "10", "11.part", ".DS_Store"):
-        (tmp_path / "setups" / name).mkdir(parents=True)
-    (tmp_path / "setups.json").write_text("{}")
-    run = Run(tmp_path / "setups" / "2", Manifest())
-    words = advise.setup_command(run, np.eye(4)).split()
-    named = [Path(word).name for before, word in pairwise(words) if before == "--open-of"]
-    assert named == ["1", "2", "10"]
+def test_a_set_up_that_the_table_cannot_carry_leaves_the_others() -> None:
+    """The cell is that of the first set-up that can be compiled; if there is none, the error is that of the last."""
+    part = workpiece.load("mug", None)
+    table = {"position_mm": [1200, 500, -350], "diameter_mm": 300.0}
+
+    def settled(x: float) -> SettledScene:
+        tables = {"part": {"name": "mug"}, "placement": {"position_mm": [x, 500, 0]}, "table": table}
+        return settle(Scene.model_validate(tables), part)
+
+    near, far, farther = settled(1200), settled(1900), settled(2600)
+    assert first_possible_cell([far, near], part.reference)[0] is near
+    with pytest.raises(SceneError):
+        first_possible_cell([far, farther], part.reference)

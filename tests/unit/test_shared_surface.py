@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from cell.plan.shared_surface import connecting_view, remaining_freedom, shared_surfaces, unconnected_setups
 from cell.runs.schema import SharedSurface
-from cell.setups.shared import apart, joining, left_free, shared
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
 from planner.registration.observability import free_motions_of_surface
@@ -46,7 +46,7 @@ def test_a_ball_turns_and_nothing_is_lost_by_it() -> None:
     samples = _ball()
     lower, upper = samples.normals[:, 2] < 0.2, samples.normals[:, 2] > -0.2
     assert len(free_motions_of_surface(samples.points, samples.normals)) == 3
-    assert left_free(lower, upper, samples) == ()
+    assert remaining_freedom(lower, upper, samples) == ()
 
 
 def test_set_ups_are_apart_where_their_common_side_slides() -> None:
@@ -57,12 +57,12 @@ def test_set_ups_are_apart_where_their_common_side_slides() -> None:
         2: side[:, [0, 1, 2, 4]].any(axis=1),
         3: side[:, [1, 3, 5]].any(axis=1),
     }
-    pairs = shared(seen, samples)
+    pairs = shared_surfaces(seen, samples)
     assert [pair.setups for pair in pairs] == [(1, 2), (1, 3), (2, 3)]
     assert [bool(pair.free) for pair in pairs] == [False, True, True]
     assert [pair.share for pair in pairs] == pytest.approx([0.5, 0, 1 / 6])
-    assert apart(pairs, (1, 2, 3)) == (3,)
-    assert apart([SharedSurface(setups=(2, 3), share=0.1, free=())], (1, 2, 3)) == (2, 3)
+    assert unconnected_setups(pairs, (1, 2, 3)) == (3,)
+    assert unconnected_setups([SharedSurface(setups=(2, 3), share=0.1, free=())], (1, 2, 3)) == (2, 3)
 
 
 def test_the_view_that_joins_is_the_one_that_ends_the_freedom() -> None:
@@ -77,7 +77,7 @@ def test_the_view_that_joins_is_the_one_that_ends_the_freedom() -> None:
     M = {0: columns((0, 2, 4)), 5: columns((1, 3, 5), (0,), (2, 4), (0, 2, 4))}
     views = {0: np.array([0]), 5: np.array([0])}
     usable = {0: np.ones(1, dtype=bool), 5: np.ones(4, dtype=bool)}
-    assert joining(M, usable, views) == (5, 3)
-    assert joining(M, usable, {0: views[0], 5: np.array([0, 3])}) is None
+    assert connecting_view(M, usable, views) == (5, 3)
+    assert connecting_view(M, usable, {0: views[0], 5: np.array([0, 3])}) is None
     usable[5][3] = False
-    assert joining(M, usable, views) is None
+    assert connecting_view(M, usable, views) is None

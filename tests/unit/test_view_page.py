@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.plan.report import markdown
+from cell.report.plan_report import markdown
 from cell.robot.arm import kinematics_of
 from cell.runs.cell import read_cell
 from cell.runs.run import Run, open_run

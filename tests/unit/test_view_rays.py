@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from cell.errors import UsageError
-from cell.plan import picture_jobs
+from cell.report import figures
 from cell.runs.run import open_run
 from cell.view import rays
 from cell.view.cell_picture import best_view, draw_cell
@@ -117,7 +117,9 @@ def test_the_report_s_picture_is_seen_as_asked(planned: Path, tmp_path: Path) ->
     def picture(camera: tuple[float, ...], *hide: str) -> np.ndarray:
         path = tmp_path / "run" / "mine.png"
         way, hidden = np.zeros((0, 3)), np.array(hide, dtype=np.str_)
-        picture_jobs.cell_with_arm(path, q=q, T_base_scanner=poses, way=way, camera_deg=np.array(camera), hide=hidden)
+        figures.cell_with_arm(
+            path, q=q, T_base_scanner=poses, source_path=way, camera_deg=np.array(camera), hide=hidden
+        )
         with Image.open(path) as drawn:
             return np.asarray(drawn).astype(int)
 

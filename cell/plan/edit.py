@@ -1,0 +1,461 @@
+"""Edited plans: views are changed by hand, and the result is a new run made by the stages of the pipeline.
+
+Cell, candidates, reach and matrix are read from the files of the run, bit for bit. A candidate keeps its number: a pose
+that is a candidate already is that candidate, another pose is appended behind the last one. Own arm, motion, clearance,
+timing and coverage are computed again. If the part is placed elsewhere, its views move with it. In the part's own frame
+candidates, samples and lines of sight past the part stay the same; reach and occlusion by the surroundings are computed
+again for every candidate. Object frame, metres, radians.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from cell import scanners
+from cell.errors import UnreachableError, UsageError
+from cell.plan import files, pipeline
+from cell.plan.candidates import (
+    Cell,
+    MeasuredSet,
+    PlanSession,
+    append_viewpoints,
+    limited_scanner,
+    reach_viewpoints,
+    unreachable_reason,
+)
+from cell.plan.edit_options import Edit, Pose
+from cell.plan.evaluation import Verdict, judge_plan
+from cell.plan.motion import ConnectedPlan
+from cell.plan.selection import PinnedViewError, SelectionProblem
+from cell.runs.cell import scene_of_run, with_placement
+from cell.runs.run import Run
+from cell.scene.model import PlanSettings, pose
+from cell.scene.options import parse_options
+from cell.scene.settle import SettledScene
+from cell.session import LoggedProgress, Origin, ProgressReporter, Session
+from cell.world.measurability import PartSurface
+from cell.world.prediction import Prediction, held_out_samples
+from planner.cover import CoverStatus
+from planner.kinematics import reach
+from planner.kinematics.reach import Reach, join_reach
+from planner.ports import ARM_AXES
+from planner.values import Floats
+from planner.viewpoints.viewpoints import Viewpoints, aim_viewpoints, join_viewpoints, pick_viewpoints
+
+SAME_POSE = 1e-9
+"""Poses whose entries differ by no more are one pose [m, and entries of rotations]."""
+
+_ROUNDING = 1e-9  # of shares that are summed in another order
+_REPAIR = "--repair adds the fewest views that restore it"
+
+
+@dataclass(frozen=True, eq=False)  # no slots: values that are read later are kept
+class EditableRun(Run):
+    """A finished plan; `edited` makes a new one of it."""
+
+    @classmethod
+    def opened(cls, folder: Path) -> Self:
+        """Open a run folder of `cell plan`.
+
+        Raises:
+            FileError: if it is missing, damaged, not a run folder, or its plan did not finish.
+        """
+        run = cls.open_finished(folder)
+        run.plan, run.report  # noqa: B018  # damaged files are reported here
+        return run
+
+    def edited(
+        self,
+        wanted: Edit | None = None,
+        *,
+        out: str | Path | None = None,
+        use_cache: bool = True,
+        progress: ProgressReporter | None = None,
+        argv: Sequence[str] = (),
+        T_base_object: Floats | None = None,
+        **options: object,
+    ) -> "EditableRun":
+        """Make a new run with views dropped, moved, turned, added or reordered; everything is checked again.
+
+        Args:
+            wanted: changes as one value; None makes it of the options.
+            out: run folder to make; None makes one below sim_runs/.
+            use_cache: whether measurability matrices are read from and written to the user's cache.
+            progress: reporter; None is silent.
+            argv: kept in the manifest.
+            T_base_object: (4, 4) placement of the part now [m]; None: as planned. Its views move with it, and `repair`
+                leaves out views that the arm cannot reach there (`cell.api.locate` finds the placement).
+            **options: of `cell edit` by name: `drop=[4]`, `turn={7: 90}`, `add_candidate=533`, `repair=True`,
+                `move={7: (x, y, z, a, b, c)}` (mm and deg, KUKA ABC, scanner in base).
+
+        Raises:
+            CellError: in one sentence; if the arm cannot take a view, with the condition and the blocking object.
+        """
+        session = Session(
+            None,
+            LoggedProgress() if progress is None else progress,
+            None if out is None else Path(out),
+            use_cache=use_cache,
+            origin=Origin(tuple(argv)),
+        )
+        edit_ = parse_options(Edit, options) if wanted is None else wanted
+        return EditableRun.opened(edit(session, self, edit_, T_base_object=T_base_object))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EditedViews:
+    """Views after an edit.
+
+    Attributes:
+        views: candidates: kept ones in visiting order, then added ones.
+        names: of the views in sentences, by candidate.
+        order: candidates in visiting order, others are inserted where they cost least; None: any order.
+        dropped: candidates that were views and are none now.
+        appended: new candidates, one pose each; they are numbered after the last candidate.
+    """
+
+    views: tuple[int, ...]
+    names: Mapping[int, str]
+    order: tuple[int, ...] | None
+    dropped: tuple[int, ...]
+    appended: Viewpoints
+
+    def without(self, candidates: Collection[int]) -> "EditedViews":
+        """Return these views without some candidates, which are dropped."""
+        views = tuple(view for view in self.views if view not in candidates)
+        order = None if self.order is None else tuple(view for view in self.order if view not in candidates)
+        return replace(self, views=views, order=order, dropped=(*self.dropped, *candidates))
+
+
+class _Numbering:
+    """Candidates with those that are appended by an edit."""
+
+    def __init__(self, known: Viewpoints) -> None:
+        self._n_known = len(known)
+        self.all = known
+
+    @property
+    def appended(self) -> Viewpoints:
+        return pick_viewpoints(self.all, np.arange(self._n_known, len(self.all)))
+
+    def number_of(self, T: Floats, face: int, standoff: float) -> int:
+        """Return the candidate at a (4, 4) pose; append it if there is none."""
+        difference = np.abs(self.all.T_object_scanner[:, 0] - T).max(axis=(1, 2))
+        if (difference <= SAME_POSE).any():
+            return int(difference.argmin())
+        outward = -T[:3, 2]
+        upright = aim_viewpoints(
+            (T[:3, 3] - standoff * outward)[None], outward[None], np.array([face]), [standoff], [0.0]
+        )
+        x, y = upright.T_object_scanner[0, 0, :3, :2].T @ T[:3, 0]
+        one = Viewpoints(
+            T[None, None], np.array([face], dtype=np.int32), np.array([standoff]), np.array([np.arctan2(y, x)])
+        )
+        self.all = join_viewpoints([self.all, one])
+        return len(self.all) - 1
+
+
+def edit(session: Session[None], run: Run, wanted: Edit, *, T_base_object: Floats | None = None) -> Path:
+    """Make a new run of an edited plan; see `EditableRun.edited`."""
+    if wanted.repair:
+        require_repairable(run)
+    check_edit(wanted, len(run.candidate), run.report.verdicts.total)
+    if wanted.table_angle_deg and run.scene.table is None:
+        raise UsageError(f"{run.folder} has no rotary table; leave table_angle out")
+    scene = scene_of_run(run)
+    if T_base_object is not None:
+        scene = with_placement(scene, T_base_object, run.scene)
+    session = replace(session, origin=replace(session.origin, scene_path=run.folder / "scene.toml"))
+    with pipeline.open_run(session, scene, pipeline.part_of_run(run)) as opened:
+        opened.conclude(_plan(opened.session, opened.settled, run, wanted, is_moved=T_base_object is not None))
+    return opened.path
+
+
+def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit, *, is_moved: bool) -> Verdict:
+    surface = pipeline.copy_surface(session, settled, before)
+    cell = pipeline.compile_cell(session, settled, surface)
+    viewpoints, T_scanner_view = scanners.viewpoints_of_columns(settled.scanner, before.candidates)
+    edited = _edited(settled, before, wanted, cell, surface, (viewpoints, T_scanner_view))
+    if is_moved:
+        with session.stage("reach") as progress:
+            candidates = reach_viewpoints(settled, cell, viewpoints, progress)
+        measured = pipeline.measure_candidates(session, settled, surface, cell, candidates, may_be_empty=True)
+        edited = _still_reachable(session, before, edited, measured.reached, may_leave_out=wanted.repair)
+    else:
+        measured = _measured_before(session, settled, before, cell, surface, edited)
+    pinned = tuple(view for view in settled.scene.plan.pinned if view not in edited.dropped)
+    settled = _with_plan(settled, settled.scene.plan.model_copy(update={"pinned": pinned}))
+    while True:
+        problem = _problem(session, settled, before, wanted, cell, measured, edited, is_moved=is_moved)
+        try:
+            problem, plan = pipeline.select_and_connect(session, problem, surface)
+            break
+        except PinnedViewError as error:
+            edited = _without(session, error, edited, may_leave_out=is_moved and wanted.repair)
+    is_bounded, plan = _with_bound(before, edited, problem, plan, is_moved=is_moved)
+    annotations: dict[str, object] = {"part": before.report.part, "of_several": before.is_setup_of_group or None}
+    if not is_bounded:
+        annotations["status"] = "edited by hand; the fewest views are not known"
+    for view in edited.views:
+        if not (plan.matrix.indices == view).any():
+            session.note(f"{edited.names[view]} measures none of the samples")
+    if wanted.repair:
+        added = [f"{view}" for view in plan.candidate.tolist() if view not in edited.views]
+        session.note(f"repaired by adding candidate {', '.join(added)}" if added else "nothing needs repair")
+    report = pipeline.finish(session, settled, surface.planning, problem, plan, annotations)
+    if before.is_setup_of_group:
+        session.note("the coverage was requested of several set-ups; their coverage together is not known now")
+        return Verdict()
+    options = settled.scene.plan
+    has_target = options.max_views is None and options.multiplicity == 1
+    has_target &= options.pose_sd_mm == options.pose_sd_deg == 0
+    return judge_plan(report, (_REPAIR, _REPAIR), has_target=has_target)
+
+
+def _with_plan(settled: SettledScene, plan: PlanSettings) -> SettledScene:
+    return replace(settled, scene=settled.scene.model_copy(update={"plan": plan}))
+
+
+def _edited(
+    settled: SettledScene, before: Run, wanted: Edit, cell: Cell, surface: PartSurface,
+    known: tuple[Viewpoints, Floats],
+) -> EditedViews:  # fmt: skip
+    """Apply the edit; views of a sweeping sensor are named by the middle poses of their sweeps."""
+    viewpoints, T_scanner_view = known
+    q = np.append(cell.world.home[:ARM_AXES], np.radians(wanted.table_angle_deg))
+    T_object_base = np.linalg.inv(cell.world.T_base_part(q))
+
+    def T_object_view(given: Pose) -> Floats:
+        T: Floats = T_object_base @ pose(given[:3], given[3:]) @ T_scanner_view
+        return T
+
+    def standoff(T: Floats) -> float:
+        hit = surface.caster.first_hit(T[None, :3, 3], T[None, :3, 2]).distance[0]
+        return float(hit) if np.isfinite(hit) else float(np.linalg.norm(T[:3, 3] - settled.part.centre))
+
+    return apply_edit(wanted, before.candidate.tolist(), viewpoints, T_object_view, standoff)
+
+
+def _measured_before(
+    session: PlanSession, settled: SettledScene, before: Run, cell: Cell, surface: PartSurface, edited: EditedViews
+) -> MeasuredSet:
+    """Return the measured candidates of the run, followed by the poses of the edit."""
+    with session.stage("held-out samples") as progress:
+        candidates, reached = before.candidates, before.reach
+        prediction = Prediction.of(
+            held_out_samples(surface.reference, surface.planning, session.seed, session.effort.held_out_samples),
+            limited_scanner(settled.scene, settled.scanner),
+            cell.casters(surface),
+            candidates.T_object_scanner[reached.reachable],
+            progress,
+        )
+        measured = MeasuredSet(candidates, reached, before.measurability, prediction)
+    if not len(edited.appended):
+        _require_reachable(edited, reached)
+    else:
+        with session.stage("new poses") as progress:
+            more = reach_viewpoints(settled, cell, edited.appended, progress)
+            _require_reachable(edited, join_reach([reached, more.reached]))
+            measured = append_viewpoints(session, settled, surface, measured, more)
+    files.write_measured(session.folder, measured)
+    return measured
+
+
+def _require_reachable(edited: EditedViews, reached: Reach) -> None:
+    for view in edited.views:
+        if not reached.reachable[view]:
+            is_view = edited.names[view].startswith("view")
+            verb = "" if reached.verdict[view] == reach.Verdict.COLLISION else "it is "
+            raise UnreachableError(
+                f"{edited.names[view]} cannot be taken: {verb}{unreachable_reason(reached, view)}; "
+                + ("move it elsewhere, or drop it" if is_view else "give another one, or leave it out")
+            )
+
+
+def _still_reachable(
+    session: PlanSession, before: Run, edited: EditedViews, reached: Reach, *, may_leave_out: bool
+) -> EditedViews:
+    """Return the views that the arm reaches at the new placement of the part.
+
+    Raises:
+        UnreachableError: naming each view that it does not reach, if none may be left out, or none is left.
+    """
+    lost = {
+        view: f"{edited.names[view]} ({unreachable_reason(reached, view)})"
+        for view in edited.views
+        if not reached.reachable[view]
+    }
+    if lost and (not may_leave_out or len(lost) == len(edited.views)):
+        remedy = "move the part"
+        if before.is_single_setup:
+            remedy = "use --repair to leave them out and add the fewest others, or move the part"
+        raise UnreachableError(
+            f"at the placement of the part now the arm cannot reach {', '.join(lost.values())}; {remedy}"
+        )
+    for sentence in lost.values():
+        session.note(f"{sentence} is left out")
+    return edited.without(list(lost))
+
+
+def _problem(
+    session: PlanSession, settled: SettledScene, before: Run, wanted: Edit, cell: Cell, measured: MeasuredSet,
+    edited: EditedViews, *, is_moved: bool,
+) -> SelectionProblem:  # fmt: skip
+    """Request these views; with repair, the fewest beside them. Unchanged views keep their order."""
+    options = settled.scene.plan
+    if wanted.repair:
+        pinned = tuple(dict.fromkeys((*edited.views, *options.pinned)))
+        options = options.model_copy(update={"pinned": pinned, "banned": (*options.banned, *edited.dropped)})
+    else:
+        options = options.of_views(edited.views, len(measured.reached))
+    problem = pipeline.make_problem(session, _with_plan(settled, options), cell, measured)
+    is_same = edited.views == tuple(before.candidate.tolist()) and edited.order in (None, edited.views)
+    order = edited.views if is_same and not is_moved else edited.order
+    return replace(problem, request=replace(problem.request, order=order))
+
+
+def _without(session: PlanSession, error: PinnedViewError, edited: EditedViews, *, may_leave_out: bool) -> EditedViews:
+    """Return the views without one that cannot be part of a motion.
+
+    Raises:
+        UnreachableError: if it may not be left out, with the reason.
+    """
+    name = edited.names.get(error.candidate, f"pinned candidate {error.candidate}")
+    if not may_leave_out or error.candidate not in edited.views:
+        raise UnreachableError(
+            f"{name} cannot be part of a motion: {error.reason}; move it elsewhere, or drop it"
+        ) from error
+    session.note(f"{name} is left out: it cannot be part of a motion ({error.reason})")
+    return edited.without([error.candidate])
+
+
+def _with_bound(
+    before: Run, edited: EditedViews, problem: SelectionProblem, plan: ConnectedPlan, *, is_moved: bool
+) -> tuple[bool, ConnectedPlan]:
+    """Return whether the run's bound on the number of views still holds, and the plan with it, or with none (1).
+
+    The bound holds if there is one (above 1) and as much was requested of the same candidates: none is new, no pinned
+    one is left out, and the area that the run had to cover is covered.
+    """
+    cover, M, file = plan.cover, plan.matrix, before.plan
+    coverable = float(M.samples.areas[M.matrix() @ problem.reached.reachable.astype(np.int32) > 0].sum())
+    target = file.coverage.target_on_features or 1.0
+    holds = not len(edited.appended) and cover.covered_area >= (target - _ROUNDING) * coverable
+    holds &= not set(edited.dropped) & set(before.scene.plan.pinned)
+    holds &= file.lower_bound > 1 or len(cover.views) == 1
+    holds &= file.most_coverage is None and problem.request.regions is None and not is_moved
+    bound = min(file.lower_bound, len(cover.views)) if holds else 1
+    status = CoverStatus.PROVEN if bound == len(cover.views) else CoverStatus.BOUNDED
+    cover = replace(cover, lower_bound=bound, status=status, solver="edited", coverable_area=coverable)
+    return holds, replace(plan, cover=cover, selection=replace(plan.selection, targets=np.array([target])))
+
+
+def require_repairable(run: Run) -> None:
+    """Refuse to repair a plan without a requested coverage of its own.
+
+    Raises:
+        UsageError: with what to do instead.
+    """
+    if scene_of_run(run).plan.max_views is not None:
+        raise UsageError(
+            f"{run.folder} was planned for the most coverage by a number of views: there is no coverage to restore; "
+            "leave repair out, or plan with a coverage"
+        )
+    if run.report.open_of is not None:
+        raise UsageError(
+            f"{run.folder} was planned for the surface that other set-ups leave uncovered, and a repair would request "
+            "the rest as well; leave repair out, or plan the set-ups with cell setups"
+        )
+    if run.is_setup_of_group:
+        raise UsageError(
+            f"{run.folder} is one of several set-ups with a coverage together, and a repair would request it of this "
+            "one alone; leave repair out, or plan the set-ups again with the candidates banned"
+        )
+
+
+def apply_edit(
+    edit: Edit, views: Sequence[int], known: Viewpoints, T_object_view: Callable[[Pose], Floats],
+    standoff: Callable[[Floats], float],
+) -> EditedViews:  # fmt: skip
+    """Apply an edit to the views of a plan.
+
+    Args:
+        edit: changes.
+        views: candidates of the plan in visiting order.
+        known: all candidates, one pose each.
+        T_object_view: returns the (4, 4) pose of a viewpoint for a pose that a user gave.
+        standoff: returns the distance along the viewing axis of a (4, 4) pose to the part [m].
+
+    Raises:
+        UsageError: if the edit names a view or candidate that does not exist, takes a view twice, or leaves none.
+    """
+    check_edit(edit, len(views), len(known))
+    numbering, candidate_of = _Numbering(known), dict[int, int]()
+    changed: dict[int, Floats] = {move.view: T_object_view(move.pose) for move in edit.move}
+    for turn in edit.turn:
+        changed[turn.view] = known.T_object_scanner[views[turn.view - 1], 0] @ pose((0, 0, 0), (turn.angle, 0, 0))
+    turned = {turn.view for turn in edit.turn}
+    for number, candidate in enumerate(views, start=1):
+        if number in edit.drop:
+            continue
+        T = changed.get(number)
+        if T is None:
+            candidate_of[number] = candidate
+        elif number in turned:
+            face, distance = int(known.face[candidate]), float(known.standoff[candidate])
+            candidate_of[number] = numbering.number_of(T, face, distance)
+        else:
+            candidate_of[number] = numbering.number_of(T, -1, standoff(T))
+    names = {candidate: f"view {number}" for number, candidate in candidate_of.items()}
+    poses = [numbering.number_of(T, -1, standoff(T)) for T in map(T_object_view, edit.add_pose)]
+    candidate_of |= enumerate([*edit.add_candidate, *poses], start=len(views) + 1)
+    added = {candidate: f"candidate {candidate}" for candidate in edit.add_candidate}
+    names = added | {candidate: f"added pose {k}" for k, candidate in enumerate(poses, start=1)} | names
+    taken: dict[int, int] = {}
+    for number, candidate in candidate_of.items():
+        if candidate in taken:
+            raise UsageError(f"view {number} would be the same pose as view {taken[candidate]}; leave one of them out")
+        taken[candidate] = number
+    return EditedViews(
+        views=tuple(candidate_of.values()),
+        names=names,
+        order=_order(edit, candidate_of, len(views)),
+        dropped=tuple(candidate for candidate in views if candidate not in taken),
+        appended=numbering.appended,
+    )
+
+
+def check_edit(edit: Edit, n_views: int, n_candidates: int) -> None:
+    """Refuse an edit that names a view or candidate that does not exist.
+
+    Raises:
+        UsageError: with the existing numbers.
+    """
+    named = {"drop": edit.drop, "move": [each.view for each in edit.move], "turn": [each.view for each in edit.turn]}
+    for key, numbers in named.items():
+        if wrong := [number for number in numbers if number > n_views]:
+            raise UsageError(f"{key} names view {wrong[0]}; the plan has the views 1 to {n_views}")
+    if wrong := [candidate for candidate in edit.add_candidate if candidate >= n_candidates]:
+        raise UsageError(f"there is no candidate {wrong[0]} to add; there are candidates 0 to {n_candidates - 1}")
+    views = [number for number in range(1, n_views + 1) if number not in edit.drop]
+    views += range(n_views + 1, n_views + 1 + len(edit.add_candidate) + len(edit.add_pose))
+    if not views:
+        raise UsageError("the edit leaves no view; keep at least one")
+    if edit.order and sorted(edit.order) != views:
+        missing, extra = sorted({*views} - {*edit.order}), sorted({*edit.order} - {*views})
+        problem = f"leaves out {_listed(missing)}" if missing else f"names {_listed(extra)}"
+        raise UsageError(f"the order {problem}; it must name each of the views {_listed(views)} once")
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers))
+
+
+def _order(edit: Edit, candidate_of: Mapping[int, int], n_views: int) -> tuple[int, ...] | None:
+    """Return the candidates in the requested order."""
+    if edit.keep_order:
+        return tuple(candidate for number, candidate in candidate_of.items() if number <= n_views)
+    return tuple(candidate_of[number] for number in edit.order) or None

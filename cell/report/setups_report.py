@@ -1,0 +1,131 @@
+"""Report of several set-ups for people: report.md, and the rows of a terminal."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cell.report.plan_report import curve_section
+from cell.runs.schema import PlannedOpen, SetupsFile, SharedSurface
+from cell.words import listed, percent
+from planner.cover.grouped import GroupedCover
+from planner.values import Floats
+
+_CAUSES = {
+    "not_asked": "candidates measure it, and less was requested (--coverage)",
+    "in_contact": "a support touches it in every set-up",
+    "out_of_reach": "the arm reaches no pose that sees it (use another placement, or [[setup]] tables)",
+    "other_poses": "no candidate measures it, though other poses would (--candidates grown, --faces)",
+    "out_of_sight": "no pose sees it past the part and its surroundings",
+}
+
+
+def status(found: GroupedCover, offered: int, requested: Floats) -> str:
+    """Describe the bounds on both numbers, for these candidates and samples.
+
+    Args:
+        found: the cover.
+        offered: number of set-up candidates.
+        requested: (P,) share of the coverable samples of each group of regions.
+    """
+    setups, setups_bound, views, views_bound = len(found.views), found.group_bound, found.n_views, found.view_bound
+    fewest = (
+        f"proven fewest of {offered} set-up candidates"
+        if setups <= setups_bound
+        else f"{setups} set-ups, at least {setups_bound} of {offered} candidates are needed"
+    )
+    if not found.is_feasible:
+        fewest = f"{setups} of {offered} set-up candidates, too few for the request"
+    if found.upper_area is not None:
+        points = 100 * (found.upper_area - found.covered_area) / max(found.upper_area, 1e-300)
+        if points <= 0:
+            return f"{fewest}; proven maximum coverage for {views} views in {setups} set-ups"
+        return f"{fewest}; {views} views in {setups} set-ups cannot exceed this by more than {max(points, 0.01):.2f} %"
+    if found.price is not None:
+        paid, least = found.price
+        in_all = "with the costs of set-ups" if found.has_group_costs else f"in {setups} set-ups"
+        return f"{fewest}; costs at most {100 * (paid - least) / least:.3g} % more than the cheapest views {in_all}"
+    raised = not np.array_equal(found.targets, requested)
+    at = f", at {listed(np.round(100 * found.targets, 2))} % of the samples for the request" if raised else ""
+    if views <= views_bound:
+        return f"{fewest}; proven fewest views in {setups} set-ups{at}"
+    more = views - views_bound
+    return f"{fewest}; at most {more} {'view' if more == 1 else 'views'} more than the fewest in {setups} set-ups{at}"
+
+
+def rows(file: SetupsFile) -> list[tuple[str, str]]:
+    """Return names and values for a terminal."""
+    coverage = file.coverage
+    found = [
+        ("set-ups", f"{len(file.chosen)}  ({file.status})"),
+        ("views", f"{file.views} in all, lower bound {file.views_bound}"),
+        (
+            "visible coverage",
+            f"{percent(coverage.visible)} of the surface, {percent(coverage.visible_of_coverable)} of the surface that "
+            "the set-up candidates can measure",
+        ),
+    ]
+    if (first := file.views_first) is not None:
+        less = f"{first.views} suffice in {first.setups} set-ups (--cost time --setup-seconds S weighs the two)"
+        found.append(("fewer views", less))
+    if file.kept is not None:
+        found.append(("targets met", f"on {percent(file.kept)} of the coverable surface"))
+    if file.seconds is not None:
+        found.append(("cost", f"{file.seconds:.1f} s, lower bound {file.seconds_bound:.1f} s"))
+    found += [
+        (
+            f"region {each.name}",
+            f"{percent(each.visible)} of it, {percent(each.visible_of_coverable)} of its coverable surface"
+            f" (requested {percent(each.asked)})",
+        )
+        for each in file.regions
+    ]
+    found += [
+        (
+            setup.folder,
+            f"{file.offered[setup.offered].name}: {setup.views} views, marginal coverage {percent(setup.adds)}",
+        )
+        for setup in file.chosen
+    ]
+    if file.open is not None:
+        found += [
+            ("uncovered", f"{percent(share)}: {_CAUSES[name]}") for name, share in _reasons(file.open) if share >= 5e-5
+        ]
+    best = max(each.coverable for each in file.offered)
+    return [*found, ("best single set-up", f"its candidates measure {percent(best)} of the surface")]
+
+
+def page(file: SetupsFile) -> str:
+    """Return report.md."""
+    lines = [f"# Set-ups of {file.part}", "", "| | |", "|---|---|"]
+    lines += [f"| {name} | {value} |" for name, value in rows(file)]
+    lines += [
+        "",
+        "## Set-up candidates",
+        "",
+        "| | pose | x, y, z mm | A, B, C deg | reachable | coverable | in contact | |",
+    ]
+    lines += ["|---|---|---|---|---|---|---|---|"]
+    for row, each in enumerate(file.offered):
+        use = next(
+            (f"[{chosen.folder}]({chosen.folder}/report.md)" for chosen in file.chosen if chosen.offered == row), ""
+        )
+        lines.append(
+            f"| {row} | {each.name} | {listed(each.placement_mm)} | {listed(each.placement_abc_deg)} | {each.reachable}"
+            f" | {percent(each.coverable)} | {percent(each.in_contact)} | {each.left_out or use} |"
+        )
+    curve = ["", *curve_section(file.curve)] if file.curve else []
+    return "\n".join([*lines, *shared_surface(file.shared), *curve, ""])
+
+
+def shared_surface(pairs: Sequence[SharedSurface]) -> list[str]:
+    """Return the section on the surface that pairs of set-ups share; empty without pairs."""
+    if not pairs:
+        return []
+    head = ["", "## Shared surface", "", "| set-ups | of the surface | free motions |", "|---|---|---|"]
+    rows = ((*pair.setups, percent(pair.share), "; ".join(pair.free)) for pair in pairs)
+    return head + [f"| {one} and {other} | {share} | {free} |" for one, other, share, free in rows]
+
+
+def _reasons(found: PlannedOpen) -> list[tuple[str, float]]:
+    """Return names and shares of the causes, the largest first."""
+    return sorted(((name, getattr(found, name)) for name in _CAUSES), key=lambda each: -each[1])

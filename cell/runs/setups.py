@@ -1,0 +1,50 @@
+"""Folder of several set-ups that were planned as one cover."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from pydantic import JsonValue
+
+from cell.errors import FileError
+from cell.runs.schema import Manifest, SetupsFile, parsed
+
+
+@dataclass(frozen=True, slots=True)
+class SetupsRun:
+    """Folder of `cell setups`.
+
+    Attributes:
+        folder: with setups.json, report.md, and a run folder for each set-up.
+        file: setups.json.
+        exit_code: 0, or 3 if a requested coverage is missed.
+    """
+
+    folder: Path
+    file: SetupsFile
+    exit_code: int
+
+    @classmethod
+    def opened(cls, folder: Path) -> Self:
+        """Open the folder.
+
+        Raises:
+            FileError: if a file is missing or damaged.
+        """
+        try:
+            texts = {name: (folder / name).read_bytes() for name in ("setups.json", "manifest.json")}
+        except OSError as error:
+            raise FileError(f"{folder} is not a folder of cell setups: {error.strerror or error}") from error
+        file = parsed(SetupsFile, texts["setups.json"], folder / "setups.json")
+        manifest = parsed(Manifest, texts["manifest.json"], folder / "manifest.json")
+        return cls(folder, file, manifest.exit_code or 0)
+
+    @property
+    def folders(self) -> list[Path]:
+        """Run folder of each set-up."""
+        return [self.folder / setup.folder for setup in self.file.chosen]
+
+    def as_json(self) -> dict[str, JsonValue]:
+        """Return the object that `cell setups --json` prints: setups.json with folder and exit code."""
+        ended: dict[str, JsonValue] = {"exit_code": self.exit_code, "folder": str(self.folder)}
+        return ended | self.file.as_json()

@@ -1,0 +1,90 @@
+"""`cell setups --first RUN`: a finished plan is the fixed first set-up, and only further ones are planned."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.api import open_run
+from tests.seen_samples import seen_samples
+
+Cell = Callable[..., Any]
+
+OPTIONS = (
+    "--units", "mm", "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
+    "--candidates", "optimal-scanning-zone", "--coverage", "0.97", "--offer", "5",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(made_once: Callable[..., Path], planned: Path, part_file: Path, run_cell: Cell) -> Path:
+    """Folder of set-ups behind the planned run, which has an execution of its own."""
+
+    def make(folder: Path) -> None:
+        shutil.copytree(planned, folder / "first")
+        done = run_cell("scan", "first", "--resolution", "2", "--json", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        done = run_cell("setups", part_file, *OPTIONS, "--first", "first", "--out", "made", "--json", cwd=folder)
+        assert done.returncode == 0, done.stderr
+
+    return made_once("first_setup", make) / "made"
+
+
+def test_the_first_set_up_is_the_given_plan_with_its_executions(made: Path, planned: Path) -> None:
+    """It is a copy to the byte; its placement is a set-up candidate that is not proposed again."""
+    file = json.loads((made / "setups.json").read_text())
+    first = made / "setups" / "1"
+    assert file["chosen"][0]["digest"] == open_run(first).digest == open_run(planned).digest
+    for path in planned.iterdir():
+        if path.is_file():
+            assert (first / path.name).read_bytes() == path.read_bytes()
+    assert (first / "executions" / "0001" / "manifest.json").is_file()
+    given = file["offered"][file["chosen"][0]["offered"]]
+    assert given["reachable"] == file["chosen"][0]["views"] == len(open_run(planned).candidate)
+    np.testing.assert_allclose(given["placement_mm"], [1100, 400, 100], atol=1e-6)
+    assert "as it is placed" not in [each["name"] for each in file["offered"]]
+
+
+def test_the_other_set_ups_cover_what_the_first_leaves(made: Path) -> None:
+    """Coverage is that of all views together; the further set-ups add to it and reach the target."""
+    file = json.loads((made / "setups.json").read_text())
+    assert len(file["chosen"]) > 1
+    seen = [seen_samples(made / each["folder"]) for each in file["chosen"]]
+    together = np.logical_or.reduce(seen)
+    assert file["coverage"]["visible"] == pytest.approx(together.mean(), abs=2e-3)
+    assert file["chosen"][0]["visible"] == pytest.approx(seen[0].mean(), abs=2e-3)
+    assert together.mean() > seen[0].mean() + 0.02
+    assert file["coverage"]["visible_of_coverable"] >= 0.97
+
+
+def test_a_scan_of_the_set_ups_goes_on_with_the_second(made: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """The execution of the first set-up is used; only the others are scanned."""
+    shutil.copytree(made, tmp_path / "made")
+    done = run_cell("scan", "made", "--resolution", "2", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["missing"] == []
+    assert [setup["execution"] for setup in report["setups"]] == ["0001"] * len(report["setups"])
+    assert "set-up 1 of" not in done.stderr
+
+
+def test_the_first_set_up_has_the_same_part(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """Another mesh is refused in one sentence, and a folder that is no run as everywhere."""
+    trimesh.creation.box([60, 60, 60]).export(tmp_path / "box.stl")
+    done = run_cell("setups", "box.stl", *OPTIONS, "--first", planned, "--out", "made", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "give a plan of the same part" in done.stderr
+    done = run_cell("setups", "box.stl", *OPTIONS, "--first", "nothing", "--out", "other", cwd=tmp_path)
+    assert done.returncode == 6
+
+
+def test_the_earlier_option_names_the_new_form(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
+    """`cell plan --open-of RUN` answers with one sentence."""
+    done = run_cell("plan", "--open-of", planned, "--place", "1100,400,100,0,0,180", cwd=tmp_path)
+    assert done.returncode == 2
+    assert f"cell setups --first {planned}" in " ".join(done.stderr.split())

@@ -1,0 +1,111 @@
+"""Selection of views: a coverage below 1 also holds on samples that the optimiser has not seen."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from cell.plan.selection import (
+    RegionGroups,
+    Request,
+    Search,
+    Selection,
+    SelectionProblem,
+    select_views,
+)
+from cell.scene.model import PlanSettings, RegionTargets
+from planner.cover import Cover, CoverProblem, solve
+from planner.geometry.sampling import SurfaceSamples
+from planner.kinematics.reach import Reach, Verdict
+from planner.measurability.matrix import Measurability
+from planner.viewpoints.viewpoints import Viewpoints
+
+
+class HeldOut:
+    """Held-out samples of which each view measures a share of its own; the interface of `Prediction`."""
+
+    def __init__(self, share_of_view: list[float]) -> None:
+        self._shares = np.array(share_of_view)
+
+    def share_of_coverable(self, poses: np.ndarray) -> float:
+        return float(self._shares[poses[:, 0, 0, 3].astype(int)].sum())
+
+
+def _problem(
+    areas: np.ndarray, plan: PlanSettings, held_out: object, regions: RegionGroups | None = None
+) -> SelectionProblem:
+    """Candidate k measures row k alone; its pose has the translation k."""
+    n = len(areas)
+    T = np.tile(np.eye(4), (n, 1, 1, 1))
+    T[:, 0, 0, 3] = np.arange(n)
+    face = np.zeros(n, dtype=np.int32)
+    viewpoints = Viewpoints(T, face, np.full(n, 0.3), np.zeros(n))
+    region = None if regions is None else np.zeros(n, dtype=np.int16)
+    samples = SurfaceSamples(np.zeros((n, 3)), np.tile([0.0, 0, 1], (n, 1)), areas, face, face, region)
+    M = Measurability(np.arange(n + 1), np.arange(n, dtype=np.int32), samples, n)
+    reached = Reach(np.full(n, Verdict.REACHABLE, dtype=np.uint8), np.zeros((n, 6)), np.arange(n + 1), ("",) * n)
+    cell = SimpleNamespace(world=None)
+    return SelectionProblem(viewpoints, reached, M, held_out, Request(plan, regions=regions), cell, None)  # type: ignore[arg-type]
+
+
+def _selected(requested: float, share_of_view: list[float]) -> tuple[int, float]:
+    problem = _problem(np.ones(len(share_of_view)), PlanSettings(coverage=requested), HeldOut(share_of_view))
+    selection = select_views(problem, np.random.default_rng(0))
+    return len(selection.cover.views), selection.target
+
+
+def test_a_selection_that_holds_is_not_changed() -> None:
+    """Half of ten equal samples: five views, and the target is the requested coverage."""
+    assert _selected(0.5, [0.1] * 10) == (5, 0.5)
+
+
+def test_the_target_is_raised_until_the_held_out_share_is_reached() -> None:
+    """Each view measures 0.08 of the held-out samples: half of them need seven views, not the five of the matrix."""
+    views, target = _selected(0.5, [0.08] * 10)
+    assert views == 7
+    assert 0.5 < target <= 0.7
+
+
+def test_a_target_that_cannot_hold_ends_at_full_coverage() -> None:
+    """Views that measure almost nothing of the held-out samples: all of them are selected, and the target is 1."""
+    assert _selected(0.5, [0.001] * 10) == (10, pytest.approx(1.0))
+
+
+def test_weighted_views_claim_no_more_than_their_target() -> None:
+    """One view measures nine tenths of the area and half of the weight: half is the claimed coverage."""
+    areas, weights = np.array([9.0, *[0.1] * 10]), np.array([10.0, *[1.0] * 10])
+
+    class Weighted(RegionGroups):
+        def apply(self, problem: CoverProblem, rows: SurfaceSamples) -> CoverProblem:
+            from dataclasses import replace
+
+            return replace(problem, weights=weights)
+
+        def shares(self, *_: object) -> np.ndarray:
+            return np.array([0.4])
+
+    regions = Weighted.of([RegionTargets(name="all", weight=2.0)], PlanSettings(coverage=0.5))
+    assert regions is not None
+    problem = _problem(areas, PlanSettings(coverage=0.5), None, regions)
+    probe = select_views(problem, np.random.default_rng(0), search=Search.PROBE)
+    measured = weights[probe.cover.views].sum() / weights.sum()
+    assert probe.cover.covered_area / areas.sum() > 0.8
+    assert probe.claimed_coverage == pytest.approx([0.5])
+    assert probe.claimed_coverage <= measured
+
+
+def _half_covered(share: float) -> Cover:
+    return solve(
+        CoverProblem(csr_array(np.eye(100, dtype=bool)), np.ones(100), coverage=share), rng=np.random.default_rng(0)
+    )
+
+
+@pytest.mark.parametrize(
+    ("requested", "share", "is_near"), [(0.99, 0.9895, True), (0.99, 0.98, False), (0.999, 0.9988, False)]
+)
+def test_a_target_above_full_coverage_is_not_near(requested: float, share: float, is_near: bool) -> None:
+    """Views that measure all of the matrix leave no higher target: samples must be added."""
+    found = Selection(_half_covered(requested), np.array([requested]), "", shares=np.array([share]))
+    assert found.almost_satisfies(np.array([requested])) is is_near
+    assert found.raised_targets(np.array([requested])) <= 1

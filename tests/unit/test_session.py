@@ -1,0 +1,71 @@
+"""Session of a command: streams, effort, stages."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cell.session import Effort, LoggedProgress, Session, Stream, default_effort, effort_of, random_stream
+
+_PLAN = (
+    "MATRIX_SAMPLES", "HELD_OUT_SAMPLES", "SELECTION", "MOTION", "POSE_ERRORS", "SIMULATED_EXECUTIONS",
+    "COVERAGE_CURVE", "SCOUTS", "ATTAINABLE_SAMPLES", "FRESH_SAMPLES", "BELIEF_SAMPLES", "BELIEF_SCOUTS",
+)  # fmt: skip
+_SCAN = ("POSE_DISTURBANCE", "RANGE_NOISE", "DEVIATION_SAMPLES", "PART_DISTURBANCE", "REGISTRATION_STARTS")
+_ALONE = {
+    "ADVICE_SAMPLES": "BELIEF_SAMPLES",
+    "LOCALISATION_STARTS": "BELIEF_SCOUTS",
+    "CANDIDATE_SUBSET": "SIMULATED_EXECUTIONS",
+}
+
+
+def test_streams_that_meet_in_one_run_have_numbers_of_their_own() -> None:
+    """A plan or a batch of an exploration, and a scan; only commands without a plan share a number."""
+    members = Stream.__members__
+    for names in (_PLAN, _SCAN):
+        assert len({members[name].value for name in names}) == len(names)
+    for alone, other in _ALONE.items():
+        assert members[alone] is members[other]
+    assert set(members) == {*_PLAN, *_SCAN, *_ALONE, "FEWEST_VIEWS"} or set(members) == {*_PLAN, *_SCAN, *_ALONE}
+
+
+def test_a_stream_is_seeded_by_the_run_and_its_number() -> None:
+    """Equal streams draw equally; another seed, stream or part of a stream draws differently."""
+    session = Session(None, seed=7)
+    drawn = session.rng(Stream.SCOUTS).random(4)
+    np.testing.assert_array_equal(drawn, np.random.default_rng([7, 7]).random(4))
+    for other in (random_stream(8, Stream.SCOUTS), random_stream(7, Stream.MOTION), random_stream(7, Stream.SCOUTS, 1)):
+        assert not np.array_equal(other.random(4), drawn)
+
+
+def test_the_default_effort_is_that_of_the_block() -> None:
+    """Sessions take it when they are made."""
+    before = default_effort()
+    with effort_of(Effort(held_out_samples=10)):
+        assert Session(None).effort.held_out_samples == 10
+        assert before is not default_effort()
+    assert default_effort() is before
+
+
+@dataclass
+class _Folder:
+    stages: list[str] = field(default_factory=list)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        self.stages.append(name)
+        yield
+
+
+def test_a_stage_is_reported_and_recorded() -> None:
+    """The reporter hears of it with its progress, the folder keeps its name."""
+    heard: list[tuple[str, int, int]] = []
+    session = Session(None, LoggedProgress(lambda *told: heard.append(told)))
+    with session.stage("reach") as progress:
+        progress(1, 2)
+    folder = _Folder()
+    with session.opened(folder, 0).stage("measure"):
+        pass
+    assert heard == [("reach", 0, 0), ("reach", 1, 2), ("measure", 0, 0)]
+    assert folder.stages == ["measure"]
