@@ -1,11 +1,11 @@
-"""Where candidates come from: grown, optimal scanning zone and view sphere, in the cell, on every part.
+"""Generators of candidates in the cell, on every part: grown, optimal scanning zone and view sphere.
 
-For each part at its default settings and the place of the README (SCAN_CELL_PLACE sets another): seconds for reach,
-matrix and selection (no cache, best of two runs that alternate between the generators), the views of the plan at full
-coverage, what reachable candidates can measure and what the plan measures of 10^5 samples that no matrix has seen, and
-the views that the plan's generator needs for the area that the optimal scanning zone's plan measures.
+For each part with its default settings at the place of the README (SCAN_CELL_PLACE sets another): seconds for reach,
+matrix and selection (no cache, best of two runs that alternate between the generators), views of the plan at full
+coverage, coverable and planned coverage on 10^5 samples outside the matrix, and the views that the generator's plan
+needs for the area of the optimal scanning zone's plan.
 
-The meshes of `$SCAN_CELL_MESHES` count like the built-in parts (see benchmarks/parts.py).
+The meshes of `$SCAN_CELL_MESHES` are treated like the built-in parts (see benchmarks/parts.py).
 """
 
 import os
@@ -50,7 +50,7 @@ _COLOURS = {"optimal-scanning-zone": "#2a6f97", "view-sphere": "#7a9e3a", "grown
 
 
 def run() -> list[dict[str, Any]]:
-    """Three rows per part."""
+    """Return three rows per part."""
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as scratch:
         for name, options in parts(Path(scratch)):
@@ -99,7 +99,7 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
 
 
 def parts(scratch: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Name and `[part]` table of each part, built-in ones first; meshes are written into the folder."""
+    """Return name and `[part]` table of each part, built-in ones first; meshes are written into the folder."""
     for name in NAMES:
         yield name, {"name": name}
     for name, (path, *_) in meshes(scratch):
@@ -131,29 +131,29 @@ class Bench:
         self.casters = [EmbreeRayCaster(mesh.vertices, mesh.faces) for mesh in (reference, others)]
 
     def reach_of(self, views: Viewpoints) -> Reach:
-        """Verdicts and joint solutions."""
+        """Return verdicts and configurations."""
         world = self.world
         return reach.solve_reach(views, world.T_base_object, world.T_flange_scanner, self.kinematics, self.checker)
 
     def arm(self) -> ViewEvaluator:
-        """Who measures, and where it gets to."""
+        """Return the evaluator of views."""
         return generators.view_evaluator(generators.Cell(self.world, self.checker), self.scanner, self.casters)
 
     def views(self, generator: str) -> Viewpoints:
-        """The generator's candidates before reach is asked."""
+        """Return the candidates of the generator, reachable or not."""
         scene = load_scene(None, {**self.tables, "plan": {"candidates": generator}})
         return generators.generate_viewpoints(scene, self.settings, self.part, self.planning)
 
     def measure_alone(self, views: Viewpoints) -> Measurability:
-        """M where nothing but the part itself occludes."""
+        """Return M without occluders."""
         return fill_matrix(views, self.samples, self.scanner, self.casters[0])
 
     def measure(self, views: Viewpoints) -> Measurability:
-        """M in the cell."""
+        """Return M in the cell."""
         return apply_occluders(self.measure_alone(views), views, self.scanner, self.casters[1])
 
     def plan(self, generator: str) -> tuple[Viewpoints, Reach, Measurability, Cover, float]:
-        """Candidates, reach, M, selection, and the seconds that they took."""
+        """Return candidates, reach, M, selection and their seconds."""
         start = perf_counter()
         views = self.views(generator)
         reached = self.reach_of(views)
@@ -166,7 +166,7 @@ class Bench:
         return views, reached, M, chosen, perf_counter() - start
 
     def choose(self, M: Measurability, reached: Reach, share: float) -> Cover:
-        """The fewest views for a share of the coverable area."""
+        """Return the fewest views for a share of the coverable area."""
         areas = M.samples.areas
         return cover.solve(
             cover.CoverProblem(M.matrix(), areas, reached.reachable, coverage=share), rng=np.random.default_rng(0)

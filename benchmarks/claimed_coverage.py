@@ -1,6 +1,6 @@
-"""What a measurability matrix claims for its plan, and what samples that it has not seen say of that plan.
+"""Coverage that a measurability matrix predicts for its plan, and the coverage on samples outside the matrix.
 
-The error of a fill: the greedy plan of a matrix, the share of area that the matrix says the plan measures, and visible
+The error of a fill: the greedy plan of a matrix, the share of area that the matrix predicts for it, and visible
 coverage by its definition (planner/measurability/coverage.py).
 """
 
@@ -18,7 +18,7 @@ from planner.viewpoints.viewpoints import Viewpoints
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A plan as its matrix sees it, and as it is.
+    """A plan with its predicted and its true coverage.
 
     Attributes:
         views: of the greedy plan.
@@ -32,14 +32,14 @@ class Claim:
 
     @property
     def error_points(self) -> float:
-        """Claimed minus visible [percentage points]."""
+        """Predicted minus visible [percentage points]."""
         return 100 * (self.claimed - self.visible)
 
 
 def claim(
     M: Measurability, candidates: Viewpoints, held_out: SurfaceSamples, scanner: Scanner, caster: RayCaster
 ) -> Claim:
-    """Choose the greedy plan of a matrix and look.
+    """Select the greedy plan of a matrix and evaluate it.
 
     Args:
         M: the matrix.

@@ -1,7 +1,7 @@
 """Closest points and signed distances on the Mseke, full and decimated: seconds beside error and wrong signs.
 
 `near` points are scattered about the surface by 0.4 % of the diagonal, one sigma; `far` ones fill a box twice as large
-as the part's. Error and sign of a hundred of each are against every triangle in turn: the plane where the foot is
+as the part's. Error and sign of a hundred of each are compared with every triangle in turn: the plane if the foot is
 inside, else the edges; the sign by the solid angle (van Oosterom and Strackee, doi:10.1109/TBME.1983.325207).
 """
 
@@ -22,7 +22,7 @@ NEAR, FAR, JUDGED = 100_000, 20_000, 100
 
 
 def run() -> list[dict[str, Any]]:
-    """Two rows a mesh."""
+    """Return two rows per mesh."""
     reference = load("mseke").reference
     rows = []
     for count in FACES:
@@ -52,7 +52,7 @@ def _row(mesh: TriangleMesh, what: str, points: Floats) -> dict[str, Any]:
 
 
 def _brute(corners: Floats) -> tuple[float, float]:
-    """Distance of the origin from triangles (F, 3, 3), and how often they wind around it."""
+    """Return the distance of the origin from triangles (F, 3, 3), and their winding number around it."""
     along = np.roll(corners, -1, axis=1) - corners
     step = np.clip(-np.einsum("fej,fej->fe", corners, along) / np.einsum("fej,fej->fe", along, along), 0, 1)
     best = np.linalg.norm(corners + step[:, :, None] * along, axis=2).min()

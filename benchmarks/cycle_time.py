@@ -1,17 +1,17 @@
-"""Cycle time of whole plans: an earlier version's, RoboTSP's way, and today's with exchanged views.
+"""Cycle time of plans: an earlier version, RoboTSP, and the current ordering with exchanged views.
 
-Each seeded scene (part, placement, fixtures; `benchmarks.seeded_scenes`) is covered once, in full; two ways then
-order and connect the same cover, with certified paths and jerk-limited moves, beside what was measured of a third:
+Each seeded scene (part, placement, fixtures; `benchmarks.seeded_scenes`) is covered once, in full. Two methods order
+and connect the same cover, with certified paths and jerk-limited moves, beside the measurements of a third:
 
-- before: the order as it was before generalised tours were searched by ruin and recreate and views were exchanged: a
-  Christofides tour in task space improved by 2-opt, or-opt and double bridges with 10,000 evaluations (exact for few
-  views), one tour looked at in each of 60 rounds. Its numbers are frozen in `BEFORE_S`; they compare with today's as
-  long as the scene's cover has as many views as it had then, which stand beside them;
-- RoboTSP: a tour through the scanner's positions, best joint solutions along it by dynamic programming (Suarez-Ruiz,
-  Lembono and Pham 2018, doi:10.1109/ICRA.2018.8460581). Its tour is given 10,000 steps of our own search;
-- now: today's ordering after the exchange of views (`planner.tour.equivalent_views`), as `cell plan` runs it.
+- before: the order before generalised tours were searched by ruin and recreate and views were exchanged: a Christofides
+  tour in task space improved by 2-opt, or-opt and double bridges with 10,000 evaluations (exact for few views), one
+  tour inspected in each of 60 rounds. Its numbers are frozen in `BEFORE_S`; they are comparable as long as the cover of
+  the scene has the same number of views, which is listed beside them;
+- RoboTSP: a tour through the scanner's positions, best configurations along it by dynamic programming (Suarez-Ruiz,
+  Lembono and Pham 2018, doi:10.1109/ICRA.2018.8460581). Its tour gets 10,000 steps of our own search;
+- now: the current ordering after the exchange of views (`planner.tour.equivalent_views`), as `cell plan` does it.
 
-The bounds are on straight moves: before's on the cover's own views, now's on all views that may stand in at the end.
+The bounds are on straight moves: for `before` on the views of the cover, for `now` on all remaining alternatives.
 
 SCAN_CELL_SCENES (default 4) is the number of scenes; the full form has 20.
 """
@@ -42,16 +42,16 @@ BEFORE_S = (
     (30, 19.784), (11, 10.996), (11, 12.019), (14, 16.076), (11, 15.921), (8, 9.683), (32, 24.544), (10, 17.490),
     (12, 18.179), (12, 11.952), (7, 8.149), (10, 11.171),
 )  # fmt: skip
-"""Of scenes 0 to 19: views of the cover, and the cycle time of the earlier order [s]; it dropped no view."""
+"""For scenes 0 to 19: views of the cover and cycle time of the earlier order [s]; it dropped no view."""
 
 _SIMPLE = MotionBudget(rounds=60, quick=10, inspections=0, guess_checks=1_000_000, polish=0, guesses=((1.1, 0.35),))
-"""How tours other than today's are searched: one tour looked at in each of 60 rounds, a lower guess, no polish."""
+"""Budget of the compared methods: one tour inspected in each of 60 rounds, a lower guess, no polish."""
 
 _FACES, _ROLLS_DEG, _LEAST = 200, (0.0, 45.0, 90.0, 135.0), 40
 
 
 def run() -> list[dict[str, Any]]:
-    """A row for each scene, and one with the means."""
+    """Return a row for each scene and one with the means."""
     rows = [_row(number) for number in range(int(os.environ.get("SCAN_CELL_SCENES", "4")))]
     ratios = {key: [row[key] for row in rows if row[key] != ""] for key in rows[0] if "/" in key}
     mean = {key: float(np.mean(values)) for key, values in ratios.items()}
@@ -113,7 +113,7 @@ def _row(number: int) -> dict[str, Any]:
 
 
 def _covered(number: int) -> tuple[Bench, reach.Reach, Measurability, cover.Cover]:
-    """The first draw of a scene that can be and of which enough candidates are reachable, with its cover."""
+    """Return the first valid draw of a scene with enough reachable candidates, and its cover."""
     for draw in range(40):
         tables = content(number, draw)
         tables["plan"] = {"rolls_deg": list(_ROLLS_DEG), "faces": _FACES, "collision": "hull"}
@@ -143,7 +143,7 @@ def _covered(number: int) -> tuple[Bench, reach.Reach, Measurability, cover.Cove
 def task_space(
     problem: TourProblem, T_base_scanner: Any, rng: np.random.Generator, **arguments: Any
 ) -> order.OrderedViews:
-    """RoboTSP's ordering, with the signature of `planner.tour.orderings.order_views`."""
+    """Order like RoboTSP, with the signature of `planner.tour.orderings.order_views`."""
     positions = np.concatenate((arguments["T_base_home"][None, :3, 3], T_base_scanner[:, :3, 3]))
     lengths = np.linalg.norm(positions[:, None] - positions, axis=2)
     task = generalised_tsp.make_instance(lengths, np.arange(len(positions) + 1))

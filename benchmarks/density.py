@@ -1,12 +1,12 @@
-"""How dense scans are beside what plans say of it: dense against visible coverage, quantiles of the spacing, the limit.
+"""Density of scans compared with the predictions of plans: dense and visible coverage, quantiles of the spacing, limit.
 
-Two rows per part of benchmarks/parts.py, planned at its defaults and with `--max-spacing` of `LIMIT_MM`, each scanned
-at the plan's own 0.25 degree: views with their bound, visible coverage predicted and achieved, dense coverage achieved,
-and the spacing that half, and 99 %, of what is measured has at most: as the plan says, and from the scans alone.
+Two rows per part of benchmarks/parts.py, planned with defaults and with `--max-spacing` of `LIMIT_MM`, each scanned at
+the plan's own 0.25 degree: views with their bound, visible coverage predicted and achieved, dense coverage achieved,
+and the median and the 99 % quantile of the spacing, by the plan and by the scans alone.
 
-There the spacing at a point is the larger of its distances to its neighbours in the two directions of the ray grid: in
-each the mean of those on the same stretch of surface, not beyond a step (less than 30 degrees off the face). A sample
-that a view measures has that of the nearest scan point within one spacing, of the scan in which it is smallest.
+In the scans the spacing at a point is the larger of its distances to its neighbours in the two directions of the ray
+grid: in each the mean of those on the same stretch of surface, not beyond a step (less than 30 degrees off the face). A
+measured sample has the spacing of the nearest scan point within one spacing, of the scan in which it is smallest.
 """
 
 import tempfile
@@ -30,7 +30,7 @@ _SAMPLES = 20_000
 
 
 def run() -> list[dict[str, Any]]:
-    """Two rows per part."""
+    """Return two rows per part."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         return [
@@ -67,7 +67,7 @@ def _row(folder: Path, name: str, arguments: tuple[str, ...], limit: tuple[str, 
 
 
 def spacing_of_scans(folder: Path) -> Floats:
-    """(S,) spacing of the scans of a run's first execution at samples of its part [m]; NaN where it is not known.
+    """Return (S,) spacing of the scans of a run's first execution at samples of its part [m]; NaN if unknown.
 
     Args:
         folder: the run.
@@ -91,7 +91,7 @@ def spacing_of_scans(folder: Path) -> Floats:
 
 
 def _gaps(points: Floats, normals: Floats, pixel: Ints32, shape: tuple[int, ...]) -> Floats:
-    """(P,) larger distance of each point to its neighbours in the two directions of the grid [m]; NaN without them."""
+    """Return (P,) larger distance of each point to its neighbours in both grid directions [m]; NaN without any."""
     grid = np.full((2, *shape, 3), np.nan)
     grid[0].reshape(-1, 3)[pixel], grid[1].reshape(-1, 3)[pixel] = points, normals
     found = []

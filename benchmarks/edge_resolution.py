@@ -1,10 +1,10 @@
-"""What a fixed step along a straight joint move misses, and what certification costs: time, misses, false refusals.
+"""Fixed steps along straight joint moves compared with certification: time, missed contacts, false refusals.
 
-Straight moves between reachable set-points of seeded scenes are looked at every millimetre of travel for the truth: in
-contact, nearer than the clearance, or free. A fixed step checks every so many degrees of the joint that turns most; as
-usual it looks for contact, or for the clearance as our checks do. `planner.path.certified_edge.certify` takes as many
-steps as the bound on travel asks for. Time is checks times the measured time of one check; a check that finds something
-ends the move for both.
+For the truth, straight moves between reachable set-points of seeded scenes are checked at every millimetre of travel:
+in contact, closer than the clearance, or free. A fixed step checks at equal angles of the joint that turns most, for
+contact (as is usual) or for the clearance (as our checks do). `planner.path.certified_edge.certify` takes the number of
+steps that the bound on travel requires. The time is the number of checks times the measured time of one check; a
+collision ends the move in both cases.
 """
 
 from time import process_time
@@ -25,7 +25,7 @@ _STEPS_DEG = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 
 
 def run() -> list[dict[str, Any]]:
-    """One row for each way to check."""
+    """Return one row for each method of checking."""
     moves = [move for number in range(_SCENES) for move in _moves(number)]
     contact, near = (np.array([bool(truth[k].any()) for *_, truth, _, _ in moves]) for k in (0, 1))
     check = float(np.median([seconds for *_, seconds in moves]))
@@ -40,11 +40,11 @@ def run() -> list[dict[str, Any]]:
 
 
 def _row(
-    way: str, step: float | str, passed: NDArray[Any], checks: NDArray[Any], contact: NDArray[Any],
+    method: str, step: float | str, passed: NDArray[Any], checks: NDArray[Any], contact: NDArray[Any],
     near: NDArray[Any], seconds: float,
 ) -> dict[str, Any]:  # fmt: skip
     return {
-        "way": way,
+        "method": method,
         "step deg": step,
         "moves": len(passed),
         "in contact": int(contact.sum()),
@@ -57,7 +57,7 @@ def _row(
 
 
 def _moves(number: int) -> list[tuple[Floats, NDArray[np.bool_], tuple[bool, int], float]]:
-    """Moves of one scene: every millimetre of them, the truth there, certification's verdict, time of a check."""
+    """Return moves of one scene: configurations every millimetre, the truth there, verdict, time of a check."""
     cell = usable(number, least=4)
     touching = _without_clearance(cell)
     rng, q = np.random.default_rng(number), cell.reach.q
@@ -75,13 +75,13 @@ def _moves(number: int) -> list[tuple[Floats, NDArray[np.bool_], tuple[bool, int
 
 
 def _without_clearance(cell: SeededCell) -> MujocoCollisionChecker:
-    """The checker of the same scene that finds contact alone."""
+    """Return the checker of the same scene for contact only."""
     scene = cell.world.scene.model_copy(update={"clearance_mm": 0.0})
     return MujocoCollisionChecker(compile_world(scene, cell.part.vertices, baseline_mm=75.0))
 
 
 def _fixed(dense: Floats, hit: NDArray[np.bool_], degrees: float) -> tuple[bool, int]:
-    """Verdict and checks of evenly spaced configurations, in their order until one is hit."""
+    """Return verdict and checks of evenly spaced configurations, in order until one collides."""
     turned = np.degrees(np.abs(dense[-1] - dense[0]).max())
     count = max(1, int(np.ceil(turned / degrees)))
     looked = hit[np.round(np.linspace(0, len(dense) - 1, count + 1)).astype(int)]
@@ -89,18 +89,18 @@ def _fixed(dense: Floats, hit: NDArray[np.bool_], degrees: float) -> tuple[bool,
 
 
 def chart(rows: list[dict[str, Any]], folder: Any) -> None:
-    """Contacts missed over the time of a move, fixed steps as lines and certification as a point."""
+    """Draw missed contacts over the time of a move: fixed steps as lines, certification as a point."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(figsize=(7.5, 4.8))
-    for way, colour in (("fixed step, contact", "C3"), ("fixed step, clearance", "C1")):
-        points = [row for row in rows if row["way"] == way]
+    for method, colour in (("fixed step, contact", "C3"), ("fixed step, clearance", "C1")):
+        points = [row for row in rows if row["method"] == method]
         share = [100 * row["contacts missed"] / row["in contact"] for row in points]
-        axes.plot([row["ms a move"] for row in points], share, "o-", color=colour, label=f"{way} looked for")
-        if way.endswith("contact"):  # the other line's steps lie below the same marks
+        axes.plot([row["ms a move"] for row in points], share, "o-", color=colour, label=f"{method} looked for")
+        if method.endswith("contact"):  # the other line's steps lie below the same marks
             for row, y in zip(points, share, strict=True):
                 axes.annotate(
                     f"{row['step deg']:g}°",
@@ -109,7 +109,7 @@ def chart(rows: list[dict[str, Any]], folder: Any) -> None:
                     textcoords="offset points",
                     fontsize=8,
                 )
-    point = next(row for row in rows if row["way"] == "certified")
+    point = next(row for row in rows if row["method"] == "certified")
     axes.plot(
         point["ms a move"], 100 * point["contacts missed"] / point["in contact"], "s", color="C0", ms=8,
         label="certified by the bound on travel",

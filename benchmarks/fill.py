@@ -1,13 +1,12 @@
-"""Filling the measurability matrix: seconds beside how wrong its prediction of visible coverage is.
+"""Methods to fill the measurability matrix: seconds beside the error of the predicted visible coverage.
 
-For every built-in part, at its default settings: `rays` at four resolutions and `aimed` at four numbers of samples per
-face. Each matrix chooses a plan (greedy cover); the share of area that the matrix says the plan measures is held
-against visible coverage by its definition, 10^5 samples that no matrix has seen. The first rows are Mseke at the size
-of the paper's largest experiment but one: 1858 planning faces x 1858 viewpoints, one roll.
+For every built-in part with its default settings: `rays` at four resolutions and `aimed` with four numbers of samples
+per face. Each matrix selects a plan (greedy cover); the share of area that it predicts for the plan is compared with
+visible coverage by its definition, on 10^5 samples outside the matrix. The first rows are Mseke at the size of the
+paper's largest experiment but one: 1858 planning faces x 1858 viewpoints, one roll.
 
-`trimesh s` is what the same rays take through trimesh's ray interface, viewpoint by viewpoint as the paper does it:
-timed on every n-th viewpoint, 40 in all, and multiplied by n. It gives the same matrix, so it stands beside the same
-error.
+`trimesh s` is the time of the same rays with trimesh's ray interface, viewpoint by viewpoint as in the paper: measured
+on every n-th viewpoint, 40 in all, and multiplied by n. It gives the same matrix, so it has the same error.
 """
 
 import time
@@ -45,7 +44,7 @@ _COLOURS = {"rays": "#c4622d", "aimed": "#2a6f97"}
 
 
 def run() -> list[dict[str, Any]]:
-    """Two rows for the large Mseke, then eight for each built-in part."""
+    """Return two rows for the large Mseke, then eight for each built-in part."""
     rows = []
     for part in (None, *NAMES):
         rows += _part("mseke", large=True) if part is None else _part(part)
@@ -89,7 +88,7 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
         fontsize=11,
     )
     axes[0, 0].legend(frameon=False, fontsize=9, loc="upper left")
-    FigureCanvasAgg(figure).draw()  # settles where the panels are, and so where labels meet
+    FigureCanvasAgg(figure).draw()  # fixes the panels, and so the overlaps of labels
     for axis, wanted in labels.items():
         _place(axis, wanted)
     figure.savefig(folder / "fill_speed_accuracy.png", format="png", metadata={"Software": "scan-cell"})
@@ -99,7 +98,7 @@ _AROUND = ((7, -3), (5, 6), (5, -13), (0, 9), (0, -15), (9, 12), (9, -19), (0, 1
 
 
 def _place(axis: Any, labels: list[tuple[str, float, float, str, bool]]) -> None:
-    """Put each label at the first place around its point where it meets no marker and no other label."""
+    """Place each label at the first position around its point without overlap of a marker or label."""
     from matplotlib.patheffects import withStroke
     from matplotlib.transforms import Bbox
 
@@ -124,7 +123,7 @@ def _place(axis: Any, labels: list[tuple[str, float, float, str, bool]]) -> None
 
 
 def _part(name: str, *, large: bool = False) -> list[dict[str, Any]]:
-    """Rows of one part."""
+    """Return the rows of one part."""
     part = load(name)
     options = {"part": {"name": name}}
     settings = settle(load_scene(None, options), part).settings
@@ -161,7 +160,7 @@ def _part(name: str, *, large: bool = False) -> list[dict[str, Any]]:
 
 
 def _with_trimesh(mesh: trimesh.Trimesh, views: Viewpoints, scanner: LaserArea) -> float:
-    """Seconds of the paper's way through trimesh's ray interface, from a share of the viewpoints [s]."""
+    """Return the seconds of trimesh's ray interface, extrapolated from some of the viewpoints [s]."""
     directions = scanner.ray_directions()
     every = max(1, len(views) // 40)
     poses = views.T_object_scanner[::every, 0]
@@ -193,7 +192,7 @@ def _row(
     caster: RayCaster,
     reference: TriangleMesh,
 ) -> dict[str, Any]:
-    """Fill, choose a plan, predict, and look."""
+    """Fill, select a plan, predict, and evaluate."""
     M, seconds = best_of(work, REPEATS)
     found = claim(M, views, held_out, scanner, caster)
     return {

@@ -1,10 +1,10 @@
-"""What the robot could measure at all: a free search over poses for each of 10^5 samples, beside the generators.
+"""Attainable coverage: a free search over poses for each of 10^5 samples, beside the generators.
 
-The oracle of `plan.candidates = "grown"`. Every held-out sample is asked about for itself: poses are drawn over all six
-degrees of freedom (`pose_sampling`), 2,048 for each sample that none measures, and count where the law
-holds, both legs are free of part and occluders, and the arm takes the pose up without collision. A pose that measures
-one sample is asked about the others, so that those need no search of their own. The samples, the order and the poses
-are other than those that candidates are grown with, and no pose is carried over from a neighbour.
+This is the oracle of `plan.candidates = "grown"`. Each held-out sample is searched for by itself: poses are drawn over
+all six degrees of freedom (`pose_sampling`), 2,048 for each sample that none measures. A pose counts if the scanner's
+conditions hold, both lines of sight are free of part and occluders, and the arm takes it up without collision. A pose
+that measures one sample is tested on the others, so that those need no search. Samples, order and poses differ from
+those of candidate growth, and no pose is transferred from a neighbour.
 
 Both incidence limits are 75 degrees for all rows; everything else is as in `candidates`.
 """
@@ -28,14 +28,14 @@ from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.pose_sampling import draw_poses, find_frustum
 
 _LIMIT_DEG = 75.0
-_STRETCHES = ((0, 32), (32, 128), (128, 512), (512, 2048))
+_RANGES = ((0, 32), (32, 128), (128, 512), (512, 2048))
 _TOGETHER = 200_000  # poses drawn at a time
-_FIRST = 256  # samples asked about at a time while nearly all are open
-_SHARED = 64  # found poses of a batch that are asked about the other samples
+_FIRST = 256  # samples searched at a time while nearly all are open
+_SHARED = 64  # found poses of a batch that are tested on the other samples
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per part."""
+    """Return one row per part."""
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as scratch:
         for name, options in parts(Path(scratch)):
@@ -73,11 +73,11 @@ def _part(bench: Bench) -> dict[str, Any]:
 
 
 def free_search(points: np.ndarray[Any, Any], normals: np.ndarray[Any, Any], arm: ViewEvaluator) -> Bools:
-    """(S,) which points (S, 3) [m] with normals (S, 3) some pose measures that the arm takes up."""
+    """Return (S,) whether a reachable pose measures each of (S, 3) points [m] with normals (S, 3)."""
     targets, within = RayTargets.of(points, normals), find_frustum(arm.scanner)
     seen = np.zeros(len(targets), dtype=np.bool_)
     order = np.random.default_rng(0).permutation(len(targets))
-    for stretch in _STRETCHES:
+    for stretch in _RANGES:
         size = min(_TOGETHER // (stretch[1] - stretch[0]), _FIRST if stretch[0] == 0 else len(targets))
         waiting = order[~seen[order]]
         while len(waiting):

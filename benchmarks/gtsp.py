@@ -1,13 +1,12 @@
-"""Generalised travelling salesman files: how near the best known tour, how soon, and what the bound says.
+"""Generalised travelling salesman instances: gap to the best known tour, time, and lower bound.
 
-The files are GTSPLIB's (Fischetti, Salazar and Toth 1997, doi:10.1287/opre.45.3.378), read from the folder that
-SCAN_CELL_GTSP names, with `best_known.json` beside them; without it, and in any case, instances are drawn: places in a
-square, clustered as GTSPLIB's (the farthest places are centres, the others join the nearest one), 50, 80 and 200
-clusters of 5 nodes. Their best known cost is that of one run of a million steps, so a negative excess is possible.
-Kernels are compiled before the clock starts.
+The instances are those of GTSPLIB (Fischetti, Salazar and Toth 1997, doi:10.1287/opre.45.3.378), read from the folder
+SCAN_CELL_GTSP with `best_known.json` beside them, and random ones: places in a square, clustered as in GTSPLIB (the
+farthest places are centres, the others join the nearest one), 50, 80 and 200 clusters of 5 nodes. Their best known cost
+is that of one run of a million steps, so a negative excess is possible. Kernels are compiled before the clock starts.
 
-Two real instances are added: the views of the Mseke at 1200,500,0 with their own joint solutions, and with those
-of the views that may stand in for them. Their costs are cycle times over straight moves [s].
+Two real instances are added: the views of the Mseke at 1200,500,0 with their own configurations, and with those of
+their alternatives. Their costs are cycle times over straight moves [s].
 """
 
 import json
@@ -30,11 +29,11 @@ from planner.tour import bounds, equivalent_views, generalised_tsp
 STEPS = (500, 2_000, 10_000, 40_000)
 _SEEDS = 3
 _REFERENCE_STEPS = 1_000_000
-_BOUND_WORK = 2_000_000_000
+_BOUND_EFFORT = 2_000_000_000
 
 
 def run() -> list[dict[str, Any]]:
-    """Rows over files and budgets."""
+    """Return rows over files and budgets."""
     _compile()
     rows: list[dict[str, Any]] = []
     for name, problem, best in _files():
@@ -60,7 +59,7 @@ def _files() -> list[tuple[str, generalised_tsp.Instance, float]]:
 
 
 def _mseke() -> list[tuple[str, generalised_tsp.Instance]]:
-    """The default plan's instance: its own views, and those that may stand in."""
+    """Return the instances of the default plan: its own views, and with their alternatives."""
     bench = Bench(Scene.model_validate({"placement": {"position_mm": [1200, 500, 0]}}), samples=1000)
     world, candidates = bench.world, bench.zone
     reached = bench.reach(candidates, placed_at((1200, 500, 0)))
@@ -85,14 +84,14 @@ def _mseke() -> list[tuple[str, generalised_tsp.Instance]]:
 
 
 def of_file(path: Path) -> generalised_tsp.Instance:
-    """The instance of a file; the smallest cluster comes first, as the tour's start."""
+    """Read the instance of a file; the smallest cluster comes first, as the start of the tour."""
     read = gtsplib.read(path)
     read.sets.sort(key=len)
     return generalised_tsp.make_instance(*read.sorted_by_cluster())
 
 
 def drawn(clusters: int, nodes: int, seed: int = 0) -> generalised_tsp.Instance:
-    """Places drawn in a square of side 4000, clustered as GTSPLIB's; distances are whole numbers."""
+    """Draw places in a square of side 4000, clustered as in GTSPLIB; distances are integers."""
     places = np.random.default_rng([seed, clusters]).uniform(0, 4000, (nodes, 2)).round()
     cost = gtsplib._distances(places, "EUC_2D")
     centres = [int(np.unravel_index(cost.argmax(), cost.shape)[0])]
@@ -117,7 +116,7 @@ def _searched(
     best = min(min(c) for c in costs) if best is None else best
     begin = process_time()
     quick = bounds.one_tree_bound(problem.cost, problem.first)
-    strong = max(quick, bounds.walk_bound(problem.cost, problem.first, min(min(c) for c in costs), _BOUND_WORK).value)
+    strong = max(quick, bounds.walk_bound(problem.cost, problem.first, min(min(c) for c in costs), _BOUND_EFFORT).value)
     bound_seconds = process_time() - begin
     return [
         {
@@ -144,11 +143,11 @@ def _compile() -> None:
     _, start = generalised_tsp.best_nodes(small, np.arange(1, 5))
     cost, _ = generalised_tsp.search(small, start, 0, 10)
     bounds.walk_bound(small.cost, small.first, cost, 10_000)
-    print(f"kernels loaded, or compiled where they were not yet, in {perf_counter() - begin:.1f} s")  # noqa: T201 - told once
+    print(f"kernels loaded or compiled in {perf_counter() - begin:.1f} s")  # noqa: T201 - once
 
 
 def chart(rows: list[dict[str, Any]], folder: Path) -> None:
-    """Cycle time over the search's budget with the lower bound; cost over the best known one beside its time."""
+    """Draw cycle time over the search's budget with the lower bound, and cost over the best known one by time."""
     import matplotlib
 
     matplotlib.use("Agg")

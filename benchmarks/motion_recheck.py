@@ -1,13 +1,13 @@
-"""Final motions of seeded scenes judged again, by true triangles and by differences of the samples.
+"""Final motions of seeded scenes, checked again with true triangles and by differences of the samples.
 
-Each scene goes the way of `cell plan` but for the choice of views: its cell is compiled, candidates are judged for
-reach, ten reachable ones are drawn, ordered, connected and timed. `benchmarks.triangle_cell` looks for contact at every
-millisecond of the motion. Limits are compared with the samples and with their differences.
+Each scene is processed like `cell plan` except for the selection: its cell is compiled, candidates are tested for
+reach, ten reachable ones are drawn, ordered, connected and timed. `benchmarks.triangle_cell` checks for contact at
+every millisecond of the motion. Limits are compared with the samples and with their differences.
 
-SCAN_CELL_SCENES (default 8) is the number of scenes; with SCAN_CELL_RECHECK=FILE finished scenes are kept as lines of
-JSON, and a call that was stopped goes on where it ended. The full form has 100 scenes. SCAN_CELL_TABLE=synchronised
-(or indexed, or tilted) puts the part of each on a rotary table. An indexed one is looked at for more: whether arm and
-table ever move at once, and for contact at every degree to which it can turn, wherever the arm waits for it.
+SCAN_CELL_SCENES (default 8) is the number of scenes; with SCAN_CELL_RECHECK=FILE finished scenes are stored as lines of
+JSON, and an interrupted call continues after them. The full form has 100 scenes. SCAN_CELL_TABLE=synchronised (or
+indexed, or tilted) puts each part on a rotary table. With an indexed one two more conditions are checked: arm and table
+never move at once, and there is no contact at any degree of the table in every posture in which it may turn.
 """
 
 import json
@@ -33,7 +33,7 @@ _DISTANCES = 40  # of a motion, for the column "nearest": distances of triangles
 
 
 def run() -> list[dict[str, Any]]:
-    """One row over all scenes, and one for each with a finding."""
+    """Return one row over all scenes, and one for each with a finding."""
     count = int(os.environ.get("SCAN_CELL_SCENES", "8"))
     kept = Path(os.environ["SCAN_CELL_RECHECK"]) if "SCAN_CELL_RECHECK" in os.environ else None
     done = [json.loads(line) for line in kept.read_text().splitlines()] if kept and kept.exists() else []
@@ -68,7 +68,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def judged(number: int, *, table: str = "") -> dict[str, Any]:
-    """One scene planned and judged, with a rotary table that moves as said, or without one."""
+    """Plan and check one scene, with a rotary table of the given kind or without one."""
     begin = perf_counter()
     cell = usable(number, least=_VIEWS, table=table)
     rng = np.random.default_rng(number)
@@ -113,7 +113,7 @@ def _judge(cell: SeededCell, motion: Motion) -> dict[str, Any]:
 
 
 def _while_it_turns(dense: Motion) -> Floats:
-    """(n, 7) every posture at which the table moves, at every degree of the table's range [rad]."""
+    """Return (n, 7) every posture in which the table moves, at every degree of the table's range [rad]."""
     postures = np.unique(dense.q[dense.qd[:, ARM_AXES] != 0][:, :ARM_AXES], axis=0)
     low, high = dense.limits.lower[ARM_AXES], dense.limits.upper[ARM_AXES]
     angles = np.linspace(low, high, 1 + int(np.ceil(np.degrees(high - low))))
@@ -121,7 +121,7 @@ def _while_it_turns(dense: Motion) -> Floats:
 
 
 def excess(motion: Motion) -> float:
-    """Largest relative excess of position, speed, acceleration and jerk over the limits; at most 0 where all are kept.
+    """Return the largest relative excess of position, speed, acceleration and jerk over the limits; at most 0 if kept.
 
     Speeds and accelerations are the recorded ones and the differences of angles and of speeds; jerks are differences of
     the recorded accelerations. What rounding of the samples puts into a difference is subtracted.

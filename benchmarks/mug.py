@@ -1,9 +1,9 @@
-"""The paper's Mug at 300 mm (Tables 2 and 4) on the built-in Mug: what the ray grid has to do with the plan.
+"""The paper's Mug at 300 mm (Tables 2 and 4) on the built-in Mug: effect of the ray grid on the plan.
 
 At 300 mm and 1 degree the paper's Mug takes 58 views for 53 %; at 0.1 degree 5 views for 98 %. Here the matrix is
 filled by `rays` at resolutions from 4 to 0.2 degrees, and once by `aimed`, which has no grid; no robot, one roll, one
-standoff as in the paper. Each plan (fewest views that the cover solver finds) is then judged twice on 10^5 samples that
-no matrix has seen: visible coverage, and sampled coverage of scans at the resolution of the row.
+standoff as in the paper. Each plan (fewest views that the cover solver finds) is then evaluated twice on 10^5 samples
+outside the matrix: visible coverage, and sampled coverage of scans at the resolution of the row.
 """
 
 from pathlib import Path
@@ -34,7 +34,7 @@ _PAPER = {1.0: (58, 53.07), 0.1: (5, 98.38)}
 
 
 def run() -> list[dict[str, Any]]:
-    """Two rows per resolution: `rays`, and the same `aimed` matrix judged at that resolution."""
+    """Return two rows per resolution: `rays`, and the same `aimed` matrix evaluated at this resolution."""
     part = workpiece.load("mug")
     reference = part.reference
     planning = decimate(reference, FACES)
@@ -78,7 +78,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def chart(rows: list[dict[str, Any]], folder: Path) -> None:
-    """Draw `mug_resolution.png`: views, visible and sampled coverage over the resolution, for both ways to fill."""
+    """Draw `mug_resolution.png`: views, visible and sampled coverage over the resolution, for both methods."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

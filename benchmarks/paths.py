@@ -1,13 +1,13 @@
-"""Collision-free paths on seeded scenes: where RRT-Connect finds one, beside ompl over the same certified edges.
+"""Collision-free paths on seeded scenes: success of RRT-Connect, beside ompl over the same certified edges.
 
-In each scene two pairs of reachable set-points are drawn between which the straight move is blocked: any two, and two
-out of the twelve (more where that is too few) that are nearest to something. `planner.path.path.connect` searches with
-its default budget, then, where that fails, with `_LONG` checks. ompl (RRTConnect, its own tree and sampling, edges
-certified by `planner.path.certified_edge` as ours) searches for `_SECONDS` where ours failed, and on every fifth scene
-for comparison. ompl is no dependency of the project: `pip install ompl`.
+In each scene two pairs of reachable set-points with a blocked straight move are drawn: any two, and two of the twelve
+(more if that is too few) closest to an obstacle. `planner.path.path.connect` searches with its default budget, then, if
+it fails, with `_LONG` checks. ompl (RRTConnect, its own tree and sampling, edges certified by
+`planner.path.certified_edge` like ours) searches for `_SECONDS` if ours failed, and on every fifth scene for
+comparison. ompl is no dependency of the project: `pip install ompl`.
 
-SCAN_CELL_SCENES (default 20) is the number of scenes; with SCAN_CELL_PATHS=FILE finished scenes are kept as lines of
-JSON, and a call that was stopped goes on where it ended. The full form has 100 scenes.
+SCAN_CELL_SCENES (default 20) is the number of scenes; with SCAN_CELL_PATHS=FILE finished scenes are stored as lines of
+JSON, and an interrupted call continues after them. The full form has 100 scenes.
 """
 
 import json
@@ -33,7 +33,7 @@ _CASES = ("any", "near something")
 
 
 def run() -> list[dict[str, Any]]:
-    """For each case one row over all scenes, and one for each scene that the default budget did not solve."""
+    """Return for each case one row over all scenes and one for each scene that the default budget did not solve."""
     count = int(os.environ.get("SCAN_CELL_SCENES", "20"))
     kept = Path(os.environ["SCAN_CELL_PATHS"]) if "SCAN_CELL_PATHS" in os.environ else None
     done = [json.loads(line) for line in kept.read_text().splitlines()] if kept and kept.exists() else []
@@ -48,7 +48,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def _summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row over all, and those that the default budget did not solve."""
+    """Return one row over all, and those that the default budget did not solve."""
     both = [row for row in rows if row["ompl"] == "found" and row["found"] != "no"]
     either = [row for row in rows if row["ompl"] == "found" or row["found"] != "no"]
     summary = {
@@ -70,7 +70,7 @@ def _summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def searched(number: int, case: str) -> dict[str, Any]:
-    """One pair of one scene: our search, and ompl's where ours fails or it is its turn."""
+    """Search for one pair of one scene, with ompl too if ours fails or for comparison."""
     cell = usable(number, least=4)
     q_from, q_to = _blocked_pair(cell, case)
     begin = perf_counter()
@@ -108,7 +108,7 @@ def _rng(number: int) -> np.random.Generator:
 
 
 def _blocked_pair(cell: SeededCell, case: str) -> tuple[Floats, Floats]:
-    """Two set-points of different views between which the straight move is blocked."""
+    """Return two set-points of different views with a blocked straight move."""
     rng, q = np.random.default_rng(cell.number), cell.reach.q
     view = np.repeat(np.arange(len(cell.reach)), np.diff(cell.reach.offsets))
     order = np.arange(len(q))
@@ -116,7 +116,7 @@ def _blocked_pair(cell: SeededCell, case: str) -> tuple[Floats, Floats]:
         order = rng.choice(len(q), min(len(q), _DRAWN), replace=False)
         order = order[np.argsort(cell.checker.distance(q[order])[0])]
     few = len(order) if case == "any" else _NEAREST
-    while few <= 2 * len(order):  # more of them where all moves between the nearest are free
+    while few <= 2 * len(order):  # more if all moves between the nearest are free
         for _ in range(_PAIRS):
             i, j = order[rng.integers(0, min(few, len(order)), 2)]
             if view[i] != view[j] and not certify(q[i], q[j], cell.checker)[0]:
@@ -126,7 +126,7 @@ def _blocked_pair(cell: SeededCell, case: str) -> tuple[Floats, Floats]:
 
 
 def by_ompl(cell: SeededCell, q_from: Floats, q_to: Floats, seconds: float, seed: int) -> Floats | None:
-    """(m, 6) path of ompl's RRTConnect and its simplifier over certified edges; None where it finds none in time."""
+    """Return an (m, 6) path of ompl's RRTConnect and its simplifier over certified edges, or None in the given time."""
     from ompl import base, geometric, util
 
     util.noOutputHandler()

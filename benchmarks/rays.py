@@ -1,13 +1,12 @@
-"""Rays: Embree's answers against float64 brute force, and the matrix at the sizes that the design is made for.
+"""Rays: Embree's answers compared with float64 brute force, and the matrix at its design sizes.
 
 `hits` and `legs` are 10^6 rays each on a closed mesh with hollows, a tenth of them through its edges, every ray against
-every triangle in float64 (`$SCAN_CELL_RAYS` sets another number). An answer is wrong where it differs although no edge
-of the triangles in question lies within 1e-6 of the part's size of the ray. Rays through exact vertices are counted
-apart: Embree may let one slip between the faces there.
+every triangle in float64 (`$SCAN_CELL_RAYS` sets another number). An answer is wrong if it differs although no edge of
+the triangles in question lies within 1e-6 of the part's size of the ray. Rays through exact vertices are counted
+separately: Embree may let one pass between the faces there.
 
-`fill` rows are whole processes, so that their memory is their own: Mseke at 1858 x 1858 with 4 samples per face, and
-10,000 faces x 10,000 viewpoints, with the share of the time that is Embree's own, and the time per pair that passes the
-culling.
+`fill` rows are separate processes, so that their memory is their own: Mseke at 1858 x 1858 with 4 samples per face, and
+10,000 faces x 10,000 viewpoints, with Embree's share of the time, and the time per pair that passes the culling.
 """
 
 import json
@@ -74,7 +73,7 @@ class Timed:
         return result
 
 caster._scene = timed = Timed(caster._scene)
-caster._workers = 1  # one thread, so that Embree's seconds and those of the whole can be divided
+caster._workers = 1  # one thread, so that the share of Embree's seconds is defined
 start = time.perf_counter()
 visibility.fill(views, features, scanner, caster)
 alone = time.perf_counter() - start
@@ -90,7 +89,7 @@ print(json.dumps({
 
 
 def run() -> list[dict[str, Any]]:
-    """Three rows of answers, two of sizes."""
+    """Return three rows of answers, two of sizes."""
     vertices, faces = _bumpy_sphere()
     rows = [_hits(vertices, faces), _legs(vertices, faces), _vertices(vertices, faces)]
     for arguments in (("1858", "4", "3"), ("10000", "1", "1")):
@@ -118,7 +117,7 @@ def _hits(vertices: Floats, faces: NDArray[np.int64]) -> dict[str, Any]:
         both = hit & np.isfinite(first)
         off = np.zeros(len(block))
         off[both] = np.abs(found.distance[block][both] - first[both])
-        # A grazing hit is off by 1e-7 / cosine; what is farther off than this is another triangle.
+        # A grazing hit is off by 1e-7 / cosine; a larger difference means another triangle.
         same = (hit == np.isfinite(first)) & (off <= 1e-4 * size)
         clear = (np.abs(margin) > _MARGIN * size).all(axis=1)
         wrong += int((~same & clear).sum())
@@ -162,7 +161,7 @@ def _legs(vertices: Floats, faces: NDArray[np.int64]) -> dict[str, Any]:
 
 
 def _vertices(vertices: Floats, faces: NDArray[np.int64]) -> dict[str, Any]:
-    """Rays from the inside through exact vertices: every one that hits nothing slipped through the closed mesh."""
+    """Cast rays from the inside through exact vertices: a ray without hit passes through the closed mesh."""
     rng = np.random.default_rng(2)
     count = RAYS // 10
     origins = rng.normal(size=(count, 3)) * 0.01
@@ -177,7 +176,7 @@ def _vertices(vertices: Floats, faces: NDArray[np.int64]) -> dict[str, Any]:
 
 
 def _ends(rng: np.random.Generator, vertices: Floats, faces: NDArray[np.int64]) -> tuple[Floats, Floats]:
-    """Origins inside and outside, and points they look at: anywhere in the part, one in ten on an edge."""
+    """Return origins inside and outside, and targets anywhere in the part, one in ten on an edge."""
     size = float(np.ptp(vertices, axis=0).max())
     origins = rng.normal(size=(RAYS, 3)) * size * rng.choice([0.1, 1.0], (RAYS, 1))
     towards = rng.uniform(-0.6, 0.6, (RAYS, 3)) * size
@@ -189,7 +188,7 @@ def _ends(rng: np.random.Generator, vertices: Floats, faces: NDArray[np.int64]) 
 
 
 def _all_hits(vertices: Floats, faces: NDArray[np.int64], origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-    """(N, F) distance of each ray to each triangle, inf where it passes, and how far within the edges it runs [m].
+    """Return (N, F) distance of each ray to each triangle, inf for a miss, and its distance from the edges [m].
 
     How far is negative outside, and inf for triangles whose plane the ray does not meet in front of its origin.
     """
@@ -206,14 +205,14 @@ def _all_hits(vertices: Floats, faces: NDArray[np.int64], origins: Floats, direc
         inward /= np.linalg.norm(inward, axis=1, keepdims=True)
         beyond = origins @ inward.T + safe * (directions @ inward.T) - np.einsum("fi,fi->f", start, inward)
         inside = np.minimum(inside, beyond)
-    # Seen along the ray, an edge is as far away as its distance in the plane times the cosine at most.
+    # Along the ray, the distance of an edge is at most its distance in the plane times the cosine.
     inside *= np.maximum(np.abs(towards) / np.linalg.norm(normal, axis=1), 1e-3)
     ahead = np.isfinite(distance) & (distance > 0)
     return np.where(ahead & (inside >= 0), distance, np.inf), np.where(ahead, inside, np.inf)
 
 
 def _bumpy_sphere(n: int = 3) -> tuple[Floats, NDArray[np.int64]]:
-    """A closed mesh of 12 n^2 faces, 0.2 m across, with hollows: a cube's grid blown up."""
+    """Return a closed mesh of 12 n^2 faces, 0.2 m wide, with hollows: an inflated grid of a cube."""
     grid = np.linspace(-1.0, 1.0, n + 1)
     u, v = (value.ravel() for value in np.meshgrid(grid, grid, indexing="ij"))
     points, triangles = [], []

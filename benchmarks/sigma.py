@@ -1,9 +1,10 @@
-"""The model of sigma against observed scatter: noise of the virtual scan, and spots triangulated photon by photon.
+"""The model of sigma compared with observed scatter: noise of the virtual scan, and simulated light spots.
 
-Each part is scanned from five candidates at its default settings. Of each point the scatter along its ray is observed
-twice: over `SCANS` repetitions of the scan with `--noise model`, and over as many simulated triangulations: the photons
-of a spot (longer and dimmer with incidence) are drawn one by one, their centroid gives the line of sight, and that is
-met with the laser's ray. The second knows nothing of the model's formula. Beside it stands what a layer costs.
+Each part is scanned from five candidates with its default settings. For each point the scatter along its ray is
+observed twice: over `SCANS` repetitions of the scan with `--noise model`, and over as many simulated triangulations:
+the photons of a spot (longer and dimmer with incidence) are drawn one by one, their centroid gives the line of sight,
+which is intersected with the laser's ray. The second does not use the model's formula. The cost of a layer is listed
+too.
 """
 
 import time
@@ -36,7 +37,7 @@ _COLOURS = {"mseke": "#2a6f97", "mug": "#c4622d", "humerus": "#4f7f3b"}
 
 
 def run() -> list[dict[str, Any]]:
-    """One row for each part."""
+    """Return one row for each part."""
     return [_row(name) for name in PARTS]
 
 
@@ -74,7 +75,7 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
 
 
 def _row(name: str) -> dict[str, Any]:
-    """Scan a part and look."""
+    """Scan a part and evaluate the scatter."""
     scene = load_scene(None, {"part": {"name": name}})
     part = load(name, None)
     settings = settle(scene, part).settings
@@ -124,8 +125,8 @@ def _row(name: str) -> dict[str, Any]:
 
 
 def _light(scanner: LaserArea, points: Floats, normals: Floats, rng: np.random.Generator) -> Floats:
-    """(N,) scatter along the ray of points (N, 3) [m] that are triangulated from drawn photons, scanner frame."""
-    # A spot that faces both and gives PHOTONS photons has a centroid with the sensor's own sigma.
+    """Return (N,) scatter along the ray of points (N, 3) [m] triangulated from drawn photons, scanner frame."""
+    # The centroid of a spot that faces both with PHOTONS photons has the sensor's own sigma.
     width = np.radians(scanner.sigma_angle_mdeg / 1000) * np.sqrt(PHOTONS)
     scatter = np.empty(len(points))
     for k, (point, normal) in enumerate(zip(points, normals, strict=True)):

@@ -1,7 +1,7 @@
-"""Time of joint moves: pairs per second, with and without a limit of jerk, beside the error against ruckig.
+"""Time of joint moves: pairs per second, with and without jerk limits, beside the error compared with ruckig.
 
-Pairs are drawn in the KR 16's range under the limits of models/kr16.xml, and under limits whose ratios differ from axis
-to axis, which takes three maxima over the axes in place of one.
+Pairs are drawn in the KR 16's range with the limits of models/kr16.xml, and with limits whose ratios differ by axis,
+which need three maxima over the axes instead of one.
 """
 
 from dataclasses import replace
@@ -21,7 +21,7 @@ _REPEATS, _COMPARED = 5, 500
 
 
 def run() -> list[dict[str, Any]]:
-    """One row for each number of pairs and kind of limits."""
+    """Return one row for each number of pairs and kind of limits."""
     limits = robot.limits(robot.load())
     uneven = replace(limits, jerk=limits.jerk * [1, 1, 1, 1, 1, 0.5])
     bound_limits = without_jerk_limit(limits)
@@ -48,7 +48,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def _best(work: Any) -> float:
-    """Shortest processor time of a call [s]."""
+    """Return the shortest processor time of a call [s]."""
     best = np.inf
     for _ in range(_REPEATS):
         begin, calls = process_time(), 0
@@ -60,7 +60,7 @@ def _best(work: Any) -> float:
 
 
 def _error(a: Floats, b: Floats, limits: JointLimits) -> float:
-    """Largest relative difference to ruckig's time along the straight segment; the margin kept is 1e-8.
+    """Return the largest relative difference to ruckig's time along the straight segment; our margin is 1e-8.
 
     Ruckig's own synchronisation leaves the straight line where limits differ, so it gets the segment as one axis.
     """
