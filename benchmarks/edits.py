@@ -33,7 +33,7 @@ from cell.errors import CellError
 from cell.report.diff import compare_runs
 from cell.report.plots import PlotProcess
 from cell.session import LoggedProgress
-from cell.view.contents import HALF_PAGE
+from cell.view.contents import PARTIAL_PAGE_FILE
 
 _FULL_PAIRS, _EXECUTIONS = 30, 4
 _REASONS = {"reach": "out of the arm's reach", "limit": "exceeds a joint limit", "collision": "limits collides"}
@@ -151,7 +151,7 @@ class _Blank(PlotProcess):
     def _post(self, what: str, path: Path, **arrays: Any) -> None:
         if not path.is_dir():
             path.touch()
-            (path.parent / HALF_PAGE).touch()
+            (path.parent / PARTIAL_PAGE_FILE).touch()
 
     def _wait(self) -> None:
         pass
@@ -162,7 +162,7 @@ def no_pictures() -> Iterator[None]:
     """Plans are made without pictures and page, executions without theirs."""
     with (
         mock.patch("cell.report.plots.plot_process", side_effect=lambda: nullcontext(_Blank())),
-        mock.patch("cell.scan.results.part_and_views", lambda path, *_: path.write_bytes(b"")),
+        mock.patch("cell.scan.results.draw_part_and_views", lambda path, *_: path.write_bytes(b"")),
         mock.patch("cell.view.contents.execution_page", return_value=""),
     ):
         yield

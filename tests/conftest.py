@@ -39,7 +39,7 @@ from numba.core.dispatcher import Dispatcher
 from cell.report import plots
 from cell.runs import digest
 from cell.session import Effort, effort_of
-from cell.view.contents import HALF_PAGE
+from cell.view.contents import PARTIAL_PAGE_FILE
 
 # Wall time is not a property; and where a machine decides whether a change lands, the same examples run every time.
 # `--hypothesis-profile=full` has four times as many.
@@ -183,7 +183,7 @@ class _DrawingHere(plots.PlotProcess):
             plots.draw(what, path, **{name: np.asarray(value)[()] for name, value in arrays.items()})
         elif not path.is_dir():
             path.write_bytes(b"")
-            (path.parent / HALF_PAGE).write_bytes(b"")
+            (path.parent / PARTIAL_PAGE_FILE).write_bytes(b"")
 
     def _wait(self) -> None:
         pass
@@ -204,7 +204,7 @@ def _only_where_looked_at(draw: Callable[..., object], instead: object) -> Calla
 
 _PICTURES = (
     "matplotlib.figure.Figure.savefig", "cell.report.figures.cover_curve", "cell.report.scan_report.draw_deviation",
-    "cell.scan.results.part_and_views", "cell.view.pictures.reasons",
+    "cell.scan.results.draw_part_and_views", "cell.view.pictures.draw_reasons",
 )  # fmt: skip
 _PAGES = (
     "cell.view.contents.execution_page", "cell.view.contents.why_page", "cell.view.explore_page.explore_page",
@@ -308,7 +308,7 @@ def data_of() -> Callable[[str], dict[str, Any]]:
     """What the script of a page reads."""
 
     def read(page: str) -> dict[str, Any]:
-        kept = r'<script type="application/json" id="(?:stage|play-data)">(.*?)</script>'
+        kept = r'<script type="application/json" id="(?:page-scene|page-contents)">(.*?)</script>'
         stage, play = re.findall(kept, page, re.DOTALL)
         return json.loads(stage) | json.loads(play)
 

@@ -71,7 +71,7 @@ def part(
     """List the faces of a CAD part with their numbers, kinds and sizes, draw them, and check the part."""
     from cell.cli.terminal import Terminal
     from cell.part import description, workpiece
-    from cell.view.looking import write
+    from cell.view.looking import write_page
     from cell.view.part_page import faces_picture, part_page
 
     terminal = Terminal(quiet_stdout=as_json)
@@ -81,7 +81,7 @@ def part(
     words = ["cell", "plan", file, *([f"--units={units}"] if units else [])]
     rows = description.rows(loaded)
     with terminal.stage("draw the part"):
-        page = write(part_page(loaded, rows, " ".join(words)), folder / "view.html")
+        page = write_page(part_page(loaded, rows, " ".join(words)), folder / "view.html")
         if loaded.cad is not None:
             faces_picture(folder / "faces.png", loaded, loaded.cad)
             rows.append(("picture", str(folder / "faces.png")))
@@ -125,9 +125,9 @@ def robot(
     terminal.print_result(found.summary(), f"Robot {file.name}", found.rows())
     if out is not None:
         from cell.view.cell_picture import draw_robot
-        from cell.view.rays import save
+        from cell.view.rays import save_png
 
-        save(draw_robot(model), out)
+        save_png(draw_robot(model), out)
         terminal.print(str(out))
 
 
@@ -203,10 +203,10 @@ def view(
         if out is not None:
             raise UsageError(f"{what} holds several set-ups with a page each; leave out --out")
         for folder in SetupsRun.opened(what).folders:
-            open_page(looking.page_of(folder, None, terminal))
+            open_page(looking.make_page(folder, None, terminal))
         Terminal(quiet_stdout=True).suggest(("cell", "scan", what))
     else:
-        open_page(looking.page_of(what, out, terminal))
+        open_page(looking.make_page(what, out, terminal))
         if following := _after_view(what):
             Terminal(quiet_stdout=True).suggest(*following)
 

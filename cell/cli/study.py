@@ -61,13 +61,13 @@ def run_study(
 
 
 def _print_study(terminal: "Terminal", result: "StudyResult", as_json: bool) -> None:
-    from cell.view.study_page import shown
+    from cell.view.study_page import format_value
 
     if as_json:
         print_json(result.summary())
         return
     if result.rows:
-        rows = [[shown(row.get(column)) for column in result.shown] for row in result.rows]
+        rows = [[format_value(row.get(column)) for column in result.shown] for row in result.rows]
         terminal.print_table(result.shown, rows, at_most=_MAX_ROWS)
         if len(rows) > _MAX_ROWS:
             terminal.print(f"all of them: {result.folder / 'rows.csv'}")

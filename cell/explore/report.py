@@ -8,7 +8,7 @@ from cell.runs import ply
 from cell.runs.run import ExecutedScan
 from cell.runs.schema import ExploreFile
 from cell.view import coverage_curve, explore_page
-from cell.view.contents import NAME as PAGE
+from cell.view.contents import PAGE_FILE as PAGE
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 

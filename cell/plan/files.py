@@ -314,13 +314,13 @@ def queue_motion(session: PlanSession, motion: Motion) -> None:
 def finish_page(session: PlanSession, report: Report, plan: PlanFile, motion: Motion, T_base_object: Floats) -> None:
     """Wait for the plots, and complete the page with views, motion and numbers."""
     # The page's modules are kept out of the start-up.
-    from cell.view.contents import HALF_PAGE, NAME, plan_play
+    from cell.view.contents import PAGE_FILE, PARTIAL_PAGE_FILE, plan_contents
     from cell.view.page import second_half
 
-    rest = second_half(plan_play(report, plan.views, motion, T_base_object))
+    rest = second_half(plan_contents(report, plan.views, motion, T_base_object))
     adopt_plots(session)
-    half = session.folder.path / HALF_PAGE
-    session.folder.write_text(NAME, half.read_text(encoding="utf-8") + rest)
+    half = session.folder.path / PARTIAL_PAGE_FILE
+    session.folder.write_text(PAGE_FILE, half.read_text(encoding="utf-8") + rest)
     half.unlink()
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.view.palette import LOOKS, look_of
+from cell.view.palette import MATERIALS, material_of
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
@@ -27,8 +27,8 @@ def set_colours(spec: mujoco.MjSpec) -> None:
     """Give every geom the colour that it has in pictures."""
     links = {geom.name for body in spec.bodies if is_robot_body(body) for geom in body.geoms}
     for geom in spec.geoms:
-        look = look_of("part" if _IS_PART.fullmatch(geom.name) else geom.name, of_robot=geom.name in links)
-        geom.rgba = [*LOOKS[look], 1]
+        material = material_of("part" if _IS_PART.fullmatch(geom.name) else geom.name, is_robot=geom.name in links)
+        geom.rgba = [*MATERIALS[material], 1]
         if geom.name in links:
             geom.group = _ROBOT_GROUP
 

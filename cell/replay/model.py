@@ -20,7 +20,7 @@ from cell.robot import model as robot
 from cell.runs.cell import table_of
 from cell.runs.run import Run
 from cell.runs.schema import ResolvedScene
-from cell.view.rays import frustum
+from cell.view.rays import frustum_corners
 from cell.world.shapes import ShapeDistances, meshes_of
 from planner.geometry.hull import is_convex
 from planner.geometry.mesh import TriangleMesh
@@ -101,7 +101,7 @@ def build_replay_model(
         )
     centre = (scene.T_base_object @ scene.T_object_centre)[:3, 3]
     opening, (nearest, farthest) = scene.scanner.opening_deg, np.array(scene.scanner.drawn_range_mm) / 1000.0
-    corners = np.concatenate([frustum(opening, nearest), frustum(opening, farthest)])
+    corners = np.concatenate([frustum_corners(opening, nearest), frustum_corners(opening, farthest)])
     geom_names = {geom.name: body.name for body in spec.bodies for geom in body.geoms if is_robot_body(body)}
     geom_names |= {piece.name: "part" for piece in part_geoms(spec)}
     set_colours(spec)

@@ -18,7 +18,7 @@ from cell.replay.tightest_moment import TightestMoment, closeup_camera
 from cell.view import rays
 from cell.view.cell_picture import best_view, draw_cell, tour_camera
 from cell.view.palette import GREEN, VERMILION
-from cell.view.pieces import Cell, Piece
+from cell.view.pieces import CellGeometry, Piece
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import Progress
@@ -40,7 +40,7 @@ class PictureInputs:
     """
 
     playback: Playback
-    cell: Cell
+    cell: CellGeometry
     part: TriangleMesh
     clouds: Sequence[Floats]
 
@@ -76,7 +76,7 @@ def write_picture(
         playback.pose(moment)
         camera = closeup_camera(playback.replay_model.model, playback.data, tightest, size)
     points = _points(inputs, moment, len(inputs.clouds), None)
-    rays.save(_drawn(inputs, moment, size, camera, points, tightest, hide)[0], path)
+    rays.save_png(_drawn(inputs, moment, size, camera, points, tightest, hide)[0], path)
 
 
 def write_frames(
@@ -120,13 +120,13 @@ def write_frames(
         newest = None if stop is None else timeline.stops.index(stop)
         points = _points(inputs, t, timeline.reached(t), newest)
         tightest = playback.tightest if playback.tightest is not None and playback.tightest.is_shown_at(t) else None
-        drawn, seen = _drawn(inputs, t, size, camera, points, tightest)
+        drawn, depth = _drawn(inputs, t, size, camera, points, tightest)
         positions = np.array([violation.position for violation in violations]).reshape(-1, 3)
-        rays.dots(drawn, seen.camera.project(positions)[:, :2], VERMILION, 6.0)
+        rays.draw_dots(drawn, depth.camera.project(positions)[:, :2], VERMILION, 6.0)
         ImageDraw.Draw(drawn).text(
             (8, 4), playback.caption(t, violations), "#111111", rays.font(_CAPTION), stroke_width=2, stroke_fill="white"
         )
-        rays.save(drawn, folder / f"frame_{number:05d}.png")
+        rays.save_png(drawn, folder / f"frame_{number:05d}.png")
         if progress is not None:
             progress(number, len(times))
     return len(times)
@@ -157,32 +157,32 @@ def _drawn(
     points: Sequence[Piece],
     tightest: TightestMoment | None,
     hide: Collection[str] = (),
-) -> tuple[Image.Image, rays.Seen]:
+) -> tuple[Image.Image, rays.DepthImage]:
     """Return the picture of a moment [s] and the depth seen by its camera."""
     playback, candidates = inputs.playback, inputs.playback.T_base_candidate
     strokes = np.stack([candidates[:, :3, 3], candidates[:, :3, 3] + _CANDIDATE * candidates[:, :3, 2]], axis=1)
-    drawn, seen = draw_cell(
-        inputs.cell, inputs.part, playback.timeline.at(t), views=playback.T_base_scanner, way=playback.path, size=size,
+    drawn, depth = draw_cell(
+        inputs.cell, inputs.part, playback.timeline.at(t), views=playback.T_base_scanner, path=playback.path, size=size,
         camera=camera, hide=hide, extra=points,
     )  # fmt: skip
     reachable = np.zeros(len(strokes), dtype=np.bool_) if playback.reachable is None else playback.reachable
-    rays.lines(drawn, seen, strokes[reachable], GREEN, width=2)
-    rays.lines(drawn, seen, strokes[~reachable], VERMILION, width=2)
+    rays.draw_lines(drawn, depth, strokes[reachable], GREEN, width=2)
+    rays.draw_lines(drawn, depth, strokes[~reachable], VERMILION, width=2)
     if tightest is not None:
-        rays.lines(drawn, seen, tightest.points[None], VERMILION, width=4, hidden=VERMILION)
-        at = seen.camera.project(tightest.points)[:, :2]
-        rays.dots(drawn, at, VERMILION)
-        rays.labels(drawn, at.mean(axis=0)[None] + [0.0, 18.0], [tightest.sentence])
-    return drawn, seen
+        rays.draw_lines(drawn, depth, tightest.points[None], VERMILION, width=4, hidden=VERMILION)
+        at = depth.camera.project(tightest.points)[:, :2]
+        rays.draw_dots(drawn, at, VERMILION)
+        rays.draw_labels(drawn, at.mean(axis=0)[None] + [0.0, 18.0], [tightest.sentence])
+    return drawn, depth
 
 
 def _points(inputs: PictureInputs, t: float, n_scans: int, newest: int | None) -> list[Piece]:
     """Return marks at the points of the first `n_scans` scans at a moment [s]; the newest scan is brighter."""
-    T, radius = inputs.cell.turn(inputs.playback.timeline.at(t)) @ inputs.cell.T_base_object, inputs.part.diagonal / 2
+    T = inputs.cell.table_motion(inputs.playback.timeline.at(t)) @ inputs.cell.T_base_object
     found = []
     for scan, points in enumerate(inputs.clouds[:n_scans]):
         if len(points):
-            mesh = point_marks(points, 0.010 * radius)
+            mesh = point_marks(points, 0.010 * inputs.part.diagonal / 2)
             colour = np.array((overlays.NEWEST if scan == newest else overlays.EARLIER)[:3])
             found.append(Piece("points", 0, mesh.vertices @ T[:3, :3].T + T[:3, 3], np.array(mesh.faces), colour))
     return found

@@ -20,12 +20,12 @@ from cell.runs.cell import RunCell, read_cell
 from cell.runs.run import EXECUTIONS, Execution, Run, open_finished, read_execution, reading
 from cell.runs.schema import JsonTable, optional
 from cell.session import ProgressReporter
-from cell.view.contents import execution_play, named_layer, plan_play
-from cell.view.looking import write
-from cell.view.page import Play, Shown, Stage, View, html_of
+from cell.view.contents import execution_contents, named_layer, plan_contents
+from cell.view.looking import write_page
+from cell.view.page import PageContents, PageScene, PageSurface, PageView, render_page
 from cell.view.palette import BLUE, GREEN, GREY, MEASURED, VERMILION
-from cell.view.pieces import Cell, beside, cell_of_run
-from cell.view.surface import canvas_of, sides
+from cell.view.pieces import CellGeometry, cell_of_run, with_ignored_faces
+from cell.view.surface import canvas_of, viewing_directions
 from cell.world.prediction import held_out_samples
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
@@ -194,7 +194,7 @@ def compare_runs(a: Path, b: Path, reporter: ProgressReporter, out: Path | None 
     )  # fmt: skip
     if out is not None:
         with reporter.stage("draw the page"):
-            write(difference_page(difference, (A, B), cells[0].reference, samples, *covered), out)
+            write_page(difference_page(difference, (A, B), cells[0].reference, samples, *covered), out)
     return difference
 
 
@@ -352,23 +352,25 @@ def difference_page(
     cell, canvas = cell_of_run(B.run, scene), canvas_of(part, samples)
     which = np.where(a, np.where(b, 0, 2), np.where(b, 3, 1))
     layer = named_layer("Gained and lost", which, _NAMES, canvas)
-    stage = Stage(
-        f"{scene.part.name}: {difference.b} (B) against {difference.a} (A)", beside(cell, canvas.mesh, canvas.aside),
-        [Shown("part", canvas.counted, [layer])],
-        sides(canvas, a != b, 1)[0],
-    )  # fmt: skip
+    page_scene = PageScene(
+        f"{scene.part.name}: {difference.b} (B) against {difference.a} (A)",
+        with_ignored_faces(cell, canvas.mesh, canvas.ignored),
+        [PageSurface("part", canvas.counted_mesh, [layer])],
+        viewing_directions(canvas, a != b, 1)[0],
+    )
     if B.execution is None:
-        play = plan_play(B.run.report, B.run.plan.views, B.run.motion, scene.T_base_object)
+        contents = plan_contents(B.run.report, B.run.plan.views, B.run.motion, scene.T_base_object)
     else:
         recorded = read_execution(B.run, B.folder.name)
-        play = execution_play(B.run, recorded, B.execution, cell)
-    views = [*_matched_views(play.views, difference), *_lost_views(A, difference, cell)]
+        contents = execution_contents(B.run, recorded, B.execution, cell)
+    views = [*_matched_views(contents.views, difference), *_lost_views(A, difference, cell)]
     figures = [(each.name, f"{format_value(each.a)} → {format_value(each.b)}") for each in difference.numbers]
     settings = [(each.key, f"{format_value(each.a)} → {format_value(each.b)}") for each in difference.settings]
-    return html_of(stage, _with_folder(replace(play, views=views, rows=[*figures, *settings], inside=None), B))
+    contents = replace(contents, views=views, rows=[*figures, *settings], folder_depth=None)
+    return render_page(page_scene, _with_folder(contents, B))
 
 
-def _matched_views(views: Sequence[View], difference: Difference) -> list[View]:
+def _matched_views(views: Sequence[PageView], difference: Difference) -> list[PageView]:
     """Return B's views, each with its matching view of A."""
     kept = {str(b): (f"view {a}, same pose", MEASURED) for a, b in difference.views.kept}
     moved = {
@@ -383,21 +385,21 @@ def _matched_views(views: Sequence[View], difference: Difference) -> list[View]:
     return matched
 
 
-def _lost_views(A: Side, difference: Difference, cell: Cell) -> list[View]:
+def _lost_views(A: Side, difference: Difference, cell: CellGeometry) -> list[PageView]:
     """Return the views of A alone, relative to the part in B's cell."""
     middle = {int(n): poses[len(poses) // 2] for n, poses in zip(A.number, A.poses, strict=True)}
     return [
-        View(f"A{n}", cell.T_base_object @ middle[n], None, [("view", f"{n} of A, not in B")], colour=VERMILION)
+        PageView(f"A{n}", cell.T_base_object @ middle[n], None, [("view", f"{n} of A, not in B")], colour=VERMILION)
         for n in difference.views.lost
     ]
 
 
-def _with_folder(play: Play, B: Side) -> Play:
+def _with_folder(contents: PageContents, B: Side) -> PageContents:
     """Return the page with commands that name the run folder, since the page is outside of it."""
     folder = shlex.quote(str(B.run.folder))
 
     def named(commands: Sequence[str]) -> list[str]:
         return [each.replace("EXECUTION", B.folder.name).replace("RUN", folder) for each in commands]
 
-    views = [replace(view, commands=named(view.commands)) for view in play.views]
-    return replace(play, views=views, next=named(play.next))
+    views = [replace(view, commands=named(view.commands)) for view in contents.views]
+    return replace(contents, views=views, next_commands=named(contents.next_commands))

@@ -18,11 +18,11 @@ from cell.runs.run import open_run
 from cell.runs.schema import ResolvedScene
 from cell.view import pictures, rays
 from cell.view.cell_picture import best_view, draw_cell
-from cell.view.contents import HALF_PAGE, part_of
-from cell.view.page import Stage, first_half, three
+from cell.view.contents import PARTIAL_PAGE_FILE, part_surface
+from cell.view.page import PageScene, first_half, three_js
 from cell.view.palette import AXES, BETWEEN, BLUE, ORANGE, PURPLE, VERMILION
-from cell.view.pieces import Cell, beside, cell_of_run
-from cell.view.surface import Canvas, canvas_of, surface_of
+from cell.view.pieces import CellGeometry, cell_of_run, with_ignored_faces
+from cell.view.surface import Canvas, canvas_of, measure_samples
 from cell.world.prediction import held_out_samples
 from planner.kinematics.reach import Verdict
 from planner.ports import ARM_AXES, Scanner, axis_name
@@ -212,7 +212,7 @@ def part_ready(folder: Path) -> None:
     """Prepare the part of an unfinished run for colouring, so that forks have it."""
     _part.cache_clear()
     _part(folder)
-    three()
+    three_js()
 
 
 def cell_ready(folder: Path) -> None:
@@ -231,7 +231,7 @@ def _part(folder: Path) -> Canvas:
 
 
 @lru_cache(maxsize=1)
-def _cell(folder: Path) -> tuple[ResolvedScene, Cell, Scanner]:
+def _cell(folder: Path) -> tuple[ResolvedScene, CellGeometry, Scanner]:
     """Return the scene of a run, its cell, and its scanner."""
     run = open_run(folder)
     scene = run.scene
@@ -248,11 +248,11 @@ def part_and_views(path: Path, *, T_object_poses: Floats, T_object_scanner: Floa
         seen: (S, n) which held-out samples each view measures.
     """
     canvas, (scene, cell, scanner) = _part(path.parent), _cell(path.parent)
-    surface = surface_of(canvas.samples, T_object_poses, scanner, (), seen)
-    pictures.part_and_views(path, canvas, surface, T_object_scanner, scene.scanner.opening_deg)
-    shown = part_of(canvas, surface, regions=scene.regions)
-    stage = Stage(f"View plan of {scene.part.name}", beside(cell, canvas.mesh, canvas.aside), [shown])
-    (path.parent / HALF_PAGE).write_text(first_half(stage), encoding="utf-8")
+    surface = measure_samples(canvas.samples, T_object_poses, scanner, (), seen)
+    pictures.draw_part_and_views(path, canvas, surface, T_object_scanner, scene.scanner.opening_deg)
+    shown = part_surface(canvas, surface, regions=scene.regions)
+    stage = PageScene(f"View plan of {scene.part.name}", with_ignored_faces(cell, canvas.mesh, canvas.ignored), [shown])
+    (path.parent / PARTIAL_PAGE_FILE).write_text(first_half(stage), encoding="utf-8")
 
 
 def cell_with_arm(
@@ -279,6 +279,6 @@ def cell_with_arm(
     hidden = {piece.name for piece in cell.pieces} & set(hide)
     camera = (float(camera_deg[0]), float(camera_deg[1])) if len(camera_deg) else None
     drawn, _ = draw_cell(
-        cell, part, q_shown, views=T_base_scanner, way=source_path, size=_STILL, camera=camera, hide=hidden
+        cell, part, q_shown, views=T_base_scanner, path=source_path, size=_STILL, camera=camera, hide=hidden
     )
-    rays.save(drawn, path)
+    rays.save_png(drawn, path)

@@ -394,11 +394,11 @@ def draw_deviation(path: Path, mesh: TriangleMesh, deviation: Deviation, source:
         hits = caster.first_hit(origins, directions)
         picture, seen = np.ones((len(origins), 3)), np.flatnonzero(hits.face >= 0)
         facing = -np.einsum("ij,ij->i", normals[hits.face[seen]], directions[seen])
-        picture[seen] = rays.shaded(scale.to_rgba(of_face[hits.face[seen]])[:, :3], facing)
+        picture[seen] = rays.shade(scale.to_rgba(of_face[hits.face[seen]])[:, :3], facing)
         return picture, hits.distance
 
     for axes, (azimuth, title) in zip(panels, _SIDES, strict=False):
-        camera = rays.fitted(mesh.vertices, rays.direction(azimuth, 22.0), (_PIXELS, _PIXELS), parallel=True)
+        camera = rays.fit_camera(mesh.vertices, rays.direction(azimuth, 22.0), (_PIXELS, _PIXELS), parallel=True)
         width = 2000 * float(camera.half[0])
         axes.imshow(rays.render(camera, colour_of)[0], extent=(0, width, 0, width))
         axes.set_title(title, fontsize=10)

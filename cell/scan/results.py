@@ -53,8 +53,8 @@ from cell.scan.options import ScanOptions
 from cell.scan.point_checks import find_contradictions
 from cell.session import Session, Stream, random_stream
 from cell.view import contents
-from cell.view.pictures import part_and_views
-from cell.view.surface import Surface, canvas_of
+from cell.view.pictures import draw_part_and_views
+from cell.view.surface import MeasuredSamples, canvas_of
 from cell.world.prediction import held_out_samples
 from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
@@ -258,7 +258,7 @@ def _draw(
     names = {scan_name(scan.stop) for scan in scans}
     used = replace(recorded, scans=tuple(scan for scan in recorded.scans if scan.name in names))
     done = Execution(folder.path, Manifest(), report)  # its manifest is not written yet
-    folder.write_text(contents.NAME, contents.execution_page(run, used, done, (canvas, achieved.surface)))
+    folder.write_text(contents.PAGE_FILE, contents.execution_page(run, used, done, (canvas, achieved.surface)))
     if not scans:
         folder.remove("views.png")
         folder.remove("cover.png")
@@ -267,7 +267,7 @@ def _draw(
 
     poses = np.stack([poses[len(poses) // 2] for poses in executed_poses(scans, results.merged)])
     opening, stops = cell.scanner_keys.opening_deg, [scan.stop for scan in scans]
-    part_and_views(folder.path / "views.png", canvas, achieved.surface, poses, opening, stops, title)
+    draw_part_and_views(folder.path / "views.png", canvas, achieved.surface, poses, opening, stops, title)
     figures.cover_curve(
         folder.path / "cover.png",
         marginal_area=achieved.marginal_sorted,
@@ -481,7 +481,7 @@ class AchievedCoverage:
     radius: float
     marginal: Floats
     marginal_sorted: Floats
-    surface: Surface
+    surface: MeasuredSamples
 
 
 def achieved_coverage(
@@ -489,12 +489,12 @@ def achieved_coverage(
 ) -> AchievedCoverage:
     """Measure coverage on the held-out samples of the plan, which `plan_seed` reproduces."""
     samples = held_out_samples(cell.reference, cell.planning, plan_seed)
-    surface = contents.of_views(cell, samples, executed_poses(scans, merged))
+    surface = contents.measured_by_views(cell, samples, executed_poses(scans, merged))
     measured = surface.seen
     predicted = plan.coverage.visible
     poses = [plan.views[scan.stop - 1].T_object_poses for scan in scans]
     if sorted(scan.stop for scan in scans) != list(range(1, len(plan.views) + 1)):
-        predicted = coverage.coverage_of_views(contents.of_views(cell, samples, poses).seen, samples).fraction
+        predicted = coverage.coverage_of_views(contents.measured_by_views(cell, samples, poses).seen, samples).fraction
     radius = coverage.sampling_radius(cell.reference)
     spacing = None
     if poses and len(poses[0]) == 1:

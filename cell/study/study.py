@@ -25,8 +25,8 @@ from cell.session import ProgressReporter
 from cell.study.run import run
 from cell.study.trial import Outcome, Trial
 from cell.study.workers import Workers
-from cell.view.contents import NAME
-from cell.view.study_page import shown, study_page
+from cell.view.contents import PAGE_FILE
+from cell.view.study_page import format_value, study_page
 
 SCHEMA = "scan-cell/study/1"
 
@@ -180,7 +180,7 @@ def write_folder(
         content = {**told, "name": name, "title": title, "pictures": [Path(each).stem for each in drawn]}
         _write(folder / "study.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
         _write(folder / "report.md", _report(title, result, drawn))
-        _write(folder / NAME, study_page(folder))
+        _write(folder / PAGE_FILE, study_page(folder))
     except OSError as error:
         raise FileError(f"{folder} cannot be written: {error.strerror or error}; choose another --out") from error
 
@@ -213,7 +213,7 @@ def _draw(folder: Path, stem: str, figure: Figure) -> str:
 
 
 def _report(title: str, result: StudyResult, pictures: Sequence[str]) -> str:
-    lines = [f"# {title} ([look at it]({NAME}))", ""]
+    lines = [f"# {title} ([look at it]({PAGE_FILE}))", ""]
     for sentence in result.sentences:
         lines += [sentence, ""]
     lines += [line for name in pictures for line in (f"![{Path(name).stem}]({name})", "")]
@@ -227,5 +227,5 @@ def _report(title: str, result: StudyResult, pictures: Sequence[str]) -> str:
 def markdown_table(rows: Sequence[Row]) -> list[str]:
     """The rows as lines of a Markdown table; numbers with at most four digits."""
     columns = _columns(rows)
-    body = ["| " + " | ".join(shown(row.get(column)) for column in columns) + " |" for row in rows]
+    body = ["| " + " | ".join(format_value(row.get(column)) for column in columns) + " |" for row in rows]
     return ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns), *body] if rows else []

@@ -1,1 +1,1 @@
-"""What a person looks at: pictures drawn by rays, and the page of a run that opens in any browser."""
+"""Pictures drawn by ray casting, and pages for a browser."""

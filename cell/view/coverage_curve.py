@@ -1,4 +1,4 @@
-"""Picture of the measured surface of an exploration over its number of views."""
+"""Picture of an exploration's measured surface over the number of views."""
 
 import base64
 import tempfile
@@ -14,11 +14,11 @@ _PANEL = (3.8, 4.0)  # inches
 
 
 def draw(path: Path, file: ExploreFile, size: tuple[float, float] = (7.2, 4.6)) -> None:
-    """Draw the picture; equal files give equal bytes.
+    """Draw the picture with reproducible bytes.
 
     Args:
         path: PNG to write.
-        file: of an exploration with a stage at least.
+        file: of an exploration with at least one batch.
         size: of the picture [inches].
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # matplotlib takes a second to import
@@ -30,7 +30,7 @@ def draw(path: Path, file: ExploreFile, size: tuple[float, float] = (7.2, 4.6)) 
     axes = figure.add_subplot()
     views = np.cumsum([0, *(stage.views for stage in file.stages)])
     areas = [0.0, *(stage.measured_mm2 / 100 for stage in file.stages)]
-    axes.plot(views, areas, "o-", color=BLUE, ms=4, lw=1.2, label="surface with a measured point beside it")
+    axes.plot(views, areas, "o-", color=BLUE, ms=4, lw=1.2, label="surface near a measured point")
     axes.set_ylabel("measured [cm$^2$]")
     axes.set_ylim(0, None)
     axes.set(xlabel="number of views", xlim=(0, max(file.views, 1)))
@@ -41,7 +41,7 @@ def draw(path: Path, file: ExploreFile, size: tuple[float, float] = (7.2, 4.6)) 
 
 
 def data_url(file: ExploreFile) -> str:
-    """The picture in the size of a page's panel, for a page that asks for no address."""
+    """Return the picture as a data URL, in the size of a page's panel."""
     with tempfile.TemporaryDirectory() as folder:
         draw(path := Path(folder) / "curve.png", file, _PANEL)
         return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"

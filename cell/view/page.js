@@ -1,6 +1,6 @@
-// The page of a run: what cell/view/page.py wrote into #stage and #play-data, drawn with three.js. Base frame, metres, seconds.
+// Page of a run: the JSON of cell/view/page.py in #page-scene and #page-contents, drawn with three.js. Base frame, metres, seconds.
 "use strict";
-const data = Object.assign({}, ...["stage", "play-data"].map((id) => JSON.parse(document.getElementById(id).textContent)));
+const data = Object.assign({}, ...["page-scene", "page-contents"].map((id) => JSON.parse(document.getElementById(id).textContent)));
 const byId = (id) => document.getElementById(id);
 const KINDS = { u1: Uint8Array, u2: Uint16Array, u4: Uint32Array, f4: Float32Array };
 
@@ -39,18 +39,18 @@ THREE.Object3D.DefaultUp.set(0, 0, 1);
 const canvas = byId("scene");
 let renderer = null;
 try { renderer = new THREE.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true }); } catch {
-  data.problems.unshift("This browser draws nothing in three dimensions (WebGL is missing or switched off); the numbers are all here.");
+  data.problems.unshift("This browser cannot draw in three dimensions (WebGL is missing or disabled); all numbers are on this page.");
 }
 const scene = new THREE.Scene();
 const camera = new THREE.PerspectiveCamera(35, 1, 0.01, 60);
 const eye = new THREE.PerspectiveCamera(60, 1, 0.002, 20);
 const lamp = new THREE.DirectionalLight(0xffffff, 0.55);
 scene.add(new THREE.HemisphereLight(0xffffff, 0x8a8f98, 0.62), lamp);
-const orbit = { target: new THREE.Vector3(...(data.look.close ? data.look.part : data.look.target)), distance: data.look.close ? data.look.near : data.look.distance, azimuth: data.look.azimuth, elevation: data.look.elevation };
+const orbit = { target: new THREE.Vector3(...(data.camera.starts_at_part ? data.camera.part : data.camera.target)), distance: data.camera.starts_at_part ? data.camera.part_distance : data.camera.distance, azimuth: data.camera.azimuth, elevation: data.camera.elevation };
 let dirty = true;
 const redraw = () => { dirty = true; };
 
-// ---- what is shown: one entry for each name ------------------------------------------------------------------------
+// ---- visibility and opacity: one entry per name ---------------------------------------------------------------------
 const shown = new Map();
 function register(name, object, materials) {
   if (!shown.has(name)) shown.set(name, { objects: [], materials: [], visible: true, opacity: 1 });
@@ -101,7 +101,7 @@ for (const piece of data.pieces) {
   if (piece.name === "floor") {
     const grid = new THREE.GridHelper(6, 12, 0x888888, 0xaaaaaa);
     grid.rotation.x = Math.PI / 2;
-    grid.position.set(data.look.target[0], data.look.target[1], data.floor + 0.001);
+    grid.position.set(data.camera.target[0], data.camera.target[1], data.floor + 0.001);
     group.add(grid);
     material.transparent = true; material.opacity = material.userData.opacity = 0.25;
     materials.push(grid.material);
@@ -112,8 +112,8 @@ for (const piece of data.pieces) {
 
 // ---- surfaces and their colours ------------------------------------------------------------------------------------
 const T_base_object = matrix(data.T_base_object);
-const onPart = fixed(matrix(data.T_turns_base));  // what turns with the part, in base with a rotary table at 0
-links[data.turns].add(onPart);
+const onPart = fixed(matrix(data.T_part_link_base));  // objects that turn with the part, in base with a rotary table at 0
+links[data.part_link].add(onPart);
 const palette = Object.fromEntries(Object.entries(data.palette).map(([name, colours]) => [name, colours.map(rgb)]));
 const surfaces = data.surfaces.map((surface) => {
   const geometry = new THREE.BufferGeometry();
@@ -134,7 +134,7 @@ const choices = [];
 for (const surface of surfaces) {
   for (const layer of surface.layers) {
     choices.push({ surface, layer, title: layer.title });
-    if (layer.kind === "views") choices.push({ surface, layer, title: "Measured by the chosen view", single: true });
+    if (layer.kind === "views") choices.push({ surface, layer, title: "Measured by the selected view", single: true });
   }
   choices.push({ surface, layer: null, title: `${surface.name[0].toUpperCase()}${surface.name.slice(1)} without colours` });
 }
@@ -178,8 +178,8 @@ function legend() {
     element("span", text, row);
   };
   if (layer.kind === "views" && single) {
-    swatch(data.palette.seen[3], chosen < 0 ? "choose a view" : `measured by view ${data.views[chosen].number}`);
-    swatch(data.palette.measured[0], "not by it");
+    swatch(data.palette.seen[3], chosen < 0 ? "select a view" : `measured by view ${data.views[chosen].number}`);
+    swatch(data.palette.measured[0], "not measured by it");
   } else if (layer.kind === "views") {
     swatch(data.palette.open[0], "not measured");
     data.palette.seen.forEach((colour, k) => swatch(colour, k + 1 < data.palette.seen.length ? `${k + 1} view${k ? "s" : ""}` : `${k + 1} or more`));
@@ -293,17 +293,17 @@ function play(on) {
 
 // ---- panel ---------------------------------------------------------------------------------------------------------
 const folder = decodeURIComponent(location.pathname).replace(/^\/([A-Za-z]:)/, "$1").split("/").slice(0, -1);
-const execution = data.inside === 2 ? folder[folder.length - 1] : "latest";
-if (data.inside) folder.splice(-data.inside);
+const execution = data.folder_depth === 2 ? folder[folder.length - 1] : "latest";
+if (data.folder_depth) folder.splice(-data.folder_depth);
 function command(text) {
-  const path = location.protocol === "file:" && data.inside !== null ? folder.join("/") : "RUN";
+  const path = location.protocol === "file:" && data.folder_depth !== null ? folder.join("/") : "RUN";
   const quoted = /^[\w@%+=:,./-]+$/.test(path) ? path : `'${path.replace(/'/g, "'\\''")}'`;
   return text.replace("EXECUTION", () => execution).replace("RUN", () => quoted);
 }
-byId("inset").firstElementChild.textContent = "as the scanner sees it";
+byId("inset").firstElementChild.textContent = "view of the scanner";
 document.querySelector("h1").textContent = data.title;
-for (const sentence of data.problems) element("p", sentence, byId("said"), "problem");
-for (const sentence of data.notes) element("p", sentence, byId("said"), "note");
+for (const sentence of data.problems) element("p", sentence, byId("messages"), "problem");
+for (const sentence of data.notes) element("p", sentence, byId("messages"), "note");
 choices.forEach((each, k) => { element("option", each.title, byId("colour")).value = k; });
 byId("of-colour").hidden = !choices.some((each) => each.layer);
 byId("colour").onchange = () => { choice = choices[byId("colour").value]; paint(); };
@@ -326,8 +326,8 @@ byId("of-curve").hidden = !data.curve;
 if (data.curve) byId("curve").src = data.curve;
 for (const [name, value] of data.rows) { element("dt", name, byId("report")); element("dd", value, byId("report")); }
 byId("of-report").hidden = !data.rows.length;
-for (const text of data.next) element("code", command(text), byId("next"));
-byId("of-next").hidden = !data.next.length;
+for (const text of data.next_commands) element("code", command(text), byId("next"));
+byId("of-next").hidden = !data.next_commands.length;
 if (motion) {
   byId("player").hidden = false;
   byId("time").max = motion.t[motion.t.length - 1];
@@ -335,7 +335,7 @@ if (motion) {
   byId("play").onclick = () => play(!playing);
 }
 
-// ---- looking around ------------------------------------------------------------------------------------------------
+// ---- camera control -----------------------------------------------------------------------------------------------
 let dragged = null, moved = 0;
 canvas.onpointerdown = (event) => { dragged = [event.clientX, event.clientY]; moved = 0; canvas.setPointerCapture(event.pointerId); canvas.focus(); };
 canvas.onpointermove = (event) => {
@@ -373,8 +373,8 @@ function pick(event) {
   if (best >= 0) select(best);
 }
 function lookAt(target, distance) { orbit.target.set(...target); orbit.distance = distance; redraw(); }
-element("button", "whole cell", byId("of-look")).onclick = () => lookAt(data.look.target, data.look.distance);
-element("button", "part", byId("of-look")).onclick = () => lookAt(data.look.part, data.look.near);
+element("button", "whole cell", byId("of-camera")).onclick = () => lookAt(data.camera.target, data.camera.distance);
+element("button", "part", byId("of-camera")).onclick = () => lookAt(data.camera.part, data.camera.part_distance);
 function resize() {
   renderer?.setPixelRatio(Math.min(devicePixelRatio, 2));
   renderer?.setSize(innerWidth, innerHeight, false);
@@ -395,7 +395,7 @@ function draw() {
   renderer.setClearColor(getComputedStyle(document.documentElement).getPropertyValue("--back").trim());
   renderer.render(scene, camera);
   if (chosen < 0) return;
-  // The source looks along +z with +x to the right of the sensor; a camera looks along -z.
+  // The scanner looks along +z with +x to the right; a three.js camera looks along -z.
   const T = onPart.matrixWorld.clone().multiply(poses[chosen]), across = frustum[1].x / frustum[1].z, up = frustum[2].y / frustum[2].z;
   const size = Math.min(240, canvas.clientWidth / 4), width = size * Math.min(1, Math.max(across / up, 0.2)), height = size * Math.min(1, up / across);
   const box = byId("inset"), area = canvas.getBoundingClientRect();
@@ -436,10 +436,10 @@ if (motion) moment(0);
 resize();
 requestAnimationFrame(frame);
 
-// ---- cell view --watch: a file beside the page says when it was written anew ----------------------------------------
-if (data.watched) {
-  try { Object.assign(orbit, JSON.parse(sessionStorage.getItem("orbit") ?? "{}", (key, value) => key === "target" ? new THREE.Vector3(value.x, value.y, value.z) : value)); } catch { /* a first visit */ }
-  globalThis.drawn = (stamp) => { if (stamp !== data.watched) { sessionStorage.setItem("orbit", JSON.stringify(orbit)); location.reload(); } };
+// ---- cell view --watch: a file beside the page holds the stamp of its last version -------------------------------------
+if (data.watch_stamp) {
+  try { Object.assign(orbit, JSON.parse(sessionStorage.getItem("orbit") ?? "{}", (key, value) => key === "target" ? new THREE.Vector3(value.x, value.y, value.z) : value)); } catch { /* first visit */ }
+  globalThis.reloadIfNew = (stamp) => { if (stamp !== data.watch_stamp) { sessionStorage.setItem("orbit", JSON.stringify(orbit)); location.reload(); } };
   setInterval(() => {
     const script = document.createElement("script");
     script.src = `${location.pathname.split("/").pop()}.stamp.js?${Date.now()}`;

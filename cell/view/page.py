@@ -1,8 +1,8 @@
-"""The page: one HTML file with three.js, the cell, the part, views and motion in it; no address outside, no server.
+"""Page of a run: one HTML file with three.js, cell, part, views and motion; needs no server and no network.
 
-three.js is the one that trimesh carries for its own viewer. Geometry is quantised to 1/65535 of its extent and thinned
-to what an eye can tell. Nothing that a user named is ever taken for markup: text goes through JSON whose `<` is escaped
-and through `textContent`. Equal values give equal bytes. Base frame, metres.
+three.js comes from trimesh's own viewer. Geometry is quantised to 1/65535 of its extent and reduced to the visible
+resolution. User-defined names are never parsed as markup: text goes through JSON with escaped `<` and through
+`textContent`. Equal values give equal bytes. Base frame, metres.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ import numpy as np
 
 from cell.errors import CellError
 from cell.view import palette
-from cell.view.packed import Layer, packed, packed_mesh, packed_motion, packed_points
-from cell.view.pieces import Cell, Piece, placed
-from cell.view.surface import FACES
+from cell.view.packed import Layer, pack_array, pack_mesh, pack_motion, pack_points
+from cell.view.pieces import CellGeometry, Piece, place_pieces
+from cell.view.surface import MAX_FACES
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 
-_OWN_START = "var camera,controls,scene,renderer,tracklight;"  # where trimesh's own viewer begins, behind three.js
-_AWAY = 1.5  # times its diagonal: from where all of arm and part is in the picture
-_GLYPH = 0.16  # of a frustum's length: a view's small pyramid
+_VIEWER_START = "var camera,controls,scene,renderer,tracklight;"  # end of three.js, start of trimesh's own viewer
+_DISTANCE_FACTOR = 1.5  # times the diagonal of arm and part: distance at which both are in the picture
+_GLYPH_SHARE = 0.16  # of the frustum's length: the small pyramid of a view
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shown:
+class PageSurface:
     """A surface with its layers, object frame [m]."""
 
     name: str
@@ -45,15 +45,15 @@ class Shown:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """A view that can be clicked.
+class PageView:
+    """A selectable view.
 
     Attributes:
-        number: in visiting order, from 1, with what tells it apart where the page has views of two runs.
+        number: in visiting order, from 1, with the name of the run if the page has views of two runs.
         T_base_scanner: (4, 4) [m].
-        time: of the motion, at which the scanner is there [s]; None: never.
-        rows: what is said of it.
-        commands: that do something with it; words as in `Play.next`.
+        time: of the motion, at which the scanner is there [s]; None if never.
+        rows: names and values in the panel.
+        commands: for this view, with placeholders as in `PageContents.next_commands`.
         colour: of its frustum.
     """
 
@@ -66,118 +66,126 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stage:
-    """What does not move: all that is dear to make, so that it can be made before the rest is known.
+class PageScene:
+    """Static geometry, which is expensive and can be written before the contents are known.
 
     Attributes:
         title: heading.
         cell: robot and surroundings.
-        surfaces: part, and what was measured of it; coloured at first by the first layer of the first.
-        toward: (3,) unit vector from the part to the eye that looks at it at first, object frame; None: the whole cell.
-        watched: stamp of a page that is written again and again; "" is none.
+        surfaces: the part and the measured surface; the first layer of the first surface is selected.
+        toward: (3,) unit vector from the part to the initial camera, object frame; None shows the whole cell.
+        watch_stamp: version of a page that is updated repeatedly, or "".
     """
 
     title: str
-    cell: Cell
-    surfaces: Sequence[Shown] = ()
+    cell: CellGeometry
+    surfaces: Sequence[PageSurface] = ()
     toward: Floats | None = None
-    watched: str = ""
+    watch_stamp: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Play:
-    """What is done in front of it, and said of it.
+class PageContents:
+    """Views, motion, points and text of a page.
 
     Attributes:
         views: in visiting order.
-        motion: times (M,) [s] and joint angles (M, 6) [rad]; None: the arm stands at home.
+        motion: times (M,) [s] and joint angles (M, axes) [rad]; None for an arm at home.
         cloud: (P, 3) points, object frame [m].
-        rows: numbers beside the picture.
-        problems: sentences about what is wrong.
+        rows: names and numbers in the panel.
+        problems: sentences about errors.
         notes: sentences.
-        next: commands that go on from here; RUN stands for the run folder, EXECUTION for the name of the page's.
-        inside: how many folders below its run folder the page lies; None: anywhere else.
-        curve: picture of coverage over views, as a data URL; "": none.
+        next_commands: with the placeholders RUN for the run folder and EXECUTION for the execution's name.
+        folder_depth: number of folders between the run folder and the page; None for a page elsewhere.
+        curve: picture of coverage over views as a data URL, or "".
     """
 
-    views: Sequence[View] = ()
+    views: Sequence[PageView] = ()
     motion: tuple[Floats, Floats] | None = None
     cloud: Floats | None = None
     rows: Sequence[tuple[str, str]] = ()
     problems: Sequence[str] = ()
     notes: Sequence[str] = ()
-    next: Sequence[str] = ()
-    inside: int | None = None
+    next_commands: Sequence[str] = ()
+    folder_depth: int | None = None
     curve: str = ""
 
 
-def html_of(stage: Stage, play: Play) -> str:
-    """The whole file."""
-    return first_half(stage) + second_half(play)
+def render_page(scene: PageScene, contents: PageContents) -> str:
+    """Return the complete HTML text."""
+    return first_half(scene) + second_half(contents)
 
 
-def first_half(stage: Stage) -> str:
-    """The file's text up to what `second_half` adds.
+def first_half(scene: PageScene) -> str:
+    """Return the HTML text up to the contents.
 
     Raises:
-        CellError: if trimesh's viewer is not the one that this version knows.
+        CellError: if this version of trimesh has an unknown viewer.
     """
-    may = (
-        f"script-src 'unsafe-inline'{' file:' if stage.watched else ''}; style-src 'unsafe-inline'; img-src data: blob:"
+    scripts = "'unsafe-inline' file:" if scene.watch_stamp else "'unsafe-inline'"
+    policy = f"script-src {scripts}; style-src 'unsafe-inline'; img-src data: blob:"
+    return fill_template(
+        resource_text("page.html").partition("$CONTENTS")[0],
+        HEAD=page_head(scene.title, "page.css", policy),
+        THREE=three_js(),
+        SCENE=_dump_json(_scene_json(scene)),
     )
-    return filled(
-        text("page.html").partition("$PLAY")[0],
-        HEAD=head(stage.title, "page.css", may), THREE=three(), STAGE=_json(_stage(stage)),
-    )  # fmt: skip
 
 
-def second_half(play: Play) -> str:
-    """The rest of the file."""
-    return _json(_play(play)) + filled(text("page.html").partition("$PLAY")[2], SCRIPT=text("page.js"))
+def second_half(contents: PageContents) -> str:
+    """Return the HTML text from the contents on."""
+    rest = fill_template(resource_text("page.html").partition("$CONTENTS")[2], SCRIPT=resource_text("page.js"))
+    return _dump_json(_contents_json(contents)) + rest
 
 
-def head(title: str, css: str, may: str) -> str:
-    """The head of a page.
+def page_head(title: str, css: str, policy: str) -> str:
+    """Return the head of a page.
 
     Args:
         title: in the browser's tab.
-        css: file of its own looks, behind those of all pages.
-        may: what the page may do, as a content security policy says it; all else is forbidden.
+        css: style sheet of this kind of page, added to the common one.
+        policy: permissions of the content security policy; everything else is forbidden.
     """
-    return filled(text("head.html"), MAY=may, TITLE=html.escape(title), CSS=text("look.css") + text(css))
+    style = resource_text("look.css") + resource_text(css)
+    return fill_template(resource_text("head.html"), POLICY=policy, TITLE=html.escape(title), CSS=style)
 
 
-def filled(template: str, **values: str) -> str:
-    """A template with `$NAME` filled in; what is filled in is never looked at again."""
+def fill_template(template: str, **values: str) -> str:
+    """Replace each `$NAME` of a template in one pass: `$` in a value has no effect."""
     return re.sub(r"\$([A-Z]+)", lambda found: values[found[1]], template)
 
 
-def text(name: str) -> str:
-    """A file beside this module."""
+def resource_text(name: str) -> str:
+    """Return the text of a file in this package."""
     return (resources.files("cell.view") / name).read_text(encoding="utf-8")
 
 
-def _json(content: Mapping[str, object]) -> str:
-    """JSON that stays text inside a script element, whatever is in it."""
-    written = json.dumps(content, default=_plain, separators=(",", ":"), allow_nan=False)
+def thin_mesh(mesh: TriangleMesh) -> TriangleMesh:
+    """Return a mesh for drawing, decimated above `MAX_FACES`."""
+    return decimate(mesh, MAX_FACES) if len(mesh.faces) > MAX_FACES else mesh
+
+
+def _dump_json(content: Mapping[str, object]) -> str:
+    """Return JSON that cannot end the script element that contains it."""
+    written = json.dumps(content, default=_to_json, separators=(",", ":"), allow_nan=False)
     return written.replace("<", "\\u003c")
 
 
-def _plain(value: object) -> object:
-    """What the script gets of a value: arrays without the dust behind the last digit that counts, meshes packed."""
+def _to_json(value: object) -> object:
+    """Return a value for JSON: rounded arrays, packed meshes, fields of dataclasses."""
     if isinstance(value, np.ndarray):
         return (np.round(value, 9) + 0.0).tolist()
     if isinstance(value, TriangleMesh):
-        return packed_mesh(value)
+        return pack_mesh(value)
     if isinstance(value, Piece):
-        mesh = thinned(TriangleMesh(value.vertices, value.faces))
+        mesh = thin_mesh(TriangleMesh(value.vertices, value.faces))
         return {"name": value.name, "link": value.link, "rgb": value.rgb, "mesh": mesh}
     known = _fields(value)
     if isinstance(value, Layer):
         width = value.values.shape[1] if value.values.ndim > 1 else 1
         return {
             **known,
-            "values": packed(value.values, "u1" if value.values.dtype == np.uint8 else "u2"),
+            "values": pack_array(value.values, "u1" if value.values.dtype == np.uint8 else "u2"),
             "width": width,
         }
     return known
@@ -187,48 +195,45 @@ def _fields(value: Any) -> dict[str, object]:
     return {each.name: getattr(value, each.name) for each in fields(value)}
 
 
-def thinned(mesh: TriangleMesh) -> TriangleMesh:
-    """A mesh for looking: decimated above `FACES`."""
-    return decimate(mesh, FACES) if len(mesh.faces) > FACES else mesh
-
-
-def _stage(stage: Stage) -> Mapping[str, object]:
-    cell = stage.cell
-    middle, near = cell.T_base_object[:3, 3], 1.0
-    if stage.surfaces:
-        mesh = stage.surfaces[0].mesh
+def _scene_json(scene: PageScene) -> Mapping[str, object]:
+    cell = scene.cell
+    middle, part_distance = cell.T_base_object[:3, 3], 1.0
+    if scene.surfaces:
+        mesh = scene.surfaces[0].mesh
         centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
-        middle, near = cell.T_base_object[:3, :3] @ centre + cell.T_base_object[:3, 3], 2.6 * mesh.diagonal
-    arm = [p.vertices for p in placed(cell.pieces, cell.arm.links(cell.arm.home)) if p.name in ("robot", "scanner")]
-    whole = np.concatenate([*arm, [middle - near / 4, middle + near / 4]])
-    low, high = whole.min(axis=0), whole.max(axis=0)
+        middle = cell.T_base_object[:3, :3] @ centre + cell.T_base_object[:3, 3]
+        part_distance = 2.6 * mesh.diagonal
+    placed = place_pieces(cell.pieces, cell.arm.link_poses(cell.arm.home))
+    arm = [piece.vertices for piece in placed if piece.name in ("robot", "scanner")]
+    points = np.concatenate([*arm, [middle - part_distance / 4, middle + part_distance / 4]])
+    low, high = points.min(axis=0), points.max(axis=0)
     eye = np.array([np.cos(a := np.arctan2(middle[1], middle[0]) - 0.9), np.sin(a), np.tan(0.35)])
-    if stage.toward is not None:
-        eye = cell.T_base_object[:3, :3] @ stage.toward
+    if scene.toward is not None:
+        eye = cell.T_base_object[:3, :3] @ scene.toward
     return {
-        **{name: value for name, value in _fields(stage).items() if name != "cell"},
+        **{name: value for name, value in _fields(scene).items() if name != "cell"},
         **_fields(cell),
-        "look": {
+        "camera": {
             "target": (low + high) / 2,
-            "distance": _AWAY * float(np.linalg.norm(high - low)),
+            "distance": _DISTANCE_FACTOR * float(np.linalg.norm(high - low)),
             "azimuth": float(np.arctan2(eye[1], eye[0])),
             "elevation": float(np.arctan2(eye[2], np.hypot(eye[0], eye[1]))),
-            "close": stage.toward is not None,
+            "starts_at_part": scene.toward is not None,
             "part": middle,
-            "near": near,
+            "part_distance": part_distance,
         },
         "floor": next((float(piece.vertices[0, 2]) for piece in cell.pieces if piece.name == "floor"), 0.0),
         "palette": _PALETTE,
-        "glyph": _GLYPH,
+        "glyph": _GLYPH_SHARE,
     }
 
 
-def _play(play: Play) -> Mapping[str, object]:
-    stops = [view.time for view in play.views if view.time is not None]
+def _contents_json(contents: PageContents) -> Mapping[str, object]:
+    stops = [view.time for view in contents.views if view.time is not None]
     return {
-        **_fields(play),
-        "motion": None if play.motion is None else packed_motion(*play.motion, stops),
-        "cloud": None if play.cloud is None or not len(play.cloud) else packed_points(play.cloud),
+        **_fields(contents),
+        "motion": None if contents.motion is None else pack_motion(*contents.motion, stops),
+        "cloud": None if contents.cloud is None or not len(contents.cloud) else pack_points(contents.cloud),
     }
 
 
@@ -245,19 +250,19 @@ _PALETTE = {
 
 
 @cache
-def three() -> str:
-    """three.js, out of the page that trimesh makes; trimesh itself, which takes 0.4 s, is not imported for it.
+def three_js() -> str:
+    """Return the three.js of trimesh's viewer, without importing trimesh, which takes 0.4 s.
 
     Raises:
-        CellError: if trimesh's viewer is not the one that this version knows.
+        CellError: if this version of trimesh has an unknown viewer.
     """
     found = find_spec("trimesh")
     folders = found.submodule_search_locations if found else None
     if not folders:
-        raise CellError("trimesh is missing, and pages need its three.js; install trimesh 5.2")
+        raise CellError("trimesh is missing, but pages need its three.js; install trimesh 5.2")
     with ZipFile(Path(folders[0]) / "resources" / "templates" / "viewer.zip") as archive:
         viewer = archive.read("viewer.html.template").decode("utf-8")
-    script, known, _ = viewer.partition("<script>")[2].partition(_OWN_START)
+    script, known, _ = viewer.partition("<script>")[2].partition(_VIEWER_START)
     if not known or "THREE" not in script:
-        raise CellError("this version of trimesh has another viewer, and pages need its three.js; install trimesh 5.2")
+        raise CellError("this trimesh has an unknown viewer, but pages need its three.js; install trimesh 5.2")
     return script

@@ -1,6 +1,6 @@
-"""The colours of every picture and page, in one place; told apart with any colour vision (Okabe and Ito 2008; viridis).
+"""Colours of all pictures and pages, distinguishable with any colour vision (Okabe and Ito 2008; viridis).
 
-What is not measured is vermilion everywhere, what is measured blue, darker with more views.
+Uncovered surface is vermilion everywhere; measured surface is blue, darker with more views.
 """
 
 from typing import Literal
@@ -16,14 +16,14 @@ AXES = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, BLACK)
 """A1 to A6."""
 
 BETWEEN = "#f6d5c0"
-"""What lies between a curve and its bound."""
+"""Area between a curve and its bound."""
 
 OPEN = VERMILION
 SEEN = ("#d4e6f1", "#a9cce3", "#7fb3d5", "#5499c7", "#2471a3", "#1a5276", "#154360")
-"""Measured from 1, 2, ... views; the last from so many or more."""
+"""Measured by 1, 2, ... views; the last colour also for more views."""
 
 MEASURED = "#d9dee3"
-"""What needs no attention where the colour stands for reasons."""
+"""Measured surface in pictures whose colours are causes."""
 
 REASONS = (
     VERMILION, BLUE, GREEN, PURPLE, ORANGE, SKY, YELLOW, "#5d3a9b", "#7f4f24", "#1b7837", "#e31a8c", "#4d4d4d",
@@ -32,10 +32,10 @@ LENGTHS = ("#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a
 """Small to large (viridis)."""
 
 SIGNED = ("#053061", "#2166ac", "#4393c3", "#92c5de", "#f7f7f7", "#f4a582", "#d6604d", "#b2182b", "#67001f")
-"""Blue lacks material, red stands proud (RdBu of ColorBrewer)."""
+"""Blue for missing material, red for excess material (RdBu of ColorBrewer)."""
 
-Look = Literal["orange", "anthracite", "aluminium", "painted", "fixture", "surface", "floor"]
-LOOKS: dict[Look, tuple[float, float, float]] = {
+Material = Literal["orange", "anthracite", "aluminium", "painted", "fixture", "surface", "floor"]
+MATERIALS: dict[Material, tuple[float, float, float]] = {
     "orange": (0.95, 0.33, 0.02),
     "anthracite": (0.13, 0.13, 0.145),
     "aluminium": (0.66, 0.68, 0.71),
@@ -46,20 +46,20 @@ LOOKS: dict[Look, tuple[float, float, float]] = {
 }
 """Materials of the cell."""
 
-_DARK = ("motor", "feet", "turntable", "flange", "collar", "front")  # pieces that are black on the machine
-_TOOL: dict[str, Look] = {
+_DARK = ("motor", "feet", "turntable", "flange", "collar", "front")  # black parts of the real robot
+_MATERIAL_OF_SHAPE: dict[str, Material] = {
     "housing": "anthracite", "bracket": "aluminium", "pedestal": "painted", "post": "aluminium", "floor": "floor",
     "part": "surface",
 }  # fmt: skip
 
 
-def look_of(shape: str, *, of_robot: bool) -> Look:
-    """Material of a shape of the cell by its name."""
-    if of_robot:
+def material_of(shape: str, *, is_robot: bool) -> Material:
+    """Return the material of a shape of the cell by its name."""
+    if is_robot:
         return "anthracite" if any(word in shape for word in _DARK) else "orange"
-    return _TOOL.get(shape, "fixture")
+    return _MATERIAL_OF_SHAPE.get(shape, "fixture")
 
 
 def rgb(colour: str) -> Floats:
-    """(3,) red, green, blue from 0 to 1 of `#rrggbb`."""
+    """Return (3,) red, green, blue from 0 to 1 of `#rrggbb`."""
     return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0

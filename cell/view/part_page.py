@@ -1,4 +1,4 @@
-"""`cell part`: a part alone, its CAD faces coloured by kind and numbered, as a page and as a picture."""
+"""`cell part`: page and picture of a part; CAD faces are coloured by kind and numbered."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from PIL import Image
 from cell.part.cad import CadFace, CadModel, SurfaceKind
 from cell.part.workpiece import Workpiece
 from cell.view import rays
-from cell.view.packed import Layer, packed
-from cell.view.page import Play, Shown, Stage, html_of, text, thinned
+from cell.view.packed import Layer, pack_array
+from cell.view.page import PageContents, PageScene, PageSurface, render_page, resource_text, thin_mesh
 from cell.view.palette import REASONS, rgb
-from cell.view.pieces import Arm, Cell
+from cell.view.pieces import ArmChain, CellGeometry
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
@@ -24,42 +24,43 @@ _SIDES = ((-60, 35), (120, 35), (-60, -35), (120, -35))
 _PANEL = (900, 700)
 
 
-def rows_of(face: CadFace, area: float, centre: Floats) -> list[tuple[str, str]]:
-    """What is told of a face: its area [m^2] and centre (3,) [m] beside what it is."""
+def face_rows(face: CadFace, area: float, centre: Floats) -> list[tuple[str, str]]:
+    """Return names and values of a face: kind, size, direction, area [m^2] and centre (3,) [m]."""
     rows = [("face", f"{face.number}, {face.kind}")]
     rows += [("size", face.dimensions)] if face.dimensions else []
     if face.axis is not None:
-        rows.append(("normal" if face.kind == SurfaceKind.PLANE else "axis", _numbers(face.axis, 4)))
-    return [*rows, ("area", f"{1e6 * area:.6g} mm²"), ("middle", f"{_numbers(1000 * centre, 2)} mm")]
+        rows.append(("normal" if face.kind == SurfaceKind.PLANE else "axis", _format_numbers(face.axis, 4)))
+    return [*rows, ("area", f"{1e6 * area:.6g} mm²"), ("middle", f"{_format_numbers(1000 * centre, 2)} mm")]
 
 
-def part_page(part: Workpiece, rows: list[tuple[str, str]], then: str) -> str:
-    """The page of a part; of a CAD model a click tells the face.
+def part_page(part: Workpiece, rows: list[tuple[str, str]], next_command: str) -> str:
+    """Return the page of a part; for a CAD model, a click selects a face.
 
     Args:
         part: object frame.
-        rows: numbers beside the picture.
-        then: command that goes on from here.
+        rows: names and numbers in the panel.
+        next_command: suggested next command.
     """
-    mesh, layers, faces = thinned(part.reference), [], ""
+    mesh, layers, faces = thin_mesh(part.reference), [], ""
     if (cad := part.cad) is not None:
-        mesh, face_of_vertex = _apart(part.reference, cad)
-        layers = [_kinds(cad, part.reference, face_of_vertex)]
+        mesh, face_of_vertex = _split_faces(part.reference, cad)
+        layers = [_kind_layer(cad, part.reference, face_of_vertex)]
         areas, centres = cad.areas(part.reference), cad.centres(part.reference)
-        told = [
-            {"number": face.number, "rows": rows_of(face, area, centre)}
+        numbered = [
+            {"number": face.number, "rows": face_rows(face, area, centre)}
             for face, area, centre in zip(cad.faces, areas, centres, strict=True)
         ]
-        known = {"faces": told, "face_of_vertex": packed(face_of_vertex, "u4")}
-        faces = f'<script type="application/json" id="faces">{json.dumps(known)}</script>\n'
-        faces += f"<script>\n{text('part.js')}</script>\n"
-    stage = Stage(part.name, _nothing(), [Shown("part", mesh, layers)], rays.direction(-60, 35))
+        content = {"faces": numbered, "face_of_vertex": pack_array(face_of_vertex, "u4")}
+        faces = f'<script type="application/json" id="faces">{json.dumps(content)}</script>\n'
+        faces += f"<script>\n{resource_text('part.js')}</script>\n"
+    scene = PageScene(part.name, _empty_cell(), [PageSurface("part", mesh, layers)], rays.direction(-60, 35))
     notes = [finding.sentence for finding in part.findings]
-    return html_of(stage, Play(rows=rows, notes=notes, next=[then])).replace("</body>", f"{faces}</body>")
+    page = render_page(scene, PageContents(rows=rows, notes=notes, next_commands=[next_command]))
+    return page.replace("</body>", f"{faces}</body>")
 
 
 def faces_picture(path: Path, part: Workpiece, cad: CadModel) -> None:
-    """The part from four sides, its faces in the colours of their kinds and with their numbers.
+    """Draw the part from four sides with its faces in the colours of their kinds and with their numbers.
 
     Args:
         path: PNG to write.
@@ -71,15 +72,15 @@ def faces_picture(path: Path, part: Workpiece, cad: CadModel) -> None:
     colours = np.array([rgb(_COLOURS[face.kind]) for face in cad.faces])
     sheet = Image.new("RGB", (2 * _PANEL[0], 2 * _PANEL[1]), "white")
     for k, (azimuth, elevation) in enumerate(_SIDES):
-        camera = rays.fitted(mesh.vertices, rays.direction(azimuth, elevation), _PANEL, parallel=True)
+        camera = rays.fit_camera(mesh.vertices, rays.direction(azimuth, elevation), _PANEL, parallel=True)
         facing = normals @ -camera.forward
 
         def colour_of(origins: Floats, directions: Floats, facing: Floats = facing) -> tuple[Floats, Floats]:
             hits = caster.first_hit(origins, directions)
             picture, hit = np.ones((len(origins), 3)), np.flatnonzero(hits.face >= 0)
             face = hits.face[hit]
-            odd = 1 - 0.12 * (cad.of_triangle[face] % 2)  # so that neighbours of one kind are told apart
-            picture[hit] = rays.shaded(colours[cad.of_triangle[face]] * odd[:, None], facing[face])
+            shade = 1 - 0.12 * (cad.of_triangle[face] % 2)  # distinguishes neighbours of one kind
+            picture[hit] = rays.shade(colours[cad.of_triangle[face]] * shade[:, None], facing[face])
             return picture, hits.distance
 
         drawn, _ = rays.render(camera, colour_of)
@@ -91,20 +92,20 @@ def faces_picture(path: Path, part: Workpiece, cad: CadModel) -> None:
             nearest = np.argmin(np.hypot(row - row.mean(), column - column.mean()))
             places.append((column[nearest], row[nearest]))
             numbers.append(str(cad.faces[index].number))
-        rays.labels(drawn, np.array(places, dtype=np.float64), numbers, 11)
+        rays.draw_labels(drawn, np.array(places, dtype=np.float64), numbers, 11)
         sheet.paste(drawn, (k % 2 * _PANEL[0], k // 2 * _PANEL[1]))
-    rays.save(sheet, path)
+    rays.save_png(sheet, path)
 
 
-def _apart(mesh: TriangleMesh, cad: CadModel) -> tuple[TriangleMesh, np.ndarray[tuple[int], np.dtype[np.int64]]]:
-    """The surface with vertices of its own for each face, so that colours end at its edges, and the face of each."""
+def _split_faces(mesh: TriangleMesh, cad: CadModel) -> tuple[TriangleMesh, np.ndarray[tuple[int], np.dtype[np.int64]]]:
+    """Return the surface with separate vertices for each CAD face, and the face of each vertex."""
     corners = np.stack([np.repeat(cad.of_triangle, 3).astype(np.int64), mesh.faces.ravel()], axis=1)
     own, place = np.unique(corners, axis=0, return_inverse=True)
     return TriangleMesh(mesh.vertices[own[:, 1]], place.reshape(-1, 3).astype(np.int32)), own[:, 0]
 
 
-def _kinds(cad: CadModel, mesh: TriangleMesh, face_of_vertex: np.ndarray[tuple[int], np.dtype[np.int64]]) -> Layer:
-    """The colouring by kind of surface."""
+def _kind_layer(cad: CadModel, mesh: TriangleMesh, face_of_vertex: np.ndarray[tuple[int], np.dtype[np.int64]]) -> Layer:
+    """Return the layer of kinds of surface."""
     order, areas, counts = list(SurfaceKind), cad.areas(mesh), cad.counts()
     kind = np.array([order.index(face.kind) for face in cad.faces])
     share = np.bincount(kind, weights=areas, minlength=len(order)) / areas.sum()
@@ -115,9 +116,9 @@ def _kinds(cad: CadModel, mesh: TriangleMesh, face_of_vertex: np.ndarray[tuple[i
     return Layer("Kind of surface", "named", kind[face_of_vertex].astype(np.uint8), named=named)
 
 
-def _nothing() -> Cell:
-    """A cell with nothing in it but a place for the part."""
-    still = Arm(
+def _empty_cell() -> CellGeometry:
+    """Return a cell without pieces."""
+    arm = ArmChain(
         T_parent_link=np.tile(np.eye(4), (6, 1, 1)),
         parent=np.arange(6),
         driver=np.arange(6),
@@ -127,8 +128,8 @@ def _nothing() -> Cell:
         T_link_scanner=np.eye(4),
         home=np.zeros(6),
     )
-    return Cell((), still, np.eye(4), np.zeros((4, 3)), 0, np.eye(4))
+    return CellGeometry((), arm, np.eye(4), np.zeros((4, 3)), 0, np.eye(4))
 
 
-def _numbers(values: Floats, digits: int) -> str:
+def _format_numbers(values: Floats, digits: int) -> str:
     return ", ".join(f"{value + 0.0:.{digits}f}".rstrip("0").rstrip(".") for value in np.round(values, digits))

@@ -1,6 +1,6 @@
-"""The cell as coloured triangles for the eye: what stands still in base, what moves in the frame of its link.
+"""Geometry of the cell as coloured triangles: fixed pieces in base, moving pieces in the frame of their link.
 
-The shapes are those of the checked MuJoCo model; part and mesh fixtures are their true triangles. Metres.
+The shapes are those of the checked MuJoCo model; part and mesh fixtures have their true triangles. Metres.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from cell.robot import model as robot
 from cell.robot.model import FLANGE
 from cell.runs.run import Run, reading
 from cell.runs.schema import ResolvedScene, ScannerKeys
-from cell.view.palette import LOOKS, Look, look_of
-from cell.view.rays import frustum
+from cell.view.palette import MATERIALS, Material, material_of
+from cell.view.rays import frustum_corners
 from cell.world.model import World
 from cell.world.occluders import geom_triangles, occluders_of_model
 from cell.world.shapes import quaternion
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 _TOOL = ("bracket", "housing")
 
-ASIDE = "part, not asked for"
-"""Name of what nobody cares for of a part."""
+IGNORED = "part, not required"
+"""Name of the piece of the part outside all regions that count."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,11 +39,11 @@ class Piece(Value):
     """A named surface of one colour.
 
     Attributes:
-        name: what a reader calls it ("robot", "scanner", "post", a fixture's name); pieces of one name hide together.
-        link: in whose frame it is: 0 the cell's, 1 to 6 the links, then what these drive along, then a rotary table.
-        vertices: (V, 3) [m].
-        faces: (F, 3) int32, outward.
-        rgb: (3,) from 0 to 1.
+        name: "robot", "scanner", "post" or a fixture's name; pieces with one name are hidden together.
+        link: number of its frame: 0 the base, 1 to 6 the links, then bodies on mimic joints, then a rotary table.
+        vertices: [m].
+        faces: outward.
+        rgb: from 0 to 1.
     """
 
     name: str
@@ -54,18 +54,18 @@ class Piece(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Arm(Value):
-    """The chain of the arm, enough to place its links: link_1 to link_6, what these drive along, a rotary table.
+class ArmChain(Value):
+    """Kinematic chain of the arm: link_1 to link_6, bodies on mimic joints, a rotary table.
 
     Attributes:
-        T_parent_link: (k, 4, 4) of each in its parent [m] at the model's reference angles.
-        parent: (k,) number of the parent: 0 the cell's frame, 1 to 6 the links, then the others.
-        driver: (k,) which of the joint angles turns it.
-        ratio: (k,) by how much of it.
-        reference: (k,) its own angle in the reference [rad].
-        axis: (k, 3) of the joint, in the link's frame and through its origin.
-        T_link_scanner: (4, 4) of the scanner in link_6 [m].
-        home: (axes,) [rad].
+        T_parent_link: pose of each body in its parent [m] at the model's reference angles.
+        parent: number of the parent: 0 the base, 1 to 6 the links, then the others.
+        driver: number of the joint angle that turns the body.
+        ratio: angle of the body per joint angle.
+        reference: angle of the body in the reference configuration [rad].
+        axis: of the joint, through the origin of the body's frame and in this frame.
+        T_link_scanner: pose of the scanner in link_6 [m].
+        home: joint angles [rad].
     """
 
     T_parent_link: Annotated[Floats, "k 4 4"]
@@ -77,50 +77,50 @@ class Arm(Value):
     T_link_scanner: Annotated[Floats, "4 4"]
     home: Annotated[Floats, "_"]
 
-    def links(self, q: Floats) -> Floats:
-        """(1 + k, 4, 4) the cell's frame, and each link in it [m], at (axes,) joint angles [rad]."""
+    def link_poses(self, q: Floats) -> Floats:
+        """Return (1 + k, 4, 4) the poses of base and bodies in base [m] at (axes,) joint angles [rad]."""
         from scipy.spatial.transform import Rotation
 
-        turns = np.tile(np.eye(4), (len(self.axis), 1, 1))
+        rotations = np.tile(np.eye(4), (len(self.axis), 1, 1))
         angles = np.asarray(q)[self.driver] * self.ratio
-        turns[:, :3, :3] = Rotation.from_rotvec(self.axis * (angles - self.reference)[:, None]).as_matrix()
-        placed = [np.eye(4)]
-        for parent, T, turn in zip(self.parent, self.T_parent_link, turns, strict=True):
-            placed.append(placed[parent] @ T @ turn)
-        return np.stack(placed)
+        rotations[:, :3, :3] = Rotation.from_rotvec(self.axis * (angles - self.reference)[:, None]).as_matrix()
+        poses = [np.eye(4)]
+        for parent, T, rotation in zip(self.parent, self.T_parent_link, rotations, strict=True):
+            poses.append(poses[parent] @ T @ rotation)
+        return np.stack(poses)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cell:
-    """A cell to be looked at: everything but the part, the arm's chain, and where the part stands.
+class CellGeometry:
+    """Pieces of a cell without the part, the arm's chain, and the placement of the part.
 
     Attributes:
         pieces: robot, scanner, post, pedestal, fixtures, floor.
         arm: the chain.
         T_base_object: (4, 4) placement [m].
-        frustum: (4, 3) far corners of what the scanner sees, its source at the origin, scanner frame [m].
-        turns: link that the part is on: that of a rotary table; 0: it stands.
-        T_turns_base: (4, 4) base in that link at angle 0 [m].
+        frustum: (4, 3) far corners of the measuring volume, scanner frame with the source as its origin [m].
+        part_link: number of the link that carries the part: that of a rotary table, or 0.
+        T_part_link_base: (4, 4) base in that link at angle 0 [m].
     """
 
     pieces: tuple[Piece, ...]
-    arm: Arm
+    arm: ArmChain
     T_base_object: Floats
     frustum: Floats
-    turns: int
-    T_turns_base: Floats
+    part_link: int
+    T_part_link_base: Floats
 
-    def turn(self, q: Floats) -> Floats:
-        """(4, 4) what a rotary table does to what stands on it [m], base frame, at (axes,) joint angles [rad]."""
-        turned: Floats = self.arm.links(q)[self.turns] @ self.T_turns_base
+    def table_motion(self, q: Floats) -> Floats:
+        """Return the (4, 4) displacement by a rotary table in base [m] at (axes,) joint angles [rad]."""
+        turned: Floats = self.arm.link_poses(q)[self.part_link] @ self.T_part_link_base
         return turned
 
 
-def cell_of_run(run: Run, scene: ResolvedScene) -> Cell:
-    """The cell of a run, from its `cell.xml` and fixture files.
+def cell_of_run(run: Run, scene: ResolvedScene) -> CellGeometry:
+    """Return the cell of a run from its `cell.xml` and fixture files.
 
     Raises:
-        FileError: if one of these is missing, changed or damaged.
+        FileError: if a file is missing, changed or damaged.
     """
     import mujoco
 
@@ -132,103 +132,99 @@ def cell_of_run(run: Run, scene: ResolvedScene) -> Cell:
         data.qpos[:] = robot.MimicJoints.from_model(model).qpos(np.radians(scene.home_deg))
         mujoco.mj_kinematics(model, data)
         table = None if scene.table is None else scene.table.T_base_table
-        return _cell(model, data, T, meshes, (scene.T_flange_scanner, table), _seen_by(scene.scanner))
+        return _cell_geometry(model, data, T, meshes, (scene.T_flange_scanner, table), _frustum_of(scene.scanner))
 
 
-def cell_of_world(world: World, scanner: ScannerKeys) -> Cell:
-    """The cell of a compiled scene at its own placement, the arm at home.
-
-    Args:
-        world: the compiled scene.
-        scanner: what defines it.
-    """
+def cell_of_world(world: World, scanner: ScannerKeys) -> CellGeometry:
+    """Return the cell of a compiled scene with this scanner, at its own placement and with the arm at home."""
     frames = world.T_flange_scanner, None if world.table is None else world.table.T_base_table
-    return _cell(world.model, world.data(), world.T_base_object, world.fixture_meshes, frames, _seen_by(scanner))
+    return _cell_geometry(
+        world.model, world.data(), world.T_base_object, world.fixture_meshes, frames, _frustum_of(scanner)
+    )
 
 
-def _seen_by(scanner: ScannerKeys) -> Floats:
-    """(4, 3) far corners of what a scanner sees [m], scanner frame."""
-    return frustum(scanner.opening_deg, scanner.drawn_range_mm[1] / 1000)
+def _frustum_of(scanner: ScannerKeys) -> Floats:
+    """Return the (4, 3) far corners of a scanner's measuring volume [m], scanner frame."""
+    return frustum_corners(scanner.opening_deg, scanner.drawn_range_mm[1] / 1000)
 
 
-def beside(cell: Cell, part: TriangleMesh, aside: Bools | None) -> Cell:
-    """The cell with what nobody cares for of the part, which is then drawn without it.
+def with_ignored_faces(cell: CellGeometry, part: TriangleMesh, ignored: Bools | None) -> CellGeometry:
+    """Return the cell with the ignored faces of the part as a piece of their own.
 
     Args:
         cell: robot and surroundings.
         part: object frame.
-        aside: (F,) its faces that nobody cares for; None: there are none.
+        ignored: (F,) faces outside all regions that count; None for none.
     """
-    if aside is None or not aside.any():
+    if ignored is None or not ignored.any():
         return cell
-    T = cell.T_base_object
-    used, faces = np.unique(part.faces[aside], return_inverse=True)
-    T = cell.T_turns_base @ T
+    used, faces = np.unique(part.faces[ignored], return_inverse=True)
+    T = cell.T_part_link_base @ cell.T_base_object
     vertices = part.vertices[used] @ T[:3, :3].T + T[:3, 3]
-    piece = Piece(ASIDE, cell.turns, vertices, faces.reshape(-1, 3).astype(np.int32), _rgb("surface"))
+    piece = Piece(IGNORED, cell.part_link, vertices, faces.reshape(-1, 3).astype(np.int32), _rgb("surface"))
     return replace(cell, pieces=(*cell.pieces, piece))
 
 
-def placed(pieces: Sequence[Piece], links: Floats) -> list[Piece]:
-    """The pieces where the arm stands.
+def place_pieces(pieces: Sequence[Piece], link_poses: Floats) -> list[Piece]:
+    """Return the pieces in base.
 
     Args:
         pieces: in the frames of their links.
-        links: from `Arm.links` [m].
+        link_poses: from `ArmChain.link_poses` [m].
     """
-    moved = []
+    placed = []
     for piece in pieces:
-        T = links[piece.link]
-        moved.append(Piece(piece.name, 0, piece.vertices @ T[:3, :3].T + T[:3, 3], piece.faces, piece.rgb))
-    return moved
+        T = link_poses[piece.link]
+        placed.append(Piece(piece.name, 0, piece.vertices @ T[:3, :3].T + T[:3, 3], piece.faces, piece.rgb))
+    return placed
 
 
-def _cell(
+def _cell_geometry(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     T_base_object: Floats,
     meshes: Mapping[str, TriangleMesh],
     frames: tuple[Floats, Floats | None],
     frustum: Floats,
-) -> Cell:
-    """The cell of a compiled model whose state has part and post at the placement and the arm at home.
+) -> CellGeometry:
+    """Return the cell of a compiled model whose state has part and post at the placement and the arm at home.
 
-    `frames` are T_flange_scanner and, where a rotary table turns the part, T_base_table.
+    `frames` are T_flange_scanner and, with a rotary table, T_base_table.
     """
     T_flange_scanner, T_base_table = frames
-    names = robot.bodies(model)  # the base does not move: what is on it is given in the cell's frame
-    links = np.tile(np.eye(4), (len(names), 1, 1))
+    names = robot.bodies(model)  # the base of the robot is fixed: its shapes are in the cell's frame
+    link_poses = np.tile(np.eye(4), (len(names), 1, 1))
     for number, name in enumerate(names[1:], 1):
-        links[number, :3, :3], links[number, :3, 3] = data.body(name).xmat.reshape(3, 3), data.body(name).xpos
+        link_poses[number, :3, :3], link_poses[number, :3, 3] = data.body(name).xmat.reshape(3, 3), data.body(name).xpos
     pieces, table = [], 0 if T_base_table is None else len(names)
     turned = {model.body(name).id for name in ("object", "post")}
-    T_turns_base: Floats = np.linalg.inv(np.eye(4) if T_base_table is None else T_base_table).astype(np.float64)
+    T_part_link_base: Floats = np.linalg.inv(np.eye(4) if T_base_table is None else T_base_table).astype(np.float64)
     for occluder in occluders_of_model(data, T_base_object, meshes, ()):
         link = table if int(model.geom(occluder.name).bodyid[0]) in turned else 0
-        T = T_turns_base @ T_base_object if link else T_base_object
+        T = T_part_link_base @ T_base_object if link else T_base_object
         vertices = occluder.vertices @ T[:3, :3].T + T[:3, 3]
-        rgb = _rgb(look_of(occluder.name, of_robot=False))
+        rgb = _rgb(material_of(occluder.name, is_robot=False))
         pieces.append(Piece(occluder.name, link, vertices, occluder.faces, rgb))
     for geom in range(model.ngeom):
         body = model.body(model.geom_bodyid[geom]).name
         if body not in (*names, *_TOOL):
             continue
         link = names.index(body) if body in names else names.index("link_6")
-        T = np.linalg.inv(links[link])
+        T = np.linalg.inv(link_poses[link])
         vertices, faces = geom_triangles(model, data, geom)
-        look = look_of(model.geom(geom).name, of_robot=body in names)
+        material = material_of(model.geom(geom).name, is_robot=body in names)
         name = "robot" if body in names else "scanner"
-        pieces.append(Piece(name, link, vertices @ T[:3, :3].T + T[:3, 3], faces, _rgb(look)))
+        pieces.append(Piece(name, link, vertices @ T[:3, :3].T + T[:3, 3], faces, _rgb(material)))
     flange = np.eye(4)
     flange[:3, :3], flange[:3, 3] = data.site(FLANGE).xmat.reshape(3, 3), data.site(FLANGE).xpos
-    arm = _arm(model, data, np.linalg.inv(links[6]) @ flange @ T_flange_scanner)
+    arm = _arm_chain(model, data, np.linalg.inv(link_poses[6]) @ flange @ T_flange_scanner)
     if T_base_table is not None:
         arm = _with_table(arm, T_base_table)
-    return Cell(tuple(pieces), arm, np.asarray(T_base_object), frustum, table, T_turns_base)
+    return CellGeometry(tuple(pieces), arm, np.asarray(T_base_object), frustum, table, T_part_link_base)
 
 
-def _with_table(arm: Arm, T_base_table: Floats) -> Arm:
-    """The chain with a rotary table as its last link, which E1 turns about z."""
+def _with_table(arm: ArmChain, T_base_table: Floats) -> ArmChain:
+    """Return the chain with a rotary table as its last link, which E1 turns about z."""
     return replace(
         arm,
         T_parent_link=np.concatenate([arm.T_parent_link, T_base_table[None]]),
@@ -241,13 +237,13 @@ def _with_table(arm: Arm, T_base_table: Floats) -> Arm:
     )
 
 
-def _arm(model: mujoco.MjModel, data: mujoco.MjData, T_link_scanner: Floats) -> Arm:
-    """The chain of a compiled model whose state has the arm at home."""
+def _arm_chain(model: mujoco.MjModel, data: mujoco.MjData, T_link_scanner: Floats) -> ArmChain:
+    """Return the chain of a compiled model whose state has the arm at home."""
     names, followers = robot.bodies(model), robot.MimicJoints.from_model(model)
     joints = [int(model.body(name).jntadr[0]) for name in names[1:]]
     T_parent_link = np.stack([_relative(model, name) for name in names[1:]])
     T_parent_link[0] = _relative(model, "base") @ T_parent_link[0]
-    return Arm(
+    return ArmChain(
         T_parent_link,
         np.array([names.index(model.body(model.body(name).parentid[0]).name) for name in names[1:]]),
         np.concatenate([np.arange(6), followers.axis]),
@@ -260,7 +256,7 @@ def _arm(model: mujoco.MjModel, data: mujoco.MjData, T_link_scanner: Floats) -> 
 
 
 def _relative(model: mujoco.MjModel, body: str) -> Floats:
-    """(4, 4) pose of a body in its parent [m]."""
+    """Return the (4, 4) pose of a body in its parent [m]."""
     from scipy.spatial.transform import Rotation
 
     T = np.eye(4)
@@ -269,5 +265,5 @@ def _relative(model: mujoco.MjModel, body: str) -> Floats:
     return T
 
 
-def _rgb(look: Look) -> Floats:
-    return np.array(LOOKS[look])
+def _rgb(material: Material) -> Floats:
+    return np.array(MATERIALS[material])

@@ -1,7 +1,7 @@
-"""What views do to a part's surface, for pictures and pages: which view measures which sample, how finely, how surely.
+"""Measured samples of a part's surface for pictures and pages: views, point spacing and standard deviation.
 
-A face of the mesh that is drawn takes the values of the nearest held-out sample that looks the same way, so that a thin
-wall shows its own side. Object frame, metres.
+A face of the drawn mesh takes the values of the nearest held-out sample with a similar normal, so that each side of a
+thin wall shows its own values. Object frame, metres.
 """
 
 from __future__ import annotations
@@ -25,86 +25,81 @@ from planner.measurability.visibility import find_measured
 from planner.ports import RayCaster, Scanner
 from planner.values import Bools, Floats, Ints, Value
 
-_WALL = 0.02  # of the diagonal: two samples that look apart by a right angle count as 1.4 times this far apart
-_SIDES = ((-60.0, 22.0), (120.0, 22.0), (30.0, -30.0), (-150.0, -30.0))  # looked from where nothing asks for more
-_ASKED = 2000  # samples that directions are judged by
-_LIFT = 2e-3  # of the diagonal: the mesh that is drawn may stand over its samples
-_LEAST = 0.02  # of them: what a further direction shows at least
+_NORMAL_WEIGHT = 0.02  # of the diagonal: normals at a right angle add 1.4 times this to the distance of two samples
+_DEFAULT_DEG = ((-60.0, 22.0), (120.0, 22.0), (30.0, -30.0), (-150.0, -30.0))  # azimuth and elevation
+_N_SAMPLES = 2000  # samples that rate a viewing direction
+_LIFT = 2e-3  # of the diagonal: the drawn mesh may lie above its samples
+_MIN_SHARE = 0.02  # of the wanted samples, which a further direction must show
 
+MAX_FACES = 120_000
+"""Largest number of faces of a drawn mesh."""
 
-FACES = 120_000
-"""Most faces of a mesh that is drawn."""
-
-_FINE = 40_000  # faces into which those of a coarser mesh are split, so that each can have its own colour
+_MIN_FACES = 40_000  # a coarser mesh is split into this many faces, so that each can have its own colour
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Canvas(Value):
-    """A surface made ready to be coloured.
+    """A mesh whose faces take their colours from samples of the true surface.
 
     Attributes:
-        mesh: clustered or decimated above `FACES` faces, large faces split.
+        mesh: clustered or decimated above `MAX_FACES` faces; large faces are split.
         normals: of its faces.
         caster: of the mesh.
-        samples: S of the true surface.
-        own: (F,) sample whose values a face has.
-        note: what is not as it is; "" where nothing is.
-        aside: (F,) faces that nobody cares for; None: somebody cares for all.
+        samples: of the true surface.
+        face_samples: sample that gives each face its values.
+        note: difference between mesh and part in a sentence, or "".
+        ignored: faces outside all regions that count; None if every face counts.
     """
 
     mesh: TriangleMesh
     normals: Annotated[Floats, "F 3"]
     caster: EmbreeRayCaster
     samples: SurfaceSamples
-    own: Annotated[Ints, "F"]
+    face_samples: Annotated[Ints, "F"]
     note: str
-    aside: Annotated[Bools, "F"] | None = None
+    ignored: Annotated[Bools, "F"] | None = None
 
-    def at_vertices(self) -> Ints:
-        """(V,) sample whose values a vertex has: that of one of its faces, where it has one of those that count."""
-        own = np.zeros(len(self.mesh.vertices), dtype=np.int64)
-        own[self.mesh.faces] = self.own[:, None]
-        if self.aside is not None:
-            own[self.mesh.faces[~self.aside]] = self.own[~self.aside, None]
-        return own
+    def vertex_samples(self) -> Ints:
+        """Return the (V,) sample of each vertex, taken from an adjacent face that counts if there is one."""
+        samples = np.zeros(len(self.mesh.vertices), dtype=np.int64)
+        samples[self.mesh.faces] = self.face_samples[:, None]
+        if self.ignored is not None:
+            samples[self.mesh.faces[~self.ignored]] = self.face_samples[~self.ignored, None]
+        return samples
 
     @property
-    def counted(self) -> TriangleMesh:
-        """The faces that somebody cares for, with all vertices."""
-        return self.mesh if self.aside is None else TriangleMesh(self.mesh.vertices, self.mesh.faces[~self.aside])
+    def counted_mesh(self) -> TriangleMesh:
+        """The faces that count, with all vertices."""
+        return self.mesh if self.ignored is None else TriangleMesh(self.mesh.vertices, self.mesh.faces[~self.ignored])
 
 
 def canvas_of(reference: TriangleMesh, samples: SurfaceSamples) -> Canvas:
-    """Make a part ready to be coloured.
-
-    Args:
-        reference: the part.
-        samples: of it.
-    """
+    """Return the canvas of a part with samples of its surface."""
     count = len(reference.faces)
-    mesh = cluster_vertices(reference, FACES) or decimate(reference, FACES if count > FACES else max(count, _FINE))
-    weight = _WALL * reference.diagonal
+    n_faces = MAX_FACES if count > MAX_FACES else max(count, _MIN_FACES)
+    mesh = cluster_vertices(reference, MAX_FACES) or decimate(reference, n_faces)
+    weight = _NORMAL_WEIGHT * reference.diagonal
     tree = cKDTree(np.hstack([samples.points, weight * samples.normals]), balanced_tree=False, compact_nodes=False)
     normals = mesh.normals
-    _, own = tree.query(np.hstack([mesh.centres, weight * normals]))
+    _, face_samples = tree.query(np.hstack([mesh.centres, weight * normals]))
     note = f"drawn with {len(mesh.faces):,} of {count:,} faces" if len(mesh.faces) < count else ""
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
-    aside = None
+    ignored = None
     if reference.region is not None:
-        aside = reference.region[closest_facing_faces(mesh.centres, normals, reference)] < 0
-    return Canvas(mesh, normals, caster, samples, np.asarray(own, dtype=np.int64), note, aside)
+        ignored = reference.region[closest_facing_faces(mesh.centres, normals, reference)] < 0
+    return Canvas(mesh, normals, caster, samples, np.asarray(face_samples, dtype=np.int64), note, ignored)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface(Value):
-    """What some views measure of the samples of a surface.
+class MeasuredSamples(Value):
+    """Samples of a surface and the views that measure them.
 
     Attributes:
         samples: S of them.
-        seen: (S, n) whether a view measures a sample.
-        layers: (S,) values by name [mm], the best of the views that measure the sample, NaN where none does: `sigma`,
-            the expected standard deviation, and `spacing`, the larger distance between neighbouring points, of scanners
-            that know them.
+        seen: whether a view measures a sample.
+        layers: (S,) values by name [mm], of the best view that measures the sample, NaN without one: `sigma`, the
+            expected standard deviation, and `spacing`, the larger distance between neighbouring points, if the scanner
+            models them.
     """
 
     samples: SurfaceSamples
@@ -112,21 +107,21 @@ class Surface(Value):
     layers: dict[str, Floats]
 
 
-def surface_of(
+def measure_samples(
     samples: SurfaceSamples,
     T_object_scanner: Floats,
     scanner: Scanner,
     casters: Sequence[RayCaster],
     seen: Bools | None = None,
-) -> Surface:
-    """Ask the views about the samples.
+) -> MeasuredSamples:
+    """Compute which views measure which samples, and the best values of each sample.
 
     Args:
         samples: of the part.
         T_object_scanner: (n, K, 4, 4) poses of the views [m].
-        scanner: the sensor's law.
+        scanner: the sensor model.
         casters: the part's and the occluders'.
-        seen: (S, n) which samples each view measures, where that is known; None asks.
+        seen: (S, n) whether a view measures a sample, if known already.
     """
     poses = np.asarray(T_object_scanner)
     if seen is None:
@@ -134,39 +129,39 @@ def surface_of(
     known = {name: law for name in ("spacing", "sigma") if callable(law := getattr(scanner, name, None))}
     best = best_values(list(known.values()), poses, samples, seen, scanner)
     layers = {name: 1000 * values for name, values in zip(known, best, strict=True)}
-    return Surface(samples, seen, layers)
+    return MeasuredSamples(samples, seen, layers)
 
 
-def sides(canvas: Canvas, wanted: NDArray[np.bool_], count: int) -> list[Floats]:
-    """Directions to look from: each shows most of what is wanted and no earlier one shows.
+def viewing_directions(canvas: Canvas, wanted: NDArray[np.bool_], count: int) -> list[Floats]:
+    """Return viewing directions, each of which shows most of the wanted samples that earlier ones do not show.
 
     Args:
         canvas: the surface.
-        wanted: (S,) samples that should be shown.
-        count: how many directions; where nothing more is shown, they are around the part.
+        wanted: (S,) samples that should be visible.
+        count: number of directions; default directions around the part are added if fewer suffice.
 
     Returns:
         `count` unit vectors from the part to the eye.
     """
     rows = np.flatnonzero(wanted)
-    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _ASKED)).astype(np.int64)] if len(rows) else rows
-    ways = np.array([direction(a, e) for e in (-62, -30, 0, 25, 60) for a in range(0, 360, 30)])
-    shown = np.zeros((len(ways), len(rows)))
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _N_SAMPLES)).astype(np.int64)] if len(rows) else rows
+    directions = np.array([direction(a, e) for e in (-62, -30, 0, 25, 60) for a in range(0, 360, 30)])
+    shown = np.zeros((len(directions), len(rows)))
     diagonal, normals = canvas.mesh.diagonal, canvas.samples.normals[rows]
     points = canvas.samples.points[rows] + _LIFT * diagonal * normals
-    for i, way in enumerate(ways):
-        facing = normals @ way
+    for i, toward in enumerate(directions):
+        facing = normals @ toward
         ahead = np.flatnonzero(facing > 0.1)
-        free = ~canvas.caster.blocked(points[ahead] + 2 * diagonal * way, points[ahead])
+        free = ~canvas.caster.blocked(points[ahead] + 2 * diagonal * toward, points[ahead])
         shown[i, ahead[free]] = facing[ahead[free]]
     chosen: list[Floats] = []
     left = np.ones(len(rows))
-    while len(chosen) < count and len(rows) and (shown @ left).max() > _LEAST * len(rows):
+    while len(chosen) < count and len(rows) and (shown @ left).max() > _MIN_SHARE * len(rows):
         best = int(np.argmax(shown @ left))
-        chosen.append(ways[best])
+        chosen.append(directions[best])
         left *= 1 - np.minimum(1.0, 2 * shown[best])
-    for azimuth, elevation in _SIDES:
-        way = direction(azimuth, elevation)
-        if len(chosen) < count and all(way @ other < 0.6 for other in chosen):
-            chosen.append(way)
-    return (chosen + [direction(*_SIDES[0])] * count)[:count]
+    for angles in _DEFAULT_DEG:
+        toward = direction(*angles)
+        if len(chosen) < count and all(toward @ other < 0.6 for other in chosen):
+            chosen.append(toward)
+    return (chosen + [direction(*_DEFAULT_DEG[0])] * count)[:count]

@@ -33,9 +33,9 @@ from cell.runs.schema import (
 from cell.scene.model import RegionTargets
 from cell.session import ProgressReporter, default_effort
 from cell.view import contents, pictures
-from cell.view.contents import of_views
+from cell.view.contents import measured_by_views
 from cell.view.palette import MEASURED, REASONS, rgb
-from cell.view.surface import Canvas, Surface, canvas_of
+from cell.view.surface import Canvas, MeasuredSamples, canvas_of
 from cell.why.changes import Changes, ladder_masks
 from cell.world.embree import EmbreeRayCaster
 from cell.world.prediction import held_out_samples
@@ -111,7 +111,7 @@ class Analysis:
     """
 
     canvas: Canvas
-    surface: Surface
+    surface: MeasuredSamples
     open_rows: Ints
     groups: tuple[Group, ...]
     rest: Ints
@@ -430,7 +430,7 @@ def analyse(run: Run, reporter: ProgressReporter, count: int) -> Analysis:
         samples = held_out_samples(cell.reference, cell.planning, run.seed, count)
         targets = RayTargets.of(samples.points, samples.normals, samples.region)
         views = candidates.T_object_scanner[[view.id for view in plan.views]]
-        surface = of_views(cell, samples, list(views))
+        surface = measured_by_views(cell, samples, list(views))
         rows = np.flatnonzero(~surface.seen.any(axis=1))
     with reporter.stage("causes") as progress:
         diagnosis = why.diagnose(
@@ -516,7 +516,7 @@ def write_files(run: Run, analysis: Analysis, report: WhyReport) -> Path:
         (part / "why.ply").write_bytes(samples_ply(analysis))
         draw_causes(part / "why.png", analysis)
         reasons = [(group.rows, group.title) for group in analysis.groups]
-        (part / contents.NAME).write_text(
+        (part / contents.PAGE_FILE).write_text(
             contents.why_page(run, analysis.canvas, analysis.surface, reasons), encoding="utf-8"
         )
         shutil.rmtree(target, ignore_errors=True)
@@ -633,4 +633,4 @@ def samples_ply(analysis: Analysis) -> bytes:
 def draw_causes(path: Path, analysis: Analysis) -> None:
     """Draw the part from the sides with the most uncovered surface, coloured by cause."""
     groups = [(group.rows, group.title) for group in analysis.groups]
-    pictures.reasons(path, analysis.canvas, groups, f"Uncovered surface of {analysis.part_name}")
+    pictures.draw_reasons(path, analysis.canvas, groups, f"Uncovered surface of {analysis.part_name}")

@@ -98,7 +98,7 @@ def test_the_page_shows_regions_and_what_nobody_asks_for(
     """A colouring by region; the skin is a piece that can be hidden; the report has a table."""
     data = data_of((regions / "run" / "view.html").read_text())
     assert "Regions" in [layer["title"] for layer in data["surfaces"][0]["layers"]]
-    assert "part, not asked for" in [piece["name"] for piece in data["pieces"]]
+    assert "part, not required" in [piece["name"] for piece in data["pieces"]]
     assert any(name == "region top" for name, _ in data["rows"])
     assert "| top | 3,840 |" in (regions / "run" / "report.md").read_text()
 

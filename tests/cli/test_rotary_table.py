@@ -219,9 +219,9 @@ def test_the_page_puts_the_part_on_a_link_of_its_own(
     done = run_cell("view", turned, "--out", tmp_path / "page.html", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     shown = data_of((tmp_path / "page.html").read_text(encoding="utf-8"))
-    assert shown["turns"] == len(shown["arm"]["parent"])
+    assert shown["part_link"] == len(shown["arm"]["parent"])
     assert shown["arm"]["driver"][-1] == 6
-    assert {piece["name"] for piece in shown["pieces"] if piece["link"] == shown["turns"]} == {"post"}
+    assert {piece["name"] for piece in shown["pieces"] if piece["link"] == shown["part_link"]} == {"post"}
 
 
 def _share(run: Path) -> float:

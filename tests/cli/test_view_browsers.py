@@ -1,4 +1,4 @@
-"""Pages as browsers show them: everything does what it says, nothing is asked for, nothing goes wrong."""
+"""Pages in browsers: every control works, without requests and without errors."""
 
 import io
 import shutil
@@ -12,11 +12,11 @@ import trimesh
 from PIL import Image
 
 from cell.runs.run import open_run
-from cell.view.contents import part_of
-from cell.view.packed import stepped
-from cell.view.page import Play, Shown, Stage, View, html_of
+from cell.view.contents import part_surface
+from cell.view.packed import quantised_layer
+from cell.view.page import PageContents, PageScene, PageSurface, PageView, render_page
 from cell.view.pieces import cell_of_run
-from cell.view.surface import Surface, canvas_of
+from cell.view.surface import MeasuredSamples, canvas_of
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 
@@ -54,13 +54,13 @@ _EVERY_COLOUR = f"""(async () => {{ {_LATER}
 
 
 def coloured(browser: Any) -> int:
-    """How many colours the browser shows."""
+    """Return the number of colours on the screen."""
     with Image.open(io.BytesIO(browser.screenshot())) as seen:
         return len(seen.convert("RGB").getcolors(1 << 24) or [])
 
 
-def test_a_page_plays_clicks_hides_and_recolours(browser: Any, planned: Path) -> None:
-    """Everything does what it says, nothing is asked for, nothing goes wrong."""
+def test_the_controls_of_a_page_work(browser: Any, planned: Path) -> None:
+    """Hide, show, colour, select and play work, without requests and without errors."""
     browser.open((planned / "view.html").as_uri())
     found = browser.run(_TOUCH)
     browser.click(*found.pop("at"))
@@ -77,7 +77,7 @@ def test_a_page_plays_clicks_hides_and_recolours(browser: Any, planned: Path) ->
 def pages(
     planned: Path, executed: Path, run_cell: Callable[..., Any], drawn: Callable[[], Any], tmp_path_factory: Any
 ) -> list[Path]:
-    """Of an execution, a scene, why and a difference."""
+    """Pages of an execution, a scene, `cell why` and `cell diff`."""
     folder = tmp_path_factory.mktemp("pages")
     shutil.copytree(planned, folder / "run")
     for words in (("view", "--no-open", "--out", "scene.html"), ("why", "run", "--samples", "2000"),
@@ -90,7 +90,7 @@ def pages(
 
 
 def test_every_page_is_shown(browser: Any, pages: list[Path]) -> None:
-    """A scene, an execution in each of its colours, why, a difference; without a request or a fault."""
+    """Each page in each of its colours, without requests and without errors."""
     for page in pages:
         browser.open(page.as_uri())
         titles = browser.run(_EVERY_COLOUR)
@@ -101,24 +101,26 @@ def test_every_page_is_shown(browser: Any, pages: list[Path]) -> None:
 
 
 @pytest.mark.parametrize("chromium", [("--disable-3d-apis",)], indirect=True)
-def test_without_webgl_a_page_says_so_and_keeps_its_numbers(chromium: Any, planned: Path) -> None:
-    """A sentence, the list of views and what is said of each."""
+def test_without_webgl_a_page_reports_it_and_shows_its_numbers(chromium: Any, planned: Path) -> None:
+    """The page has a sentence about WebGL and the list of views."""
     chromium.open((planned / "view.html").as_uri())
-    told = chromium.run("Promise.resolve((select(0), document.body.textContent))")
-    assert "nothing in three dimensions" in told
-    assert "view1, candidate" in told
+    text = chromium.run("Promise.resolve((select(0), document.body.textContent))")
+    assert "cannot draw in three dimensions" in text
+    assert "view1, candidate" in text
 
 
-@pytest.mark.parametrize("chromium", [("--window-size=400,300",)], indirect=True)  # each pixel takes its time
+@pytest.mark.parametrize(
+    "chromium", [("--window-size=400,300",)], indirect=True
+)  # software rendering pays for each pixel
 @pytest.mark.parametrize(
     ("subdivisions", "views", "points"), [(5, 20, 30_000), pytest.param(8, 200, 1_000_000, marks=pytest.mark.slow)]
 )
-def test_a_large_page_is_soon_there(
+def test_a_large_page_is_drawn_quickly(
     subdivisions: int, views: int, points: int, chromium: Any, planned: Path, tmp_path: Path
 ) -> None:
-    """1.3 million faces twice, 200 views, a million points: 25 MB, the first frame after 5 s of processor time.
+    """Two surfaces of 1.3 million faces, 200 views, a million points: 25 MB, first frame after 5 s of processor time.
 
-    In the software renderer; what is not drawn is told.
+    With the software renderer; a note reports the reduced number of faces.
     """
     rng, ball = np.random.default_rng(0), trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.1)
     mesh = TriangleMesh(ball.vertices, ball.faces.astype(np.int32))
@@ -127,17 +129,20 @@ def test_a_large_page_is_soon_there(
     away /= np.linalg.norm(away, axis=1, keepdims=True)
     layers = {name: rng.random(len(samples)) for name in ("sigma", "spacing")}
     canvas = canvas_of(mesh, samples)
-    part = part_of(canvas, Surface(samples, samples.normals @ away.T > 0.5, layers))
-    surface = Shown("surface", canvas.mesh, [stepped(canvas.mesh.vertices[:, 0], "Deviation", "signed", (-1, 1), "")])
+    part = part_surface(canvas, MeasuredSamples(samples, samples.normals @ away.T > 0.5, layers))
+    layer = quantised_layer(canvas.mesh.vertices[:, 0], "Deviation", "signed", (-1, 1), "")
+    surface = PageSurface("surface", canvas.mesh, [layer])
     run = open_run(planned)
     cell = cell_of_run(run, run.scene)
     poses = np.tile(np.eye(4), (views, 1, 1))
     poses[:, :3, 3] = 0.4 * away
-    said = [View(str(k), cell.T_base_object @ T, 0.1 * k, [("view", str(k))]) for k, T in enumerate(poses, 1)]
+    page_views = [PageView(str(k), cell.T_base_object @ T, 0.1 * k, [("view", str(k))]) for k, T in enumerate(poses, 1)]
     t = np.linspace(0, 0.1 * views, 20_000)
-    play = Play(said, (t, cell.arm.home + np.sin(t)[:, None]), cloud=0.05 * rng.normal(size=(points, 3)))
+    contents = PageContents(
+        page_views, (t, cell.arm.home + np.sin(t)[:, None]), cloud=0.05 * rng.normal(size=(points, 3))
+    )
     page = tmp_path / "large.html"
-    page.write_text(html_of(Stage("large", cell, [part, surface]), play), encoding="utf-8")
+    page.write_text(render_page(PageScene("large", cell, [part, surface]), contents), encoding="utf-8")
     assert page.stat().st_size <= 25e6
     if len(mesh.faces) > len(canvas.mesh.faces):
         assert part.layers[0].note == f"drawn with {len(canvas.mesh.faces):,} of {len(mesh.faces):,} faces"

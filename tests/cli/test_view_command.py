@@ -1,4 +1,4 @@
-"""`cell view` as a user meets it, and its page as a browser does."""
+"""`cell view` end to end."""
 
 import re
 import subprocess
@@ -13,8 +13,8 @@ from cell.view import looking
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
-def test_a_run_is_shown_and_never_changed(planned: Path, run_cell: Run, tmp_path: Path) -> None:
-    """The page of a run is the one in its folder; drawn anew it goes elsewhere, and into the folder never."""
+def test_a_run_is_never_changed(planned: Path, run_cell: Run, tmp_path: Path) -> None:
+    """The page in the run folder is opened; a new page is written elsewhere, never into the folder."""
     before = sorted((path.name, path.stat().st_mtime_ns) for path in planned.rglob("*"))
     done = run_cell("view", planned, "--no-open", cwd=tmp_path)
     assert (done.returncode, done.stdout.strip()) == (0, str(planned / "view.html")), done.stderr
@@ -28,7 +28,7 @@ def test_a_run_is_shown_and_never_changed(planned: Path, run_cell: Run, tmp_path
 
 @pytest.mark.usefixtures("drawn_pictures")
 def test_an_execution_has_its_surface_and_points(executed: Path, run_cell: Run, tmp_path: Path) -> None:
-    """Deviation with limits in mm, the cloud, and the arm where it was reported; drawn again it is the same page."""
+    """The page has the deviation and the cloud; drawn again, it has the same bytes."""
     folder = executed / "executions" / "0001"
     page = (folder / "view.html").read_text(encoding="utf-8")
     assert '"name":"surface"' in page
@@ -40,8 +40,8 @@ def test_an_execution_has_its_surface_and_points(executed: Path, run_cell: Run, 
     assert (tmp_path / "again.html").read_text(encoding="utf-8") == page
 
 
-def test_a_scene_is_drawn_beside_what_check_says(part_file: Path, run_cell: Run, tmp_path: Path) -> None:
-    """The built-in scene; one whose part stands in the pedestal says so in the page; a failed run shows its cell."""
+def test_the_page_of_a_scene_shows_the_results_of_check(part_file: Path, run_cell: Run, tmp_path: Path) -> None:
+    """The built-in scene has contacts at home in its page; a part in the pedestal is a problem in the page."""
     done = run_cell("view", "--no-open", "--out", "a.html", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "contacts at home" in (tmp_path / "a.html").read_text()
@@ -53,8 +53,8 @@ def test_a_scene_is_drawn_beside_what_check_says(part_file: Path, run_cell: Run,
     assert (done.returncode, "cell view my_cell.toml --watch" in done.stderr) == (2, True)
 
 
-def test_a_watched_scene_is_drawn_again_when_it_is_saved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A good scene, a broken one whose fault stands in the page beside the last cell, and a good one again."""
+def test_a_watched_scene_is_drawn_again_after_each_save(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A valid scene, an invalid one whose error is on the page beside the last cell, and a valid one again."""
     scene, page = tmp_path / "mine.toml", tmp_path / "p.html"
     texts = iter(["[placement\n", "[placement]\nposition_mm = [1000, 0, 0]\n"])
     scene.write_text("[placement]\nposition_mm = [1100, 0, 0]\n")
@@ -71,8 +71,8 @@ def test_a_watched_scene_is_drawn_again_when_it_is_saved(tmp_path: Path, capsys:
     with pytest.raises(KeyboardInterrupt):
         looking.watch(scene, page, Terminal(), opened.append, wait)
     assert opened == [page]
-    stamps = [re.search(r'"watched":"([^"]+)"', text) for text, _ in seen]
-    assert [f"drawn({stamp[1]!r});\n" if stamp else "" for stamp in stamps] == [told for _, told in seen]
-    assert len({told for _, told in seen}) == 3
+    stamps = [re.search(r'"watch_stamp":"([^"]+)"', text) for text, _ in seen]
+    assert [f"reloadIfNew({stamp[1]!r});\n" if stamp else "" for stamp in stamps] == [script for _, script in seen]
+    assert len({script for _, script in seen}) == 3
     assert ['"problems":[]' in text for text, _ in seen] == [True, False, True]
     assert "mine.toml" in capsys.readouterr().err

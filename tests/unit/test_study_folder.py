@@ -21,7 +21,7 @@ from cell.study.plan_command import options
 from cell.study.study import Study, StudyResult, conduct, markdown_table
 from cell.study.trial import Outcome, Trial
 from cell.study.views import views
-from cell.view.study_page import shown, study_page
+from cell.view.study_page import format_value, study_page
 
 _TRIALS = [Trial.of(views, {"part": "mug", "faces": faces}) for faces in (8, 9, 10)]
 
@@ -147,6 +147,6 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path, monkeypatc
 
 def test_a_table_shows_numbers_shortly_and_nothing_as_nothing() -> None:
     """Four digits; a missing value is an empty field; no rows, no table."""
-    assert [shown(value) for value in (3, 1 / 3, None, "x", True)] == ["3", "0.3333", "", "x", "True"]
+    assert [format_value(value) for value in (3, 1 / 3, None, "x", True)] == ["3", "0.3333", "", "x", "True"]
     assert markdown_table([{"a": 1, "b": None}, {"a": 2.5}]) == ["| a | b |", "|---|---|", "| 1 |  |", "| 2.5 |  |"]
     assert markdown_table([]) == []

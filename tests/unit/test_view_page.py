@@ -1,4 +1,4 @@
-"""The page as data: what it shows is what the run says, it asks for nothing from outside, names stay text."""
+"""Data of the page: equal to the run's files, no external requests, names are never markup."""
 
 import base64
 import re
@@ -16,9 +16,9 @@ from cell.runs.cell import read_cell
 from cell.runs.run import Run, open_run
 from cell.scanners.laser_area import LaserArea
 from cell.view import contents
-from cell.view.page import Layer, Play, Shown, Stage, View, html_of
+from cell.view.page import Layer, PageContents, PageScene, PageSurface, PageView, render_page
 from cell.view.pieces import Piece, cell_of_run
-from cell.view.surface import canvas_of, sides, surface_of
+from cell.view.surface import canvas_of, measure_samples, viewing_directions
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.kinematics.frames import pose_from_kuka_abc
@@ -36,22 +36,22 @@ def run(planned: Path) -> Run:
 
 @pytest.fixture(scope="module")
 def page(planned: Path) -> str:
-    """The page beside its report.md."""
+    """The page of the plan."""
     return (planned / "view.html").read_text(encoding="utf-8")
 
 
 def unpacked(packed: dict[str, str]) -> np.ndarray:
-    """An array of the page."""
+    """Return an array of the page."""
     return np.frombuffer(base64.b64decode(packed["base64"]), dtype=f"<{packed['kind']}")
 
 
 def places(packed: dict[str, Any]) -> np.ndarray:
-    """(N, 3) points of the page."""
+    """Return (N, 3) points of the page."""
     return np.array(packed["low"]) + unpacked(packed["steps"]).reshape(-1, 3) * np.array(packed["step"])
 
 
-def test_nothing_comes_from_outside(page: str) -> None:
-    """No element or style names an address, and the page's own rule forbids every request."""
+def test_the_page_makes_no_requests(page: str) -> None:
+    """No element or style has an address, and the content security policy forbids every request."""
     markup = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
     assert not re.search(r"\bsrc=|https?:|@import|url\(", markup)
     assert re.findall(r'href="([^"]*)"', markup) == ["data:,"]
@@ -61,7 +61,7 @@ def test_nothing_comes_from_outside(page: str) -> None:
 
 
 def test_the_page_shows_the_plan(page: str, run: Run, data_of: DataOf) -> None:
-    """Views, motion and part are those of the run's files, to the last step of their quantisation."""
+    """Views, motion and part equal those of the run's files, to the resolution of the quantisation."""
     data, plan, motion = data_of(page), run.plan, run.motion
     assert [view["number"] for view in data["views"]] == [str(k + 1) for k in range(len(plan.views))]
     for shown, view in zip(data["views"], plan.views, strict=True):
@@ -71,7 +71,7 @@ def test_the_page_shows_the_plan(page: str, run: Run, data_of: DataOf) -> None:
         (moved,) = (text.rpartition(":")[2] for text in shown["commands"] if "--move" in text)
         xyz, abc = np.split(np.array(moved.split(","), dtype=float), 2)
         same = pose_from_kuka_abc(xyz / 1000, np.radians(abc))
-        np.testing.assert_allclose(same, view.T_base_scanner, atol=3e-5)  # what can be pasted names the pose it has
+        np.testing.assert_allclose(same, view.T_base_scanner, atol=3e-5)  # the command to paste has the current pose
     t, q = unpacked(data["motion"]["t"]), unpacked(data["motion"]["q"]).reshape(-1, 6)
     assert t[-1] == pytest.approx(motion.duration, abs=1e-4)
     np.testing.assert_allclose(q[[0, -1]], motion.q[[0, -1]], atol=1e-6)
@@ -83,7 +83,7 @@ def test_the_page_shows_the_plan(page: str, run: Run, data_of: DataOf) -> None:
 
 
 def test_the_colours_count_what_the_views_measure(page: str, run: Run, data_of: DataOf) -> None:
-    """By vertices that stand for area alike, the share that some view measures is the plan's visible coverage."""
+    """The area share of faces that some view measures is the plan's visible coverage."""
     data = data_of(page)
     layer = data["surfaces"][0]["layers"][0]
     bits = unpacked(layer["values"]).reshape(-1, layer["width"])
@@ -97,46 +97,46 @@ def test_the_colours_count_what_the_views_measure(page: str, run: Run, data_of: 
     assert share == pytest.approx(run.plan.coverage.visible, abs=0.02)
 
 
-def test_the_arm_of_the_page_is_the_planned_one(run: Run) -> None:
-    """Its chain puts the scanner where the closed-form kinematics and the mount do, at random angles."""
+def test_the_chain_of_the_page_agrees_with_the_kinematics(run: Run) -> None:
+    """At random angles the scanner has the pose of the closed-form kinematics with the mount."""
     scene = run.scene
     arm = cell_of_run(run, scene).arm
     kinematics = kinematics_of(run.cell_model())
     for q in np.random.default_rng(0).uniform(-1.5, 1.5, (20, 6)):
         expected = kinematics.forward(q[None])[0] @ scene.T_flange_scanner
-        np.testing.assert_allclose(arm.links(q)[-1] @ arm.T_link_scanner, expected, atol=1e-9)
+        np.testing.assert_allclose(arm.link_poses(q)[-1] @ arm.T_link_scanner, expected, atol=1e-9)
 
 
-def test_the_same_run_gives_the_same_bytes(run: Run) -> None:
-    """Drawn twice from the folder."""
+def test_a_page_has_reproducible_bytes(run: Run) -> None:
+    """Two pages of one run are equal."""
     assert contents.run_page(run) == contents.run_page(run)
 
 
-def test_a_name_is_text_everywhere(run: Run, data_of: DataOf) -> None:
-    """Part, fixture, view, number, sentence and command that look like markup never leave their string."""
+def test_a_name_is_never_markup(run: Run, data_of: DataOf) -> None:
+    """Names, numbers, sentences and commands that look like markup stay text."""
     cell = cell_of_run(run, run.scene)
     mesh = TriangleMesh(np.eye(3), np.array([[0, 1, 2]]))
     cell = replace(cell, pieces=(*cell.pieces, Piece(_EVIL, 0, mesh.vertices, np.array(mesh.faces), np.ones(3))))
     layer = Layer(_EVIL, "named", np.zeros(3, dtype=np.uint8), _EVIL, named=[(_EVIL, "#000000")])
-    play = Play(
-        [View(_EVIL, np.eye(4), 0.0, [(_EVIL, _EVIL)], [_EVIL])], rows=[(_EVIL, _EVIL)], problems=[_EVIL],
-        notes=[_EVIL], next=[_EVIL],
+    contents = PageContents(
+        [PageView(_EVIL, np.eye(4), 0.0, [(_EVIL, _EVIL)], [_EVIL])], rows=[(_EVIL, _EVIL)], problems=[_EVIL],
+        notes=[_EVIL], next_commands=[_EVIL],
     )  # fmt: skip
-    made = html_of(Stage(_EVIL, cell, [Shown(_EVIL, mesh, [layer])]), play)
+    made = render_page(PageScene(_EVIL, cell, [PageSurface(_EVIL, mesh, [layer])]), contents)
     assert _EVIL not in made
     assert made.lower().count("<script") == made.lower().count("</script") == 4
     data = data_of(made)
     report = run.report
-    told = report.model_copy(update={"part": report.part.model_copy(update={"name": _EVIL})})
-    assert "<script" not in markdown(told)
+    renamed = report.model_copy(update={"part": report.part.model_copy(update={"name": _EVIL})})
+    assert "<script" not in markdown(renamed)
     assert data["title"] == data["pieces"][-1]["name"] == data["surfaces"][0]["layers"][0]["named"][0][0] == _EVIL
 
 
 def test_spacing_is_that_of_neighbouring_rays() -> None:
-    """On an inclined plane: the distance of the points where two neighbouring rays meet it (2 % at 0.25 degrees)."""
+    """On an inclined plane, the spacing is the distance of the hits of neighbouring rays (2 % at 0.25 degrees)."""
 
     class Law:
-        """Measures everything; its own law is not what is tested."""
+        """A scanner that measures every sample, with the spacing of LaserArea."""
 
         source = sensor = np.zeros(3)
         grid_shape = (1, 1)
@@ -150,7 +150,7 @@ def test_spacing_is_that_of_neighbouring_rays() -> None:
         spacing = staticmethod(LaserArea(resolution_deg=(0.25, 0.25)).spacing)
 
     class Free:
-        """Nothing is in the way."""
+        """A ray caster without obstacles."""
 
         def blocked(self, origins: np.ndarray, targets: np.ndarray) -> np.ndarray:
             return np.zeros(len(origins), dtype=np.bool_)
@@ -164,14 +164,14 @@ def test_spacing_is_that_of_neighbouring_rays() -> None:
     samples = draw_samples(mesh, mesh, 50, np.random.default_rng(0))
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = distance
-    surface = surface_of(samples, T[None, None], Law(), (Free(),))  # type: ignore[arg-type] # toys
+    surface = measure_samples(samples, T[None, None], Law(), (Free(),))  # type: ignore[arg-type]  # minimal doubles
     ray = np.array([np.sin(angle), 0.0, -np.cos(angle)])
     meets = T[:3, 3] - ray * (T[:3, 3] @ normal) / (ray @ normal)
     assert np.median(surface.layers["spacing"]) == pytest.approx(1000 * np.linalg.norm(meets), rel=0.02)
 
 
-def test_a_few_large_faces_can_have_many_colours(run: Run) -> None:
-    """A cube of twelve faces, of which a half is measured: the drawn mesh shows the half."""
+def test_large_faces_are_split_for_colours(run: Run) -> None:
+    """A cube of twelve faces whose half is measured: the drawn mesh shows the half."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * 0.1
     faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
                       [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
@@ -181,16 +181,16 @@ def test_a_few_large_faces_can_have_many_colours(run: Run) -> None:
     assert len(canvas.mesh.faces) > 1000
     centres = canvas.mesh.vertices[canvas.mesh.faces].mean(axis=1)
     clear = np.abs(centres[:, 0] - 0.05) > 0.005
-    np.testing.assert_array_equal(half[canvas.own][clear], (centres[:, 0] < 0.05)[clear])
-    below = canvas.samples.normals[:, 2] < -0.9  # what is open below is looked at from below
-    assert sides(canvas, below, 1)[0][2] < 0
+    np.testing.assert_array_equal(half[canvas.face_samples][clear], (centres[:, 0] < 0.05)[clear])
+    below = canvas.samples.normals[:, 2] < -0.9  # uncovered surface below is seen from below
+    assert viewing_directions(canvas, below, 1)[0][2] < 0
 
 
-def test_what_is_seen_is_visible_coverage(run: Run) -> None:
-    """The share of samples that some view measures is the definition's, sample by sample."""
+def test_seen_samples_are_the_visible_coverage(run: Run) -> None:
+    """The samples that some view measures equal those of the definition of coverage."""
     cell, plan = read_cell(run), run.plan
     poses = [view.T_object_poses for view in plan.views]
-    _, surface = contents.measured(run, cell, poses)
+    _, surface = contents.measure_run(run, cell, poses)
     casters = (cell.part_caster, cell.occluder_caster)
     expected = coverage.visible_coverage(np.stack(poses), surface.samples, cell.scanner, casters)
     np.testing.assert_array_equal(surface.seen.any(axis=1), expected.covered)

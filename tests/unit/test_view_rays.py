@@ -1,4 +1,4 @@
-"""Pictures by rays: where things are drawn, what hides them, what becomes glass, labels that keep apart."""
+"""Pictures by ray casting: projection, hidden lines, translucent pieces, labels without overlaps."""
 
 import shutil
 from dataclasses import replace
@@ -14,7 +14,7 @@ from cell.runs.run import open_run
 from cell.view import rays
 from cell.view.cell_picture import best_view, draw_cell
 from cell.view.palette import LENGTHS, OPEN, REASONS, SEEN, SIGNED, rgb
-from cell.view.pieces import Cell, Piece, cell_of_run
+from cell.view.pieces import CellGeometry, Piece, cell_of_run
 from cell.world.embree import EmbreeRayCaster
 from cell.world.occluders import box_triangles
 from planner.geometry.mesh import TriangleMesh
@@ -23,11 +23,11 @@ _SIZE = (160, 120)
 
 
 @pytest.mark.parametrize("parallel", [True, False])
-def test_a_pixel_is_where_its_ray_goes(parallel: bool) -> None:
-    """A point on a pixel's ray is projected into that pixel, at its distance; all that is fitted is in the picture."""
+def test_rays_and_projection_agree(parallel: bool) -> None:
+    """A point on a pixel's ray is projected to that pixel and distance; all fitted points are in the picture."""
     rng = np.random.default_rng(0)
     points = rng.normal(size=(50, 3)) * [0.5, 0.2, 0.3] + [1.0, 2.0, 3.0]
-    camera = rays.fitted(points, rays.direction(30, 25), _SIZE, parallel=parallel)
+    camera = rays.fit_camera(points, rays.direction(30, 25), _SIZE, parallel=parallel)
     origins, directions = camera.rays()
     far = rng.uniform(0.5, 2.0, len(origins))
     at = camera.project(origins + far[:, None] * directions)
@@ -41,16 +41,16 @@ def test_a_pixel_is_where_its_ray_goes(parallel: bool) -> None:
 
 
 def test_a_line_behind_a_surface_is_hidden() -> None:
-    """A stroke through a box: its ends are drawn, its middle has the colour of what is hidden."""
+    """A line through a box: its ends are visible, its middle has the colour of hidden pieces."""
     vertices, faces = box_triangles(np.array([0.1, 0.1, 0.1]))
     caster = EmbreeRayCaster(vertices, faces)
     around = np.array([[-0.3, -0.3, -0.3], [0.3, 0.3, 0.3]])
-    camera = rays.fitted(around, np.array([1.0, 0.0, 0.0]), (200, 200), parallel=True)
+    camera = rays.fit_camera(around, np.array([1.0, 0.0, 0.0]), (200, 200), parallel=True)
     drawn, seen = rays.render(
         camera, lambda o, d: (np.ones((len(o), 3)), caster.first_hit(o, d).distance)
     )  # everything white
     stroke = np.array([[[0.0, -0.25, 0.0], [0.0, 0.25, 0.0]]])
-    rays.lines(drawn, seen, stroke, "#ff0000", width=3, hidden="#0000ff")
+    rays.draw_lines(drawn, seen, stroke, "#ff0000", width=3, hidden="#0000ff")
     row = np.asarray(drawn)[100].astype(int)
     red, blue = np.flatnonzero(row[:, 0] - row[:, 2] > 100), np.flatnonzero(row[:, 2] - row[:, 0] > 100)
     assert len(red) > 50
@@ -58,12 +58,12 @@ def test_a_line_behind_a_surface_is_hidden() -> None:
     assert red.min() < blue.min() < blue.max() < red.max()
 
 
-def test_labels_keep_apart() -> None:
-    """Thirty numbers at one place: as much ink as thirty apart."""
+def test_labels_do_not_overlap() -> None:
+    """Thirty numbers at one place have as many dark pixels as thirty separate ones."""
 
     def ink(places: np.ndarray) -> int:
         drawn = Image.new("RGB", (600, 600), "white")
-        rays.labels(drawn, places, [str(k) for k in range(10, 40)], size=12)
+        rays.draw_labels(drawn, places, [str(k) for k in range(10, 40)], size=12)
         dark = np.asarray(drawn).astype(int)
         return int((dark.max(axis=2) < 60).sum())
 
@@ -73,8 +73,8 @@ def test_labels_keep_apart() -> None:
 
 
 @pytest.fixture(scope="module")
-def shown(planned: Path) -> tuple[Cell, TriangleMesh, np.ndarray, np.ndarray]:
-    """The planned cell, its part, joint angles at a view, all views."""
+def shown(planned: Path) -> tuple[CellGeometry, TriangleMesh, np.ndarray, np.ndarray]:
+    """The planned cell, its part, the joint angles at a view, all views."""
     run = open_run(planned)
     cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
     views = run.plan.views
@@ -82,16 +82,16 @@ def shown(planned: Path) -> tuple[Cell, TriangleMesh, np.ndarray, np.ndarray]:
     return cell, part, views[best_view(cell, part, poses)].q, poses
 
 
-def test_a_wall_in_front_is_glass(shown: tuple[Cell, TriangleMesh, np.ndarray, np.ndarray]) -> None:
-    """Seen through it the robot keeps its orange; from the other side the wall is no glass, and it can be hidden."""
+def test_a_wall_in_front_is_translucent(shown: tuple[CellGeometry, TriangleMesh, np.ndarray, np.ndarray]) -> None:
+    """The robot is visible through the wall; from the other side the wall is solid; it can be hidden."""
     cell, part, q, views = shown
     vertices, faces = box_triangles(np.array([1.2, 0.02, 1.2]))
     wall = Piece("wall", 0, vertices + np.array([0.6, -1.2, 0.4]), faces, np.array([0.2, 0.3, 0.9]))
     walled = replace(cell, pieces=(*cell.pieces, wall))
 
-    def colours(azimuth: float, *hide: str, of: Cell = walled) -> np.ndarray:
+    def colours(azimuth: float, *hide: str, of: CellGeometry = walled) -> np.ndarray:
         drawn, _ = draw_cell(
-            of, part, q, views=views, way=np.zeros((0, 3)), size=_SIZE, camera=(azimuth, 10.0), hide=hide
+            of, part, q, views=views, path=np.zeros((0, 3)), size=_SIZE, camera=(azimuth, 10.0), hide=hide
         )
         return np.asarray(drawn).astype(int)
 
@@ -104,12 +104,12 @@ def test_a_wall_in_front_is_glass(shown: tuple[Cell, TriangleMesh, np.ndarray, n
     behind = colours(90)
     assert orange(behind) > 500
     assert int((behind[..., 2] > behind[..., 0] + 60).sum()) > 500
-    with pytest.raises(UsageError, match=r"--hide door is nothing of this cell; it has: post, pedestal, .*wall"):
+    with pytest.raises(UsageError, match=r"--hide door is not a piece of this cell; it has: post, pedestal, .*wall"):
         colours(0, "door")
 
 
-def test_the_report_s_picture_is_seen_as_asked(planned: Path, tmp_path: Path) -> None:
-    """Without the robot there is no orange of it; a name that this cell has not is passed over; another camera."""
+def test_the_picture_of_the_report_obeys_its_options(planned: Path, tmp_path: Path) -> None:
+    """A hidden robot has no orange pixels; an unknown name is ignored; another camera gives another picture."""
     shutil.copytree(planned, tmp_path / "run")
     views = open_run(planned).plan.views
     q, poses = np.stack([view.q for view in views]), np.stack([view.T_base_scanner for view in views])
@@ -131,8 +131,8 @@ def test_the_report_s_picture_is_seen_as_asked(planned: Path, tmp_path: Path) ->
     assert (picture((200.0, 10.0)) != usual).any()
 
 
-def test_colours_differ_for_every_eye() -> None:
-    """As a deuteranope and a protanope see them (Vienot 1999), what must not be confused stays apart in brightness."""
+def test_colours_differ_for_every_colour_vision() -> None:
+    """For deuteranopes and protanopes (Vienot 1999), uncovered and measured colours differ; scales are monotonic."""
     linear = np.array([rgb(colour) for colour in (OPEN, *SEEN)]) ** 2.2
     to_lms = np.array([[17.8824, 43.5161, 4.1194], [3.4557, 27.1554, 3.8671], [0.02996, 0.18431, 1.4670]])
     deutan = np.array([[1.0, 0, 0], [0.494207, 0, 1.24827], [0, 0, 1]])
