@@ -1,33 +1,18 @@
-"""A pose as a matrix or with a quaternion, as calibrations give it; the scene says poses in mm and KUKA's ABC.
+"""The scene: tables of a TOML file as one frozen `Scene`.
 
-Poses of a scene file: position and KUKA's angles, the mount in three forms, the placement by centre or origin.
+A scene describes the robot, the scanner and its mount, the part and its placement, the rotary table, the surroundings,
+regions of the part, and how to plan. Every key has its unit (`_mm`, `_deg`); poses are x, y, z and KUKA's A, B, C.
+A key with value None has the scanner's default (range, baseline, housing), the part's (planning faces), or follows from
+another key (the standoff from the range, the housing's position from the baseline); `cell.scene.settle` fills it in.
+`models/scene.toml` is the built-in scene with every key explained; `Scene()` equals it.
 
-What stands in the cell beside robot and part: the `[[fixtures]]` of a scene, of a set-up (`[[setup]]`) only then.
+The keys of `[scanner]` are the arguments of the plug-in class that `type` names; a key of another type is an error. A
+sensor of the library sets its type and its known figures; keys of the scene take precedence.
 
-The `[table]` of a scene: a rotary table that turns the part (docs/table.md).
-
-The `[robot]` of a scene: which arm it is, where it stands and how fast it may go.
-
-The scene's `[plan]` table: how to plan, what is wished beyond the fewest views, and which wishes go together.
-
-The scene's `[[region]]` tables: parts of the surface by CAD face, kind, box or colour, and what is asked of each.
-
-A face of the part belongs to the first region that selects it. A region that selects by nothing is the rest.
-
-The keys of the scene's `[scanner]` table: those of the plug-in that `type` names, and of a sensor of the library.
-
-A plug-in declares its keys by the arguments of its class; another type's key is an error with a hint. A sensor of the
-library sets its type and what is known of it; keys of the scene go before the sensor's.
-
-The scene file: what stands in the cell, what the scanner is and how to plan; TOML in, one frozen `Scene` out.
-
-Every key carries its unit (`_mm`, `_deg`); poses are x, y, z and KUKA's A, B, C. A key whose value is None takes the
-scanner's default (range, baseline, housing: `cell.scene.settle`), the part's (planning faces) or follows from another
-key (the standoff from the range, the housing's place from the baseline). `models/scene.toml` is the built-in scene with
-every key explained; `Scene()` equals it.
+A face of the part belongs to the first `[[region]]` that selects it. A region without selectors is the rest.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
@@ -67,70 +52,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-_NEAR = 1e-3
-"""How far a rotation may be from one: the rounding of numbers with four decimals. It is made one exactly."""
-
-
-def require_one_form(
-    quaternion: Sequence[float] | None, matrix_mm: Sequence[Sequence[float]] | None, given: Collection[str]
-) -> None:
-    """Refuse a pose that is said in two ways, or that is none.
-
-    Args:
-        quaternion: (w, x, y, z), or None.
-        matrix_mm: four rows of four, or None.
-        given: keys that the table has.
-
-    Raises:
-        ValueError: as pydantic takes it, with the key.
-    """
-    import numpy as np  # kept out of the start-up
-
-    said = {"quaternion": ("abc_deg",), "matrix_mm": ("position_mm", "abc_deg", "quaternion")}
-    for key, value in (("matrix_mm", matrix_mm), ("quaternion", quaternion)):
-        if value is not None and (beside := [other for other in said[key] if other in given]):
-            raise ValueError(f".{key} is given beside {beside[0]}; say the pose in one way")
-    if quaternion is not None and abs(float(np.linalg.norm(quaternion)) - 1) > _NEAR:
-        raise ValueError(f".quaternion has the length {np.linalg.norm(quaternion):.4g}; it must be 1 (w, x, y, z)")
-    if matrix_mm is None:
-        return
-    T = np.array(matrix_mm)
-    R = T[:3, :3]
-    if np.abs(T[3] - [0, 0, 0, 1]).max() > 0:
-        raise ValueError(
-            ".matrix_mm has another last row than 0, 0, 0, 1; give four rows of a transform, positions in mm"
-        )
-    if np.abs(R @ R.T - np.eye(3)).max() > _NEAR or np.linalg.det(R) < 0:
-        raise ValueError(".matrix_mm holds no rotation (rows at right angles, of length 1, right-handed)")
-
-
-def of_matrix(matrix_mm: Sequence[Sequence[float]]) -> "NDArray[np.float64]":
-    """(4, 4) [m] of four rows of four whose last column is a position [mm]."""
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    given = np.array(matrix_mm, dtype=np.float64)
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_matrix(given[:3, :3]).as_matrix(), given[:3, 3] / 1000
-    return T
-
-
-def of_quaternion(position_mm: Sequence[float], quaternion: Sequence[float]) -> "NDArray[np.float64]":
-    """(4, 4) [m] of a position [mm] and (w, x, y, z)."""
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    w, x, y, z = quaternion
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_quat([x, y, z, w]).as_matrix(), np.array(position_mm) / 1000
-    return T
-
+_ROTATION_TOLERANCE = 1e-3
+"""Largest error of a given rotation: the rounding of numbers with four decimals. The rotation is then made exact."""
 
 PART = "Part and place"
 """Heading of the options of part and placement."""
 
 _PLACE = Option(
-    "Where the part's centre stands in the robot's base frame (mm) and how it is turned (deg, KUKA ABC).",
+    "Pose of the part's centre in the robot's base frame: position (mm) and orientation (deg, KUKA ABC).",
     PART,
     name="place",
     metavar="X,Y,Z[,A,B,C]",
@@ -140,10 +69,14 @@ _PLACE = Option(
 )
 
 _PLACE_ORIGIN = Option(
-    "In place of --place: where the origin of the part's file stands in base (mm), and how it is turned (deg).", PART,
-    name="place_origin", metavar="X,Y,Z[,A,B,C]", form="x,y,z or x,y,z,A,B,C (mm and deg)", examples=("1200,500,-80",),
+    "Instead of --place: pose of the origin of the part's file in base (mm and deg).",
+    PART,
+    name="place_origin",
+    metavar="X,Y,Z[,A,B,C]",
+    form="x,y,z or x,y,z,A,B,C (mm and deg)",
+    examples=("1200,500,-80",),
     counts=(3, 6),
-)  # fmt: skip
+)
 
 
 class Posed(Table):
@@ -153,13 +86,13 @@ class Posed(Table):
     abc_deg: Triple = (0.0, 0.0, 0.0)
 
     @property
-    def T(self) -> "NDArray[np.float64]":  # the field's name for a transform
-        """(4, 4) the pose as a transform [m]."""
+    def T(self) -> "NDArray[np.float64]":
+        """Transform (4, 4) of the pose [m]."""
         return pose(self.position_mm, self.abc_deg)
 
 
 def pose(position_mm: tuple[float, float, float], abc_deg: tuple[float, float, float]) -> "NDArray[np.float64]":
-    """(4, 4) transform [m] of a position [mm] and KUKA's angles A, B, C [deg]."""
+    """Return the transform (4, 4) [m] of a position [mm] and KUKA's angles A, B, C [deg]."""
     import numpy as np
 
     from planner.kinematics.frames import pose_from_kuka_abc
@@ -167,11 +100,22 @@ def pose(position_mm: tuple[float, float, float], abc_deg: tuple[float, float, f
     return pose_from_kuka_abc(np.array(position_mm) / 1000.0, np.deg2rad(abc_deg))
 
 
+def pose_keys(T: "NDArray[np.float64]") -> dict[str, tuple[float, ...]]:
+    """Return `position_mm` and `abc_deg` of a transform (4, 4) [m], rounded to recover the numbers of a scene."""
+    import numpy as np
+
+    from planner.kinematics.frames import kuka_abc_from_pose
+
+    position, abc = kuka_abc_from_pose(T)
+    keys = {"position_mm": (1000 * position).round(9) + 0.0, "abc_deg": np.degrees(abc).round(9) + 0.0}
+    return {key: tuple(values.tolist()) for key, values in keys.items()}
+
+
 class Mount(Posed):
     """The scanner frame (origin at the laser source, +z viewing direction, +x to the sensor) in the flange frame.
 
-    The turn may be given as `quaternion` (w, x, y, z) in place of `abc_deg`, the whole as `matrix_mm`, four rows of
-    four whose last column is the position.
+    `quaternion` (w, x, y, z) may replace `abc_deg`. `matrix_mm`, four rows of four with the position as last column,
+    may replace the whole pose.
     """
 
     position_mm: Triple = (0.0, 0.0, 120.0)
@@ -179,21 +123,50 @@ class Mount(Posed):
     matrix_mm: Annotated[tuple[Four, Four, Four, Four], Field(strict=False)] | None = None
 
     @model_validator(mode="after")
-    def _one_form(self) -> Self:
-        if self.quaternion is not None or self.matrix_mm is not None:
-            require_one_form(self.quaternion, self.matrix_mm, self.model_fields_set)
+    def _one_valid_form(self) -> Self:
+        if self.quaternion is None and self.matrix_mm is None:
+            return self
+        import numpy as np  # the start-up of the command line does without it
+
+        replaced = {"matrix_mm": ("position_mm", "abc_deg", "quaternion"), "quaternion": ("abc_deg",)}
+        for key, others in replaced.items():
+            if getattr(self, key) is not None and (given := [each for each in others if each in self.model_fields_set]):
+                raise ValueError(f".{key} is given beside {given[0]}; give the pose in one form")
+        if self.quaternion is not None and abs(float(np.linalg.norm(self.quaternion)) - 1) > _ROTATION_TOLERANCE:
+            raise ValueError(
+                f".quaternion has the length {np.linalg.norm(self.quaternion):.4g}; it must be 1 (w, x, y, z)"
+            )
+        if self.matrix_mm is not None:
+            T = np.array(self.matrix_mm)
+            R = T[:3, :3]
+            if np.abs(T[3] - [0, 0, 0, 1]).max() > 0:
+                raise ValueError(
+                    ".matrix_mm has another last row than 0, 0, 0, 1; give four rows of a transform, positions in mm"
+                )
+            if np.abs(R @ R.T - np.eye(3)).max() > _ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+                raise ValueError(".matrix_mm holds no rotation (orthogonal rows of length 1, right-handed)")
         return self
 
     @property
-    def T(self) -> "NDArray[np.float64]":  # the field's name for a transform
-        """(4, 4) the mount as a transform [m]."""
+    def T(self) -> "NDArray[np.float64]":
+        """Transform (4, 4) of the mount [m]."""
+        if self.matrix_mm is None and self.quaternion is None:
+            return super().T
+        import numpy as np
+        from scipy.spatial.transform import Rotation
+
+        T = np.eye(4)
         if self.matrix_mm is not None:
-            return of_matrix(self.matrix_mm)
-        return super().T if self.quaternion is None else of_quaternion(self.position_mm, self.quaternion)
+            given = np.array(self.matrix_mm, dtype=np.float64)
+            T[:3, :3], T[:3, 3] = Rotation.from_matrix(given[:3, :3]).as_matrix(), given[:3, 3] / 1000
+        elif self.quaternion is not None:
+            rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
+            T[:3, :3], T[:3, 3] = rotation.as_matrix(), np.array(self.position_mm) / 1000
+        return T
 
 
 class Placement(Table):
-    """Where the middle of the part's bounding box stands in the robot's base frame, or the origin of its file."""
+    """Pose of the middle of the part's bounding box in the robot's base frame, or of the origin of its file."""
 
     position_mm: Annotated[Triple, _PLACE] = (1200.0, 500.0, 0.0)
     origin_mm: Annotated[Triple | None, _PLACE_ORIGIN] = None
@@ -203,29 +176,23 @@ class Placement(Table):
     def _one_point(self) -> Self:
         if {"position_mm", "origin_mm"} <= self.model_fields_set and self.origin_mm is not None:
             raise ValueError(
-                ".origin_mm is given beside position_mm; give where the file's origin or the centre stands"
+                ".origin_mm is given beside position_mm; give the pose of the file's origin or of the centre"
             )
         return self
 
     @classmethod
     def at(cls, T_base_centre: "NDArray[np.float64]") -> Self:
-        """The placement with the part's centre at a pose (4, 4) [m], its numbers without the dust of the conversion."""
-        import numpy as np
-
-        from planner.kinematics.frames import kuka_abc_from_pose
-
-        position, abc = kuka_abc_from_pose(T_base_centre)
-        numbers = (1000 * position).round(9) + 0.0, np.degrees(abc).round(9) + 0.0
-        return cls(position_mm=tuple(numbers[0].tolist()), abc_deg=tuple(numbers[1].tolist()))
+        """Return the placement with the part's centre at a pose (4, 4) [m]."""
+        return cls.model_validate(pose_keys(T_base_centre))
 
     @property
-    def T(self) -> "NDArray[np.float64]":  # the field's name for a transform
-        """(4, 4) the part's centre in base [m]; only of a placement by the centre (`by_centre`)."""
+    def T(self) -> "NDArray[np.float64]":
+        """Pose (4, 4) of the part's centre in base [m], of a settled placement (`by_centre`)."""
         assert self.origin_mm is None, "the placement is not settled"
         return pose(self.position_mm, self.abc_deg)
 
     def by_centre(self, T_object_centre: "NDArray[np.float64]") -> "Placement":
-        """The same placement said by the part's centre, (4, 4) in the object frame [m]."""
+        """Return the same placement by the part's centre, (4, 4) in the object frame [m]."""
         if self.origin_mm is None:
             return self
         middle = (1000 * (pose(self.origin_mm, self.abc_deg) @ T_object_centre)[:3, 3]).round(9) + 0.0
@@ -239,7 +206,7 @@ RESERVED_NAMES = (
 
 
 class NamedFixture(Posed):
-    """What every fixture has."""
+    """Keys of every fixture."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", max_length=100)]  # it names a file
     attached_to: Literal["base", "object"] = "base"
@@ -249,7 +216,7 @@ class NamedFixture(Posed):
     @classmethod
     def _not_reserved(cls, name: str) -> str:
         if name in RESERVED_NAMES:
-            raise ValueError(f"is '{name}', which the cell uses itself; choose another name")
+            raise ValueError(f"is '{name}', which is the name of a shape of the cell; choose another name")
         return name
 
 
@@ -268,7 +235,7 @@ class CylinderFixture(NamedFixture):
 
 
 class MeshFixture(NamedFixture):
-    """A mesh file: its true triangles occlude, and collide unless `plan.collision` is "hull"."""
+    """A mesh file: its triangles occlude, and collide unless `plan.collision` is "hull"."""
 
     shape: Literal["mesh"]
     path: str
@@ -290,14 +257,14 @@ Fixture = Annotated[BoxFixture | CylinderFixture | MeshFixture, Field(discrimina
 
 
 class Post(Table):
-    """The round post on which the part stands, from the floor to the height of the part's lowest point."""
+    """The round post below the part, from the floor to the part's lowest point."""
 
     enabled: bool = True
     diameter_mm: Positive = 40.0
 
 
 class Setup(Posed):
-    """A pose of the part that `cell setups` may use: where its centre stands, and what stands about it only then."""
+    """A pose of the part's centre that `cell setups` may use, and the fixtures and post of this set-up alone."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", max_length=100)]
     position_mm: Triple
@@ -306,14 +273,14 @@ class Setup(Posed):
 
 
 class Turntable(Table):
-    """The rotary table on which the post stands: it turns part, post and the part's fixtures about its z.
+    """The rotary table below the post: it turns part, post and the part's fixtures about its z (docs/table.md).
 
-    `position_mm` is the middle of its face, `abc_deg` the turn of its frame, 0 where the axis is upright. Without a
-    position the axis goes through the part's centre, the face `post_mm` below what of the part is lowest along it; else
-    the post is as long as the part stands above the face. A table of the scene file is there unless it says `enabled =
-    false`. Without limits it is endless, and used half a turn to either side of 0, where motions begin and end. It
-    moves together with the arm, or is indexed: it turns only while the arm stands still, clear of all that it turns at
-    any angle.
+    `position_mm` is the middle of its face, `abc_deg` the orientation of its frame, 0 for an upright axis. Without a
+    position the axis goes through the part's centre, and the face is `post_mm` below the part's lowest point along the
+    axis; with one, the post is as long as the part is above the face. A `[table]` of the scene file is enabled unless
+    it says `enabled = false`. Without limits it is endless, and used half a turn to either side of 0, where motions
+    begin and end. It moves together with the arm; an indexed table turns only while the arm is still and clear of
+    everything that turns.
     """
 
     enabled: Annotated[
@@ -334,16 +301,14 @@ class Turntable(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _there(cls, table: Any) -> Any:
+    def _enabled_by_its_keys(cls, table: Any) -> Any:
         return {"enabled": True, **table} if isinstance(table, dict) and table else table
 
     @field_validator("limits_deg")
     @classmethod
     def _about_home(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
         if limits is not None and not limits[0] <= 0.0 <= limits[1]:
-            raise ValueError(
-                f"is {list(limits)}; it must be [min, max] with 0, where motions begin and end, in between"
-            )
+            raise ValueError(f"is {list(limits)}; it must be [min, max] around 0, where motions begin and end")
         return limits
 
 
@@ -352,14 +317,14 @@ HARDWARE = "Robot and scanner"
 
 
 class Base(Posed):
-    """Where the robot's base stands in the frame of the cell, whose z is up."""
+    """Pose of the robot's base in the frame of the cell, with z up."""
 
 
 class Robot(Table):
-    """The arm and what it stands on.
+    """The arm, its base and its speed limits.
 
-    With `base` None the cell's frame is the robot's base. The pedestal stands between the floor, which lies
-    `pedestal_height_mm` below the cell's origin, and a base that is upright; under any other there is none.
+    Without `base` the cell's frame is the robot's base. The floor is `pedestal_height_mm` below the cell's origin; an
+    upright base has a pedestal on it, any other base has none.
     """
 
     model: str = "kr16"
@@ -391,18 +356,18 @@ class Robot(Table):
 
     @property
     def settled_home_deg(self) -> tuple[float, ...]:
-        """The home in a settled scene (`cell.world.model`) [deg]."""
+        """Home of a compiled scene (`cell.world.model`) [deg]."""
         assert self.home_deg is not None, "the scene is not settled"
         return self.home_deg
 
     @property
     def T_base(self) -> "NDArray[np.float64]":
-        """(4, 4) the robot's base in the cell's frame [m]."""
+        """Pose (4, 4) of the robot's base in the cell's frame [m]."""
         return (self.base or Base()).T
 
     @property
     def pedestal_mm(self) -> tuple[Triple, Triple] | None:
-        """Sides and middle of the pedestal in the cell's frame [mm]; None: the robot stands on none."""
+        """Sides and middle of the pedestal in the cell's frame [mm]; None: no pedestal."""
         x, y, z = (0.0, 0.0, 0.0) if self.base is None else self.base.position_mm
         height = self.pedestal_height_mm + z
         if height <= 0 or not self.T_base[2, 2] > 1 - 1e-9:
@@ -410,24 +375,22 @@ class Robot(Table):
         return (*self.pedestal_size_mm, height), (x, y, z - height / 2)
 
 
-_VIEWS, _WISHES = "Views", "Wishes beyond the fewest views (docs/coverage_requests.md)"
+_VIEWS, _REQUESTS = "Views", "Coverage requests (docs/coverage_requests.md)"
 _Candidates = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(strict=False)]
 _PIN, _BAN = (
-    Option(told, _WISHES, name, metavar="ID[,ID...]", form="candidates by their numbers", examples=("12,40",))
-    for name, told in (("pin", "Candidates that the plan must take."), ("ban", "Candidates that it must not take."))
+    Option(text, _REQUESTS, name, metavar="ID[,ID...]", form="candidates by their numbers", examples=("12,40",))
+    for name, text in (("pin", "Candidates that the plan must use."), ("ban", "Candidates that it must not use."))
 )
 _OVERLAP = Option(
-    "All scans hang together: views are joined where they share so much of what the smaller one measures, or such an "
-    "area.",
-    _WISHES,
+    "Connect all scans: two views overlap if they share this part of the area of the smaller one, or this area.",
+    _REQUESTS,
     metavar="SHARE%|AREAmm2",
     form="a share of the smaller view or an area",
     examples=("20%", "500mm2"),
 )
 _POSE_SD = Option(
-    "Standard deviations of executed poses: samples count only where the plan measures them with probability "
-    "1 - alpha.",
-    _WISHES,
+    "Standard deviations of executed poses: a sample counts if the plan measures it with probability 1 - alpha.",
+    _REQUESTS,
     metavar="MMmm,DEGdeg",
     form="standard deviations of position and orientation with their units",
     examples=("0.5mm,0.1deg",),
@@ -435,11 +398,11 @@ _POSE_SD = Option(
 
 
 class PlanKeys(Table):
-    """The keys of the table; None takes the part's default."""
+    """Keys of `[plan]`; None is the part's default."""
 
     candidates: Annotated[
         Literal["grown", "optimal-scanning-zone", "view-sphere"],
-        Option("Which viewpoints are looked at: one per face and others where these fail; or the paper's.", _VIEWS),
+        Option("Candidate viewpoints: one per face, and others where these fail; or those of the paper.", _VIEWS),
     ] = "grown"
     view_sphere_step_deg: Annotated[
         tuple[Annotated[float, Field(gt=0, le=180)], Annotated[float, Field(gt=0, le=180)]], Field(strict=False)
@@ -461,15 +424,15 @@ class PlanKeys(Table):
     percent_kept: Annotated[
         float | None,
         Field(gt=0, le=100),
-        Option("In place of --faces: percentage of the faces that is KEPT.", _VIEWS, "percent", metavar="PERCENT"),
+        Option("Instead of --faces: percentage of the faces that is KEPT.", _VIEWS, "percent", metavar="PERCENT"),
     ] = None
     samples_per_face: Annotated[
         int, Field(ge=1), Option("Surface samples per planning face (fill aimed).", _VIEWS, name="samples")
     ] = 4
-    fill: Annotated[Literal["aimed", "rays"], Option("How the measurability matrix is filled.", _VIEWS)] = "aimed"
+    fill: Annotated[Literal["aimed", "rays"], Option("Method that fills the measurability matrix.", _VIEWS)] = "aimed"
     solver: Annotated[
         Literal["auto", "greedy", "meta-raps", "local-search", "exact"],
-        Option("How the views are chosen; auto proves the fewest where it can.", _VIEWS),
+        Option("Selection of the views; auto proves the smallest number if it can.", _VIEWS),
     ] = "auto"
     coverage: Annotated[
         Share, Option("Share of the coverable area that the plan must measure.", _VIEWS, metavar="SHARE")
@@ -491,62 +454,61 @@ class PlanKeys(Table):
     ] = None
     collision: Annotated[
         Literal["hull", "exact"],
-        Option("What part and mesh fixtures are to arm and scanner: their hulls, or exactly their triangles.", _VIEWS),
+        Option("Shapes of part and mesh fixtures in collision checks: convex hulls, or exact triangles.", _VIEWS),
     ] = "exact"
     seed: Annotated[int, Field(ge=0, le=2**63 - 1), Option("Seed of every random choice.", _VIEWS)] = 0
     max_views: Annotated[
-        int | None, Field(ge=1), Option("The most coverage that at most so many views give.", _WISHES)
+        int | None, Field(ge=1), Option("Maximise the coverage with at most this number of views.", _REQUESTS)
     ] = None
     multiplicity: Annotated[
-        int, Field(ge=1), Option("Measure each sample from so many views.", _WISHES, also="k_fold")
+        int, Field(ge=1), Option("Measure each sample from at least this number of views.", _REQUESTS, also="k_fold")
     ] = 1
     pinned: Annotated[_Candidates, _PIN] = ()
     banned: Annotated[_Candidates, _BAN] = ()
     cost: Annotated[
         Literal["views", "time"],
-        Option("What a view costs: 1, or time (scan, settling and an estimated move, in seconds).", _WISHES),
+        Option("Cost of a view: 1, or time (scan, settling and an estimated move, in seconds).", _REQUESTS),
     ] = "views"
     scan_s: NotNegative = 2.0
     settle_s: NotNegative = 0.5
     overlap_mm2: Annotated[Positive | None, _OVERLAP] = None
     overlap_share: Annotated[Share | None, _OVERLAP] = None
-    overlap_in_order: Annotated[bool, Option("Each view overlaps an earlier one.", _WISHES)] = False
+    overlap_in_order: Annotated[bool, Option("Each view overlaps an earlier one.", _REQUESTS)] = False
     pose_sd_mm: Annotated[NotNegative, _POSE_SD] = 0.0
     pose_sd_deg: Annotated[NotNegative, _POSE_SD] = 0.0
     alpha: Annotated[
         float,
         Field(gt=0, lt=1),
-        Option("Probability with which such a sample may be missed.", _WISHES, metavar="SHARE"),
+        Option("With --pose-sd: probability of missing a sample that counts.", _REQUESTS, metavar="SHARE"),
     ] = 0.05
     ensemble: Annotated[int, Field(ge=1, le=10_000)] = 32
-    curve: Annotated[bool, Option("Also coverage over the number of views, bounded.", _WISHES)] = False
+    curve: Annotated[bool, Option("Also compute coverage over the number of views, with bounds.", _REQUESTS)] = False
 
 
-_OF_THE_CHOICE = ("max_views", "multiplicity", "cost", "overlap_mm2", "overlap_share", "overlap_in_order", "pose_sd_mm",
-                  "pose_sd_deg", "curve", "solver")  # fmt: skip
-"""Wishes that the choice of views answers."""
-
-
-_OF_THE_ORDER = ("overlap_mm2", "overlap_share", "overlap_in_order")
+_SELECTION_KEYS = (
+    *("max_views", "multiplicity", "cost", "overlap_mm2", "overlap_share", "overlap_in_order"),
+    *("pose_sd_mm", "pose_sd_deg", "curve", "solver"),
+)
+_ORDER_KEYS = ("overlap_mm2", "overlap_share", "overlap_in_order")
 
 
 class PlanSettings(PlanKeys):
-    """How to plan: the keys, and that they go together."""
+    """The `[plan]` table: keys that are consistent with each other."""
 
-    def plain(self) -> Self:
-        """Without the wishes that the choice of views answers: it is made elsewhere."""
-        return self.model_copy(update={key: PlanKeys.model_fields[key].default for key in _OF_THE_CHOICE})
+    def without_selection(self) -> Self:
+        """Return the settings with default requests of the selection, for views that are selected elsewhere."""
+        return self.model_copy(update={key: PlanKeys.model_fields[key].default for key in _SELECTION_KEYS})
 
-    def of_views(self, views: Sequence[int], candidates: int) -> Self:
-        """What a plan of these views is asked, and of no others of so many candidates."""
-        others = tuple(sorted(set(range(candidates)).difference(views)))
-        return self.plain().model_copy(update={"coverage": 1.0, "pinned": tuple(views), "banned": others})
+    def with_views(self, views: Sequence[int], n_candidates: int) -> Self:
+        """Return settings that select exactly these of the candidates."""
+        others = tuple(sorted(set(range(n_candidates)).difference(views)))
+        return self.without_selection().model_copy(update={"coverage": 1.0, "pinned": tuple(views), "banned": others})
 
-    def ordered_as(self, other: Self) -> Self:
-        """With the overlap of other settings where the order of visits is to keep it."""
+    def with_order_of(self, other: Self) -> Self:
+        """Return the settings with the overlap of other ones, if the order of visits has to keep it."""
         if not other.overlap_in_order:
             return self
-        return self.model_copy(update={key: getattr(other, key) for key in _OF_THE_ORDER})
+        return self.model_copy(update={key: getattr(other, key) for key in _ORDER_KEYS})
 
     @field_validator("percent_kept")
     @classmethod
@@ -556,72 +518,72 @@ class PlanSettings(PlanKeys):
         return percent
 
     @model_validator(mode="after")
-    def _one_question(self) -> Self:
-        if problem := _contradiction(self):
+    def _consistent(self) -> Self:
+        if problem := _plan_contradiction(self):
             raise ValueError(f".{problem}")
         return self
 
 
-def _contradiction(plan: PlanSettings) -> str:
-    """The first contradiction among the wishes as what a key is ("and plan.x ..."), with the key first; "" for none."""
+def _plan_contradiction(plan: PlanSettings) -> str:
+    """Return the first contradiction between keys, beginning with a key of `[plan]`; "" for none."""
     overlap = "overlap_mm2" if plan.overlap_mm2 is not None else "overlap_share"
-    overlaps = plan.overlap_mm2 is not None or plan.overlap_share is not None
-    errs = plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0
+    has_overlap = plan.overlap_mm2 is not None or plan.overlap_share is not None
+    has_errors = plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0
     if plan.overlap_mm2 is not None and plan.overlap_share is not None:
-        return "overlap_mm2 and plan.overlap_share both say what an overlap is; give one of them"
+        return "overlap_mm2 and plan.overlap_share both define an overlap; give one of them"
     if both := sorted(set(plan.pinned) & set(plan.banned)):
         return f"pinned and plan.banned both name candidate {both[0]}; take it out of one of them"
-    special = {
+    requests = {
         "max_views": plan.max_views is not None,
         "multiplicity": plan.multiplicity > 1,
-        overlap: overlaps,
-        "pose_sd_mm" if plan.pose_sd_mm > 0 else "pose_sd_deg": errs,
+        overlap: has_overlap,
+        "pose_sd_mm" if plan.pose_sd_mm > 0 else "pose_sd_deg": has_errors,
         "cost": plan.cost == "time",
     }
-    asked = [key for key, is_asked in special.items() if is_asked]
-    if len(asked) > 1 and asked != ["multiplicity", "cost"]:
-        return f"{asked[0]} and plan.{asked[1]} are different questions to the selection; ask one of them"
+    given = [key for key, is_given in requests.items() if is_given]
+    if len(given) > 1 and given != ["multiplicity", "cost"]:
+        return f"{given[0]} and plan.{given[1]} cannot be combined; give one of them"
     if plan.max_views is not None and plan.coverage < 1 and "coverage" in plan.model_fields_set:
-        return "max_views and plan.coverage both set how long the plan is; give one of them"
+        return "max_views and plan.coverage both limit the plan; give one of them"
     if plan.max_views is not None and len(plan.pinned) > plan.max_views:
         return f"max_views is {plan.max_views} and {len(plan.pinned)} views are pinned; allow more or pin fewer"
-    if asked and asked[0] not in ("multiplicity", "cost") and plan.solver != "auto":
-        return f"solver is '{plan.solver}', and plan.{asked[0]} has a search of its own; leave the solver 'auto'"
-    if plan.overlap_in_order and not overlaps:
+    if given and given[0] not in ("multiplicity", "cost") and plan.solver != "auto":
+        return f"solver is '{plan.solver}', and plan.{given[0]} has its own search; use the solver 'auto'"
+    if plan.overlap_in_order and not has_overlap:
         return "overlap_in_order needs an overlap; give plan.overlap_mm2 or plan.overlap_share"
-    if errs and plan.fill == "rays":
+    if has_errors and plan.fill == "rays":
         return "pose_sd_mm and pose_sd_deg need aimed samples; choose plan.fill = 'aimed'"
     return ""
 
 
 REST = "the rest"
-"""Name of what no region selects."""
+"""Name of the surface that no region selects."""
 
 _SELECTORS = ("faces", "kind", "diameter_below_mm", "diameter_above_mm", "box_mm", "colour", "painted")
 _REGION_TARGETS = ("coverage", "max_sigma_mm", "max_spacing_mm", "views", "weight")
 
 
 class RegionTargets(Table):
-    """What is asked of a region; None takes what the plan asks."""
+    """Targets of a region; None is the target of the plan."""
 
-    name: Annotated[str, Field(min_length=1, max_length=60, description="of its own")]
-    care: Annotated[Literal["yes", "no"], Field(description="no: it only stands in the way")] = "yes"
+    name: Annotated[str, Field(min_length=1, max_length=60, description="unique")]
+    care: Annotated[Literal["yes", "no"], Field(description="no: not measured, an obstacle only")] = "yes"
     coverage: Annotated[
-        Share | None, Field(description="share of what is coverable of it; without one it counts with the others")
+        Share | None, Field(description="share of its coverable area; without one it counts with the other regions")
     ] = None
-    max_sigma_mm: Annotated[Positive | None, Field(description="standard deviation of a point at most")] = None
-    max_spacing_mm: Annotated[Positive | None, Field(description="distance of neighbouring points at most")] = None
-    views: Annotated[int | None, Field(ge=1, description="views that each of its samples is measured from")] = None
-    weight: Annotated[Positive, Field(description="of its area beside the others'")] = 1.0
+    max_sigma_mm: Annotated[Positive | None, Field(description="largest standard deviation of a point")] = None
+    max_spacing_mm: Annotated[Positive | None, Field(description="largest distance of neighbouring points")] = None
+    views: Annotated[int | None, Field(ge=1, description="number of views that measure each sample")] = None
+    weight: Annotated[Positive, Field(description="of its area relative to other regions")] = 1.0
 
     @property
-    def cared(self) -> bool:
-        """Whether it counts at all."""
+    def is_measured(self) -> bool:
+        """Whether the region has to be measured."""
         return self.care == "yes"
 
 
 class Region(RegionTargets):
-    """A region as the scene file describes it; what it selects by must all hold."""
+    """A `[[region]]` of the scene file: the faces for which all its selectors hold, and their targets."""
 
     faces: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(strict=False, min_length=1)] | None = None
     kind: Literal["plane", "cylinder", "cone", "sphere", "torus", "other"] | None = None
@@ -634,7 +596,7 @@ class Region(RegionTargets):
 
     @property
     def selects(self) -> bool:
-        """Whether it selects by anything; otherwise it is the rest."""
+        """Whether it has a selector; a region without one is the rest."""
         return any(getattr(self, key) is not None for key in _SELECTORS)
 
     @field_validator("name")
@@ -642,7 +604,7 @@ class Region(RegionTargets):
     def _one_line(cls, name: str) -> str:
         if not name.isprintable() or "|" in name or name != name.strip():
             raise ValueError(
-                f"is {name!r}; it stands in tables: one line without '|', and no blank at its beginning or end"
+                f"is {name!r}; it must be one line without '|', and without a blank at its beginning or end"
             )
         return name
 
@@ -650,7 +612,7 @@ class Region(RegionTargets):
     @classmethod
     def _low_and_high(cls, box: tuple[float, ...] | None) -> tuple[float, ...] | None:
         if box is not None and not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
-            raise ValueError(f"is {list(box)}; it must be x, y, z of its lowest and then of its highest corner")
+            raise ValueError(f"is {list(box)}; it must be x, y, z of its lowest corner, then of its highest")
         return box
 
     @field_validator("painted")
@@ -664,57 +626,51 @@ class Region(RegionTargets):
         return str(path)
 
     @model_validator(mode="after")
-    def _possible(self) -> "Region":
-        asked = [key for key in _REGION_TARGETS if key in self.model_fields_set and getattr(self, key) is not None]
-        if not self.cared and asked:
-            raise ValueError(f".care is 'no', and region.{asked[0]} asks for something; give one of them")
+    def _consistent(self) -> "Region":
+        targets = [key for key in _REGION_TARGETS if key in self.model_fields_set and getattr(self, key) is not None]
+        if not self.is_measured and targets:
+            raise ValueError(f".care is 'no', and region.{targets[0]} is a target; give one of them")
         if self.painted is not None and self.colour is None:
             raise ValueError(".painted needs region.colour, the colour that marks the region in it, as '#rrggbb'")
-        if self.painted is not None and self.painted_units is None:
-            from cell.part.formats import units_of
-
-            if units_of(self.painted) is None:
-                raise ValueError(".painted needs region.painted_units: mm, cm, m, um or in")
+        if self.painted is not None and self.painted_units is None and units_of(self.painted) is None:
+            raise ValueError(".painted needs region.painted_units: mm, cm, m, um or in")
         below, above = self.diameter_below_mm, self.diameter_above_mm
         if below is not None and above is not None and not above < below:
             raise ValueError(f".diameter_above_mm is {above:g}, which is not below region.diameter_below_mm, {below:g}")
         return self
 
 
-def contradiction(regions: Sequence[Region]) -> str:
-    """What is wrong with regions together, as what the key `region` is; "" for nothing."""
+def _region_contradiction(regions: Sequence[Region], plan: PlanSettings | None) -> str:
+    """Return the first contradiction between regions, or with the plan, as a predicate of the key `region`."""
     names = [region.name for region in regions]
     if twice := next((name for name in names if names.count(name) > 1), ""):
         return f"holds the name '{twice}' more than once; every region needs its own"
     for region in regions[:-1]:
         if not region.selects:
-            return f"holds '{region.name}', which selects by nothing and so takes all the rest; put it last"
+            return f"holds '{region.name}', which has no selector and so takes all the rest; put it last"
     if regions and REST in names and regions[-1].selects:
-        return f"holds the name '{REST}', which is that of what no region selects; choose another"
-    if regions and not any(region.cared for region in regions) and not regions[-1].selects:
-        return 'cares for nothing; leave out care = "no" where something has to be measured'
-    return ""
-
-
-def beside_plan(regions: Sequence[Region], plan: PlanSettings) -> str:
-    """What regions ask that does not go with the plan's wishes, as what the key `region` is; "" for nothing."""
+        return f"holds the name '{REST}', which is reserved for the surface that no region selects; choose another"
+    if regions and not any(region.is_measured for region in regions) and not regions[-1].selects:
+        return 'measures nothing; leave out care = "no" where something has to be measured'
+    if not regions or plan is None:
+        return ""
     if plan.fill == "rays":
         return "needs aimed samples; choose plan.fill = 'aimed'"
-    special = {
+    requests = {
         "max_views": plan.max_views is not None,
         "overlap": plan.overlap_mm2 is not None or plan.overlap_share is not None,
         "pose_sd": plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0,
     }
-    asked = next((key for key, is_asked in special.items() if is_asked), "")
+    request = next((key for key, is_given in requests.items() if is_given), "")
     for region in regions:
         for key in ("coverage", "views", "weight"):
-            if asked and key in region.model_fields_set and (asked, key) != ("max_views", "weight"):
-                return f"'{region.name}' asks for {key}, and plan.{asked} is another question; ask one of them"
+            if request and key in region.model_fields_set and (request, key) != ("max_views", "weight"):
+                return f"'{region.name}' has the target {key}, which plan.{request} excludes; give one of them"
     return ""
 
 
 def require_no_region_targets(regions: Sequence[Region]) -> None:
-    """Refuse regions that ask for more than to be cared for, or not: studies know no more.
+    """Refuse regions with targets: studies know only whether a region is measured.
 
     Raises:
         SceneError: with the region and the key.
@@ -723,31 +679,31 @@ def require_no_region_targets(regions: Sequence[Region]) -> None:
         for key in _REGION_TARGETS:
             if key in region.model_fields_set:
                 raise SceneError(
-                    f"the region '{region.name}' asks for {key}, and studies know of regions only what they care for; "
-                    "leave it out"
+                    f"the region '{region.name}' has the target {key}, and studies support only the key care; leave it "
+                    "out"
                 )
 
 
 def with_rest(regions: Sequence[Region]) -> tuple[Region, ...]:
-    """The regions with the rest, where none of them is that; none where the scene has none."""
+    """Return the regions followed by the rest, if none of them is the rest; none if the scene has none."""
     rest = () if not regions or not regions[-1].selects else (Region(name=REST),)
     return (*regions, *rest)
 
 
-OF_EVERY_TYPE = ("type", "sensor")
-OF_RAY_GRIDS = "planning_resolution_deg"
-"""Stands for `resolution_deg` where the matrix is filled by scanning: a key of every type that has a resolution."""
+_COMMON_SCANNER_KEYS = ("type", "sensor")
+_RAY_GRID_KEY = "planning_resolution_deg"
+"""Replaces `resolution_deg` if the matrix is filled by scanning: a key of every type with a resolution."""
 
 T = TypeVar("T")
 
 
-def validated(table: Any, validate: Callable[[Any], T], default_type: str) -> T:
-    """The `[scanner]` table as pydantic's `validate` makes it, after the keys are checked and a sensor is put in.
+def _validated_scanner(table: Any, validate: Callable[[Any], T], default_type: str) -> T:
+    """Check the keys of a `[scanner]` table, fill in its sensor, and validate it.
 
     Args:
-        table: what stands in the scene.
-        validate: takes the table without the keys that are wrong here.
-        default_type: the type of a table that names none.
+        table: from the scene.
+        validate: validates the table without its foreign keys.
+        default_type: type of a table without one.
 
     Raises:
         ValidationError: with all problems at once.
@@ -757,22 +713,22 @@ def validated(table: Any, validate: Callable[[Any], T], default_type: str) -> T:
     if not isinstance(table, dict):
         return validate(table)
     content = {key: value for key, value in table.items() if value is not None}
-    problems = _put_sensor_in(content)
+    problems = _fill_in_sensor(content)
     kind = content.get("type", default_type)
     if kind in scanners.names():
-        problems += _foreign_keys(content, kind)
+        problems += _remove_foreign_keys(content, kind)
     result: T | None = None
     try:
         result = validate(content)
     except ValidationError as error:
-        problems += [_again(detail) for detail in error.errors()]
+        problems += [_reraisable(detail) for detail in error.errors()]
     if problems or result is None:
         raise ValidationError.from_exception_data("Scanner", problems)
     return result
 
 
-def keys_of(kind: str) -> tuple[str, ...] | None:
-    """Valid keys of a type's table; None where its class takes any.
+def scanner_keys(kind: str) -> tuple[str, ...] | None:
+    """Return the valid keys of a `[scanner]` table of a type; None if its class takes any key.
 
     Raises:
         SceneError: if the plug-in cannot be imported; the message names its distribution.
@@ -782,11 +738,11 @@ def keys_of(kind: str) -> tuple[str, ...] | None:
     own = scanners.keys(kind)
     if own is None:
         return None
-    return (*OF_EVERY_TYPE, *own, *((OF_RAY_GRIDS,) if "resolution_deg" in own else ()))
+    return (*_COMMON_SCANNER_KEYS, *own, *((_RAY_GRID_KEY,) if "resolution_deg" in own else ()))
 
 
-def _put_sensor_in(content: dict[str, object]) -> list[InitErrorDetails]:
-    """Fill in what the sensor's file states; returns what is wrong."""
+def _fill_in_sensor(content: dict[str, object]) -> list[InitErrorDetails]:
+    """Fill in the figures of the sensor's file; return the problems."""
     name = content.get("sensor")
     if not isinstance(name, str):
         return []
@@ -803,7 +759,7 @@ def _put_sensor_in(content: dict[str, object]) -> list[InitErrorDetails]:
         content.setdefault(key, value)
     needed = dict(sensor.not_stated)
     if sensor.type == "laser-line" and {"max_spacing_mm", "profile_rate_hz"} & set(content):
-        needed |= sensors.OF_DENSITY
+        needed |= sensors.DENSITY_KEYS
     return [
         _problem("sensor", name, f"{name} does not state its {word}; set scanner.{key}")
         for key, word in needed.items()
@@ -811,9 +767,9 @@ def _put_sensor_in(content: dict[str, object]) -> list[InitErrorDetails]:
     ]
 
 
-def _foreign_keys(content: dict[str, object], kind: str) -> list[InitErrorDetails]:
-    """Take out the keys that the type does not have; returns a problem for each."""
-    known = keys_of(kind)
+def _remove_foreign_keys(content: dict[str, object], kind: str) -> list[InitErrorDetails]:
+    """Remove keys that the type does not have; return a problem for each."""
+    known = scanner_keys(kind)
     problems = []
     for key in [key for key in content if known is not None and key not in known]:
         hint = did_you_mean(key, known or ())
@@ -826,12 +782,12 @@ def _problem(key: str, value: object, text: str) -> InitErrorDetails:
     return {"type": "value_error", "loc": (key,), "input": value, "ctx": {"error": ValueError(text)}}
 
 
-def _again(detail: ErrorDetails) -> InitErrorDetails:
-    """An error of pydantic's in the form in which it can be raised once more."""
-    kept: InitErrorDetails = {"type": detail["type"], "loc": detail["loc"], "input": detail["input"]}
+def _reraisable(detail: ErrorDetails) -> InitErrorDetails:
+    """Convert an error of pydantic to the form in which it can be raised again."""
+    error: InitErrorDetails = {"type": detail["type"], "loc": detail["loc"], "input": detail["input"]}
     if "ctx" in detail:
-        kept["ctx"] = detail["ctx"]
-    return kept
+        error["ctx"] = detail["ctx"]
+    return error
 
 
 _SHOWN = ("robot", "scanner", "post", "pedestal", "floor")
@@ -840,20 +796,20 @@ _REPORT = "Output"
 
 
 class Scanner(Table):
-    """The scanner's law; the keys are those of the plug-in that `type` names, a foreign one's own keys among them."""
+    """The sensor model; keys of third-party plug-ins are extra fields."""
 
-    model_config = ConfigDict(extra="allow")  # `_keys_of_its_type` refuses what the plug-in does not know
+    model_config = ConfigDict(extra="allow")  # `_keys_of_its_type` refuses unknown keys
 
     type: str = "laser-area"
     sensor: Annotated[
-        str | None, Option("A scanner by name, see cell sensors. Default: the part's device.", HARDWARE)
+        str | None, Option("Scanner by name, see cell sensors. Default: the part's device.", HARDWARE)
     ] = None
     fov_deg: Annotated[tuple[Fov, Fov], Field(strict=False)] = (60.0, 60.0)
     resolution_deg: Annotated[tuple[Positive, Positive], Field(strict=False)] = (0.25, 0.25)
     planning_resolution_deg: Positive = 1.0
     range_mm: Annotated[tuple[NotNegative, Positive], Field(strict=False)] | None = None
     baseline_mm: Annotated[
-        NotNegative | None, Option("From laser source to sensor. Default: the scanner's.", HARDWARE)
+        NotNegative | None, Option("Distance from laser source to sensor. Default: the scanner's.", HARDWARE)
     ] = None
     grazing_max_deg: Grazing = 75.0
     sensor_grazing_max_deg: Grazing = 75.0
@@ -869,14 +825,14 @@ class Scanner(Table):
     profile_rate_hz: Positive | None = None
     max_spacing_mm: Annotated[
         Positive | None,
-        Option("Count a point as measured only if its neighbours in the scan lie at most so far away.", HARDWARE),
+        Option("Count a point as measured only if its neighbours in the scan are at most this far away.", HARDWARE),
     ] = None
 
     @model_validator(mode="wrap")
     @classmethod
     def _keys_of_its_type(cls, table: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
 
-        return validated(table, handler, cls.model_fields["type"].default)
+        return _validated_scanner(table, handler, cls.model_fields["type"].default)
 
     @field_validator("type")
     @classmethod
@@ -897,7 +853,7 @@ class Scanner(Table):
 
     @property
     def opening_deg(self) -> tuple[float, float]:
-        """Angles across and along a line [deg], for outlines and pictures: the field of view, or the thin fan."""
+        """Opening angles [deg] for outlines and pictures: the field of view, or the thin fan of a line sensor."""
         from cell import scanners
 
         known = scanners.keys(self.type) or ()
@@ -907,8 +863,8 @@ class Scanner(Table):
 class Housing(Table):
     """The scanner's body, a box, and the bracket between it and the flange.
 
-    With `position_mm` None the box is centred over the baseline (x) and the viewing axis (y), and its front face lies
-    in the plane of the source, so that no ray starts inside it.
+    Without `position_mm` the box is centred over the baseline (x) and the viewing axis (y), with its front face in the
+    plane of the source, so that no ray starts inside it.
     """
 
     size_mm: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)] | None = None
@@ -918,23 +874,23 @@ class Housing(Table):
 
     @property
     def sides_mm(self) -> Triple:
-        """Its size in a settled scene (`cell.scene.settle`)."""
+        """Size in a settled scene."""
         assert self.size_mm is not None, "the scene is not settled"
         return self.size_mm
 
     @property
     def bracket_mm(self) -> float:
-        """The bracket's diameter in a settled scene."""
+        """Diameter of the bracket in a settled scene."""
         assert self.bracket_diameter_mm is not None, "the scene is not settled"
         return self.bracket_diameter_mm
 
     def T_scanner_housing(self, baseline_mm: float) -> "NDArray[np.float64]":
-        """(4, 4) the middle of the box in the scanner frame [m]."""
+        """Return the middle of the box (4, 4) in the scanner frame [m]."""
         return pose(self.position_mm or (baseline_mm / 2, 0.0, -self.sides_mm[2] / 2), self.abc_deg)
 
 
 class Part(Table):
-    """The part: a built-in one by `name`, or a file and its units, where the file does not say them itself."""
+    """The part: a built-in one by `name`, or a file, with its units if the file does not state them."""
 
     name: Literal["mseke", "mug", "robinet", "petanque", "humerus", "st-jean"] = "mseke"
     path: str | None = None
@@ -958,41 +914,47 @@ class Part(Table):
         if path is not None and units is None:
             if (own := units_of(path)) is not None:
                 return own
-            raise ValueError("is missing; say what the file's numbers are in: mm, cm, m, um or in")
+            raise ValueError("is missing; give the unit of the file: mm, cm, m, um or in")
         if path is None and units is not None:
             raise ValueError("is given for a built-in part, which has its own size; leave it out, or give part.path")
         return units
 
     @property
     def source(self) -> str:
-        """What to load: the file's path, or the built-in part's name."""
+        """Path of the file, or name of the built-in part."""
         return self.path if self.path is not None else self.name
 
 
 class Picture(Table):
-    """How the report shows the cell (cell.png); nothing that is planned depends on it."""
+    """View of the cell in the report (cell.png); the plan does not depend on it."""
 
     camera_deg: Annotated[
         tuple[float, float] | None,
         Field(strict=False),
         Option(
             "Camera of the report's picture of the cell: azimuth and elevation as seen from the part, deg. Default: "
-            "beside part and arm.", _REPORT, metavar="AZ,EL", form="azimuth,elevation (deg)",
-            examples=("-60,20",), counts=(2,),
+            "beside part and arm.",
+            _REPORT,
+            metavar="AZ,EL",
+            form="azimuth,elevation (deg)",
+            examples=("-60,20",),
+            counts=(2,),
         ),
-    ] = None  # fmt: skip
+    ] = None
     hide: Annotated[
         tuple[str, ...],
         Field(strict=False),
         Option(
-            "What that picture leaves out: fixtures, robot, scanner, post, pedestal or floor.", _REPORT,
-            metavar="NAME[,NAME...]", made=lambda texts: [each for text in texts for each in text.split(",")],
+            "Objects that this picture leaves out: fixtures, robot, scanner, post, pedestal or floor.",
+            _REPORT,
+            metavar="NAME[,NAME...]",
+            made=lambda texts: [each for text in texts for each in text.split(",")],
         ),
-    ] = ()  # fmt: skip
+    ] = ()
 
 
 class Scene(Table):
-    """A whole scene; `Scene()` is the built-in one."""
+    """A scene; `Scene()` is the built-in one."""
 
     clearance_mm: NotNegative = 10.0
     arrival_mm: Positive | None = None
@@ -1010,14 +972,14 @@ class Scene(Table):
     setup: Annotated[tuple[Setup, ...], Field(strict=False)] = ()
     picture: Picture = Field(default_factory=Picture)
 
-    def require_fixed_part(self, what: str) -> None:
-        """Refuse a rotary table where it is not known yet.
+    def require_fixed_part(self, feature: str) -> None:
+        """Refuse a rotary table for a feature that does not support it.
 
         Raises:
-            SceneError: naming what does not know it.
+            SceneError: naming the feature.
         """
         if self.table.enabled:
-            raise SceneError(f"{what} cannot have a rotary table yet; leave --table and [table] out")
+            raise SceneError(f"{feature} does not support a rotary table yet; leave --table and [table] out")
 
     @field_validator("fixtures")
     @classmethod
@@ -1030,9 +992,8 @@ class Scene(Table):
 
     @field_validator("region")
     @classmethod
-    def _go_together(cls, regions: tuple[Region, ...], info: ValidationInfo) -> tuple[Region, ...]:
-        plan = info.data.get("plan")
-        if problem := contradiction(regions) or (plan and regions and beside_plan(regions, plan)):
+    def _consistent(cls, regions: tuple[Region, ...], info: ValidationInfo) -> tuple[Region, ...]:
+        if problem := _region_contradiction(regions, info.data.get("plan")):
             raise ValueError(problem)
         return regions
 
@@ -1053,9 +1014,9 @@ class Scene(Table):
 
     @field_validator("picture")
     @classmethod
-    def _hides_what_is_there(cls, picture: Picture, info: ValidationInfo) -> Picture:
+    def _hides_known_objects(cls, picture: Picture, info: ValidationInfo) -> Picture:
         known = [*_SHOWN, *(fixture.name for fixture in info.data.get("fixtures", ()))]
         for name in picture.hide:
             if name not in known:
-                raise ValueError(f".hide names '{name}', which is nothing of this cell; it has: {', '.join(known)}")
+                raise ValueError(f".hide names '{name}', which this cell does not have; it has: {', '.join(known)}")
         return picture

@@ -45,7 +45,7 @@ def with_regions(part: Workpiece, scene: Scene) -> Workpiece:
         own = free & (_selected(region, part, scene) if region.selects else True)
         if region.selects and not own.any():
             raise SceneError(_nothing(region, part, free))
-        number[own] = k if region.cared else -1
+        number[own] = k if region.is_measured else -1
         free &= ~own
     if not (number >= 0).any():
         raise SceneError("the regions care for nothing of the part; leave out care = 'no' where something is measured")

@@ -26,7 +26,7 @@ _AREA = {"range_mm": "range", "baseline_mm": "baseline"}
 REQUIRED = {"laser-line": {"fan_deg": "fan", **_AREA}, "laser-area": _AREA}
 """By type of scanner: the keys that describe a sensor, without which it is not the sensor of that name."""
 
-OF_DENSITY = {"line_points": "points of a line", "profile_rate_hz": "lines a second"}
+DENSITY_KEYS = {"line_points": "points of a line", "profile_rate_hz": "lines a second"}
 """Of a line sensor: the keys without which nothing can be said of its density, so that a limit on it asks for them."""
 
 _Two = Annotated[tuple[Positive, Positive], Field(strict=False)]

@@ -169,7 +169,7 @@ def test_a_fixture_s_name_and_path_are_looked_at(tmp_path: Path) -> None:
     """Its name becomes that of a file; its path may be one that cannot be."""
     for line, words in (
         (f'name = "{"n" * 101}"\nshape = "box"\nsize_mm = [1, 1, 1]', "101 characters; it must have at most 100"),
-        (f'name = "a"\nshape = "mesh"\nunits = "mm"\npath = "{"n" * 300}.stl"', "no name that a file can have"),
+        (f'name = "a"\nshape = "mesh"\nunits = "mm"\npath = "{"n" * 300}.stl"', "no valid file name"),
     ):
         (tmp_path / "x.toml").write_text(f"[[fixtures]]\n{line}\n")
         with pytest.raises(SceneError, match=words):

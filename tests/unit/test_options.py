@@ -154,9 +154,9 @@ def test_what_the_scene_refuses_is_named_as_it_was_written_and_the_files_keys_as
     """Every key of a contradiction by the name that its author used."""
     path = tmp_path / "scene.toml"
     path.write_text("[plan]\ncoverage = 0.9\n", encoding="utf-8")
-    with pytest.raises(SceneError, match=r"  max_views and plan\.coverage both set"):
+    with pytest.raises(SceneError, match=r"  max_views and plan\.coverage both limit"):
         scene_from_options(path, {"max_views": 3})
-    with pytest.raises(SceneError, match="  --max-views and --coverage both set"):
+    with pytest.raises(SceneError, match="  --max-views and --coverage both limit"):
         scene_from_options(None, {"max_views": "3", "coverage": "0.9"}, spell=flag)
     with pytest.raises(SceneError, match=r"--standoff\[1\] is -5.0; it must be above 0"):
         scene_from_options(None, {"standoff": "200,-5"}, spell=flag)

@@ -187,7 +187,7 @@ def test_what_the_part_has_not_is_a_sentence(box: Path, regions: list[dict], sai
 @pytest.mark.parametrize(
     ("regions", "plan", "said"),
     [
-        ([{"name": "a", "care": "no"}], {}, "cares for nothing"),
+        ([{"name": "a", "care": "no"}], {}, "measures nothing"),
         ([{"name": "a"}, {"name": "b", "faces": [1]}], {}, "put it last"),
         ([{"name": "a", "faces": [1]}, {"name": "a", "faces": [2]}], {}, "more than once"),
         ([{"name": "a", "care": "no", "views": 2}], {}, "care is 'no'"),
@@ -197,8 +197,8 @@ def test_what_the_part_has_not_is_a_sentence(box: Path, regions: list[dict], sai
         ([{"name": "a", "colour": "red"}], {}, "colour"),
         ([{"name": "a", "box_mm": [0, 0, 0, 1, 1, 0]}], {}, "lowest"),
         ([{"name": "a", "diameter_above_mm": 5, "diameter_below_mm": 5}], {}, "not below"),
-        ([{"name": "a", "views": 2}], {"max_views": 3}, "another question"),
-        ([{"name": "a", "coverage": 0.5}], {"overlap_share": 0.2}, "another question"),
+        ([{"name": "a", "views": 2}], {"max_views": 3}, "excludes"),
+        ([{"name": "a", "coverage": 0.5}], {"overlap_share": 0.2}, "excludes"),
         ([{"name": "a"}], {"fill": "rays"}, "aimed"),
         ([{"name": "the rest", "faces": [1]}], {}, "choose another"),
         ([{"name": "a|b", "faces": [1]}], {}, "one line without"),
@@ -281,7 +281,7 @@ def test_regions_become_demands_weights_and_parts(box: Path) -> None:
 def test_studies_refuse_what_they_do_not_know(box: Path) -> None:
     """A region that is only cared for is all that they take."""
     require_no_region_targets(scene_with(box, [{"name": "a", "kind": "plane"}, NO], "mm").region)
-    with pytest.raises(SceneError, match="'a' asks for views, and studies"):
+    with pytest.raises(SceneError, match="'a' has the target views, and studies"):
         require_no_region_targets(scene_with(box, [{"name": "a", "kind": "plane", "views": 2}, NO], "mm").region)
 
 

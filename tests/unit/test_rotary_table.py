@@ -346,7 +346,7 @@ def test_a_table_in_the_robot_is_told_with_the_way_out() -> None:
 
 def test_limits_must_hold_the_angle_of_home() -> None:
     """0 is where every motion begins and ends."""
-    with pytest.raises(ValueError, match="with 0, where motions begin and end"):
+    with pytest.raises(ValueError, match="around 0, where motions begin and end"):
         Scene.model_validate({"table": {"limits_deg": [10.0, 90.0]}})
 
 

@@ -9,7 +9,7 @@ from cell.errors import FileError, SceneError
 from cell.part.workpiece import load as load_part
 from cell.scene import sensors
 from cell.scene.file import load_scene
-from cell.scene.model import Scene, keys_of
+from cell.scene.model import Scene, scanner_keys
 from cell.scene.settle import settle
 
 
@@ -34,7 +34,7 @@ def test_every_figure_has_its_source(name: str) -> None:
     sensor = sensors.load(name)
     assert set(sensor.source) == sensor.figures.model_fields_set
     assert all(sensor.source.values())
-    assert set(sensor.keys) <= set(keys_of(sensor.type) or ())
+    assert set(sensor.keys) <= set(scanner_keys(sensor.type) or ())
 
 
 @pytest.mark.parametrize(
