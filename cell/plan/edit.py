@@ -310,7 +310,7 @@ def _problem(
         pinned = tuple(dict.fromkeys((*edited.views, *options.pinned)))
         options = options.model_copy(update={"pinned": pinned, "banned": (*options.banned, *edited.dropped)})
     else:
-        options = options.of_views(edited.views, len(measured.reached))
+        options = options.with_views(edited.views, len(measured.reached))
     problem = pipeline.make_problem(session, _with_plan(settled, options), cell, measured)
     is_same = edited.views == tuple(before.candidate.tolist()) and edited.order in (None, edited.views)
     order = edited.views if is_same and not is_moved else edited.order

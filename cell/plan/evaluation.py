@@ -365,7 +365,7 @@ def _regions(
     found = []
     for number, region in enumerate(regions):
         rows = np.flatnonzero(samples.region == number)
-        if not region.cared or not len(rows):
+        if not region.is_measured or not len(rows):
             continue
         share, seen = float(coverable[rows].mean()), float((times[rows] > 0).mean())
         views = region.views or options.multiplicity

@@ -117,8 +117,8 @@ class RegionGroups:
         """Collect the targets of a scene's regions, the rest included; None without regions."""
         if not regions:
             return None
-        own = [each for each in regions if each.cared and each.coverage is not None]
-        shared = [each for each in regions if each.cared and each.coverage is None]
+        own = [each for each in regions if each.is_measured and each.coverage is not None]
+        shared = [each for each in regions if each.is_measured and each.coverage is None]
         first = int(bool(shared))  # the group that regions without a coverage share
         coverage = [plan.coverage] * first + [float(each.coverage or 0.0) for each in own]
         return cls(

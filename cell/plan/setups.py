@@ -129,7 +129,7 @@ class SetupCandidate:
         own: dict[str, object] = {
             "placement": self.placement,
             "setup": (),
-            "plan": shared.plan.plain().ordered_as(shared.plan),
+            "plan": shared.plan.without_selection().with_order_of(shared.plan),
         }
         if self.table is not None:
             own["fixtures"] = (*shared.fixtures, *self.table.fixtures)
@@ -783,7 +783,7 @@ class SetupSearch:
             return ConnectedSetup(np.arange(M.n_viewpoints), M, setup.T_object_poses)
         assert isinstance(setup, PlannedSetup)
         scene = setup.settled.scene
-        options = scene.plan.of_views(views.tolist(), len(setup.measured.reached)).ordered_as(scene.plan)
+        options = scene.plan.with_views(views.tolist(), len(setup.measured.reached)).with_order_of(scene.plan)
         settled = replace(setup.settled, scene=scene.model_copy(update={"plan": options}))
         problem = pipeline.make_problem(session, settled, setup.cell, replace(setup.measured, M=M))
         rng = session.rng(Stream.SELECTION)
@@ -1116,7 +1116,7 @@ def _regions(scene: Scene, samples: SurfaceSamples, seen: Bools, coverable: Bool
     """Yield the coverage of each region that counts."""
     for number, wishes in enumerate(with_rest(scene.region)):
         own = samples.region == number
-        if wishes.cared and np.any(own):
+        if wishes.is_measured and np.any(own):
             visible, share = float(seen[own].mean()), float(coverable[own].mean())
             yield SetupsRegion(
                 name=wishes.name,
