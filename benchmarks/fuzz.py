@@ -21,7 +21,7 @@ import numpy as np
 from drivers.contract import Answer, Mode, Move, Reset, RobotState, Stop
 from drivers.emulated import stations
 from drivers.errors import ProtocolError
-from drivers.wire import Stage, split_move
+from drivers.wire import Give, Stage, Take, split_move
 from drivers.wires import modbus_protocol as registers
 from drivers.wires import serial_protocol as messages
 from drivers.wires.serial_protocol import decode_frame, encode_frame, split_frames
@@ -73,7 +73,7 @@ def serial_frames(rng: np.random.Generator) -> list[bytes]:
         frames = (
             messages.request_frame(number, 0, messages.Hello()),
             messages.request_frame(number, number, messages.ReadState()),
-            messages.request_frame(number, number, messages.Take(1000) if k % 2 else messages.Give()),
+            messages.request_frame(number, number, Take(1000) if k % 2 else Give()),
             messages.request_frame(number, number, Stage(number, points)),
             messages.request_frame(number, number, split_move(Move(points, 0.5), 12)[1]),
             messages.request_frame(number, number, Stop() if k % 2 else Reset()),

@@ -23,13 +23,14 @@ import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol, TypeVar
 from urllib.parse import unquote
 
 import numpy as np
 
 from drivers.clock import Clock
-from drivers.contract import Answer, Capabilities, Move, Result, RobotState
+from drivers.contract import Answer, Capabilities, Command, Move, Reset, Result, RobotState, Stop
 from drivers.errors import (
     AnswerTimeoutError,
     DriverUrlError,
@@ -59,6 +60,12 @@ MAX_POINTS = 200_000
 
 MAX_AXES = 12
 """Largest number of axes in frames and register blocks."""
+
+STATUS_FIELDS = (
+    *("heartbeat", "boot", "flags", "mode", "owner", "ack_sequence", "ack_result", "done_sequence", "done_result"),
+    *("queue_depth", "fault_code", "override", "path"),
+)
+"""Integer fields of a `RobotState` on every wire, in the order of the serial frame."""
 
 T = TypeVar("T")
 
@@ -91,6 +98,25 @@ class Commit:
     count: int
     crc: int
     tail: SetPoints
+
+
+@dataclass(frozen=True, slots=True)
+class Take:
+    """Request to take or keep the arm.
+
+    Attributes:
+        watchdog_ms: silence [ms] after which a moving arm shall stop.
+    """
+
+    watchdog_ms: int
+
+
+@dataclass(frozen=True, slots=True)
+class Give:
+    """Request to give the arm back."""
+
+
+Request = Stage | Commit | Take | Give | Stop | Reset
 
 
 def split_move(move: Move, size: int) -> tuple[list[Stage], Commit]:
@@ -160,12 +186,6 @@ class StagingBuffer:
             np.concatenate([np.frombuffer(staged, dtype=">i4").reshape(-1, self._axes), commit.tail]), np.int32
         )
         return points if points_crc(points) == commit.crc else None
-
-
-def require_staged(answer: Answer) -> None:
-    """Raise ProtocolError if staged points did not match: nothing was executed, and the client checks the state."""
-    if answer.result == Result.INCOMPLETE:
-        raise ProtocolError(Result.INCOMPLETE.message)
 
 
 @dataclass(frozen=True)
@@ -271,16 +291,20 @@ class ReopeningLink(ABC):
         self.notify: Callable[[str], None] | None = None  # receives a message about a long wait
 
     @abstractmethod
-    def _request_session(self) -> int:
-        """Take the session, once; return the result of the answer."""
-
-    @abstractmethod
-    def _release_session(self) -> None:
-        """Give the session back, once."""
-
-    @abstractmethod
     def _handshake(self) -> Capabilities:
         """Check that a controller of this protocol answers on the open line, and read its capabilities."""
+
+    @abstractmethod
+    def _exchange(self, sequence: int | None, request: Request) -> Answer:
+        """Send a request once and wait for its answer; taking and giving have no sequence number."""
+
+    @abstractmethod
+    def _read_state(self) -> RobotState:
+        """Read the state, once."""
+
+    @abstractmethod
+    def _max_points(self, axes: int) -> int:
+        """Return the largest number of via points in one message."""
 
     def open(self) -> Capabilities:
         """Open the line and read the controller's capabilities."""
@@ -295,7 +319,8 @@ class ReopeningLink(ABC):
         """Take a session. Repeating the request has no further effect, so it is retried after a lost answer."""
         before, self.session, result = self.session, session, -1
         try:
-            result = self._retry(self._request_session)
+            take = Take(self._timeouts.watchdog_ms)
+            result = int(self._retry(lambda: self._exchange(None, take)).result)
         finally:
             if result != Result.OK:
                 self.session = before
@@ -305,15 +330,28 @@ class ReopeningLink(ABC):
         """Give the session back; if the request is lost, the client's silence ends the session."""
         if self.session:
             self._require_open()
-            self._release_session()
+            self._exchange(None, Give())
             self.session = 0
 
-    def time_to_wait(self) -> float:
-        """Return the polling period."""
-        return self._timeouts.poll if self._is_busy else 0.0
+    def send(self, sequence: int, command: Command) -> Answer:
+        """Send a command once; its stages may be sent again."""
+        self._require_open()
+        if not isinstance(command, Move):
+            return self._exchange(sequence, command)
+        stages, commit = split_move(command, self._max_points(command.set_points.shape[1]))
+        for stage in stages:
+            answer = self._retry(partial(self._exchange, sequence, stage))
+            if answer.result != Result.OK:
+                break
+        else:
+            answer = self._exchange(sequence, commit)
+        if answer.result == Result.INCOMPLETE:  # nothing was executed: the client checks the state and sends it again
+            raise ProtocolError(Result.INCOMPLETE.message)
+        return answer
 
-    def _checked(self, state: RobotState) -> RobotState:
-        """Return a state that was read, after a check of its heartbeat."""
+    def state(self) -> RobotState:
+        """Read the state; retry, and open a lost line again if necessary."""
+        state = self._retry(self._read_state)
         try:
             self._heartbeat_monitor.update(state.heartbeat or 0)
         except LinkLostError:
@@ -321,6 +359,10 @@ class ReopeningLink(ABC):
             raise
         self._is_busy = state.is_busy
         return state
+
+    def time_to_wait(self) -> float:
+        """Return the polling period."""
+        return self._timeouts.poll if self._is_busy else 0.0
 
     def _retry(self, request: Callable[[], T]) -> T:
         """Repeat a harmless request until it is answered; open the line again if necessary.

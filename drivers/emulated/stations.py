@@ -18,17 +18,15 @@ from drivers.contract import Answer, Reset, Result, Stop
 from drivers.emulated.endpoint import Endpoint
 from drivers.errors import ProtocolError
 from drivers.setpoints import SetPoints
-from drivers.wire import REAL_TIME, Commit, Stage, speed_to_wire
+from drivers.wire import REAL_TIME, STATUS_FIELDS, Commit, Give, Stage, Take, speed_to_wire
 from drivers.wires import modbus_protocol as registers
 from drivers.wires.serial_protocol import (
     TO_CONTROLLER,
     VERSION,
     Frame,
-    Give,
     Hello,
     ReadState,
     Request,
-    Take,
     answer_frame,
     decode_frame,
     encode_frame,
@@ -393,11 +391,7 @@ class ModbusStation:
         state = self.endpoint.report()
         return {
             **_IDENTITY,
-            **{
-                field.name: int(getattr(state, field.name) or 0)
-                for field in registers.STATUS.fields
-                if field.name != "axes" and hasattr(state, field.name)
-            },
+            **{name: int(getattr(state, name) or 0) for name in STATUS_FIELDS},
             "echo": max(self._heartbeat, 0),
             "answer_sequence": self._answer.sequence,
             "answer_result": int(self._answer.result),

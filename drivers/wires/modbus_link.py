@@ -12,7 +12,6 @@ import logging
 import secrets
 import select
 from collections.abc import Mapping
-from functools import partial
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -22,20 +21,24 @@ from pymodbus.exceptions import ConnectionException, ModbusIOException
 
 from drivers.client import ControllerClient
 from drivers.clock import Clock, RealTimeClock
-from drivers.contract import Answer, Capabilities, Command, Fault, Flag, Mode, Move, Result, RobotState, Stop
+from drivers.contract import Answer, Capabilities, Fault, Flag, Mode, Reset, RobotState, Stop
 from drivers.errors import AnswerTimeoutError, DriverUrlError, LinkLostError, ProtocolError
 from drivers.registry import Context, DriverUrl
 from drivers.setpoints import AXES, SetPoints
 from drivers.wire import (
     MAX_AXES,
     REAL_TIME,
+    STATUS_FIELDS,
+    Commit,
+    Give,
     Line,
     ReopeningLink,
+    Request,
+    Stage,
+    Take,
     Timeouts,
     port_path,
-    require_staged,
     speed_from_wire,
-    split_move,
 )
 from drivers.wires import modbus_protocol as registers
 
@@ -55,6 +58,8 @@ _EXCEPTIONS = {
 
 _RTU_BYTES = 2 * 260  # the longest request and the longest answer
 BITS_PER_BYTE = 11
+
+_COMMANDS = {Give: registers.GIVE, Stop: registers.STOP, Reset: registers.RESET}
 
 Client = TypeVar("Client", bound=ControllerClient)
 
@@ -192,42 +197,8 @@ class ModbusLink(ReopeningLink):
         self._set_axes(AXES)
         self._heartbeat = secrets.randbelow(65536) if first_heartbeat is None else first_heartbeat
 
-    def send(self, sequence: int, command: Command) -> Answer:
-        """Send a command once; its stages may be sent again."""
-        self._require_open()
-        if not isinstance(command, Move):
-            code = registers.STOP if isinstance(command, Stop) else registers.RESET
-            return self._command(sequence, {"command": code})
-        stages, commit = split_move(command, self._blocks[registers.COMMAND.name].max_points)
-        for stage in stages:
-            block = {"command": registers.STAGE, "offset": stage.offset}
-            staged = self._retry(partial(self._command, sequence, block, stage.points))
-            if staged.result != Result.OK:
-                require_staged(staged)
-                return staged
-        block = {
-            "command": registers.MOVE,
-            "speed": commit.speed,
-            "count": commit.count,
-            "points_crc": commit.crc,
-        }
-        answer = self._command(sequence, block, commit.tail)
-        require_staged(answer)
-        return answer
-
-    def state(self) -> RobotState:
-        """Write the owner's heartbeat and read the state; retry, and open a lost line again if necessary."""
-        return self._checked(self._retry(self._read_state))
-
     def _set_axes(self, axes: int) -> None:
         self._blocks = {block.name: block.for_axes(axes) for block in registers.BLOCKS}
-
-    def _request_session(self) -> int:
-        take = {"command": registers.TAKE, "watchdog_ms": self._timeouts.watchdog_ms}
-        return int(self._command(self.session, take).result)
-
-    def _release_session(self) -> None:
-        self._command(self.session, {"command": registers.GIVE})
 
     def _handshake(self) -> Capabilities:
         head = self._read(registers.CAPABILITIES.address, registers.HEAD)
@@ -255,7 +226,22 @@ class ModbusLink(ReopeningLink):
         self._write({})
         return _parse_state(self._read_status())
 
-    def _command(self, sequence: int, block: Mapping[str, int], points: SetPoints | None = None) -> Answer:
+    def _max_points(self, axes: int) -> int:
+        return self._blocks[registers.COMMAND.name].max_points
+
+    def _exchange(self, sequence: int | None, request: Request) -> Answer:
+        sequence = self.session if sequence is None else sequence
+        points: SetPoints | None = None
+        block: dict[str, int]
+        match request:
+            case Stage(offset, points):
+                block = {"command": registers.STAGE, "offset": offset}
+            case Commit(speed, count, crc, points):
+                block = {"command": registers.MOVE, "speed": speed, "count": count, "points_crc": crc}
+            case Take(watchdog_ms):
+                block = {"command": registers.TAKE, "watchdog_ms": watchdog_ms}
+            case _:
+                block = {"command": _COMMANDS[type(request)]}
         self._write({"sequence": sequence, **block}, points)
         values = self._read_status()
         answered, result = _integer(values, "answer_sequence"), _integer(values, "answer_result")
@@ -311,12 +297,6 @@ class ModbusLink(ReopeningLink):
             raise
 
 
-_STATUS_FIELDS = (
-    *("heartbeat", "boot", "flags", "owner", "ack_sequence", "ack_result", "done_sequence", "done_result"),
-    *("queue_depth", "fault_code", "override", "path"),
-)
-
-
 def _parse_state(values: Mapping[str, registers.Value]) -> RobotState:
     code, axes = _integer(values, "fault_code"), _axes(values, "axes")
     if _integer(values, "n_axes") != len(axes):
@@ -331,7 +311,11 @@ def _parse_state(values: Mapping[str, registers.Value]) -> RobotState:
         message = f"fault {code} of this controller"
     at_rest = bool(_integer(values, "flags") & Flag.AT_REST)
     return RobotState(
-        mode, axes, at_rest, fault_message=message, **{name: _integer(values, name) for name in _STATUS_FIELDS}
+        mode,
+        axes,
+        at_rest,
+        fault_message=message,
+        **{name: _integer(values, name) for name in STATUS_FIELDS if name != "mode"},
     )
 
 

@@ -15,21 +15,20 @@ from typing import Any, Protocol, TypeVar
 
 import serial
 
+from drivers import wire
 from drivers.client import ControllerClient
 from drivers.clock import Clock, RealTimeClock
-from drivers.contract import Answer, Capabilities, Command, Move, Result, RobotState
+from drivers.contract import Answer, Capabilities, RobotState
 from drivers.errors import AnswerTimeoutError, LinkLostError, ProtocolError
 from drivers.registry import Context, DriverUrl
-from drivers.wire import Line, ReopeningLink, Timeouts, port_path, require_staged, split_move
+from drivers.wire import Line, ReopeningLink, Timeouts, port_path
 from drivers.wires.serial_protocol import (
     COUNTS_PER_FRAME,
     FROM_CONTROLLER,
     Frame,
-    Give,
     Hello,
     ReadState,
     Request,
-    Take,
     decode_frame,
     encode_frame,
     parse_answer,
@@ -140,37 +139,19 @@ class SerialLink(ReopeningLink):
         self._seconds_per_byte = seconds_per_byte
         self._query = secrets.randbelow(65536) if first_query is None else first_query
 
-    def send(self, sequence: int, command: Command) -> Answer:
-        """Send a command once; its stages may be sent again."""
-        self._require_open()
-        request: Request
-        if isinstance(command, Move):
-            stages, request = split_move(command, COUNTS_PER_FRAME // command.set_points.shape[1])
-            for stage in stages:
-                staged = self._retry(partial(self._ask, sequence, stage, partial(parse_answer, kind="POINTS")))
-                if staged.result != Result.OK:
-                    require_staged(staged)
-                    return staged
-        else:
-            request = command
-        kind = request_frame(sequence, self.session, request).kind
-        answer = self._ask(sequence, request, partial(parse_answer, kind=kind))
-        require_staged(answer)
-        return answer
-
-    def state(self) -> RobotState:
-        """Read the state; retry, and open a lost port again if necessary."""
-        return self._checked(self._retry(lambda: self._ask(self._next_query(), ReadState(), parse_status)))
-
-    def _request_session(self) -> int:
-        take = Take(self._timeouts.watchdog_ms)
-        return int(self._ask(self._next_query(), take, partial(parse_answer, kind="TAKE")).result)
-
-    def _release_session(self) -> None:
-        self._ask(self._next_query(), Give(), partial(parse_answer, kind="GIVE"))
-
     def _handshake(self) -> Capabilities:
         return self._ask(self._next_query(), Hello(), parse_hello)
+
+    def _exchange(self, sequence: int | None, request: wire.Request) -> Answer:
+        kind = request_frame(0, self.session, request).kind
+        number = self._next_query() if sequence is None else sequence
+        return self._ask(number, request, partial(parse_answer, kind=kind))
+
+    def _read_state(self) -> RobotState:
+        return self._ask(self._next_query(), ReadState(), parse_status)
+
+    def _max_points(self, axes: int) -> int:
+        return COUNTS_PER_FRAME // axes
 
     def _next_query(self) -> int:
         self._query = (self._query + 1) % 65536

@@ -25,10 +25,22 @@ from typing import Final
 
 import numpy as np
 
+from drivers import wire
 from drivers.contract import Answer, Capabilities, Flag, Mode, Reset, RobotState, Stop
 from drivers.errors import ProtocolError
 from drivers.setpoints import AXES, SetPoints
-from drivers.wire import FULL_SPEED, MAX_AXES, REAL_TIME, Commit, Stage, speed_from_wire, speed_to_wire
+from drivers.wire import (
+    FULL_SPEED,
+    MAX_AXES,
+    REAL_TIME,
+    STATUS_FIELDS,
+    Commit,
+    Give,
+    Stage,
+    Take,
+    speed_from_wire,
+    speed_to_wire,
+)
 
 VERSION: Final = 2
 
@@ -122,11 +134,6 @@ def to_frame_text(text: str) -> str:
 COUNTS_PER_FRAME: Final = 72
 """Largest number of counts in one frame, by their longest spelling: 12 via points of six axes."""
 
-_STATUS_FIELDS: Final = (
-    *("heartbeat", "boot", "flags", "mode", "owner", "ack_sequence", "ack_result", "done_sequence", "done_result"),
-    *("queue_depth", "fault_code", "override", "path"),
-)
-
 _INTEGER = re.compile(r"0|-?[1-9][0-9]*")
 _COUNT = re.compile(r"0|-?[1-9][0-9]{0,9}")
 _CRC = re.compile(r"[0-9A-F]{8}")
@@ -144,23 +151,7 @@ class ReadState:
     """Request for the state (STATE); the owner's heartbeat."""
 
 
-@dataclass(frozen=True, slots=True)
-class Take:
-    """Request to take or keep the arm (TAKE).
-
-    Attributes:
-        watchdog_ms: silence [ms] after which a moving arm shall stop.
-    """
-
-    watchdog_ms: int
-
-
-@dataclass(frozen=True, slots=True)
-class Give:
-    """Request to give the arm back (GIVE)."""
-
-
-Request = Hello | ReadState | Take | Give | Stage | Commit | Stop | Reset
+Request = Hello | ReadState | wire.Request
 
 
 def request_frame(number: int, session: int, request: Request) -> Frame:
@@ -234,7 +225,7 @@ def parse_answer(frame: Frame, kind: str) -> Answer | None:
 
 def status_frame(number: int, state: RobotState) -> Frame:
     """Return the frame of the answer to STATE."""
-    values = [int(getattr(state, name) or 0) for name in _STATUS_FIELDS]
+    values = [int(getattr(state, name) or 0) for name in STATUS_FIELDS]
     body = _joined("STATE", *values, len(state.axes), *state.axes.tolist())
     return Frame(FROM_CONTROLLER, number, _with_text(body, state.fault_message))
 
@@ -245,7 +236,7 @@ def parse_status(frame: Frame) -> RobotState | None:
     if kind != "STATE":
         return None
     try:
-        values = {name: _integer(words, 0, 65535) for name in _STATUS_FIELDS}
+        values = {name: _integer(words, 0, 65535) for name in STATUS_FIELDS}
         mode, axes = Mode(values.pop("mode")), _axes(words, _integer(words, AXES, MAX_AXES))
         return RobotState(mode, axes, bool(values["flags"] & Flag.AT_REST), fault_message=_text(words), **values)
     except (ValueError, StopIteration, RuntimeError):

@@ -12,7 +12,17 @@ from hypothesis import strategies as st
 from drivers.contract import Answer, Mode, Move, Reset, RobotState, Stop
 from drivers.emulated import stations
 from drivers.errors import ProtocolError
-from drivers.wire import FULL_SPEED, Stage, StagingBuffer, points_crc, speed_from_wire, speed_to_wire, split_move
+from drivers.wire import (
+    FULL_SPEED,
+    Give,
+    Stage,
+    StagingBuffer,
+    Take,
+    points_crc,
+    speed_from_wire,
+    speed_to_wire,
+    split_move,
+)
 from drivers.wires import modbus_protocol as registers
 from drivers.wires import serial_protocol as messages
 from drivers.wires.serial_protocol import (
@@ -41,8 +51,8 @@ def points(lowest: int = 1, highest: int = 12) -> st.SearchStrategy[np.ndarray]:
 requests = st.one_of(
     st.builds(messages.Hello),
     st.builds(messages.ReadState),
-    st.builds(messages.Take, st.integers(0, 65535)),
-    st.builds(messages.Give),
+    st.builds(Take, st.integers(0, 65535)),
+    st.builds(Give),
     st.builds(Stage, st.integers(0, 10**6), points()),
     st.tuples(points(), st.floats(1e-4, 1.0)).map(lambda given: split_move(Move(*given), 12)[1]),
     st.builds(Stop),
