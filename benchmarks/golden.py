@@ -262,7 +262,7 @@ CASES = (
     _case("edit-move", "edit run --move 2:1284,430,330,98,0,-137 --out edited", run="plan"),
     _case("edit-pose", "edit run --add-pose 1250,400,340,98.3,0,-142 --keep-order --out edited", run="plan"),
     _case("scan", "scan run --resolution 1 --close-holes", run="plan", pages=True),
-    _case("scan-noise", f"scan run --resolution 1 {_NOISE} --pose-error 0.3,0.05 --seed 4 --json", run="plan"),
+    _case("scan-noise", f"scan run --resolution 1 {_NOISE} --pose-error 0.3mm,0.05deg --seed 4 --json", run="plan"),
     _case("scan-files", _export_points, f"scan run --acquire files:points {_POINTS} --no-register", run="scan"),
     _case(
         "scan-missing", _export_points, _remove_second_points, f"scan run --acquire files:points {_POINTS}",

@@ -26,7 +26,7 @@ from cell.runs.run import open_finished
 
 _PLAN = ("plan", "petanque", "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--seed", "3")
 _TIME_SCALE = "2"
-_SCAN = ("--resolution", "4", "--speed", "100", "--accept-time-scale", _TIME_SCALE)
+_SCAN = ("--resolution", "4", "--speed", "1", "--accept-time-scale", _TIME_SCALE)
 _PATIENCE_S = 120.0
 
 
@@ -87,7 +87,7 @@ def _disturbed(base: Path, name: str, victim: str, rng: np.random.Generator, spa
         while json.loads((base / name / "executions/0001/manifest.json").read_text())["status"] != "finished":
             done = subprocess.run(
                 [*_COMMAND, "scan", name, "--resume", "latest", "--reset", "--driver", emulator.url,
-                 *word, "--speed", "100", "--accept-time-scale", _TIME_SCALE],
+                 *word, "--speed", "1", "--accept-time-scale", _TIME_SCALE],
                 cwd=base, capture_output=True, text=True, timeout=_PATIENCE_S, check=False,
             )  # fmt: skip
             if own := re.search("not the digest of the new way.* which is ([0-9a-f]+)", done.stderr):

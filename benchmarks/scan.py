@@ -35,7 +35,7 @@ from cell.world.embree import EmbreeRayCaster
 from cell.world.virtual_scan import scan
 
 RESOLUTION_DEG = "0.25"
-POSE_ERROR = "0.5,0.1"
+POSE_ERROR = "0.5mm,0.1deg"
 RANGE_NOISE = "0.03"
 COARSE_DEG = "2"
 _SAMPLES = 200_000

@@ -42,7 +42,7 @@ def _python(folder: Path, *words: object) -> None:
 def _default_plan(folder: Path) -> None:
     _python(folder, "cell", "plan", "--place", "1200,500,0", "--out", "run")
     _python(folder, "cell", "why", "run")
-    _python(folder, "cell", "scan", "run", "--pose-error", "0.5,0.1", "--range-noise", "0.03")
+    _python(folder, "cell", "scan", "run", "--pose-error", "0.5mm,0.1deg", "--range-noise", "0.03")
     for source in ("run/cell.png", "run/views.png", "run/why/why.png", "run/executions/0001/deviation.png"):
         shutil.copy(folder / source, folder)
     if browser := shutil.which("chromium"):

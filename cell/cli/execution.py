@@ -39,10 +39,10 @@ calibrate_app = typer.Typer(
 
 @command(
     "cell scan sim_runs/trial",
-    "cell scan sim_runs/trial --pose-error 0.5,0.1 --range-noise 0.02 --seed 4",
+    "cell scan sim_runs/trial --pose-error 0.5mm,0.1deg --range-noise 0.02 --seed 4",
     "cell scan sim_runs/trial --view 3 --resolution 0.5 --realtime",
     "cell scan sim_runs/trial --report 0001",
-    "cell scan sim_runs/trial --driver modbus://192.168.0.10:502 --speed 10",
+    "cell scan sim_runs/trial --driver modbus://192.168.0.10:502 --speed 0.1",
     "cell scan sim_runs/trial --resume latest --reset",
     "cell scan sim_runs/both --setup 1 --setup-error 5mm,2deg --range-noise 0.03",
     note="A report of an execution without all views ends with code 6.",

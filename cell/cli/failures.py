@@ -15,6 +15,17 @@ from cell.signals import INTERRUPTED
 
 _BUG = 70
 
+_RENAMED = {
+    "--k-fold": "--multiplicity",
+    "--require-total": "--require",
+    "--within": "--tolerance",
+    "--most": "--max-setups",
+    "--offer": "--proposals",
+    "--least-gain": "--min-gain",
+    "--open-of": "cell setups --first RUN",
+}
+"""Options of earlier versions and their present form."""
+
 # typer has its own copy of click and does not export its classes; BadParameter is one of its usage errors.
 _TyperUsageError: Any = next(kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "ClickException")
 
@@ -31,6 +42,8 @@ def report_errors(run: Callable[[], Any], *, as_json: bool) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _report(_interruption(), INTERRUPTED, as_json)
     except _TyperUsageError as error:
+        if (old := getattr(error, "option_name", None)) in _RENAMED:
+            return _report(f"the option {old} is now {_RENAMED[old]}", int(error.exit_code), as_json)
         error.show()
         if type(error).__name__ == "NoArgsIsHelpError":  # `cell` alone prints the help
             return 0

@@ -233,7 +233,7 @@ def _require_plain(scene: Scene) -> None:
     plan = scene.plan
     asked = {
         "--fill rays": plan.fill == "rays",
-        "--k-fold": plan.multiplicity > 1,
+        "--multiplicity": plan.multiplicity > 1,
         "--overlap": plan.overlap_mm2 is not None or plan.overlap_share is not None,
         "--pose-sd": plan.pose_sd_mm > 0 or plan.pose_sd_deg > 0,
         "--cost time": plan.cost == "time",

@@ -75,9 +75,11 @@ def export_setups(folder: Path, options: ExportOptions, reporter: ProgressReport
     return _write_programs(folder, programs, name, options, main)
 
 
-def percent(requested: int | None, default: int, planned: float) -> int:
-    """Return the requested percentage, or the smaller of the default and the plan's fraction, rounded down."""
-    return requested if requested is not None else min(default, max(1, int(planned * 100 + 1e-9)))
+def percent(requested: float | None, default: int, planned: float) -> int:
+    """Return the requested share as a percentage, or the smaller of the default and the plan's share, rounded down."""
+    if requested is not None:
+        return max(1, round(100 * requested))
+    return min(default, max(1, int(planned * 100 + 1e-9)))
 
 
 def _write_programs(
@@ -86,8 +88,8 @@ def _write_programs(
     """Write programs and the main program to `options.out`, or below the run folder."""
     krl_options = [
         KrlOptions(
-            percent(options.speed_percent, SPEED_PERCENT, program.info.speed),
-            percent(options.acceleration_percent, ACCELERATION_PERCENT, program.info.acceleration),
+            percent(options.speed, SPEED_PERCENT, program.info.speed),
+            percent(options.acceleration, ACCELERATION_PERCENT, program.info.acceleration),
             options,
         )
         for program in programs

@@ -6,11 +6,11 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from cell.runs.current_files import CurrentFiles
+from cell.scene.fields import SpeedShare
 from cell.scene.options import Option
 
 _KRL = "KRL"
 _Signal = Annotated[int, Field(ge=1, le=4096)]  # of $IN and $OUT on a KR C4
-_Percent = Annotated[int, Field(ge=1, le=100)]
 
 
 class ExportOptions(CurrentFiles):
@@ -26,12 +26,17 @@ class ExportOptions(CurrentFiles):
         str | None,
         Option("Name of program and files, at most 24 characters. Default: the run folder's, if valid in KRL."),
     ] = None
-    speed_percent: Annotated[
-        _Percent | None,
-        Option("Share of the axis speeds; slows down sweeps too. Default: 20, or the plan's if less.", _KRL),
+    speed: Annotated[
+        SpeedShare | None,
+        Option(
+            "Share of the axis speeds; slows down sweeps too. Default: 0.2, or the plan's if less.",
+            _KRL,
+            metavar="SHARE",
+        ),
     ] = None
-    acceleration_percent: Annotated[
-        _Percent | None, Option("Share of the axis accelerations. Default: 30, or the plan's if less.", _KRL)
+    acceleration: Annotated[
+        SpeedShare | None,
+        Option("Share of the axis accelerations. Default: 0.3, or the plan's if less.", _KRL, metavar="SHARE"),
     ] = None
     trigger_output: Annotated[_Signal, Option("$OUT that starts a scan.", _KRL)] = 1
     gate_output: Annotated[_Signal, Option("$OUT that is on during a sweep.", _KRL)] = 2

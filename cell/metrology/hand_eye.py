@@ -129,9 +129,9 @@ def calibrate_hand_eye(files: Sequence[Path], options: HandEyeOptions, reporter:
         rms_mm=1000 * fit.rms,
         diameter_mm=2000 * spheres[0].radius if spheres else None,
         diameter_sd_mm=2000 * spheres[0].radius_sd if spheres else None,
-        within_mm=options.within_mm,
+        within_mm=options.tolerance_mm,
         undetermined=(
-            *(motion.sentence for motion in fit.undetermined_motions(options.within_mm / 1000)),
+            *(motion.sentence for motion in fit.undetermined_motions(options.tolerance_mm / 1000)),
             *fit.alternatives,
         ),
         scans=tuple(

@@ -137,7 +137,7 @@ def locate(run: Run, options: LocateOptions, reporter: ProgressReporter) -> Loca
     planned = run.T_base_object
     measured, fit = _fit(run, options, nearest, centre, length, reporter)
     T: Floats = fit.T if measured.method != "best fit" else planned @ np.linalg.inv(fit.T)
-    within = options.within_mm / 1000
+    within = options.tolerance_mm / 1000
     undetermined = fit.undetermined_motions(within)
     symmetric = tuple(motion for motion in undetermined if _is_symmetry(motion, shown, nearest, within))
     relevant = tuple(motion for motion in undetermined if motion not in symmetric)
@@ -158,7 +158,7 @@ def locate(run: Run, options: LocateOptions, reporter: ProgressReporter) -> Loca
         used=fit.used,
         rms_mm=1000 * fit.rms,
         precision=_precision(fit, T, shown),
-        within_mm=options.within_mm,
+        within_mm=options.tolerance_mm,
         undetermined=(*([describe(relevant)] if relevant else []), *fit.alternatives),
         symmetric=(describe(symmetric),) if symmetric else (),
         doubts=(*fit.doubts, *measured.doubts),

@@ -11,17 +11,15 @@ _MEASURED, _FIT = "Measured points (one of them)", "Fit"
 _SEARCH = Option(
     "Largest deviation of the part from its planned placement (at most 45 deg), for the best fit.",
     _FIT,
-    metavar="MM,DEG",
-    form="mm and deg",
-    examples=("30,8",),
-    counts=(2,),
+    metavar="LENGTHmm,ANGLEdeg",
+    form="a length and an angle with their units",
+    examples=("30mm,8deg",),
 )
 _POSE_SD = Option(
     "Standard deviation of the flange's pose along and about each axis. Their ratio weights the residuals.",
-    metavar="MM,DEG",
-    form="two numbers, mm and deg",
-    examples=("0.03,0.02",),
-    counts=(2,),
+    metavar="LENGTHmm,ANGLEdeg",
+    form="a length and an angle with their units",
+    examples=("0.03mm,0.02deg",),
 )
 
 
@@ -78,7 +76,7 @@ class LocateOptions(Table):
         Positive | None,
         Option("Standard deviation of a measured coordinate. Default: from the residuals of the pairs.", _FIT),
     ] = None
-    within_mm: Annotated[
+    tolerance_mm: Annotated[
         Positive, Option("A direction is not determined where two standard deviations are more than this.", _FIT)
     ] = 0.1
 
@@ -112,7 +110,7 @@ class HandEyeOptions(Table):
     ] = None
     pose_sd_mm: Annotated[Positive, _POSE_SD] = 0.03
     pose_sd_deg: Annotated[Positive, _POSE_SD] = 0.02
-    within_mm: Annotated[
+    tolerance_mm: Annotated[
         Positive,
         Option("A direction is not determined where two standard deviations are more than this at the target."),
     ] = 0.5

@@ -25,7 +25,7 @@ class ReplayOptions(Table):
     ] = None
     view: Annotated[int | None, Option("Begin at this view, counted from 1 in visiting order.")] = None
     tightest: Annotated[bool, Option("Begin at the moment with the smallest distance.")] = False
-    speed: Annotated[float, Field(gt=0, le=1000), Option("Speed of the replay relative to the motion.")] = 1.0
+    rate: Annotated[float, Field(gt=0, le=1000), Option("Speed of the replay relative to the motion.")] = 1.0
     once: Annotated[bool, Option("Close the viewer at the end.")] = False
     frames: Annotated[
         Path | None, Field(strict=False), Option("Draw PNG frames into a folder; needs no display.", metavar="DIR")

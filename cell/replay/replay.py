@@ -64,7 +64,7 @@ def replay(
     if options.frames is not None:
         with reporter.stage("draw the frames") as progress:
             count = write_frames(
-                inputs, options.frames, options.size, start=start, fps=options.fps, speed=options.speed,
+                inputs, options.frames, options.size, start=start, fps=options.fps, speed=options.rate,
                 progress=progress,
             )  # fmt: skip
         made.append(f"{count} frames in {options.frames}")
@@ -72,7 +72,7 @@ def replay(
         half = float(np.tan(np.radians(playback.replay_model.model.vis.global_.fovy) / 2))
         poses = [playback.timeline.at(t) for t in (0.0, *(stop.begin for stop in playback.timeline.stops))]
         camera = tour_camera(inputs.cell, inputs.part, poses, playback.path, (4, 3), half)
-        play(playback, camera, clock=clock, wait=wait, speed=options.speed, start=start, once=options.once)
+        play(playback, camera, clock=clock, wait=wait, speed=options.rate, start=start, once=options.once)
     return "; ".join(made)
 
 

@@ -9,7 +9,7 @@ from pydantic import Field, JsonValue, ValidationError, field_validator, model_v
 
 from cell.runs.current_files import CurrentFiles
 from cell.runs.digest import SHORT_DIGEST
-from cell.scene.fields import NotNegative, Positive, Units
+from cell.scene.fields import NotNegative, Positive, SpeedShare, Units
 from cell.scene.options import Option
 from cell.scene.validation import error_messages
 from planner.errors import PlannerError
@@ -19,10 +19,9 @@ _POSE_ERROR = Option(
     "Error of the executed pose, standard deviation along and about each axis: the scanner deviates from the reported "
     "pose.",
     _ERRORS,
-    metavar="MM,DEG",
-    form="two numbers, mm and deg",
-    examples=("0.5,0.1",),
-    counts=(2,),
+    metavar="LENGTHmm,ANGLEdeg",
+    form="a length and an angle with their units",
+    examples=("0.5mm,0.1deg",),
 )
 _SETUP_ERROR = Option(
     "Largest placement error of the part in this set-up: a simulated part is displaced by it in a random direction, "
@@ -34,7 +33,7 @@ _SETUP_ERROR = Option(
 )
 RESUME_OPTIONS = frozenset(
     {
-        *("driver", "realtime", "confirm_motion", "speed_percent", "reset", "accept_time_scale"),
+        *("driver", "realtime", "confirm_motion", "speed", "reset", "accept_time_scale"),
         *("scene", "part", "accept_changed_scene"),
     }
 )
@@ -97,12 +96,12 @@ class ScanOptions(CurrentFiles):
     acquire_timeout_s: Annotated[
         Positive, Option("Longest duration of a call, with --acquire command; there are three attempts.", _POINTS)
     ] = 60.0
-    speed_percent: Annotated[
-        float | None,
-        Field(gt=0, le=100),
+    speed: Annotated[
+        SpeedShare | None,
         Option(
-            "Share of the planned speed. Default: 100 in simulation; 10 % of the axis speeds on a real controller.",
+            "Share of the planned speed. Default: 1 in simulation; 0.1 of the axis speeds on a real controller.",
             REAL_ROBOT,
+            metavar="SHARE",
         ),
     ] = None
     confirm_motion: Annotated[

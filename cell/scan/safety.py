@@ -84,16 +84,16 @@ def approve_path(verified: VerifiedPlan, plan: ExecutionPlan, description: str) 
     return ApprovedMotion(description, path_digest(verified.digest, rows), is_own_path=True)
 
 
-def speed_fraction(requested_percent: float | None, planned: float, *, hardware: bool) -> float:
+def speed_fraction(requested: float | None, planned: float, *, hardware: bool) -> float:
     """Return the fraction of the axis speeds.
 
     Args:
-        requested_percent: `--speed`, percent of the planned speed; None if not given.
+        requested: `--speed`, share of the planned speed; None if not given.
         planned: the plan's fraction of the axis speeds.
         hardware: whether a real arm moves.
     """
-    if requested_percent is not None:
-        return planned * requested_percent / 100
+    if requested is not None:
+        return planned * requested
     return min(planned, HARDWARE_SPEED) if hardware else planned
 
 

@@ -225,7 +225,7 @@ def _confirmed_speed(
 ) -> float:
     """Return the speed fraction after the confirmation of a real arm's motion."""
     hardware, planned = driver.capabilities.hardware, cell.scene.speed_scaling
-    speed = safety.speed_fraction(options.speed_percent, planned, hardware=hardware)
+    speed = safety.speed_fraction(options.speed, planned, hardware=hardware)
     safety.require_confirmation(driver, speed, motion, given=options.confirm_motion, confirm=session.confirm)
     return speed
 

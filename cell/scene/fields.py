@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -11,6 +11,15 @@ AxisLimits = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
 MaybeEndless = Annotated[float, Field(gt=0, allow_inf_nan=True)]
 JerkLimits = tuple[MaybeEndless, MaybeEndless, MaybeEndless, MaybeEndless, MaybeEndless, MaybeEndless]
 Share = Annotated[float, Field(gt=0, le=1)]
+
+
+def _require_share(value: object) -> object:
+    if isinstance(value, int | float) and value > 1:
+        raise ValueError(f"is {value:g}; it is a share of the speed, at most 1: give {value / 100:g} for {value:g} %")
+    return value
+
+
+SpeedShare = Annotated[float, Field(gt=0, le=1), BeforeValidator(_require_share)]
 Fov = Annotated[float, Field(gt=0, lt=180)]
 Grazing = Annotated[float, Field(ge=0, le=90)]
 # TOML has lists only: the container is lenient, its items are strict.

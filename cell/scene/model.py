@@ -444,7 +444,6 @@ class PlanKeys(Table):
             "Exit with code 3 when the predicted visible coverage of the WHOLE surface is below this share.",
             _VIEWS,
             name="require",
-            also="require_total",
             metavar="SHARE",
         ),
     ] = 0.0
@@ -461,7 +460,7 @@ class PlanKeys(Table):
         int | None, Field(ge=1), Option("Maximise the coverage with at most this number of views.", _REQUESTS)
     ] = None
     multiplicity: Annotated[
-        int, Field(ge=1), Option("Measure each sample from at least this number of views.", _REQUESTS, also="k_fold")
+        int, Field(ge=1), Option("Measure each sample from at least this number of views.", _REQUESTS)
     ] = 1
     pinned: Annotated[_Candidates, _PIN] = ()
     banned: Annotated[_Candidates, _BAN] = ()

@@ -83,7 +83,7 @@ def test_its_emulator_has_its_limits_and_its_plan_is_driven_there(
     assert np.degrees(limits.velocity) == pytest.approx([80, 70, 60, 150, 160, 170])
     url = emulate("modbus", "--run", str(other), "--time-scale", "1000").url
     digest = json.loads((other / "manifest.json").read_text())["digest"]
-    word = ("--driver", url, "--accept-time-scale", "1000", "--speed", "100", "--confirm-motion", digest)
+    word = ("--driver", url, "--accept-time-scale", "1000", "--speed", "1", "--confirm-motion", digest)
     done = run_cell("scan", other, "--resolution", "2", *word, cwd=other)
     assert done.returncode == 0, done.stderr
 

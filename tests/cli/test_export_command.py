@@ -78,7 +78,7 @@ def test_csv_and_json_agree_with_each_other_and_with_the_plan(planned: Path, run
 
 def test_json_option_prints_one_object(planned: Path, run_cell: Run, tmp_path: Path) -> None:
     """Stdout holds exactly one object with the name, the speed and the files."""
-    done = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--speed", "7", "--json", cwd=tmp_path)
+    done = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--speed", "0.07", "--json", cwd=tmp_path)
     outcome = json.loads(done.stdout)
     assert (outcome["name"], outcome["speed_percent"]) == ("A1", 7)
     assert [Path(name).name for name in outcome["files"]] == ["A1.src", "A1.dat"]
@@ -120,8 +120,8 @@ def test_a_folder_name_that_is_invalid_in_krl_is_replaced_by_the_digest(
         *((("--name", name), "is reserved in KRL") for name in _RESERVED_NAMES),
         (("--name", "con"), "is reserved in KRL, in $CONFIG.DAT or in the exported program"),
         (("--name", "SC_TOOL"), "is reserved in KRL, in $CONFIG.DAT or in the exported program"),
-        (("--speed", "0"), "--speed is 0; it must be at least 1"),
-        (("--speed", "101"), "--speed is 101; it must be at most 100"),
+        (("--speed", "0"), "--speed is 0.0; it must be above 0"),
+        (("--speed", "20"), "--speed is 20; it is a share of the speed, at most 1: give 0.2 for 20 %"),
         (("--acceleration", "0"), "--acceleration is 0; it must be at least 1"),
         (("--trigger-output", "0"), "--trigger-output is 0; it must be at least 1"),
         (("--done-input", "4097"), "--done-input is 4097; it must be at most 4096"),

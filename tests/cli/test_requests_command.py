@@ -110,7 +110,7 @@ def test_an_unreachable_pinned_view_is_refused_with_its_verdict(
 
 def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:
     """Each sample has two views, or all candidates that can; 2.5 s of each view are scan and settling."""
-    folder, said = ask("twice", "--faces", "60", "--k-fold", "2", "--cost", "time")
+    folder, said = ask("twice", "--faces", "60", "--multiplicity", "2", "--cost", "time")
     views, _ = covered(folder)
     M, _ = matrix(folder)
     with np.load(folder / "reach.npz") as arrays:
@@ -176,7 +176,7 @@ def test_a_promise_under_pose_errors_is_kept_in_simulated_executions(
         (("--pose-sd", "0.5,0.1"), "with their units"),
         (("--pose-sd", "0.5mm", "--alpha", "0"), "--alpha is 0.0; it must be above 0"),
         (("--pose-sd", "0.5mm", "--fill", "rays"), "need aimed samples"),
-        (("--pose-sd", "0.5mm", "--k-fold", "2"), "cannot be combined"),
+        (("--pose-sd", "0.5mm", "--multiplicity", "2"), "cannot be combined"),
         (("--cost", "money"), "valid are: views, time"),
     ],
 )

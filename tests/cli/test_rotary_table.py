@@ -397,7 +397,7 @@ def test_seven_axes_travel_on_a_wire(
     before = SimpleNamespace(log=tmp_path / "moves.jsonl")
     emulated = emulate(protocol, "--run", str(copy), "--time-scale", "1000", beside=before)
     digest = _json(copy / "manifest.json")["digest"]
-    word = ("--driver", emulated.url, "--accept-time-scale", "1000", "--speed", "100", "--confirm-motion", digest)
+    word = ("--driver", emulated.url, "--accept-time-scale", "1000", "--speed", "1", "--confirm-motion", digest)
     done = run_cell("scan", copy, "--resolution", "1", *word, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     first, second = (_json(copy / "executions" / name / "report.json") for name in ("0001", "0002"))

@@ -79,7 +79,7 @@ def test_help_teaches_with_examples(tmp_path: Path, run_cell: Command) -> None:
     """`cell scan --help` has commands that can be copied and the exit codes."""
     done = run_cell("scan", "--help", cwd=tmp_path)
     assert done.returncode == 0
-    assert "cell scan sim_runs/trial --pose-error 0.5,0.1" in done.stdout
+    assert "cell scan sim_runs/trial --pose-error 0.5mm,0.1deg" in done.stdout
     assert "5 driver" in done.stdout
 
 
@@ -491,7 +491,7 @@ def test_a_stopped_execution_keeps_its_scans_and_is_reported(
         (("scan", "run", "--driver", "sym://"), 5, "sim://"),
         (("scan", "run", "--driver", "sim://?speed=2"), 5, "no option 'speed'"),
         (("scan", "run", "--driver", "sim://?start=0,-80,90,0,90,0"), 5, "nothing was moved"),
-        (("scan", "run", "--pose-error", "0.5"), 2, "mm and deg"),
+        (("scan", "run", "--pose-error", "0.5"), 2, "with their units"),
         (("scan", "run", "--range-noise", "-1"), 2, "--range-noise"),
         (("scan", "run", "--resolution", "0"), 2, "--resolution"),
         (("scan", "run", "--report", "0007"), 6, "0007"),

@@ -58,7 +58,7 @@ def undisturbed(executed: Path) -> dict[str, bytes]:
 
 
 _SCALE = ("--accept-time-scale", "20")
-_BEGIN = ("--resolution", "1", "--speed", "100")
+_BEGIN = ("--resolution", "1", "--speed", "1")
 
 
 def _word(run: Path) -> tuple[str, str]:
@@ -99,7 +99,7 @@ def test_a_killed_client_goes_on_and_scans_every_view_once(
     process.communicate()
     left = len(_scans(run_folder / "executions" / "0001"))
     assert 1 <= left < len(undisturbed)
-    again = ("scan", str(run_folder), "--resume", "latest", "--speed", "100", *_SCALE)
+    again = ("scan", str(run_folder), "--resume", "latest", "--speed", "1", *_SCALE)
     done = run_cell(*again, *_word(run_folder), "--reset", cwd=run_folder.parent)
     word = _own_way(done) if done.returncode else _word(run_folder)  # where it stood is where it was killed
     if done.returncode:
@@ -132,7 +132,7 @@ def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
     _, said = process.communicate(timeout=120)
     assert process.returncode == 5, said
     restarted = emulate("modbus", *_FAST, beside=emulated)
-    again = ("scan", run_folder, "--resume", "0001", "--driver", restarted.url, "--speed", "100", "--reset", *_SCALE)
+    again = ("scan", run_folder, "--resume", "0001", "--driver", restarted.url, "--speed", "1", "--reset", *_SCALE)
     done = run_cell(*again, *_word(run_folder), cwd=run_folder.parent)
     if done.returncode:
         done = run_cell(*again, *_own_way(done), cwd=run_folder.parent)
@@ -186,7 +186,7 @@ def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, 
         known.extend([*reporter.notes, question])
         return "no"
 
-    options = ScanOptions(driver=str(standing.url), speed_percent=50.0, accept_time_scale=20.0)
+    options = ScanOptions(driver=str(standing.url), speed=0.5, accept_time_scale=20.0)
     with pytest.raises(UsageError, match="nothing was moved"):
         resume(Session(None, reporter, confirm=ask), executed_folder, "latest", options)
     assert "a new path to view 2 was planned" in known[1]

@@ -18,7 +18,7 @@ from cell.scan import safety
 
 SIGNALS = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP"}
 MOMENTS = [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 34))]
-_FAST = ("--speed", "100", "--accept-time-scale", "20")
+_FAST = ("--speed", "1", "--accept-time-scale", "20")
 
 
 @pytest.fixture

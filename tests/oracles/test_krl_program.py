@@ -243,7 +243,7 @@ def _prompt(output: int = 1, done: int = 1, delay: float = 0.3) -> Callable[[Rob
 def exported(planned: Path, run_cell: Run, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, bytes]:
     """`.src` and `.dat` of the small plan with signals 7 and 8."""
     folder = tmp_path_factory.mktemp("krl")
-    signals = ("--trigger-output", "7", "--done-input", "8", "--timer", "3", "--timeout", "2.5", "--speed", "20")
+    signals = ("--trigger-output", "7", "--done-input", "8", "--timer", "3", "--timeout", "2.5", "--speed", "0.2")
     done = run_cell("export", str(planned), "--name", "PART_07", "--out", "out", *signals, cwd=folder)
     assert done.returncode == 0, done.stderr
     return (folder / "out" / "PART_07.src").read_bytes(), (folder / "out" / "PART_07.dat").read_bytes()

@@ -164,7 +164,7 @@ def test_what_the_scene_refuses_is_named_as_it_was_written_and_the_files_keys_as
 
 def test_options_of_a_scan_are_those_given_and_checked() -> None:
     """Which were given is known; what cannot be is said in one sentence; a manifest brings them back."""
-    asked = parse_options(ScanOptions, {"pose_error": "0.5,0.1", "register": False}, flag)
+    asked = parse_options(ScanOptions, {"pose_error": "0.5mm,0.1deg", "register": False}, flag)
     assert asked.model_fields_set == {"pose_error_mm", "pose_error_deg", "registration"}
     assert (asked.pose_error_mm, asked.pose_error_deg, asked.registers) == (0.5, 0.1, False)
     assert ScanOptions.from_manifest({**asked.as_manifest(), "of_later": 1}) == asked
@@ -176,7 +176,7 @@ def test_options_of_a_scan_are_those_given_and_checked() -> None:
 
 def test_a_resumed_scan_keeps_what_it_was_begun_with() -> None:
     """Speed and the like are said anew, the driver only where it is given."""
-    begun = ScanOptions(driver="serial:///dev/x", range_noise_mm=0.1, speed_percent=50.0, reset=True)
-    now = begun.resumed(ScanOptions(speed_percent=5.0))
-    assert (now.driver, now.range_noise_mm, now.speed_percent, now.reset) == ("serial:///dev/x", 0.1, 5.0, False)
+    begun = ScanOptions(driver="serial:///dev/x", range_noise_mm=0.1, speed=0.5, reset=True)
+    now = begun.resumed(ScanOptions(speed=0.05))
+    assert (now.driver, now.range_noise_mm, now.speed, now.reset) == ("serial:///dev/x", 0.1, 0.05, False)
     assert begun.resumed(ScanOptions(driver="sim://")).driver == "sim://"

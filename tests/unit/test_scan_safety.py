@@ -56,7 +56,7 @@ def test_hardware_moves_at_ten_percent_unless_asked_otherwise() -> None:
     assert safety.speed_fraction(None, 1.0, hardware=True) == 0.1
     assert safety.speed_fraction(None, 0.05, hardware=True) == 0.05
     assert safety.speed_fraction(None, 0.7, hardware=False) == 0.7
-    assert safety.speed_fraction(50, 0.5, hardware=True) == 0.25
+    assert safety.speed_fraction(0.5, 0.5, hardware=True) == 0.25
 
 
 @pytest.mark.parametrize("percent", [0.0, -1.0, 100.1, float("nan")])
