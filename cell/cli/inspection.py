@@ -226,7 +226,7 @@ def _after_view(what: Path | None) -> list[tuple[object, ...]]:
 
 @command(
     "cell replay sim_runs/trial",
-    "cell replay sim_runs/trial --execution latest --view 3 --speed 0.5",
+    "cell replay sim_runs/trial --execution latest --view 3 --rate 0.5",
     "cell replay sim_runs/trial --tightest --picture tight.png",
     "cell replay sim_runs/trial --picture tour.png --size 1600x1200 --camera -60,20 --hide post",
     note="Keys: space pause, left and right step from view to view, up and down speed, home start, end tightest "
@@ -248,7 +248,7 @@ def replay(
 
 @command(
     "cell export sim_runs/trial",
-    "cell export sim_runs/trial --name PART_07 --speed 10 --trigger-output 5 --done-input 6 --out program",
+    "cell export sim_runs/trial --name PART_07 --speed 0.1 --trigger-output 5 --done-input 6 --out program",
     "cell export sim_runs/trial --format csv",
     "cell export sim_runs/both",
     note="Read docs/export.md before a program runs on a robot.",
