@@ -351,7 +351,7 @@ def made_setups(
     def make(folder: Path) -> None:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("planner.cover.DEFAULT_EFFORT", 30_000_000)  # the small part is soon proven
-            done = run_cell("setups", part_file, *_SMALL_SETUPS, "--offer", "4", "--out", "made", cwd=folder)
+            done = run_cell("setups", part_file, *_SMALL_SETUPS, "--proposals", "4", "--out", "made", cwd=folder)
         assert done.returncode == 0, done.stderr
         (folder / "stdout").write_text(done.stdout)
 

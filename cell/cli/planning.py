@@ -78,10 +78,10 @@ def plan(
 
 @command(
     "cell setups part.stl --units mm --place 1200,500,0",
-    "cell setups mug --most 2 --offer 8 --coverage 0.95 --json",
+    "cell setups mug --max-setups 2 --proposals 8 --coverage 0.95 --json",
     "cell setups mug --cost time --setup-seconds 300",
-    "cell setups mug --table --offer 6",
-    "cell setups mug --offer 4 --pin 0:168 --ban 0:1506",
+    "cell setups mug --table --proposals 6",
+    "cell setups mug --proposals 4 --pin 0:168 --ban 0:1506",
     "cell setups mug --first sim_runs/trial",
     note="Each set-up is a run folder of its own in FOLDER/setups; cell scan FOLDER scans one after the other.",
 )

@@ -30,7 +30,7 @@ class Asked(Value):
         space: what is known.
         record: what became of what was open before.
         batch: what is asked for; no views: why what is open stays open, of all that the part may be.
-        least_gain: share of what was measured that each view must be expected to add, `Batch.worth` times.
+        min_gain: share of what was measured that each view must be expected to add, `Batch.worth` times.
         measured_area: of the believed surface, with a measured point beside it [m^2].
         came: how many times as much as expected came so far.
         cautious: whether views keep so far off that the part, where nobody looked, begins no nearer than the range.
@@ -43,7 +43,7 @@ class Asked(Value):
     space: VoxelSpace
     record: GainRecord
     batch: Batch
-    least_gain: float
+    min_gain: float
     measured_area: float = 0.0
     came: float = 1.0
     cautious: bool = False
@@ -53,7 +53,7 @@ class Asked(Value):
     @property
     def least_area(self) -> float:
         """What each view must be expected to add [m^2]."""
-        return self.batch.worth * self.least_gain * self.measured_area
+        return self.batch.worth * self.min_gain * self.measured_area
 
 
 def wanted(samples: SurfaceSamples, asked: Asked, most: int, scanner: Scanner, caster: RayCaster) -> SurfaceSamples:

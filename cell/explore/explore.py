@@ -139,7 +139,7 @@ def stays_open(work: Exploring, file: ExploreFile, known: Known) -> StillOpen | 
 def _on_believed(work: Exploring, file: ExploreFile, known: Known, batch: Batch) -> Path | StopReason:
     """Plan a batch on the boundary of unseen space; if keeping the minimum range yields nothing, plan without it."""
     number = len(file.stages) + 1
-    least = work.options.least_gain if number > 1 else 0.0
+    least = work.options.min_gain if number > 1 else 0.0
     part = belief.part_of(known.believed, work.name)
     asked = Asked(known.space, known.record, batch, least, _measured_area(file), _came(file))
     if keep_off(_nearness(file)):
@@ -162,7 +162,7 @@ def _on_measured(work: Exploring, file: ExploreFile, known: Known, batch: Batch)
         (s.views, s.expected_mm2 / 1e6 if s.planned_on == MEASURED else 0.0) for s in file.stages[-N_LATEST_BATCHES:]
     )
     asked = Asked(
-        known.space, known.record, batch, work.options.least_gain, _measured_area(file), poses=poses, latest=latest
+        known.space, known.record, batch, work.options.min_gain, _measured_area(file), poses=poses, latest=latest
     )
     return _stage(work, asked, number, belief.part_of(surface, work.name, MEASURED))
 

@@ -65,7 +65,7 @@ class ExploreOptions(Table):
     batch: Annotated[
         int, Field(ge=1), Option("Views that are planned and executed at a time (stepwise).", _EXPLORE)
     ] = 1
-    least_gain: Annotated[
+    min_gain: Annotated[
         Positive,
         Field(lt=1),
         Option(

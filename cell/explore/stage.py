@@ -223,7 +223,7 @@ def _select_and_connect(
     """Select a batch and plan its motion; views that cannot be connected are replaced by the best others."""
     batch = asked.batch
     if not batch.per_second or batch.views is None:
-        if asked.least_gain:  # the ring is planned for a cylinder: a better view of it gains nothing
+        if asked.min_gain:  # the ring is planned for a cylinder: a better view of it gains nothing
             before, problem = problem, with_better(problem, _views_worth_it(problem, asked), append)
             files.write_measured(session.folder, problem, before)
             limit = max(len(_views_worth_it(problem, asked)), 1)
@@ -268,5 +268,5 @@ def _too_little(plan: ConnectedPlan, asked: Asked) -> str:
     times = "" if asked.batch.worth == 1 else f"{asked.batch.worth:g} x "
     return (
         f"a further view is expected to add {100 * each / asked.measured_area:.3f} % of what was measured, less than "
-        f"{times}the {100 * asked.least_gain:g} % asked for"
+        f"{times}the {100 * asked.min_gain:g} % asked for"
     )

@@ -38,10 +38,10 @@ _Candidates = Annotated[tuple[str, ...], Field(strict=False)]
 class SetupOptions(Table):
     """Number and choice of the set-ups; each option states its default."""
 
-    most: Annotated[
+    max_setups: Annotated[
         int | None, Field(ge=1), Option("Largest number of set-ups. Default: as many as are needed.", _PANEL)
     ] = None
-    offer: Annotated[
+    proposals: Annotated[
         int | None,
         Field(ge=0),
         Option(
@@ -100,12 +100,12 @@ class SetupOptions(Table):
             )
         if plan.max_views is not None and len(self.pins) > plan.max_views:
             raise UsageError(f"{len(self.pins)} views are pinned and at most {plan.max_views} are allowed; pin fewer")
-        if self.most is not None and len({setup for setup, _ in self.pins}) > self.most:
-            raise UsageError(f"views of more than the {self.most} allowed set-ups are pinned; allow more")
+        if self.max_setups is not None and len({setup for setup, _ in self.pins}) > self.max_setups:
+            raise UsageError(f"views of more than the {self.max_setups} allowed set-ups are pinned; allow more")
         if self.setup_s is not None and plan.cost != "time":
             raise UsageError("--setup-seconds needs views with a cost in seconds; give --cost time as well")
-        if self.setup_s is not None and self.most is not None:
-            raise UsageError("--most and --setup-seconds both limit the number of set-ups; give one of them")
+        if self.setup_s is not None and self.max_setups is not None:
+            raise UsageError("--max-setups and --setup-seconds both limit the number of set-ups; give one of them")
 
 
 def format_candidate(candidate: tuple[int, int]) -> str:

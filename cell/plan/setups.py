@@ -170,7 +170,7 @@ def proposed_candidates(world: World, part: TriangleMesh, limit: int) -> list[Se
     if limit and world.table is not None and not world.table.upright:
         raise SceneError(
             "set-ups can only be proposed on an upright rotary table, and this one is tilted; give [[setup]] tables "
-            "with --offer 0, or leave table.abc_deg out"
+            "with --proposals 0, or leave table.abc_deg out"
         )
     placed = (world.T_base_object @ world.T_object_centre)[:3, :3]
     poses = [("as it is placed", placed)]
@@ -644,7 +644,7 @@ class SetupSearch:
     def _cover(self, *, fast: bool, start: Mapping[int, Ints] | None = None) -> GroupedCover:
         options = self._request.options
         return solve_grouped(
-            self._request.cover_problem(self._M, self._usable), self._targets, self._rng, max_groups=options.most,
+            self._request.cover_problem(self._M, self._usable), self._targets, self._rng, max_groups=options.max_setups,
             group_cost=options.setup_s, solver=self._request.request.plan.solver, fast=fast, start=start,
         )  # fmt: skip
 
@@ -892,7 +892,7 @@ def plan_setups(session: Session[None], scene: Scene, *, options: SetupOptions, 
     """
     options.check(scene)
     first = None if options.first is None else Run.open_finished(Path(options.first))
-    if options.offer == 0 and not scene.setup:
+    if options.proposals == 0 and not scene.setup:
         raise UsageError("there is no set-up candidate: give [[setup]] tables in the scene, or a larger --offer")
     with pipeline.open_run(session, scene, part, with_plots=scene.plan.curve) as run:
         run.conclude(_plan_setups(session, run.session, run.settled, options, first))
@@ -908,7 +908,7 @@ def _plan_setups(
             f"{first.folder} is a plan of the part {first.scene.part.name} with another mesh than {settled.part.name}; "
             "give a plan of the same part"
         )
-    limit = (0 if settled.scene.setup else N_PROPOSED) if options.offer is None else options.offer
+    limit = (0 if settled.scene.setup else N_PROPOSED) if options.proposals is None else options.proposals
     surface, candidates, tried = _try_candidates(session, settled, limit, first)
     setups = {row: found for row, found in enumerate(tried) if isinstance(found, Setup)}
     if not any(len(setup.measured.M.indices) for setup in setups.values()):

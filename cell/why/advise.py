@@ -120,8 +120,8 @@ def setup_command(run: Run, T_base_centre: Floats) -> str:
         part, units = run.scene.part, run.scene.part.units
         path = next((file.path for file in run.manifest.files or () if file.what == "part"), part.name)
         words = [path, *(["--units", units] if units else [])]
-    words = _without(words, "--place", "--out", "--offer", "--most", "--first")
-    first = ("--first", str(run.folder), "--offer", "1")
+    words = _without(words, "--place", "--out", "--proposals", "--max-setups", "--first")
+    first = ("--first", str(run.folder), "--proposals", "1")
     return shlex.join(["cell", "setups", *words, *first, "--place", format_placement(T_base_centre)])
 
 

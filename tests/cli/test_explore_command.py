@@ -212,7 +212,7 @@ def test_an_earlier_scan_that_is_gone_is_told_before_anything_moves(
     assert not (again / "stages" / "0002").exists()
 
 
-_MEASURED = (*PLACE, "--resolution", "0.5", "--ring", "3", "--batch", "1", "--max-views", "5", "--least-gain", "0.0003")
+_MEASURED = (*PLACE, "--resolution", "0.5", "--ring", "3", "--batch", "1", "--max-views", "5", "--min-gain", "0.0003")
 
 
 @pytest.fixture

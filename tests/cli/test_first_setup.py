@@ -17,7 +17,7 @@ Cell = Callable[..., Any]
 
 OPTIONS = (
     "--units", "mm", "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
-    "--candidates", "optimal-scanning-zone", "--coverage", "0.97", "--offer", "5",
+    "--candidates", "optimal-scanning-zone", "--coverage", "0.97", "--proposals", "5",
 )  # fmt: skip
 
 

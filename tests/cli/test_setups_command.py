@@ -82,10 +82,14 @@ def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: Cell) -> None:
         (("--pin", "0:3000"), 2, "candidate 0:3000: set-up 0 has candidates 0 to "),
         (("--pin", "0:3", "--ban", "0:3"), 2, "candidate 0:3 is pinned and banned"),
         (("--pin", "0:3,0:4", "--max-views", "1"), 2, "2 views are pinned and at most 1 are allowed"),
-        (("--pin", "0:3,1:4", "--most", "1"), 2, "views of more than the 1 set-ups that may be used are pinned"),
+        (("--pin", "0:3,1:4", "--max-setups", "1"), 2, "views of more than the 1 set-ups that may be used are pinned"),
         (("--setup-seconds", "60"), 2, "a set-up costs seconds only where views do; give --cost time as well"),
-        (("--setup-seconds", "60", "--cost", "time", "--most", "1"), 2, "both say how few set-ups there are to be"),
-        (("--offer", "0"), 2, "no set-up is offered: give [[setup]] tables in the scene"),
+        (
+            ("--setup-seconds", "60", "--cost", "time", "--max-setups", "1"),
+            2,
+            "both say how few set-ups there are to be",
+        ),
+        (("--proposals", "0"), 2, "no set-up is offered: give [[setup]] tables in the scene"),
         (("--place", "9000,0,100"), 4, "none of the 1 set-ups offered can be planned"),
     ],
 )
@@ -95,7 +99,7 @@ def test_what_cannot_be_is_said(
     """One sentence and a code; no finished folder is left."""
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "40", "--standoff", "250")
     small += ("--candidates", "optimal-scanning-zone")
-    done = run_cell("setups", part_file, *small, "--offer", "1", *options, "--out", "made", cwd=tmp_path)
+    done = run_cell("setups", part_file, *small, "--proposals", "1", *options, "--out", "made", cwd=tmp_path)
     assert done.returncode == code, done.stderr
     assert told in done.stderr
     assert not (tmp_path / "made").exists()
@@ -163,7 +167,8 @@ def test_wishes_are_asked_of_all_set_ups_together(part_file: Path, tmp_path: Pat
     """A pinned candidate brings its set-up, a banned one is not taken, and samples count from two views of any."""
     made = plan_setups(
         part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,
-        candidates="optimal-scanning-zone", offer=3, coverage=0.95, multiplicity=2, pin=["2:12"], ban=["0:4", "1:4"],
+        candidates="optimal-scanning-zone", proposals=3, coverage=0.95,
+        multiplicity=2, pin=["2:12"], ban=["0:4", "1:4"],
     )  # fmt: skip
     taken = {}
     twice: np.ndarray | int = 0
@@ -185,7 +190,7 @@ def test_the_curve_is_of_the_set_ups_that_are_used_and_each_is_visited_in_order(
     """Its views are named as pinned ones are and measure what it says; in each set-up views overlap earlier ones."""
     made = plan_setups(
         part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,
-        candidates="optimal-scanning-zone", offer=3, coverage=0.95, curve=True, overlap="5%", overlap_in_order=True,
+        candidates="optimal-scanning-zone", proposals=3, coverage=0.95, curve=True, overlap="5%", overlap_in_order=True,
     )  # fmt: skip
     matrices = {}
     for setup, folder in zip(made.file.chosen, made.folders, strict=True):
@@ -244,7 +249,7 @@ def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: Cell, t
 def test_faces_may_be_the_rows(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
     """`--fill rays`: every set-up has the planning mesh's faces as rows, and no samples are added to them."""
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "60", "--standoff", "250", "--coverage", "0.5")
-    wishes = ("--candidates", "optimal-scanning-zone", "--fill", "rays", "--offer", "2")
+    wishes = ("--candidates", "optimal-scanning-zone", "--fill", "rays", "--proposals", "2")
     done = run_cell("setups", part_file, *small, *wishes, "--out", "made", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     run = open_run(tmp_path / "made" / "setups" / "1")
@@ -258,7 +263,7 @@ def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell,
     trimesh.creation.icosphere(subdivisions=3, radius=60).export(tmp_path / "ball.stl")
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "30", "--samples", "1", "--standoff", "250")
     wishes = ("--candidates", "optimal-scanning-zone", "--coverage", "0.5")
-    done = run_cell("setups", "ball.stl", *small, *wishes, "--offer", "6", "--out", "made", cwd=tmp_path)
+    done = run_cell("setups", "ball.stl", *small, *wishes, "--proposals", "6", "--out", "made", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "the part has no other stable pose: the only candidate is the part as it is placed, turned," in done.stderr
     assert len(json.loads((tmp_path / "made" / "setups.json").read_text())["offered"]) == 4

@@ -42,7 +42,7 @@ def folder(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Pa
         (at / "cell.toml").write_text(SCENE.format(part=part_file))
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("planner.cover.DEFAULT_EFFORT", 30_000_000)  # the small part is soon proven
-            done = run_cell("setups", "--scene", "cell.toml", "--offer", "3", "--out", "made", cwd=at)
+            done = run_cell("setups", "--scene", "cell.toml", "--proposals", "3", "--out", "made", cwd=at)
         assert done.returncode == 0, done.stderr
         (at / "said").write_text(done.stdout + done.stderr)
 

@@ -249,14 +249,14 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     monkeypatch.setattr(explore, "continued", lambda scans, space, solid: balls)
     monkeypatch.setattr(explore, "_stage", lambda work, asked, number, part: (asked, number, part))
     (tmp_path / "stages").mkdir()
-    work: Any = SimpleNamespace(paths=Paths(tmp_path), options=SimpleNamespace(least_gain=0.25), name="balls")
+    work: Any = SimpleNamespace(paths=Paths(tmp_path), options=SimpleNamespace(min_gain=0.25), name="balls")
     known: Any = SimpleNamespace(space=UNKNOWN, record=GainRecord.empty(), scans=scans, solid=None, believed=balls)
     told = {"expected_mm2": 1.0, "new_mm2": 3.0, "measured_mm2": 7.0, "too_near_mm2": 0.4, "planned_on": BELIEVED}
     told["views"] = 1
     stages = [SimpleNamespace(**told)] * 2
     file, first = SimpleNamespace(stages=stages), SimpleNamespace(stages=[])
     believed: Any = explore._on_believed(work, file, known, Batch(1, worth=3.0))
-    assert (believed[0].poses, believed[0].least_gain, believed[0].came) == (None, 0.25, 2.0)
+    assert (believed[0].poses, believed[0].min_gain, believed[0].came) == (None, 0.25, 2.0)
     assert believed[0].measured_area == pytest.approx(7e-6)
     assert believed[0].least_area == pytest.approx(3 * 0.25 * 7e-6)
     assert (believed[1], believed[2].name) == (3, "balls as believed")
@@ -274,10 +274,10 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
         now.setattr(explore, "_stage", nothing_from_afar)
         assert not explore._on_believed(work, near, known, Batch(1))[0].cautious  # type: ignore[index]
     begun: Any = explore._on_believed(work, first, known, Batch(1))
-    assert (begun[0].least_gain, begun[0].came, begun[1]) == (0.0, 1.0, 1)
+    assert (begun[0].min_gain, begun[0].came, begun[1]) == (0.0, 1.0, 1)
     on: Any = explore._on_measured(work, file, known, Batch(1, worth=2.0))
     assert np.array_equal(on[0].poses, _poses()[:2])
-    assert (on[0].least_gain, on[0].least_area, on[0].came) == (0.25, pytest.approx(2 * 0.25 * 7e-6), 1.0)
+    assert (on[0].min_gain, on[0].least_area, on[0].came) == (0.25, pytest.approx(2 * 0.25 * 7e-6), 1.0)
     assert (on[1], on[2].name, on[2].reference) == (3, "balls as measured", balls)
     assert work.paths.measured(3).read_bytes() == ply.mesh_bytes(balls)
     assert on[0].latest == ((1, 0.0), (1, 0.0))
