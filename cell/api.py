@@ -101,7 +101,7 @@ def plan_setups(
         use_cache: as for `plan`.
         progress: told how far the work is; None works in silence.
         argv: kept in the manifests.
-        **wishes: options of `cell setups` by name: `place=(1200, 500, 0)`, `max_setups=2`, `proposals=8`, `pin=["2:17"]`.
+        **wishes: options of `cell setups` by name: `place=(1200, 500, 0)`, `max_setups=2`, `proposals=8`.
 
     Raises:
         CellError: in one sentence; the folder keeps what was finished.
