@@ -1,4 +1,4 @@
-"""Laws of swept line sensors."""
+"""Properties of swept line sensors."""
 
 import numpy as np
 from hypothesis import given
@@ -15,12 +15,12 @@ def _in_pose(points: np.ndarray, normals: np.ndarray, T: np.ndarray) -> tuple[np
 
 
 def _by_pose(scanner: LaserLine, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """(K, N) measured by each pose, the conditions that need no ray; viewpoint at the identity."""
+    """Return (K, N) whether each pose has each point in view; viewpoint at the identity."""
     return np.array([scanner.reject(*_in_pose(points, normals, T)) == MEASURED for T in scanner.T_view_scanner])
 
 
 def _bumpy(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points with normals that mostly face the scanner, in and about its volume."""
+    """Return points with normals that mostly face the scanner, in and about its volume."""
     points = rng.uniform([-0.15, -0.12, 0.2], [0.15, 0.12, 0.45], size=(count, 3))
     normals = rng.normal(size=(count, 3)) * 0.8 - [0, 0, 1]
     return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
@@ -33,7 +33,7 @@ _sweeps = st.one_of(
 
 @given(sweep=_sweeps, steps=st.integers(1, 24), seed=st.integers(0, 2**32 - 1))
 def test_the_poses_tile_the_sweep(sweep: dict, steps: int, seed: int) -> None:
-    """Where only the sheet decides, each point of the swept volume belongs to exactly one pose, any other to none."""
+    """If only the sheet decides, each point of the swept volume belongs to exactly one pose, any other to none."""
     scanner = LaserLine(
         fan_deg=179, range_mm=(0.001, 5000), baseline_mm=0, grazing_max_deg=90, sweep_steps=steps, **sweep
     )

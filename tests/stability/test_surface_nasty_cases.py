@@ -1,4 +1,4 @@
-"""Nasty meshes by name: decimation, sampling and viewpoints hold their promises where such methods tend to fail."""
+"""Nasty meshes by name: guarantees of decimation, sampling and viewpoints where such methods tend to fail."""
 
 from collections.abc import Callable
 
@@ -39,7 +39,7 @@ def far_away() -> trimesh.Trimesh:
 
 
 def microscopic() -> trimesh.Trimesh:
-    """A part of 20 um, as when the units were taken for another."""
+    """A part of 20 um, as with confused units."""
     return trimesh.creation.icosphere(subdivisions=4, radius=1e-5)
 
 
@@ -75,7 +75,7 @@ def touching_cubes() -> trimesh.Trimesh:
 
 
 def one_triangle() -> trimesh.Trimesh:
-    """The least surface there is."""
+    """The smallest surface."""
     return trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], [[0, 1, 2]], process=False)
 
 
@@ -109,8 +109,8 @@ def _distance(points: np.ndarray, triangles: np.ndarray, extent: float) -> np.nd
 
 @pytest.mark.parametrize("face_count", [30, 300])
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
-def test_promises_hold_on_nasty_meshes(case: Callable[[], trimesh.Trimesh], face_count: int) -> None:
-    """Whatever the mesh: the planning mesh is clean, samples are on the surface, tags are near, poses are rotations."""
+def test_guarantees_hold_on_nasty_meshes(case: Callable[[], trimesh.Trimesh], face_count: int) -> None:
+    """For any mesh: the planning mesh is clean, samples are on the surface, faces are near, poses are rotations."""
     body = case()
     reference = TriangleMesh(body.vertices, body.faces)
     planning = decimate(reference, face_count)
@@ -138,8 +138,8 @@ def test_promises_hold_on_nasty_meshes(case: Callable[[], trimesh.Trimesh], face
     comparable = np.isfinite(nearest)
     assert (chosen[comparable] - nearest[comparable] < 0.05 * extent).all()
 
-    features = samples_at_face_centres(reference, planning)
-    assert ((features.face >= 0) & (features.face < len(reference.faces))).all()
+    samples_at_centres = samples_at_face_centres(reference, planning)
+    assert ((samples_at_centres.face >= 0) & (samples_at_centres.face < len(reference.faces))).all()
     viewpoints = optimal_scanning_zone(planning, [3 * extent], [0.0, 1.0])
     R = viewpoints.T_object_scanner[:, 0, :3, :3]
     assert len(viewpoints) == 2 * len(planning.faces)
@@ -159,10 +159,10 @@ def test_place_and_size_do_not_change_the_decimation(case: Callable[[], trimesh.
 
 
 @pytest.mark.parametrize(("case", "face_count"), [(thin_plate, 30), (thin_plate, 300), (sliver_cylinder, 100)])
-def test_what_one_collapse_does_not_bring_down_comes_near_the_count(
+def test_meshes_that_resist_the_collapse_come_near_the_count(
     case: Callable[[], trimesh.Trimesh], face_count: int
 ) -> None:
-    """Twice the faces at most, whichever copy had to be mended; and the area of the part to a fifth."""
+    """At most twice the faces, and the area of the part to a fifth."""
     body = case()
     planning = decimate(TriangleMesh(body.vertices, body.faces), face_count)
     assert len(planning.faces) <= 2 * face_count

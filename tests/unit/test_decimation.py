@@ -19,19 +19,19 @@ from planner.geometry.mesh import TriangleMesh
 
 
 def sphere(subdivisions: int = 4, radius: float = 0.1) -> TriangleMesh:
-    """An icosphere [m]."""
+    """Return an icosphere [m]."""
     ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
     return TriangleMesh(ball.vertices, ball.faces)
 
 
 def box(x: float = 0.1, y: float = 0.2, z: float = 0.3) -> TriangleMesh:
-    """A box of twelve faces about the origin [m]."""
+    """Return a box of twelve faces about the origin [m]."""
     body = trimesh.creation.box(extents=(x, y, z))
     return TriangleMesh(body.vertices, body.faces)
 
 
 def with_zero_area_faces(mesh: TriangleMesh) -> TriangleMesh:
-    """The mesh with a degenerate face before, between and after its own."""
+    """Return the mesh with a degenerate face before, between and after its own."""
     first, *_, last = mesh.faces
     slivers = [[first[0], first[0], first[1]], [last[0], last[1], last[1]], [last[2], last[2], last[2]]]
     half = len(mesh.faces) // 2
@@ -61,7 +61,7 @@ def test_decimation_does_not_depend_on_the_unit() -> None:
 
 
 def test_decimation_of_a_mesh_that_is_coarse_already_only_cleans_it() -> None:
-    """Asked for more faces than there are, the mesh comes back without its degenerate and repeated faces."""
+    """With a larger count than its faces, the mesh only loses its degenerate and repeated faces."""
     dirty = with_zero_area_faces(box())
     repeated = TriangleMesh(dirty.vertices, np.vstack([dirty.faces, dirty.faces[5:7, [1, 2, 0]]]))
     clean = decimate(repeated, 12)
@@ -71,7 +71,7 @@ def test_decimation_of_a_mesh_that_is_coarse_already_only_cleans_it() -> None:
 
 
 def test_decimation_from_several_threads_is_that_from_one() -> None:
-    """The library keeps its mesh in globals; our lock makes concurrent calls give what single ones give."""
+    """The library keeps its mesh in globals; our lock makes concurrent calls equal to single ones."""
     meshes = [sphere(3, radius) for radius in (0.1, 0.2, 0.3, 0.4)]
     alone = [decimate(mesh, 200) for mesh in meshes]
     together: list[TriangleMesh | None] = [None] * 4
@@ -91,13 +91,13 @@ def test_decimation_from_several_threads_is_that_from_one() -> None:
 
 
 def test_decimation_to_no_faces_is_refused() -> None:
-    """A count below 1 is an error of the caller."""
+    """A count below 1 is an error."""
     with pytest.raises(PlannerError, match="at least 1"):
         decimate(box(), 0)
 
 
 def test_a_mesh_of_few_large_faces_is_split_on_its_surface() -> None:
-    """A box of 12 triangles asked for 1000 gives about so many, all on the box, with its area and closed."""
+    """A box of 12 triangles decimated to 1000 has about 1000 faces, all on the box, with its area and closed."""
     mesh = box()
     planning = decimate(mesh, 1000)
     assert 500 < len(planning.faces) < 1500
@@ -129,8 +129,8 @@ def test_no_copy_of_few_faces_or_thin_walls():
     assert cluster_vertices(sphere(), 5000) is None
 
 
-def test_faces_that_lie_on_each_other_cancel_by_winding():
-    """A fold vanishes; of three sheets, two of them one way, one is left that way, whichever comes first."""
+def test_coincident_faces_cancel_by_winding():
+    """A fold vanishes; of three sheets, two with one winding, one with this winding remains in any order."""
     one, other = [0, 1, 2], [2, 1, 0]
     rest = [4, 3, 5]
     for on_each_other, left in (([one, other], None), ([one, one, other], one), ([other, one, one], one)):
@@ -139,7 +139,7 @@ def test_faces_that_lie_on_each_other_cancel_by_winding():
 
 
 def test_a_mesh_of_very_many_faces_is_decimated_to_the_count():
-    """Through the copy: the count is met, the volume kept."""
+    """With clustering: the count is met, the volume kept."""
     ball = trimesh.creation.icosphere(subdivisions=8, radius=0.05)
     copy = decimate(TriangleMesh(ball.vertices, ball.faces), 900)
     assert abs(len(copy.faces) - 900) <= 20
@@ -147,17 +147,17 @@ def test_a_mesh_of_very_many_faces_is_decimated_to_the_count():
 
 
 def needles() -> trimesh.Trimesh:
-    """A CAD cylinder: 400 needles from end to end and 400 about the centre of each lid."""
+    """Return a CAD cylinder: 400 needles from end to end and 400 about the centre of each lid."""
     return trimesh.creation.cylinder(radius=0.03, height=0.25, sections=400)
 
 
 def closed_ball() -> trimesh.Trimesh:
-    """A ball of 5120 faces."""
+    """Return a ball of 5120 faces."""
     return trimesh.creation.icosphere(subdivisions=4, radius=0.1)
 
 
 def as_mesh(vertices: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
-    """For measuring."""
+    """Return a mesh for measurements."""
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
@@ -215,8 +215,8 @@ def test_a_torus_keeps_its_hole() -> None:
     assert as_mesh(vertices, faces).is_watertight
 
 
-def test_needles_become_stout() -> None:
-    """Of the cylinder's needles (a hundredth as wide as long) none is left, and the shape is kept."""
+def test_remeshing_removes_needles() -> None:
+    """No needle of the cylinder (a hundredth as wide as long) is left, and the shape is kept."""
     body = needles()
     vertices, faces = remesh(np.array(body.vertices), np.array(body.faces, np.int32), 0.01)
     corners = vertices[faces]
@@ -234,7 +234,7 @@ def test_needles_become_stout() -> None:
     ids=["cylinder", "tube"],
 )
 def test_a_cad_mesh_of_needles_reaches_its_count(body: trimesh.Trimesh, face_count: int) -> None:
-    """Where the collapse alone gets stuck at the start, the planning mesh has the count that was asked for."""
+    """The planning mesh has the wanted count although the collapse alone gets stuck at the start."""
     planning = decimate(TriangleMesh(body.vertices, body.faces), face_count)
     assert abs(len(planning.faces) - face_count) <= 2 + 0.02 * face_count
     result = as_mesh(planning.vertices, planning.faces)

@@ -13,19 +13,19 @@ from planner.geometry.sampling import draw_samples, samples_at_face_centres
 
 
 def sphere(subdivisions: int = 4, radius: float = 0.1) -> TriangleMesh:
-    """An icosphere [m]."""
+    """Return an icosphere [m]."""
     ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
     return TriangleMesh(ball.vertices, ball.faces)
 
 
 def box(x: float = 0.1, y: float = 0.2, z: float = 0.3) -> TriangleMesh:
-    """A box of twelve faces about the origin [m]."""
+    """Return a box of twelve faces about the origin [m]."""
     body = trimesh.creation.box(extents=(x, y, z))
     return TriangleMesh(body.vertices, body.faces)
 
 
 def with_zero_area_faces(mesh: TriangleMesh) -> TriangleMesh:
-    """The mesh with a degenerate face before, between and after its own."""
+    """Return the mesh with a degenerate face before, between and after its own."""
     first, *_, last = mesh.faces
     slivers = [[first[0], first[0], first[1]], [last[0], last[1], last[1]], [last[2], last[2], last[2]]]
     half = len(mesh.faces) // 2
@@ -64,7 +64,7 @@ def test_a_face_without_area_has_normal_zero() -> None:
     ids=["no faces", "index too large", "index negative", "NaN", "infinity", "two columns"],
 )
 def test_a_broken_mesh_is_refused_with_its_reason(vertices: object, faces: object, message: str) -> None:
-    """TriangleMesh names what is wrong and what would be valid."""
+    """The message names the reason and the valid values."""
     with pytest.raises(PlannerError, match=message):
         TriangleMesh(vertices, faces)  # type: ignore[arg-type]
 
@@ -80,7 +80,7 @@ def test_samples_never_lie_on_a_face_without_area() -> None:
 
 
 def test_samples_are_tagged_with_the_planning_face_that_they_lie_on() -> None:
-    """Where planning and reference mesh are the same box, the planning face is the face itself."""
+    """With the same box as planning and reference mesh, the planning face is the face itself."""
     mesh = box()
     samples = draw_samples(mesh, mesh, 5000, np.random.default_rng(2))
     points = np.repeat(samples.points, 12, axis=0)
@@ -92,7 +92,7 @@ def test_samples_are_tagged_with_the_planning_face_that_they_lie_on() -> None:
 
 
 def test_the_two_sides_of_a_thin_wall_are_kept_apart() -> None:
-    """On a plate of 0.1 mm, far thinner than a planning face, every sample's planning face looks its way."""
+    """On a plate of 0.1 mm, far thinner than a planning face, the planning face of every sample has its side."""
     plate = trimesh.creation.box(extents=(0.1, 0.1, 0.0001)).subdivide().subdivide().subdivide()
     reference = TriangleMesh(plate.vertices, plate.faces)
     planning = box(0.1, 0.1, 0.0002)
@@ -101,22 +101,22 @@ def test_the_two_sides_of_a_thin_wall_are_kept_apart() -> None:
     assert (agreement > 0.99).all()
 
 
-def test_face_features_are_the_planning_faces() -> None:
+def test_samples_at_face_centres_are_the_planning_faces() -> None:
     """One row per planning face: its centre, its normal, its area; the reference face is the one beneath."""
     fine = sphere()
     coarse = decimate(fine, 500)
-    features = samples_at_face_centres(fine, coarse)
-    assert len(features) == len(coarse.faces)
-    assert (features.planning_face == np.arange(len(coarse.faces))).all()
-    assert features.areas.sum() == pytest.approx(coarse.areas.sum(), rel=1e-12)
-    direction = features.points / np.linalg.norm(features.points, axis=1, keepdims=True)
-    below = fine.centres[features.face]
+    samples = samples_at_face_centres(fine, coarse)
+    assert len(samples) == len(coarse.faces)
+    assert (samples.planning_face == np.arange(len(coarse.faces))).all()
+    assert samples.areas.sum() == pytest.approx(coarse.areas.sum(), rel=1e-12)
+    direction = samples.points / np.linalg.norm(samples.points, axis=1, keepdims=True)
+    below = fine.centres[samples.face]
     below /= np.linalg.norm(below, axis=1, keepdims=True)
     assert np.arccos(np.clip(np.einsum("fj,fj->f", direction, below), -1, 1)).max() < np.deg2rad(4)
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
-    """Samples depend on the generator's state alone."""
+    """Samples depend on the state of the generator only."""
     fine = sphere(3)
     coarse = decimate(fine, 200)
     one, two, other = (draw_samples(fine, coarse, 1000, np.random.default_rng(seed)) for seed in (5, 5, 6))
@@ -127,13 +127,13 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 
 @pytest.mark.parametrize("count", [0, -3])
 def test_no_samples_is_refused(count: int) -> None:
-    """A count below 1 is an error of the caller."""
+    """A count below 1 is an error."""
     with pytest.raises(PlannerError, match="at least 1 sample"):
         draw_samples(box(), box(), count, np.random.default_rng(0))
 
 
 def test_a_surface_without_area_is_refused() -> None:
-    """Only degenerate faces: there is nothing to sample, and the sentence says so."""
+    """Only degenerate faces: there is nothing to sample."""
     flat = TriangleMesh(np.zeros((3, 3)), [[0, 1, 2]])  # type: ignore[arg-type]
     with pytest.raises(PlannerError, match="no area"):
         draw_samples(flat, flat, 10, np.random.default_rng(0))
@@ -141,7 +141,7 @@ def test_a_surface_without_area_is_refused() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 2), st.sampled_from([-0.7, -0.2, 0.0, 0.1, 0.85, 2.0])), max_size=4))
 def test_cuts_leave_the_surface_as_it_was(planes: list[tuple[int, float]]) -> None:
-    """Area of each triangle, closedness and winding stay; nothing crosses a plane; parents are told truly."""
+    """Area of each triangle, closedness and winding stay; no triangle crosses a plane; parents are correct."""
     mesh = sphere(2, 1.0)
     parent = np.arange(len(mesh.faces))
     pieces = mesh

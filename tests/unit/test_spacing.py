@@ -1,4 +1,4 @@
-"""How far apart a scan's points lie: the law against rays, as a condition, and what a plan's views give."""
+"""Spacing of the points of a scan: compared with rays, as a condition, and for the views of a plan."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ AREA = LaserArea(fov_deg=(60, 40), resolution_deg=(0.02, 0.05), range_mm=(1, 200
 
 
 def _planes(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points in the field of view with normals that face the source, up to 80 degrees from it."""
+    """Return points in the field of view with normals up to 80 degrees from the source."""
     angles = np.radians(rng.uniform([-28, -18], [28, 18], (count, 2)))
     depth = rng.uniform(0.1, 0.6, count)
     points = np.stack([depth * np.tan(angles[:, 0]), depth * np.tan(angles[:, 1]), depth], axis=1)
@@ -28,12 +28,12 @@ def _planes(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarra
 
 
 def _met(direction: np.ndarray, origin: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Where a ray meets the plane through a point."""
+    """Return the intersection of a ray with the plane through a point."""
     return origin + direction * ((point - origin) @ normal) / (direction @ normal)
 
 
 def test_the_spacing_of_an_area_scanner_is_that_of_its_neighbouring_rays() -> None:
-    """Against planes that rays half a step to either side are met with, 500 places and inclinations."""
+    """Compared with intersections of rays half a step to either side, at 500 places and inclinations."""
     points, normals = _planes(np.random.default_rng(1), 500)
     for point, normal, told in zip(points, normals, AREA.spacing(points, normals), strict=True):
         gaps = []
@@ -62,7 +62,7 @@ def test_the_grid_that_is_scanned_has_the_spacing_that_is_told() -> None:
 
 @pytest.mark.parametrize("sweep", [{"sweep_mm": 120.0}, {"sweep_deg": 30.0}])
 def test_the_spacing_of_a_line_sensor_is_along_its_line_and_to_the_next_one(sweep: dict[str, float]) -> None:
-    """Against planes: a neighbouring ray of the sheet, and the same ray of the next line at full speed."""
+    """Compared with planes: a neighbouring ray of the sheet, and the same ray of the next line at full speed."""
     line = LaserLine(fan_deg=30, line_points=4000, range_mm=(50, 800), profile_rate_hz=500.0, **sweep)
     points, normals = _planes(np.random.default_rng(2), 300)
     points[:, 0] = 0.0
@@ -89,7 +89,7 @@ def test_the_spacing_of_a_line_sensor_is_along_its_line_and_to_the_next_one(swee
 
 @pytest.mark.parametrize("limit_mm", [0.2, 0.5, 2.0])
 def test_the_limit_refuses_what_is_sparser_and_nothing_else(limit_mm: float) -> None:
-    """Of what all other conditions let pass exactly the points above the limit; the limit itself is allowed."""
+    """Among points that pass all other conditions, exactly those above the limit are rejected."""
     points, normals = _planes(np.random.default_rng(3), 2000)
     for free, limited in (
         (AREA, LaserArea(**_keys(AREA), max_spacing_mm=limit_mm)),
@@ -119,7 +119,7 @@ def test_what_does_not_face_the_source_has_no_spacing() -> None:
 
 
 def test_what_is_not_known_is_asked_for() -> None:
-    """A line sensor without its rate knows no spacing, and cannot limit it; a limit is above 0."""
+    """A line sensor without its rate has no spacing and no limit on it; a limit is above 0."""
     assert LaserLine().spacing is None
     with pytest.raises(SceneError, match=r"set scanner\.profile_rate_hz"):
         LaserLine(max_spacing_mm=1.0)
@@ -131,7 +131,7 @@ def test_what_is_not_known_is_asked_for() -> None:
     "scanner", [LaserArea(), LaserArea(fov_deg=(90, 90), resolution_deg=(0.1, 0.1)), LaserLine(profile_rate_hz=50.0)]
 )
 def test_a_limit_that_no_surface_keeps_is_refused(scanner: LaserArea | LaserLine) -> None:
-    """Down to the densest that any inclination has anywhere in the range and the field of view; not below."""
+    """A limit is accepted down to the smallest spacing in range and field of view, not below."""
     rng = np.random.default_rng(7)
     angles = np.radians(rng.uniform(-45, 45, (200_000, 2)))
     points = np.stack([np.tan(angles[:, 0]), np.tan(angles[:, 1]), np.ones(len(angles))], axis=1)
@@ -165,7 +165,7 @@ def test_of_several_views_the_densest_that_measures_counts() -> None:
 
 
 def test_dense_coverage_against_all_pairs() -> None:
-    """A sample counts with a point within 1.5 times its own spacing, and without a spacing never."""
+    """A sample counts with a point within 1.5 times its own spacing, and never without a spacing."""
     rng = np.random.default_rng(5)
     square = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]])
     plate = TriangleMesh(square, np.array([[0, 1, 2], [0, 2, 3]]))

@@ -34,7 +34,7 @@ class Known(Value):
 
 
 def motion(**changes: object) -> Motion:
-    """A value that is right but for the changes."""
+    """Return a valid value with changes."""
     fields = {
         "via": np.zeros((2, 6)),
         "pose": [0, -1],
@@ -65,13 +65,13 @@ NASTY = {
 
 @pytest.mark.parametrize(("changes", "sentence"), NASTY.values(), ids=list(NASTY))
 def test_what_does_not_fit_is_refused(changes: dict[str, object], sentence: str) -> None:
-    """The error names the array, its shape and the one it must have."""
+    """The error names the array, its shape and the required one."""
     with pytest.raises(PlannerError, match=re.escape(sentence)):
         motion(**changes)
 
 
 def test_arrays_are_cast_copies_that_nobody_can_write() -> None:
-    """A later change of what was given does not reach the value, and the value's own arrays refuse changes."""
+    """Later changes of the arguments do not affect the value, and its own arrays are read-only."""
     given = np.asfortranarray(np.arange(12.0).reshape(2, 6))
     value = motion(via=given, sigma=[1, np.inf])
     given[:] = -1.0
@@ -87,7 +87,7 @@ def test_arrays_are_cast_copies_that_nobody_can_write() -> None:
 
 
 def test_empty_arrays_and_none_are_values() -> None:
-    """Length 0 is a length like any other, and a field that may be None may be left out."""
+    """Length 0 is valid, and a field that may be None may be left out."""
     empty = motion(
         via=np.zeros((0, 6)), pose=[], start=[0], names=(), square=np.zeros((0, 0)), anything=np.ones((0, 2))
     )
@@ -96,14 +96,14 @@ def test_empty_arrays_and_none_are_values() -> None:
 
 
 def test_lengths_known_from_elsewhere_count() -> None:
-    """A length that the value gives by name binds the arrays that have it."""
+    """A length given by name applies to all arrays that have it."""
     assert len(Known(np.arange(3)).rows) == 3
     with pytest.raises(PlannerError, match=re.escape("rows has shape (4,); it must be (3,)")):
         Known(np.arange(4))
 
 
 def test_a_single_array_says_the_same_sentences() -> None:
-    """`readonly` copies, refuses and words as a value does."""
+    """`readonly` copies and refuses like a value, with the same messages."""
     given = np.zeros((2, 3))
     taken = readonly("ends", given, (None, 3))
     assert not np.shares_memory(taken, given)

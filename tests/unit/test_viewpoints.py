@@ -20,14 +20,14 @@ from planner.viewpoints.viewpoints import (
 
 
 def ball(subdivisions: int = 2) -> TriangleMesh:
-    """A turned icosphere of radius 0.1 m off the origin."""
+    """Return a rotated icosphere of radius 0.1 m off the origin."""
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.1)
     turned = trimesh.transformations.rotation_matrix(0.3, [1, 2, 3])[:3, :3]
     return TriangleMesh(mesh.vertices @ turned.T + [0.5, -0.2, 0.1], mesh.faces)
 
 
 def assert_proper(viewpoints: Viewpoints) -> None:
-    """Every pose is a rotation and a translation."""
+    """Require every pose to be a rotation and a translation."""
     R = viewpoints.T_object_scanner[:, 0, :3, :3]
     assert np.abs(np.einsum("vji,vjk->vik", R, R) - np.eye(3)).max() < 1e-12
     assert np.linalg.det(R) == pytest.approx(1.0, abs=1e-12)
@@ -96,7 +96,7 @@ def test_a_nearly_flat_top_does_not_scatter_its_baselines() -> None:
 
 @given(st.floats(-1e-2, 1e-2), st.floats(-1e-2, 1e-2), st.sampled_from([1.0, -1.0]))
 def test_rotations_are_proper_near_the_z_axis(x: float, y: float, z: float) -> None:
-    """However close the view is to the z axis, the pose is a rotation to 1e-12 and looks where it should."""
+    """For any view close to the z axis, the pose is a rotation to 1e-12 with the right direction."""
     normal = np.array([x, y, z]) / np.linalg.norm([x, y, z])
     first = np.cross(normal, [0, 1, 0])
     mesh = TriangleMesh(np.stack([np.zeros(3), first, np.cross(normal, first)]), np.array([[0, 1, 2]]))
@@ -163,7 +163,7 @@ def test_the_enclosing_radius_encloses_and_touches() -> None:
     ids=["no standoff", "standoff 0", "standoff infinite", "no roll", "radius", "step_x", "step_y"],
 )
 def test_impossible_arguments_are_refused(call: object, message: str) -> None:
-    """The sentence names the argument and what would be valid."""
+    """The message names the argument and the valid values."""
     with pytest.raises(PlannerError, match=message):
         call()  # type: ignore[operator]
 
