@@ -1,7 +1,7 @@
-"""Scanners by name: plug-ins of the entry-point group `cell.scanners`, imported only when chosen.
+"""Scanner plug-ins by name, from the entry-point group `cell.scanners`; a plug-in is imported only when it is used.
 
-A plug-in is a class that implements `ScannerPlugin`. The arguments of the class are its keys in the scene's `[scanner]`
-table. Another distribution adds one with
+A plug-in is a class that implements `ScannerPlugin`. Its arguments are the keys of the scene's `[scanner]` table.
+Another distribution adds one with
 
     [project.entry-points."cell.scanners"]
     my-scanner = "my_package.my_module:MyScanner"
@@ -29,58 +29,58 @@ if TYPE_CHECKING:
 GROUP = "cell.scanners"
 
 Values = Mapping[str, Any]
-"""Arguments of a scanner's class by name (`_mm`, `_deg`): what they are, only the class knows."""
+"""Arguments of a scanner's class by name (`_mm`, `_deg`)."""
 
 _MEMBERS = ("source", "sensor", "grid_shape", "ray_directions", "reject", "parameters")
 
 
 class ScannerPlugin(Scanner, Protocol):
-    """A scanner that can be written down.
+    """A sensor model that can be stored and created again.
 
-    It may have more: `T_view_scanner`, the (K, 4, 4) poses of a sweep about a viewpoint [m], makes each viewpoint a
-    column of K poses; `sigma`, the expected standard deviation of a point (`planner.ports.SigmaScanner`).
+    Optional members: `T_view_scanner`, the (K, 4, 4) poses of a sweep about a viewpoint [m], makes each viewpoint a
+    column of K poses; `sigma` is the expected standard deviation of a point (`planner.ports.SigmaScanner`).
     """
 
     def parameters(self) -> "dict[str, JsonValue]":
-        """What defines this scanner, JSON types: calling the class with them makes it again (`type` aside).
+        """Return the arguments that create this scanner again, as JSON types; `type` may be among them.
 
-        The matrix cache takes equal parameters for equal scanners. `fov_deg` and `range_mm` are drawn in pictures.
+        Equal parameters mean equal scanners to the matrix cache. Pictures show `fov_deg` and `range_mm`.
         """
         ...
 
 
 def names() -> tuple[str, ...]:
-    """Names of all installed scanners, sorted; nothing is imported."""
+    """Return the names of all installed scanners, sorted, without importing them."""
     return tuple(sorted({point.name for point in _installed(entry_points, tuple(sys.path))}))
 
 
 def load(name: str) -> type:
-    """Import the class of one scanner.
+    """Import the class of a scanner.
 
     Args:
         name: the scene's `scanner.type`, such as "laser-area".
 
     Raises:
-        SceneError: if no installed distribution offers the name, two do, or the one that does cannot be imported.
+        SceneError: if no or several installed distributions offer the name, or the plug-in cannot be imported.
     """
-    point = _offered(name)
+    point = _entry_point(name)
     try:
-        chosen = point.load()
-    except Exception as error:  # a foreign plug-in may fail in any way at import
+        scanner_class = point.load()
+    except Exception as error:  # a third-party plug-in may fail in any way at import
         raise SceneError(
             f"scanner type '{name}' of distribution {_distribution(point)} cannot be imported from {point.value}: "
             f"{type(error).__name__}: {error}; repair or uninstall that distribution"
         ) from error
-    if not isinstance(chosen, type):
+    if not isinstance(scanner_class, type):
         raise SceneError(
             f"scanner type '{name}' of distribution {_distribution(point)} is {point.value}, which is no class; "
             "a scanner is a class that implements cell.scanners.ScannerPlugin"
         )
-    return chosen
+    return scanner_class
 
 
 def keys(name: str) -> tuple[str, ...] | None:
-    """Keys of a scanner in the scene: the arguments of its class; None where it takes any (`**keys`).
+    """Return the keys of a scanner in the scene: the arguments of its class; None if it takes any (`**keys`).
 
     Raises:
         SceneError: as `load`.
@@ -96,65 +96,63 @@ def keys(name: str) -> tuple[str, ...] | None:
 
 
 def make(name: str, values: Values) -> ScannerPlugin:
-    """Make a scanner and look at whether it is one.
+    """Create a scanner, and check that it implements the protocol.
 
     Args:
         name: the scene's `scanner.type`.
-        values: of its keys.
+        values: arguments of its class.
 
     Raises:
-        SceneError: if the class refuses the values, lacks a member of the protocol, or its parameters cannot be
-            written down; the message names the distribution.
+        SceneError: if the class refuses the values, has not all members of the protocol, or its parameters are not
+            JSON types; the message names the distribution.
     """
-    kind = load(name)
-    whose = f"scanner type '{name}' of distribution {_distribution(_offered(name))}"
+    scanner_class = load(name)
+    plugin = f"scanner type '{name}' of distribution {_distribution(_entry_point(name))}"
     try:
-        scanner = kind(**values)
+        scanner = scanner_class(**values)
         missing = [member for member in _MEMBERS if not hasattr(scanner, member)]
         parameters = None if missing else scanner.parameters()
     except CellError:
-        raise  # the plug-in's own sentence about a value
-    except Exception as error:  # a foreign plug-in may fail in any way
+        raise  # the plug-in's own message about a value
+    except Exception as error:  # a third-party plug-in may fail in any way
         raise SceneError(
-            f"{whose} cannot be made of {', '.join(values) or 'no keys'}: {type(error).__name__}: {error}; repair or "
-            "uninstall that distribution"
+            f"{plugin} cannot be created with {', '.join(values) or 'no keys'}: {type(error).__name__}: {error}; repair "
+            "or uninstall that distribution"
         ) from error
     if missing:
         raise SceneError(
-            f"{whose} lacks {', '.join(missing)}; a scanner has {', '.join(_MEMBERS)} (cell.scanners.ScannerPlugin)"
+            f"{plugin} has no {', '.join(missing)}; a scanner has {', '.join(_MEMBERS)} (cell.scanners.ScannerPlugin)"
         )
     try:
         if not isinstance(parameters, dict):
             raise TypeError(f"it is a {type(parameters).__name__}")
         json.dumps(parameters, allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise SceneError(
-            f"{whose} has parameters() that cannot be written down: {error}; it must return a dict of JSON types"
-        ) from error
+        raise SceneError(f"{plugin} has invalid parameters(): {error}; it must return a dict of JSON types") from error
     made: ScannerPlugin = scanner
     return made
 
 
 def describe(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
-    """What defines a scanner, its type included, as the run folder keeps it."""
+    """Return type and parameters of a scanner, as in the run folder."""
     return {"type": name, **{key: value for key, value in scanner.parameters().items() if key != "type"}}
 
 
 def identity(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
-    """What a matrix depends on: `described`, and of another distribution's scanner also which version it is of."""
-    point = _offered(name)
-    own = point.dist is not None and point.dist.name == "scan-cell"  # its matrices have a format number of their own
+    """Return what a matrix depends on: `describe`, and the version of a third-party distribution."""
+    point = _entry_point(name)
+    own = point.dist is not None and point.dist.name == "scan-cell"  # the cache has a format number for these
     return describe(name, scanner) | ({} if own else {"distribution": _distribution(point), "law": point.value})
 
 
 def with_own_parameters(values: Values, scanner: ScannerPlugin) -> Values:
-    """The keys that a scanner was made of, and those that it has settled itself, such as the length of its sweep."""
+    """Return the arguments of a scanner, and the parameters that it chose itself, such as the length of its sweep."""
     own = scanner.parameters()
     return {**values, **{key: value for key, value in own.items() if key not in values and key != "type"}}
 
 
 def sweep_columns(scanner: Scanner, viewpoints: "Viewpoints") -> "Viewpoints":
-    """The columns that a scanner makes of viewpoints: of one that sweeps its sweeps, otherwise the viewpoints."""
+    """Return the matrix columns of viewpoints: their sweeps for a scanner that sweeps, else the viewpoints."""
     T_view_scanner = getattr(scanner, "T_view_scanner", None)
     if T_view_scanner is None:
         return viewpoints
@@ -164,8 +162,8 @@ def sweep_columns(scanner: Scanner, viewpoints: "Viewpoints") -> "Viewpoints":
 
 
 def viewpoints_of_columns(scanner: Scanner, columns: "Viewpoints") -> "tuple[Viewpoints, Floats]":
-    """The viewpoints of which a scanner made columns, one pose each, and (4, 4) its T_scanner_view."""
-    import numpy as np  # like `swept`: what only names scanners starts without
+    """Return the viewpoints of matrix columns, one pose each, and T_scanner_view (4, 4) of the scanner."""
+    import numpy as np  # kept out of modules that only list the names of scanners
 
     from planner.viewpoints.viewpoints import Viewpoints
 
@@ -176,7 +174,7 @@ def viewpoints_of_columns(scanner: Scanner, columns: "Viewpoints") -> "tuple[Vie
 
 
 def baseline_mm(values: Values, scanner: Scanner) -> float:
-    """Distance of source and sensor [mm]: the key, or what a scanner without that key says by its positions."""
+    """Return the distance of source and sensor [mm]: the argument, else from the positions of the scanner."""
     if "baseline_mm" in values:
         return float(values["baseline_mm"])
     return float(sum((scanner.sensor - scanner.source) ** 2) ** 0.5 * 1000)
@@ -184,12 +182,12 @@ def baseline_mm(values: Values, scanner: Scanner) -> float:
 
 @cache
 def _installed(find: Callable[..., EntryPoints], path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """The scanners of all distributions on the path: looked for once, because it takes 10 ms."""
+    """Return the entry points of all distributions on the path; cached, because a search takes 10 ms."""
     return tuple(find(group=GROUP))
 
 
-def _offered(name: str) -> EntryPoint:
-    """The one entry point of a name."""
+def _entry_point(name: str) -> EntryPoint:
+    """Return the entry point of a name."""
     found = [point for point in _installed(entry_points, tuple(sys.path)) if point.name == name]
     if not found:
         valid = ", ".join(names()) or "none (is scan-cell installed?)"

@@ -1,4 +1,4 @@
-"""The law of `laser-area` as far as it needs no ray, compiled: import this module only where it is used."""
+"""Conditions of `laser-area` that need no ray cast, compiled: import this module only where it is used."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ _GRAZING_SOURCE, _GRAZING_SENSOR = int(Rejection.GRAZING_SOURCE), int(Rejection.
 def rejections(
     points: Floats, normals: Floats, limits: tuple[float, ...], tolerance: float, codes: NDArray[np.uint8]
 ) -> None:
-    """The first condition that fails; each is written as what holds, so that a NaN fails it.
+    """Find the first condition that fails; each is written as a positive condition, so that a NaN fails it.
 
     Args:
         points: (3, N) coordinates [m], scanner frame.
@@ -24,7 +24,7 @@ def rejections(
         limits: baseline [m]; tangents of half the field of view, and of the sensor's (0: not limited); range and depth
             [m]; cosines of the grazing limits at source and sensor; cosine and sine of the sensor's tilt.
         tolerance: of planar angles, relative to the distance.
-        codes: (N,) is overwritten with `planner.ports.Rejection` values: to make it here takes long to compile.
+        codes: (N,), overwritten with `planner.ports.Rejection` values; an array created here takes long to compile.
     """
     baseline, tan_h, tan_v, tan_u, tan_w, nearest, farthest, front, back = limits[:9]
     cos_source, cos_sensor, cos_t, sin_t = limits[9:]

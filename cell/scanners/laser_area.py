@@ -1,19 +1,18 @@
-"""`laser-area`: a bistatic triangulation scanner that sweeps a rectangular grid of rays (Sections 3.3 and 3.6).
+"""`laser-area`: a triangulation scanner that sweeps a rectangular grid of rays (Sections 3.3 and 3.6 of the paper).
 
-The source stands at the origin of the scanner frame and looks along +z; the sensor stands a baseline away along +x. A
-point is inside the frustum (the paper's spherical cone) where its two planar angles are, |atan2(x, z)| <= FOV_h / 2 and
-|atan2(y, z)| <= FOV_v / 2, and where its distance from the source is within the range. The grazing angle is the one
-between the outward normal and the direction to the source (or to the sensor). Three conditions are off unless they are
-given: the sensor's own field of view, two planar angles about its axis in the same way, the depth of field, limits of
-the depth z, and the largest spacing of neighbouring points on the surface. The sensor's axis lies in the plane of the
-baseline (x, z) and is tilted towards the source; by default it meets the source's axis in the middle of the working
-range.
+The source is the origin of the scanner frame and looks along +z; the sensor is a baseline away along +x. A point is in
+the frustum (the paper's spherical cone) if its two planar angles are, |atan2(x, z)| <= FOV_h / 2 and |atan2(y, z)| <=
+FOV_v / 2, and its distance from the source is within the range. The grazing angle is between the outward normal and the
+direction to the source (or to the sensor). Three conditions are optional: the sensor's own field of view, two planar
+angles about its axis; the depth of field, limits of the depth z; and the largest spacing of neighbouring points on the
+surface. The sensor's axis lies in the plane of the baseline (x, z) and is tilted towards the source; by default it
+meets the source's axis in the middle of the working range.
 
 `sigma` is the expected standard deviation of a point along its ray: docs/internals/sigma_model.md.
 
 Every limit is inclusive. `TOLERANCE` (relative for lengths, absolute for tangents and cosines) covers the rounding of
-float64 transforms, so that a point placed exactly on a limit counts: 0.3 nm at 0.3 m, 1e-9 rad at 75 degrees; near 0
-degrees, where the cosine is flat, 0.003 degrees.
+float64 transforms, so that a point exactly on a limit counts: 0.3 nm at 0.3 m, 1e-9 rad at 75 degrees; near 0 degrees,
+where the cosine is flat, 0.003 degrees.
 """
 
 import math
@@ -33,10 +32,10 @@ if TYPE_CHECKING:
 
 TOLERANCE = 1e-9
 
-_WAYS = 33  # directions along each half of the field of view among which the densest is looked for
+_N_DIRECTIONS = 33  # directions along each half of the field of view that are searched for the densest
 
 SIGMA_ANGLE_MDEG = 1.5
-"""A twentieth of a pixel where 2048 pixels see 60 degrees; what a real sensor does has to come from its data sheet."""
+"""A twentieth of a pixel if 2048 pixels see 60 degrees; the value of a real sensor is in its data sheet."""
 
 
 _PAIRS = ("fov_deg", "resolution_deg", "range_mm", "sensor_fov_deg", "depth_of_field_mm")
@@ -62,11 +61,11 @@ class LaserArea:
         resolution_deg: (horizontal, vertical) angle between neighbouring rays [deg].
         range_mm: (smallest, largest) distance of a point from the source [mm].
         baseline_mm: distance of the sensor from the source along +x [mm]; 0 makes the scanner monostatic.
-        grazing_max_deg: largest grazing angle of the active ray, at the source leg [deg], 0 to 90.
-        sensor_grazing_max_deg: the same of the reflected ray, at the sensor leg [deg], 0 to 90.
+        grazing_max_deg: largest grazing angle of the active ray, towards the source [deg], 0 to 90.
+        sensor_grazing_max_deg: largest grazing angle of the reflected ray, towards the sensor [deg], 0 to 90.
         sensor_fov_deg: (horizontal, vertical) opening angles of the sensor about its axis [deg]; None: not limited.
-        sensor_tilt_deg: turn of the sensor's axis from z towards the source [deg], 0: parallel to z; None: it meets the
-            source's axis in the middle of the working range (of the depth of field, where that is given).
+        sensor_tilt_deg: angle of the sensor's axis from z towards the source [deg], 0: parallel to z; None: it meets
+            the source's axis in the middle of the depth of field, or of the range without one.
         depth_of_field_mm: (smallest, largest) depth z of a point [mm]; None: not limited.
         sigma_angle_mdeg: standard deviation of the direction in which the sensor sees the spot [1e-3 deg], on a surface
             that faces source and sensor.
@@ -94,11 +93,11 @@ class LaserArea:
         for each in fields(self):
             if each.init and ((value := getattr(self, each.name)) is not None or each.default is not None):
                 object.__setattr__(self, each.name, (pair if each.name in _PAIRS else _number)(each.name, value))
-        for names, holds, must in _LIMITS:
+        for names, is_valid, rule in _LIMITS:
             for name in names:
-                if (value := getattr(self, name)) is not None and not holds(value):
+                if (value := getattr(self, name)) is not None and not is_valid(value):
                     shown = list(value) if isinstance(value, tuple) else f"{value:g}"
-                    raise SceneError(f"scanner.{name} is {shown}; {must}")
+                    raise SceneError(f"scanner.{name} is {shown}; {rule}")
         both = list(zip(self.fov_deg, self.resolution_deg, strict=True))
         n_h, n_v = (round(fov / step) for fov, step in both)
         if any(step > fov for fov, step in both):
@@ -123,11 +122,11 @@ class LaserArea:
 
     @property
     def grid_shape(self) -> tuple[int, int]:
-        """(n_v, n_h) rays of one scan, round(FOV / resolution) per axis: their product is Eq. 1's number of rays."""
+        """(n_v, n_h) rays of one scan, round(FOV / resolution) per axis: Eq. 1 of the paper."""
         return self._shape
 
     def parameters(self) -> "dict[str, JsonValue]":
-        """What defines this scanner, named as in the scene file and the run folder."""
+        """Return the arguments of this scanner, named as in the scene file and the run folder."""
         limits: dict[str, JsonValue] = {
             "type": self.type_name,
             "fov_deg": list(self.fov_deg),
@@ -137,7 +136,7 @@ class LaserArea:
             "grazing_max_deg": self.grazing_max_deg,
             "sensor_grazing_max_deg": self.sensor_grazing_max_deg,
         }
-        if self.sensor_fov_deg is not None:  # what is off is not said, so that matrices and folders stay the same
+        if self.sensor_fov_deg is not None:  # unused limits are omitted, so that old matrices and folders stay valid
             limits |= {"sensor_fov_deg": list(self.sensor_fov_deg), "sensor_tilt_deg": math.degrees(self.sensor_tilt)}
         if self.depth_of_field_mm is not None:
             limits["depth_of_field_mm"] = list(self.depth_of_field_mm)
@@ -147,14 +146,14 @@ class LaserArea:
 
     @property
     def sensor_tilt(self) -> float:
-        """Turn of the sensor's axis from z towards the source [rad]."""
+        """Angle of the sensor's axis from z towards the source [rad]."""
         if self.sensor_tilt_deg is not None:
             return math.radians(self.sensor_tilt_deg)
         near, far = self.depth_of_field_mm or self.range_mm
         return math.atan2(self.baseline_mm, (near + far) / 2)
 
     def ray_directions(self) -> Floats:
-        """(n_v * n_h, 3) unit directions, scanner frame, row by row; each through the middle of its cell of the FOV."""
+        """Return unit directions (n_v * n_h, 3), scanner frame, row by row, through the middles of the FOV's cells."""
         n_v, n_h = self._shape
         across, down = (
             np.tan(np.radians(((np.arange(count) + 0.5) / count - 0.5) * fov))
@@ -166,18 +165,13 @@ class LaserArea:
         return readonly("ray directions", directions, (None, 3))
 
     def reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
-        """The first condition that needs no ray and fails: FOV, range, depth, grazing; first the source's.
+        """Find the first failed condition that needs no ray cast: FOV, range, depth, grazing; the source's first.
 
-        Args:
-            points: (N, 3) surface points [m], scanner frame.
-            normals: (N, 3) outward unit normals, scanner frame; a normal of zero or NaN grazes.
-
-        Returns:
-            (N,) `planner.ports.Rejection` values; MEASURED where every condition holds.
+        A normal of zero or NaN counts as grazing; see `planner.ports.Scanner.reject`.
         """
         from cell.scanners.area_law import rejections  # numba is kept out of the start-up
 
-        # Of copies: one form of the kernel is compiled, in whatever order the arrays are, writable or not.
+        # Copies have one memory layout, so that one form of the kernel is compiled.
         x_y_z, n_x_y_z = (np.array(vectors.T, dtype=np.float64, order="C") for vectors in (points, normals))
         codes = np.empty(len(points), dtype=np.uint8)
         rejections(x_y_z, n_x_y_z, self._limits, TOLERANCE, codes)
@@ -188,7 +182,7 @@ class LaserArea:
         return codes
 
     def _constants(self) -> tuple[float, ...]:
-        """As `cell.scanners.area_law.rejections` takes them; `TOLERANCE` applied to those that are constants."""
+        """Return the limits of `cell.scanners.area_law.rejections`, with `TOLERANCE` applied where it is constant."""
         angles = (*self.fov_deg, *(self.sensor_fov_deg or (0.0, 0.0)))
         lengths = (self.range_mm, self.depth_of_field_mm or (-math.inf, math.inf))
         return (
@@ -202,25 +196,20 @@ class LaserArea:
 
     @property
     def least_spacing_mm(self) -> float:
-        """Smallest spacing that any surface can have [mm]: facing the source at the near end of the range."""
-        x, y = np.meshgrid(*(np.linspace(0, math.tan(math.radians(fov / 2)), _WAYS) for fov in self.fov_deg))
-        ways = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
-        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-        return 1000 * float(self.spacing(self.range_mm[0] / 1000 * ways, -ways).min())
+        """Smallest possible spacing [mm]: on a surface that faces the source at the near end of the range."""
+        x, y = np.meshgrid(*(np.linspace(0, math.tan(math.radians(fov / 2)), _N_DIRECTIONS) for fov in self.fov_deg))
+        directions = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        return 1000 * float(self.spacing(self.range_mm[0] / 1000 * directions, -directions).min())
 
     def spacing(self, points: Floats, normals: Floats) -> Floats:
-        """Distance of neighbouring points on the surface, the larger one of the grid's two directions.
+        """Compute the distance (N,) of neighbouring points [m], the larger one of the grid's two directions.
 
-        Args:
-            points: (N, 3) surface points [m], scanner frame.
-            normals: (N, 3) outward unit normals, scanner frame.
-
-        Returns:
-            (N,) [m]; inf where the source does not face the surface. On the axis, before a wall that is turned by t
-            about the vertical, it is z times the angle between rays over cos t.
+        It is inf where the source does not face the surface. On the axis, in front of a wall that is turned by t about
+        the vertical, it is z times the angle between rays over cos t.
 
         The rays of the grid are equal steps of the two planar angles apart, atan2(x, z) and atan2(y, z). One step `a`
-        of the first moves the point where a ray meets the plane through p with the normal n by
+        of the first moves the intersection of a ray with the plane through p with the normal n by
 
             a z (1 + x^2 / z^2) (e_x - p n_x / (n . p))
 
@@ -238,19 +227,13 @@ class LaserArea:
         return np.where((z > 0) & (along < 0), found, np.inf)
 
     def sigma(self, points: Floats, normals: Floats) -> Floats:
-        """Expected standard deviation of a measured point along the ray from the source.
+        """Compute the expected standard deviation (N,) of measured points along the ray from the source [m].
 
-        sigma = sigma_angle d / sin(gamma) / (cos(theta) sqrt(cos(phi))) with the distance d from the sensor, the
-        angle gamma between the legs and the incidence angles theta of the laser and phi of the line of sight:
-        docs/internals/sigma_model.md derives it. On the source's axis before a wall it is sigma_angle (z^2 + b^2) / b.
-
-        Args:
-            points: (N, 3) surface points [m], scanner frame.
-            normals: (N, 3) outward unit normals, scanner frame.
-
-        Returns:
-            (N,) [m]; inf where a leg does not meet the front of the surface, or the legs form no triangle (baseline 0,
-            a point on the line through source and sensor).
+        sigma = sigma_angle d / sin(gamma) / (cos(theta) sqrt(cos(phi))) with the distance d from the sensor, the angle
+        gamma between the two rays and the incidence angles theta of the laser and phi of the line of sight:
+        docs/internals/sigma_model.md derives it. On the source's axis, in front of a wall, it is sigma_angle
+        (z^2 + b^2) / b. It is inf where a ray does not meet the front of the surface, or the rays form no triangle
+        (baseline 0, a point on the line through source and sensor).
         """
         x, y, z = points.T
         n_x, n_y, n_z = normals.T
@@ -261,7 +244,7 @@ class LaserArea:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             cos_source = towards_source / distance
             cos_sensor = (towards_source + baseline * n_x) / sensor_distance
-            sine = baseline * np.sqrt(across) / (distance * sensor_distance)  # of the angle between the legs
+            sine = baseline * np.sqrt(across) / (distance * sensor_distance)  # of the angle between the two rays
             possible = (cos_source > 0) & (cos_sensor > 0) & (sine > 0)
             spread = math.radians(self.sigma_angle_mdeg / 1000) / (cos_source * np.sqrt(np.maximum(cos_sensor, 0)))
             sigma: Floats = np.where(possible, spread * sensor_distance / sine, np.inf)
@@ -269,18 +252,14 @@ class LaserArea:
 
 
 def require_attainable(limit_mm: float, least_mm: float) -> None:
-    """Refuse a limit on spacing that no surface can keep.
-
-    Args:
-        limit_mm: scanner.max_spacing_mm.
-        least_mm: the smallest spacing in the scanner's range.
+    """Refuse a limit on the spacing below the smallest spacing in the scanner's range.
 
     Raises:
-        SceneError: if the limit is below it.
+        SceneError: with both.
     """
     if limit_mm < least_mm * (1 - 1e-3):
         raise SceneError(
-            f"scanner.max_spacing_mm is {limit_mm:g}, and at the near end of its range this scanner's points lie "
+            f"scanner.max_spacing_mm is {limit_mm:g}, and at the near end of its range this scanner's points are "
             f"{least_mm:.3g} mm apart; allow that, or take a finer grid or a nearer scanner"
         )
 
@@ -292,7 +271,7 @@ def _number(name: str, value: object) -> float:
 
 
 def pair(name: str, value: object) -> tuple[float, float]:
-    """A value of the scene as two finite numbers; SceneError where it is none."""
+    """Convert a value of the scene to two finite numbers; SceneError for any other value."""
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise SceneError(f"scanner.{name} is {value!r}; it must be a pair of numbers")
     return _number(name, value[0]), _number(name, value[1])

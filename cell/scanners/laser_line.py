@@ -1,22 +1,22 @@
-"""`laser-line`: a triangulation sensor with one laser sheet, swept along a path or turned.
+"""`laser-line`: a triangulation sensor with one laser sheet, moved along a line or turned (`viewpoints.sweeps`).
 
 The sheet is the plane x = 0 of the scanner frame: the fan opens by `fan_deg` about z within it, along y, and the
 baseline (x) is perpendicular to it, as in real line sensors, where the camera looks at the line from the side. The
 source (the fan's apex) is the origin.
 
-A surface point is measured by pose k of a sweep where it lies within half a step of that pose's sheet and every
-condition holds there, at the point's own place:
+Pose k of a sweep measures a surface point if it is within half a step of that pose's sheet and every condition holds
+there, at the position of the point:
 
     fan      |atan2(y, z)| <= fan / 2
-    range    near <= z <= far: the depth along z, as data sheets give it, not the distance from the source
+    range    near <= z <= far: the depth along z, as in data sheets, not the distance from the source
     grazing  the angle between normal and laser, and between normal and line of sight, as for `laser-area`
 
 The step is the sweep divided by the number of poses (`sweep_mm` / `sweep_steps`, or `sweep_deg` / `sweep_steps`), so
 that the poses tile the sweep. Every limit is inclusive, with the tolerances of `laser-area`.
 
-Points lie apart along the line by the angle between them, and across it by the way between two lines: the full speed of
-a sweep (`planner.path.sweep_line`) over `profile_rate_hz`; a slower sweep is denser. With `max_spacing_mm` both are
-limited, on the surface at that depth and incidence.
+The distance of neighbouring points along the line follows from the angle between them, and across the line from the
+distance between two lines: the full speed of a sweep (`planner.path.sweep_line`) over `profile_rate_hz`; a slower sweep
+is denser. `max_spacing_mm` limits both, on the surface at that depth and incidence.
 """
 
 import math
@@ -37,8 +37,8 @@ from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_pos
 if TYPE_CHECKING:
     from pydantic import JsonValue
 
-_ACROSS_DEG = 179.0  # opening of the law across the sheet where the slab decides instead: never narrower than a slab
-_NO_LIMIT_MM = (0.0, 1e9)  # the law's distance from the source, where the depth decides instead
+_ACROSS_DEG = 179.0  # opening across the sheet of the area sensor: the slab decides instead, and is always narrower
+_NO_LIMIT_MM = (0.0, 1e9)  # range of the area sensor: the depth decides instead
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,15 +49,15 @@ class LaserLine:
         fan_deg: full opening angle of the laser sheet [deg], above 0 and below 180; real sensors have 26 to 30.
         range_mm: (smallest, largest) depth z of a point, from the source [mm].
         baseline_mm: distance of the sensor from the source along +x [mm].
-        grazing_max_deg: largest grazing angle at the source leg [deg], 0 to 90.
-        sensor_grazing_max_deg: the same at the sensor leg [deg], 0 to 90.
-        sweep_mm: length of a straight sweep along the baseline [mm]; without `sweep_mm` and `sweep_deg` it is as long
-            as the line is in the middle of the range.
-        sweep_deg: in its place: angle through which the sheet is turned about the line through the source [deg].
-        sweep_steps: poses of a sweep.
-        line_points: points of one line, of equal angle.
+        grazing_max_deg: largest grazing angle towards the source [deg], 0 to 90.
+        sensor_grazing_max_deg: largest grazing angle towards the sensor [deg], 0 to 90.
+        sweep_mm: length of a straight sweep along the baseline [mm]; without `sweep_mm` and `sweep_deg` it is the
+            length of the line in the middle of the range.
+        sweep_deg: instead of `sweep_mm`: angle by which the sheet is turned about the line through the source [deg].
+        sweep_steps: number of poses of a sweep.
+        line_points: number of points of a line, at equal angles.
         sigma_angle_mdeg: noise of the direction in which the sensor sees the line [1e-3 deg], as for `laser-area`.
-        profile_rate_hz: lines a second; None: not known, and with it the spacing across the lines.
+        profile_rate_hz: lines per second; None: unknown, so that the spacing across the lines is unknown too.
         max_spacing_mm: largest distance of neighbouring points on the surface, along and across the lines [mm]; None:
             not limited.
     """
@@ -101,7 +101,7 @@ class LaserLine:
             require_attainable(self.max_spacing_mm, self.least_spacing_mm or 0.0)
 
     def _check(self) -> None:
-        """What the law does not check, or would name after its own keys."""
+        """Check the keys that the area sensor does not check, or would name differently."""
         if self.sweep_mm is not None and self.sweep_deg is not None:
             raise SceneError("scanner.sweep_mm and scanner.sweep_deg both describe the sweep; give one of them")
         for name, below in (("fan_deg", 180.0), ("sweep_mm", math.inf), ("sweep_deg", 180.0)):
@@ -117,8 +117,8 @@ class LaserLine:
                 raise SceneError(f"scanner.{name} is {value!r}; it must be a finite number above 0")
         if self.max_spacing_mm is not None and self.profile_rate_hz is None:
             raise SceneError(
-                "scanner.max_spacing_mm limits the distance between lines too, and how many the sensor takes a second "
-                "is not known; set scanner.profile_rate_hz"
+                "scanner.max_spacing_mm limits the distance between lines too, and the rate of lines is not known; set "
+                "scanner.profile_rate_hz"
             )
         for name in ("sweep_steps", "line_points"):
             value = getattr(self, name)
@@ -151,7 +151,7 @@ class LaserLine:
         return self.line_points, 1
 
     def parameters(self) -> "dict[str, JsonValue]":
-        """What defines this scanner, named as in the scene file and the run folder."""
+        """Return the arguments of this scanner, named as in the scene file and the run folder."""
         sweep = {"sweep_mm": self.sweep_mm} if self.sweep_deg is None else {"sweep_deg": self.sweep_deg}
         return {
             "type": self.type_name,
@@ -169,23 +169,18 @@ class LaserLine:
         }
 
     def ray_directions(self) -> Floats:
-        """(line_points, 3) unit directions in the sheet, scanner frame; each through the middle of its share."""
+        """Return unit directions (line_points, 3) in the sheet, scanner frame, through the middles of equal angles."""
         angles = np.radians(((np.arange(self.line_points) + 0.5) / self.line_points - 0.5) * self.fan_deg)
         rays = np.stack([np.zeros(self.line_points), np.sin(angles), np.cos(angles)], axis=1)
         return readonly("ray directions", rays, (None, 3))
 
     def reject(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
-        """The first condition that needs no ray and fails: sheet and fan, range, grazing at source and sensor, spacing.
+        """Find the first failed condition that needs no ray cast: sheet and fan, range, grazing, spacing.
 
-        Args:
-            points: (N, 3) surface points [m], scanner frame.
-            normals: (N, 3) outward unit normals, scanner frame; a normal of zero or NaN grazes.
-
-        Returns:
-            (N,) `Rejection` values; MEASURED where every condition holds.
+        A normal of zero or NaN counts as grazing; see `planner.ports.Scanner.reject`.
         """
         if self.sweep_deg is None:
-            # Most points are off the sheet: they are not asked further.
+            # Most points are off the sheet: no other condition is tested for them.
             half = self._sweep_length / self.sweep_steps / 2
             near = np.abs(points[:, 0]) <= half + TOLERANCE * (np.abs(points[:, 2]) + half)
             codes = np.full(len(points), Rejection.OUT_OF_FOV, dtype=np.uint8)
@@ -202,17 +197,17 @@ class LaserLine:
 
     @property
     def spacing(self) -> Callable[[Floats, Floats], Floats] | None:
-        """`planner.ports.SpacingScanner.spacing`; None where the lines' rate is not known."""
+        """`planner.ports.SpacingScanner.spacing`; None if the rate of lines is unknown."""
         return None if self.profile_rate_hz is None else self._spacing
 
     @property
     def least_spacing_mm(self) -> float | None:
-        """Spacing on a surface that faces the source at the near end of the range [mm]; None: not known."""
+        """Spacing on a surface that faces the source at the near end of the range [mm]; None: unknown."""
         facing = np.array([[0.0, 0.0, self.range_mm[0] / 1000]]), np.array([[0.0, 0.0, -1.0]])
         return None if self.profile_rate_hz is None else 1000 * float(self._spacing(*facing)[0])
 
     def _spacing(self, points: Floats, normals: Floats) -> Floats:
-        """(N,) the larger distance of neighbouring points, along the line and to the next one [m].
+        """Return the larger distance (N,) of neighbouring points, along the line and to the next one [m].
 
         With p the point in the sheet (its x left out), r its distance from the source and n its normal: along the line
         r^2 |(n_y, n_z)| / |n . p| for each rad; across it sqrt(1 + (r n_x / n . p)^2) for each m that the sheet moves,
@@ -230,15 +225,7 @@ class LaserLine:
         return found
 
     def sigma(self, points: Floats, normals: Floats) -> Floats:
-        """Expected standard deviation of a measured point along the ray from the source, as for `laser-area`.
-
-        Args:
-            points: (N, 3) surface points [m], scanner frame.
-            normals: (N, 3) outward unit normals, scanner frame.
-
-        Returns:
-            (N,) [m]; inf where no measurement is possible.
-        """
+        """Compute the expected standard deviation (N,) along the ray from the source [m], as for `laser-area`."""
         return self._law.sigma(points, normals)
 
     @property

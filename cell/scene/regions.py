@@ -1,7 +1,7 @@
-"""The regions of a scene on its part: which region each triangle of the reference belongs to.
+"""The regions of a scene on its part: the region of each triangle of the reference.
 
-A box cuts the triangles that its sides cross, and paint on another mesh splits large ones, so that a triangle belongs
-to one region as a whole. The surface stays what it was. Object frame, metres.
+The sides of a box cut the triangles that they cross, and a painted mesh splits large triangles, so that every triangle
+belongs to one region. The surface does not change. Object frame, metres.
 """
 
 from collections.abc import Sequence
@@ -24,15 +24,15 @@ from planner.measurability.quality import LimitedScanner, QualityLimits
 from planner.ports import Scanner, SigmaScanner
 from planner.values import Bools, Ints
 
-_FINE = 0.01  # of the diagonal: edges of triangles that another mesh's paint falls on
-_SPLITS = 12  # halvings: of a side as long as the diagonal they leave less than that
+_FINE = 0.01  # of the diagonal: longest edge of triangles that take colours of another mesh
+_SPLITS = 12  # halvings that make an edge as long as the diagonal shorter than that
 
 
 def with_regions(part: Workpiece, scene: Scene) -> Workpiece:
-    """The part with the region of each of its triangles; itself where the scene has none, or it has them already.
+    """Return the part with the region of each triangle; unchanged without regions, or if it has them already.
 
     Raises:
-        SceneError: if a region selects nothing, or by what the part has not.
+        SceneError: if a region selects nothing, or by a property that the part does not have.
         FileError: if a painted mesh cannot be read.
     """
     if not scene.region or part.reference.region is not None:
@@ -44,16 +44,18 @@ def with_regions(part: Workpiece, scene: Scene) -> Workpiece:
     for k, region in enumerate(regions):
         own = free & (_selected(region, part, scene) if region.selects else True)
         if region.selects and not own.any():
-            raise SceneError(_nothing(region, part, free))
+            raise SceneError(_empty_region(region, part, free))
         number[own] = k if region.is_measured else -1
         free &= ~own
     if not (number >= 0).any():
-        raise SceneError("the regions care for nothing of the part; leave out care = 'no' where something is measured")
+        raise SceneError(
+            "the regions measure nothing of the part; leave out care = 'no' where something has to be measured"
+        )
     return replace(part, reference=replace(part.reference, region=number))
 
 
 def region_areas(part: Workpiece, scene: Scene) -> dict[str, float]:
-    """Area [mm^2] of each region that somebody cares for, by name; the rest only where there is any."""
+    """Return the area [mm^2] of each measured region by name; the rest only if it has any."""
     if (number := part.reference.region) is None:
         return {}
     regions = with_rest(scene.region)
@@ -62,7 +64,7 @@ def region_areas(part: Workpiece, scene: Scene) -> dict[str, float]:
 
 
 def _cut(part: Workpiece, regions: tuple[Region, ...]) -> Workpiece:
-    """The part with triangles that no side of a box crosses, and small ones where another mesh is painted."""
+    """Return the part with triangles that no side of a box crosses, and small ones for painted meshes."""
     mesh, parent = part.reference, np.arange(len(part.reference.faces))
     for box in (region.box_mm for region in regions if region.box_mm is not None):
         for k, at in enumerate(box):
@@ -76,7 +78,7 @@ def _cut(part: Workpiece, regions: tuple[Region, ...]) -> Workpiece:
 
 
 def _fine(mesh: TriangleMesh) -> tuple[TriangleMesh, Ints]:
-    """The mesh with short edges, and the triangle that each of its triangles is a piece of."""
+    """Return the mesh with short edges, and the original triangle of each triangle."""
     vertices, faces = mesh.vertices, mesh.faces
     for _ in range(_SPLITS * 2):
         before = len(faces)
@@ -88,7 +90,7 @@ def _fine(mesh: TriangleMesh) -> tuple[TriangleMesh, Ints]:
 
 
 def _selected(region: Region, part: Workpiece, scene: Scene) -> Bools:
-    """(F,) triangles that a region selects: all that it selects by holds."""
+    """Return the triangles (F,) for which all selectors of a region hold."""
     mesh = part.reference
     found = np.ones(len(mesh.faces), dtype=np.bool_)
     if any(key is not None for key in (region.faces, region.kind, region.diameter_above_mm, region.diameter_below_mm)):
@@ -109,13 +111,13 @@ def _selected(region: Region, part: Workpiece, scene: Scene) -> Bools:
 
 
 def _by_face(region: Region, cad: CadModel) -> Bools:
-    """(N,) CAD faces by number, kind and diameter."""
+    """Return the CAD faces (N,) with the number, kind and diameter of a region."""
     found = np.ones(len(cad.faces), dtype=np.bool_)
     if region.faces is not None:
         numbers = [face.number for face in cad.faces]
         if missing := [number for number in region.faces if number not in numbers]:
             raise SceneError(
-                f"the region '{region.name}' names face {missing[0]}, which the part has not; cell part lists "
+                f"the region '{region.name}' names face {missing[0]}, which the part does not have; cell part lists "
                 f"{numbers[0]} to {numbers[-1]}"
             )
         found &= np.isin(numbers, region.faces)
@@ -130,31 +132,31 @@ def _by_face(region: Region, cad: CadModel) -> Bools:
 
 
 def _by_colour(region: Region, colour: str, mesh: TriangleMesh, scene: Scene) -> Bools:
-    """(F,) triangles whose middle has a colour on the painted mesh: the part's own file where no other is named."""
+    """Return the triangles (F,) whose middle has a colour on the painted mesh, by default the part's own file."""
     source = region.painted or scene.part.path
     if source is None:
         raise SceneError(
-            f"the region '{region.name}' selects by colour, and {scene.part.name} is no file that has any; give "
-            "region.painted, a coloured mesh of it"
+            f"the region '{region.name}' selects by colour, and {scene.part.name} is no coloured file; give "
+            "region.painted, a coloured mesh of the part"
         )
     units = (scene.part.units if region.painted is None else region.painted_units) or units_of(source)
-    assert units is not None, "the scene asks for it"
+    assert units is not None, "the scene requires units"
     canvas, colours = mesh_files.read_coloured(Path(source), UNITS[units])
     return mesh_files.is_colour(colours, colour)[closest_facing_faces(mesh.centres, mesh.normals, canvas)]
 
 
-def _nothing(region: Region, part: Workpiece, free: Bools) -> str:
-    """Why a region has no triangle."""
-    why = "all that it selects belongs to regions before it" if not free.all() else "nothing of the part is that"
+def _empty_region(region: Region, part: Workpiece, free: Bools) -> str:
+    """Describe a region without triangles."""
+    cause = "all that it selects belongs to regions before it" if not free.all() else "no surface of the part matches"
     bounds = ", ".join(f"{value:g}" for value in (1000 * part.bounds).round(3).ravel() + 0.0)
-    return f"the region '{region.name}' is empty: {why}; the part reaches from {bounds} mm (lowest, highest corner)"
+    return f"the region '{region.name}' is empty: {cause}; the part reaches from {bounds} mm (lowest, highest corner)"
 
 
 def with_limits(scanner: Scanner, max_sigma_mm: float | None, regions: Sequence[RegionTargets]) -> Scanner:
-    """The scanner's law with the limits that a plan sets: its own on sigma, and those of its regions by their numbers.
+    """Return a sensor model with the limit on sigma of a plan and the limits of its regions, by their numbers.
 
     Raises:
-        SceneError: if the scanner does not know what is limited.
+        SceneError: if the scanner has no model of a limited quantity.
     """
     inf = float("inf")
     own = tuple(
@@ -165,10 +167,10 @@ def with_limits(scanner: Scanner, max_sigma_mm: float | None, regions: Sequence[
     if max_sigma_mm is None and not own:
         return scanner
     for region in regions:
-        for key, what in (("max_spacing_mm", "spacing"), ("max_sigma_mm", "sigma")):
-            if getattr(region, key) is not None and not callable(getattr(scanner, what, None)):
+        for key, quantity in (("max_spacing_mm", "spacing"), ("max_sigma_mm", "sigma")):
+            if getattr(region, key) is not None and not callable(getattr(scanner, quantity, None)):
                 raise SceneError(
-                    f"the region '{region.name}' has {key}, but the scanner {type(scanner).__name__} does not know its "
-                    f"{what}; leave the limit out, or choose another scanner"
+                    f"the region '{region.name}' has {key}, but the scanner {type(scanner).__name__} has no model of "
+                    f"its {quantity}; leave the limit out, or choose another scanner"
                 )
     return LimitedScanner(cast(SigmaScanner, scanner), (max_sigma_mm or inf) / 1000, own)

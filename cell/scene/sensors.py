@@ -1,4 +1,4 @@
-"""Scanners by name: models/sensors/*.toml, what is known of each and where that is from.
+"""Library of scanners: models/sensors/*.toml, with the figures of each device and their sources.
 
 A file holds figures of a data sheet, or definitions of this project's own devices; the keys of the scene's `[scanner]`
 follow from them. A device of `laser-area` states range and baseline; those of `paper` are shares of the standoff. The
@@ -7,8 +7,8 @@ laser line of a `laser-line` grows with the distance, so its fan has an apex, th
     fan  = 2 atan((width_far - width_near) / (2 depth))
     near = width_near / (2 tan(fan / 2)), far = near + depth     range, from the apex
 
-The apex lies `near - clearance` behind the housing's window. A figure that is not known stands in no file: nothing is
-guessed in its place, and a scene that needs it must give it.
+The apex is `near - clearance` behind the housing's window. A figure that is not known is in no file: it is never
+guessed, and a scene that needs it must give it.
 """
 
 import math
@@ -24,21 +24,21 @@ from cell.scene.validation import did_you_mean, error_messages
 
 _AREA = {"range_mm": "range", "baseline_mm": "baseline"}
 REQUIRED = {"laser-line": {"fan_deg": "fan", **_AREA}, "laser-area": _AREA}
-"""By type of scanner: the keys that describe a sensor, without which it is not the sensor of that name."""
+"""Required keys by type of scanner, with their names in messages."""
 
 DENSITY_KEYS = {"line_points": "points of a line", "profile_rate_hz": "lines a second"}
-"""Of a line sensor: the keys without which nothing can be said of its density, so that a limit on it asks for them."""
+"""Keys that a limit on the spacing of a line sensor requires, with their names in messages."""
 
 _Two = Annotated[tuple[Positive, Positive], Field(strict=False)]
 _Sides = Annotated[tuple[Positive, Positive, Positive], Field(strict=False)]
 
 
 class Figures(Table):
-    """What a sensor's source states; None: it does not. Lengths [mm].
+    """Figures in the source of a sensor; None: not stated. Lengths [mm].
 
-    `body_mm` are the sides of the body in the source's order, `housing_mm` those along x, y, z of the scanner frame;
-    shares are of the standoff, in place of `range_mm` and `baseline_mm`; `profile_rate_hz` are lines a second [1/s],
-    `resolution_across_mm` is between neighbouring points of a line, near and far.
+    `body_mm` are the sides of the body in the order of the source, `housing_mm` those along x, y, z of the scanner
+    frame; shares are of the standoff, instead of `range_mm` and `baseline_mm`; `profile_rate_hz` is the rate of lines,
+    `resolution_across_mm` the distance of neighbouring points of a line, near and far.
     """
 
     clearance_mm: Positive | None = None
@@ -68,12 +68,12 @@ class Figures(Table):
     @model_validator(mode="after")
     def _growing(self) -> Self:
         if self.width_near_mm is not None and (self.width_far_mm or math.inf) <= self.width_near_mm:
-            raise ValueError(".width_far_mm is of a line that does not grow with the distance")
+            raise ValueError(".width_far_mm must be larger than width_near_mm")
         return self
 
 
 class Sensor(Table):
-    """One scanner of the library: how a scene calls it, its maker and his name for it, the plug-in that models it."""
+    """A scanner of the library: name in scenes, maker, the maker's model name, and the plug-in that models it."""
 
     name: str
     maker: str
@@ -85,32 +85,35 @@ class Sensor(Table):
     @model_validator(mode="after")
     def _sources(self) -> Self:
         if lone := sorted(self.figures.model_fields_set ^ set(self.source)):
-            raise ValueError(f".source must have a source for each figure and no other; see '{lone[0]}'")
+            raise ValueError(f".source must have a source for each figure and no others; see '{lone[0]}'")
         return self
 
     @property
     def keys(self) -> dict[str, float | tuple[float, float]]:
         """Keys of the scene's `[scanner]` that follow from the figures."""
-        known = self.figures
-        fan, span = None, known.range_mm
-        if known.depth_mm and known.width_near_mm and known.width_far_mm:
-            half = (known.width_far_mm - known.width_near_mm) / known.depth_mm / 2
-            near = known.width_near_mm / half / 2
-            fan, span = math.degrees(2 * math.atan(half)), span or (near, near + known.depth_mm)
+        own = self.figures
+        fan, span = None, own.range_mm
+        if own.depth_mm and own.width_near_mm and own.width_far_mm:
+            half = (own.width_far_mm - own.width_near_mm) / own.depth_mm / 2
+            near = own.width_near_mm / half / 2
+            fan, span = math.degrees(2 * math.atan(half)), span or (near, near + own.depth_mm)
         keys = {
-            "fan_deg": fan, "range_mm": span, "baseline_mm": known.baseline_mm, "line_points": known.points_per_line,
-            "profile_rate_hz": known.profile_rate_hz,
-        }  # fmt: skip
+            "fan_deg": fan,
+            "range_mm": span,
+            "baseline_mm": own.baseline_mm,
+            "line_points": own.points_per_line,
+            "profile_rate_hz": own.profile_rate_hz,
+        }
         return {key: value for key, value in keys.items() if value is not None}
 
     @property
     def follows_standoff(self) -> bool:
-        """Whether range and baseline are shares of the standoff, as of no device."""
+        """Whether range and baseline are shares of the standoff, as of no real device."""
         return self.figures.range_shares is not None
 
     @property
     def apex_behind_window_mm(self) -> float | None:
-        """How far behind the housing's window (its reference plane) the fan's apex lies [mm]; None: not known."""
+        """Distance of the fan's apex behind the housing's window, its reference plane [mm]; None: not known."""
         match self.keys.get("range_mm"), self.figures:
             case (near, _), Figures(clearance_mm=float(clearance)):
                 return near - clearance
@@ -120,13 +123,13 @@ class Sensor(Table):
 
     @property
     def not_stated(self) -> dict[str, str]:
-        """Scene keys that the scene itself must give, with what each is called."""
+        """Keys that the scene itself must give, with their names in messages."""
         if self.follows_standoff:
             return {}
         return {key: word for key, word in REQUIRED.get(self.type, {}).items() if key not in self.keys}
 
     def summary(self) -> dict[str, object]:
-        """Everything about it as JSON types."""
+        """Return all properties as JSON types."""
         return {
             "name": self.name,
             "maker": self.maker,
@@ -141,19 +144,16 @@ class Sensor(Table):
 
 
 def names() -> tuple[str, ...]:
-    """Names of the library's scanners, sorted."""
+    """Return the names of the scanners of the library, sorted."""
     return tuple(sorted(path.stem for path in _folder().glob("*.toml")))
 
 
 def load(name: str) -> Sensor:
-    """One scanner.
-
-    Args:
-        name: such as "gocator-2350".
+    """Return a scanner of the library, such as "gocator-2350".
 
     Raises:
-        SceneError: if there is none of that name.
-        FileError: if its file is not a sensor's.
+        SceneError: if the name is unknown.
+        FileError: if its file is invalid.
     """
     known = names()
     if name not in known:
@@ -162,16 +162,16 @@ def load(name: str) -> Sensor:
 
 
 def read(path: Path) -> Sensor:
-    """A sensor's file.
+    """Read the file of a sensor.
 
     Raises:
-        FileError: with what is wrong in it: nothing but texts, known figures above 0, and a source for each figure.
+        FileError: if it holds other keys than texts, known figures above 0 and a source for each figure.
     """
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
         if "name" in content:
             raise FileError(
-                f"the sensor file {path} is damaged: name is an unknown key; a sensor is called as its file"
+                f"the sensor file {path} is damaged: name is an unknown key; the name of the file is that of the sensor"
             )
         return Sensor.model_validate({"name": path.stem, **content})
     except ValidationError as error:
@@ -181,30 +181,33 @@ def read(path: Path) -> Sensor:
 
 
 def table_rows() -> list[tuple[str, ...]]:
-    """Heading and one row per scanner, for the terminal; "-" where nothing is stated."""
+    """Return heading and one row per scanner for the terminal; "-" for figures that are not stated."""
     heading = ("scanner", "distance", "line", "fan", "range", "baseline", "you give")
     rows: list[tuple[str, ...]] = [heading]
     for sensor in map(load, names()):
-        known, keys, unit = sensor.figures, sensor.keys, " x" if sensor.follows_standoff else ""
-        baseline = known.baseline_share or known.baseline_mm
-        span = known.range_shares or keys.get("range_mm")
-        rows.append((
-            sensor.name, _distance(known),
-            f"{known.width_near_mm:g}..{known.width_far_mm:g}" if known.width_near_mm else "-",
-            f"{keys['fan_deg']:.1f}" if "fan_deg" in keys else "-",
-            f"{span[0]:.4g}..{span[1]:.4g}{unit}" if isinstance(span, tuple) else "-",
-            f"{baseline:g}{unit}" if baseline is not None else "-",
-            ", ".join(sensor.not_stated),
-        ))  # fmt: skip
+        own, keys, unit = sensor.figures, sensor.keys, " x" if sensor.follows_standoff else ""
+        baseline = own.baseline_share or own.baseline_mm
+        span = own.range_shares or keys.get("range_mm")
+        rows.append(
+            (
+                sensor.name,
+                _distance(own),
+                f"{own.width_near_mm:g}..{own.width_far_mm:g}" if own.width_near_mm else "-",
+                f"{keys['fan_deg']:.1f}" if "fan_deg" in keys else "-",
+                f"{span[0]:.4g}..{span[1]:.4g}{unit}" if isinstance(span, tuple) else "-",
+                f"{baseline:g}{unit}" if baseline is not None else "-",
+                ", ".join(sensor.not_stated),
+            )
+        )
     return rows
 
 
-def _distance(known: Figures) -> str:
-    """From housing to measuring range, as the source puts it."""
-    if known.clearance_mm is not None:
-        return f"{known.clearance_mm:g}..{known.clearance_mm + (known.depth_mm or 0):g}"
-    half = f"+-{known.depth_mm / 2:g}" if known.depth_mm is not None else ""
-    return f"{known.reference_mm:g}{half}" if known.reference_mm is not None else "-"
+def _distance(own: Figures) -> str:
+    """Return the distance from housing to measuring range in the form of the source."""
+    if own.clearance_mm is not None:
+        return f"{own.clearance_mm:g}..{own.clearance_mm + (own.depth_mm or 0):g}"
+    half = f"+-{own.depth_mm / 2:g}" if own.depth_mm is not None else ""
+    return f"{own.reference_mm:g}{half}" if own.reference_mm is not None else "-"
 
 
 def _folder() -> Path:

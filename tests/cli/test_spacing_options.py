@@ -80,7 +80,7 @@ def test_why_tries_a_greater_spacing_and_a_finer_grid(limited: dict[str, Any], r
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--max-spacing", "0.2"), "at the near end of its range this scanner's points lie 0.6"),
+        (("--max-spacing", "0.2"), "at the near end of its range this scanner's points are 0.6"),
         (("--max-spacing", "2", "--fill", "rays"), "choose plan.fill = 'aimed'"),
         (("--max-spacing", "2", "--sensor", "gocator-2340", "--baseline", "90"), "set scanner.profile_rate_hz"),
         (("--max-spacing", "2", "--sensor", "gocator-2340", "--baseline", "90"), "set scanner.line_points"),

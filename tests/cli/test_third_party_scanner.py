@@ -106,16 +106,16 @@ BROKEN = {
     "an instance in place of a class": ("Broken = object()\n", "which is no class"),
     "a class without the methods": (
         "class Broken:\n    source = sensor = (0, 0, 0)\n    grid_shape = (1, 1)\n",
-        "lacks ray_directions, reject, parameters",
+        "has no ray_directions, reject, parameters",
     ),
     "a constructor that fails": (
         "class Broken:\n    def __init__(self): raise KeyError('calibration')\n",
-        "cannot be made of no keys: KeyError: 'calibration'",
+        "cannot be created with no keys: KeyError: 'calibration'",
     ),
     "parameters that JSON cannot hold": (
         "class Broken:\n    source = sensor = grid_shape = ray_directions = reject = None\n"
         "    def parameters(self): return {'gain': float('nan')}\n",
-        r"parameters\(\) that cannot be written down",
+        r"invalid parameters\(\)",
     ),
     "parameters that are no dict": (
         "class Broken:\n    source = sensor = grid_shape = ray_directions = reject = None\n"

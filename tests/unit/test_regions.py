@@ -169,7 +169,7 @@ def test_colours_of_a_step_file_select_its_faces(tmp_path: Path) -> None:
     ("regions", "said"),
     [
         ([{"name": "a", "faces": [1]}], "is a mesh, which has none"),
-        ([{"name": "a", "box_mm": [90, 90, 90, 99, 99, 99]}], "nothing of the part is that"),
+        ([{"name": "a", "box_mm": [90, 90, 90, 99, 99, 99]}], "no surface of the part matches"),
         (
             [{"name": "a", "box_mm": [-9, -9, -9, 0, 9, 99]}, {"name": "b", "box_mm": [-9, -9, -9, 0, 9, 99]}],
             "before it",

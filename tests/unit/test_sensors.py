@@ -151,7 +151,7 @@ def test_laser_area_without_more_keys_stays_what_it_was() -> None:
         ("depth_mm = 400.0", 'depth_mm = "400"', "depth_mm is '400'; it must be a number"),
         ("depth_mm = 400.0", "detph_mm = 400.0", "detph_mm is an unknown key"),
         ("depth_mm = 400.0", "baseline_mm = 3.0", "a source for each figure"),
-        ("width_near_mm = 158.0", "width_near_mm = 365.0", "does not grow with the distance"),
+        ("width_near_mm = 158.0", "width_near_mm = 365.0", "must be larger than width_near_mm"),
         ('maker = "LMI Technologies"', "", "maker is missing"),
         ("[figures]", "[figure]", r"figures is missing"),
         ("[figures]", "[figures", "cannot be read"),
