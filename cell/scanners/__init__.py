@@ -116,8 +116,8 @@ def make(name: str, values: Values) -> ScannerPlugin:
         raise  # the plug-in's own message about a value
     except Exception as error:  # a third-party plug-in may fail in any way
         raise SceneError(
-            f"{plugin} cannot be created with {', '.join(values) or 'no keys'}: {type(error).__name__}: {error}; repair "
-            "or uninstall that distribution"
+            f"{plugin} cannot be created with {', '.join(values) or 'no keys'}: {type(error).__name__}: {error}; "
+            "repair or uninstall that distribution"
         ) from error
     if missing:
         raise SceneError(
@@ -139,7 +139,7 @@ def describe(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
 
 
 def identity(name: str, scanner: ScannerPlugin) -> "dict[str, JsonValue]":
-    """Return what a matrix depends on: `describe`, and the version of a third-party distribution."""
+    """Return the scanner's part of the key of a matrix: `describe`, and the version of a third-party distribution."""
     point = _entry_point(name)
     own = point.dist is not None and point.dist.name == "scan-cell"  # the cache has a format number for these
     return describe(name, scanner) | ({} if own else {"distribution": _distribution(point), "law": point.value})

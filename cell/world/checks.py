@@ -87,7 +87,7 @@ def require_feasible(world: World) -> None:
 
 
 def find_problems(world: World) -> list[str]:
-    """Return what makes a compiled scene impossible, one sentence each; empty for a feasible scene."""
+    """Find the problems of a compiled scene, one sentence each; none for a feasible scene."""
     solids = cell_solids(world)
     return [
         *_home_outside_limits(world),
@@ -102,7 +102,7 @@ def find_problems(world: World) -> list[str]:
 
 
 def find_warnings(world: World) -> list[str]:
-    """Return what is probably a mistake in a compiled scene, one sentence each."""
+    """Find probable mistakes in a compiled scene, one sentence each."""
     fixtures, warnings = world.scene.fixtures, [*model_warnings(world.spec), *_limited_table(world)]
     if not fixtures and world.scene.post.enabled:
         return warnings
@@ -123,7 +123,7 @@ def _named(world: World, name: str) -> str:
 
 
 def _move_object(world: World, name: str, move: Floats) -> str:
-    """Say what to type to move part, post, table or a fixture by (3,) [m], base frame."""
+    """Return the instruction that moves part, post, table or a fixture by (3,) [m], base frame."""
     length = float(np.linalg.norm(move))
     tenths = np.ceil(length * 1e4 - _ROUNDING) / 1e4
     move = move * (tenths / length) if length > 0 else move
@@ -139,7 +139,7 @@ def _move_object(world: World, name: str, move: Floats) -> str:
 
 
 def _move_key(key: str, position: Floats, move: Floats) -> str:
-    """Say how a key with a position (3,) changes by a move (3,) [m]."""
+    """Return the instruction that changes a key with a position (3,) by a move (3,) [m]."""
     step = np.round(1000 * move, 2) + 0.0  # + 0.0 turns -0 into 0
     return f"move {key} by {_triple(step)} mm, to {_triple(np.round(1000 * position, 3) + step)}"
 
@@ -175,7 +175,7 @@ def _home_outside_limits(world: World) -> list[str]:
 
 
 def _occluded_field_of_view(world: World) -> list[str]:
-    """Describe what hides part of the scanner's own field of view: a mount or housing with a wrong sign does."""
+    """Describe occlusion of the field of view by housing or wrist, which a wrong sign of a position causes."""
     problems = []
     if share := housing_occlusion(world):
         move = _move_key("housing.position_mm", _T_scanner_housing(world)[:3, 3], _clearing_move(world))

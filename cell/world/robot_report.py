@@ -199,7 +199,7 @@ def _joined_pairs(model: mujoco.MjModel) -> list[str]:
 
 
 def _missing(file: RobotFile) -> list[str]:
-    """Describe what the file does not state, and what is assumed."""
+    """Describe missing properties of the file, and the assumptions for them."""
     slow = [name for name, speed in zip(file.joints, file.velocity, strict=True) if not np.isfinite(speed)]
     return [
         *file.warnings,

@@ -82,7 +82,7 @@ def prove_separation(
         one: a body.
         other: another body.
         distance: required distance [m], above 0.
-        max_configurations: after so many configurations the proof fails.
+        max_configurations: number of configurations after which the proof fails.
     """
     import mujoco
 
