@@ -26,6 +26,7 @@ from benchmarks.seeded_scenes import content
 from cell.errors import SceneError
 from cell.scene.model import Scene
 from cell.study.bench import Bench
+from cell.world.collision import MujocoCollisionChecker
 from cell.world.occluders import fixed_occluders, make_caster
 from planner import cover
 from planner.kinematics import reach
@@ -62,8 +63,8 @@ def run() -> list[dict[str, Any]]:
 def _row(number: int) -> dict[str, Any]:
     bench, reached, M, chosen = _covered(number)
     world = bench.world
-    checker, kinematics, candidates = bench.checker(world.T_base_object), bench.kinematics, bench.zone
-    home_pose = kinematics.forward(world.home[None])[0] @ world.T_flange_scanner
+    checker, candidates = MujocoCollisionChecker(world), bench.candidates
+    home_pose = world.kinematics.forward(world.home[None])[0] @ world.T_flange_scanner
 
     def motion(
         groups: list[Any], views: Any, ordering: order.Ordering, budget: MotionBudget = DEFAULT_BUDGET
@@ -122,11 +123,11 @@ def _covered(number: int) -> tuple[Bench, reach.Reach, Measurability, cover.Cove
             world = bench.world
         except SceneError:
             continue
-        checker = bench.checker(world.T_base_object)
+        checker = MujocoCollisionChecker(world)
         if not checker.free(world.home[None])[0]:
             continue
-        candidates = bench.zone
-        reached = reach.solve_reach(candidates, world.T_base_object, world.T_flange_scanner, bench.kinematics, checker)
+        candidates = bench.candidates
+        reached = reach.solve_reach(candidates, world.T_base_object, world.T_flange_scanner, world.kinematics, checker)
         if reached.reachable.sum() < _LEAST:
             continue
         M = bench.matrix("aimed", candidates)

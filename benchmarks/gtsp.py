@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks import gtsplib
 from cell.scene.model import Scene
-from cell.study.bench import Bench, placed_at
+from cell.study.bench import Bench, solve_reach
 from cell.world.occluders import fixed_occluders, make_caster
 from planner import cover
 from planner.measurability.visibility import apply_occluders
@@ -61,8 +61,8 @@ def _files() -> list[tuple[str, generalised_tsp.Instance, float]]:
 def _mseke() -> list[tuple[str, generalised_tsp.Instance]]:
     """Return the instances of the default plan: its own views, and with their alternatives."""
     bench = Bench(Scene.model_validate({"placement": {"position_mm": [1200, 500, 0]}}), samples=1000)
-    world, candidates = bench.world, bench.zone
-    reached = bench.reach(candidates, placed_at((1200, 500, 0)))
+    world, candidates = bench.world, bench.candidates
+    reached = solve_reach(world, candidates)
     M = bench.matrix("aimed", candidates)
     M = apply_occluders(M, candidates, bench.scanner, make_caster(fixed_occluders(world)), ray_caster=bench.caster)
     rng = np.random.default_rng(0)

@@ -18,8 +18,7 @@ from cell.errors import UsageError
 from cell.metrology.reconstruct import Reconstruction, reconstruct
 from cell.plan.candidates import generate_viewpoints
 from cell.scene.model import PlanSettings, Scanner
-from cell.study.bench import Bench
-from cell.study.scenes import bench_of
+from cell.study.bench import Bench, shared_bench
 from planner import cover
 from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
@@ -114,14 +113,14 @@ def decimation(bench: Bench, share: float, repeats: int) -> KnobResult:
         return candidates, cover.solve(cover.CoverProblem(M.matrix(), features.areas), rng=rng)
 
     (candidates, plan), seconds = best_of(work, repeats)
-    visible = bench.visible(candidates.T_object_scanner[plan.views])
+    visible = bench.visible_coverage(candidates.T_object_scanner[plan.views])
     error = 100 * (_most(bench) - visible)
     return KnobResult(error, seconds, {"views": len(plan.views), "candidates": len(candidates)})
 
 
 def samples(bench: Bench, per_face: int, repeats: int) -> KnobResult:
     """Aimed samples per face: how far the matrix's claim for its plan is from the truth."""
-    planning, candidates = bench.planning, bench.zone
+    planning, candidates = bench.planning, bench.candidates
     rng = np.random.default_rng([bench.scene.plan.seed, _FEATURES])
     features = draw_samples(bench.part.reference, planning, per_face * len(planning.faces), rng)
     M, seconds = best_of(lambda: fill_matrix(candidates, features, bench.scanner, bench.caster), repeats)
@@ -167,20 +166,20 @@ def _nearest(bench: Bench) -> ClosestPointQuery:
 KNOBS: Mapping[str, Knob] = {
     "decimation": Knob(
         "faces of the planning mesh", "x default", (0.125, 0.25, 0.5, 1.0, 2.0), 1.0,
-        "what all candidates of a mesh of four times the default faces measure together",
-        "surface that the plan misses of it [points]", "points", decimation,
+        "coverage of all candidates of a mesh with four times the default faces",
+        "difference of the plan [points]", "points", decimation,
     ),
     "samples": Knob(
-        "surface samples per face, aimed at", "", (1, 2, 4, 8, 16),
+        "surface samples per face", "", (1, 2, 4, 8, 16),
         PlanSettings.model_fields["samples_per_face"].default,
-        "visible coverage on 100,000 samples that the matrix has not seen",
-        "coverage that the matrix claims for its plan, off by [points]", "points", samples,
+        "visible coverage on 100,000 held-out samples",
+        "error of the coverage on the matrix [points]", "points", samples,
     ),
     "scan": Knob(
         "angle between the rays of a scan", "deg", (2.0, 1.0, 0.5, 0.25, 0.125),
         Scanner.model_fields["resolution_deg"].default[0],
-        "the part's own surface; 30 um of noise along the rays",
-        "rms deviation of the surface made of the scans [um]", "um", scan,
+        "the part; 30 um noise along the rays",
+        "rms deviation of the reconstructed surface [um]", "um", scan,
     ),
 }  # fmt: skip
 
@@ -189,10 +188,10 @@ def turn(settings: Mapping[str, Any]) -> dict[str, Any]:
     """One value of one knob: the trial.
 
     Args:
-        settings: scene and files (`cell.study.scenes`), knob, value, and repeats, of which the best counts.
+        settings: scene and files (`cell.study.bench`), knob, value, and repeats, of which the best counts.
 
     Returns:
         The error, in the knob's unit, and what else is worth a column; under "seconds" what the work took.
     """
-    found = KNOBS[settings["knob"]].turn(bench_of(settings), settings["value"], settings["repeats"])
+    found = KNOBS[settings["knob"]].turn(shared_bench(settings), settings["value"], settings["repeats"])
     return {"error": found.error, "more": dict(found.more), "seconds": dict(found.seconds)}

@@ -10,7 +10,7 @@ import typer
 from benchmarks.paper.study import table_study
 from benchmarks.paper.tables import tables
 from cell.cli.options import AsJson, from_fields
-from cell.cli.study import run_study
+from cell.cli.study import run_and_print
 from cell.errors import UsageError
 from cell.study.options import StudyRun
 
@@ -49,4 +49,4 @@ def paper(
             raise UsageError(f"--part {each} is not in the paper's tables; choose one of {', '.join(sorted(parts))}")
     if not 0 < faces_share <= 1:
         raise UsageError(f"--faces-share {faces_share:g} must be above 0 and at most 1")
-    run_study(lambda: table_study(table, faces_share=faces_share, parts=part or []), run, as_json)
+    run_and_print(lambda: table_study(table, faces_share=faces_share, parts=part or []), run, as_json)

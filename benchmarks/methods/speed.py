@@ -14,13 +14,13 @@ import typer
 from benchmarks.methods.knobs import KNOBS, Knob, Value, turn
 from benchmarks.methods.speed_charts import by_knob, label, pictures
 from cell.cli.options import SceneFile, from_fields
-from cell.cli.study import run_study, scene_maker
+from cell.cli.study import run_and_print, scene_maker
 from cell.errors import UsageError
 from cell.scene.model import Scene
+from cell.study.bench import scene_settings
 from cell.study.options import StudyRun
-from cell.study.scenes import scene_settings
 from cell.study.study import Row, Study
-from cell.study.trial import Outcome, Trial
+from cell.study.trials import Outcome, Trial
 
 ELSEWHERE = {
     "rays": "fill",
@@ -64,7 +64,7 @@ def speed(
     base = scene_maker(part, scene, {})({})
     study = speed_study([(name, base) for name in wanted], values=given, repeats=repeats)
     alone = run.model_copy(update={"processes": run.processes or 1})  # more than one disturb each other's timing
-    run_study(lambda: study, alone, as_json=False)
+    run_and_print(lambda: study, alone, as_json=False)
 
 
 def chosen(names: Sequence[str]) -> list[str]:

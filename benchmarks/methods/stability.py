@@ -19,11 +19,11 @@ from matplotlib.figure import Figure
 from benchmarks.methods import arm_maps, planning_maps, reconstruction_maps
 from benchmarks.methods.stability_map import Map
 from cell.cli.options import from_fields
-from cell.cli.study import run_study
+from cell.cli.study import run_and_print
 from cell.errors import UsageError
 from cell.study.options import StudyRun
 from cell.study.study import Row, Study
-from cell.study.trial import Outcome, Trial
+from cell.study.trials import Outcome, Trial
 
 MAPS: Mapping[str, Map] = {**arm_maps.MAPS, **planning_maps.MAPS, **reconstruction_maps.MAPS}
 
@@ -42,7 +42,7 @@ def stability(
     quick: Annotated[bool, typer.Option("--quick", help="Few values, small problems: whether it still works.")] = False,
 ) -> None:
     """Map where each method breaks: success and error over what breaks it, and what the program says there."""
-    run_study(lambda: stability_study(names or [], quick=quick), run, as_json=False)
+    run_and_print(lambda: stability_study(names or [], quick=quick), run, as_json=False)
 
 
 def at(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,9 +16,8 @@ from benchmarks.paper.tables import PaperRow, tables
 from benchmarks.paper.trial import row as compute_row
 from benchmarks.paper.trial import scene_keys
 from cell.scene.model import PlanSettings
-from cell.study import plan_command
-from cell.study.study import Row, Study
-from cell.study.trial import JsonTable, Outcome, Trial
+from cell.study.study import Row, Study, plan_options
+from cell.study.trials import JsonTable, Outcome, Trial
 from cell.view.palette import BLUE, GREY, VERMILION
 
 PARAMETER = "parameter"
@@ -73,7 +72,7 @@ def table_study(table: str, *, faces_share: float = 1.0, parts: Sequence[str] = 
     settings = {(name, paper.part, _parameter(paper)): _settings(name, paper, faces_share) for name, paper, _ in asked}
 
     def options(row: Row) -> str:
-        return plan_command.options(scene_keys(settings[f"table{row['table']}", row["part"], row[PARAMETER]]))
+        return plan_options(scene_keys(settings[f"table{row['table']}", row["part"], row[PARAMETER]]))
 
     trials = [trial for _, _, trial in asked]
     return Study(table, title, trials, rows, pictures, sentences, _SHOWN, options)

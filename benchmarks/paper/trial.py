@@ -5,15 +5,21 @@ samples, and scanned with the same fine resolution.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from time import perf_counter
 
-from benchmarks.paper.comparison import fewest_for, most_with
+import numpy as np
+
+from benchmarks.paper.comparison import DENSER, PaperBench, fewest_for, most_with
+from cell import scanners
+from cell.plan.candidates import generate_viewpoints
 from cell.scene.file import Tables, load_scene
-from cell.study.bench import Bench, Mask, placed_at
-from cell.study.trial import JsonTable
+from cell.study.bench import solve_reach
+from cell.study.trials import JsonTable
+from planner.values import Bools
+from planner.viewpoints.viewpoints import Viewpoints
 
 FINE_RESOLUTION_DEG = 0.25
 """Angle between rays in the scans of both plans, independent of the planning resolution."""
@@ -43,41 +49,42 @@ def row(settings: JsonTable) -> dict[str, object]:
         seconds[name] = perf_counter() - start
 
     with timed("reach"):
-        zone, spherical = bench.zone, bench.sphere
+        zone, spherical = bench.candidates, _view_sphere(bench)
         allowed, sphere_allowed = (
-            None if place is None else bench.reach(candidates, placed_at(place)).reachable
-            for candidates in (zone, spherical)
+            None if place is None else _reachable(bench, candidates, place) for candidates in (zone, spherical)
         )
     with timed("rays"):
         rays = bench.select("rays", zone, allowed, solver="meta-raps")
     with timed("ours"):
         ours = bench.select("aimed", zone, allowed, solver="auto")
     with timed("ours at their coverage"):
-        fewer = fewest_for(bench, zone, allowed, rays.visible, ours)
+        fewer, fewer_is_denser = fewest_for(bench, zone, allowed, rays.visible, ours)
     with timed("ours at their views"):
-        enough = len(ours.cover.views) <= len(rays.cover.views) and ours.visible >= rays.visible
-        most = ours if enough else most_with(bench, zone, allowed, len(rays.cover.views), ours)
+        suffices = len(ours.cover.views) <= len(rays.cover.views) and ours.visible >= rays.visible
+        most, most_is_denser = (
+            (ours, False) if suffices else most_with(bench, zone, allowed, len(rays.cover.views), ours)
+        )
     with timed("view sphere"):
         sphere = bench.select("aimed", spherical, sphere_allowed, solver="auto")
     with timed("scans"):
-        sampled = [bench.sampled(plan.T_object_scanner) for plan in (rays, ours)]
+        sampled = [bench.sampled_coverage(plan.T_object_scanner) for plan in (rays, ours)]
     return {
         "viewpoints": _count(allowed, len(zone)),
         "rays": {**rays.values(), "sampled": sampled[0]},
         "ours": {**ours.values(), "sampled": sampled[1]},
-        "ours_at_their_visible": fewer.values(),
-        "ours_at_their_views": most.values(),
+        "ours_at_their_visible": {**fewer.values(), "density": DENSER if fewer_is_denser else 1},
+        "ours_at_their_views": {**most.values(), "density": DENSER if most_is_denser else 1},
         "sphere": {"viewpoints": _count(sphere_allowed, len(spherical)), **sphere.values()},
         "seconds": seconds,
     }
 
 
 @lru_cache(maxsize=1)
-def _bench(settings: str) -> Bench:
+def _bench(settings: str) -> PaperBench:
     """Return the bench of a row; rows of Table 5 in one process share it, with part and matrices."""
     keys = scene_keys(json.loads(settings))
     keys["scanner"] = {"resolution_deg": [FINE_RESOLUTION_DEG] * 2, **keys["scanner"]}
-    return Bench(load_scene(None, keys))
+    return PaperBench(load_scene(None, keys))
 
 
 def scene_keys(settings: JsonTable) -> Tables:
@@ -96,5 +103,17 @@ def scene_keys(settings: JsonTable) -> Tables:
     return keys
 
 
-def _count(allowed: Mask | None, total: int) -> int:
+def _view_sphere(bench: PaperBench) -> Viewpoints:
+    plan = bench.scene.plan.model_copy(update={"candidates": "view-sphere"})
+    scene = bench.scene.model_copy(update={"plan": plan})
+    return scanners.sweep_columns(bench.scanner, generate_viewpoints(scene, bench.settings, bench.part, bench.planning))
+
+
+def _reachable(bench: PaperBench, candidates: Viewpoints, place_mm: Sequence[float]) -> Bools:
+    centre = np.eye(4)
+    centre[:3, 3] = np.asarray(place_mm) / 1000
+    return solve_reach(bench.world.with_placement(centre), candidates).reachable
+
+
+def _count(allowed: Bools | None, total: int) -> int:
     return total if allowed is None else int(allowed.sum())

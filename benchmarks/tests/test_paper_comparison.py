@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array
 
-from benchmarks.paper.comparison import DENSER, fewest_for, most_with
+from benchmarks.paper.comparison import PaperBench, fewest_for, most_with
 from benchmarks.paper.study import STANDOFF_MM, USUAL, rows_lost, table_study
 from cell.scene import sensors
 from cell.scene.file import load_scene
 from cell.scene.model import Scene
 from cell.scene.settle import with_device
-from cell.study.bench import Bench
 
 _COVERED = 0.86
 """Of the matrix by five views, which measure less on the held-out samples than is asked for."""
@@ -23,10 +22,12 @@ _COVERED = 0.86
 class _Bench:
     """Five views cover 86 % of the matrix and measure 84 %, six cover and measure 95 %."""
 
-    def matrix(self, fill: str, candidates: Any, density: int) -> Any:
+    is_denser = False
+
+    def matrix(self, fill: str, candidates: Any) -> Any:
         return SimpleNamespace(matrix=lambda: csc_array(np.ones((4, 9))), samples=SimpleNamespace(areas=np.ones(4)))
 
-    def select(self, fill: str, candidates: Any, allowed: Any, *, solver: str, share: float, density: int) -> Any:
+    def select(self, fill: str, candidates: Any, allowed: Any, *, solver: str, share: float) -> Any:
         few = share <= _COVERED
         cover = SimpleNamespace(
             views=np.arange(5 if few else 6), covered_area=4 * (_COVERED if few else 0.95), coverable_area=4.0
@@ -38,48 +39,49 @@ def test_a_plan_that_comes_back_unchanged_is_left_behind() -> None:
     """However far its few views cover beyond the target: raising that by the gap alone would end at all views."""
     full: Any = SimpleNamespace(cover=SimpleNamespace(views=np.arange(9)), visible=1.0)
     bench: Any = _Bench()
-    assert len(fewest_for(bench, None, None, 0.841, full).cover.views) == 6  # type: ignore[arg-type]  # not looked at
+    assert len(fewest_for(bench, None, None, 0.841, full)[0].cover.views) == 6  # type: ignore[arg-type]  # not looked at
 
 
 @pytest.fixture(scope="module")
-def bench(part_file: Path) -> Bench:
+def bench(part_file: Path) -> PaperBench:
     """A small, coarse part with 4,000 held-out samples."""
     tables: dict[str, Any] = {
         "part": {"path": str(part_file), "units": "mm"},
         "plan": {"faces": 60, "samples_per_face": 3, "candidates": "optimal-scanning-zone"},
         "scanner": {"resolution_deg": [1.0, 1.0]},
     }
-    return Bench(load_scene(None, tables), samples=4000)
+    return PaperBench(load_scene(None, tables), samples=4000)
 
 
-def test_fewest_views_for_a_coverage_keep_it_and_no_fewer_were_needed_by_more(bench: Bench) -> None:
+def test_fewest_views_for_a_coverage_keep_it_and_no_fewer_were_needed_by_more(bench: PaperBench) -> None:
     """On the held-out samples; less coverage never takes more views."""
-    full = bench.select("aimed", bench.zone, None, solver="auto")
-    found = [fewest_for(bench, bench.zone, None, share * full.visible, full) for share in (0.5, 0.8, 0.95)]
+    full = bench.select("aimed", bench.candidates, None, solver="auto")
+    found = [fewest_for(bench, bench.candidates, None, share * full.visible, full)[0] for share in (0.5, 0.8, 0.95)]
     for plan, share in zip(found, (0.5, 0.8, 0.95), strict=True):
         assert plan.visible >= share * full.visible
     numbers = [len(plan.cover.views) for plan in [*found, full]]
     assert numbers == sorted(numbers)
 
 
-def test_more_than_all_usual_samples_need_is_looked_for_among_denser_ones(bench: Bench) -> None:
+def test_more_than_all_usual_samples_need_is_looked_for_among_denser_ones(bench: PaperBench) -> None:
     """Asked for all that every candidate together measures: nearer to it, or the plan of the usual samples."""
-    full = bench.select("aimed", bench.zone, None, solver="auto")
-    everything = bench.visible(bench.zone.T_object_scanner)
+    full = bench.select("aimed", bench.candidates, None, solver="auto")
+    everything = bench.visible_coverage(bench.candidates.T_object_scanner)
     assert full.visible < everything
-    found = fewest_for(bench, bench.zone, None, everything, full)
+    found, is_denser = fewest_for(bench, bench.candidates, None, everything, full)
     assert full.visible <= found.visible <= everything
-    assert (found.density == DENSER) == (found.visible > full.visible)
+    assert is_denser == (found.visible > full.visible)
     assert len(found.cover.views) >= full.cover.lower_bound
 
 
-def test_most_coverage_with_more_views_than_the_full_plan_is_never_less(bench: Bench) -> None:
+def test_most_coverage_with_more_views_than_the_full_plan_is_never_less(bench: PaperBench) -> None:
     """The spare views serve denser samples; with fewer views than are needed it is less."""
-    full = bench.select("aimed", bench.zone, None, solver="auto")
+    full = bench.select("aimed", bench.candidates, None, solver="auto")
     n = len(full.cover.views)
-    found = [most_with(bench, bench.zone, None, views, full) for views in (n - 1, n, n + 3)]
+    results = [most_with(bench, bench.candidates, None, views, full) for views in (n - 1, n, n + 3)]
+    found = [plan for plan, _ in results]
     assert [len(plan.cover.views) <= views for plan, views in zip(found, (n - 1, n, n + 3), strict=True)] == [True] * 3
-    assert found[0].density == 1
+    assert not results[0][1]
     assert found[1].visible >= full.visible
     assert found[2].visible > full.visible
     if full.cover.lower_bound == n:

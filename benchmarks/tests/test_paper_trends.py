@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.paper.study import TOLERANCE_POINTS, table_study
-from cell.study.run import run
 from cell.study.study import Row
-from cell.study.workers import Processes
+from cell.study.trials import Processes, run_trials
 
 _SHARE = 0.3
 _ASKED = (("table1", "mseke"), ("table2", "mug"), ("table3", "humerus"), ("table4", "mug"))
@@ -26,7 +25,7 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Row]]:
     with Processes(2) as workers:
         for table, part in _ASKED:
             study = table_study(table, faces_share=_SHARE, parts=[part])
-            outcomes = run(study.trials, workers, folder=folder)
+            outcomes = run_trials(study.trials, workers, folder=folder)
             assert not [outcome.failure for outcome in outcomes if outcome.failure]
             found[table] = list(study.rows(outcomes))
     return found

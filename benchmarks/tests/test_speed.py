@@ -13,9 +13,8 @@ from cell.errors import UsageError
 from cell.scene.file import load_scene
 from cell.session import LoggedProgress
 from cell.study.bench import Bench
-from cell.study.study import conduct
-from cell.study.trial import Outcome, Trial
-from cell.study.workers import Processes
+from cell.study.study import run_study
+from cell.study.trials import Outcome, Processes, Trial
 
 ROOT = Path(__file__).parents[2]
 
@@ -118,7 +117,7 @@ def test_fronts_of_a_small_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     scene = load_scene(None, {"part": {"name": "petanque"}, "plan": {"faces": 60}})
     study = speed_study([(name, scene) for name in KNOBS], values=(1, 2), repeats=1)
     with Processes(1) as workers:
-        result = conduct(study, workers, out=tmp_path / "fronts", reporter=LoggedProgress())
+        result = run_study(study, workers, out=tmp_path / "fronts", reporter=LoggedProgress())
     assert result.failed == []
     assert len(result.rows) == 2 * len(KNOBS)
     assert all(row["processor s"] > 0 and row["error"] >= 0 for row in result.rows)

@@ -13,9 +13,8 @@ from benchmarks.methods.stability import MAPS, at, broken_promises, sentences, s
 from cell.errors import UsageError
 from cell.robot.plant import MAX_ACCURATE_STEP, PlantSettings
 from cell.session import LoggedProgress
-from cell.study.study import conduct
-from cell.study.trial import Outcome, Trial
-from cell.study.workers import Processes
+from cell.study.study import run_study
+from cell.study.trials import Outcome, Processes, Trial
 
 _NUMBERS = [
     (name, line, border, outward)
@@ -105,7 +104,7 @@ def test_no_method_fails_in_silence(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     """The reduced study: every map is asked and drawn, and is silent only where its method is good."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     with Processes(1) as workers:
-        result = conduct(stability_study([], quick=True), workers, out=tmp_path / "maps", reporter=LoggedProgress())
+        result = run_study(stability_study([], quick=True), workers, out=tmp_path / "maps", reporter=LoggedProgress())
     assert result.failed == []
     assert broken_promises(result.rows) == []
     # Inverse kinematics, and the selection on so small matrices, are good at every value.

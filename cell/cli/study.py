@@ -22,11 +22,11 @@ from cell.errors import UsageError
 from cell.scene.file import load_scene, option_names, option_tables, scene_from_options
 from cell.scene.model import Scene
 from cell.scene.options import flag, option_specs
-from cell.study.options import PlaceRange, ScannerNumber, StudyRun
+from cell.study.options import PlaceRange, ScannerNumber, StudyRun, parse_pairs, parse_range
 
 if TYPE_CHECKING:
     from cell.cli.terminal import Terminal
-    from cell.study.curves import SceneWith
+    from cell.study.scanner_study import SceneWith
     from cell.study.study import Study, StudyResult
 
 app = typer.Typer(
@@ -44,17 +44,17 @@ _MAX_ROWS = 24  # of a map: a screen; the folder has all
 _NO_RESULT = 2  # exit code: every trial failed
 
 
-def run_study(
+def run_and_print(
     make: "Callable[[], Study]", run: StudyRun, as_json: bool, plan: Sequence[object] = ("cell", "plan")
 ) -> None:
     """Run a study and print its result; `plan` is the command that plans its scene."""
     from cell.cli.terminal import Terminal
-    from cell.study.study import conduct
-    from cell.study.workers import open_workers
+    from cell.study.study import run_study
+    from cell.study.trials import open_workers
 
     terminal = Terminal(quiet_stdout=as_json)
     with open_workers(run.count, run.cluster) as workers:
-        result = conduct(make(), workers, out=run.out, reporter=terminal, plan=plan)
+        result = run_study(make(), workers, out=run.out, reporter=terminal, plan=plan)
     _print_study(terminal, result, as_json)
     if not result.rows:
         raise typer.Exit(_NO_RESULT)
@@ -120,12 +120,11 @@ def placement(
     as_json: AsJson = False,
 ) -> None:
     """Map placements of the part: reach, coverage, views and cycle time over its position."""
-    from cell.study.placement_map import placement_study
-    from cell.study.ranges import values
+    from cell.study.placement_study import placement_study
 
-    grids = [values(name, text) for name, text in (("--x", x), ("--y", y), ("--z", z), ("--yaw", yaw))]
+    grids = [parse_range(name, text) for name, text in (("--x", x), ("--y", y), ("--z", z), ("--yaw", yaw))]
     base = scene_maker(part, scene, given)({})
-    run_study(lambda: placement_study(base, *grids), run, as_json, _plan_words(part, scene, given))
+    run_and_print(lambda: placement_study(base, *grids), run, as_json, _plan_words(part, scene, given))
 
 
 @command("cell study standoff mug --values 50:500:50", group=app)
@@ -140,13 +139,12 @@ def standoff(
     as_json: AsJson = False,
 ) -> None:
     """Find the scanning zone: views and coverage over the standoff distance."""
-    from cell.study.curves import knob_study
-    from cell.study.ranges import values as range_of
+    from cell.study.scanner_study import scanner_study
 
-    standoffs = range_of("--values", values)
+    standoffs = parse_range("--values", values)
     make = scene_maker(part, scene, given)
     words = _plan_words(part, scene, given)
-    run_study(lambda: knob_study(make, "standoff", standoffs, robot=robot), run, as_json, words)
+    run_and_print(lambda: scanner_study(make, "standoff", standoffs, robot=robot), run, as_json, words)
 
 
 @command(
@@ -166,9 +164,7 @@ def scanner(
     as_json: AsJson = False,
 ) -> None:
     """Find the scanner: views and coverage over one of its numbers, or over real sensors. Give one of the options."""
-    from cell.study.curves import Setting, knob_study
-    from cell.study.ranges import pairs
-    from cell.study.ranges import values as range_of
+    from cell.study.scanner_study import Setting, scanner_study
 
     varied = number.model_dump(exclude_none=True)
     if varied.keys() == {"sensors", "baseline"}:  # no sensor of the library states its baseline
@@ -181,15 +177,15 @@ def scanner(
     make = scene_maker(part, scene, given)
     values: Sequence[Setting]
     if name == "ranges":
-        name, values = "range", pairs("--range", text)
+        name, values = "range", parse_pairs("--range", text)
     elif name == "sensors":
         from cell.scene import sensors as library
 
         complete = [name for name in library.names() if not library.load(name).not_stated.keys() - {"baseline_mm"}]
         values = complete if text == "all" else text.split(",")
     else:
-        values = range_of(flag(name), text)
-    run_study(lambda: knob_study(make, name, values, robot=robot), run, as_json, _plan_words(part, scene, given))
+        values = parse_range(flag(name), text)
+    run_and_print(lambda: scanner_study(make, name, values, robot=robot), run, as_json, _plan_words(part, scene, given))
 
 
 for _name in ("speed", "stability"):
@@ -215,9 +211,9 @@ def place(
     """Search the best placement of the part: most coverage, then fewest views, then the shortest cycle."""
     from cell.cli.terminal import Terminal
     from cell.study.place_search import pictures, search, sentences
-    from cell.study.placement_map import place_option
+    from cell.study.placement_study import place_option
     from cell.study.study import StudyResult, study_folder, write_folder
-    from cell.study.workers import open_workers
+    from cell.study.trials import open_workers
 
     checked = scene_from_options(scene, given, part, flag)
     folder = study_folder("place", run.out)
@@ -230,5 +226,5 @@ def place(
         folder, found.ten, sentences(found), [], sum(found.places.values()), list(found.ten[0]), commands, 0
     )
     seconds = [{"round": name, "places": count} for name, count in found.places.items()]
-    write_folder("place", "Where the part should stand", result, pictures(found), seconds)
+    write_folder("place", "Best placements of the part", result, pictures(found), seconds)
     _print_study(terminal, result, as_json)

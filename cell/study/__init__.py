@@ -1,1 +1,1 @@
-"""`cell study`: many trials of one question, cached one by one, resumed, drawn; on processes or on a Dask cluster."""
+"""Studies: many cached trials of one question, on local processes or a Dask cluster."""

@@ -1,24 +1,28 @@
-"""One part under one scanner, ready for trials: candidates, matrices, plans, and how good they are on unseen samples.
+"""A part under a scanner, prepared for trials: candidates, matrices, selections, and their coverage.
 
-What `cell plan` does for one job with a report, without motion and files; every study of views stands on it.
+The steps of `cell plan` for many selections, without motion and files; and scenes as settings of trials.
 """
 
-from collections.abc import Sequence
+import hashlib
+import json
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cell import scanners
+from cell.errors import FileError
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import generate_viewpoints
+from cell.robot.model import KR16
 from cell.scene.model import Scene, require_no_region_targets
 from cell.scene.regions import with_regions
 from cell.scene.settle import Settings, resolve, settle_scene
 from cell.session import Stream, random_stream
+from cell.study.trials import JsonTable
 from cell.world import virtual_scan
 from cell.world.checks import require_feasible
 from cell.world.collision import MujocoCollisionChecker
@@ -35,46 +39,41 @@ from planner.kinematics import reach
 from planner.kinematics.reach import Reach
 from planner.measurability import coverage
 from planner.measurability.matrix import Measurability, pick_measurability
-from planner.ports import Kinematics, Scanner
-from planner.values import Floats
+from planner.ports import Scanner
+from planner.values import Bools, Floats
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judged:
-    """A selection of views and how good it is.
+class EvaluatedCover:
+    """A selection of views with its coverage.
 
     Attributes:
-        cover: the selection and what is proven of it.
-        T_object_scanner: (n, 1, 4, 4) its poses [m].
-        visible: share of the surface that it measures, on samples that the optimiser did not see.
-        density: times as many samples per face as the scene has, that the optimiser saw.
+        cover: the selection with its bound.
+        T_object_scanner: (n, 1, 4, 4) poses of the views [m].
+        visible: visible coverage on the held-out samples, share of the surface.
     """
 
     cover: Cover
     T_object_scanner: Floats
     visible: float
-    density: int = 1
 
     def values(self) -> dict[str, float | str]:
-        """For the result of a trial."""
+        """Return the values of a trial."""
         return {
             "views": len(self.cover.views),
             "lower_bound": self.cover.lower_bound,
             "status": self.cover.status.name.lower(),
             "visible": self.visible,
-            "density": self.density,
         }
 
 
 class Bench:
-    """A scene with its part loaded; meshes, samples, matrices and the compiled cell are made when first asked for.
+    """A scene with its part; meshes, samples, matrices and the compiled cell are made when they are first needed.
 
     Args:
         scene: a checked scene.
-        samples: held-out samples to judge with; None: those of the default effort.
+        samples: number of held-out samples; None: that of the default effort.
     """
 
     def __init__(self, scene: Scene, *, samples: int | None = None) -> None:
@@ -86,162 +85,152 @@ class Bench:
         self.settings: Settings = replace(
             settings, scanner=scanners.with_own_parameters(settings.scanner, self.scanner)
         )
-        self._n_samples = samples
-        self._some: dict[int, tuple[Viewpoints, Measurability]] = {}
-        self._matrices: dict[tuple[str, int, int], tuple[Viewpoints, SurfaceSamples, Measurability]] = {}
+        self.n_samples = samples
+        self._subsets: dict[int, tuple[Viewpoints, Measurability]] = {}
+        self._matrices: dict[tuple[str, int], tuple[Viewpoints, Measurability]] = {}
 
     @cached_property
     def planning(self) -> TriangleMesh:
-        """The decimated copy."""
+        """The planning mesh."""
         return decimate(self.part.reference, self.settings.faces)
 
     @cached_property
     def caster(self) -> EmbreeRayCaster:
-        """Casts on the part."""
+        """The ray caster of the part."""
         return EmbreeRayCaster(self.part.reference.vertices, self.part.reference.faces)
 
     @cached_property
     def samples(self) -> SurfaceSamples:
-        """Held-out samples: no optimiser sees them."""
-        return held_out_samples(self.part.reference, self.planning, self.scene.plan.seed, self._n_samples)
+        """The held-out samples."""
+        return held_out_samples(self.part.reference, self.planning, self.scene.plan.seed, self.n_samples)
 
     @cached_property
-    def zone(self) -> Viewpoints:
-        """Candidates by the scene's generator and rolls."""
-        return scanners.sweep_columns(
-            self.scanner, generate_viewpoints(self.scene, self.settings, self.part, self.planning)
-        )
-
-    @cached_property
-    def sphere(self) -> Viewpoints:
-        """Candidates of the view sphere, 15 degrees apart."""
-        plan = self.scene.plan.model_copy(update={"candidates": "view-sphere"})
-        scene = self.scene.model_copy(update={"plan": plan})
-        return scanners.sweep_columns(self.scanner, generate_viewpoints(scene, self.settings, self.part, self.planning))
+    def candidates(self) -> Viewpoints:
+        """The candidates by the generator and the rolls of the scene."""
+        candidates = generate_viewpoints(self.scene, self.settings, self.part, self.planning)
+        return scanners.sweep_columns(self.scanner, candidates)
 
     @cached_property
     def world(self) -> World:
-        """The compiled cell; `World.elsewhere` is that of another placement."""
+        """The compiled cell."""
         baseline = scanners.baseline_mm(self.settings.scanner, self.scanner)
         part = self.part.reference
         world = compile_world(self.scene, part.vertices, part_faces=part.faces, baseline_mm=baseline)
         require_feasible(world)
         return world
 
-    @cached_property
-    def kinematics(self) -> Kinematics:
-        """Of the arm, and of a table under the part where it stands."""
-        return self.world.kinematics
-
-    def reach(self, candidates: Viewpoints, T_base_centre: Floats) -> Reach:
-        """Which candidates the robot reaches with the part's centre at a place.
-
-        Args:
-            candidates: viewpoints.
-            T_base_centre: (4, 4) where the part's centre stands and how it is turned [m].
-        """
-        return reach_in(self.world.with_placement(T_base_centre), candidates)
-
-    def checker(self, T_base_object: Floats) -> MujocoCollisionChecker:
-        """Collisions with the part at a placement (4, 4) [m]."""
-        return MujocoCollisionChecker(self.world, T_base_object)
-
-    def matrix(self, fill: str, candidates: Viewpoints, density: int = 1) -> Measurability:
-        """The part-only matrix by `aimed` or `rays`, from the cache where it is there.
-
-        Args:
-            fill: `aimed` or `rays`.
-            candidates: viewpoints.
-            density: times as many samples per face as the scene has.
-        """
-        known = self._matrices.get((fill, id(candidates), density))
+    def matrix(self, fill: str, candidates: Viewpoints) -> Measurability:
+        """Return the matrix without occluders, filled by `aimed` or `rays`; from the cache if possible."""
+        known = self._matrices.get((fill, id(candidates)))
         if known is None:
-            dense = {"fill": fill, "samples_per_face": density * self.scene.plan.samples_per_face}
-            scene = self.scene.model_copy(update={"plan": self.scene.plan.model_copy(update=dense)})
+            scene = self.scene.model_copy(update={"plan": self.scene.plan.model_copy(update={"fill": fill})})
             rng = random_stream(self.scene.plan.seed, Stream.MATRIX_SAMPLES)
-            features = surface_samples(scene, self.part.reference, self.planning, rng)
-            surface = PartSurface(self.part.reference, self.planning, features, self.caster)
-            M = part_matrix(scene, self.settings, surface, candidates)
-            known = candidates, features, M  # the candidates are kept, so that their id stays theirs
-            self._matrices[fill, id(candidates), density] = known
-        return known[2]
+            samples = surface_samples(scene, self.part.reference, self.planning, rng)
+            surface = PartSurface(self.part.reference, self.planning, samples, self.caster)
+            known = candidates, part_matrix(scene, self.settings, surface, candidates)
+            self._matrices[fill, id(candidates)] = known  # with the candidates, so that their id stays theirs
+        return known[1]
 
-    def some(self, count: int | None) -> tuple[Viewpoints, Measurability]:
-        """The scene's candidates, or a number of them for a quick look, with their `aimed` matrix.
+    def candidate_subset(self, count: int | None) -> tuple[Viewpoints, Measurability]:
+        """Return a number of candidates with their `aimed` matrix; None: all.
 
-        The same ones at every placement; a greater number holds the smaller one's.
+        The subset is the same at every placement, and a larger one contains it.
         """
-        if count is None or count >= len(self.zone):
-            return self.zone, self.matrix("aimed", self.zone)
-        if count not in self._some:
+        if count is None or count >= len(self.candidates):
+            return self.candidates, self.matrix("aimed", self.candidates)
+        if count not in self._subsets:
             rng = random_stream(self.scene.plan.seed, Stream.CANDIDATE_SUBSET)
-            which = np.sort(rng.permutation(len(self.zone))[:count])
-            M = pick_measurability(self.matrix("aimed", self.zone), which)
-            self._some[count] = pick_viewpoints(self.zone, which), M
-        return self._some[count]
+            which = np.sort(rng.permutation(len(self.candidates))[:count])
+            M = pick_measurability(self.matrix("aimed", self.candidates), which)
+            self._subsets[count] = pick_viewpoints(self.candidates, which), M
+        return self._subsets[count]
 
     def select(
-        self,
-        fill: str,
-        candidates: Viewpoints,
-        allowed: Mask | None,
-        *,
-        solver: str,
-        share: float = 1.0,
-        density: int = 1,
-    ) -> Judged:
-        """The fewest views for a share of what can be covered.
+        self, fill: str, candidates: Viewpoints, allowed: Bools | None, *, solver: str, share: float = 1.0
+    ) -> EvaluatedCover:
+        """Select the fewest views for a share of the coverable area.
 
         Args:
             fill: `aimed` or `rays`.
             candidates: viewpoints.
-            allowed: (V,) which may be used; None: all.
+            allowed: (V,) usable candidates; None: all.
             solver: a name of `planner.cover.SOLVERS`.
-            share: of the coverable area of the matrix's rows.
-            density: times as many samples per face as the scene has.
+            share: of the coverable area of the samples.
         """
-        M = self.matrix(fill, candidates, density)
+        M = self.matrix(fill, candidates)
         rng = np.random.default_rng(self.scene.plan.seed)
-        found = cover.solve(CoverProblem(M.matrix(), M.samples.areas, allowed, coverage=share), rng=rng, solver=solver)
-        return replace(self.judged(found, candidates), density=density)
+        problem = CoverProblem(M.matrix(), M.samples.areas, allowed, coverage=share)
+        return self.evaluate(cover.solve(problem, rng=rng, solver=solver), candidates)
 
-    def judged(self, found: Cover, candidates: Viewpoints) -> Judged:
-        """A selection with its visible coverage on the held-out samples."""
-        poses = candidates.T_object_scanner[found.views]
-        return Judged(found, poses, self.visible(poses))
+    def evaluate(self, selection: Cover, candidates: Viewpoints) -> EvaluatedCover:
+        """Return a selection with its visible coverage."""
+        poses = candidates.T_object_scanner[selection.views]
+        return EvaluatedCover(selection, poses, self.visible_coverage(poses))
 
-    def visible(self, T_object_scanner: Floats) -> float:
-        """Visible coverage of views (n, K, 4, 4) [m] on the held-out samples: share of the surface."""
+    def visible_coverage(self, T_object_scanner: Floats) -> float:
+        """Return the visible coverage of views (n, K, 4, 4) [m] on the held-out samples, share of the surface."""
         return coverage.visible_coverage(T_object_scanner, self.samples, self.scanner, (self.caster,)).fraction
 
-    def sampled(self, T_object_scanner: Floats) -> float:
-        """Sampled coverage of views (n, 1, 4, 4) [m], scanned at the scene's scan resolution: share of the surface.
+    def sampled_coverage(self, T_object_scanner: Floats) -> float:
+        """Return the sampled coverage of views (n, 1, 4, 4) [m] at the scan resolution, share of the surface.
 
-        One view after the other, and only for samples that none before came near: a plan of 100 views has millions of
-        points, and most of them tell nothing new.
+        The scans are evaluated one by one, each for the samples that no earlier scan reached: the points of 100 views
+        are millions, most of them near points of earlier views.
         """
         reference = self.part.reference
         radius = coverage.sampling_radius(reference)
-        open_samples = np.arange(len(self.samples))
+        uncovered = np.arange(len(self.samples))
         for T in T_object_scanner[:, 0]:
             points = virtual_scan.scan(self.scanner, T, self.caster, reference).points
-            if len(points) and len(open_samples):
+            if len(points) and len(uncovered):
                 tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-                bound = np.nextafter(radius, np.inf)  # the tree's own bound excludes the radius itself
-                near, _ = tree.query(self.samples.points[open_samples], distance_upper_bound=bound)
-                open_samples = open_samples[near > radius]
+                bound = np.nextafter(radius, np.inf)  # the bound of the tree excludes the radius itself
+                distance, _ = tree.query(self.samples.points[uncovered], distance_upper_bound=bound)
+                uncovered = uncovered[distance > radius]
         areas = self.samples.areas
-        return 1.0 - float(areas[open_samples].sum() / areas.sum())
+        return 1.0 - float(areas[uncovered].sum() / areas.sum())
 
 
-def reach_in(world: World, candidates: Viewpoints) -> Reach:
-    """Verdicts and joint solutions of viewpoints in a cell."""
+def solve_reach(world: World, candidates: Viewpoints) -> Reach:
+    """Return verdicts and configurations of viewpoints in a cell."""
     checker = MujocoCollisionChecker(world)
     return reach.solve_reach(candidates, world.T_base_object, world.T_flange_scanner, world.kinematics, checker)
 
 
-def placed_at(position_mm: Sequence[float]) -> Floats:
-    """(4, 4) a place of the part's centre [m] from millimetres, not turned."""
-    T = np.eye(4)
-    T[:3, 3] = np.asarray(position_mm) / 1000
-    return T
+def scene_settings(scene: Scene) -> dict[str, object]:
+    """Return a scene as settings of a trial: its differences from the defaults, and the sha256 of the named files."""
+    content = scene.model_dump(mode="json", exclude_defaults=True)
+    # The defaults of a fixture depend on its shape; without them the dump would lack the shape itself.
+    content["fixtures"] = [fixture.model_dump(mode="json") for fixture in scene.fixtures]
+    arm = None if scene.robot.model == KR16 else scene.robot.model
+    paths = [arm, scene.part.path, *(getattr(fixture, "path", None) for fixture in scene.fixtures)]
+    return {"scene": content, "files": {path: _sha256(path) for path in paths if path is not None}}
+
+
+def scene_from_settings(settings: JsonTable) -> Scene:
+    """Return the scene of a trial's settings.
+
+    Raises:
+        FileError: if a named file has changed.
+    """
+    for path, sha256 in settings["files"].items():
+        if _sha256(path) != sha256:
+            raise FileError(f"{path} has changed since the study was started; start the study again")
+    return Scene.model_validate(settings["scene"])
+
+
+def shared_bench(settings: JsonTable) -> Bench:
+    """Return the bench of a trial's scene; the trials of a process share it, so that they load a part once."""
+    return _bench(json.dumps({key: settings[key] for key in ("scene", "files")}, sort_keys=True))
+
+
+@lru_cache(maxsize=2)
+def _bench(settings: str) -> Bench:
+    return Bench(scene_from_settings(json.loads(settings)))
+
+
+def _sha256(path: str) -> str:
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror or error}") from error

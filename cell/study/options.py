@@ -1,5 +1,6 @@
-"""What `cell place` and the studies can be asked for, checked."""
+"""Options of `cell place` and of the studies."""
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,33 +8,36 @@ from typing import Annotated
 
 from pydantic import Field
 
+from cell.errors import UsageError
 from cell.scene.fields import Table
 from cell.scene.options import Option
+
+_MAX_VALUES = 1000
 
 Span = Annotated[tuple[float, float], Field(strict=False)]
 
 
 def _span(ends: Sequence[float]) -> tuple[float, float]:
-    """First and last value of one, which is both, or two; ValueError where they run backwards."""
+    """Return first and last value of one number, which is both, or of two ascending numbers."""
     if not ends[0] <= ends[-1]:
         raise ValueError
     return ends[0], ends[-1]
 
 
-def _of(axis: str, unit: str, example: str) -> Option:
+def _axis(help_text: str, unit: str, example: str) -> Option:
     return Option(
-        axis, metavar=f"{unit}:{unit}", form="from:to or one value", examples=(example,), counts=(1, 2), separator=":",
-        made=_span,
+        help_text, metavar=f"{unit}:{unit}", form="from:to or one value", examples=(example,), counts=(1, 2),
+        separator=":", made=_span,
     )  # fmt: skip
 
 
 class PlaceRange(Table):
-    """Where the part may stand: first and last value of each axis; equal ones fix it."""
+    """Range of placements: first and last value of each axis; equal values fix it."""
 
-    x_mm: Annotated[Span, _of("From and to, or one value.", "MM", "700:1600")] = (700.0, 1600.0)
-    y_mm: Annotated[Span, _of("From and to, or one value.", "MM", "0:900")] = (0.0, 900.0)
-    z_mm: Annotated[Span, _of("Of the part's centre.", "MM", "-200:400")] = (-200.0, 400.0)
-    yaw_deg: Annotated[Span, _of("Turn about the vertical (A).", "DEG", "-180:180")] = (-180.0, 180.0)
+    x_mm: Annotated[Span, _axis("From and to, or one value.", "MM", "700:1600")] = (700.0, 1600.0)
+    y_mm: Annotated[Span, _axis("From and to, or one value.", "MM", "0:900")] = (0.0, 900.0)
+    z_mm: Annotated[Span, _axis("Of the part's centre.", "MM", "-200:400")] = (-200.0, 400.0)
+    yaw_deg: Annotated[Span, _axis("Rotation about the vertical (A).", "DEG", "-180:180")] = (-180.0, 180.0)
 
     @property
     def ends(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -43,7 +47,7 @@ class PlaceRange(Table):
 
 
 class StudyRun(Table):
-    """Where the trials of a study are computed, and what is left of it."""
+    """Workers of a study, and its folder."""
 
     processes: Annotated[int | None, Option("Local worker processes. Default: one per core.")] = None
     cluster: Annotated[str | None, Option("Dask scheduler, for instance tcp://scheduler:8786.", metavar="ADDRESS")] = (
@@ -55,18 +59,18 @@ class StudyRun(Table):
 
     @property
     def count(self) -> int:
-        """Worker processes: as many as asked for, or one per core."""
+        """Number of local worker processes."""
         return os.cpu_count() or 1 if self.processes is None else self.processes
 
 
 class ScannerNumber(Table):
-    """What `cell study scanner` varies, one of them: texts as `cell.study.ranges` reads them."""
+    """The varied number of `cell study scanner`, one of these texts (`parse_range`, `parse_pairs`)."""
 
     fov: Annotated[str | None, Option("Fields of view, both ways.", metavar="DEG:DEG:DEG")] = None
     resolution: Annotated[str | None, Option("Angles between rays.", metavar="DEG:DEG:DEG")] = None
-    baseline: Annotated[
-        str | None, Option("Baselines; beside --sensors the one of all of them.", metavar="MM:MM:MM")
-    ] = None
+    baseline: Annotated[str | None, Option("Baselines; with --sensors the one of all of them.", metavar="MM:MM:MM")] = (
+        None
+    )
     grazing: Annotated[str | None, Option("Grazing limits.", metavar="DEG:DEG:DEG")] = None
     ranges: Annotated[
         str | None, Option("Near and far limits; the standoff is between.", name="range", metavar="MM-MM,...")
@@ -75,3 +79,57 @@ class ScannerNumber(Table):
         str | None,
         Option("Real sensors, see cell sensors; all: those that lack no more than a baseline.", metavar="NAME,..."),
     ] = None
+
+
+def parse_range(option: str, text: str) -> tuple[float, ...]:
+    """Return the values of a text such as `1000:1600:50` (first, last, step) or `5,-3`.
+
+    Args:
+        option: name of the option, for the message.
+        text: the range, or numbers separated by commas.
+
+    Raises:
+        UsageError: if it is neither, the step has the wrong sign, or there are more than 1000 values.
+    """
+    expected = f"{option} {text} must be first:last:step, for instance {option} 1000:1600:50, or numbers with commas"
+    try:
+        numbers = [float(piece) for piece in text.split(":" if ":" in text else ",")]
+    except ValueError:
+        raise UsageError(expected) from None
+    if not all(math.isfinite(number) for number in numbers):
+        raise UsageError(expected)
+    if ":" not in text:
+        return tuple(dict.fromkeys(numbers))
+    if len(numbers) != 3 or numbers[2] == 0 or (numbers[1] - numbers[0]) * numbers[2] < 0:
+        raise UsageError(expected)
+    first, last, step = numbers
+    count = math.floor((last - first) / step + 1e-9) + 1
+    if count > _MAX_VALUES:
+        raise UsageError(f"{option} {text} has {count} values; at most {_MAX_VALUES} are allowed, so use a larger step")
+    # Rounded to a nanometre, so that 3 x 0.1 is 0.3: the values are part of the keys of trials.
+    return tuple(round(first + index * step, 9) for index in range(count))
+
+
+def parse_pairs(option: str, text: str) -> list[tuple[float, float]]:
+    """Return pairs such as `50-150,100-300`.
+
+    Args:
+        option: name of the option, for the message.
+        text: pairs separated by commas.
+
+    Raises:
+        UsageError: if a piece is not a pair of ascending positive numbers.
+    """
+    found = []
+    for piece in text.split(","):
+        near, dash, far = piece.partition("-")
+        try:
+            pair = float(near), float(far)
+        except ValueError:
+            pair = math.nan, math.nan
+        if not (dash and 0 < pair[0] < pair[1] < math.inf):
+            raise UsageError(
+                f"{option} {text} must be pairs of near and far limit, for instance {option} 50-150,100-300"
+            )
+        found.append(pair)
+    return found

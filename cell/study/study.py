@@ -1,8 +1,8 @@
-"""A study: its trials, the tidy rows made of their outcomes, the pictures and sentences made of the rows; one folder.
+"""Studies: trials, a table with a row for each outcome, and pictures and sentences from the rows, in one folder.
 
-The folder holds rows.csv (equal on every machine), seconds.csv (what the trials took, where they were computed),
-study.json, report.md, view.html and each picture as PNG and SVG. It is made anew from the kept trials by every run of
-the study, so nothing in it needs to be kept by hand.
+The folder has rows.csv (equal on every machine), seconds.csv (times of the trials where they were computed),
+study.json, report.md, view.html and each picture as PNG and SVG. Every run of the study writes it again from the cached
+trials.
 """
 
 import csv
@@ -21,33 +21,33 @@ from matplotlib.figure import Figure
 
 from cell.errors import FileError
 from cell.files import atomic_write
+from cell.scene.model import Scene
+from cell.scene.options import flag, option_specs
 from cell.session import ProgressReporter
-from cell.study.run import run
-from cell.study.trial import Outcome, Trial
-from cell.study.workers import Workers
+from cell.study.trials import Outcome, Trial, Workers, run_trials
 from cell.view.contents import PAGE_FILE
 from cell.view.study_page import format_value, study_page
 
 SCHEMA = "scan-cell/study/1"
 
 Row = dict[str, Any]
-"""One tidy row: column (with its unit) and value."""
+"""A row: column (with its unit) and value."""
 
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """What is asked, and how the answer is shown.
+    """A study.
 
     Attributes:
         name: of the study and of its folder.
         title: for people.
-        trials: what is computed.
-        rows: one row per trial that succeeded, or more.
-        pictures: file stem and figure of each picture.
-        sentences: what the rows say, for a reader in a hurry; Markdown paragraphs.
-        shown: columns for a terminal, where the whole table is too wide; empty: all.
-        options: of `cell plan`, that plan as a row says (`cell.study.plan_command`); None: there are none.
-        best: the row to prefer; None: all are shown alike.
+        trials: the trials.
+        rows: makes at least one row for each successful trial.
+        pictures: makes file stem and figure of each picture.
+        sentences: summarises the rows in Markdown paragraphs.
+        shown: columns for a terminal; empty: all.
+        options: makes the options of `cell plan` for a row (`plan_options`); None: there are none.
+        best: selects the best row; None: no row is marked.
     """
 
     name: str
@@ -63,17 +63,17 @@ class Study:
 
 @dataclass(frozen=True, slots=True)
 class StudyResult:
-    """What a study left.
+    """Result of a study.
 
     Attributes:
-        folder: where its files are.
-        rows: the tidy rows.
-        sentences: what they say.
-        failed: trials that failed, each with its reason.
-        computed: how many trials were computed now; the others were kept from before.
+        folder: of its files.
+        rows: the rows.
+        sentences: their summary.
+        failed: outcomes of the failed trials.
+        computed: number of trials computed now; the others were cached.
         shown: columns for a terminal.
-        commands: for each row the one that plans as it says; empty: there are none.
-        best: number of the row to prefer, from 0; None: none is.
+        commands: command that plans each row; empty: there are none.
+        best: number of the best row, from 0; None: no row is marked.
     """
 
     folder: Path
@@ -86,7 +86,7 @@ class StudyResult:
     best: int | None = None
 
     def summary(self) -> dict[str, object]:
-        """The object that `--json` prints."""
+        """Return the object that `--json` prints."""
         return {
             "schema": SCHEMA,
             "folder": str(self.folder),
@@ -99,7 +99,7 @@ class StudyResult:
         }
 
 
-def conduct(
+def run_study(
     study: Study,
     workers: Workers,
     *,
@@ -110,24 +110,24 @@ def conduct(
     """Run a study and write its folder.
 
     Args:
-        study: what is asked.
-        workers: who computes.
+        study: the study.
+        workers: compute the trials.
         out: the folder; None: sim_runs/study-<name>.
-        reporter: is told of progress and of trials that fail.
-        plan: the command that plans the study's scene, to which a row's options are added.
+        reporter: receives progress and failed trials.
+        plan: command that plans the study's scene, to which the options of a row are appended.
 
     Raises:
-        FileError: if the folder holds something else or cannot be written.
+        FileError: if the folder has other content or cannot be written.
     """
     folder = study_folder(study.name, out)
     with reporter.stage(study.title, time_left=True) as progress:
 
-        def told(done: int, total: int, outcome: Outcome) -> None:
+        def on_outcome(done: int, total: int, outcome: Outcome) -> None:
             progress(done, total)
             if outcome.failure:
-                reporter.note(f"trial {outcome.trial.settings} failed: {outcome.failure}; the study goes on")
+                reporter.note(f"trial {outcome.trial.settings} failed: {outcome.failure}; the study continues")
 
-        outcomes = run(study.trials, workers, told=told)
+        outcomes = run_trials(study.trials, workers, on_outcome=on_outcome)
     rows = study.rows([outcome for outcome in outcomes if not outcome.failure])
     options = [study.options(row) for row in rows] if study.options else []
     best = study.best(rows) if study.best and rows else None
@@ -147,14 +147,14 @@ def conduct(
 
 
 def study_folder(name: str, out: Path | None) -> Path:
-    """Where a study of this name leaves its files.
+    """Return the folder of a study.
 
     Raises:
-        FileError: if the folder is there and holds something else.
+        FileError: if it exists with other content.
     """
     folder = Path("sim_runs") / f"study-{name}" if out is None else out
     if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / "study.json").is_file())):
-        raise FileError(f"{folder} exists and is no study's folder; choose another --out")
+        raise FileError(f"{folder} exists and is not the folder of a study; choose another --out")
     return folder
 
 
@@ -165,7 +165,7 @@ def write_folder(
     pictures: Iterable[tuple[str, Figure]],
     seconds: Sequence[Mapping[str, object]],
 ) -> None:
-    """Write the files of a study; the module's docstring lists them.
+    """Write the files of a study, see the module's docstring.
 
     Raises:
         FileError: if they cannot be written.
@@ -176,8 +176,8 @@ def write_folder(
         _write(folder / "rows.csv", _csv(result.rows))
         _write(folder / "seconds.csv", _csv(seconds))
         drawn = [_draw(folder, stem, figure) for stem, figure in pictures]
-        told = {key: value for key, value in result.summary().items() if key not in ("folder", "computed")}
-        content = {**told, "name": name, "title": title, "pictures": [Path(each).stem for each in drawn]}
+        summary = {key: value for key, value in result.summary().items() if key not in ("folder", "computed")}
+        content = {**summary, "name": name, "title": title, "pictures": [Path(each).stem for each in drawn]}
         _write(folder / "study.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
         _write(folder / "report.md", _report(title, result, drawn))
         _write(folder / PAGE_FILE, study_page(folder))
@@ -203,7 +203,7 @@ def _write(path: Path, content: str) -> None:
 
 
 def _draw(folder: Path, stem: str, figure: Figure) -> str:
-    """PNG and SVG; equal rows give equal bytes."""
+    """Write PNG and SVG; equal figures give equal bytes."""
     FigureCanvasAgg(figure)
     figure.savefig(folder / f"{stem}.png", metadata={"Software": None})
     with mpl.rc_context({"svg.hashsalt": stem}):
@@ -225,7 +225,26 @@ def _report(title: str, result: StudyResult, pictures: Sequence[str]) -> str:
 
 
 def markdown_table(rows: Sequence[Row]) -> list[str]:
-    """The rows as lines of a Markdown table; numbers with at most four digits."""
+    """Return the lines of a Markdown table; numbers have at most four digits."""
     columns = _columns(rows)
     body = ["| " + " | ".join(format_value(row.get(column)) for column in columns) + " |" for row in rows]
     return ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns), *body] if rows else []
+
+
+def plan_options(changes: Mapping[str, Mapping[str, object]]) -> str:
+    """Return the words of `cell plan` for keys of a scene; keys without an option follow as a comment."""
+    words: list[str] = []
+    only_in_file: list[str] = []
+    known = {key: spec for spec in option_specs(Scene).values() for key in spec.fields}
+    for table, keys in changes.items():
+        for key, value in keys.items():
+            if (table, key) == ("part", "name"):
+                words.insert(0, str(value))
+            elif f"{table}.{key}" in known:
+                values = value if isinstance(value, list | tuple) else [value]
+                text = ",".join(f"{each:g}" if isinstance(each, float) else str(each) for each in values)
+                words.append(f"{flag(known[f'{table}.{key}'].name)}={text}")
+            else:
+                only_in_file.append(f"{key} = {json.dumps(value)} under [{table}]")
+    comment = f"  # with {', '.join(only_in_file)} in the scene file" if only_in_file else ""
+    return shlex.join(words) + comment

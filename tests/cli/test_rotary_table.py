@@ -27,8 +27,8 @@ from cell.runs.run import open_run, read_execution
 from cell.runs.verification import verify_plan
 from cell.scene.file import scene_from_options
 from cell.session import LoggedProgress
-from cell.study.placement_trial import placement
-from cell.study.scenes import scene_settings
+from cell.study.bench import scene_settings
+from cell.study.placement_study import evaluate_placement
 from cell.world.model import World
 from drivers.setpoints import from_rad
 from planner import cover
@@ -361,7 +361,7 @@ def test_a_place_is_judged_with_the_table_under_the_part(part_file: Path) -> Non
                 **scene_settings(scene), "position_mm": [x, 0.0, 200.0], "abc_deg": [0.0, 0.0, 0.0],
                 "what": "coverage", "solver": "greedy", "candidates": 60,
             }  # fmt: skip
-            found[on_table, x] = placement(settings)
+            found[on_table, x] = evaluate_placement(settings)
     for x in (900.0, 1200.0):
         assert found[True, x]["reachable"] > found[False, x]["reachable"]
         assert found[True, x]["coverable"] >= found[False, x]["coverable"]

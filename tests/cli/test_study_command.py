@@ -9,7 +9,7 @@ from typing import Self
 
 import pytest
 
-from cell.study.trial import Outcome, Trial, compute
+from cell.study.trials import Outcome, Trial, compute
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -37,7 +37,7 @@ class _Here:
 @pytest.fixture(scope="module", autouse=True)
 def _no_processes() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("cell.study.workers.Processes", _Here)
+        patch.setattr("cell.study.trials.Processes", _Here)
         yield
 
 

@@ -14,12 +14,9 @@ import pytest
 
 from cell.errors import UsageError
 from cell.scene.file import load_scene
-from cell.study import run as study_run
-from cell.study.placement_trial import COVERAGE_ONLY, placement
-from cell.study.run import Told
-from cell.study.scenes import scene_settings
-from cell.study.trial import Outcome, Trial, compute
-from cell.study.workers import open_workers
+from cell.study.bench import scene_settings
+from cell.study.placement_study import COVERAGE_ONLY, evaluate_placement
+from cell.study.trials import OnOutcome, Outcome, Trial, compute, open_workers, run_trials
 
 
 @pytest.fixture(scope="module")
@@ -30,17 +27,22 @@ def trials(part_file: Path) -> list[Trial]:
     )
     place = {"position_mm": [1100, 400, 100], "abc_deg": [0, 0, 0], "what": COVERAGE_ONLY, "solver": "greedy"}
     return [
-        Trial.of(placement, {**scene_settings(scene), **place, "candidates": candidates})
+        Trial.of(evaluate_placement, {**scene_settings(scene), **place, "candidates": candidates})
         for candidates in (4, 8, 12, 16)
     ]
 
 
 def run(
-    trials: list[Trial], *, processes: int, folder: Path, cluster: str | None = None, told: Told | None = None
+    trials: list[Trial],
+    *,
+    processes: int,
+    folder: Path,
+    cluster: str | None = None,
+    on_outcome: OnOutcome | None = None,
 ) -> list[Outcome]:
     """Run trials on workers of their own."""
     with open_workers(processes, cluster) as workers:
-        return study_run.run(trials, workers, folder=folder, told=told)
+        return run_trials(trials, workers, folder=folder, on_outcome=on_outcome)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +68,7 @@ def test_a_process_that_dies_costs_no_trial(trials: list[Trial], local: list[Out
             killed.append(victim.pid or 0)
             os.kill(killed[0], signal.SIGKILL)
 
-    outcomes = run(trials, processes=2, folder=tmp_path, told=kill_one)
+    outcomes = run(trials, processes=2, folder=tmp_path, on_outcome=kill_one)
     assert killed
     assert _values(outcomes) == _values(local)
 
@@ -78,7 +80,7 @@ def test_a_stopped_study_goes_on_where_it_was(trials: list[Trial], local: list[O
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(trials[:2], processes=1, folder=tmp_path, told=stop)
+        run(trials[:2], processes=1, folder=tmp_path, on_outcome=stop)
     outcomes = run(trials[:2], processes=1, folder=tmp_path)
     assert [outcome.cached for outcome in outcomes] == [True, False]
     assert _values(outcomes) == _values(local[:2])
@@ -96,7 +98,7 @@ def test_no_worker_outlives_a_study_that_was_killed(
 ) -> None:
     """Kill -9 of the command in its first trial: its processes are gone soon after."""
     silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    study = start_cell("study", "table1", "--part", "petanque", "--processes", "2", cwd=tmp_path, **silent)
+    study = start_cell("study", "standoff", "petanque", "--processes", "2", cwd=tmp_path, **silent)
 
     def until(condition: Callable[[], object]) -> None:
         deadline = time.monotonic() + 120
@@ -144,7 +146,7 @@ def test_a_cluster_gives_the_same_to_the_bit_and_loses_nothing_with_a_worker(
             killed.append(nanny.pid)
             os.kill(killed[0], signal.SIGKILL)
 
-    outcomes = run(trials, processes=1, cluster=cluster.scheduler_address, folder=tmp_path, told=kill_one)
+    outcomes = run(trials, processes=1, cluster=cluster.scheduler_address, folder=tmp_path, on_outcome=kill_one)
     assert killed
     assert _values(outcomes) == _values(local)
 
@@ -153,6 +155,6 @@ def test_a_cluster_that_does_not_answer_is_one_sentence(
     trials: list[Trial], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With the address, and what would start one."""
-    monkeypatch.setattr("cell.study.workers._PATIENCE_S", 0.5)
+    monkeypatch.setattr("cell.study.trials._CLUSTER_TIMEOUT_S", 0.5)
     with pytest.raises(UsageError, match="dask scheduler"):
         run(trials[:1], processes=1, cluster="tcp://127.0.0.1:9", folder=tmp_path)

@@ -9,10 +9,10 @@ import trimesh
 
 from cell.errors import FileError
 from cell.scene.file import load_scene
-from cell.study.bench import Bench
-from cell.study.placement_trial import placement
-from cell.study.scenes import bench_of, scene_of, scene_settings
+from cell.study.bench import Bench, scene_from_settings, scene_settings, shared_bench
+from cell.study.placement_study import evaluate_placement
 from cell.world import virtual_scan
+from cell.world.collision import MujocoCollisionChecker
 from cell.world.occluders import fixed_occluders, make_caster
 from planner.kinematics import reach
 from planner.measurability import coverage
@@ -37,13 +37,13 @@ def bench(tables: dict[str, Any]) -> Bench:
 
 def test_sampled_coverage_view_by_view_is_that_of_the_merged_cloud(bench: Bench) -> None:
     """Leaving out samples that were near an earlier view changes nothing."""
-    views = bench.zone.T_object_scanner[[0, 17, 40, 63]]
+    views = bench.candidates.T_object_scanner[[0, 17, 40, 63]]
     points = [virtual_scan.scan(bench.scanner, T, bench.caster, bench.part.reference).points for T in views[:, 0]]
     merged = coverage.sampled_coverage(
         np.concatenate(points), bench.samples, coverage.sampling_radius(bench.part.reference)
     )
     assert 0.05 < merged.fraction < 1.0
-    assert bench.sampled(views) == pytest.approx(merged.fraction, abs=1e-12)
+    assert bench.sampled_coverage(views) == pytest.approx(merged.fraction, abs=1e-12)
 
 
 def test_settings_give_the_scene_back(tables: dict[str, Any], tmp_path: Path) -> None:
@@ -53,7 +53,7 @@ def test_settings_give_the_scene_back(tables: dict[str, Any], tmp_path: Path) ->
         '[scanner]\nfov_deg = [40.0, 30.0]\n[[fixtures]]\nname = "clamp"\nshape = "box"\nsize_mm = [50, 40, 6]\n'
     )
     scene = load_scene(path, tables)
-    assert scene_of(scene_settings(scene)) == scene
+    assert scene_from_settings(scene_settings(scene)) == scene
     assert scene_settings(scene) != scene_settings(load_scene(None, tables))
 
 
@@ -62,31 +62,35 @@ def test_a_file_that_changed_under_a_study_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "part.stl"
     trimesh.creation.box((0.1, 0.1, 0.1)).export(path)
     settings = scene_settings(load_scene(None, {"part": {"path": str(path), "units": "m"}}))
-    assert scene_of(settings).part.path == str(path)
+    assert scene_from_settings(settings).part.path == str(path)
     path.write_bytes(path.read_bytes() + b" ")
     with pytest.raises(FileError, match="changed since"):
-        scene_of(settings)
+        scene_from_settings(settings)
 
 
 def test_a_placement_s_numbers_are_those_of_its_steps(tables: dict[str, Any]) -> None:
     """Reach, occlusion and coverage done one by one give the same shares."""
     scene = load_scene(None, tables)
     settings = scene_settings(scene)
-    values = placement(
+    values = evaluate_placement(
         {**settings, "position_mm": [1100, 400, 100], "abc_deg": [30, 0, 0], "what": "whole", "solver": "auto",
          "candidates": None}
     )  # fmt: skip
-    bench = bench_of(settings)
+    bench = shared_bench(settings)
     a = np.deg2rad(30)
     T = np.array([[np.cos(a), -np.sin(a), 0, 1.1], [np.sin(a), np.cos(a), 0, 0.4], [0, 0, 1, 0.1], [0, 0, 0, 1]])
     placed = bench.world.T_base_object_at(T)
     reached = reach.solve_reach(
-        bench.zone, placed, bench.world.T_flange_scanner, bench.kinematics, bench.checker(placed)
+        bench.candidates,
+        placed,
+        bench.world.T_flange_scanner,
+        bench.world.kinematics,
+        MujocoCollisionChecker(bench.world, placed),
     ).reachable
     casters = make_caster(fixed_occluders(bench.world, placed))
-    M = apply_occluders(bench.matrix("aimed", bench.zone), bench.zone, bench.scanner, casters).matrix()
+    M = apply_occluders(bench.matrix("aimed", bench.candidates), bench.candidates, bench.scanner, casters).matrix()
     measured = M.toarray()[:, reached].any(axis=1)
-    areas = bench.matrix("aimed", bench.zone).samples.areas
+    areas = bench.matrix("aimed", bench.candidates).samples.areas
     assert 0.1 < values["coverable"] < 1.0
     assert values["reachable"] == pytest.approx(reached.mean())
     assert values["coverable"] == pytest.approx(areas[measured].sum() / areas.sum())

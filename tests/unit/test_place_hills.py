@@ -1,35 +1,35 @@
-"""`cell place`: which places are looked at again, and with which candidates."""
+"""`cell place`: which placements are evaluated again, and with which candidates."""
 
 import numpy as np
 
 from cell.scene.file import load_scene
 from cell.study.bench import Bench
-from cell.study.place_search import _best_and_others, _hills
+from cell.study.place_search import _basins, _best_of_all_basins
 
 _EXTENT = np.array([1000.0, 1000.0, 0.0, 360.0])  # the height is fixed
 _NEAR = [(0.0, 0.0, 5.0, 0.0), (50.0, 0.0, 5.0, 0.0), (90.0, 0.0, 5.0, 10.0), (0.0, 60.0, 5.0, 0.0)]
 _FAR = [(500.0, 0.0, 5.0, 0.0), (0.0, 0.0, 5.0, 180.0), (510.0, 10.0, 5.0, 0.0)]
 
 
-def test_places_within_a_tenth_of_the_range_are_one_hill():
+def test_places_within_a_tenth_of_the_range_are_one_basin():
     """Turns count as well as metres, and a fixed axis does not."""
-    hills = _hills([*_NEAR, *_FAR], _EXTENT)
-    assert hills == [_NEAR, [_FAR[0], _FAR[2]], [_FAR[1]]]
+    basins = _basins([*_NEAR, *_FAR], _EXTENT)
+    assert basins == [_NEAR, [_FAR[0], _FAR[2]], [_FAR[1]]]
 
 
-def test_the_best_half_is_kept_and_every_hill_has_its_turn():
-    """Four of seven: the best two, and the first of both hills behind them."""
-    assert _best_and_others([*_NEAR, *_FAR], 4, _EXTENT) == [*_NEAR[:2], _FAR[0], _FAR[1]]
-    assert sorted(_best_and_others([*_NEAR, *_FAR], 99, _EXTENT)) == sorted([*_NEAR, *_FAR])
+def test_the_best_half_is_kept_and_every_basin_follows_in_turn():
+    """Four of seven: the best two, and the first of both basins behind them."""
+    assert _best_of_all_basins([*_NEAR, *_FAR], 4, _EXTENT) == [*_NEAR[:2], _FAR[0], _FAR[1]]
+    assert sorted(_best_of_all_basins([*_NEAR, *_FAR], 99, _EXTENT)) == sorted([*_NEAR, *_FAR])
 
 
-def test_a_closer_look_has_the_candidates_of_a_quicker_one():
-    """Else a place that is reached in a quick look might not be in a closer one."""
+def test_a_larger_subset_contains_the_candidates_of_a_smaller_one():
+    """Otherwise a placement reached in the coarse round could be unreached in the fine one."""
     bench = Bench(load_scene(None, {"part": {"name": "mug"}, "plan": {"faces": 60}}), samples=1000)
-    few, more = (bench.some(count)[0].T_object_scanner for count in (20, 45))
+    few, more = (bench.candidate_subset(count)[0].T_object_scanner for count in (20, 45))
     assert len(few) == 20
     assert {pose.tobytes() for pose in few} < {pose.tobytes() for pose in more}
-    views, M = bench.some(20)
+    views, M = bench.candidate_subset(20)
     assert M.n_viewpoints == len(views) == 20
-    assert bench.some(20)[1] is M
-    assert bench.some(None)[0] is bench.zone
+    assert bench.candidate_subset(20)[1] is M
+    assert bench.candidate_subset(None)[0] is bench.candidates

@@ -16,14 +16,12 @@ from cell.cli.terminal import Terminal
 from cell.errors import FileError
 from cell.scene.file import option_tables
 from cell.study import study as studies
-from cell.study.curves import KNOBS
-from cell.study.plan_command import options
-from cell.study.study import Study, StudyResult, conduct, markdown_table
-from cell.study.trial import Outcome, Trial
-from cell.study.views import views
+from cell.study.scanner_study import PARAMETERS, select_views
+from cell.study.study import Study, StudyResult, markdown_table, plan_options, run_study
+from cell.study.trials import Outcome, Trial
 from cell.view.study_page import format_value, study_page
 
-_TRIALS = [Trial.of(views, {"part": "mug", "faces": faces}) for faces in (8, 9, 10)]
+_TRIALS = [Trial.of(select_views, {"part": "mug", "faces": faces}) for faces in (8, 9, 10)]
 
 
 class _Workers:
@@ -65,7 +63,7 @@ def _study() -> Study:
 def conducted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drawn_pictures: None) -> Path:
     """A study of three trials, one of which fails."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    result = conduct(_study(), _Workers(), out=tmp_path / "out", reporter=Terminal(quiet_stdout=True))
+    result = run_study(_study(), _Workers(), out=tmp_path / "out", reporter=Terminal(quiet_stdout=True))
     assert result.computed == 3
     return result.folder
 
@@ -105,11 +103,11 @@ def test_its_page_has_pictures_and_a_command_for_each_row(conducted: Path, tmp_p
 @pytest.mark.parametrize(("knob", "value"), [("standoff", 250.0), ("baseline", 30.0), ("sensors", "gocator-2340")])
 def test_options_of_a_row_say_what_its_trial_had(knob: str, value: object) -> None:
     """Read as the command line reads them, they are the keys that the study set."""
-    _, given = KNOBS[knob]
+    _, given = PARAMETERS[knob]
     keys = given(value)
-    words = (word.removeprefix("--").partition("=") for word in shlex.split(options(keys)))
+    words = (word.removeprefix("--").partition("=") for word in shlex.split(plan_options(keys)))
     assert option_tables({name: text for name, _, text in words}) == keys
-    told = options({"part": {"name": "mug"}, "plan": {"faces": 75}, "scanner": {"fov_deg": [20.0, 20.0]}})
+    told = plan_options({"part": {"name": "mug"}, "plan": {"faces": 75}, "scanner": {"fov_deg": [20.0, 20.0]}})
     assert told == "mug --faces=75  # with fov_deg = [20.0, 20.0] under [scanner] in the scene file"
 
 
@@ -118,7 +116,7 @@ def test_the_same_again_is_the_same_bytes_and_only_failures_are_computed(
 ) -> None:
     """Rows, report and pictures, SVG too; a failed trial is tried again."""
     workers = _Workers()
-    result = conduct(_study(), workers, out=tmp_path / "again", reporter=Terminal(quiet_stdout=True))
+    result = run_study(_study(), workers, out=tmp_path / "again", reporter=Terminal(quiet_stdout=True))
     assert workers.asked == 1
     assert result.computed == 1
     for name in ("rows.csv", "study.json", "report.md", "view.html", "views.png", "views.svg"):
@@ -129,8 +127,8 @@ def test_a_foreign_folder_is_not_written_into(tmp_path: Path) -> None:
     """A folder with something else in it, or a file, is refused before anything is computed."""
     (tmp_path / "notes.txt").write_text("mine")
     for out in (tmp_path, tmp_path / "notes.txt"):
-        with pytest.raises(FileError, match="no study's folder"):
-            conduct(_study(), _Workers(), out=out, reporter=Terminal(quiet_stdout=True))
+        with pytest.raises(FileError, match="not the folder of a study"):
+            run_study(_study(), _Workers(), out=out, reporter=Terminal(quiet_stdout=True))
 
 
 def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

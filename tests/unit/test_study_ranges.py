@@ -4,21 +4,20 @@ import pytest
 
 from cell.errors import UsageError
 from cell.scene.options import flag, parse_options
-from cell.study.options import PlaceRange
-from cell.study.ranges import pairs, values
+from cell.study.options import PlaceRange, parse_pairs, parse_range
 
 
 def test_a_range_holds_its_first_and_last_value() -> None:
     """1000 to 1600 in steps of 50 are 13 values; a step of a tenth does not gather rounding."""
-    assert values("--x", "1000:1600:50") == tuple(range(1000, 1601, 50))
-    assert values("--x", "0:0.3:0.1") == (0.0, 0.1, 0.2, 0.3)
-    assert values("--x", "300:0:-100") == (300.0, 200.0, 100.0, 0.0)
-    assert values("--x", "7:7:1") == (7.0,)
+    assert parse_range("--x", "1000:1600:50") == tuple(range(1000, 1601, 50))
+    assert parse_range("--x", "0:0.3:0.1") == (0.0, 0.1, 0.2, 0.3)
+    assert parse_range("--x", "300:0:-100") == (300.0, 200.0, 100.0, 0.0)
+    assert parse_range("--x", "7:7:1") == (7.0,)
 
 
 def test_numbers_with_commas_are_taken_once_each() -> None:
     """As they stand."""
-    assert values("--z", "5,-3,5") == (5.0, -3.0)
+    assert parse_range("--z", "5,-3,5") == (5.0, -3.0)
 
 
 @pytest.mark.parametrize(
@@ -27,7 +26,7 @@ def test_numbers_with_commas_are_taken_once_each() -> None:
 def test_what_is_no_range_is_refused_with_the_option_s_name(text: str) -> None:
     """One sentence, with an example or the limit."""
     with pytest.raises(UsageError, match="--x"):
-        values("--x", text)
+        parse_range("--x", text)
 
 
 def test_a_span_is_two_values_or_one_twice() -> None:
@@ -46,11 +45,11 @@ def test_what_is_no_span_is_refused(text: str) -> None:
 
 def test_pairs_are_near_and_far_limits() -> None:
     """In the order given."""
-    assert pairs("--range", "50-150,100-300") == [(50.0, 150.0), (100.0, 300.0)]
+    assert parse_pairs("--range", "50-150,100-300") == [(50.0, 150.0), (100.0, 300.0)]
 
 
 @pytest.mark.parametrize("text", ["", "50", "150-50", "0-10", "a-b", "10-inf"])
 def test_what_is_no_pair_is_refused(text: str) -> None:
     """With the option's name and an example."""
     with pytest.raises(UsageError, match="--range"):
-        pairs("--range", text)
+        parse_pairs("--range", text)

@@ -7,18 +7,16 @@ from typing import Any
 import pytest
 
 from cell.errors import FileError
-from cell.study import store, trial
-from cell.study.run import run
-from cell.study.trial import Outcome, Trial, compute
-from cell.study.views import views
-from cell.study.workers import Processes
+from cell.study import trials
+from cell.study.scanner_study import select_views
+from cell.study.trials import Outcome, Processes, Trial, compute, load, run_trials, save
 
 _SMALL: dict[str, Any] = {"part": "petanque", "faces": 30, "samples_per_face": 4}
 
 
 def _kept(folder: Path, **change: Any) -> Outcome:
-    outcome = Outcome(Trial.of(views, _SMALL), {"views": 3}, "", {"total": 1.5})
-    store.save(outcome, folder)
+    outcome = Outcome(Trial.of(select_views, _SMALL), {"views": 3}, "", {"total": 1.5})
+    save(outcome, folder)
     (path,) = folder.rglob("*.json")
     if change:
         path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
@@ -27,36 +25,36 @@ def _kept(folder: Path, **change: Any) -> Outcome:
 
 def test_equal_settings_are_one_trial_in_whatever_order_they_are_given() -> None:
     """The key is of the content."""
-    one = Trial.of(views, {"part": "mug", "faces": 40})
-    assert one == Trial.of(views, {"faces": 40, "part": "mug"})
-    assert one.key != Trial.of(views, {"faces": 41, "part": "mug"}).key
+    one = Trial.of(select_views, {"part": "mug", "faces": 40})
+    assert one == Trial.of(select_views, {"faces": 40, "part": "mug"})
+    assert one.key != Trial.of(select_views, {"faces": 41, "part": "mug"}).key
 
 
 def test_a_changed_program_has_other_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     """What another version computed is not taken for this version's."""
-    before = Trial.of(views, _SMALL).key
-    monkeypatch.setattr(trial, "sources_digest", lambda package: "another")
-    assert Trial.of(views, _SMALL).key != before
+    before = Trial.of(select_views, _SMALL).key
+    monkeypatch.setattr(trials, "sources_digest", lambda package: "another")
+    assert Trial.of(select_views, _SMALL).key != before
 
 
 def test_a_trial_of_a_package_beside_the_program_depends_on_its_sources_too() -> None:
     """Keys of benchmark trials depend on the sources of the benchmarks, keys of the product's trials do not."""
-    assert trial.sources_digest("planner") == trial.sources_digest("cell") != trial.sources_digest("benchmarks")
+    assert trials.sources_digest("planner") == trials.sources_digest("cell") != trials.sources_digest("benchmarks")
 
 
 def test_settings_that_json_cannot_hold_exactly_are_refused() -> None:
     """NaN is equal to nothing, so no key could find it again."""
     with pytest.raises(ValueError, match="JSON"):
-        Trial.of(views, {"faces": float("nan")})
+        Trial.of(select_views, {"faces": float("nan")})
 
 
 def test_a_kept_result_comes_back_as_it_was_and_is_marked(tmp_path: Path) -> None:
     """Values and seconds; nothing is computed."""
     outcome = _kept(tmp_path)
-    told: list[tuple[int, int, Outcome]] = []
-    (found,) = run([outcome.trial], Processes(1), folder=tmp_path, told=lambda *each: told.append(each))
+    calls: list[tuple[int, int, Outcome]] = []
+    (found,) = run_trials([outcome.trial], Processes(1), folder=tmp_path, on_outcome=lambda *each: calls.append(each))
     assert found == Outcome(outcome.trial, {"views": 3}, "", {"total": 1.5}, cached=True)
-    assert told == [(1, 1, found)]
+    assert calls == [(1, 1, found)]
 
 
 @pytest.mark.parametrize(
@@ -67,7 +65,7 @@ def test_a_kept_result_comes_back_as_it_was_and_is_marked(tmp_path: Path) -> Non
 def test_what_is_no_finished_result_of_this_trial_is_not_taken(change: dict[str, Any], tmp_path: Path) -> None:
     """Another version, other settings, a failure, a damaged file: the trial is computed again."""
     outcome = _kept(tmp_path, **change)
-    assert store.load(outcome.trial, tmp_path) is None
+    assert load(outcome.trial, tmp_path) is None
 
 
 def test_a_torn_file_is_not_taken(tmp_path: Path) -> None:
@@ -75,28 +73,28 @@ def test_a_torn_file_is_not_taken(tmp_path: Path) -> None:
     outcome = _kept(tmp_path)
     (path,) = tmp_path.rglob("*.json")
     path.write_text(path.read_text()[:40])
-    assert store.load(outcome.trial, tmp_path) is None
+    assert load(outcome.trial, tmp_path) is None
 
 
 def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
     """It names the folder and what to do."""
     (tmp_path / "file").write_text("")
-    outcome = Outcome(Trial.of(views, _SMALL), {}, "", {})
+    outcome = Outcome(Trial.of(select_views, _SMALL), {}, "", {})
     with pytest.raises(FileError, match="XDG_CACHE_HOME"):
-        store.save(outcome, tmp_path / "file")
+        save(outcome, tmp_path / "file")
 
 
 def test_a_trial_that_fails_says_why_and_the_others_go_on(tmp_path: Path) -> None:
     """A missing file is one sentence; the failure is not kept as a result."""
-    bad = Trial.of(views, {"scene": {}, "files": {"gone.stl": "0"}, "robot": False})
+    bad = Trial.of(select_views, {"scene": {}, "files": {"gone.stl": "0"}, "robot": False})
     outcome = compute(bad, bad.digest)
     assert outcome.failure.startswith("gone.stl cannot be read")
     assert outcome.values == {}
-    store.save(outcome, tmp_path)
-    assert store.load(bad, tmp_path) is None
+    save(outcome, tmp_path)
+    assert load(bad, tmp_path) is None
 
 
 def test_a_worker_of_another_version_refuses() -> None:
     """Its result would be kept under a key that says otherwise."""
-    outcome = compute(Trial.of(views, _SMALL), "another program")
+    outcome = compute(Trial.of(select_views, _SMALL), "another program")
     assert "version" in outcome.failure

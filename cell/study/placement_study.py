@@ -1,0 +1,252 @@
+"""Placements of the part: the trial of a placement, and `cell study placement`, a grid of them (the paper's Table 5).
+
+Coverage is that of the matrix's samples, with post, floor and fixtures as occluders. The views are a selection with its
+lower bound. The cycle time is an estimate from straight joint moves, without detours around obstacles.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import product
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from cell import scanners
+from cell.errors import SceneError
+from cell.plan.candidates import GROWN, Cell, view_evaluator
+from cell.scene.model import Scene
+from cell.study.bench import Bench, scene_settings, shared_bench, solve_reach
+from cell.study.study import Row, Study
+from cell.study.trials import JsonTable, Outcome, Trial
+from cell.view.palette import VERMILION
+from cell.world.occluders import fixed_occluders, make_caster
+from planner import cover
+from planner.kinematics.frames import pose_from_kuka_abc
+from planner.kinematics.reach import Reach, join_reach, pick_reach
+from planner.measurability import coverage
+from planner.measurability.matrix import Measurability, join_measurability, pick_measurability
+from planner.measurability.visibility import apply_occluders, fill_matrix
+from planner.ports import RayCaster
+from planner.timing.limits import scale_limits
+from planner.tour.orderings import order_views
+from planner.tour.visits import TourProblem
+from planner.viewpoints import growth
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.viewpoints import Viewpoints, join_viewpoints, pick_viewpoints, viewpoints_from_poses
+
+COVERAGE_ONLY, WITH_VIEWS = "coverage", "whole"
+
+AXES = ("x mm", "y mm", "z mm", "yaw deg")
+_TILT = ("B deg", "C deg")
+
+REACH_MM = 1611.0
+"""Reach of the wrist centre from the A2 axis (KUKA's data sheet); radius of the circle about the base on the maps."""
+
+_MAPS = (
+    ("reachable %", "candidates reached [%]", "viridis"),
+    ("coverable %", "coverable surface [%]", "viridis"),
+    ("views", "views (greedy)", "magma_r"),
+    ("cycle s", "cycle time, estimate from straight moves [s]", "magma_r"),
+)
+
+
+def evaluate_placement(settings: JsonTable) -> dict[str, object]:
+    """Evaluate a placement: the trial of placement maps and of the placement search.
+
+    Args:
+        settings: scene and files (`cell.study.bench`), position_mm (3), abc_deg (3), what (`COVERAGE_ONLY` or
+            `WITH_VIEWS`), solver of the views, and candidates (size of the subset; null: all).
+
+    Returns:
+        reachable (share of the candidates), coverable (share of the surface), home_free; with views also views,
+        lower_bound, visible (share of the surface, held-out samples) and cycle_s (null if a view has no move).
+    """
+    bench = shared_bench(settings)
+    place = pose_from_kuka_abc(np.array(settings["position_mm"]) / 1000, np.deg2rad(settings["abc_deg"]))
+    blocked: dict[str, object] = {"reachable": 0.0, "coverable": 0.0, "home_free": False}
+    try:
+        world = bench.world.with_placement(place)
+    except SceneError:  # a table with a fixed position cannot carry the part there
+        return blocked
+    candidates, M = bench.candidate_subset(settings["candidates"])
+    cell = Cell.of(world)
+    if not cell.checker.free(world.home[None])[0]:
+        return blocked
+    reached = solve_reach(world, candidates)
+    values: dict[str, object] = {"reachable": float(reached.reachable.mean()), "coverable": 0.0, "home_free": True}
+    which = np.flatnonzero(reached.reachable)
+    if not len(which):
+        return values
+    occluders = make_caster(fixed_occluders(world))
+    M, views = pick_measurability(M, which), pick_viewpoints(candidates, which)
+    M = apply_occluders(M, views, bench.scanner, occluders, ray_caster=bench.caster)
+    reached = pick_reach(reached, which)
+    if bench.scene.plan.candidates == GROWN and settings["candidates"] is None:
+        views, reached, M = _with_grown(bench, cell, (bench.caster, occluders), (views, reached, M))
+    is_measured = np.diff(M.indptr) > 0
+    values["coverable"] = float(M.samples.areas[is_measured].sum() / M.samples.areas.sum())
+    if settings["what"] == COVERAGE_ONLY or not is_measured.any():
+        return values
+    rng = np.random.default_rng(bench.scene.plan.seed)
+    problem = cover.CoverProblem(M.matrix(), M.samples.areas, coverage=bench.scene.plan.coverage)
+    selection = cover.solve(problem, rng=rng, solver=settings["solver"])
+    poses = views.T_object_scanner[selection.views]
+    configurations = [reached.configurations_of(int(view)) for view in selection.views]
+    limits = scale_limits(world.limits, bench.scene.robot.speed_scaling, bench.scene.robot.acceleration_scaling)
+    moves = TourProblem.straight(configurations, world.home, limits)
+    tour = order_views(moves, world.T_base_object @ poses[:, 0], rng, bound_effort=0)
+    return {
+        **values,
+        "views": len(selection.views),
+        "lower_bound": selection.lower_bound,
+        "visible": coverage.visible_coverage(poses, bench.samples, bench.scanner, (bench.caster, occluders)).fraction,
+        "cycle_s": tour.duration if np.isfinite(tour.duration) else None,
+    }
+
+
+def _with_grown(
+    bench: Bench,
+    cell: Cell,
+    casters: tuple[RayCaster, RayCaster],
+    known: tuple[Viewpoints, Reach, Measurability],
+) -> tuple[Viewpoints, Reach, Measurability]:
+    """Append candidates that are grown at this placement, with the samples of the matrix as scouts.
+
+    Args:
+        bench: part and scanner.
+        cell: with the part at this placement.
+        casters: of the part and of the occluders.
+        known: reachable candidates, their reach and their matrix.
+    """
+    views, reached, M = known
+    scanner, samples = bench.scanner, M.samples
+    arm = view_evaluator(cell, scanner, casters)
+    grown = growth.grow(RayTargets.of(samples.points, samples.normals, samples.region), np.diff(M.indptr) > 0, arm)
+    if not len(grown):
+        return known
+    added = viewpoints_from_poses(grown.T_object_scanner, samples.points[grown.row], samples.planning_face[grown.row])
+    added = scanners.sweep_columns(scanner, added)
+    part_only = fill_matrix(added, samples, scanner, casters[0])
+    measured = apply_occluders(part_only, added, scanner, casters[1], ray_caster=casters[0])
+    return (
+        join_viewpoints([views, added]),
+        join_reach([reached, solve_reach(cell.world, added)]),
+        join_measurability([M, measured]),
+    )
+
+
+def placement_study(
+    scene: Scene, x: Sequence[float], y: Sequence[float], z: Sequence[float], yaw: Sequence[float]
+) -> Study:
+    """Return the study of a grid of placements.
+
+    Args:
+        scene: part, scanner and cell; its own placement gives the rotations B and C.
+        x: positions of the part's centre [mm].
+        y: likewise [mm].
+        z: likewise [mm].
+        yaw: rotations A about the vertical [deg].
+    """
+    base = scene_settings(scene)
+    _, b, c = scene.placement.abc_deg
+    fixed = {**base, "what": WITH_VIEWS, "solver": "greedy", "candidates": None}
+    grid = {
+        place: Trial.of(evaluate_placement, {**fixed, "position_mm": place[:3], "abc_deg": (place[3], b, c)})
+        for place in product(x, y, z, yaw)
+    }
+
+    def rows(outcomes: Sequence[Outcome]) -> list[Row]:
+        values = {outcome.trial: outcome.values for outcome in outcomes}
+        return [
+            placement_row(place, (b, c), values[trial]) | {"home free": values[trial]["home_free"]}
+            for place, trial in grid.items()
+            if trial in values
+        ]
+
+    name = scene.part.name if scene.part.path is None else "the part"
+    return Study(
+        "placement", f"Placements of {name}: {len(grid)}", list(grid.values()), rows, pictures, sentences,
+        options=place_option, best=best_row,
+    )  # fmt: skip
+
+
+def placement_row(place: tuple[float, ...], tilt: tuple[float, float], values: JsonTable) -> Row:
+    """Return the row of a placement (values of `AXES`), tilted by the scene's B and C [deg]."""
+    return {
+        **dict(zip(AXES, place, strict=True)),
+        **(dict(zip(_TILT, tilt, strict=True)) if any(tilt) else {}),
+        "reachable %": 100 * values["reachable"],
+        "coverable %": 100 * values["coverable"],
+        "views": values.get("views"),
+        "fewest views": values.get("lower_bound"),
+        "visible %": None if "visible" not in values else 100 * values["visible"],
+        "cycle s": values.get("cycle_s"),
+    }
+
+
+def best_row(rows: Sequence[Row]) -> Row:
+    """Return the row with most coverage (to 0.1 percentage points), then fewest views, then the shortest cycle."""
+    return min(
+        rows, key=lambda row: (-round(row["coverable %"], 1), row["views"] or math.inf, row["cycle s"] or math.inf)
+    )
+
+
+def place_option(row: Row) -> str:
+    """Return the option of `cell plan` for the placement of a row."""
+    return f"--place {','.join(f'{row.get(axis, 0.0):g}' for axis in (*AXES, *_TILT))}"
+
+
+def cycle_text(row: Row) -> str:
+    """Return the cycle time as the end of a sentence; "" if there is none."""
+    return "" if row["cycle s"] is None else f" in about {row['cycle s']:.0f} s (estimate from straight joint moves)"
+
+
+def sentences(rows: Sequence[Row]) -> list[str]:
+    """Summarise the best placement and the unreachable ones."""
+    best = best_row(rows)
+    if not best["coverable %"]:
+        return ["Nothing is measured at any of these placements; move the range nearer to the robot."]
+    unreachable = sum(not row["reachable %"] for row in rows)
+    return [
+        f"Best of these placements is `{place_option(best)}`: the robot reaches {best['reachable %']:.0f} % of the "
+        f"candidates, which measure {best['coverable %']:.1f} % of the surface with {best['views']} views (greedy; "
+        f"lower bound {best['fewest views']}){cycle_text(best)}.",
+        f"At {unreachable} of {len(rows)} placements nothing is reachable.",
+    ]
+
+
+def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
+    """Draw four maps for each height and yaw."""
+    for z, yaw in dict.fromkeys((row["z mm"], row["yaw deg"]) for row in rows):
+        yield (
+            f"map_z{z:g}_yaw{yaw:g}",
+            _picture([row for row in rows if (row["z mm"], row["yaw deg"]) == (z, yaw)], z, yaw, best_row(rows)),
+        )
+
+
+def _picture(rows: Sequence[Row], z: float, yaw: float, best: Row) -> Figure:
+    x, y = (np.array(sorted({row[axis] for row in rows})) for axis in ("x mm", "y mm"))
+    figure = Figure(figsize=(12.0, 10.0), dpi=100, layout="constrained")
+    for axes, (column, title, colours) in zip(figure.subplots(2, 2).flat, _MAPS, strict=True):
+        values = np.full((len(y), len(x)), np.nan)
+        for row in rows:
+            if row[column] is not None:
+                values[np.searchsorted(y, row["y mm"]), np.searchsorted(x, row["x mm"])] = row[column]
+        image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), cmap=colours, shading="nearest")
+        figure.colorbar(image, ax=axes, shrink=0.9)
+        axes.set_facecolor("#dddddd")  # no value: nothing reached, or no move
+        axes.add_patch(Circle((0.0, 0.0), REACH_MM, fill=False, linestyle="--", color=VERMILION))
+        if (best["z mm"], best["yaw deg"]) == (z, yaw):
+            axes.plot(best["x mm"], best["y mm"], marker="*", color="white", markeredgecolor="black", markersize=15)
+        axes.set_title(title, fontsize=10)
+        axes.set_xlabel("x of the part's centre, base frame [mm]")
+        axes.set_ylabel("y [mm]")
+        axes.set_aspect("equal")
+        axes.autoscale_view()
+        axes.set_xlim(x[0] - 60, x[-1] + 60)
+        axes.set_ylim(y[0] - 60, y[-1] + 60)
+    figure.suptitle(
+        f"z = {z:g} mm, yaw = {yaw:g} deg; star: best of all; dashed: reach of the wrist from the base axis"
+    )
+    return figure

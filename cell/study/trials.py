@@ -1,0 +1,344 @@
+"""Trials of studies: their keys, cached results, and the processes or the Dask cluster that compute them.
+
+A trial is a module-level function and a table of settings that JSON can hold. The function maps the settings to values
+that JSON can hold, and depends on nothing else; under "seconds" it can return times of steps, which are kept apart. So
+a trial can run in another process or on another machine, and its result is cached under a key of all its inputs:
+function, settings, the sources of the program, and those of the package of the function.
+
+Each result is written before the next is waited for. Ctrl-C, a kill or a lost machine costs only the running trials.
+"""
+
+import hashlib
+import importlib
+import json
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from time import perf_counter
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from cell.errors import CellError, FileError, UsageError
+from cell.files import atomic_write, cache_folder
+from planner.errors import PlannerError
+
+JsonTable = Mapping[str, Any]
+"""Settings or values of a trial by name, as JSON can hold them."""
+
+TrialFunction = Callable[[JsonTable], JsonTable]
+
+SCHEMA = "scan-cell/trial/2"
+
+_SOURCES = ("planner", "cell", "drivers")
+_DIED = "its process died twice (out of memory, or a crash in a library)"
+_CLUSTER_TIMEOUT_S = 10.0
+_RETRIES = 2
+"""Repetitions of a trial on a cluster after its worker was lost."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A trial.
+
+    Attributes:
+        function: "module:name" of the function.
+        settings: canonical JSON of the settings.
+    """
+
+    function: str
+    settings: str
+
+    @classmethod
+    def of(cls, function: TrialFunction, settings: Mapping[str, object]) -> "Trial":
+        """Return a trial of a module-level function, which a worker can import.
+
+        Raises:
+            ValueError: if a setting is NaN or infinite.
+        """
+        name = f"{function.__module__}:{function.__name__}"
+        return cls(name, json.dumps(dict(settings), sort_keys=True, allow_nan=False))
+
+    @property
+    def digest(self) -> str:
+        """sha256 (hex) over the sources of this program that compute the trial."""
+        return sources_digest(self.function.partition(".")[0])
+
+    @property
+    def key(self) -> str:
+        """sha256 (hex) over all inputs of the result."""
+        return hashlib.sha256(f"{self.function}\n{self.settings}\n{self.digest}".encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Result of a trial.
+
+    Attributes:
+        trial: the trial.
+        values: its values; empty after a failure.
+        failure: cause of a failure in one sentence; "" after success.
+        seconds: time of each step on the machine that computed it, now or earlier; "total" is the sum.
+        cached: whether the result was computed earlier.
+    """
+
+    trial: Trial
+    values: JsonTable
+    failure: str
+    seconds: Mapping[str, float]
+    cached: bool = False
+
+
+OnOutcome = Callable[[int, int, Outcome], None]
+"""Called with (finished trials, all trials, latest outcome)."""
+
+
+@cache
+def sources_digest(package: str) -> str:
+    """Return the sha256 (hex) over the sources and models of the program, and over the sources of a package beside it.
+
+    Args:
+        package: a package of the program, or one in the same folder.
+    """
+    root = Path(__file__).parents[2]
+    digest = hashlib.sha256()
+    folders = [root / name for name in dict.fromkeys((*_SOURCES, "models", "cell/models", package))]
+    for folder in folders:
+        for path in sorted(path for path in folder.rglob("*") if path.suffix in {".py", ".toml", ".xml", ".npz"}):
+            digest.update(str(path.relative_to(folder)).encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def compute(trial: Trial, digest: str) -> Outcome:
+    """Compute a trial; an error is a failed outcome.
+
+    Args:
+        trial: the trial.
+        digest: `Trial.digest` of the requesting program; a different one here is a failure.
+    """
+    if digest != trial.digest:
+        return Outcome(trial, {}, "this worker runs another version of scan-cell; install the same one there", {})
+    module, _, function = trial.function.partition(":")
+    start = perf_counter()
+    try:
+        run: TrialFunction = getattr(importlib.import_module(module), function)
+        # Through JSON, so that a result is equal whether it was computed here, elsewhere, or read from disk.
+        values = json.loads(json.dumps(dict(run(json.loads(trial.settings))), allow_nan=False))
+    except Exception as error:  # of any placement, part or scanner; the study continues
+        is_ours = isinstance(error, CellError | PlannerError)
+        sentence = str(error) if is_ours else f"{type(error).__name__}: {error}"
+        return Outcome(trial, {}, sentence, {"total": perf_counter() - start})
+    return Outcome(trial, values, "", {**values.pop("seconds", {}), "total": perf_counter() - start})
+
+
+def load(trial: Trial, folder: Path) -> Outcome | None:
+    """Load a cached result; None if it is missing, damaged, of another version, or a failure."""
+    try:
+        content = json.loads(_path(trial, folder).read_text(encoding="utf-8"))
+        if content["schema"] == SCHEMA and content["settings"] == trial.settings and not content["failure"]:
+            return Outcome(trial, dict(content["values"]), "", dict(content["seconds"]), cached=True)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return None
+
+
+def save(outcome: Outcome, folder: Path) -> None:
+    """Write a result to the cache.
+
+    Raises:
+        FileError: if it cannot be written.
+    """
+    content = {
+        "schema": SCHEMA,
+        "function": outcome.trial.function,
+        "settings": outcome.trial.settings,
+        "values": dict(outcome.values),
+        "failure": outcome.failure,
+        "seconds": dict(outcome.seconds),
+    }
+    try:
+        with atomic_write(_path(outcome.trial, folder)) as temporary:
+            temporary.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
+    except OSError as error:
+        raise FileError(
+            f"the result of a trial cannot be written to {folder}: {error.strerror or error}; free disk space, or set "
+            "XDG_CACHE_HOME to a writable folder"
+        ) from error
+
+
+def _path(trial: Trial, folder: Path) -> Path:
+    key = trial.key
+    return folder / key[:2] / f"{key}.json"
+
+
+class Workers(Protocol):
+    """Computes trials; a context manager."""
+
+    def compute(self, trials: Sequence[Trial]) -> Iterator[Outcome]:
+        """Yield the outcome of each of the distinct trials as it is finished."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+def run_trials(
+    trials: Sequence[Trial], workers: Workers, *, folder: Path | None = None, on_outcome: OnOutcome | None = None
+) -> list[Outcome]:
+    """Return the outcome of each trial, in their order; cached results are not computed again.
+
+    Args:
+        trials: the trials; equal ones are computed once.
+        workers: for the other ones.
+        folder: of the cached results; None: the user's cache.
+        on_outcome: is called for each outcome as it comes.
+
+    Raises:
+        FileError: if a result cannot be written.
+    """
+    folder = cache_folder("studies") if folder is None else folder
+    outcomes: dict[Trial, Outcome] = {}
+    distinct = list(dict.fromkeys(trials))
+
+    def add(outcome: Outcome) -> None:
+        outcomes[outcome.trial] = outcome
+        if on_outcome is not None:
+            on_outcome(len(outcomes), len(distinct), outcome)
+
+    for trial in distinct:
+        if (found := load(trial, folder)) is not None:
+            add(found)
+    missing = [trial for trial in distinct if trial not in outcomes]
+    for outcome in workers.compute(missing) if missing else ():
+        save(outcome, folder)
+        add(outcome)
+    return [outcomes[trial] for trial in trials]
+
+
+def open_workers(processes: int, cluster: str | None = None) -> Workers:
+    """Return local worker processes, or those of a Dask cluster.
+
+    Args:
+        processes: number of local processes, at least 1.
+        cluster: address of a Dask scheduler, in place of local processes.
+
+    Raises:
+        UsageError: if the number is not positive, the cluster does not answer, or Dask is not installed.
+    """
+    if processes < 1:
+        raise UsageError(f"--processes {processes} must be at least 1")
+    return Processes(processes) if cluster is None else Cluster(cluster)
+
+
+class Processes:
+    """Processes of this machine, started when they are first needed."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._pool: ProcessPoolExecutor | None = None
+
+    def compute(self, trials: Sequence[Trial]) -> Iterator[Outcome]:
+        """Yield each outcome. A dying process ends all running trials; each of them is repeated once, alone."""
+        waiting, suspects = deque(trials), deque[Trial]()
+        while waiting or suspects:
+            queue, limit = (waiting, self._count) if waiting else (deque([suspects.popleft()]), 1)
+            running: dict[Future[Outcome], Trial] = {}
+            try:
+                while queue or running:
+                    while queue and len(running) < limit:
+                        running[self._open().submit(compute, queue[0], queue[0].digest)] = queue[0]
+                        queue.popleft()
+                    done, _ = wait(running, return_when=FIRST_COMPLETED)
+                    for future in sorted(done, key=lambda future: running[future].settings):
+                        outcome = future.result()
+                        del running[future]
+                        yield outcome
+            except BrokenProcessPool:
+                self._close()
+                if queue is waiting:
+                    suspects.extend(running.values())
+                else:
+                    yield from (Outcome(trial, {}, _DIED, {}) for trial in running.values())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._close()
+
+    def _open(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            # spawn: a forked child would inherit the threads of ray engine and solver in an unknown state.
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(self._count, mp_context=context, initializer=_end_with_parent)
+        return self._pool
+
+    def _close(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = None
+
+
+def _end_with_parent() -> None:
+    """Leave Ctrl-C to the parent process, and end this worker when the parent ends for any cause."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+
+    def follow() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+class Cluster:
+    """Workers of a Dask scheduler, which gives the trials of a lost worker to another."""
+
+    def __init__(self, address: str) -> None:
+        try:
+            from distributed import Client
+        except ImportError as error:
+            raise UsageError("--cluster needs Dask; install it with pip install 'scan-cell[cluster]'") from error
+        try:
+            self._client: Any = Client(address, timeout=_CLUSTER_TIMEOUT_S, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise UsageError(
+                f"no Dask scheduler answers at {address}; start one with dask scheduler ({error})"
+            ) from error
+
+    def compute(self, trials: Sequence[Trial]) -> Iterator[Outcome]:
+        """Yield each outcome."""
+        from distributed import as_completed
+
+        with self._client.as_current():
+            by_key = {trial.key: trial for trial in trials}
+            digests = [trial.digest for trial in trials]
+            futures = self._client.map(compute, trials, digests, key=list(by_key), pure=True, retries=_RETRIES)
+            for future in as_completed(futures):
+                error = future.exception()
+                if error is None:
+                    yield future.result()
+                else:
+                    yield Outcome(by_key[future.key], {}, f"its workers were lost: {error}", {})
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._client.close()
