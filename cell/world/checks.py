@@ -33,7 +33,7 @@ from cell.world import shapes as cell_shapes
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.world.embree import EmbreeRayCaster
 from cell.world.model import World, compile_settled
-from cell.world.occluders import Occluder, floor_triangles, geom_triangles, make_caster
+from cell.world.occluders import Occluder, box_triangles, floor_triangles, geom_triangles, make_caster
 from cell.world.shapes import TABLE
 from cell.world.solids import (
     BUILT_IN_OBSTACLES,
@@ -198,14 +198,21 @@ def housing_occlusion(world: World, move: Floats | None = None) -> float:
         world: the compiled scene.
         move: (3,) of the housing, scanner frame [m]; None: not moved.
     """
-    T = np.asarray(np.linalg.inv(_T_scanner_housing(world)), dtype=np.float64)
-    shift = np.zeros(3) if move is None else T[:3, :3] @ move
-    half = np.array(world.scene.housing.sides_mm) / 2000 - _SKIN
+    T = _T_scanner_housing(world)
+    vertices, faces = box_triangles(np.array(world.scene.housing.sides_mm) / 2000 - _SKIN)
+    origin = T[:3, 3] + (np.zeros(3) if move is None else move)
+    return _occlusion(world, [Occluder("housing", vertices @ T[:3, :3].T + origin, faces)])
+
+
+def _occlusion(world: World, pieces: list[Occluder]) -> float:
+    """Return the share of the lines of sight of source and sensor that pieces in the scanner frame hide."""
+    if not pieces or max(each.vertices[:, 2].max() for each in pieces) <= _SKIN:
+        return 0.0  # all of it is behind source and sensor
+    caster = make_caster(pieces)
     starts, ends = _lines_of_sight(world)
-    starts, ends = (points @ T[:3, :3].T + T[:3, 3] for points in (starts, ends))
-    hidden = np.zeros(len(ends), dtype=bool)
+    hidden: NDArray[np.bool_] = np.zeros(len(ends), dtype=bool)
     for start in starts:
-        hidden |= _crosses_box(start[None] - shift, ends - shift, half)
+        hidden |= caster.blocked(np.broadcast_to(start, ends.shape), ends)
     return float(hidden.mean())
 
 
@@ -252,27 +259,7 @@ def _wrist_occlusion(world: World) -> float:
         if name in _WRIST_SHAPES:
             vertices, faces = geom_triangles(world.model, data, geom)
             pieces.append(Occluder(name, (vertices - origin) @ R, faces))
-    if not pieces or max(each.vertices[:, 2].max() for each in pieces) <= _SKIN:
-        return 0.0  # all of it is behind source and sensor
-    caster = make_caster(pieces)
-    starts, ends = _lines_of_sight(world)
-    hidden: NDArray[np.bool_] = np.zeros(len(ends), dtype=bool)
-    for start in starts:
-        hidden |= caster.blocked(np.broadcast_to(start, ends.shape), ends)
-    return float(hidden.mean())
-
-
-def _crosses_box(start: Floats, ends: Floats, half: Floats) -> NDArray[np.bool_]:
-    """Return whether segments from start (1, 3) to ends (N, 3) cross a box about the origin (slab test)."""
-    along = ends - start
-    with np.errstate(divide="ignore", invalid="ignore"):
-        one, two = (-half - start) / along, (half - start) / along
-    near, far = np.minimum(one, two), np.maximum(one, two)
-    parallel = along == 0
-    inside = np.abs(np.broadcast_to(start, along.shape)) <= half
-    near = np.where(parallel, np.where(inside, -np.inf, np.inf), near).max(axis=1)
-    far = np.where(parallel, np.where(inside, np.inf, -np.inf), far).min(axis=1)
-    return np.asarray((near <= far) & (far >= 0) & (near <= 1))
+    return _occlusion(world, pieces)
 
 
 def _housing_in_wrist(world: World, solids: dict[str, Solid]) -> list[str]:

@@ -17,7 +17,6 @@ embreex's bindings check no bounds and read foreign memory for a wrong shape or 
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -159,18 +158,13 @@ class EmbreeRayCaster:
 
     def _split(self, trace: Callable[[slice], None], count: int) -> None:
         """Trace all rays in this thread, or in one thread per core."""
-        pieces = self._workers if count > _SPLIT_ABOVE else 1
-        bounds = [count * piece // pieces for piece in range(pieces + 1)]
-        slices = [slice(start, stop) for start, stop in pairwise(bounds)]
-        if pieces == 1:
-            if count:
-                trace(slices[0])
-            return
-        with ThreadPoolExecutor(pieces - 1) as pool:
-            others = [pool.submit(trace, part) for part in slices[1:]]
+        parts = self._workers if count > _SPLIT_ABOVE else 1
+        slices = [slice(count * part // parts, count * (part + 1) // parts) for part in range(parts)]
+        if parts > 1:
+            with ThreadPoolExecutor(parts) as pool:
+                list(pool.map(trace, slices))
+        elif count:
             trace(slices[0])
-            for other in others:
-                other.result()
 
 
 def _build(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> Any:

@@ -45,20 +45,8 @@ MIN_REGION_SAMPLES = 400
 _MAX_COLUMN_RATIO = 4
 """Largest number of stored columns, in multiples of those of one run; beyond, only those of the run are stored."""
 
-_FIELDS = (
-    "indptr",
-    "indices",
-    "shape",
-    "points",
-    "normals",
-    "areas",
-    "face",
-    "planning_face",
-    "columns",
-    "key",
-    "format",
-)
-
+_SAMPLE_FIELDS = ("points", "normals", "areas", "face", "planning_face")
+_FIELDS = ("indptr", "indices", "shape", *_SAMPLE_FIELDS, "columns", "key", "format")
 
 Hashes = NDArray[np.bytes_]
 """SHA-256 (hex) of each viewpoint's poses, (V,)."""
@@ -107,13 +95,8 @@ def row_key(
     text = json.dumps([FORMAT, method, dict(scanner_parameters)], sort_keys=True, allow_nan=False)
     digest.update(text.encode())
     arrays: dict[str, NDArray[Any]] = {
-        "vertices": part.vertices,
-        "faces": part.faces,
-        "points": samples.points,
-        "normals": samples.normals,
-        "areas": samples.areas,
-        "face": samples.face,
-        "planning_face": samples.planning_face,
+        **{"vertices": part.vertices, "faces": part.faces},
+        **{name: getattr(samples, name) for name in _SAMPLE_FIELDS},
     }
     if row_of_face is not None:
         arrays["row_of_face"] = np.asarray(row_of_face, dtype=np.int32)
@@ -141,7 +124,6 @@ def save(path: Path, measurability: Measurability, key: str, columns: Hashes) ->
     Raises:
         FileError: if the file cannot be written.
     """
-    features = measurability.samples
     try:
         with atomic_write(path) as temporary, temporary.open("wb") as stream:
             np.savez(
@@ -149,11 +131,7 @@ def save(path: Path, measurability: Measurability, key: str, columns: Hashes) ->
                 indptr=measurability.indptr,
                 indices=measurability.indices,
                 shape=np.array(measurability.shape, dtype=np.int64),
-                points=features.points,
-                normals=features.normals,
-                areas=features.areas,
-                face=features.face,
-                planning_face=features.planning_face,
+                **{name: getattr(measurability.samples, name) for name in _SAMPLE_FIELDS},
                 columns=columns,
                 key=np.frombuffer(key.encode("ascii"), dtype=np.uint8),
                 format=np.array(FORMAT, dtype=np.int64),
@@ -190,15 +168,13 @@ def load(path: Path, key: str) -> CachedMatrix:
             if stored["key"].tobytes() != key.encode("ascii"):
                 return _rejected(f"{path} was computed for another part, scanner, other samples or another method")
             arrays = {name: stored[name] for name in _FIELDS}
-        features = SurfaceSamples(
-            arrays["points"], arrays["normals"], arrays["areas"], arrays["face"], arrays["planning_face"]
-        )
+        samples = SurfaceSamples(*(arrays[name] for name in _SAMPLE_FIELDS))
         rows, columns = (int(length) for length in arrays["shape"])
-        if rows != len(features):
-            return _rejected(f"{path} is damaged: {rows} rows for {len(features)} features")
+        if rows != len(samples):
+            return _rejected(f"{path} is damaged: {rows} rows for {len(samples)} samples")
         if arrays["columns"].shape != (columns,) or arrays["columns"].dtype != np.dtype("S64"):
             return _rejected(f"{path} is damaged: its {columns} columns do not have one hash each")
-        M = Measurability(arrays["indptr"], arrays["indices"], features, columns)
+        M = Measurability(arrays["indptr"], arrays["indices"], samples, columns)
         return CachedMatrix(M, arrays["columns"], "")
     except Exception as error:  # a damaged zip fails in many ways: BadZipFile, zlib.error, NotImplementedError, ...
         return _rejected(f"{path} cannot be read ({type(error).__name__}: {error})")

@@ -25,7 +25,7 @@ triangles decide (`planner.geometry.distance`).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -244,40 +244,16 @@ _KIND = {6: 0, 5: 1}  # `planner.geometry.distance.BOX` and `CYLINDER` by MuJoCo
 _CONTACT_REACH = 1e-9  # m; reach for the triangles of a pair whose hulls are in contact
 
 
-class _Trees(Mapping[int, "TriangleTree"]):
-    """Triangle trees by geom, each built at its first use: building takes up to half a second."""
-
-    def __init__(self, meshes: dict[int, TriangleMesh]) -> None:
-        self._meshes = meshes
-        self._built: dict[int, TriangleTree] = {}
-
-    def __getitem__(self, geom: int) -> TriangleTree:
-        if geom not in self._built:
-            from planner.geometry.distance import TriangleTree  # its kernels load numba
-
-            self._built[geom] = TriangleTree(self._meshes[geom])
-        return self._built[geom]
-
-    def __contains__(self, geom: object) -> bool:
-        return geom in self._meshes
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._meshes)
-
-    def __len__(self) -> int:
-        return len(self._meshes)
-
-
 class ShapeDistances:
     """Distances between the geoms of a model. It never changes, so checkers share it.
 
     Attributes:
-        trees: triangles by the geom whose hull is in the model.
+        meshes: triangles by the geom whose hull is in the model.
         nonconvex: geoms that are measured by their triangles.
     """
 
     def __init__(self, model: mujoco.MjModel, meshes: Mapping[str, TriangleMesh], nonconvex: Collection[str]) -> None:
-        """Prepare the distances; trees are built at the first use.
+        """Prepare the distances. Trees of the triangles are built at their first use: that takes up to half a second.
 
         Args:
             model: the model that holds the geoms.
@@ -285,7 +261,8 @@ class ShapeDistances:
             nonconvex: names of the meshes that their hull does not represent.
         """
         self._model = model
-        self.trees = _Trees({model.geom(name).id: mesh for name, mesh in meshes.items()})
+        self.meshes = {model.geom(name).id: mesh for name, mesh in meshes.items()}
+        self._trees: dict[int, TriangleTree] = {}
         self.nonconvex = frozenset(model.geom(name).id for name in nonconvex)
         self._kind = tuple(_KIND.get(int(kind)) for kind in model.geom_type)
         self._body = tuple(model.geom_bodyid.tolist())
@@ -316,7 +293,7 @@ class ShapeDistances:
         import mujoco
 
         mesh, shape = (a, b) if a in self.nonconvex else (b, a)
-        by_triangles = mesh in self.nonconvex and (self._kind[shape] is not None or shape in self.trees)
+        by_triangles = mesh in self.nonconvex and (self._kind[shape] is not None or shape in self.meshes)
         if by_triangles and any_nearer and reach > 0:  # yes or no needs no depth
             return self._by_triangles(data, mesh, shape, reach, any_nearer=True)
         ends = None if points is None else np.empty(6)
@@ -342,7 +319,7 @@ class ShapeDistances:
         points: Floats | None = None,
     ) -> float:
         """Measure the distance of a shape and the triangles of a mesh; `points` are of the shape, then of the mesh."""
-        tree, body, kind = self.trees[mesh], self._body[mesh], self._kind[shape]
+        tree, body, kind = self._tree(mesh), self._body[mesh], self._kind[shape]
         frame = data.xpos[body], data.xmat[body]
         if kind is not None:
             size, placement = self._model.geom_size[shape], (data.geom_xpos[shape], data.geom_xmat[shape])
@@ -350,11 +327,18 @@ class ShapeDistances:
         other = self._body[shape]
         frames = frame, (data.xpos[other], data.xmat[other])
         if shape not in self.nonconvex:
-            return tree.distance_to_hull(self.trees[shape], frames, reach, any_nearer=any_nearer, points=points)
-        distance = tree.distance_to_tree(self.trees[shape], frames, reach, any_nearer=any_nearer, points=points)
+            return tree.distance_to_hull(self._tree(shape), frames, reach, any_nearer=any_nearer, points=points)
+        distance = tree.distance_to_tree(self._tree(shape), frames, reach, any_nearer=any_nearer, points=points)
         if points is not None:
             points[:] = points[::-1].copy()
         return distance
+
+    def _tree(self, geom: int) -> TriangleTree:
+        from planner.geometry.distance import TriangleTree  # its kernels load numba
+
+        if geom not in self._trees:
+            self._trees[geom] = TriangleTree(self.meshes[geom])
+        return self._trees[geom]
 
 
 def meshes_of(model: mujoco.MjModel) -> dict[str, TriangleMesh]:

@@ -166,11 +166,11 @@ def test_a_run_of_an_earlier_version_is_compiled_with_triangles_and_that_is_said
     earlier = _as_earlier(written[0], tmp_path / "run", collision)
     part, scene = earlier.mesh("reference.ply"), earlier.scene
     again = world_of(earlier, part)
-    assert {again.entities[geom] for geom in again.shapes.trees} == triangles
+    assert {again.entities[geom] for geom in again.shapes.meshes} == triangles
     assert (said is None) == (collision_note(scene) == [])
     assert all(said in sentence for sentence in collision_note(scene) if said)
     replay_model = build_replay_model(earlier, scene, part)
-    assert {replay_model.geom_names[geom] for geom in replay_model.shapes.trees} == (
+    assert {replay_model.geom_names[geom] for geom in replay_model.shapes.meshes} == (
         {"part"} if collision == "exact" else set()
     )
     assert "horn_surface" not in replay_model.geom_names
@@ -181,11 +181,11 @@ def test_a_mesh_fixture_is_compiled_again_and_shown_as_its_triangles(written: tu
     run, world = written
     part, scene = run.mesh("reference.ply"), run.scene
     again = world_of(run, part)
-    assert {world.entities[geom] for geom in world.shapes.trees} == {"horn"}  # compiled from the part's vertices alone
-    assert {again.entities[geom] for geom in again.shapes.trees} == {"part", "horn"}
+    assert {world.entities[geom] for geom in world.shapes.meshes} == {"horn"}  # compiled from the part's vertices alone
+    assert {again.entities[geom] for geom in again.shapes.meshes} == {"part", "horn"}
     assert collision_note(scene) == []
     replay_model = build_replay_model(run, scene, part)
-    assert {replay_model.geom_names[geom] for geom in replay_model.shapes.trees} == {"part", "horn"}
+    assert {replay_model.geom_names[geom] for geom in replay_model.shapes.meshes} == {"part", "horn"}
     assert replay_model.model.geom("horn_surface").bodyid == replay_model.model.geom("horn").bodyid
     np.testing.assert_allclose(
         _extent(replay_model.model, "horn_surface"), _extent(replay_model.model, "horn"), atol=1e-6
