@@ -136,11 +136,7 @@ def calibrate_hand_eye(files: Sequence[Path], options: HandEyeOptions, reporter:
         ),
         scans=tuple(
             TargetScan(
-                file=str(path),
-                points=len(cloud),
-                used=used,
-                noise_mm=1000 * noise,
-                residual_mm=1000 * float(residual),
+                file=str(path), points=len(cloud), used=used, noise_mm=1000 * noise, residual_mm=1000 * float(residual)
             )
             for path, cloud, (_, used, noise), residual in zip(files, clouds, targets_seen, fit.residuals, strict=True)
         ),

@@ -297,7 +297,7 @@ def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, t
     taken = files.take(view)
     assert isinstance(taken, Acquired)
     np.testing.assert_allclose(taken.points, [[0.01, 0.02, 0.03]] * 4)
-    assert taken.told["points_of"] == str(path)
+    assert taken.details["points_of"] == str(path)
     assert "view 7" in told[0]
     assert files.take(View(8, 70, np.zeros((1, 6)), eye, eye, np.eye(4), np.zeros(1, dtype=np.int64))) is None
     assert "view 8 is missing" in told[-1]
@@ -337,7 +337,7 @@ def test_a_file_without_points_is_one_sentence(tmp_path: Path, name: str, conten
         ({"acquire": "laser"}, "installed are: command, files, simulated"),
         ({"acquire": "command:"}, "names no command"),
         ({"acquire": "command:true"}, "never guessed"),
-        ({"acquire": "simulated:fast"}, "takes nothing behind it"),
+        ({"acquire": "simulated:fast"}, "takes no argument"),
     ],
 )
 def test_what_cannot_be_asked_leaves_no_execution(run: Path, options: dict[str, Any], words: str) -> None:

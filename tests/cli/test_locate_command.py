@@ -110,7 +110,7 @@ def test_a_part_in_the_way_of_the_motion_is_told(planned: Path, tmp_path: Path) 
     (tmp_path / "touched.txt").write_text("\n".join(rows))
     found = locate(run, pairs=str(tmp_path / "touched.txt"), points_frame="base", points_units="mm")
     assert not found.checked_motion.keeps_clearance
-    assert "nearer than the clearance" in found.checked_motion.problem
+    assert "violates the clearance" in found.checked_motion.problem
 
 
 @pytest.mark.parametrize(

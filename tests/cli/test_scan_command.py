@@ -312,7 +312,7 @@ def test_a_truncated_scan_and_one_with_nan_are_named_and_left_out(copied: Path) 
     text = (copied / "executions" / "0001" / "report.md").read_text()
     assert "Not complete" in text
     assert "view 2, 3" in text
-    assert "Left out: scans/0002.npz" in text
+    assert "Unusable: scans/0002.npz" in text
     assert str(copied) not in text
     manifest = json.loads((copied / "executions" / "0001" / "manifest.json").read_text())
     assert manifest["status"] == "incomplete"
@@ -326,7 +326,7 @@ def test_a_scan_that_was_changed_afterwards_is_left_out(executed: Path, tmp_path
     _rewrite(path, points=read_scan(path).points + 1e-3)
     summary = _remake(run)
     assert summary.missing_views == (1,)
-    assert "Scan view 1 again (`cell scan RUN --view 1`)" in (run / "executions" / "0001" / "report.md").read_text()
+    assert "Scan again with `cell scan RUN --view 1`" in (run / "executions" / "0001" / "report.md").read_text()
     assert "is not what the execution wrote" in summary.left_out[0]
 
 

@@ -132,7 +132,7 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: Run, start_
         (("made", "--setup", "3"), "there is no set-up 3 of made; there are 1 to 2"),
         (("made", "--view", "1"), "--view applies to one run: give its folder instead of that of all set-ups"),
         (("made", "--report", "0001"), "--report latest"),
-        (("made/setups/1", "--setup", "1"), "--setup is of a folder that cell setups made"),
+        (("made/setups/1", "--setup", "1"), "--setup needs a folder of cell setups"),
     ],
 )
 def test_what_cannot_be_is_said(words: tuple[str, ...], told: str, folder: Path, run_cell: Run) -> None:

@@ -288,7 +288,7 @@ def test_options_of_a_new_scan_are_refused_beside_resume(run_folder: Path, run_c
     """An execution goes on as it was begun."""
     done = run_cell("scan", str(run_folder), "--resume", "latest", "--resolution", "1", cwd=run_folder.parent)
     assert done.returncode == 2
-    assert "--resume goes on" in done.stderr
+    assert "--resume keeps the options" in done.stderr
     assert np.array_equal(list((run_folder).glob("executions")), [])
 
 
