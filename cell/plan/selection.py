@@ -429,7 +429,7 @@ def _select(
         most = cover.solve(cover_problem, rng=rng, effort_budget=budget)
         return Selection(most, np.ones(1), most.sentence)
     if request.layer is not None:
-        robust = robust_cover(cover_problem, request.layer.within(M), alpha=plan.alpha, rng=rng)
+        robust = robust_cover(cover_problem, request.layer.restricted_to(M), alpha=plan.alpha, rng=rng)
         return Selection(robust.cover, request.targets, robust.sentence, robust)
     if not request.is_evaluated:  # the coverage refers to the samples of the matrix alone
         return _cover(request, cover_problem, request.targets, rng, cover.DEFAULT_EFFORT, start)

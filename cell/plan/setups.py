@@ -514,7 +514,7 @@ class SetupsRequest:
         """Return the (S, V) contributions of the views of a set-up to each row: 1, or their part of the confidence."""
         if not self.layers:
             return csr_array(M.matrix().astype(np.int64))
-        layer = self.layers[row].within(M)
+        layer = self.layers[row].restricted_to(M)
         return csr_array(loads(layer, self.request.plan.alpha, (len(M.samples), M.n_viewpoints)))
 
 

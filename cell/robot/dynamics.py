@@ -149,9 +149,9 @@ def table_load_of(model: mujoco.MjModel, table: RotaryTable, diameter: float) ->
     reach = diameter / 2
     for geom in np.flatnonzero([int(body) in bodies for body in model.geom_bodyid]):
         points, volume, moment, centre = _solid(model, data, int(geom))
-        offset = table.seen(centre)[:2]
+        offset = table.to_table_frame(centre)[:2]
         inertia += STEEL_DENSITY * (moment + volume * float(offset @ offset))
-        reach = max(reach, float(np.linalg.norm(table.seen(points)[:, :2], axis=1).max()))
+        reach = max(reach, float(np.linalg.norm(table.to_table_frame(points)[:, :2], axis=1).max()))
     return TableLoad(float(inertia), reach)
 
 

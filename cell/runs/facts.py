@@ -130,7 +130,7 @@ def _built_in(scene: Scene, world: World) -> list[StandingFixture]:
         x, y, top = (mm(value) for value in T[:3, 3])
         height, centre = top - floor_mm, [x, y, floor_mm + (top - floor_mm) / 2]
         if world.table is not None:
-            height = mm(world.table.seen(T[:3, 3])[2])
+            height = mm(world.table.to_table_frame(T[:3, 3])[2])
             centre = [mm(value) for value in T[:3, 3] - T[:3, 2] * (height / 2000)]
         listed.append(standing("post", "cylinder", [scene.post.diameter_mm, height], centre))
     if world.table is not None:

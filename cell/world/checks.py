@@ -759,7 +759,7 @@ def _beyond_reach(world: World, envelope: Envelope, standoff: float) -> str:
     radius = float(np.linalg.norm(world.part_hull.vertices - world.T_object_centre[:3, 3], axis=1).max())
     farthest = (envelope.wrist_reach_mm + envelope.wrist_to_source_mm) / 1000 + standoff
     if world.table is not None:  # half a turn may bring the part nearer
-        farthest += 2 * float(np.linalg.norm(world.table.seen(T_base_centre[:3, 3])[:2]))
+        farthest += 2 * float(np.linalg.norm(world.table.to_table_frame(T_base_centre[:3, 3])[:2]))
     gap = float(np.hypot(centre[0], centre[1])) - radius - farthest
     if gap <= 0:
         return ""

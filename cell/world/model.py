@@ -328,7 +328,7 @@ def _add_surroundings(
             raise SceneError(f"fixtures[{i}].name is '{fixture.name}', a shape of the cell's own; choose another name")
     fixture_meshes = cell_shapes.add_fixtures(spec, scene, placed_body)
     if table is not None:
-        off_axis = np.linalg.norm(table.seen(scene.placement.T[:3, 3])[:2])
+        off_axis = np.linalg.norm(table.to_table_frame(scene.placement.T[:3, 3])[:2])
         cell_shapes.enable_table_pairs(spec, post_swings=bool(off_axis > ON_AXIS), upright=table.upright)
     return fixture_meshes
 

@@ -57,7 +57,7 @@ def place_table(scene: Scene, T_base_object: Floats, hull: TriangleMesh) -> Rota
     lower, upper = given.limits_deg or ENDLESS_LIMITS_DEG
     rates = given.velocity_deg_s, given.acceleration_deg_s2, given.jerk_deg_s3
     table = RotaryTable(T, *np.deg2rad([lower, upper, *rates]).tolist())
-    on_face = table.seen(points)
+    on_face = table.to_table_frame(points)
     height, needed = 1000 * float(on_face[:, 2].min()), SHORTEST_POST_MM if scene.post.enabled else 0.0
     if height < needed - 1e-6:
         raise SceneError(
@@ -81,7 +81,7 @@ def kinematics_on_table(arm: Kinematics, table: RotaryTable | None, home: Floats
 
 def height_above_face(table: RotaryTable, T_base_object: Floats, hull: TriangleMesh) -> float:
     """Return the height of the part's lowest point above the table's face [m], placed at T_base_object (4, 4)."""
-    return float(table.seen(hull.vertices @ T_base_object[:3, :3].T + T_base_object[:3, 3])[:, 2].min())
+    return float(table.to_table_frame(hull.vertices @ T_base_object[:3, :3].T + T_base_object[:3, 3])[:, 2].min())
 
 
 class TablePoses:
@@ -217,7 +217,7 @@ def _pairs_in_reach(
     for a, b in pairs[~moves[pairs].any(axis=1)]:
         stationary, turned = (a, b) if model.body_mocapid[model.geom_bodyid[a]] < 0 else (b, a)
         # The middle moves on a circle about the axis: over all angles the geom stays within a ball about its centre.
-        x, y, z = table.seen(data.geom_xpos[turned])
+        x, y, z = table.to_table_frame(data.geom_xpos[turned])
         middle, axis = table.T_base_table @ [0.0, 0.0, z, 1.0], table.T_base_table[:3, 2]
         circle, own = float(np.hypot(x, y)), model.geom_rbound[turned] + clearance
         offset = data.geom_xpos[stationary] - middle[:3]

@@ -174,7 +174,7 @@ def table_radius(model: mujoco.MjModel, data: mujoco.MjData, table: RotaryTable 
     turned, farthest = {model.body("object").id, model.body("post").id}, 0.0
     for geom in np.flatnonzero([int(body) in turned for body in model.geom_bodyid]):
         points, radius = enclosing_points(model, data, int(geom))
-        farthest = max(farthest, float(np.linalg.norm(table.seen(points)[:, :2], axis=1).max()) + radius)
+        farthest = max(farthest, float(np.linalg.norm(table.to_table_frame(points)[:, :2], axis=1).max()) + radius)
     return farthest
 
 

@@ -49,7 +49,7 @@ class RotaryTable(Value):
         turned: Floats = self.T_base_table @ T @ np.linalg.inv(self.T_base_table)
         return turned
 
-    def seen(self, points: Floats) -> Floats:
+    def to_table_frame(self, points: Floats) -> Floats:
         """Transform points (..., 3) [m] from base to the frame of the table at rest: z is the height above its face."""
         return np.asarray((points - self.T_base_table[:3, 3]) @ self.T_base_table[:3, :3])
 

@@ -93,7 +93,7 @@ class ProbabilityLayer(Value):
         """(nnz,) credited probability of each entry."""
         return credited_probability(self.hits, self.members)
 
-    def within(self, M: Measurability) -> "ProbabilityLayer":
+    def restricted_to(self, M: Measurability) -> "ProbabilityLayer":
         """Return the layer on the entries of a matrix that contains a part of this layer's entries."""
         width = M.n_viewpoints
         mine, wanted = (

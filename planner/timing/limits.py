@@ -14,10 +14,6 @@ def require_usable(limits: JointLimits) -> None:
 
     A single limit may be infinite, but not acceleration and jerk of one axis together: its speed would jump.
     """
-    positive = (limits.velocity > 0) & (limits.acceleration > 0) & (limits.jerk > 0)
-    bounded = np.minimum(limits.acceleration, limits.jerk) < np.inf
-    if (positive & bounded & (limits.lower <= limits.upper)).all():
-        return
     for axis in range(len(limits.lower)):
         name = axis_name(axis)
         for what, unit in (("velocity", "rad/s"), ("acceleration", "rad/s^2"), ("jerk", "rad/s^3")):

@@ -143,10 +143,10 @@ def test_a_layer_follows_a_matrix_that_lost_entries() -> None:
             rows = csr_array(np.array(dense, dtype=bool))
             self.indptr, self.indices, self.n_viewpoints = rows.indptr, rows.indices, 3
 
-    assert layer.within(Matrix([[0, 1, 0], [0, 1, 1]])).hits.tolist() == [2, 3, 4]
-    assert layer.within(Matrix([[0, 0, 0], [0, 0, 0]])).hits.tolist() == []
+    assert layer.restricted_to(Matrix([[0, 1, 0], [0, 1, 1]])).hits.tolist() == [2, 3, 4]
+    assert layer.restricted_to(Matrix([[0, 0, 0], [0, 0, 0]])).hits.tolist() == []
     with pytest.raises(PlannerError, match="lacks"):
-        layer.within(Matrix([[1, 1, 1], [0, 0, 0]]))
+        layer.restricted_to(Matrix([[1, 1, 1], [0, 0, 0]]))
 
 
 @pytest.mark.parametrize(("position", "orientation"), [(-1.0, 0.0), (0.0, np.nan), (np.inf, 0.0)])
