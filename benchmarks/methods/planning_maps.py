@@ -15,7 +15,7 @@ from benchmarks.methods.bumpy_body import body
 from benchmarks.methods.stability_map import Map, MapPoint
 from cell.errors import FileError
 from cell.part import builtin, workpiece
-from cell.part.workpiece import FARTHEST_SIZES, PLAUSIBLE_M
+from cell.part.workpiece import MAX_DISTANCE_SIZES, PLAUSIBLE_LENGTH_M
 from cell.scanners.laser_area import LaserArea
 from cell.scene import validation
 from cell.world import virtual_scan
@@ -230,14 +230,14 @@ MAPS = {
     "size": Map(
         "The matrix over the part's size, everything in proportion", "longest side of the part [m]",
         "pairs as every triangle in float64 has them", "pairs that differ [%]", 1.0,
-        tuple(10.0**k for k in range(-6, 3)), (1e-6, 0.1, 100.0), size, (1500, 200), borders=PLAUSIBLE_M,
+        tuple(10.0**k for k in range(-6, 3)), (1e-6, 0.1, 100.0), size, (1500, 200), borders=PLAUSIBLE_LENGTH_M,
     ),
     "offset": Map(
         "The matrix over the part's offset in its file", "distance from the file's origin [sizes of the part]",
         "pairs as at the origin, in float64", "vertices off by the file's precision, rms [% of the part]", 0.01,
         (1.0, 10.0, 100.0, 500.0, 2e3, 1e4, 1e5, 1e6, 1e7, 1e8), (1.0, 1e5), offset, (1500, 200),
         lines=(_SINGLE, _DOUBLE),
-        borders=(None, FARTHEST_SIZES),
+        borders=(None, MAX_DISTANCE_SIZES),
     ),
     "grazing": Map(
         "Prediction towards grazing rays, a plate at 300 mm, part of 400 mm", "grazing angle [deg]",

@@ -33,7 +33,7 @@ def surface_about(space: VoxelSpace, chosen: Bools) -> TriangleMesh:
 
 def part_of(surface: TriangleMesh, name: str, known: str = "believed") -> Workpiece:
     """A believed, or measured, surface as a part, its name saying that it is no model."""
-    return workpiece.made(f"{name} as {known}", surface)
+    return workpiece.from_trusted_mesh(f"{name} as {known}", surface)
 
 
 def rough(space: VoxelSpace, *, whole: bool = False) -> TriangleMesh:

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from cell.errors import FileError
 from cell.part import glb
-from cell.part.mesh_checks import Finding, Kind, Severity, bodies, collapsed, double_areas, neighbours
+from cell.part.mesh_checks import Finding, Kind, Severity, adjacent_faces, double_areas, is_collapsed, label_bodies
 from planner.geometry.mesh import TriangleMesh, concatenate_meshes
 from planner.values import Floats, Ints, Ints32, Value
 
 
 class SurfaceKind(StrEnum):
-    """What a face is a piece of."""
+    """Kind of surface of a face."""
 
     PLANE = "plane"
     CYLINDER = "cylinder"
@@ -32,12 +32,12 @@ class SurfaceKind(StrEnum):
     SPHERE = "sphere"
     TORUS = "torus"
     OTHER = "other"
-    """A surface without parameters of its own, such as a spline."""
+    """A surface without parameters, such as a spline."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CadFace(Value):
-    """One face; what its kind does not have is None.
+    """A face; parameters that its kind does not have are None.
 
     Attributes:
         number: 1, 2, ... in the order of the file.
@@ -59,7 +59,7 @@ class CadFace(Value):
 
     @property
     def dimensions(self) -> str:
-        """Its sizes with their units; "" where it has none."""
+        """Its sizes with units; "" without sizes."""
         if self.half_angle is not None:
             return f"half angle {np.degrees(self.half_angle):.4g} deg"
         if self.radius is None:
@@ -70,10 +70,10 @@ class CadFace(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CadModel(Value):
-    """Which face each triangle of a part belongs to.
+    """The faces of a part, and the face of each triangle.
 
     Attributes:
-        faces: in the order of their numbers; those of what is no solid are missing.
+        faces: in the order of their numbers, without those that bound no solid.
         of_triangle: (F,) index in `faces` of each triangle.
     """
 
@@ -81,27 +81,27 @@ class CadModel(Value):
     of_triangle: Annotated[Ints32, "F"]
 
     def counts(self) -> dict[str, int]:
-        """How many faces there are of each kind that there is."""
+        """Return the number of faces of each kind that occurs."""
         kinds = [face.kind for face in self.faces]
         return {kind.value: kinds.count(kind) for kind in SurfaceKind if kind in kinds}
 
     def areas(self, mesh: TriangleMesh) -> Floats:
-        """(N,) area of each face [m^2], of the triangles of `mesh`."""
+        """Return the area (N,) of each face [m^2], by the triangles of `mesh`."""
         return np.bincount(self.of_triangle, weights=mesh.areas, minlength=len(self.faces)).astype(np.float64)
 
     def centres(self, mesh: TriangleMesh) -> Floats:
-        """(N, 3) centre of gravity of each face's triangles [m]; zero where it has none."""
+        """Return the centroid (N, 3) of each face's triangles [m]; zero without triangles."""
         areas, centres = mesh.areas, mesh.centres
-        whole = np.maximum(self.areas(mesh), np.finfo(np.float64).tiny)
+        total = np.maximum(self.areas(mesh), np.finfo(np.float64).tiny)
         sums = [np.bincount(self.of_triangle, weights=areas * axis, minlength=len(self.faces)) for axis in centres.T]
-        return np.stack(sums, axis=1) / whole[:, None]
+        return np.stack(sums, axis=1) / total[:, None]
 
 
 DEVIATION_MM = 0.02
-"""How far triangles may lie off the surface that they stand for: of the order of what a scanner is sure to."""
+"""Largest distance of the triangles from their surface, of the order of a scanner's uncertainty."""
 
 TURN_RAD = 0.2
-"""Angle between the normals of neighbouring triangles at most: their tilt counts in the angle of incidence."""
+"""Largest angle between normals of adjacent triangles; it adds to the angle of incidence."""
 
 _POINTS = ("origin", "center", "apex")
 _AXES = ("normal", "axis")
@@ -109,13 +109,13 @@ _AXES = ("normal", "axis")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepModel:
-    """What a STEP file holds.
+    """The solids of a STEP file.
 
     Attributes:
-        vertices: (V, 3) [m], those of neighbouring faces not yet merged.
+        vertices: (V, 3) [m]; vertices of adjacent faces are not merged.
         faces: (F, 3).
-        cad: the faces of the solids, and which of them each triangle belongs to.
-        findings: what was left out.
+        cad: the faces of the solids, and the face of each triangle.
+        findings: about omitted surfaces.
     """
 
     vertices: Floats
@@ -125,82 +125,82 @@ class StepModel:
 
 
 def read_step(source: str, content: bytes) -> StepModel:
-    """The solids of a STEP file.
+    """Read the solids of a STEP file.
 
     Args:
-        source: what the sentences call it.
+        source: its name in messages.
         content: of the file.
 
     Raises:
-        FileError: if `cascadio` is not installed, or the file is broken or holds no surface.
+        FileError: if `cascadio` is not installed, or the file is broken or has no surface.
     """
-    made = _as_glb(source, content)
+    made = _triangulate(source, content)
     try:
-        return _solids(list(_bodies(made)))
+        return _join_solids(list(_bodies(made)))
     except (glb.BrokenGlbError, KeyError, TypeError, ValueError) as error:
-        raise _broken(source) from error
+        raise _broken_file(source) from error
 
 
 def read_coloured_step(source: str, content: bytes) -> tuple[Floats, Ints, Floats]:
-    """The surfaces of a STEP file with the colours that its CAD program gave them: of a face, or of its body.
+    """Read the surfaces of a STEP file with their colours, of the face or of its body.
 
     Args:
-        source: what the sentences call it.
+        source: its name in messages.
         content: of the file.
 
     Returns:
-        Vertices (V, 3) [m], triangles (F, 3), and red, green and blue (F, 3), 0 to 255; NaN where a face has no colour.
+        Vertices (V, 3) [m], triangles (F, 3), and red, green and blue (F, 3), 0 to 255; NaN for a face without colour.
 
     Raises:
-        FileError: if `cascadio` is not installed, or the file is broken or holds no surface.
+        FileError: if `cascadio` is not installed, or the file is broken or has no surface.
     """
     try:
-        # A primitive for each face: merged ones have the colour of their body alone.
-        surfaces = list(glb.primitives(_as_glb(source, content, by_face=True)))
+        # With one primitive per face; merged ones would have only the colour of their body.
+        surfaces = list(glb.primitives(_triangulate(source, content, by_face=True)))
     except glb.BrokenGlbError as error:
-        raise _broken(source) from error
+        raise _broken_file(source) from error
     linear = np.array([each.colour or (np.nan,) * 3 for each in surfaces]).reshape(-1, 3)
-    # IEC 61966-2-1: what a STEP file and a screen count in.
-    counted = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    # sRGB (IEC 61966-2-1), as in STEP files and on screens.
+    colours = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     vertices, faces, of_face = concatenate_meshes((each.vertices, each.faces) for each in surfaces)
-    return vertices, faces, counted[of_face]
+    return vertices, faces, colours[of_face]
 
 
-def _as_glb(source: str, content: bytes, *, by_face: bool = False) -> bytes:
-    """What Open CASCADE makes of a file: a primitive for each body with its faces described, or one for each face."""
+def _triangulate(source: str, content: bytes, *, by_face: bool = False) -> bytes:
+    """Return the GLB of Open CASCADE: one primitive per body with descriptions of its faces, or one per face."""
     try:
         import cascadio  # an optional dependency of 104 MB
     except ImportError as error:
         raise FileError(
-            f"{source} is a STEP file, which takes cascadio to read: pip install 'scan-cell[step]', or export a mesh"
+            f"{source} is a STEP file, which needs cascadio: pip install 'scan-cell[step]', or export a mesh"
         ) from error
     if b"ISO-10303-21" not in content[:2000]:
-        raise FileError(f"{source} is no STEP file (ISO 10303-21); export it again")
-    with _in_silence():
+        raise FileError(f"{source} is not a STEP file (ISO 10303-21); export it again")
+    with _muted_output():
         made: bytes = cascadio.load(
             content, file_type="step", tol_linear=DEVIATION_MM, tol_angular=TURN_RAD, use_parallel=False,
             include_brep=not by_face, merge_primitives=not by_face,
         )  # fmt: skip
     if not made:
-        raise FileError(f"{source} holds no surface that Open CASCADE can read; export its solids again")
+        raise FileError(f"{source} has no surface that Open CASCADE can read; export its solids again")
     return made
 
 
-def _broken(source: str) -> FileError:
+def _broken_file(source: str) -> FileError:
     return FileError(f"{source} cannot be read as STEP; it is broken or cut short, export it again")
 
 
 @contextmanager
-def _in_silence() -> Iterator[None]:
-    """Open CASCADE writes on both streams of the process, one of which is for `--json`; its words are not passed on."""
-    kept = [(stream, os.dup(stream)) for stream in (1, 2)]
+def _muted_output() -> Iterator[None]:
+    """Discard the output of Open CASCADE on both streams of the process; stdout is reserved for `--json`."""
+    saved = [(stream, os.dup(stream)) for stream in (1, 2)]
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
-        for stream, _ in kept:
+        for stream, _ in saved:
             os.dup2(nowhere, stream)
         yield
     finally:
-        for stream, own in kept:
+        for stream, own in saved:
             os.dup2(own, stream)
             os.close(own)
         os.close(nowhere)
@@ -208,7 +208,7 @@ def _in_silence() -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Body:
-    """One surface of the file: a solid, several of them, or none."""
+    """A surface of the file: one solid, several, or none."""
 
     vertices: Floats
     faces: Ints
@@ -218,26 +218,26 @@ class _Body:
 
 
 def _bodies(made: bytes) -> Iterator[_Body]:
-    """The surfaces with their CAD faces, numbered through."""
+    """Yield the surfaces with their CAD faces, numbered consecutively."""
     count = 0
     for primitive in glb.primitives(made):
-        told = primitive.extensions.get("TM_brep_faces")
-        described = told.get("faces", []) if isinstance(told, Mapping) else [None]
-        face_of = primitive.numbers(told["faceIndices"]) if told else np.zeros(len(primitive.faces), np.int64)
+        extension = primitive.extensions.get("TM_brep_faces")
+        described = extension.get("faces", []) if isinstance(extension, Mapping) else [None]
+        face_of = primitive.numbers(extension["faceIndices"]) if extension else np.zeros(len(primitive.faces), np.int64)
         if len(face_of) != len(primitive.faces):
-            raise ValueError("a face number for each triangle")
+            raise ValueError("not every triangle has a face number")
         described = described or [None] * (int(face_of.max(initial=-1)) + 1)
         cad = tuple(cad_face(count + k + 1, each or {}, primitive.T) for k, each in enumerate(described))
-        yield _Body(primitive.vertices, primitive.faces, face_of, cad, _bounds_solid(primitive))
+        yield _Body(primitive.vertices, primitive.faces, face_of, cad, _is_solid(primitive))
         count += len(cad)
 
 
 def cad_face(number: int, described: glb.Table, T: Floats) -> CadFace:
-    """A face as the extension describes it, placed by its node.
+    """Return a face by its description in the extension.
 
     Args:
         number: of the face.
-        described: "type" and the parameters of the surface [m, rad]; none of them for a surface without.
+        described: "type" and the parameters of the surface [m, rad]; empty for a surface without parameters.
         T: (4, 4) of the node.
     """
     kind = described.get("type")
@@ -257,26 +257,26 @@ def cad_face(number: int, described: glb.Table, T: Floats) -> CadFace:
     )
 
 
-def _bounds_solid(primitive: glb.Primitive) -> NDArray[np.bool_]:
-    """(F,) whether each triangle belongs to a closed surface; those without area belong where their face does."""
+def _is_solid(primitive: glb.Primitive) -> NDArray[np.bool_]:
+    """Return whether each triangle (F,) belongs to a closed surface; triangles without area count as closed."""
     _, place = np.unique(primitive.vertices, axis=0, return_inverse=True)
     faces = place.ravel()[primitive.faces]
-    whole = ~collapsed(faces)
+    has_area = ~is_collapsed(faces)
     closed = np.ones(len(faces), dtype=np.bool_)
-    if whole.any():
-        one, two, _, uses = neighbours(faces[whole])
-        body, count = bodies(int(whole.sum()), one, two)
+    if has_area.any():
+        one, two, _, uses = adjacent_faces(faces[has_area])
+        body, count = label_bodies(int(has_area.sum()), one, two)
         rim = np.zeros(count, dtype=np.bool_)
         rim[body[(uses == 1).reshape(3, -1).any(axis=0)]] = True
-        closed[whole] = ~rim[body]
+        closed[has_area] = ~rim[body]
     return closed
 
 
-def _solids(found: list[_Body]) -> StepModel:
-    """One surface of all solids; of all surfaces where nothing is a solid, which the mesh check then says."""
-    some = any(body.solid.any() for body in found)
-    kept = [(body, body.solid if some else np.ones(len(body.faces), dtype=np.bool_)) for body in found]
-    left_out = sum(float(double_areas(body.vertices, body.faces[~own]).sum()) / 2 for body, own in kept)
+def _join_solids(found: list[_Body]) -> StepModel:
+    """Join all solids; without any solid join all surfaces, which the mesh check then reports as open."""
+    any_solid = any(body.solid.any() for body in found)
+    kept = [(body, body.solid if any_solid else np.ones(len(body.faces), dtype=np.bool_)) for body in found]
+    omitted = sum(float(double_areas(body.vertices, body.faces[~own]).sum()) / 2 for body, own in kept)
     vertices, faces, _ = concatenate_meshes((body.vertices, body.faces[own]) for body, own in kept)
     every: list[CadFace] = []
     index: list[Ints] = [np.zeros(0, np.int64)]
@@ -286,9 +286,9 @@ def _solids(found: list[_Body]) -> StepModel:
     there, of_triangle = np.unique(np.concatenate(index), return_inverse=True)
     cad = CadModel(tuple(every[k] for k in there.tolist()), of_triangle.astype(np.int32))
     findings: tuple[Finding, ...] = ()
-    if left_out:
+    if omitted:
         sentence = (
-            f"surfaces of {1e6 * left_out:.4g} mm² bound no solid and were left out; if they are the part's, close "
+            f"surfaces of {1e6 * omitted:.4g} mm² bound no solid and were omitted; if they belong to the part, close "
             "them in the CAD program"
         )
         findings = (Finding(Kind.NO_SOLID, sentence, Severity.WARNING),)

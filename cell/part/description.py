@@ -1,4 +1,4 @@
-"""A part in numbers: what `cell part` lists of it and its CAD faces. Millimetres, object frame."""
+"""Description of a part and of its CAD faces, as `cell part` shows it. Millimetres, object frame."""
 
 import numpy as np
 from pydantic import JsonValue
@@ -9,13 +9,13 @@ from planner.values import Floats
 
 
 def volume(part: Workpiece) -> float:
-    """What the surface encloses [m^3]; of an open one without meaning."""
+    """Return the enclosed volume [m^3]; meaningless for an open surface."""
     corners = part.reference.vertices[part.reference.faces]
     return float(np.einsum("fj,fj->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
 
 
 def rows(part: Workpiece) -> list[tuple[str, str]]:
-    """Names and values of the part as a whole."""
+    """Return names and values of the part."""
     low, high = 1000 * part.bounds
     rows = [
         ("size", " x ".join(f"{side:.6g}" for side in 1000 * part.size) + " mm"),
@@ -31,7 +31,7 @@ def rows(part: Workpiece) -> list[tuple[str, str]]:
 
 
 def face_table(part: Workpiece, cad: CadModel) -> tuple[list[str], list[list[str]]]:
-    """The table of the faces."""
+    """Return heading and rows of the table of the faces."""
     areas, centres = cad.areas(part.reference), cad.centres(part.reference)
     rows = [
         [str(face.number), face.kind.value, face.dimensions, f"{1e6 * area:.6g}", _list(1000 * centre)]
@@ -41,7 +41,7 @@ def face_table(part: Workpiece, cad: CadModel) -> tuple[list[str], list[list[str
 
 
 def summary(part: Workpiece) -> dict[str, JsonValue]:
-    """The same for programs."""
+    """Return the description as JSON values."""
     found: dict[str, JsonValue] = {
         "name": part.name,
         "sha256": part.sha256,
@@ -63,7 +63,7 @@ def summary(part: Workpiece) -> dict[str, JsonValue]:
 
 
 def _face(face: CadFace, area: float, centre: Floats) -> dict[str, JsonValue]:
-    """What is known of a face; keys of what it has not are missing."""
+    """Return the parameters of a face; absent ones have no key."""
     found: dict[str, JsonValue] = {
         "number": face.number,
         "kind": face.kind.value,

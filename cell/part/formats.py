@@ -1,21 +1,21 @@
-"""What the format of a file of geometry says about its numbers."""
+"""Units by the format of a geometry file; imported by the scene model, so without arrays."""
 
 from pathlib import PurePath
 
 STEP = (".stp", ".step")
-"""Suffixes of files of a CAD model."""
+"""Suffixes of STEP files."""
 
 
-def units_of(path: str) -> str | None:
-    """The unit of a file whose format has one; None of all others.
+def own_units(path: str) -> str | None:
+    """Return the unit of a format that defines one, else None.
 
-    A GLB has metres (glTF 2.0, 3.4); a STEP file names its own unit, and what is read of it is in metres.
+    GLB files are in metres (glTF 2.0, 3.4). STEP files name their own unit, and are read in metres.
     """
     return "m" if PurePath(path).suffix.lower() in (".glb", *STEP) else None
 
 
-def wrong_units(path: str, units: str | None) -> str:
-    """Why units must not be given for a file, as a sentence that follows its name; "" where they may."""
+def units_problem(path: str, units: str | None) -> str:
+    """Return why units must not be given for a file, as a sentence after its name; "" if they can be given."""
     if units in (None, "m") or PurePath(path).suffix.lower() not in STEP:
         return ""
-    return "says its own unit; leave the units out"
+    return "states its own unit; leave out the units"

@@ -1,9 +1,8 @@
-"""Triangles of a binary glTF file (GLB), its scene flattened: each node's mesh placed by the node's transform.
+"""Triangles of a binary glTF file (GLB), with the mesh of each node at the node's transform.
 
-Read here and not by a library, because a few hundred bytes of glTF may announce gigabytes: an accessor without data, a
-picture, one mesh under thousands of nodes. Nothing but geometry is looked at, every array is a view into the file's
-own bytes, and a file unfolds to no more triangles than it has bytes. Section numbers are of the Khronos Group's
-glTF 2.0 specification (ISO/IEC 12113).
+This reader exists because a few hundred bytes of glTF can announce gigabytes: an accessor without data, a picture, one
+mesh under thousands of nodes. It reads only geometry, each array is a view into the bytes of the file, and a file gives
+at most as many triangles as it has bytes. Section numbers refer to the glTF 2.0 specification (ISO/IEC 12113).
 """
 
 import json
@@ -19,7 +18,7 @@ from planner.geometry.mesh import concatenate_meshes
 from planner.values import Floats, Ints
 
 Table = Mapping[str, Any]
-"""An object of the description, as a stranger wrote it: each value is looked at before it is used."""
+"""An object of the scene description from an unknown writer: each value is checked before use."""
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942  # kinds of chunks (4.4.3)
 _INDICES: Mapping[int, np.dtype[Any]] = {
@@ -28,25 +27,25 @@ _INDICES: Mapping[int, np.dtype[Any]] = {
     5125: np.dtype("<u4"),
 }  # component types (3.6.2.2)
 _FLOAT = 5126
-_EACH = 16  # what placing a primitive counts beside its triangles: a node takes more bytes
+_PRIMITIVE_COST = 16  # counted for each placed primitive in addition to its triangles; a node has more bytes
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6  # modes of primitives (3.7.2.1)
 
 
 class BrokenGlbError(Exception):
-    """What is wrong with the file, in words of ours that follow "it"."""
+    """A broken or unsupported file; the message follows the name of the file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Primitive:
-    """One surface of the scene, placed.
+    """A surface of the scene at its place.
 
     Attributes:
         T: (4, 4) of its node.
-        vertices: (V, 3) placed, in the file's own numbers.
+        vertices: (V, 3) in the unit of the file.
         faces: (F, 3).
-        colour: red, green and blue of its material, linear, 0 to 1; None where it has none.
-        extensions: what writers add to it beyond glTF's own.
-        numbers: (N,) whole numbers of the accessor that an extension names.
+        colour: red, green and blue of its material, linear, 0 to 1; None without colour.
+        extensions: its extensions of glTF.
+        numbers: returns the integers (N,) of an accessor, which an extension names.
     """
 
     T: Floats
@@ -58,19 +57,19 @@ class Primitive:
 
 
 def triangles(content: bytes) -> tuple[Floats, Ints]:
-    """Vertices (V, 3) and triangles (F, 3) of a GLB, in the file's own numbers.
+    """Return vertices (V, 3) and triangles (F, 3) of a GLB, in the unit of the file.
 
     Raises:
-        BrokenGlbError: in words, if it is broken, or uses what is not supported.
+        BrokenGlbError: if it is broken or unsupported.
     """
     return concatenate_meshes((primitive.vertices, primitive.faces) for primitive in primitives(content))[:2]
 
 
 def primitives(content: bytes) -> Iterator[Primitive]:
-    """The surfaces of a GLB one by one; points and lines are passed over.
+    """Yield the surfaces of a GLB; points and lines are ignored.
 
     Raises:
-        BrokenGlbError: in words, if it is broken, or uses what is not supported.
+        BrokenGlbError: if it is broken or unsupported.
     """
     described, data = _chunks(content)
     required = described.get("extensionsRequired")
@@ -87,13 +86,13 @@ def primitives(content: bytes) -> Iterator[Primitive]:
             found = _primitive(described, data, primitive)
             if found is None:
                 continue
-            count += len(found[1]) + _EACH
+            count += len(found[1]) + _PRIMITIVE_COST
             if count > len(content):
-                raise BrokenGlbError("unfolds to more triangles than it has bytes: export each body once")
+                raise BrokenGlbError("expands to more triangles than it has bytes: export each body once")
             begin += len(found[0])
             if begin > 3 * len(content):
-                raise BrokenGlbError("unfolds to more vertices than it can hold: export each body once")
-            mirrored = np.linalg.det(T[:3, :3]) < 0  # turns the winding round (3.7.4)
+                raise BrokenGlbError("expands to more vertices than it can hold: export each body once")
+            mirrored = np.linalg.det(T[:3, :3]) < 0  # flips the winding (3.7.4)
             extensions = primitive.get("extensions")
             yield Primitive(
                 T,
@@ -106,7 +105,7 @@ def primitives(content: bytes) -> Iterator[Primitive]:
 
 
 def _colour(described: Table, material: Any) -> tuple[float, float, float] | None:
-    """Base colour of a material (3.9.2); None where nothing says one."""
+    """Return the base colour of a material (3.9.2), or None."""
     materials = _list(described, "materials")
     rough = (
         materials[_index(material, materials, "material")].get("pbrMetallicRoughness") if material is not None else None
@@ -119,7 +118,7 @@ def _colour(described: Table, material: Any) -> tuple[float, float, float] | Non
 
 
 def _chunks(content: bytes) -> tuple[Table, bytes]:
-    """The scene's description, and the binary data."""
+    """Return the scene description and the binary data."""
     if content[:4] != b"glTF" or len(content) < 20:
         raise BrokenGlbError("is not a binary glTF file (GLB): export the mesh again")
     length = struct.unpack_from("<I", content, 8)[0]
@@ -129,13 +128,13 @@ def _chunks(content: bytes) -> tuple[Table, bytes]:
         )
     size, kind = struct.unpack_from("<II", content, 12)
     if kind != _JSON or 20 + size > len(content):
-        raise BrokenGlbError("begins with no scene description: export the mesh again")
+        raise BrokenGlbError("does not begin with a scene description: export the mesh again")
     try:
         described = json.loads(content[20 : 20 + size])
     except (ValueError, RecursionError) as error:
         raise BrokenGlbError("has a scene description that cannot be read: export the mesh again") from error
     if not isinstance(described, dict):
-        raise BrokenGlbError("has a scene description of another kind: export the mesh again")
+        raise BrokenGlbError("has a scene description that is not an object: export the mesh again")
     at, data = 20 + size, b""
     if at + 8 <= len(content):
         size, kind = struct.unpack_from("<II", content, at)
@@ -144,7 +143,7 @@ def _chunks(content: bytes) -> tuple[Table, bytes]:
 
 
 def _placed(described: Table) -> Iterator[tuple[Floats, Table]]:
-    """Transform and mesh of every node of the scene; all nodes without a parent where no scene is named."""
+    """Yield transform and mesh of each node of the scene; without a named scene, of all trees of nodes."""
     nodes = _list(described, "nodes")
     scenes = _list(described, "scenes")
     if scenes:
@@ -157,7 +156,7 @@ def _placed(described: Table) -> Iterator[tuple[Floats, Table]]:
     while todo:
         number, T_parent = todo.pop()
         node = nodes[_index(number, nodes, "node")]
-        if number in seen:  # nodes form trees (3.5.3); a circle would never end
+        if number in seen:  # nodes form trees (3.5.3); a cycle would never end
             raise BrokenGlbError("has a node under two parents: export the mesh again")
         seen.add(number)
         T = T_parent @ _transform(node)
@@ -168,7 +167,7 @@ def _placed(described: Table) -> Iterator[tuple[Floats, Table]]:
 
 
 def _transform(node: Table) -> Floats:
-    """(4, 4) of a node: its matrix, column by column, or translation times rotation times scale (3.5.2)."""
+    """Return the transform (4, 4) of a node: its matrix by columns, or translation x rotation x scale (3.5.2)."""
     if "matrix" in node:
         return _numbers(node["matrix"], 16).reshape(4, 4).T
     T = np.eye(4)
@@ -186,9 +185,9 @@ def _transform(node: Table) -> Floats:
 
 
 def _primitive(described: Table, data: bytes, primitive: Any) -> tuple[Floats, Ints] | None:
-    """Vertices and triangles of a primitive; None of points and lines."""
+    """Return vertices and triangles of a primitive; None for points and lines."""
     if not isinstance(primitive, Mapping):
-        raise BrokenGlbError("has a primitive that is no table: export the mesh again")
+        raise BrokenGlbError("has a primitive that is not an object: export the mesh again")
     mode = primitive.get("mode", _TRIANGLES)
     attributes = primitive.get("attributes")
     if mode not in (_TRIANGLES, _STRIP, _FAN) or not isinstance(attributes, Mapping) or "POSITION" not in attributes:
@@ -205,18 +204,18 @@ def _primitive(described: Table, data: bytes, primitive: Any) -> tuple[Floats, I
     if mode == _FAN:
         return vertices, np.stack([corners[1:-1], corners[2:], np.full(len(corners) - 2, corners[0])], axis=1)
     strip = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
-    strip[1::2] = strip[1::2, [1, 0, 2]]  # every second one is wound the other way
+    strip[1::2] = strip[1::2, [1, 0, 2]]  # every second triangle has the opposite winding
     return vertices, strip
 
 
 def _accessor(described: Table, data: bytes, number: Any, kind: np.dtype[Any] | None, form: str) -> NDArray[Any]:
-    """The array of an accessor: a view into the file's bytes, which must hold all of it.
+    """Return the array of an accessor, a view into the bytes of the file, which must contain all of it.
 
     Args:
-        described: the scene.
+        described: the scene description.
         data: the binary chunk.
         number: of the accessor.
-        kind: of its entries; None: unsigned whole numbers.
+        kind: of its entries; None: unsigned integers.
         form: VEC3 or SCALAR.
     """
     accessors, views = _list(described, "accessors"), _list(described, "bufferViews")
@@ -231,15 +230,15 @@ def _accessor(described: Table, data: bytes, number: Any, kind: np.dtype[Any] | 
     if stored is None or accessor.get("type") != form or (kind is not None and component != _FLOAT):
         raise BrokenGlbError("has vertices or indices of a kind that is not supported: export them as plain numbers")
     if view.get("buffer") != 0:
-        raise BrokenGlbError("keeps its data in another file, which is not supported: export one file")
+        raise BrokenGlbError("has its data in another file, which is not supported: export one file")
     length = 3 if form == "VEC3" else 1
     width = length * stored.itemsize
     begin, room, stride = (
-        _whole(view.get("byteOffset", 0)),
-        _whole(view.get("byteLength")),
-        _whole(view.get("byteStride", 0)),
+        _integer(view.get("byteOffset", 0)),
+        _integer(view.get("byteLength")),
+        _integer(view.get("byteStride", 0)),
     )
-    offset, count = _whole(accessor.get("byteOffset", 0)), _whole(accessor.get("count"))
+    offset, count = _integer(accessor.get("byteOffset", 0)), _integer(accessor.get("count"))
     stride = stride or width
     if count and (offset + (count - 1) * stride + width > room or begin + room > len(data) or stride < width):
         raise BrokenGlbError("announces more data than it has: it is broken or cut short, export the mesh again")
@@ -249,22 +248,22 @@ def _accessor(described: Table, data: bytes, number: Any, kind: np.dtype[Any] | 
 
 
 def _list(table: Table, key: str, *, numbers: bool = False) -> list[Any]:
-    """A list of tables, or of numbers of nodes; [] where there is none."""
+    """Return a list of tables, or of numbers of nodes; [] if it is missing."""
     found = table.get(key, [])
     if not isinstance(found, list) or not all(numbers or isinstance(entry, dict) for entry in found):
-        raise BrokenGlbError(f"has '{key}' of another kind than a list: export the mesh again")
+        raise BrokenGlbError(f"has '{key}' that is not a list: export the mesh again")
     return found
 
 
 def _index(number: Any, among: list[Any], what: str) -> int:
     if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(among):
-        raise BrokenGlbError(f"refers to a {what} that it does not have: export the mesh again")
+        raise BrokenGlbError(f"refers to a missing {what}: export the mesh again")
     return number
 
 
-def _whole(number: Any) -> int:
+def _integer(number: Any) -> int:
     if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < 2**40:
-        raise BrokenGlbError("has a length that is no whole number: export the mesh again")
+        raise BrokenGlbError("has a length that is not an integer: export the mesh again")
     return number
 
 
@@ -272,7 +271,7 @@ def _numbers(values: Any, count: int) -> Floats:
     try:
         found = np.array(values, dtype=np.float64)
     except (ValueError, TypeError, OverflowError) as error:
-        raise BrokenGlbError("has a transform that is no list of numbers: export the mesh again") from error
+        raise BrokenGlbError("has a transform that is not a list of numbers: export the mesh again") from error
     if found.shape != (count,) or not np.isfinite(found).all():
-        raise BrokenGlbError(f"has a transform that is not of {count} finite numbers: export the mesh again")
+        raise BrokenGlbError(f"has a transform without {count} finite numbers: export the mesh again")
     return found

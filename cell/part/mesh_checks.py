@@ -1,7 +1,7 @@
-"""What is wrong with a mesh, said in sentences, and put right where that needs no guess.
+"""Checks of a mesh: findings in sentences, and repairs that need no guess.
 
-Works on topology and in the mesh's own unit; each check is vectorised (750,000 faces in about two seconds).
-A *body* is a set of faces connected over edges.
+The checks use the topology and the unit of the mesh; they are vectorised (750,000 faces in about two seconds). A *body*
+is a set of faces that are connected by edges.
 """
 
 from dataclasses import dataclass
@@ -15,16 +15,16 @@ from planner.values import Floats, Ints
 
 
 class Severity(StrEnum):
-    """How much a finding matters for the job."""
+    """Severity of a finding."""
 
     NOTE = "note"
-    """Put right, or harmless."""
+    """Repaired, or harmless."""
     WARNING = "warning"
-    """The result may be wrong if this is not as intended."""
+    """The result can be wrong, unless this is intended."""
 
 
 class Kind(StrEnum):
-    """What was found; the value is its name in reports."""
+    """Kind of a finding; the value is its name in reports."""
 
     ZERO_AREA = "zero_area_faces"
     DUPLICATE = "duplicate_faces"
@@ -42,12 +42,12 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was found about a mesh.
+    """A finding about a mesh.
 
     Attributes:
-        kind: which.
-        sentence: for the user: the fact, and what was done or what to do.
-        severity: a note or a warning.
+        kind: kind of the finding.
+        sentence: the fact, and the repair or the advice.
+        severity: note or warning.
     """
 
     kind: Kind
@@ -56,31 +56,31 @@ class Finding:
 
 
 def repair(vertices: Floats, faces: Ints) -> tuple[Ints, Ints, tuple[Finding, ...]]:
-    """Faces without area and duplicates dropped, winding made consistent and outward; every change is said.
+    """Drop faces without area and duplicates, and make the winding consistent and outward.
 
     Args:
         vertices: (V, 3), equal ones merged.
         faces: (F, 3).
 
     Returns:
-        The faces that remain (none where no face has an area), which of the given ones they are, and the findings, in
-        the order of the checks.
+        The remaining faces (none if no face has an area), their indices in `faces`, and the findings in the order of
+        the checks.
     """
     findings: list[Finding] = []
-    kept = np.flatnonzero(~collapsed(faces))
+    kept = np.flatnonzero(~is_collapsed(faces))
     n_collapsed = len(faces) - len(kept)
-    once = _first_of_equals(faces[kept])
+    once = _unique_faces(faces[kept])
     n_twice = len(kept) - len(once)
     kept = kept[once]
     faces = faces[kept]
     if len(faces):
         faces, more = _orient(vertices, faces)
         findings += more
-        # Slivers go last: three different corners on a line still hold their neighbours together.
+        # Slivers are dropped last, since three different collinear corners still connect their neighbours.
         sliver = double_areas(vertices, faces) <= 1e-14 * float(np.ptp(vertices, axis=0).max()) ** 2
         faces, kept, n_collapsed = faces[~sliver], kept[~sliver], n_collapsed + int(sliver.sum())
     if n_twice:
-        sentence = f"{_count(n_twice, 'face was', 'faces were')} there twice; one of each was dropped"
+        sentence = f"{_count(n_twice, 'face was', 'faces were')} there twice; the duplicates were dropped"
         findings.insert(0, Finding(Kind.DUPLICATE, sentence, Severity.NOTE))
     if n_collapsed:
         sentence = f"{_count(n_collapsed, 'face has no area and was', 'faces have no area and were')} dropped"
@@ -88,56 +88,53 @@ def repair(vertices: Floats, faces: Ints) -> tuple[Ints, Ints, tuple[Finding, ..
     return faces, kept, tuple(findings)
 
 
-def collapsed(faces: Ints) -> NDArray[np.bool_]:
-    """(F,) which faces have a corner twice."""
+def is_collapsed(faces: Ints) -> NDArray[np.bool_]:
+    """Return which faces (F,) have two equal corners."""
     return np.asarray((faces == np.roll(faces, 1, axis=1)).any(axis=1))
 
 
 def _orient(vertices: Floats, faces: Ints) -> tuple[Ints, list[Finding]]:
-    """Consistent, outward winding, and what the edges say about the surface."""
-    edge, other, against, uses = neighbours(faces)
+    """Make the winding consistent and outward, and report findings about the edges."""
+    edge, other, against, uses = adjacent_faces(faces)
     findings: list[Finding] = []
-    flip, one_sided = _consistent_flips(len(faces), edge, other, against)
-    body, n_bodies = bodies(len(faces), edge, other)
+    flip, one_sided = _orienting_flips(len(faces), edge, other, against)
+    body, n_bodies = label_bodies(len(faces), edge, other)
     # A body keeps the winding of the larger part of its area.
     areas = double_areas(vertices, faces)
-    turned = np.bincount(body, weights=areas * flip, minlength=n_bodies)
-    whole = np.bincount(body, weights=areas, minlength=n_bodies)
-    flip ^= (turned > whole / 2)[body]
+    flipped = np.bincount(body, weights=areas * flip, minlength=n_bodies)
+    total = np.bincount(body, weights=areas, minlength=n_bodies)
+    flip ^= (flipped > total / 2)[body]
     if flip.any():
-        sentence = f"{_count(int(flip.sum()), 'face was', 'faces were')} wound against the others and turned round"
+        sentence = f"{_count(int(flip.sum()), 'face was', 'faces were')} wound against the others and flipped"
         findings.append(Finding(Kind.MIXED_WINDING, sentence, Severity.NOTE))
         faces = np.where(flip[:, None], faces[:, ::-1], faces)
     if one_sided:
         sentence = "the surface has only one side (like a Moebius strip), so inside and outside are arbitrary on it"
         findings.append(Finding(Kind.ONE_SIDED, sentence, Severity.WARNING))
 
-    open_edges, crowded = int((uses == 1).sum()), int((uses > 2).sum())
+    open_edges, crowded_edges = int((uses == 1).sum()), int((uses > 2).sum())
     rim_of = np.zeros(n_bodies, bool)
     rim_of[body[(uses != 2).reshape(3, len(faces)).any(axis=0)]] = True
     volume = _body_volumes(vertices, faces, body, n_bodies)
-    inverted = _inside_out(vertices, faces, body, volume, closed=~rim_of)
+    inverted = _find_inverted(vertices, faces, body, volume, closed=~rim_of)
     if inverted.any():
         n = int(inverted.sum())
         what = "the surface was" if n_bodies == 1 else _count(n, "body was", "bodies were")
-        findings.append(Finding(Kind.INVERTED, f"{what} inside out (negative volume) and turned round", Severity.NOTE))
+        findings.append(Finding(Kind.INVERTED, f"{what} inside out (negative volume) and flipped", Severity.NOTE))
         faces = np.where(inverted[body][:, None], faces[:, ::-1], faces)
     if open_edges:
         sentence = (
             f"the surface is open ({_count(open_edges, 'border edge', 'border edges')}): "
-            "which side is outside is taken from the winding of its faces"
+            "the winding of its faces defines the outside"
         )
         findings.append(Finding(Kind.OPEN, sentence, Severity.WARNING))
         box = float(np.prod(np.ptp(vertices[faces.ravel()], axis=0)))
         if float(volume[rim_of].sum()) < -0.1 * box:
-            sentence = (
-                "the open surface seems to be inside out; if most views miss it, turn its faces round and try again"
-            )
+            sentence = "the open surface seems to be inside out; if most views miss it, flip its faces and try again"
             findings.append(Finding(Kind.INVERTED, sentence, Severity.WARNING))
-    if crowded:
-        sentence = (
-            f"{_count(crowded, 'edge belongs', 'edges belong')} to more than two faces; bodies touch or cross there"
-        )
+    if crowded_edges:
+        count = _count(crowded_edges, "edge belongs", "edges belong")
+        sentence = f"{count} to more than two faces; bodies touch or intersect there"
         findings.append(Finding(Kind.NON_MANIFOLD, sentence, Severity.WARNING))
     if n_bodies > 1:
         sentence = f"the mesh consists of {n_bodies} separate bodies; all of them are scanned as one part"
@@ -146,20 +143,20 @@ def _orient(vertices: Floats, faces: Ints) -> tuple[Ints, list[Finding]]:
 
 
 def _edge_keys(faces: Ints) -> Ints:
-    """(3 F,) the undirected edge of each side as a number: all first-second, then second-third, then third-first."""
+    """Return a number (3 F,) for the edge of each side, ordered by side (first-second, ...), then by face."""
     start, end = faces.T.ravel(), np.roll(faces, -1, axis=1).T.ravel()
     keys: Ints = np.minimum(start, end)
     keys *= int(faces.max()) + 1
-    keys += np.maximum(start, end, out=end)  # a copy, which `start` need not be
+    keys += np.maximum(start, end, out=end)  # `end` is a copy, `start` can be a view
     return keys
 
 
-def neighbours(faces: Ints) -> tuple[Ints, Ints, NDArray[np.bool_], Ints]:
-    """Pairs of faces that share an edge with nobody else.
+def adjacent_faces(faces: Ints) -> tuple[Ints, Ints, NDArray[np.bool_], Ints]:
+    """Return the pairs of faces that share an edge with no third face.
 
     Returns:
-        (P,) and (P,) the two faces, (P,) whether they run along the edge in the same direction (so are wound against
-        each other), and (3 F,) how many faces use the edge of each side (order of `_edge_keys`).
+        The two faces (P,) and (P,), whether they traverse the edge in the same direction (P,), which means opposite
+        winding, and the number of faces at the edge of each side (3 F,), in the order of `_edge_keys`.
     """
     keys = _edge_keys(faces)
     order = np.argsort(keys, kind="stable")
@@ -175,11 +172,11 @@ def neighbours(faces: Ints) -> tuple[Ints, Ints, NDArray[np.bool_], Ints]:
     return one % len(faces), two % len(faces), start[one] == start[two], uses
 
 
-def _consistent_flips(n_faces: int, one: Ints, two: Ints, against: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], bool]:
-    """Which faces to turn so that neighbours agree, and whether that is impossible somewhere.
+def _orienting_flips(n_faces: int, one: Ints, two: Ints, against: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], bool]:
+    """Return the faces to flip so that neighbours agree, and whether that is impossible for some body.
 
-    Every face is two nodes, as it is and turned; neighbours connect the nodes that agree. The connected set of a face
-    as it is then says how each face of the body must lie; if it holds a face both ways, the surface has one side.
+    Each face has two nodes, as it is and flipped; neighbours connect the nodes that agree. The component of a node then
+    gives the winding of each face of the body. A component with both nodes of a face means a one-sided surface.
     """
     if not against.any():
         return np.zeros(n_faces, bool), False
@@ -191,12 +188,12 @@ def _consistent_flips(n_faces: int, one: Ints, two: Ints, against: NDArray[np.bo
     columns = np.concatenate([two + shift, two + n_faces - shift])
     graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(2 * n_faces, 2 * n_faces))
     label = connected_components(graph, directed=False)[1]
-    as_is, turned = label[:n_faces], label[n_faces:]
-    return as_is > turned, bool((as_is == turned).any())
+    as_is, flipped = label[:n_faces], label[n_faces:]
+    return as_is > flipped, bool((as_is == flipped).any())
 
 
-def bodies(n_faces: int, one: Ints, two: Ints) -> tuple[Ints, int]:
-    """(F,) body of each face, and how many bodies there are."""
+def label_bodies(n_faces: int, one: Ints, two: Ints) -> tuple[Ints, int]:
+    """Return the body of each face (F,), and the number of bodies."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -206,7 +203,7 @@ def bodies(n_faces: int, one: Ints, two: Ints) -> tuple[Ints, int]:
 
 
 def _body_volumes(vertices: Floats, faces: Ints, body: Ints, n_bodies: int) -> Floats:
-    """(n_bodies,) signed volume; an open body is closed towards the middle of its own vertices."""
+    """Return the signed volumes (n_bodies,); an open body is closed towards the mean of its vertices."""
     a, b, c = (np.take(vertices, corner, axis=0) for corner in faces.T)
     counts = 3 * np.bincount(body, minlength=n_bodies)
     sums = [np.bincount(body, weights=axis, minlength=n_bodies) for axis in (a + b + c).T]
@@ -217,13 +214,13 @@ def _body_volumes(vertices: Floats, faces: Ints, body: Ints, n_bodies: int) -> F
     return np.bincount(body, weights=six, minlength=n_bodies) / 6
 
 
-def _inside_out(
+def _find_inverted(
     vertices: Floats, faces: Ints, body: Ints, volume: Floats, closed: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """(n_bodies,) which closed bodies to turn round.
+    """Return the closed bodies to flip (n_bodies,).
 
-    A body of negative volume that stands alone is inside out. One inside another body may rightly bound a void, so it
-    goes with the outermost body around it.
+    A single body of negative volume is inside out. A body inside another can bound a void, so it is treated as the
+    outermost body around it.
     """
     inverted = closed & (volume < 0)
     if not inverted.any() or closed.sum() == 1:
@@ -242,7 +239,7 @@ def _inside_out(
 
 
 def encloses(triangles: Floats, point: Floats) -> bool:
-    """Whether a closed surface winds round a point: the sum of its solid angles (Van Oosterom and Strackee 1983)."""
+    """Return whether a closed surface encloses a point, by its solid angles (Van Oosterom and Strackee 1983)."""
     a, b, c = np.moveaxis(triangles - point, 1, 0)
     la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
     volume = np.einsum("fj,fj->f", a, np.cross(b, c))
@@ -251,24 +248,24 @@ def encloses(triangles: Floats, point: Floats) -> bool:
     return bool(abs(2 * np.arctan2(volume, spread).sum()) > 2 * np.pi)
 
 
-def _first_of_equals(faces: Ints) -> Ints:
-    """The faces without those whose three corners an earlier one has, by their indices."""
+def _unique_faces(faces: Ints) -> Ints:
+    """Return the indices of the faces whose three corners no earlier face has."""
     if not len(faces):
         return np.arange(0)
     code = np.random.default_rng(0).integers(1 << 62, size=int(faces.max()) + 1)
-    sums = np.sort(code[faces].sum(axis=1))  # equal faces have equal sums; without such, none is there twice
+    sums = np.sort(code[faces].sum(axis=1))  # equal faces have equal sums: without equal sums there are no duplicates
     if (sums[1:] != sums[:-1]).all():
         return np.arange(len(faces))
     corners = np.sort(faces, axis=1)
     order = np.lexsort(corners.T[::-1])
     same = (corners[order][1:] == corners[order][:-1]).all(axis=1)
     keep = np.ones(len(faces), bool)
-    keep[order[1:][same]] = False  # lexsort is stable, so that the first of equals stays
+    keep[order[1:][same]] = False  # lexsort is stable, so the first of equal faces remains
     return np.flatnonzero(keep)
 
 
 def double_areas(vertices: Floats, faces: Ints) -> Floats:
-    """(F,) twice the area of each face."""
+    """Return twice the area of each face (F,)."""
     doubled: Floats = row_norms(face_cross_products(vertices, faces))
     return doubled
 

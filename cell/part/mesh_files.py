@@ -1,9 +1,8 @@
-"""From the bytes of a file of geometry to arrays: STL (binary and ASCII), OBJ, PLY, OFF, GLB, STEP.
+"""Geometry files as arrays: STL (binary and ASCII), OBJ, PLY, OFF, GLB, STEP; coloured meshes.
 
-trimesh parses OBJ, PLY, OFF and binary STL; GLB and ASCII STL are read here, because what they announce has to be held
-against what they hold; STEP is read by `cell.part.cad`. One sentence says what is wrong, in our words. Coordinates
-stay in the file's numbers. Vertices at exactly the same place become one, because STL repeats a corner in each face and
-the others at seams.
+trimesh parses OBJ, PLY, OFF and binary STL. `cell.part.glb` parses GLB and this module ASCII STL, because the announced
+sizes must be checked against the content. `cell.part.cad` reads STEP. Coordinates are not scaled. Vertices at exactly
+the same position are merged, because STL repeats a corner in each face, and the other formats repeat it at seams.
 """
 
 import io
@@ -29,10 +28,10 @@ _STL_FACE = 50
 
 
 def read_bytes(path: Path) -> bytes:
-    """The file's content.
+    """Read a geometry file.
 
     Raises:
-        FileError: if it is missing, a folder, empty, not readable, or of a kind that is not supported.
+        FileError: if it is missing, a folder, empty, not readable, or of an unsupported format.
     """
     supported = ", ".join(SUFFIXES)
     try:
@@ -45,7 +44,7 @@ def read_bytes(path: Path) -> bytes:
             raise FileError(f"{path} is {kind}, which is not supported; supported are {supported}")
         content = path.read_bytes()
     except PermissionError as error:
-        raise FileError(f"{path} may not be read: permission denied; change its rights or copy it") from error
+        raise FileError(f"{path} cannot be read: permission denied; change its permissions or copy it") from error
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
     if not content:
@@ -54,50 +53,50 @@ def read_bytes(path: Path) -> bytes:
 
 
 def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
-    """Vertices and triangles of a mesh file, equal vertices merged, vertices that no face uses dropped.
+    """Return vertices and triangles of a mesh file, with equal vertices merged and unused ones dropped.
 
     Args:
-        path: for the suffix and the sentences only.
-        content: what is in the file.
+        path: for the suffix and the messages only.
+        content: of the file.
 
     Returns:
-        (V, 3) coordinates in the file's own numbers and axes (scenes flattened: each node placed by its transform), and
-        (F, 3) corner indices.
+        Coordinates (V, 3) in the units and axes of the file, with the nodes of a scene at their transforms, and corner
+        indices (F, 3).
 
     Raises:
-        FileError: if the content is not a mesh of that kind, has no faces, or a face has a corner that is no number.
+        FileError: if the content is not a mesh of this format, has no faces, or a used coordinate is not finite.
     """
     suffix = path.suffix.lower()
     if suffix in STEP:
         solids = cad.read_step(str(path), content)
-        return checked(str(path), solids.vertices, solids.faces)
+        return check_mesh(str(path), solids.vertices, solids.faces)
     if suffix == ".glb":
         try:
-            return checked(str(path), *glb.triangles(content))
+            return check_mesh(str(path), *glb.triangles(content))
         except glb.BrokenGlbError as error:
             raise FileError(f"{path} {error}") from error
     if suffix == ".stl":
-        content, text = _checked_stl(path, content)
+        content, text = _check_stl(path, content)
         if text:
-            return checked(str(path), *_text_stl(path, content))
+            return check_mesh(str(path), *_parse_ascii_stl(path, content))
     elif suffix in (".obj", ".off"):
         content = content.decode("utf-8", errors="replace").encode()  # comments may be in any encoding
-    return checked(str(path), *_parse_with_trimesh(path, suffix, content))
+    return check_mesh(str(path), *_parse_with_trimesh(path, suffix, content))
 
 
-def checked(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
-    """A mesh that can be worked with: equal vertices merged, vertices that no face uses dropped.
+def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
+    """Check a mesh, merge equal vertices and drop unused ones.
 
     Args:
-        source: what the sentences call it.
+        source: its name in messages.
         vertices: (V, 3) coordinates.
         faces: (F, 3) corner indices.
 
     Raises:
-        FileError: if it has no faces, or a face has a corner that is missing or no number.
+        FileError: if it has no faces, or a face has a missing or a non-finite corner.
     """
     if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise FileError(f"{source} is broken: its vertices have no three coordinates; export the mesh again")
+        raise FileError(f"{source} is broken: its vertices do not have three coordinates; export the mesh again")
     if not len(faces):
         raise FileError(f"{source} holds no faces; it must be a triangle mesh, not points, lines or text")
     if faces.min() < 0 or faces.max() >= len(vertices):
@@ -105,7 +104,7 @@ def checked(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
             f"{source} is broken: a face refers to vertex {int(faces.max())} (counted from 0), but there are "
             f"{len(vertices)}; export the mesh again"
         )
-    vertices, faces = _merge(vertices, faces)
+    vertices, faces = _merge_vertices(vertices, faces)
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         raise FileError(
@@ -128,16 +127,16 @@ def _parse_with_trimesh(path: Path, suffix: str, content: bytes) -> tuple[Floats
         if not isinstance(loaded, trimesh.Trimesh):
             return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
         return np.array(loaded.vertices, np.float64), np.array(loaded.faces, np.int64)
-    except Exception as error:  # a parser meets broken bytes with any exception there is; each is the same to the user
+    except Exception as error:  # parsers raise any exception for broken bytes
         raise FileError(
             f"{path} cannot be read as {suffix[1:].upper()}; it is broken or cut short, export it again"
         ) from error
 
 
-def _checked_stl(path: Path, content: bytes) -> tuple[bytes, bool]:
-    """The content of a complete STL file, and whether it is text.
+def _check_stl(path: Path, content: bytes) -> tuple[bytes, bool]:
+    """Return the content of a complete STL file, and whether it is ASCII.
 
-    "solid" at the start does not tell the two apart (many binary writers put it there); the size does.
+    The size distinguishes the formats: many binary files also begin with "solid".
     """
     announced = struct.unpack_from("<I", content, 80)[0] if len(content) >= _STL_HEADER else None
     if announced is not None and len(content) >= _STL_HEADER + announced * _STL_FACE and announced:
@@ -158,10 +157,10 @@ def _checked_stl(path: Path, content: bytes) -> tuple[bytes, bool]:
     raise FileError(f"{path} holds no faces; export the mesh again")
 
 
-def _text_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
-    """Corners and triangles of an ASCII STL; its normals are not looked at."""
+def _parse_ascii_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
+    """Return corners and triangles of an ASCII STL; its normals are ignored."""
     corners = re.findall(rb"\bvertex\s+(\S+\s+\S+\s+\S+)", content, re.IGNORECASE)
-    with warnings.catch_warnings(action="ignore"):  # it reads up to the first word that is no number, and says so
+    with warnings.catch_warnings(action="ignore"):  # it stops at the first word that is not a number, with a warning
         try:
             numbers = np.fromstring(b" ".join(corners).decode("ascii", errors="replace"), sep=" ")
         except ValueError:
@@ -173,8 +172,8 @@ def _text_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
     return numbers.reshape(-1, 3), np.arange(len(numbers) // 3).reshape(-1, 3)
 
 
-def _merge(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
-    """One vertex for each place (bit-exact), in the order of first use; unused ones dropped."""
+def _merge_vertices(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
+    """Merge vertices at equal positions (bit by bit), in the order of first use; drop unused ones."""
     places = vertices + 0.0  # minus zero becomes zero
     bits = np.ascontiguousarray(places).view(np.uint64)
     with np.errstate(over="ignore"):
@@ -185,33 +184,33 @@ def _merge(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
     begins = np.append(True, np.diff(key[order]) != 0)
     one, which = order[begins], np.empty(len(key), np.int64)
     which[order] = np.cumsum(begins) - 1
-    if not (bits[one][which] == bits).all():  # two places with one hash: once in 10^7 files of a million faces
+    if not (bits[one][which] == bits).all():  # hash collision: once in 10^7 files of a million faces
         _, one, which = np.unique(bits, axis=0, return_index=True, return_inverse=True)
     corner = np.take(which.ravel(), faces.ravel())
     first_use = np.full(len(one), len(corner))
-    first_use[corner[::-1]] = np.arange(len(corner) - 1, -1, -1)  # of a place that is named again the last counts
+    first_use[corner[::-1]] = np.arange(len(corner) - 1, -1, -1)  # the last assignment, which is the first use, remains
     named = np.zeros(len(corner) + 1, np.bool_)
     named[first_use] = True
-    rank = corner[np.flatnonzero(named[:-1])]  # places in the order of first use
+    rank = corner[np.flatnonzero(named[:-1])]  # positions in the order of first use
     position = np.empty(len(one), np.int64)
     position[rank] = np.arange(len(rank))
     return places[one[rank]], np.take(position, corner).reshape(-1, 3)
 
 
 COLOUR_TOLERANCE = 32
-"""Steps of 255 by which each of red, green and blue may be off: paint is blended at its borders, and rounded."""
+"""Tolerance of red, green and blue in steps of 255: colours are blended at borders, and rounded."""
 
 
 def read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
-    """A coloured mesh.
+    """Read a coloured mesh: STEP, PLY, OBJ, OFF or GLB.
 
     Args:
         path: of the file.
-        metres: in one of its units.
+        metres: metres in one unit of the file.
 
     Returns:
-        The mesh [m], and (F, 3) red, green and blue of its triangles, 0 to 255: of colours at its vertices the mean of
-        three; NaN where a CAD face has none.
+        The mesh [m], and red, green and blue of its triangles (F, 3), 0 to 255: the mean of vertex colours; NaN for a
+        CAD face without colour.
 
     Raises:
         FileError: if it cannot be read, or has no colours.
@@ -222,7 +221,7 @@ def read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
         if np.isnan(of_face).all():
             raise FileError(f"{path} has no colours; colour its faces, or select them by their numbers")
         return TriangleMesh(vertices * metres, faces.astype(np.int32)), of_face
-    import trimesh  # half a second of start-up that only a painted mesh needs
+    import trimesh  # half a second, only for coloured meshes
 
     try:
         with warnings.catch_warnings(action="ignore"):
@@ -234,7 +233,7 @@ def read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
             known = visual.kind in ("vertex", "face")
             colours = np.array(visual.face_colors, np.float64)[:, :3] if known else None
         mesh = TriangleMesh(np.array(loaded.vertices) * metres, np.array(loaded.faces, np.int32))
-    except Exception as error:  # a parser meets broken bytes with any exception there is; each is the same to the user
+    except Exception as error:  # parsers raise any exception for broken bytes
         raise FileError(f"{path} cannot be read as a coloured mesh; export it again") from error
     if colours is None:
         raise FileError(f"{path} has no colours; paint it, and export it as PLY with colours")
@@ -242,6 +241,6 @@ def read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
 
 
 def is_colour(colours: Floats, colour: str) -> Bools:
-    """(F,) which of (F, 3) colours are `#rrggbb`, to `TOLERANCE`."""
+    """Return which colours (F, 3) are `#rrggbb`, within `COLOUR_TOLERANCE`."""
     wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
     return np.asarray((np.abs(colours - wanted) <= COLOUR_TOLERANCE).all(axis=1))

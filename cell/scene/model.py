@@ -28,7 +28,7 @@ from pydantic import (
 from pydantic_core import ErrorDetails, InitErrorDetails
 
 from cell.errors import SceneError
-from cell.part.formats import units_of, wrong_units
+from cell.part.formats import own_units, units_problem
 from cell.scene import sensors
 from cell.scene.fields import (
     AxisLimits,
@@ -244,7 +244,7 @@ class MeshFixture(NamedFixture):
     @model_validator(mode="before")
     @classmethod
     def _of_its_format(cls, table: Any) -> Any:
-        own = units_of(str(table.get("path"))) if isinstance(table, dict) else None
+        own = own_units(str(table.get("path"))) if isinstance(table, dict) else None
         return {"units": own, **table} if own is not None else table
 
     @field_validator("path")
@@ -631,7 +631,7 @@ class Region(RegionTargets):
             raise ValueError(f".care is 'no', and region.{targets[0]} is a target; give one of them")
         if self.painted is not None and self.colour is None:
             raise ValueError(".painted needs region.colour, the colour that marks the region in it, as '#rrggbb'")
-        if self.painted is not None and self.painted_units is None and units_of(self.painted) is None:
+        if self.painted is not None and self.painted_units is None and own_units(self.painted) is None:
             raise ValueError(".painted needs region.painted_units: mm, cm, m, um or in")
         below, above = self.diameter_below_mm, self.diameter_above_mm
         if below is not None and above is not None and not above < below:
@@ -908,10 +908,10 @@ class Part(Table):
     @classmethod
     def _given_for_a_file(cls, units: str | None, info: ValidationInfo) -> str | None:
         path = info.data.get("path", "given, but wrong")
-        if path is not None and (why := wrong_units(path, units)):
+        if path is not None and (why := units_problem(path, units)):
             raise ValueError(f"is given for {path}, which {why}")
         if path is not None and units is None:
-            if (own := units_of(path)) is not None:
+            if (own := own_units(path)) is not None:
                 return own
             raise ValueError("is missing; give the unit of the file: mm, cm, m, um or in")
         if path is None and units is not None:

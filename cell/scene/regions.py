@@ -14,7 +14,7 @@ import numpy as np
 from cell.errors import SceneError
 from cell.part import mesh_files
 from cell.part.cad import CadModel
-from cell.part.formats import units_of
+from cell.part.formats import own_units
 from cell.part.workpiece import UNITS, Workpiece
 from cell.scene.model import Region, RegionTargets, Scene, with_rest
 from planner.geometry.closest import closest_facing_faces
@@ -139,7 +139,7 @@ def _by_colour(region: Region, colour: str, mesh: TriangleMesh, scene: Scene) ->
             f"the region '{region.name}' selects by colour, and {scene.part.name} is no coloured file; give "
             "region.painted, a coloured mesh of the part"
         )
-    units = (scene.part.units if region.painted is None else region.painted_units) or units_of(source)
+    units = (scene.part.units if region.painted is None else region.painted_units) or own_units(source)
     assert units is not None, "the scene requires units"
     canvas, colours = mesh_files.read_coloured(Path(source), UNITS[units])
     return mesh_files.is_colour(colours, colour)[closest_facing_faces(mesh.centres, mesh.normals, canvas)]

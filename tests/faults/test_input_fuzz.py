@@ -86,17 +86,17 @@ MESHES: dict[str, tuple[str, bytes, str]] = {
         "x.glb",
         _glb(_scene(nodes=[{"mesh": 0}] * 5000, scenes=[{"nodes": list(range(5000))}],
                     meshes=[{"primitives": [{"attributes": {"POSITION": 0}}] * 5000}]), _TRIANGLE),
-        "unfolds to more",
+        "expands to more",
     ),
     "nodes in a circle": (
         "x.glb", _glb(_scene(nodes=[{"children": [1]}, {"children": [0]}]), _TRIANGLE), "a node under two parents"
     ),
     "a deep description": ("x.glb", _glb(b"[" * 100_000), "cannot be read"),
-    "a description of another kind": ("x.glb", _glb(b"[1, 2]"), "of another kind"),
-    "nodes of another kind": ("x.glb", _glb(_scene(nodes={"a": 1}), _TRIANGLE), "of another kind than a list"),
-    "a number in place of a mesh": ("x.glb", _glb(_scene(meshes=[7]), _TRIANGLE), "of another kind than a list"),
+    "a description of another kind": ("x.glb", _glb(b"[1, 2]"), "not an object"),
+    "nodes of another kind": ("x.glb", _glb(_scene(nodes={"a": 1}), _TRIANGLE), "that is not a list"),
+    "a number in place of a mesh": ("x.glb", _glb(_scene(meshes=[7]), _TRIANGLE), "that is not a list"),
     "a count that is a text": (
-        "x.glb", _glb(_scene(accessors=[{**_ACCESSOR, "count": "3"}]), _TRIANGLE), "no whole number"
+        "x.glb", _glb(_scene(accessors=[{**_ACCESSOR, "count": "3"}]), _TRIANGLE), "not an integer"
     ),
     "an STL with corners that are words": (
         "x.stl", b"solid\nfacet normal a b c\nvertex a b c\nvertex 1 0 0\nvertex 0 1 0\nendfacet\n",

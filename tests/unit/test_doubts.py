@@ -5,7 +5,7 @@ import trimesh
 
 from cell.metrology.reconstruct import NOISIEST, SPARSEST, reconstruct
 from cell.part import workpiece
-from cell.part.workpiece import FARTHEST_SIZES, Kind
+from cell.part.workpiece import MAX_DISTANCE_SIZES, Kind
 from cell.robot.plant import MAX_ACCURATE_STEP, PlantSettings
 from cell.scene import validation
 from planner.geometry.decimation import decimate
@@ -27,8 +27,8 @@ def test_a_part_far_from_its_origin_is_told() -> None:
     def kinds(away: float) -> set[Kind]:
         return {f.kind for f in workpiece.from_mesh("tip", box - 0.5 + [away, 0, 0], faces, "m", "").findings}
 
-    assert Kind.FAR not in kinds(0.999 * FARTHEST_SIZES)
-    assert Kind.FAR in kinds(1.001 * FARTHEST_SIZES)
+    assert Kind.FAR not in kinds(0.999 * MAX_DISTANCE_SIZES)
+    assert Kind.FAR in kinds(1.001 * MAX_DISTANCE_SIZES)
 
 
 def test_a_grazing_limit_that_no_scan_reaches_is_told() -> None:

@@ -62,7 +62,7 @@ def test_a_bored_block_has_its_size_volume_and_seven_faces(tmp_path: Path, unit:
     wall = 2 * math.pi * 8 * 30 * metres**2
     assert volume(part) == pytest.approx(BLOCK_VOLUME * metres**3, abs=wall * DEVIATION_MM / 1000)
     doubts = [finding.sentence for finding in part.findings]
-    assert doubts == ([] if unit == "mm" else ["the part is 1.52 m long; is the unit that the file names right?"])
+    assert doubts == ([] if unit == "mm" else ["the part is 1.52 m long; check the unit in the file"])
     assert part.cad.counts() == {"plane": 6, "cylinder": 1}
     assert [face.number for face in part.cad.faces] == [1, 2, 3, 4, 5, 6, 7]
     bore = next(face for face in part.cad.faces if face.kind is SurfaceKind.CYLINDER)
@@ -114,7 +114,7 @@ def test_surfaces_alone_are_taken_and_said_to_be_open(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("solid x\n", "is no STEP file"),
+        ("solid x\n", "is not a STEP file"),
         ("ISO-10303-21;\nHEADER;\nENDSEC;\nDATA;\nENDSEC;\nEND-ISO-10303-21;\n", "no surface"),
         (bored_block()[:3000], "no surface"),
     ],
@@ -139,9 +139,9 @@ def test_without_cascadio_a_sentence_says_what_to_install(tmp_path: Path, monkey
 def test_units_are_the_files(tmp_path: Path) -> None:
     """Units for a STEP file are refused by the part and by the scene; the scene knows metres of itself."""
     path = written(tmp_path, bored_block())
-    with pytest.raises(UsageError, match="says its own unit"):
+    with pytest.raises(UsageError, match="states its own unit"):
         load(path, "mm")
-    with pytest.raises(CellError, match="says its own unit"):
+    with pytest.raises(CellError, match="states its own unit"):
         load_scene(None, {"part": {"path": str(path), "units": "in"}})
     assert load_scene(None, {"part": {"path": str(path)}}).part.units == "m"
 

@@ -124,13 +124,13 @@ def test_a_built_in_part_needs_no_units(monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert part.size == pytest.approx([0.06, 0.05, 0.047], abs=1e-9)
     assert part.findings == ()
     assert len(part.sha256) == 64
-    with pytest.raises(UsageError, match="leave --units out"):
+    with pytest.raises(UsageError, match="leave out --units"):
         load("mug", "mm")
 
 
 def test_missing_units_are_asked_for(tmp_path: Path) -> None:
     """Units are never guessed; the sentence says what to pass."""
-    with pytest.raises(UsageError, match="pass --units with one of m, cm, mm, um, in"):
+    with pytest.raises(UsageError, match="give --units with one of m, cm, mm, um, in"):
         load(write(tmp_path, body()))
 
 
@@ -196,7 +196,7 @@ def _break(folder: Path, case: str) -> Path:
         ("text named ply", "cannot be read as PLY"),
         ("text named obj", "holds no faces"),
         ("bad index", "OBJ|refers to vertex"),
-        ("two coordinates", "no three coordinates"),
+        ("two coordinates", "do not have three coordinates"),
         ("text named off", "cannot be read as OFF"),
         ("truncated off", "cannot be read as OFF"),
         ("text named glb", "is not a binary glTF file"),
@@ -332,7 +332,7 @@ def test_zero_area_and_duplicate_faces_are_dropped_and_counted() -> None:
     part = from_mesh("part", np.array(mesh.vertices), dirty, "mm", "")
     assert [finding.sentence for finding in part.findings] == [
         "2 faces have no area and were dropped",
-        "4 faces were there twice; one of each was dropped",
+        "4 faces were there twice; the duplicates were dropped",
     ]
     assert part.reference.areas.sum() == pytest.approx(mesh.area * 1e-6, rel=1e-9)
 
@@ -368,7 +368,7 @@ def test_several_bodies_are_counted_and_each_is_turned_outward() -> None:
     balls[1].invert()
     part = checked(trimesh.util.concatenate(balls))
     assert [finding.sentence for finding in part.findings] == [
-        "1 body was inside out (negative volume) and turned round",
+        "1 body was inside out (negative volume) and flipped",
         "the mesh consists of 3 separate bodies; all of them are scanned as one part",
     ]
     assert volume(part) == pytest.approx(3 * balls[0].volume * 1e-9, rel=1e-9)
@@ -403,9 +403,9 @@ def test_edges_of_more_than_two_faces_are_said() -> None:
 @pytest.mark.parametrize(
     ("size_mm", "units", "sentence"),
     [
-        (200, "um", "the part is 0.2 mm long; are the units (um) right? It would be 200 mm in mm."),
-        (200, "m", "the part is 200 m long; are the units (m) right? It would be 200 mm in mm."),
-        (0.2, "mm", "the part is 0.2 mm long; are the units (mm) right? It would be 200 mm in m."),
+        (200, "um", "the part is 0.2 mm long; check the units (um). It would be 200 mm in mm."),
+        (200, "m", "the part is 200 m long; check the units (m). It would be 200 mm in mm."),
+        (0.2, "mm", "the part is 0.2 mm long; check the units (mm). It would be 200 mm in m."),
     ],
 )
 def test_implausible_units_are_doubted(size_mm: float, units: str, sentence: str) -> None:
