@@ -1,4 +1,4 @@
-"""The scanner as a device, as a user meets it."""
+"""Choice of the device on the command line."""
 
 import json
 import subprocess
@@ -10,9 +10,7 @@ import pytest
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
-def test_which_scanner_a_part_of_yours_has_is_printed_with_the_rule(
-    part_file: Path, tmp_path: Path, run_cell: Run
-) -> None:
+def test_the_device_of_a_part_is_printed_with_the_rule(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
     """By its longest side; in metres the same part is larger, in tenths of a millimetre smaller."""
     quick = ("--candidates", "optimal-scanning-zone")
     for units, device in (("mm", "generic-area-large"), ("um", "generic-area-small")):
@@ -34,8 +32,10 @@ def test_which_scanner_a_part_of_yours_has_is_printed_with_the_rule(
         (("--sensor", "generic-area"), "valid are: generic-area-large, generic-area-medium, generic-area-small"),
     ],
 )
-def test_what_no_device_has_is_refused(options: tuple[str, ...], words: str, tmp_path: Path, run_cell: Run) -> None:
-    """A standoff outside the range, a name that is none."""
+def test_an_unknown_device_and_an_unsuitable_standoff_are_refused(
+    options: tuple[str, ...], words: str, tmp_path: Path, run_cell: Run
+) -> None:
+    """A standoff outside the range, an unknown name."""
     done = run_cell("plan", "mug", *options, cwd=tmp_path)
     assert done.returncode == 2
     assert words in done.stderr
@@ -43,7 +43,7 @@ def test_what_no_device_has_is_refused(options: tuple[str, ...], words: str, tmp
 
 
 def test_the_cell_has_the_device_s_body(tmp_path: Path, run_cell: Run) -> None:
-    """`cell check` says the scanner and its housing; keys of the scene go before the device's."""
+    """`cell check` reports the scanner and its housing; keys of the scene take precedence."""
     (tmp_path / "cell.toml").write_text(
         '[part]\nname = "mug"\n[scanner]\nsensor = "generic-area-small"\n[housing]\nbracket_diameter_mm = 20.0\n'
     )

@@ -1,4 +1,4 @@
-"""`cell plan` and `cell scan` tell what is beyond where methods are good (docs/internals/stability.md), and go on."""
+"""Notes of `cell plan` and `cell scan` on settings and data beyond the tested range (docs/internals/stability.md)."""
 
 import subprocess
 from collections.abc import Callable
@@ -7,8 +7,10 @@ from pathlib import Path
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
-def test_a_coarse_mesh_a_steep_limit_and_a_sparse_scan_are_told(part_file: Path, run_cell: Run, tmp_path: Path) -> None:
-    """Three notes on stderr, one for each; the plan and the execution are made all the same."""
+def test_a_coarse_mesh_a_steep_limit_and_a_sparse_scan_have_notes(
+    part_file: Path, run_cell: Run, tmp_path: Path
+) -> None:
+    """Three notes on stderr; plan and execution are made all the same."""
     (tmp_path / "cell.toml").write_text("[scanner]\ngrazing_max_deg = 85\n")
     done = run_cell(
         "plan", str(part_file), "--units", "mm", "--scene", "cell.toml", "--place", "1100,400,100", "--faces", "12",

@@ -1,4 +1,4 @@
-"""`cell plan --table` to `cell scan`: files, the certificate made again, points in the part's frame, refusals."""
+"""`cell plan --table` to `cell scan`: files, verification, points in the part's frame, refusals."""
 
 import dataclasses
 import json
@@ -43,8 +43,8 @@ def _json(path: Path) -> dict[str, Any]:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def test_files_hold_the_angle_beside_the_arm(turned: Path) -> None:
-    """via_q stays (N, 6), via_e is (N, 1); every view has e_deg and where the part is then; layout 2."""
+def test_files_hold_the_angle_of_the_table(turned: Path) -> None:
+    """via_q stays (N, 6), via_e is (N, 1); every view has e_deg and its pose of the part; layout 2."""
     stored = np.load(turned / "motion.npz")
     assert stored["via_q"].shape[1] == 6
     assert stored["via_e"].shape == (len(stored["via_q"]), 1)
@@ -86,7 +86,7 @@ def test_a_plan_without_a_table_has_nothing_of_it(planned: Path) -> None:
 
 
 def test_the_slowest_of_seven_axes_sets_the_time(turned: Path) -> None:
-    """Every move takes as long as all seven limits need, the table's among them for at least one."""
+    """Every move takes as long as the limits of all seven axes need; at least once the table is the slowest."""
     done = open_run(turned).motion
     times = move_time(done.via_q[:-1], done.via_q[1:], done.limits)
     assert done.duration == pytest.approx(times.sum())
@@ -96,8 +96,8 @@ def test_the_slowest_of_seven_axes_sets_the_time(turned: Path) -> None:
     assert (done.via_q[[0, -1], 6] == 0).all()
 
 
-def test_the_certificate_is_made_again_and_a_changed_table_is_told(turned: Path, tmp_path: Path) -> None:
-    """What may be driven is proven from the folder; an angle or a table that was changed is not."""
+def test_the_plan_is_verified_and_a_changed_table_is_found(turned: Path, tmp_path: Path) -> None:
+    """The run folder alone is verified; a changed angle or table fails."""
     assert verify_plan(turned).world.table is not None
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
@@ -107,8 +107,8 @@ def test_the_certificate_is_made_again_and_a_changed_table_is_told(turned: Path,
         verify_plan(copy)
 
 
-def test_an_execution_measures_what_was_predicted(turned: Path) -> None:
-    """Scans are taken of the turned part and lie in its own frame: coverage is the plan's, points are on it."""
+def test_an_execution_measures_the_predicted_coverage(turned: Path) -> None:
+    """Scans are of the turned part, in its own frame; points are on it."""
     report = _json(turned / "executions" / "0001" / "report.json")
     coverage = report["coverage"]
     assert coverage["visible"] == pytest.approx(coverage["predicted"], abs=1e-6)
@@ -118,8 +118,10 @@ def test_an_execution_measures_what_was_predicted(turned: Path) -> None:
     assert scan["e_reported"].shape == (1,)
 
 
-def test_a_dynamic_arm_and_table_measure_from_where_they_stand(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
-    """All seven reported axes are near the commanded ones and not they; poses in the part's frame are theirs."""
+def test_a_dynamic_arm_and_table_measure_from_their_reported_pose(
+    turned: Path, run_cell: RunCell, tmp_path: Path
+) -> None:
+    """All seven reported axes are near the commanded ones; poses in the part's frame use the reported ones."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     done = run_cell("scan", copy, "--resolution", "1", "--driver", "sim://?plant=mujoco", cwd=tmp_path)
@@ -138,8 +140,8 @@ def test_a_dynamic_arm_and_table_measure_from_where_they_stand(turned: Path, run
     assert any((scan["e_reported"] != scan["e_commanded"]).any() for scan in scans)
 
 
-def test_what_is_driven_of_one_view_is_kept_as_a_plan_is(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
-    """The motion of `--view` has the table's angles beside the arm's, and is read with seven axes."""
+def test_the_motion_of_one_view_is_stored_as_that_of_a_plan(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
+    """The motion of `--view` has the table's angles, and is read with seven axes."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     done = run_cell("scan", copy, "--view", "1", "--resolution", "1", cwd=tmp_path)
@@ -151,8 +153,8 @@ def test_what_is_driven_of_one_view_is_kept_as_a_plan_is(turned: Path, run_cell:
     np.testing.assert_array_equal(driven.via_q, np.concatenate([stored["via_q"], stored["via_e"]], axis=1))
 
 
-def test_it_goes_on_from_where_the_table_stands(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
-    """An arm at home beside a table that was turned by hand: a way of its own begins there, all seven axes of it."""
+def test_a_scan_begins_at_the_present_angle_of_the_table(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
+    """With the arm at home and a table turned by hand, an approach path of all seven axes begins there."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     (copy / "executions" / "0001" / "scans" / "0001.npz").unlink()
@@ -168,10 +170,10 @@ def test_it_goes_on_from_where_the_table_stands(turned: Path, run_cell: RunCell,
 
 
 @pytest.mark.parametrize("turns", [2, -3])
-def test_an_endless_table_is_driven_from_the_turn_on_which_it_stands(
+def test_an_endless_table_continues_from_its_present_turn(
     turned: Path, run_cell: RunCell, tmp_path: Path, turns: int
 ) -> None:
-    """Whole turns are told, sent with every angle, and appear in no scan: what is measured is the same."""
+    """Whole turns are reported, sent with every angle, and appear in no scan: the results are the same."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(open_run(copy).motion.via_q[0, :6]), 360.0 * turns])
@@ -190,8 +192,8 @@ def test_an_endless_table_is_driven_from_the_turn_on_which_it_stands(
     assert [each["t_s"] for each in events[1]] == pytest.approx([each["t_s"] for each in events[0]], abs=1e-6)
 
 
-def test_a_table_that_is_another_now_is_told(turned: Path, tmp_path: Path) -> None:
-    """Faster, elsewhere, indexed, none at all: a difference that has a name, as every other of the cell has."""
+def test_a_changed_table_of_the_scene_is_found(turned: Path, tmp_path: Path) -> None:
+    """Faster, elsewhere, indexed, none: a difference with a name, as every other of the cell."""
     proven = verify_plan(turned)
     for text in (
         "[table]\nvelocity_deg_s = 77",
@@ -204,8 +206,8 @@ def test_a_table_that_is_another_now_is_told(turned: Path, tmp_path: Path) -> No
             require_current_scene(proven, CurrentFiles(scene=tmp_path / "now.toml"), None, wire=False)
 
 
-def test_the_show_turns_the_part(turned: Path) -> None:
-    """At each stop the engine's part stands where plan.json says."""
+def test_replay_turns_the_part(turned: Path) -> None:
+    """At each stop the part has its pose of plan.json."""
     playback = load_playback(open_run(turned), None, LoggedProgress())
     for stop, view in zip(playback.timeline.stops, _json(turned / "plan.json")["views"], strict=True):
         playback.pose(stop.begin)
@@ -228,10 +230,8 @@ def _share(run: Path) -> float:
     return float(_json(run / "report.json")["coverage"]["visible"])
 
 
-def test_why_gives_reasons_for_all_that_the_turned_views_leave_open(
-    turned: Path, run_cell: RunCell, tmp_path: Path
-) -> None:
-    """What is open is what the plan does not measure; upside down is tried, turns that the table makes are not."""
+def test_why_explains_all_uncovered_surface(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
+    """The uncovered surface is that of the plan; upside down is tried, turns of the table are not."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     done = run_cell("why", copy, "--samples", "4000", "--json", cwd=tmp_path)
@@ -243,10 +243,10 @@ def test_why_gives_reasons_for_all_that_the_turned_views_leave_open(
     assert turns == ["a second set-up with the part upside down"]
 
 
-def test_as_much_as_without_a_table_takes_never_more_views(planned: Path, turned: Path) -> None:
-    """The fewest views, proven by HiGHS, for each share of the surface that the fixed plan's candidates can measure.
+def test_a_table_never_needs_more_views(planned: Path, turned: Path) -> None:
+    """The smallest number of views, proven by HiGHS, for each coverage that candidates without a table attain.
 
-    The samples are the same; `--max-views` gives what a table adds with as many views.
+    The samples are the same; `--max-views` gives what a table adds with equally many views.
     """
     runs = [open_run(folder) for folder in (planned, turned)]
     matrices, usable = [run.measurability for run in runs], [run.reach.reachable for run in runs]
@@ -266,8 +266,8 @@ def test_as_much_as_without_a_table_takes_never_more_views(planned: Path, turned
         assert len(table.views) <= len(fixed.views)
 
 
-def test_a_further_set_up_takes_the_table_with_it(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
-    """Upside down the table stands under the part again, and both measure more than one; the motion is certified."""
+def test_a_further_setup_has_the_table(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
+    """Upside down the table is below the part again, and both measure more than one; the motion is certified."""
     done = run_cell("plan", "--open-of", turned, "--place", "1000,300,100,0,0,180", "--out", "over", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     together = _json(tmp_path / "over" / "report.json")["open_of"]
@@ -283,7 +283,7 @@ def test_a_further_set_up_takes_the_table_with_it(turned: Path, run_cell: RunCel
 def test_views_are_edited_and_the_motion_of_seven_axes_certified_again(
     turned: Path, run_cell: RunCell, tmp_path: Path
 ) -> None:
-    """A view moved to where it is, said in base at its angle, is the view; one more and one fewer are planned."""
+    """A view moved to its own pose, in base at its angle, is unchanged; one more and one fewer are planned."""
     stop, view = next((n, v) for n, v in enumerate(_json(turned / "plan.json")["views"], 1) if v["e_deg"][0])
     T = np.array(view["T_base_scanner"])
     position, abc = kuka_abc_from_pose(T)
@@ -302,8 +302,8 @@ def test_views_are_edited_and_the_motion_of_seven_axes_certified_again(
     assert verify_plan(fewer.folder).world.table is not None
 
 
-def test_the_place_at_angle_0_is_found_from_points_of_a_turned_part(turned: Path, tmp_path: Path) -> None:
-    """Points in base while the table stands at a view's angle: by the view's number they say where the part was put."""
+def test_a_turned_part_is_located_at_angle_0(turned: Path, tmp_path: Path) -> None:
+    """Points in base at a view's table angle, with the view's number, give the placement."""
     run = EditableRun.opened(turned)
     stop, view = next((n, v) for n, v in enumerate(run.plan.views, 1) if v.e_deg[0])
     moved = np.eye(4)
@@ -318,7 +318,7 @@ def test_the_place_at_angle_0_is_found_from_points_of_a_turned_part(turned: Path
 
 
 def test_a_part_that_is_located_beside_the_axis_swings_its_post(turned: Path) -> None:
-    """On the axis a post turns in place; beside it, it is guarded against the pedestal, and the table stays."""
+    """On the axis a post turns in place; beside it the post is checked with the pedestal, and the table stays."""
     run = open_run(turned)
     reference, T = run.mesh("reference.ply"), np.array(run.scene.T_base_object)
     planned = world_of(run, reference)
@@ -334,7 +334,7 @@ def test_a_part_that_is_located_beside_the_axis_swings_its_post(turned: Path) ->
 def test_a_located_part_is_kept_clear_of_while_an_indexed_table_turns(
     turned: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The motion is held to the manner of the table, which its file does not say."""
+    """The motion is checked for the mode of the table, which its file does not state."""
     run = EditableRun.opened(turned)
     world = world_of(run, run.reference)
     indexed = dataclasses.replace(world, limits=dataclasses.replace(world.limits, table_turn_q=world.home))
@@ -351,8 +351,8 @@ def _guarded(world: World) -> set[tuple[str, str]]:
     return {*names, *((b, a) for a, b in names)}
 
 
-def test_a_place_is_judged_with_the_table_under_the_part(part_file: Path) -> None:
-    """With 36 angles more candidates are reached, and more is measured, wherever the part is put."""
+def test_a_placement_is_evaluated_with_the_table_below_the_part(part_file: Path) -> None:
+    """With 36 angles more candidates are reached, and more is measured, at every placement."""
     found = {}
     for on_table in (False, True):
         scene = scene_from_options(None, {"table": on_table, "units": "mm", "faces": 60}, part_file)
@@ -368,7 +368,7 @@ def test_a_place_is_judged_with_the_table_under_the_part(part_file: Path) -> Non
 
 
 def test_an_exported_program_drives_the_table_as_e1(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
-    """Every PTP has the seven angles of its via point, and the arm stands only where E1 does too; so do the tables."""
+    """Every PTP has the seven angles of its via point, and the arm stops only where E1 does; so do the tables."""
     via = np.degrees(open_run(turned).motion.via_q).round(4)
     done = run_cell("export", turned, "--out", tmp_path / "krl", "--name", "TURNED", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -385,10 +385,10 @@ def test_an_exported_program_drives_the_table_as_e1(turned: Path, run_cell: RunC
 
 
 @pytest.mark.parametrize("protocol", ["serial", "modbus"])
-def test_seven_axes_travel_on_a_wire(
+def test_seven_axes_are_driven_over_a_wire(
     turned: Path, run_cell: RunCell, emulate: Callable[..., Any], tmp_path: Path, protocol: str
 ) -> None:
-    """An emulated controller of the run's arm and table, two turns on, measures what the simulated one did."""
+    """An emulated controller of the run's arm and table, two turns on, measures as the simulated one."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     axes = from_rad([*open_run(copy).motion.via_q[0, :6], 4 * np.pi]).tolist()
@@ -418,10 +418,10 @@ def test_plans_that_cannot_have_a_table_refuse_it(run_cell: RunCell, part_file: 
         assert "cannot have a rotary table yet" in done.stderr
 
 
-def test_an_indexed_table_is_planned_proven_and_gone_on_with(
+def test_an_indexed_table_is_planned_verified_and_resumed(
     small_plan: tuple[str, ...], part_file: Path, run_cell: RunCell, tmp_path: Path
 ) -> None:
-    """Arm and table never move at once, in the plan and on the way back into it; a motion that does is not driven."""
+    """Arm and table never move at once, in the plan and on the approach path; a motion that does is not driven."""
     (tmp_path / "indexed.toml").write_text('[table]\nmoves = "indexed"\n')
     scene = ("--scene", "indexed.toml")
     done = run_cell("plan", part_file, "--units", "mm", *small_plan, *scene, "--out", "run", cwd=tmp_path)
@@ -445,10 +445,10 @@ def test_an_indexed_table_is_planned_proven_and_gone_on_with(
         verify_plan(run).require_path_free(np.stack([via[0], quantise(via[0] + np.radians([1, 0, 0, 0, 0, 0, 1]))]))
 
 
-def test_about_a_tilted_axis_a_plan_is_proven_scanned_and_placed_as_about_an_upright_one(
+def test_a_tilted_axis_is_planned_scanned_and_placed_as_an_upright_one(
     run_cell: RunCell, part_file: Path, small_plan: tuple[str, ...], tmp_path: Path
 ) -> None:
-    """At each view the part has turned about the axis that the scene tilts; the dynamic arm is refused."""
+    """At each view the part has turned about the tilted axis; the dynamic arm is refused."""
     (tmp_path / "tilted.toml").write_text("[table]\nabc_deg = [0.0, -30.0, 20.0]\n", encoding="utf-8")
     done = run_cell(
         "plan", part_file, "--units", "mm", *small_plan, "--scene", "tilted.toml", "--out", "run", cwd=tmp_path

@@ -1,4 +1,4 @@
-"""`--max-sigma` and `--noise model` as a user meets them."""
+"""`--max-sigma` and `--noise model` on the command line."""
 
 import json
 import subprocess
@@ -19,7 +19,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 def limited(
     tmp_path_factory: pytest.TempPathFactory, part_file: Path, small_plan: tuple[str, ...], run_cell: Run
 ) -> dict[str, Any]:
-    """The small plan with a limit that its unlimited matrix does not keep."""
+    """The small plan with a limit that its unlimited matrix exceeds."""
     folder = tmp_path_factory.mktemp("sigma")
     command = ("plan", str(part_file), "--units", "mm", *small_plan, "--max-sigma", "0.04", "--json", "--out", "run")
     done = run_cell(*command, cwd=folder)
@@ -42,8 +42,8 @@ def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, An
     assert json.loads((limited["folder"] / "scene.resolved.json").read_text())["plan"]["max_sigma_mm"] == 0.04
 
 
-def test_the_scan_of_a_limited_plan_takes_nothing_above_the_limit(limited: dict[str, Any], run_cell: Run) -> None:
-    """Achieved visible coverage is the predicted one, and every ray's code agrees with the limit."""
+def test_the_scan_of_a_limited_plan_has_no_point_above_the_limit(limited: dict[str, Any], run_cell: Run) -> None:
+    """The achieved visible coverage is the predicted one, and every ray's code agrees with the limit."""
     folder = limited["folder"]
     done = run_cell("scan", "run", "--resolution", "2", "--json", cwd=folder.parent)
     assert done.returncode == 0, done.stderr
@@ -103,10 +103,10 @@ def test_model_noise_is_seeded_scatters_by_sigma_and_stays_on_the_rays(planned: 
         ),
     ],
 )
-def test_what_cannot_be_is_said_in_one_sentence(
+def test_invalid_options_are_refused(
     command: tuple[str, ...], words: str, planned: Path, part_file: Path, tmp_path: Path, run_cell: Run
 ) -> None:
-    """Exit code 2 and the sentence."""
+    """Exit code 2 and one sentence."""
     import shutil
 
     shutil.copytree(planned, tmp_path / "run")

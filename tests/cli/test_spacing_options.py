@@ -1,4 +1,4 @@
-"""`--max-spacing`, and what plans and scans say of density, as a user meets them."""
+"""`--max-spacing`, and the density of plans and scans, on the command line."""
 
 import json
 import subprocess
@@ -29,7 +29,7 @@ def limited(
 
 
 def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, Any], planned: Path) -> None:
-    """No entry above it, every entry of the unlimited matrix that keeps it, quantiles below it, less coverable."""
+    """No entry above it, every entry of the unlimited matrix below it, quantiles below it, less coverable."""
     spacing, entries, rows = {}, {}, {}
     scanner = LaserArea(range_mm=(150, 450))
     for name, run in (("limited", limited["folder"]), ("planned", planned)):
@@ -55,8 +55,8 @@ def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, An
     assert 0 < limited["summary"]["coverage"]["coverable"] < without["coverage"]["coverable"]
 
 
-def test_what_was_planned_dense_is_scanned_dense(limited: dict[str, Any], run_cell: Run) -> None:
-    """Achieved is predicted, and next to all of it has a scan point within 1.5 planned spacings; never more."""
+def test_the_scan_has_the_planned_density(limited: dict[str, Any], run_cell: Run) -> None:
+    """Achieved is predicted; nearly all of it has a scan point within 1.5 planned spacings, never more."""
     done = run_cell("scan", "run", "--json", cwd=limited["folder"].parent)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
@@ -68,7 +68,7 @@ def test_what_was_planned_dense_is_scanned_dense(limited: dict[str, Any], run_ce
 
 
 def test_why_tries_a_greater_spacing_and_a_finer_grid(limited: dict[str, Any], run_cell: Run) -> None:
-    """Both measure some of what stays open, the greater spacing with the option that asks for it."""
+    """Both measure some of the uncovered surface, the greater spacing with its option."""
     done = run_cell("why", "run", "--samples", "3000", "--json", cwd=limited["folder"].parent)
     assert done.returncode == 0, done.stderr
     tried = json.loads((limited["folder"] / "why" / "why.json").read_text())["tried"]
@@ -86,10 +86,10 @@ def test_why_tries_a_greater_spacing_and_a_finer_grid(limited: dict[str, Any], r
         (("--max-spacing", "2", "--sensor", "gocator-2340", "--baseline", "90"), "set scanner.line_points"),
     ],
 )
-def test_what_cannot_be_asked_is_refused(
+def test_invalid_limits_are_refused(
     options: tuple[str, ...], words: str, part_file: Path, run_cell: Run, tmp_path: Path
 ) -> None:
-    """With what would be valid."""
+    """With the valid values."""
     done = run_cell("plan", str(part_file), "--units", "mm", "--faces", "40", *options, cwd=tmp_path)
     assert done.returncode == 2
     assert words in done.stderr

@@ -1,4 +1,4 @@
-"""A scanner of another distribution: installed by pip, found by its entry point, planned with; and broken ones."""
+"""A scanner of another distribution: installed by pip, found by its entry point, used in a plan; and broken ones."""
 
 import json
 import subprocess
@@ -34,7 +34,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def on_path(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """This process sees the installed package."""
+    """Put the installed package on the path of this process."""
     monkeypatch.syspath_prepend(str(installed))
 
 
@@ -42,7 +42,7 @@ def on_path(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_plan_is_made_with_a_scanner_of_another_distribution(
     run_cell: Callable[..., subprocess.CompletedProcess[str]], part_file: Path, tmp_path: Path
 ) -> None:
-    """Its key stands in the scene, its law decides what is measured, its parameters are recorded."""
+    """Its key is in the scene, its model decides what is measured, its parameters are stored."""
     scene = tmp_path / "cell.toml"
     scene.write_text('[scanner]\ntype = "cone"\nhalf_angle_deg = 20.0\n', encoding="utf-8")
     arguments = ["--units", "mm", "--place", "1100,400,100", "--faces", "60", "--samples", "2", "--standoff", "250"]
@@ -78,7 +78,7 @@ def test_its_unknown_key_is_refused_with_a_hint(
 def test_equal_parameters_of_other_types_and_versions_are_other_scanners(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The matrix cache must not give one plug-in's matrix to another, nor to the next version of the same."""
+    """The cache must not give one plug-in's matrix to another, nor to another version."""
     code = (PACKAGE / "cone_scanner.py").read_text()
     seen = []
     for number, (distribution, version, name) in enumerate(
@@ -129,7 +129,7 @@ BROKEN = {
 def test_a_broken_plug_in_gets_an_error_that_names_its_distribution(
     case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever is wrong with it, the user learns which distribution to repair; names and keys of others still work."""
+    """The user learns which distribution to repair; names and keys of others still work."""
     code, words = BROKEN[case]
     module = f"broken_{sorted(BROKEN).index(case)}"
     (tmp_path / f"{module}.py").write_text(code, encoding="utf-8")

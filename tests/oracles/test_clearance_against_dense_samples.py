@@ -1,4 +1,4 @@
-"""The clearance of a motion against distances at thousands of configurations along it, for each fidelity."""
+"""The clearance of a motion against distances at thousands of configurations along it, for hull and triangles."""
 
 import itertools
 
@@ -22,7 +22,7 @@ def _cup() -> trimesh.Trimesh:
 
 @pytest.fixture(scope="module", params=["hull", "exact", "base", "object"])
 def world(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> World:
-    """A cup beside the robot, as each fidelity has it, or as a mesh fixture, the part being a cube in it."""
+    """A cup beside the robot as hull or triangles, or as a mesh fixture with a cube as part in it."""
     cup, tables = _cup(), {"placement": {"position_mm": [1100, 300, 0]}, "plan": {"collision": "exact"}}
     if request.param in ("base", "object"):
         path = tmp_path_factory.mktemp("cup") / "cup.stl"
@@ -36,7 +36,7 @@ def world(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def _via() -> tuple[np.ndarray, np.ndarray]:
-    """Three segments: past the cup, two moves, and a stand."""
+    """Return three segments: past the cup, two moves, and a stop."""
     home = np.radians([0.0, -90, 90, 0, 90, 0])
     past = np.radians([25.0, -40, 80, 0, 60, 0])
     beside = np.radians([-40.0, -35, 85, 20, 50, 30])
@@ -45,8 +45,8 @@ def _via() -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.usefixtures("full_effort")
-def test_no_sample_is_nearer_than_what_is_proven_and_none_much_nearer_than_what_is_said(world: World) -> None:
-    """The value is measured on the motion, so it is an upper bound; the proven one is a lower bound within 5 %."""
+def test_samples_lie_between_lower_bound_and_distance(world: World) -> None:
+    """The distance is measured on the motion, an upper bound; the proven one is a lower bound within 5 %."""
     checker = MujocoCollisionChecker(world)
     via, segment = _via()
     found = motion_clearance(checker, via, segment, 3)
@@ -66,8 +66,8 @@ def test_no_sample_is_nearer_than_what_is_proven_and_none_much_nearer_than_what_
             assert found.between[number] in near
 
 
-def test_the_tightest_moment_is_on_the_motion_and_its_points_are_as_far_apart_as_it_says(world: World) -> None:
-    """Its configuration gives its distance again; both points are on what they are said to be on."""
+def test_the_tightest_moment_is_on_the_motion(world: World) -> None:
+    """Its configuration has its distance; its points are on the named shapes."""
     checker = MujocoCollisionChecker(world)
     via, segment = _via()
     found = motion_clearance(checker, via, segment, 3)
@@ -87,7 +87,7 @@ def test_the_tightest_moment_is_on_the_motion_and_its_points_are_as_far_apart_as
 
 
 def _off(a: np.ndarray, b: np.ndarray, q: np.ndarray) -> float:
-    """How far q is from the straight move a to b [rad]."""
+    """Return the distance of q from the straight move a to b [rad]."""
     way = b - a
     length = float(way @ way)
     share = np.clip((q - a) @ way / length, 0, 1) if length > 0 else 0.0

@@ -51,7 +51,7 @@ def _prism(radius: float, half: float) -> fcl.Convex:
 
 
 class FclCell:
-    """The cell's shapes in fcl, placed by the exponentials of the joints, not by MuJoCo's kinematics."""
+    """The cell's shapes in fcl, posed by the exponentials of the joints, not by MuJoCo's kinematics."""
 
     def __init__(self, world: World) -> None:
         model, data = world.model, mujoco.MjData(world.model)
@@ -101,7 +101,7 @@ class FclCell:
         return places
 
     def bracket(self, q: np.ndarray, reach: float) -> tuple[float, float]:
-        """Smallest distance of the guarded pairs, from below and above; negative: overlap; `reach` where it is more."""
+        """Return bounds on the smallest distance of the checked pairs; negative: overlap; at most `reach`."""
         places = self.place(q)
         low = high = reach
         for a, b in self.world.pairs:
@@ -160,7 +160,7 @@ def test_verdicts_agree_wherever_the_prisms_agree(world: World, fcl_cell: FclCel
 
 
 def test_collisions_agree_with_fcl_on_thousands() -> None:
-    """Without clearance: overlap or none, 2500 random configurations."""
+    """Overlap without clearance, for 2500 random configurations."""
     world = compile_world(Scene.model_validate({"clearance_mm": 0}), PART, baseline_mm=75.0)
     cell = FclCell(world)
     q = np.random.default_rng(2).uniform(world.limits.lower, world.limits.upper, (2500, 6))

@@ -1,4 +1,4 @@
-"""A line sensor over a flat plate: the strip that it measures, and its shadow, are known in closed form."""
+"""A line sensor above a flat plate: the measured strip and its shadow in closed form."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def _plate(half: float = 0.25, count: int = 201) -> tuple[EmbreeRayCaster, SurfaceSamples]:
-    """A plate in z = 0 and a grid of samples on it; off the symmetry axes, so that none lies on a limit by accident."""
+    """Return a plate in z = 0 and a grid of samples off the symmetry axes, so that none is on a limit by accident."""
     mesh = trimesh.creation.box([2 * half, 2 * half, 0.01])
     mesh.apply_translation([0, 0, -0.005])
     side = (np.arange(count) + 0.4871) / count * 2 * half - half
@@ -31,7 +31,7 @@ def _plate(half: float = 0.25, count: int = 201) -> tuple[EmbreeRayCaster, Surfa
 
 
 def _view(scanner: LaserLine) -> Viewpoints:
-    """One sweep, looking straight down from HEIGHT; the baseline is along the plate's x."""
+    """Return one sweep, looking straight down from HEIGHT; the baseline is along the plate's x."""
     T = DOWN.copy()
     T[2, 3] = HEIGHT
     return sweep_columns(scanner, Viewpoints(T[None, None], np.array([-1]), np.array([HEIGHT]), np.array([0.0])))
@@ -44,7 +44,7 @@ def _row(M: Measurability) -> np.ndarray:
 @pytest.mark.parametrize("steps", [1, 2, 9, 40])
 @pytest.mark.parametrize(("fan", "length"), [(30.0, 120.0), (26.0, 61.7)])
 def test_a_straight_sweep_measures_a_rectangle(fan: float, length: float, steps: int) -> None:
-    """Exactly |x| <= length / 2, |y| <= height tan(fan / 2), whatever the number of poses; so is its area."""
+    """Exactly |x| <= length / 2, |y| <= height tan(fan / 2), for any number of poses; its area too."""
     scanner = LaserLine(fan_deg=fan, sweep_mm=length, sweep_steps=steps, baseline_mm=100, range_mm=(200, 400))
     caster, samples = _plate()
     row = _row(fill_matrix(_view(scanner), samples, scanner, caster))
@@ -59,7 +59,7 @@ def test_a_straight_sweep_measures_a_rectangle(fan: float, length: float, steps:
 
 @pytest.mark.parametrize("steps", [1, 4, 31])
 def test_a_turned_sweep_measures_a_bow_tie_cut_by_the_range(steps: int) -> None:
-    """Within the wedge the line is as long as the depth in its own pose makes it; beyond the far limit nothing is."""
+    """In the wedge the line is as long as the depth of its own pose gives; nothing is measured beyond the range."""
     angle, fan, far = 60.0, 28.0, 0.33
     scanner = LaserLine(
         fan_deg=fan, sweep_deg=angle, sweep_steps=steps, baseline_mm=80, range_mm=(200, far * 1000), grazing_max_deg=89
@@ -81,7 +81,7 @@ def test_a_turned_sweep_measures_a_bow_tie_cut_by_the_range(steps: int) -> None:
 
 
 def test_a_wall_along_the_line_casts_its_shadow_away_from_the_sensor_only() -> None:
-    """The sheet falls straight down, so the laser is free; behind it the sensor misses baseline x wall / height."""
+    """The sheet is vertical, so the laser is free; behind the wall the sensor misses baseline x wall / height."""
     wall, baseline, steps, length = 0.04, 0.12, 60, 0.24
     scanner = LaserLine(
         fan_deg=30, sweep_mm=length * 1000, sweep_steps=steps, baseline_mm=baseline * 1000, range_mm=(150, 400)

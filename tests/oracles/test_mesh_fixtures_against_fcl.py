@@ -1,4 +1,4 @@
-"""Mesh fixtures collide as their triangles: a U-shaped bracket judged by python-fcl on the same triangles.
+"""Mesh fixtures collide by their triangles: a U-shaped bracket compared with python-fcl on the same triangles.
 
 Boxes are fcl's own; cylinders lie between the prism around and the prism inside them, and what these two decide
 differently, or lies within 10 um of the clearance, is left out.
@@ -36,14 +36,14 @@ PART = trimesh.creation.box((0.1, 0.1, 0.1))
 
 
 def _bracket() -> trimesh.Trimesh:
-    """A floor and two walls of 20 mm, 620 mm apart, open above and to two sides [mm]; welded where they meet."""
+    """Return a floor and two walls of 20 mm, 620 mm apart, open above and on two sides [mm]; welded at the joints."""
     floor = trimesh.creation.box((660, 400, 20)).apply_translation((0, 0, -190))
     walls = [trimesh.creation.box((20, 400, 360)).apply_translation((x, 0, 0)) for x in (-320, 320)]
     return trimesh.util.concatenate([floor, *walls]).subdivide().subdivide()
 
 
 def _world(path: Path, attached_to: str | None, collision: str) -> World:
-    """The part under the bracket, which stands at one place whatever it is attached to; None: no bracket."""
+    """Return the part below the bracket, at one place whatever it is attached to; None: no bracket."""
     bracket = {"name": "bracket U", "shape": "mesh", "path": str(path), "units": "mm", "attached_to": attached_to,
                "position_mm": [0.0, 0.0, 1000 * ABOVE] if attached_to == "object" else (1000 * MIDDLE).tolist(),
                "abc_deg": [0.0] * 3 if attached_to == "object" else ABC_DEG}  # fmt: skip
@@ -80,7 +80,7 @@ def _solutions(world: World, T_base_scanner: Floats) -> Floats:
 
 
 def _scanner_poses(count: int, rng: np.random.Generator) -> Floats:
-    """(count, 4, 4) the scanner in and about the bracket, looking down more or less."""
+    """Return poses (count, 4, 4) of the scanner in and around the bracket, looking roughly down."""
     T = np.tile(np.eye(4), (count, 1, 1))
     for pose in T:
         z = np.array([0.0, 0.0, -1.0]) + rng.normal(0, 0.5, 3)
@@ -101,7 +101,7 @@ def _bvh(vertices: Floats, faces: np.ndarray) -> fcl.BVHModel:
 
 
 def _gaps(world: World, q: Floats) -> Floats:
-    """(N, 2) distance of the nearest moving shape from the bracket [m]: at least, at most."""
+    """Return bounds (N, 2) on the distance of the nearest moving shape from the bracket [m]."""
     mesh = _bracket()
     placed = np.array(mesh.vertices) / 1000 @ R.T + MIDDLE
     bracket = fcl.CollisionObject(_bvh(placed, mesh.faces))
@@ -135,7 +135,7 @@ def _gaps(world: World, q: Floats) -> Floats:
 
 
 def test_no_contact_is_missed_and_nothing_is_refused_falsely(worlds: dict[str, World], path: Path) -> None:
-    """Thousands of configurations in and about the bracket, clear of everything else; its hull refuses many of them."""
+    """Thousands of configurations in and around the bracket, clear of everything else; its hull rejects many."""
     world = worlds["exact"]
     q = _solutions(world, _scanner_poses(1000, np.random.default_rng(0)))
     q = q[MujocoCollisionChecker(_world(path, None, "exact")).free(q)][:1500]
@@ -152,8 +152,8 @@ def test_no_contact_is_missed_and_nothing_is_refused_falsely(worlds: dict[str, W
     assert (~of_hull & free).sum() > 200
 
 
-def test_a_view_in_the_bracket_is_reached_on_a_way_that_touches_nothing(worlds: dict[str, World]) -> None:
-    """Reach, path and clearance of a view that the hull refuses; python-fcl on all triangles along the way there."""
+def test_a_view_in_the_bracket_is_reached_on_a_free_path(worlds: dict[str, World]) -> None:
+    """Reach, path and clearance of a view that the hull rejects; python-fcl on all triangles along the path."""
     T = np.eye(4)
     T[:3, :3] = R @ np.diag([1.0, -1.0, -1.0])
     T[:3, 3] = MIDDLE + T[:3, :3] @ np.array([0.0, 0.0, -0.09])
@@ -181,7 +181,7 @@ def test_a_view_in_the_bracket_is_reached_on_a_way_that_touches_nothing(worlds: 
 
 
 def test_bodies_that_meet_along_an_edge_have_an_inside(tmp_path: Path) -> None:
-    """Two blocks that share an edge are solid: the housing inside one of them is in contact, touching no triangle."""
+    """Two blocks with a common edge are solid: the housing inside one is in contact without touching a triangle."""
     blocks = [trimesh.creation.box((900, 900, 900)).apply_translation((x, x, 0)) for x in (0, 900)]
     file = tmp_path / "blocks.stl"
     trimesh.util.concatenate(blocks).export(file)

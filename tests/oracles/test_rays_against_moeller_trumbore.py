@@ -10,7 +10,7 @@ from cell.world.embree import HAIR, EmbreeRayCaster
 
 
 def _bumpy_sphere(n=8, seed=0):
-    """A closed mesh of 12 n^2 faces, 0.2 m across, with hollows: vertices shared, turned outward."""
+    """Return a closed mesh of 12 n^2 faces, 0.2 m across, with hollows and shared vertices, outward."""
     tangent = np.tan(np.linspace(-np.pi / 4, np.pi / 4, n + 1))
     a, b = (grid.ravel() for grid in np.meshgrid(tangent, tangent, indexing="ij"))
     number = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
@@ -34,7 +34,7 @@ def _bumpy_sphere(n=8, seed=0):
 
 
 def _all_hits(vertices, faces, origins, directions):
-    """(N, F) distances along each ray to each triangle's plane within the triangle; inf where it is passed. float64."""
+    """Return distances (N, F) along each ray to each triangle, inf for a miss, in float64."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     e1, e2 = b - a, c - a
     p = np.cross(directions[:, None], e2[None])
@@ -87,8 +87,8 @@ def test_random_rays_hit_the_same_triangle_at_the_same_distance(scene):
     assert error[same & (cosine > 1e-3)].max() < 1e-12  # the distance itself is float64's
 
 
-def test_legs_are_blocked_by_the_same_triangles(scene):
-    """4000 legs between random points: equal wherever no triangle lies within two hairs of the target."""
+def test_rays_are_blocked_by_the_same_triangles(scene):
+    """4000 rays between random points: equal where no triangle is within two hairs of the target."""
     vertices, faces, caster = scene
     rng = np.random.default_rng(2)
     origins, directions = _random_rays(rng, 4000)
@@ -103,8 +103,8 @@ def test_legs_are_blocked_by_the_same_triangles(scene):
     assert 0.2 < expected.mean() < 0.9
 
 
-def test_legs_to_the_surface_itself_are_judged_like_the_oracle_without_that_surface(scene):
-    """Legs to points of the surface, seen from in front within 75 degrees: only other triangles count."""
+def test_rays_to_the_surface_are_blocked_by_other_triangles_only(scene):
+    """Rays to points of the surface, from in front within 75 degrees."""
     vertices, faces, caster = scene
     rng = np.random.default_rng(3)
     count = 4000
@@ -151,7 +151,7 @@ def test_no_ray_slips_through_a_shared_edge(scene, inside):
 
 
 def test_hardly_a_ray_slips_through_a_vertex(scene):
-    """Through an exact vertex Embree's edge tests may all fail by rounding: fewer than 1 % slip, as documented."""
+    """Through an exact vertex Embree's edge tests may all fail by rounding: fewer than 1 %, as documented."""
     vertices, _, caster = scene
     inside = np.random.default_rng(5).normal(size=(40 * len(vertices), 3)) * 0.01
     legs = np.tile(vertices, (40, 1)) - inside

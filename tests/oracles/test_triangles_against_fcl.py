@@ -27,7 +27,7 @@ ZERO, UPRIGHT = np.zeros(3), np.eye(3).ravel()
 
 
 def _mug() -> trimesh.Trimesh:
-    """A closed mug without a handle: outer wall, inner wall, rim."""
+    """Return a closed mug without a handle: outer wall, inner wall, rim."""
     outline = [(0.0, 0.0), (0.04, 0.0), (0.04, 0.1), (0.036, 0.1), (0.036, 0.005), (0.0, 0.005)]
     return trimesh.creation.revolve(np.array(outline), sections=48)
 
@@ -70,13 +70,13 @@ def _model(mesh: trimesh.Trimesh) -> fcl.CollisionObject:
 
 
 def _from_cylinder(points: np.ndarray, radius: float, half: float) -> np.ndarray:
-    """Distance of points (..., 3) from an upright cylinder about the origin, in closed form."""
+    """Return the distance of points (..., 3) from an upright cylinder about the origin, in closed form."""
     across = np.maximum(np.linalg.norm(points[..., :2], axis=-1) - radius, 0.0)
     return np.hypot(across, np.maximum(np.abs(points[..., 2]) - half, 0.0))
 
 
 def _least_over_triangles(corners: np.ndarray, radius: float, half: float) -> float:
-    """Smallest distance of triangles (F, 3, 3) from that cylinder: convex over each, so a grid is zoomed in on it."""
+    """Return the smallest distance of triangles (F, 3, 3) from that cylinder: convex over each, by a refined grid."""
     u, v = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-1, 1, 9)] * 2))
     middle, width, best = np.full((len(corners), 1, 2), 1 / 3), 1.0, np.inf
     for _ in range(40):
@@ -102,8 +102,8 @@ def _poses(count: int, near: float, far: float, seed: int) -> list[tuple[np.ndar
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_boxes_are_as_far_as_fcl_says(name: str) -> None:
-    """A housing and a thin bar, near and far: never farther than fcl says, and nearer by 1e-5 m at most."""
+def test_distances_of_boxes_are_those_of_fcl(name: str) -> None:
+    """A housing and a thin bar, near and far: never larger than fcl's, and smaller by 1e-5 m at most."""
     mesh = MESHES[name]()
     tree, model = _tree(mesh), _model(mesh)
     for half in (np.array([0.08, 0.04, 0.03]), np.array([0.002, 0.002, 0.2])):
@@ -116,8 +116,8 @@ def test_boxes_are_as_far_as_fcl_says(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["an open, wavy sheet", "triangles that cross each other", "one triangle"])
-def test_cylinders_are_as_far_as_the_nearest_point_of_any_triangle(name: str) -> None:
-    """Against a search over every triangle with the closed form of the distance of a point from a cylinder."""
+def test_distances_of_cylinders_are_those_of_the_nearest_point(name: str) -> None:
+    """Against a search over every triangle with the closed form for points."""
     mesh = MESHES[name]()
     tree, radius, half = _tree(mesh), 0.039, 0.06
     for position, R in _poses(25, 0.02, 0.3, 2):
@@ -127,7 +127,7 @@ def test_cylinders_are_as_far_as_the_nearest_point_of_any_triangle(name: str) ->
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_the_two_nearest_points_are_where_they_are_said_to_be(name: str) -> None:
+def test_the_nearest_points_are_on_both_bodies(name: str) -> None:
     """One on the body, one on a triangle, as far apart as the distance: so it is never too large."""
     mesh = MESHES[name]()
     tree = _tree(mesh)
@@ -146,7 +146,7 @@ def test_the_two_nearest_points_are_where_they_are_said_to_be(name: str) -> None
 
 
 def test_yes_or_no_agrees_with_the_distance() -> None:
-    """`any_nearer` stops early and says the same, at limits around the true distance."""
+    """`any_nearer` stops early with the same answer, at limits around the true distance."""
     tree = _tree(MESHES["a mug"]())
     half = np.array([0.02, 0.015, 0.03])
     for position, R in _poses(200, 0.0, 0.15, 4):
@@ -157,7 +157,7 @@ def test_yes_or_no_agrees_with_the_distance() -> None:
 
 
 def test_a_body_in_the_material_is_in_contact_and_one_in_the_cavity_is_not() -> None:
-    """A closed solid has an inside; the inside of a mug is not it; an open mesh has none."""
+    """A closed solid has an inside, which excludes the cavity of a mug; an open mesh has none."""
     crumb = np.full(3, 0.001)
     mug, ball = _tree(MESHES["a mug"]()), _tree(trimesh.creation.icosphere(3, 0.1))
     sheet = _tree(MESHES["an open, wavy sheet"]())
@@ -172,8 +172,8 @@ def test_a_body_in_the_material_is_in_contact_and_one_in_the_cavity_is_not() -> 
     assert sheet.distance(gjk.BOX, crumb, at, UPRIGHT, ZERO, UPRIGHT, 1.0) > 0
 
 
-def test_a_placed_part_is_as_far_as_its_placed_triangles() -> None:
-    """The pose of the part is applied as a transform of its vertices would be."""
+def test_the_pose_of_the_part_is_that_of_its_vertices() -> None:
+    """A posed mesh has the distances of its transformed vertices."""
     mesh = MESHES["a torus"]()
     T = trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.5, 0.8]))
     T[:3, 3] = 1.2, 0.5, -0.1
@@ -187,7 +187,7 @@ def test_a_placed_part_is_as_far_as_its_placed_triangles() -> None:
 
 
 def test_a_motion_down_into_a_bucket_touches_no_triangle() -> None:
-    """From home to a pose under the rim, as planned on triangles: fcl on the same triangles, at 300 configurations."""
+    """From home to a pose below the rim, planned on triangles: fcl on the same triangles, at 300 configurations."""
     outline = [(0.0, 0.0), (0.24, 0.0), (0.24, 0.36), (0.228, 0.36), (0.228, 0.012), (0.0, 0.012)]
     bucket = trimesh.creation.revolve(np.array(outline), sections=64)
     scene = Scene.model_validate({"placement": {"position_mm": [1100, 0, -100]}, "post": {"enabled": False}})
@@ -226,7 +226,7 @@ def test_a_motion_down_into_a_bucket_touches_no_triangle() -> None:
 
 
 @pytest.mark.parametrize("name", ["a mug", "a torus", "triangles that cross each other"])
-def test_two_meshes_are_as_far_apart_as_fcl_says(name: str) -> None:
+def test_distances_of_two_meshes_are_those_of_fcl(name: str) -> None:
     """Triangles against triangles, apart and crossing, and against a convex mesh by its hull: to 2e-6 m."""
     rng = np.random.default_rng(3)
     ball, other = trimesh.creation.icosphere(2, 0.05), MESHES[name]()

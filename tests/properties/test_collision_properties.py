@@ -23,7 +23,7 @@ def world() -> World:
 
 
 def _near_the_part(world: World, T_base_object: np.ndarray, count: int, seed: int) -> np.ndarray:
-    """Random configurations, and those of many that come nearest to the part: a third of them touch it or nearly."""
+    """Return random configurations and those of many that are nearest to the part: about a third touch it."""
     rng = np.random.default_rng(seed)
     q = rng.uniform(world.limits.lower, world.limits.upper, (20 * count, 6))
     data = world.data(T_base_object)
@@ -38,7 +38,7 @@ def _near_the_part(world: World, T_base_object: np.ndarray, count: int, seed: in
 @settings(max_examples=settings.default.max_examples // 4)
 @given(place=PLACE, abc=st.tuples(ANGLE, ANGLE, ANGLE))
 def test_a_new_placement_is_a_recompiled_model(world: World, place: tuple, abc: tuple) -> None:
-    """Moving the mocap bodies gives the verdicts and distances of a model compiled for that placement."""
+    """Moved mocap bodies give the results of a model compiled for that placement."""
     T = world.T_base_object_at(pose(place, abc))
     scene = Scene.model_validate({"placement": {"position_mm": place, "abc_deg": abc}})
     recompiled = MujocoCollisionChecker(compile_world(scene, PART, baseline_mm=75.0))
@@ -62,7 +62,7 @@ def test_a_new_placement_is_a_recompiled_model(world: World, place: tuple, abc: 
 def test_a_fixture_never_frees_a_configuration(
     world: World, shape: str, size: list, place: tuple, abc: tuple, attached_to: str
 ) -> None:
-    """More obstacles: a subset of the free configurations, and no distance grows."""
+    """With more obstacles a subset of the configurations is free, and no distance grows."""
     fixture = {"name": "f", "shape": shape, "size_mm": size if shape == "box" else size[:2],
                "position_mm": place, "abc_deg": abc, "attached_to": attached_to}  # fmt: skip
     crowded = compile_world(Scene.model_validate({"fixtures": [fixture]}), PART, baseline_mm=75.0)
@@ -91,7 +91,7 @@ def test_a_larger_clearance_never_frees(world: World) -> None:
 def test_turning_part_and_arm_together_changes_no_distance(
     world: World, turn: float, seed: int, offset: float, abc: tuple
 ) -> None:
-    """Rigid motion: the part turned about the A1 axis and A1 with it (KUKA's sign) is the same scene."""
+    """The part turned about the A1 axis and A1 with it (KUKA's sign) is the same scene."""
     rng = np.random.default_rng(seed)
     q = rng.uniform(world.limits.lower, world.limits.upper)
     data = world.data()
@@ -114,7 +114,7 @@ def test_turning_part_and_arm_together_changes_no_distance(
 
 
 def _surface_points(world: World) -> list[tuple[int, np.ndarray]]:
-    """For each moving geom, points on its edges and rims in its own frame, in the thousands."""
+    """Return points on edges and rims of each moving geom in its own frame, thousands of them."""
     model, found = world.model, []
     ring = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     for geom, name in enumerate(world.entities):
@@ -130,7 +130,7 @@ def _surface_points(world: World) -> list[tuple[int, np.ndarray]]:
 
 
 def _swept(world: World, q_from: np.ndarray, q_to: np.ndarray, steps: int) -> np.ndarray:
-    """(steps + 1, P, 3) places of all surface points along the joint segment [m]."""
+    """Return positions (steps + 1, P, 3) of all surface points along the joint segment [m]."""
     data, points = world.data(), _surface_points(world)
     places = []
     for t in np.linspace(0.0, 1.0, steps + 1):
@@ -141,8 +141,8 @@ def _swept(world: World, q_from: np.ndarray, q_to: np.ndarray, steps: int) -> np
 
 
 @pytest.mark.parametrize("scale", [1e-3, 0.02, 0.2, 1.0])
-def test_travel_is_never_less_than_what_any_point_moves(world: World, scale: float) -> None:
-    """Against dense sampling: no surface point is displaced by more between ANY two configurations of the segment."""
+def test_travel_bounds_the_motion_of_every_point(world: World, scale: float) -> None:
+    """By dense sampling: no surface point moves farther between ANY two configurations of the segment."""
     rng = np.random.default_rng(int(1 / scale))
     checker = MujocoCollisionChecker(world)
     lower, upper = world.limits.lower, world.limits.upper
@@ -168,7 +168,7 @@ def test_travel_is_never_less_than_what_any_point_moves(world: World, scale: flo
     q_to=st.lists(ANGLE, min_size=6, max_size=6),
 )
 def test_travel_is_symmetric_and_zero_at_rest(world: World, q_from: list, q_to: list) -> None:
-    """Forwards and backwards are the same way; no motion is none."""
+    """Forwards and backwards are equal; no motion is none."""
     checker = MujocoCollisionChecker(world)
     a, b = np.deg2rad([q_from]), np.deg2rad([q_to])
     assert checker.travel(a, b)[0] == pytest.approx(checker.travel(b, a)[0], rel=1e-12, abs=1e-15)
@@ -176,7 +176,7 @@ def test_travel_is_symmetric_and_zero_at_rest(world: World, q_from: list, q_to: 
 
 
 def test_travel_in_one_batch_is_travel_one_by_one(world: World) -> None:
-    """Batches are only for speed."""
+    """Batches change only the speed."""
     rng = np.random.default_rng(8)
     q = rng.uniform(world.limits.lower, world.limits.upper, (1100, 6))
     checker = MujocoCollisionChecker(world)

@@ -1,4 +1,4 @@
-"""Laws of the scanner's conditions: wider limits never lose a point, and what is in the way never adds one."""
+"""Monotonicity of the scanner's conditions: wider limits never lose a point, occluders never add one."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def _measured(limits: dict, cloud: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 @given(_LIMITS, st.floats(0, 1), st.integers(0, 5))
 def test_widening_any_limit_never_loses_a_point(limits, share, seed):
-    """Each of FOV, range, grazing, sensor's FOV and depth of field alone, or given up where it may be."""
+    """Each of FOV, range, grazing, sensor's FOV and depth of field alone, or removed if optional."""
     cloud = _cloud(seed)
     before = _measured(limits, cloud)
     front, back = limits["depth_of_field_mm"]
@@ -61,7 +61,7 @@ def test_widening_any_limit_never_loses_a_point(limits, share, seed):
 
 @given(_LIMITS, st.floats(1e-5, 1e-3), st.floats(1, 10), st.integers(0, 5))
 def test_a_larger_limit_on_sigma_never_loses_a_point(limits, limit, factor, seed):
-    """And no limit on sigma measures what the scanner without one does not."""
+    """No limit on sigma measures a point that the scanner without one rejects."""
     cloud = _cloud(seed)
     scanner = LaserArea(resolution_deg=(5, 5), **limits)
     tight, loose = (
@@ -85,8 +85,8 @@ def test_sigma_grows_with_noise_and_shrinks_with_the_baseline_on_the_axis(z, til
     assert sigma(short * factor**0.5, 1.0) < sigma(short, 1.0)
 
 
-def test_an_arm_in_the_way_never_adds_a_sample_and_hides_only_its_own_view():
-    """`own` occluders: the views' rows with their own caster are those of a common one, view by view."""
+def test_an_arm_never_adds_a_sample_and_occludes_only_its_own_view():
+    """`own` occluders: the rows of views with their own caster equal those of a common one, view by view."""
     ball = trimesh.creation.icosphere(2, 0.05)
     part = TriangleMesh(ball.vertices, ball.faces)
     caster = EmbreeRayCaster(part.vertices, part.faces)

@@ -1,4 +1,4 @@
-"""Parts on which hull and triangles differ, or on which a tree of triangles may fail, by name."""
+"""Parts for which hull and triangles differ, or on which a tree of triangles may fail, by name."""
 
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -34,7 +34,7 @@ def _bucket() -> trimesh.Trimesh:
 
 
 def _looking_down(world: World, depth: float) -> np.ndarray:
-    """(N, 6) joint solutions with the scanner on the part's axis, looking down, `depth` below the part's top [m]."""
+    """Return configurations (N, 6) with the scanner on the part's axis, looking down, `depth` below its top [m]."""
     T = np.eye(4)
     T[:3, :3] = np.diag([1.0, -1.0, -1.0])
     centre = (world.T_base_object @ world.T_object_centre)[:3, 3]
@@ -47,12 +47,12 @@ def _looking_down(world: World, depth: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def buckets() -> dict[str, World]:
-    """A deep bucket in each fidelity."""
+    """A deep bucket as hull and as triangles."""
     return {collision: _world(_bucket(), collision) for collision in FIDELITIES}
 
 
 def test_a_deep_cavity_is_closed_to_the_hull_and_open_to_the_triangles(buckets: dict[str, World]) -> None:
-    """The scanner looks from 120 mm below the rim; at 60 mm beside the wall neither lets it."""
+    """The scanner looks from 120 mm below the rim; 60 mm beside the wall both reject it."""
     verdicts = {}
     for collision, world in buckets.items():
         q = _looking_down(world, 0.12)
@@ -68,7 +68,7 @@ def test_a_deep_cavity_is_closed_to_the_hull_and_open_to_the_triangles(buckets: 
 
 
 def test_distances_grow_from_hull_to_triangles(buckets: dict[str, World]) -> None:
-    """The hull encloses the triangles, so it is nowhere farther; configurations in and about the bucket."""
+    """The hull contains the triangles, so it is nowhere farther; configurations in and around the bucket."""
     rng = np.random.default_rng(0)
     base = np.concatenate([_looking_down(buckets["hull"], depth) for depth in (-0.1, 0.0, 0.1, 0.2)])
     q = np.clip(
@@ -81,7 +81,7 @@ def test_distances_grow_from_hull_to_triangles(buckets: dict[str, World]) -> Non
 
 
 def test_free_contacts_and_distance_agree_with_triangles(buckets: dict[str, World]) -> None:
-    """As they do with hulls; the order of questions changes nothing."""
+    """As with hulls; the order of queries changes nothing."""
     world = buckets["exact"]
     checker = MujocoCollisionChecker(world)
     rng = np.random.default_rng(1)
@@ -97,7 +97,7 @@ def test_free_contacts_and_distance_agree_with_triangles(buckets: dict[str, Worl
 
 
 def test_replay_shows_no_contact_with_a_hull_that_was_not_the_part(buckets: dict[str, World]) -> None:
-    """In the bucket: the model holds the hull, and the triangles say that nothing is near."""
+    """In the bucket the model has the hull, and the triangles say that nothing is near."""
     world = buckets["exact"]
     q = next(q for q in _looking_down(world, 0.12) if MujocoCollisionChecker(world).free(q[None])[0])
     data = world.data()
@@ -148,7 +148,7 @@ PARTS: dict[str, Callable[[], trimesh.Trimesh]] = {
 
 @pytest.mark.parametrize("name", PARTS)
 def test_nasty_parts_compile_and_are_found_in_every_fidelity(name: str) -> None:
-    """The housing on its middle of mass is a contact, home is free, and both are so in each fidelity."""
+    """The housing at its centre of mass is a contact, home is free, for hull and triangles."""
     mesh = PARTS[name]()
     for collision in FIDELITIES:
         world = _world(mesh, collision)
@@ -169,7 +169,7 @@ def test_nasty_parts_compile_and_are_found_in_every_fidelity(name: str) -> None:
 
 @pytest.mark.parametrize("collision", FIDELITIES)
 def test_a_part_that_cuts_into_the_pedestal_is_refused_and_one_that_stands_on_it_is_not(collision: str) -> None:
-    """A surface has no depth: what is cut by 5 mm is told from what stands flush."""
+    """A surface has no depth: 5 mm deep differs from flush."""
     box = trimesh.creation.box((0.1, 0.1, 0.1))
     for depth_mm, refused in ((5.0, True), (0.0, False), (-5.0, False)):
         place = {"position_mm": [-450.0, 450.0, 50.0 - depth_mm]}
@@ -178,13 +178,13 @@ def test_a_part_that_cuts_into_the_pedestal_is_refused_and_one_that_stands_on_it
 
 
 def test_vertices_alone_are_taken_as_their_hull() -> None:
-    """There are no triangles to be exact about, and the world says so."""
+    """Without triangles the world reports the hull."""
     ball = trimesh.creation.icosphere(2, 0.1)
     assert compile_world(Scene(), ball.vertices, baseline_mm=75.0).collision == "hull"
 
 
 def test_a_fidelity_that_does_not_exist_is_named() -> None:
-    """With what there is; and a part without a finite vertex is refused before its triangles are looked at."""
+    """With the valid ones; a part without a finite vertex is refused before its triangles are used."""
     with pytest.raises(ValueError, match="'hull' or 'exact'"):
         Scene.model_validate({"plan": {"collision": "convex"}})
     with pytest.raises(SceneError, match="no finite vertices"):

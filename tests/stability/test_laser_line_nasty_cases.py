@@ -1,4 +1,4 @@
-"""Line sensors where methods fail; each case is named by what is nasty about it."""
+"""Difficult line sensors; each case has its name."""
 
 import numpy as np
 import pytest
@@ -60,20 +60,20 @@ def test_measured_share_of_a_ball(case: str) -> None:
 
 
 def test_sensor_inside_the_part_measures_nothing() -> None:
-    """From within, every outward normal looks away."""
+    """From inside, every outward normal points away."""
     scanner = LaserLine(range_mm=(1, 100), baseline_mm=5, sweep_mm=20)
     samples, caster = _ball()
     assert len(fill_matrix(sweep_columns(scanner, _views(0.01)), samples, scanner, caster).indices) == 0
 
 
-def test_nothing_to_judge() -> None:
-    """No point, no verdict."""
+def test_no_points_have_no_codes() -> None:
+    """An empty batch is valid."""
     for keys in ({"sweep_mm": 10}, {"sweep_deg": 10}):
         scanner = LaserLine(**keys)
         assert scanner.reject(np.empty((0, 3)), np.empty((0, 3))).shape == (0,)
 
 
-def test_points_at_the_source_behind_it_and_nowhere() -> None:
+def test_points_at_and_behind_the_source_and_at_infinity() -> None:
     """Depth 0 and below, infinity and NaN are rejected without a warning."""
     points = np.array([[0, 0, 0], [0, 0, -0.3], [0, 0, np.inf], [np.nan, 0, 0.3], [0, np.nan, 0.3], [0, 0, np.nan]])
     for keys in ({"sweep_mm": 10}, {"sweep_deg": 10}):

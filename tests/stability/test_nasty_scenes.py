@@ -1,4 +1,4 @@
-"""Scenes where cells break: flat and huge and tiny parts, far origins, touching fixtures, no clearance, no sense."""
+"""Difficult scenes: flat and huge and tiny parts, far origins, touching fixtures, no clearance, invalid values."""
 
 from pathlib import Path
 
@@ -39,7 +39,7 @@ PARTS = {
 
 @pytest.mark.parametrize("name", PARTS)
 def test_every_part_becomes_a_solid_that_contains_it(name: str) -> None:
-    """The hull is closed, outward, has volume and holds every vertex; it is no larger than the thickening makes it."""
+    """The hull is closed, outward, has volume and contains every vertex; only the thickening enlarges it."""
     vertices = PARTS[name]
     hull = solid_hull(vertices)
     mesh = trimesh.Trimesh(hull.vertices, hull.faces, process=False)
@@ -55,7 +55,7 @@ def test_every_part_becomes_a_solid_that_contains_it(name: str) -> None:
 
 @pytest.mark.parametrize("name", PARTS)
 def test_every_part_compiles_and_collides(name: str) -> None:
-    """Home is free with the part at its place, and not free with the part in the scanner."""
+    """Home is free with the part at its placement, and not free with the part in the scanner."""
     vertices = PARTS[name]
     far = {"position_mm": [4500, 4500, 2500]} if name.startswith("5 m") else {}
     scene = Scene.model_validate({"placement": far})
@@ -68,7 +68,7 @@ def test_every_part_compiles_and_collides(name: str) -> None:
 
 
 def test_a_part_of_five_metres_at_the_default_place_is_refused() -> None:
-    """It would stand in the robot, the pedestal and the floor: each said in one line."""
+    """It would be inside the robot, the pedestal and the floor: each has its line."""
     world = compile_world(Scene(), PARTS["5 m, far away"], baseline_mm=75.0)
     with pytest.raises(SceneError) as caught:
         require_feasible(world)
@@ -80,8 +80,8 @@ def test_a_part_of_five_metres_at_the_default_place_is_refused() -> None:
 @pytest.mark.parametrize(
     "vertices", [np.zeros((0, 3)), np.full((4, 3), np.nan), np.full((4, 3), np.inf), np.zeros((4, 2))]
 )
-def test_what_is_no_part_is_one_sentence(vertices: np.ndarray) -> None:
-    """No vertices, or vertices that are no numbers."""
+def test_invalid_vertices_are_refused(vertices: np.ndarray) -> None:
+    """No vertices, or vertices that are not finite."""
     with pytest.raises(SceneError, match="no finite vertices"):
         collision_hull(vertices, "part")
 
@@ -96,8 +96,8 @@ def test_a_fixture_may_touch_or_enter_the_part(depth_mm: float) -> None:
     assert MujocoCollisionChecker(world).contacts(world.home) == ()
 
 
-def test_zero_clearance_lets_touch_and_not_overlap() -> None:
-    """With no clearance a gap of a micrometre is free and an overlap of a micrometre is not."""
+def test_zero_clearance_allows_touch_but_no_overlap() -> None:
+    """A gap of a micrometre is free and an overlap of a micrometre is not."""
     scene = Scene.model_validate({"clearance_mm": 0, "post": {"enabled": False}})
     box = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)])
     world = compile_world(scene, box, baseline_mm=75.0)
@@ -110,7 +110,7 @@ def test_zero_clearance_lets_touch_and_not_overlap() -> None:
 
 @pytest.mark.parametrize("clearance_mm", [0.001, 1, 10, 80])
 def test_the_clearance_is_kept_to_a_micrometre(clearance_mm: float) -> None:
-    """Just inside the clearance is not free, just outside is, whatever the clearance."""
+    """Slightly inside the clearance is not free, slightly outside is, for any clearance."""
     scene = Scene.model_validate({"clearance_mm": clearance_mm, "post": {"enabled": False}})
     world = compile_world(scene, BALL, baseline_mm=75.0)
     front = world.data().geom("housing").xpos + np.array([0.0, 0.0, -0.03])
@@ -121,7 +121,7 @@ def test_the_clearance_is_kept_to_a_micrometre(clearance_mm: float) -> None:
 
 
 def test_no_pedestal_no_post_no_bracket() -> None:
-    """All that can be left out left out: the floor is at the robot's foot."""
+    """All optional objects left out: the floor is at the robot's foot."""
     scene = Scene.model_validate(
         {"robot": {"pedestal_height_mm": 0}, "post": {"enabled": False}, "housing": {"bracket_diameter_mm": 0},
          "placement": {"position_mm": [1200, 500, 100]}}
@@ -133,7 +133,7 @@ def test_no_pedestal_no_post_no_bracket() -> None:
 
 
 def test_a_fixture_named_like_a_shape_of_the_robot_is_an_error_of_the_scene() -> None:
-    """A name that is taken is said with its key."""
+    """The message has the key of the name."""
     fixture = {"name": "base_body", "shape": "box", "size_mm": [10, 10, 10], "position_mm": [0, 1500, 0]}
     with pytest.raises(SceneError, match=r"fixtures\[0\]\.name is 'base_body'"):
         compile_world(Scene.model_validate({"fixtures": [fixture]}), BALL, baseline_mm=75.0)
@@ -147,8 +147,8 @@ def test_a_fixture_named_like_a_shape_of_the_robot_is_an_error_of_the_scene() ->
         ("vice.txt", b"text", "not supported"),
     ],
 )
-def test_a_broken_fixture_mesh_is_one_sentence(tmp_path: Path, name: str, content: bytes, words: str) -> None:
-    """A file that is no mesh is named."""
+def test_an_invalid_fixture_mesh_is_refused(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+    """The message names the file."""
     (tmp_path / name).write_bytes(content)
     path = tmp_path / "scene.toml"
     path.write_text(f"[[fixtures]]\nname='vice'\nshape='mesh'\npath='{name}'\nunits='mm'\n")

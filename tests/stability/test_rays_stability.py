@@ -1,4 +1,4 @@
-"""Nasty cases by name: where float32, exact limits and odd meshes break ray casters, and what a user wants."""
+"""Difficult cases by name: where float32, exact limits and odd meshes break ray casters."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def _caster(mesh):
 
 
 def _pose(position, towards):
-    """Looking from a position towards a point."""
+    """Return a pose at a position that looks towards a point."""
     z = np.asarray(towards, float) - position
     z /= np.linalg.norm(z)
     x = np.cross([0.0, 1, 0.1], z)
@@ -41,7 +41,7 @@ def _feature(point, normal):
 
 
 def _grid_plate(n, size):
-    """A flat plate of 2 n^2 coplanar triangles at z = 0."""
+    """Return a flat plate of 2 n^2 coplanar triangles at z = 0."""
     u, v = np.meshgrid(np.linspace(-0.5, 0.5, n + 1) * size, np.linspace(-0.5, 0.5, n + 1) * size, indexing="ij")
     number = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
     a, b, c, d = (number[i : i + n, j : j + n].ravel() for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
@@ -53,7 +53,7 @@ WIDE = LaserArea((179, 179), (5, 5), (0, 20_000), 50, 90, 90)
 ONE_EYE = LaserArea((179, 179), (5, 5), (0, 20_000), 0, 90, 90)
 
 
-def test_coplanar_neighbours_do_not_shade_each_other():
+def test_coplanar_neighbours_do_not_occlude_each_other():
     """Every sample of a flat plate, on edges and vertices too, is measured from low and from high above it."""
     plate = _grid_plate(20, 0.2)
     caster = _caster(plate)
@@ -82,7 +82,7 @@ def test_a_thin_wall_is_opaque_and_its_front_is_seen(thickness):
 
 @pytest.mark.parametrize("reach", [1.5, 30.0])
 def test_a_ray_through_a_vertex_where_six_faces_meet_hits(reach):
-    """Rays through the vertices of a fine plate: at most 1 % slip through, as documented, and none through edges."""
+    """At most 1 % of rays through vertices of a fine plate miss, as documented, and none through edges."""
     plate = _grid_plate(40, 0.2)
     caster = _caster(plate)
     inner = plate.vertices[(np.abs(plate.vertices[:, :2]) < 0.09).all(axis=1)]
@@ -111,7 +111,7 @@ def test_faces_without_area_and_faces_that_repeat_change_nothing():
 
 @pytest.mark.parametrize("distance", [10.1, 1000.1])
 def test_a_part_far_from_the_origin_is_measured_like_one_at_the_origin(distance):
-    """The object frame may lie 10 m away, or in a surveyor's coordinates."""
+    """The object frame may be 10 m away, or in geodetic coordinates."""
     shift = np.array([distance, -0.7 * distance, 0.3 * distance])
     part = _box((0.1, 0.08, 0.06))
     far = TriangleMesh(part.vertices + shift, part.faces)
@@ -178,7 +178,7 @@ def test_a_source_inside_the_part_measures_nothing():
 
 
 def test_a_sensor_inside_the_part_measures_nothing():
-    """The source stands outside, but the baseline ends within a block beside the measured face."""
+    """The source is outside, but the sensor is inside a block beside the measured face."""
     block = _box((0.1, 0.4, 0.5), (0.1, 0, 0.25))
     plate = _grid_plate(4, 0.4)
     part = TriangleMesh(
@@ -206,7 +206,7 @@ def test_a_grazing_limit_of_0_keeps_head_on_points_only():
 
 
 def test_a_grazing_limit_of_90_keeps_everything_in_front_and_nothing_behind():
-    """A hair above the plane all of it is measured, a hair below nothing."""
+    """Slightly above the plane all of it is measured, slightly below nothing."""
     plate = _grid_plate(10, 0.2)
     features = draw_samples(plate, plate, 500, np.random.default_rng(0))
     for height, seen in ((1e-3, True), (-1e-3, False)):

@@ -1,4 +1,4 @@
-"""Scanners where methods fail, by name: each case gives a defined answer and no warning."""
+"""Difficult scanners, by name: each case has a defined result and no warning."""
 
 import numpy as np
 import pytest
@@ -19,19 +19,19 @@ BALL = trimesh.creation.icosphere(3, 0.05)
 PART = TriangleMesh(BALL.vertices, BALL.faces)
 
 
-def _before(distance: float) -> np.ndarray:
-    """T_object_scanner of a scanner that looks at the ball's middle along +z."""
+def _in_front(distance: float) -> np.ndarray:
+    """Return T_object_scanner of a scanner that looks at the ball's middle along +z."""
     T = np.eye(4)
     T[2, 3] = -distance
     return T
 
 
 def _scan(scanner: LaserArea, distance: float) -> virtual_scan.Scan:
-    return virtual_scan.scan(scanner, _before(distance), EmbreeRayCaster(PART.vertices, PART.faces), PART)
+    return virtual_scan.scan(scanner, _in_front(distance), EmbreeRayCaster(PART.vertices, PART.faces), PART)
 
 
 def test_baseline_0_has_no_shadow_and_no_sigma():
-    """Source and sensor coincide: no ray is shadowed, nothing is triangulated, and model noise says so."""
+    """Source and sensor coincide: no ray is shadowed, nothing is triangulated, and model noise is refused."""
     scanner = LaserArea(baseline_mm=0, resolution_deg=(1, 1), sensor_fov_deg=(60, 60))
     scan = _scan(scanner, 0.3)
     assert scan.counts()[Rejection.SENSOR_BLOCKED] == 0
@@ -42,7 +42,7 @@ def test_baseline_0_has_no_shadow_and_no_sigma():
 
 
 def test_baseline_longer_than_the_standoff():
-    """At five standoffs the sensor sees the side of the ball: what it measures is what both see; sigma is finite."""
+    """At five standoffs the sensor sees the side of the ball: both must see a measured point; sigma is finite."""
     scanner = LaserArea(baseline_mm=1500, resolution_deg=(1, 1))
     scan = _scan(scanner, 0.3)
     normals = scan.points / np.linalg.norm(scan.points, axis=1, keepdims=True)
@@ -74,7 +74,7 @@ def test_source_and_sensor_inside_the_part_see_its_inside_as_grazing():
 
 
 def test_grazing_limit_0_accepts_only_a_surface_that_faces_the_source():
-    """And accepts that; the sensor's own 0 with a baseline leaves nothing that faces both."""
+    """With a baseline, a limit of 0 for the sensor too leaves nothing."""
     facing, tilted = BACK, np.array([[np.sin(0.01), 0.0, -np.cos(0.01)]])
     scanner = LaserArea(grazing_max_deg=0)
     assert scanner.reject(AHEAD, facing)[0] == Rejection.MEASURED
@@ -83,8 +83,8 @@ def test_grazing_limit_0_accepts_only_a_surface_that_faces_the_source():
     assert both.reject(AHEAD, facing)[0] == Rejection.GRAZING_SENSOR
 
 
-def test_grazing_limit_90_accepts_what_is_seen_edge_on():
-    """Inclusive: the edge-on surface counts; its sigma is infinite, so a limit on sigma refuses it."""
+def test_grazing_limit_90_accepts_an_edge_on_surface():
+    """Inclusive; its sigma is infinite, so a limit on sigma rejects it."""
     edge_on = np.array([[0.0, 1.0, 0.0]])
     scanner = LaserArea(grazing_max_deg=90)
     assert scanner.reject(AHEAD, edge_on)[0] == Rejection.MEASURED
@@ -112,14 +112,14 @@ def test_one_ray():
 def test_no_point_has_no_sigma():
     """A scan that met nothing has an empty sigma, not an error."""
     scanner = LaserArea(fov_deg=(1, 1), resolution_deg=(1, 1))
-    away = _before(0.9) @ np.diag([1, -1, -1, 1.0])
+    away = _in_front(0.9) @ np.diag([1, -1, -1, 1.0])
     scan = virtual_scan.scan(scanner, away, EmbreeRayCaster(PART.vertices, PART.faces), PART)
     assert len(scan.points) == 0
     assert scan.sigma(scanner, PART).shape == (0,)
 
 
 def test_points_on_the_scanner_itself():
-    """The source, the sensor and points on the baseline have no direction: refused, with an infinite sigma."""
+    """The source, the sensor and points on the baseline have no direction: rejected, with an infinite sigma."""
     scanner = LaserArea(range_mm=(0, 450))
     points = np.array([[0, 0, 0], scanner.sensor, [0.03, 0, 0], [0.2, 0, 0]])
     normals = np.tile(BACK, (4, 1))
@@ -127,8 +127,8 @@ def test_points_on_the_scanner_itself():
     assert np.isinf(scanner.sigma(points, normals)).all()
 
 
-def test_a_fixture_that_touches_the_part_hides_what_it_covers_and_nothing_else():
-    """A plate laid on the pole of the ball: the covered pole is lost, the rest stays."""
+def test_a_fixture_on_the_part_hides_only_its_contact():
+    """A plate on the pole of the ball: the covered pole is lost, the rest stays."""
     plate = trimesh.creation.box((0.02, 0.02, 0.002))
     plate.apply_translation([0, 0, -0.05 - 0.001])
     casters = [EmbreeRayCaster(PART.vertices, PART.faces), EmbreeRayCaster(plate.vertices, plate.faces)]
@@ -137,7 +137,7 @@ def test_a_fixture_that_touches_the_part_hides_what_it_covers_and_nothing_else()
     scanner = LaserArea(baseline_mm=20)
     face = np.zeros(4, dtype=np.int32)
     samples = SurfaceSamples(points, directions, np.full(4, 1e-4), face, face)
-    T = _before(0.3)[None, None]
+    T = _in_front(0.3)[None, None]
     bare = find_measured(T, samples, scanner, [])
     covered = find_measured(T, samples, scanner, casters[1:])
     assert bare.tolist() == [True] * 4

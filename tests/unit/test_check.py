@@ -1,4 +1,4 @@
-"""`cell check` behind the command: numbers, contacts and problems of a scene."""
+"""`cell check`: numbers, contacts and problems of a scene."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ from cell.world.checks import check_scene
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory: pytest.TempPathFactory) -> dict:
-    """A part of 200 mm as the scene's [part] table."""
+    """Return a part of 200 mm as the scene's [part] table."""
     path = tmp_path_factory.mktemp("part") / "ball.stl"
     trimesh.creation.icosphere(2, 100.0).export(path)
     return {"path": str(path), "units": "mm"}
@@ -27,8 +27,8 @@ def test_the_arm_s_envelope_is_the_data_sheet_s(ball: dict) -> None:
     assert envelope.wrist_to_source_mm == pytest.approx(158 + 120)
 
 
-def test_a_table_is_kept_clear_of_and_turns_a_part_into_reach(ball: dict) -> None:
-    """Its range is told as E1's; where the part stands beyond the axis, the other side of its circle counts."""
+def test_a_table_is_an_obstacle_and_extends_the_reach(ball: dict) -> None:
+    """Its range is E1's; for a part beside the axis the other side of its circle counts."""
     place = {"placement": {"position_mm": [2600.0, 0.0, 0.0]}}
     assert check_scene(Scene.model_validate({"part": ball} | place)).problems
     table = {"position_mm": [2200.0, 0.0, -400.0], "limits_deg": [-90.0, 170.0], "swing_mm": 1200.0}
@@ -55,7 +55,7 @@ def test_a_good_scene_has_no_problems(ball: dict) -> None:
 
 
 def test_contacts_at_home_are_listed_and_not_raised(ball: dict) -> None:
-    """A fixture in the arm's way: what it touches, how deep, what to change, exit code 2."""
+    """A fixture inside the arm: the pair, the depth, what to change, exit code 2."""
     wall = {"name": "wall", "shape": "box", "size_mm": [50, 900, 900], "position_mm": [700, 0, 1300]}
     result = check_scene(Scene.model_validate({"part": ball, "fixtures": [wall]}))
     assert result.exit_code == 2
@@ -69,14 +69,14 @@ def test_contacts_at_home_are_listed_and_not_raised(ball: dict) -> None:
 @pytest.mark.parametrize(
     ("x", "beyond"), [(2200, False), (2270, False), (2300, True), (9000, True)]
 )  # 1610.9 + 278 + the standoff of 300 + the ball's radius of 100 = 2288.9
-def test_a_part_out_of_reach_is_said(ball: dict, x: float, beyond: bool) -> None:
+def test_a_part_out_of_reach_is_a_problem(ball: dict, x: float, beyond: bool) -> None:
     """Beyond arm, tool and standoff no point of the part can be measured."""
     result = check_scene(Scene.model_validate({"part": ball, "placement": {"position_mm": [x, 0, 500]}}))
     assert any("out of reach" in problem for problem in result.problems) == beyond
 
 
-def test_a_missing_mesh_of_a_fixture_is_the_loader_s_problem(tmp_path: Path) -> None:
-    """A fixture's file is looked for when the scene is read, with its key."""
+def test_a_missing_mesh_of_a_fixture_is_an_error_of_the_file(tmp_path: Path) -> None:
+    """It is found when the scene is read, with its key."""
     from cell.errors import SceneError
     from cell.scene.file import load_scene
 

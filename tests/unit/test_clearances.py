@@ -1,4 +1,4 @@
-"""What a plan says of its clearance, and that a motion in contact is never written."""
+"""The clearance in a plan, and that a motion in contact is never written."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def _measured(*proven: float) -> MotionClearance:
 
 
 def test_a_motion_that_is_not_proven_is_not_written() -> None:
-    """Zero is contact; the sentence names the segment, from 1, and the pair."""
+    """Zero is contact; the message names the segment, from 1, and the pair."""
     require_no_contact(_measured(0.01, 1e-6))
     with pytest.raises(PlannerError, match=r"segment 2 of the motion is not proven .*housing with part, 1\.000 mm"):
         require_no_contact(_measured(0.01, 0.0))
@@ -39,7 +39,7 @@ def test_the_moment_is_found_between_the_samples_of_its_segment() -> None:
 
 
 def test_a_motion_that_is_far_from_everything_has_no_tightest_moment() -> None:
-    """Nothing is said then; else distance, pair, time and segment from 1."""
+    """Otherwise distance, pair, time and segment from 1 are stated."""
     segment = schema.SegmentClearance(minimum_mm=20.0, at_least_mm=19.0, between="housing with post")
     assert tightest_moment(schema.Clearance(collision="exact", segments=[segment], tightest=None)) == ""
     tightest = schema.Tightest(

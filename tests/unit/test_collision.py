@@ -1,4 +1,4 @@
-"""The collision checker: names, agreement of its answers, independence of history, bad input."""
+"""The collision checker: names, consistent answers, independence of history, invalid input."""
 
 import mujoco
 import numpy as np
@@ -30,7 +30,7 @@ def _random(world: World, count: int, seed: int = 0) -> np.ndarray:
 
 
 def test_home_is_free_and_touches_nothing(world: World, checker: MujocoCollisionChecker) -> None:
-    """The home pose keeps the clearance."""
+    """The home configuration keeps the clearance."""
     assert checker.free(world.home[None]).tolist() == [True]
     assert checker.contacts(world.home) == ()
     assert checker.clearance == pytest.approx(0.01)
@@ -47,7 +47,7 @@ def test_home_is_free_and_touches_nothing(world: World, checker: MujocoCollision
     ],
 )
 def test_contacts_are_named(world: World, q_deg: list, position: list, name: str) -> None:
-    """What touches what, the more mobile first, in words of the scene."""
+    """Pairs in contact, the more mobile one first, by their names in the scene."""
     T = np.eye(4)
     T[:3, 3] = np.array(position) / 1000
     checker = MujocoCollisionChecker(world, world.T_base_object_at(T))
@@ -57,7 +57,7 @@ def test_contacts_are_named(world: World, q_deg: list, position: list, name: str
 
 
 def test_contacts_come_nearest_first(world: World, checker: MujocoCollisionChecker) -> None:
-    """Distances rise along the list and the first is the smallest distance of all."""
+    """Distances increase along the list; the first is the smallest of all."""
     several = 0
     for q in _random(world, 1500):
         near = checker.pairs_within_clearance(q)
@@ -72,7 +72,7 @@ def test_contacts_come_nearest_first(world: World, checker: MujocoCollisionCheck
 
 
 def test_free_contacts_and_distance_agree(world: World, checker: MujocoCollisionChecker) -> None:
-    """Free is: no contact named, and the smallest distance is at least the clearance; also just beside the limit."""
+    """Free means no contact and a smallest distance of at least the clearance, also at the limit."""
     q = _random(world, 20000, seed=4)
     free = checker.free(q)
     distance, names = checker.distance(q)
@@ -86,8 +86,8 @@ def test_free_contacts_and_distance_agree(world: World, checker: MujocoCollision
         assert names[i] == checker.contacts(q[i])[0]
 
 
-def test_boxes_edge_to_edge_are_not_overlooked(world: World, checker: MujocoCollisionChecker) -> None:
-    """The engine's box-box margin misses some near pairs; the checker does not (its precondition: the engine does)."""
+def test_boxes_edge_to_edge_are_found(world: World, checker: MujocoCollisionChecker) -> None:
+    """MuJoCo's box-box margin misses some near pairs, which the test verifies first; the checker finds them."""
     data = world.data()
     overlooked = 0
     for q in _random(world, 20000, seed=0):
@@ -101,7 +101,7 @@ def test_boxes_edge_to_edge_are_not_overlooked(world: World, checker: MujocoColl
 
 
 def test_distance_is_capped_and_then_has_no_name() -> None:
-    """Where every guarded pair is farther than the cap, distance is the cap and the name empty; else they are given."""
+    """If every pair is farther than the cap, the distance is the cap and the name empty."""
     scene = Scene.model_validate(
         {"mount": {"position_mm": [0, 0, 900]}, "housing": {"size_mm": [10, 10, 10], "bracket_diameter_mm": 0}}
     )
@@ -115,7 +115,7 @@ def test_distance_is_capped_and_then_has_no_name() -> None:
 
 
 def test_answers_do_not_depend_on_history(world: World) -> None:
-    """Any order, any subset, a used or a fresh checker: the same bits."""
+    """Any order, any subset, a used or a new checker give the same bits."""
     q = _random(world, 1500, seed=7)
     used = MujocoCollisionChecker(world)
     free, (distance, names) = used.free(q), used.distance(q)
@@ -137,8 +137,8 @@ def test_a_full_turn_of_a_joint_changes_nothing(world: World, checker: MujocoCol
     np.testing.assert_allclose(checker.distance(turned)[0], checker.distance(q)[0], rtol=0, atol=1e-9)
 
 
-def test_no_configurations_are_no_answers(checker: MujocoCollisionChecker) -> None:
-    """An empty batch is allowed."""
+def test_an_empty_batch_is_valid(checker: MujocoCollisionChecker) -> None:
+    """No configurations give no answers."""
     none = np.zeros((0, 6))
     assert checker.free(none).shape == (0,)
     assert checker.travel(none, none).shape == (0,)
@@ -147,7 +147,7 @@ def test_no_configurations_are_no_answers(checker: MujocoCollisionChecker) -> No
 
 
 @pytest.mark.parametrize("q", [np.zeros(6), np.zeros((2, 5)), np.full((1, 6), np.nan)])
-def test_broken_input_is_refused(checker: MujocoCollisionChecker, q: np.ndarray) -> None:
-    """A wrong shape or a value that is no number is an error, not a verdict."""
+def test_invalid_input_is_refused(checker: MujocoCollisionChecker, q: np.ndarray) -> None:
+    """A wrong shape or a value that is not finite is an error."""
     with pytest.raises(PlannerError, match="q h"):
         checker.free(q)

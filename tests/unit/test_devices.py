@@ -1,4 +1,4 @@
-"""Which device a scene's scanner is: by name, by the built-in part, by the size of a part of the user's."""
+"""The device of a scene: by name, by the built-in part, by the size of the user's part."""
 
 from typing import Any
 
@@ -24,7 +24,7 @@ def _box(longest_mm: float, name: str = "box") -> Workpiece:
 
 
 def _scene(*, mine: bool = True, **tables: dict[str, Any]) -> Scene:
-    """A scene of a user's file, without the file; or of the built-in part that the tables name."""
+    """Return a scene of a user's file, without the file; or of the built-in part that the tables name."""
     scene = Scene.model_validate(tables)
     return scene.model_copy(update={"part": scene.part.model_copy(update={"path": "box.stl"})}) if mine else scene
 
@@ -38,7 +38,7 @@ def _hardware(scene: Scene) -> tuple[object, ...]:
     [(5.0, SMALL), (30.0, SMALL), (30.1, MEDIUM), (100.0, MEDIUM), (100.1, LARGE), (5000.0, LARGE)],
 )
 def test_a_users_part_has_the_device_of_its_longest_side(longest_mm: float, device: str) -> None:
-    """To 30 and to 100 mm, both included; the note says the device, the side and the rule."""
+    """Limits at 30 and 100 mm, inclusive; the note names device, side and rule."""
     part = _box(longest_mm)
     scene = settle_scene(_scene(), part)
     assert scene.scanner.sensor == device
@@ -53,20 +53,20 @@ def test_a_users_part_has_the_device_of_its_longest_side(longest_mm: float, devi
      ("humerus", SMALL)],
 )  # fmt: skip
 def test_a_built_in_part_has_its_own_device(name: str, device: str) -> None:
-    """Whatever its size; nothing need be said."""
+    """Whatever its size, and without a note."""
     scene = settle_scene(_scene(mine=False, part={"name": name}), _box(1.0, name))
     assert scene.scanner.sensor == device
     assert not notes(_scene(mine=False, part={"name": name}), _box(1.0, name))
 
 
 def test_a_mesh_in_memory_is_a_users_part() -> None:
-    """The scene names a built-in part then, and the part has another name."""
+    """Then the scene names a built-in part, and the part has another name."""
     assert settle_scene(_scene(mine=False), _box(20.0)).scanner.sensor == SMALL
     assert notes(_scene(mine=False), _box(20.0))
 
 
-def test_a_name_decides_and_keys_of_the_scene_go_before_the_devices() -> None:
-    """Each key by itself; what is named needs no rule told."""
+def test_a_named_device_is_used_and_keys_of_the_scene_take_precedence() -> None:
+    """Each key by itself; a named device needs no note."""
     named = _scene(scanner={"sensor": MEDIUM, "baseline_mm": 30.0}, housing={"bracket_diameter_mm": 0.0})
     scene = settle_scene(named, _box(500.0))
     assert _hardware(scene) == (HARDWARE[MEDIUM][0], 30.0, HARDWARE[MEDIUM][2])
@@ -75,13 +75,13 @@ def test_a_name_decides_and_keys_of_the_scene_go_before_the_devices() -> None:
 
 
 @pytest.mark.parametrize("scanner", [{}, {"sensor": "paper"}, {"sensor": "gocator-2340", "baseline_mm": 100.0}])
-def test_a_settled_scene_is_settled_already(scanner: dict[str, Any]) -> None:
-    """Settling it again changes nothing, for another part neither."""
+def test_settling_is_idempotent(scanner: dict[str, Any]) -> None:
+    """Settling again changes nothing, not even for another part."""
     scene = settle_scene(_scene(scanner=scanner), _box(60.0))
     assert with_device(scene, "another", 5.0) == scene
 
 
-def test_a_standoff_changes_no_device() -> None:
+def test_a_standoff_does_not_change_the_device() -> None:
     """One outside the device's range is refused; in `paper` range and baseline follow."""
     part = _box(200.0)
     near = settle(_scene(plan={"standoffs_mm": [200.0]}), part).settings
@@ -92,15 +92,15 @@ def test_a_standoff_changes_no_device() -> None:
     assert (paper.scanner["range_mm"], paper.scanner["baseline_mm"]) == ((100.0, 750.0), 125.0)
 
 
-def test_without_a_standoff_the_papers_scanner_stands_where_the_device_would() -> None:
-    """So the tables that do not vary it are those of the devices."""
+def test_the_papers_scanner_has_the_standoff_of_the_device() -> None:
+    """Tables that do not vary the standoff have that of the devices."""
     paper = settle(_scene(mine=False, part={"name": "mug"}, scanner={"sensor": "paper"}), _box(60.0, "mug")).settings
     assert paper.standoffs == (0.1,)
     assert (paper.scanner["range_mm"], paper.scanner["baseline_mm"]) == HARDWARE[MEDIUM][:2]
 
 
-def test_a_real_sensor_without_a_stated_body_says_whose_collides() -> None:
-    """The large device's; with a housing of the scene's own nothing is said."""
+def test_a_sensor_without_a_stated_body_has_a_note() -> None:
+    """The housing is the large device's; with a housing of the scene there is no note."""
     scanner = {"sensor": "gocator-2340", "baseline_mm": 100.0}
     assert _hardware(settle_scene(_scene(scanner=scanner), _box(60.0)))[2] == HARDWARE[LARGE][2]
     (note,) = notes(_scene(scanner=scanner), _box(60.0))

@@ -1,4 +1,4 @@
-"""What the program tells of what is beyond where its methods are good: a sentence each, none where all is well."""
+"""Notes on settings and data beyond the tested range: a sentence each, none if all is well."""
 
 import numpy as np
 import trimesh
@@ -13,14 +13,14 @@ from planner.geometry.sampling import draw_samples
 from planner.registration.cloud import ScanCloud, merge
 
 
-def test_a_time_step_that_is_too_long_is_told() -> None:
-    """The default says nothing."""
+def test_a_long_time_step_has_a_note() -> None:
+    """The default has none."""
     assert PlantSettings().warning == ""
     assert "2 ms is longer than 1 ms" in PlantSettings(time_step=2 * MAX_ACCURATE_STEP).warning
 
 
-def test_a_part_far_from_its_origin_is_told() -> None:
-    """With both lengths, and not at the border itself."""
+def test_a_part_far_from_its_origin_has_a_note() -> None:
+    """With both lengths, and not at the limit itself."""
     box = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
@@ -31,14 +31,14 @@ def test_a_part_far_from_its_origin_is_told() -> None:
     assert Kind.FAR in kinds(1.001 * MAX_DISTANCE_SIZES)
 
 
-def test_a_grazing_limit_that_no_scan_reaches_is_told() -> None:
-    """At the limit itself nothing is said."""
+def test_a_steep_grazing_limit_has_a_note() -> None:
+    """The limit itself has none."""
     for limit, said in ((validation.STEEPEST_GRAZING_DEG, 0), (validation.STEEPEST_GRAZING_DEG + 1, 1)):
         assert bool(validation.grazing_note(limit)) == bool(said)
 
 
-def test_a_coarse_planning_mesh_is_told_and_a_fine_one_is_not() -> None:
-    """The finer, the nearer to the part."""
+def test_a_coarse_planning_mesh_has_a_note() -> None:
+    """A finer mesh is nearer to the part."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
     part = workpiece.from_mesh("ball", np.array(ball.vertices), np.array(ball.faces), "m", "").reference
     off = {}
@@ -57,8 +57,8 @@ def _plane(step: float, sigma: float) -> ScanCloud:
     return ScanCloud(np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1), np.array([0.05, 0.05, 1.0]))
 
 
-def test_sparse_and_noisy_clouds_are_told() -> None:
-    """A dense exact plane says nothing, each fault its own sentence."""
+def test_sparse_and_noisy_clouds_have_notes() -> None:
+    """A dense exact plane has none; each fault has its own sentence."""
     assert reconstruct(merge([_plane(0.001, 0.0)])).doubts == ()
     (sparse,) = reconstruct(merge([_plane(1.2 * SPARSEST * 0.14, 0.0)])).doubts
     assert "apart" in sparse

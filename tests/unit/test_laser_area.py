@@ -1,4 +1,4 @@
-"""The law of the laser-area scanner: its grid, its limits and what it refuses."""
+"""The `laser-area` scanner: its grid, its limits and refused values."""
 
 import numpy as np
 import pytest
@@ -11,13 +11,13 @@ BACK = np.array([0.0, 0.0, -1.0])  # the normal of a surface that faces the scan
 
 
 def _at(x_deg, y_deg, distance):
-    """A point at planar angles and a radial distance."""
+    """Return a point at planar angles and a radial distance."""
     direction = np.array([np.tan(np.radians(x_deg)), np.tan(np.radians(y_deg)), 1.0])
     return direction / np.linalg.norm(direction) * distance
 
 
 def _towards(point, degrees):
-    """A normal at so many degrees from the direction to the source, turned about y; for points with y = 0."""
+    """Return a normal at an angle from the direction to the source, turned about y; for points with y = 0."""
     angle = np.radians(degrees)
     c, s = np.cos(angle), np.sin(angle)
     direction = -point / np.linalg.norm(point)
@@ -42,7 +42,7 @@ def test_the_grid_has_the_rays_of_eq_1(fov, resolution, shape):
 
 
 def test_rays_pass_through_the_middles_of_equal_angular_cells_row_by_row():
-    """Planar angles of the rays are exactly the cells' middles; x changes fastest; directions are unit vectors."""
+    """Planar angles of the rays are the cells' middles; x changes fastest; directions are unit vectors."""
     scanner = LaserArea(fov_deg=(60, 30), resolution_deg=(20, 15))
     directions = scanner.ray_directions()
     across = np.degrees(np.arctan2(directions[:, 0], directions[:, 2])).reshape(2, 3)
@@ -52,8 +52,8 @@ def test_rays_pass_through_the_middles_of_equal_angular_cells_row_by_row():
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-15)
 
 
-def test_source_is_the_origin_and_sensor_stands_along_x():
-    """The scanner frame's definition, in metres."""
+def test_the_source_is_the_origin_and_the_sensor_is_along_x():
+    """The definition of the scanner frame, in metres."""
     scanner = LaserArea(baseline_mm=75)
     assert scanner.source.tolist() == [0, 0, 0]
     assert scanner.sensor.tolist() == [0.075, 0, 0]
@@ -82,12 +82,12 @@ def test_source_is_the_origin_and_sensor_stands_along_x():
         (np.full(3, np.nan), BACK, Rejection.OUT_OF_FOV),
     ],
 )
-def test_every_limit_is_inclusive_and_the_first_that_fails_is_named(point, normal, reason):
-    """Points exactly on a limit and a hair beyond it."""
+def test_every_limit_is_inclusive_and_the_first_failed_one_is_reported(point, normal, reason):
+    """Points exactly on a limit and slightly beyond it."""
     assert LaserArea().reject(point[None], normal[None]).tolist() == [reason]
 
 
-def test_the_sensor_s_grazing_limit_is_kept_at_the_sensor_leg():
+def test_the_sensor_s_grazing_limit_is_that_of_the_reflected_ray():
     """A normal that leans away from the sensor: 40 degrees from the source, atan(75 / 300) more from the sensor."""
     point = np.array([0, 0, 0.3])
     normal = _towards(point, 40.0)
@@ -98,8 +98,8 @@ def test_the_sensor_s_grazing_limit_is_kept_at_the_sensor_leg():
         assert scanner.reject(point[None], normal[None]).tolist() == [reason]
 
 
-def test_many_points_are_judged_like_one():
-    """10,000 points in one call (several internal blocks) equal those points one block at a time, in any layout."""
+def test_many_points_have_the_results_of_single_ones():
+    """10,000 points in one call equal these points one block at a time, in any memory layout."""
     rng = np.random.default_rng(0)
     points = rng.normal(size=(10_000, 3)) * 0.3
     normals = rng.normal(size=(10_000, 3))
@@ -128,14 +128,14 @@ def test_many_points_are_judged_like_one():
         ({"sensor_grazing_max_deg": -1}, "sensor_grazing_max_deg.*0 to 90"),
     ],
 )
-def test_impossible_parameters_are_refused(keys, words):
-    """One sentence with the scene's key and what would be valid."""
+def test_invalid_parameters_are_refused(keys, words):
+    """One sentence with the scene's key and the rule."""
     with pytest.raises(SceneError, match=f"scanner.{words}"):
         LaserArea(**keys)
 
 
 def test_parameters_rebuild_the_scanner():
-    """What the run folder records is enough to make the same scanner again."""
+    """The stored parameters create the same scanner again."""
     scanner = LaserArea((50, 40), (0.5, 1), (100, 400), 25, 70, 85)
     keys = scanner.parameters()
     assert keys.pop("type") == "laser-area"

@@ -1,4 +1,4 @@
-"""The law of `laser-line`: limits, reasons, parameters, refusals."""
+"""The `laser-line` scanner: limits, codes, parameters, refusals."""
 
 import numpy as np
 import pytest
@@ -40,8 +40,8 @@ def _in_sheet(degrees: float, depth: float) -> np.ndarray:
         (np.full(3, np.nan), BACK, Rejection.OUT_OF_FOV),
     ],
 )
-def test_every_limit_is_inclusive_and_the_first_that_fails_is_named(point, normal, reason) -> None:
-    """Points exactly on a limit and a hair beyond it; eight steps of a sweep of 80 mm are 10 mm thick."""
+def test_every_limit_is_inclusive_and_the_first_failed_one_is_reported(point, normal, reason) -> None:
+    """Points on a limit and slightly beyond; eight steps of a sweep of 80 mm are 10 mm thick."""
     scanner = _line(grazing_max_deg=80)
     assert scanner.reject(point[None], normal[None]).tolist() == [reason]
 
@@ -56,7 +56,7 @@ def test_a_turned_sheet_is_a_wedge() -> None:
 
 
 def test_the_rays_of_a_line_lie_in_the_sheet_and_are_measured() -> None:
-    """As many as `grid_shape` says, unit length, at equal angles inside the fan."""
+    """Their number is that of `grid_shape`, with unit length, at equal angles inside the fan."""
     scanner = _line(line_points=7)
     rays = scanner.ray_directions()
     assert scanner.grid_shape == (7, 1)
@@ -68,7 +68,7 @@ def test_the_rays_of_a_line_lie_in_the_sheet_and_are_measured() -> None:
     assert not scanner.reject(0.3 * rays, np.tile(BACK, (7, 1))).any()
 
 
-def test_a_sweep_that_is_not_given_is_as_long_as_the_line_in_mid_range() -> None:
+def test_the_default_sweep_has_the_length_of_the_line_in_mid_range() -> None:
     """Fan 30 degrees, 200 to 400 mm: 2 x 300 x tan(15 deg)."""
     scanner = _line(sweep_mm=None)
     assert scanner.sweep_mm == pytest.approx(600 * np.tan(np.radians(15)), rel=1e-12)
@@ -76,8 +76,8 @@ def test_a_sweep_that_is_not_given_is_as_long_as_the_line_in_mid_range() -> None
     assert np.ptp(poses[:, 0, 3]) == pytest.approx(scanner.sweep_mm / 1000 * 7 / 8)
 
 
-def test_sigma_before_a_wall_is_that_of_triangulation() -> None:
-    """On the source's axis, facing the wall: sigma_angle (z^2 + b^2) / b, corrected for the sensor's incidence."""
+def test_sigma_in_front_of_a_wall_is_that_of_triangulation() -> None:
+    """On the source's axis: sigma_angle (z^2 + b^2) / b, corrected for the sensor's incidence."""
     z, b = 0.3, 0.1
     cos_sensor = z / np.hypot(z, b)
     wanted = np.radians(2e-3) * (z * z + b * b) / b / (z / z) * np.sqrt(1 / cos_sensor)
@@ -89,7 +89,7 @@ def test_sigma_before_a_wall_is_that_of_triangulation() -> None:
 
 @pytest.mark.parametrize("keys", [{}, {"sweep_mm": None, "sweep_deg": 20.0}, {"sweep_mm": None}, {"line_points": 3}])
 def test_parameters_rebuild_the_scanner(keys: dict) -> None:
-    """What the run folder records is enough to make the same scanner again."""
+    """The stored parameters create the same scanner again."""
     scanner = _line(**keys)
     recorded = scanner.parameters()
     assert recorded.pop("type") == "laser-line"
@@ -119,7 +119,7 @@ def test_parameters_rebuild_the_scanner(keys: dict) -> None:
         ({"grazing_max_deg": 91}, "scanner.grazing_max_deg.*0 to 90"),
     ],
 )
-def test_impossible_parameters_are_refused(keys: dict, words: str) -> None:
-    """One sentence with the scene's key and what would be valid."""
+def test_invalid_parameters_are_refused(keys: dict, words: str) -> None:
+    """One sentence with the scene's key and the rule."""
     with pytest.raises(SceneError, match=words):
         _line(**keys)

@@ -1,4 +1,4 @@
-"""Step 5 with its cache: what a run calculates, what it takes from the file, and that both give the same matrix."""
+"""The matrix with its cache: computed and cached columns give the same matrix."""
 
 import os
 from pathlib import Path
@@ -26,8 +26,8 @@ def part(part_file):
 
 
 @pytest.fixture
-def asked(part, part_file, tmp_path, monkeypatch):
-    """A function from viewpoints to (M, how many viewpoints were calculated), with a cache of its own."""
+def measured(part, part_file, tmp_path, monkeypatch):
+    """Return a function from viewpoints to (M, number of computed viewpoints), with its own cache."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     part, planning = part
     reference = part.reference
@@ -60,39 +60,39 @@ def _same(a, b):
 
 
 @pytest.mark.parametrize("method", ["aimed", "rays"])
-def test_only_new_columns_are_calculated(asked, method):
-    """Candidates added, dropped and sorted anew: only unseen ones are calculated, all equal the uncached."""
+def test_only_new_columns_are_computed(measured, method):
+    """Candidates are added, removed and reordered: only new ones are computed, all equal the uncached."""
     rng = np.random.default_rng(1)
-    total = len(asked.views)
+    total = len(measured.views)
     seen: set[int] = set()
     for which in (np.arange(40), np.arange(60), rng.permutation(50), np.arange(55, total), rng.permutation(total)):
-        views = pick_viewpoints(asked.views, which)
-        M, calculated = asked(views, method=method)
+        views = pick_viewpoints(measured.views, which)
+        M, calculated = measured(views, method=method)
         assert calculated == len(set(which.tolist()) - seen)
         seen |= set(which.tolist())
-        assert _same(M, asked(views, method=method, use_cache=False)[0])
+        assert _same(M, measured(views, method=method, use_cache=False)[0])
     assert len(list(cache_folder().iterdir())) == 1
 
 
-def test_a_file_does_not_grow_without_end(asked, monkeypatch):
-    """Beyond a multiple of what one run asks for, the file is begun anew with what is asked for now."""
+def test_a_file_does_not_grow_without_end(measured, monkeypatch):
+    """Beyond a multiple of one run's columns the file is written with these columns only."""
     monkeypatch.setattr(measurability, "_MAX_COLUMN_RATIO", 2)
     for start in (0, 10, 20, 30):
-        asked(pick_viewpoints(asked.views, np.arange(start, start + 10)))
+        measured(pick_viewpoints(measured.views, np.arange(start, start + 10)))
     (path,) = cache_folder().iterdir()
     with np.load(path) as stored:
         assert stored["shape"][1] <= 20
-    assert asked(pick_viewpoints(asked.views, np.arange(30, 40)))[1] == 0
+    assert measured(pick_viewpoints(measured.views, np.arange(30, 40)))[1] == 0
 
 
-def test_without_the_cache_nothing_is_left(asked):
+def test_without_the_cache_nothing_is_stored(measured):
     """use_cache=False neither reads nor writes."""
-    asked(asked.views, use_cache=False)
+    measured(measured.views, use_cache=False)
     assert not cache_folder().exists()
 
 
-def test_the_cache_forgets_what_was_written_longest_ago(tmp_path: Path) -> None:
-    """Above its limit the oldest files go, one by one; the newest stays even where it alone is too large."""
+def test_the_cache_deletes_its_oldest_files(tmp_path: Path) -> None:
+    """One by one until the limit; the newest stays even if it alone is too large."""
     for age, name in enumerate(("new", "middle", "old")):
         path = tmp_path / f"{name}.npz"
         path.write_bytes(b"x" * 100)

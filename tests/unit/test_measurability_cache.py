@@ -1,4 +1,4 @@
-"""The matrix on disk: what comes back, what the key depends on, and which files are refused with which words."""
+"""The cached matrix: contents, dependencies of the key, and rejected files with their reasons."""
 
 import dataclasses
 
@@ -26,7 +26,7 @@ def parts():
 
 @pytest.fixture
 def matrix(parts):
-    """3 features x 5 viewpoints."""
+    """3 samples x 5 viewpoints."""
     return Measurability([0, 2, 2, 3], [0, 4, 1], parts[1], 5)
 
 
@@ -40,7 +40,7 @@ def _key(parts):
 
 
 def _distinct(count):
-    """Viewpoints with one translation each."""
+    """Return viewpoints with one translation each."""
     T = np.tile(np.eye(4), (count, 1, 1, 1))
     T[:, 0, 0, 3] = np.arange(count)
     return Viewpoints(T, np.arange(count), np.ones(count), np.zeros(count))
@@ -52,7 +52,7 @@ def _nudged(value, name):
     return dataclasses.replace(value, **{name: array})
 
 
-def test_a_saved_matrix_comes_back_whole(tmp_path, parts, matrix):
+def test_a_saved_matrix_is_read_back(tmp_path, parts, matrix):
     """Every array and the shape, from a folder that did not exist."""
     path, key = tmp_path / "new" / "m.npz", _key(parts)
     save(path, matrix, key, column_hashes(parts[2]))
@@ -69,7 +69,7 @@ def test_a_saved_matrix_comes_back_whole(tmp_path, parts, matrix):
 
 
 def test_the_file_s_fields_are_the_run_folder_s(tmp_path, parts, matrix):
-    """Programs that know only NumPy read these names."""
+    """Programs with NumPy alone read these names."""
     save(tmp_path / "m.npz", matrix, _key(parts), column_hashes(parts[2]))
     with np.load(tmp_path / "m.npz", allow_pickle=False) as stored:
         names = set(stored.files)
@@ -78,14 +78,14 @@ def test_the_file_s_fields_are_the_run_folder_s(tmp_path, parts, matrix):
 
 
 def test_equal_matrices_give_equal_bytes(tmp_path, parts, matrix):
-    """No clock and no name gets into the file."""
+    """The file has no clock time and no name."""
     for name in ("a.npz", "b.npz"):
         save(tmp_path / name, matrix, _key(parts), column_hashes(parts[2]))
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
 def test_every_input_changes_the_key(parts):
-    """One changed number in any input gives another key; the same inputs give the same."""
+    """One changed number in any input gives another key; equal inputs give the same."""
     mesh, features, _, scanner, method = parts
     base = row_key(mesh, features, scanner, method)
     assert base == row_key(mesh, features, scanner, method)
@@ -101,8 +101,8 @@ def test_every_input_changes_the_key(parts):
     assert len(set(keys)) == len(keys)
 
 
-def test_a_column_s_hash_is_of_its_poses_alone(parts):
-    """A pose nudged by 1e-12 changes its own column's hash and no other; what a pose was made for does not count."""
+def test_the_hash_of_a_column_depends_on_its_poses_alone(parts):
+    """A pose changed by 1e-12 changes its own column's hash and no other."""
     views = _distinct(5)
     base = column_hashes(views)
     assert len(set(base)) == 5
@@ -112,7 +112,7 @@ def test_a_column_s_hash_is_of_its_poses_alone(parts):
 
 
 def test_columns_are_found_in_any_order(tmp_path, parts, matrix):
-    """Wanted hashes are found where they are stored, those of other viewpoints nowhere."""
+    """Stored hashes are found, others are not."""
     views = _distinct(7)
     hashes = column_hashes(views)
     save(tmp_path / "m.npz", matrix, "0" * 64, hashes[:5])
@@ -121,8 +121,8 @@ def test_columns_are_found_in_any_order(tmp_path, parts, matrix):
     assert load(tmp_path / "none.npz", "0" * 64).columns_of(hashes).tolist() == [-1] * 7
 
 
-def test_files_that_do_not_fit_are_refused_with_the_reason(tmp_path, parts, matrix):
-    """Missing, of other inputs, of another version, cut off, flipped, text, and another npz."""
+def test_unsuitable_files_are_rejected_with_the_reason(tmp_path, parts, matrix):
+    """Missing, of other inputs, of another version, truncated, damaged, text, and another npz."""
     key, path = _key(parts), tmp_path / "m.npz"
     assert "does not exist" in load(path, key).reason
     save(path, matrix, key, column_hashes(parts[2]))
@@ -153,8 +153,8 @@ def test_files_that_do_not_fit_are_refused_with_the_reason(tmp_path, parts, matr
     assert load(path, key).measurability is not None
 
 
-def test_no_flipped_byte_gets_through(tmp_path, parts, matrix):
-    """Whatever byte of the file is damaged: the same matrix or a reason comes back, no error, no other numbers."""
+def test_every_flipped_byte_is_harmless_or_found(tmp_path, parts, matrix):
+    """The result is the same matrix or a reason; never an error or other numbers."""
     key, path = _key(parts), tmp_path / "m.npz"
     save(path, matrix, key, column_hashes(parts[2]))
     good = path.read_bytes()
@@ -170,8 +170,8 @@ def test_no_flipped_byte_gets_through(tmp_path, parts, matrix):
     assert refused > 0.5 * len(range(0, len(good), 5))
 
 
-def test_a_folder_that_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_path, parts, matrix):
-    """The path lies below a file."""
+def test_a_folder_that_cannot_be_written_has_one_message(tmp_path, parts, matrix):
+    """The path is below a file; nothing is left behind."""
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match=r"cannot be written to .*choose a folder"):
         save(tmp_path / "file" / "m.npz", matrix, _key(parts), column_hashes(parts[2]))
@@ -179,7 +179,7 @@ def test_a_folder_that_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_
 
 
 def test_an_interrupted_write_keeps_the_old_file(tmp_path, parts, matrix, monkeypatch):
-    """A full disk in the middle of writing: the error is told, the earlier matrix is still whole, no scrap stays."""
+    """A full disk while writing: an error, the earlier matrix is intact, no temporary file stays."""
     key, path = _key(parts), tmp_path / "m.npz"
     save(path, matrix, key, column_hashes(parts[2]))
 

@@ -1,4 +1,4 @@
-"""Options from fields: each key is offered or says why not, texts and values mean the same, examples parse."""
+"""Options from fields: every key is an option or file-only; texts and values are equivalent; examples parse."""
 
 import inspect
 import re
@@ -50,13 +50,13 @@ ROOT: Any = typer.main.get_command(app)
 
 
 def _examples(command: Any) -> list[str]:
-    """Lines of all epilogs that are commands."""
+    """Return the lines of all epilogs that are commands."""
     own = [line for line in (command.epilog or "").split("\n\n") if line.startswith("cell ")]
     return own + [line for each in getattr(command, "commands", {}).values() for line in _examples(each)]
 
 
 def _parsed(line: str) -> tuple[Any, dict[str, object]]:
-    """The function of a command and the arguments that it would be called with."""
+    """Return the function of a command and its parsed arguments."""
     command, words = ROOT, shlex.split(line)[1:]
     while words and words[0] in getattr(command, "commands", {}):
         command, words = command.commands[words[0]], words[1:]
@@ -65,14 +65,14 @@ def _parsed(line: str) -> tuple[Any, dict[str, object]]:
 
 
 def test_every_key_of_the_plan_is_offered_or_file_only_with_a_reason() -> None:
-    """No key is forgotten, none is both."""
+    """No key is missing, none is both."""
     offered = {key.removeprefix("plan.") for offer in option_specs(Scene).values() for key in offer.fields}
     assert set(PlanSettings.model_fields) - offered == set(FILE_ONLY)
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_every_option_tells_its_unit_its_limits_and_its_choices(model: type[BaseModel]) -> None:
-    """A key with a unit shows it; a bound of the field stands in the help, and so does each choice."""
+def test_every_option_shows_its_unit_limits_and_choices(model: type[BaseModel]) -> None:
+    """A key with a unit shows it; limits of the field and each choice are in the help."""
     for offer in option_specs(model).values():
         assert offer.help.endswith("."), offer.name
         shown = f"{offer.metavar} {offer.help}".lower()
@@ -87,7 +87,7 @@ def test_every_option_tells_its_unit_its_limits_and_its_choices(model: type[Base
 
 
 def test_the_help_imports_nothing_heavy() -> None:
-    """All commands with all their options are made without arrays, engines and pictures."""
+    """All commands with all options are created without arrays, engines and pictures."""
     code = (
         "import sys; from typer.main import get_command; from cell.cli import app; get_command(app); "
         "assert not {'numpy', 'scipy', 'mujoco', 'trimesh', 'matplotlib', 'numba'} & set(sys.modules)"
@@ -97,7 +97,7 @@ def test_the_help_imports_nothing_heavy() -> None:
 
 @pytest.mark.parametrize("line", _examples(ROOT))
 def test_every_example_of_the_help_parses(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its options exist and their texts can be read; where it names a scene, that scene can be."""
+    """Its options exist and their texts are valid; a named scene is valid."""
     monkeypatch.chdir(tmp_path)
     for name in ("part.stl", "my_cell.toml"):
         (tmp_path / name).touch()
@@ -106,8 +106,8 @@ def test_every_example_of_the_help_parses(line: str, tmp_path: Path, monkeypatch
         assert scene_from_options(arguments["scene"], arguments["given"], arguments.get("part"), flag)
 
 
-def test_values_of_python_are_texts_of_the_command_line() -> None:
-    """Both forms of each kind give the same tables; numpy's numbers are numbers."""
+def test_values_and_texts_are_equivalent() -> None:
+    """Both forms of each kind give the same tables; NumPy's numbers are numbers."""
     texts = {
         "place": "1200,500,0,90,0,0", "standoff": "300", "roll": "0,90", "pin": "1,2", "overlap": "20%", "curve": True,
         "pose_sd": "0.5mm,0.1deg", "seed": "7", "coverage": "0.9", "cost": "time", "speed": "0.5", "faces": None,
@@ -141,7 +141,7 @@ def test_values_of_python_are_texts_of_the_command_line() -> None:
         ({"alpha": ""}, "alpha  must be a number"),
     ],
 )
-def test_a_wish_that_cannot_be_read_is_named_as_it_was_written(wishes: dict[str, Any], words: str) -> None:
+def test_an_invalid_option_is_named_as_it_was_written(wishes: dict[str, Any], words: str) -> None:
     """The keyword of Python, or the option of the command line."""
     with pytest.raises(UsageError) as caught:
         option_tables(wishes)
@@ -150,7 +150,7 @@ def test_a_wish_that_cannot_be_read_is_named_as_it_was_written(wishes: dict[str,
         option_tables(wishes, spell=flag)
 
 
-def test_what_the_scene_refuses_is_named_as_it_was_written_and_the_files_keys_as_they_stand(tmp_path: Path) -> None:
+def test_a_contradiction_names_options_and_keys_as_they_were_written(tmp_path: Path) -> None:
     """Every key of a contradiction by the name that its author used."""
     path = tmp_path / "scene.toml"
     path.write_text("[plan]\ncoverage = 0.9\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""A housing that stands in its scanner's own view is found, and the default one does not."""
+"""A housing in its scanner's own field of view is found; the default one is not in it."""
 
 import numpy as np
 import pytest
@@ -12,18 +12,18 @@ PART = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-
 
 
 def share(**housing: object) -> float:
-    """Hidden share of the built-in scene with these keys of its housing."""
+    """Return the occluded share of the built-in scene with these keys of its housing."""
     scene = Scene.model_validate({"housing": housing})
     return housing_occlusion(compile_world(scene, PART, baseline_mm=75.0))
 
 
 def test_the_default_housing_hides_nothing() -> None:
-    """Its front face lies in the plane of source and sensor."""
+    """Its front face is in the plane of source and sensor."""
     assert share() == 0
 
 
-def test_a_housing_across_the_beam_hides_its_solid_angle() -> None:
-    """A box whose near face, 60 x 60 mm, stands 70 mm ahead: the share of the tangent square that it fills."""
+def test_a_housing_in_the_field_of_view_hides_its_share() -> None:
+    """A box whose near face, 60 x 60 mm, is 70 mm ahead hides the share of the tangent square that it fills."""
     hidden = share(position_mm=[0, 0, 100], size_mm=[60, 60, 60])
     half = np.tan(np.radians(30))
     from_source = (30 / 70 / half) ** 2

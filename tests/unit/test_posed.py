@@ -1,4 +1,4 @@
-"""The mount as matrix or quaternion, and the placement by the origin of the part's file: the same cells."""
+"""The mount as matrix or quaternion, and the placement by the file's origin: equal cells."""
 
 import tomllib
 from pathlib import Path
@@ -42,8 +42,8 @@ def _rows(digits: int) -> str:
     ],
     ids=["quaternion", "its opposite", "matrix", "a matrix of four decimals"],
 )
-def test_mounts_that_are_said_otherwise(text: str, near: float, tmp_path: Path) -> None:
-    """The transform of position and ABC; a rotation that was rounded is one exactly again."""
+def test_equivalent_mounts(text: str, near: float, tmp_path: Path) -> None:
+    """The transform of position and ABC; a rounded rotation is made exact."""
     T = _scene(tmp_path, f"[mount]\n{text}").mount.T
     np.testing.assert_allclose(T, T_MOUNT, atol=near)
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
@@ -61,8 +61,8 @@ def test_mounts_that_are_said_otherwise(text: str, near: float, tmp_path: Path) 
         ("matrix_mm = [[1.0,0.0,0.0,0.0],[0.0,1.0,0.0,0.0],[0.0,0.0,1.0,0.0],[0.0,5.0,0.0,1.0]]", "last row"),
     ],
 )
-def test_mounts_that_are_none(text: str, told: str, tmp_path: Path) -> None:
-    """The key, and what it must be."""
+def test_invalid_mounts(text: str, told: str, tmp_path: Path) -> None:
+    """The message has the key and the rule."""
     with pytest.raises(SceneError, match=told):
         _scene(tmp_path, f"[mount]\n{text}")
 
@@ -77,7 +77,7 @@ def test_the_built_in_scene_file_shows_both_forms() -> None:
 
 
 def test_a_placement_by_the_origin_is_one_by_the_centre(tmp_path: Path) -> None:
-    """The file's own origin stands where it was said, turned as it was said; the cell is that of the centre's place."""
+    """The file's origin has the given pose, and the cell is that of the equivalent centre."""
     part = workpiece.load("mug")
     by_origin = _scene(
         tmp_path, "[part]\nname='mug'\n[placement]\norigin_mm=[1100.0,300.0,50.0]\nabc_deg=[20.0,0.0,5.0]"
@@ -91,8 +91,8 @@ def test_a_placement_by_the_origin_is_one_by_the_centre(tmp_path: Path) -> None:
     assert settle_scene(settled, part) == settled
 
 
-def test_the_command_line_goes_before_the_files_point(tmp_path: Path) -> None:
-    """--place replaces the file's origin, --place-origin its centre; a file that gives both is refused."""
+def test_options_replace_the_files_placement(tmp_path: Path) -> None:
+    """--place replaces the file's origin, --place-origin its centre; a file with both is refused."""
     path = tmp_path / "scene.toml"
     path.write_text("[placement]\norigin_mm = [1.0, 2.0, 3.0]\nabc_deg = [9.0, 0.0, 0.0]")
     placed = scene_from_options(path, {"place": "1200,500,0"}).placement

@@ -1,4 +1,4 @@
-"""Regions of a part: which triangles they select, what they ask, and what is refused in one sentence."""
+"""Regions of a part: selected triangles, targets, and refusals."""
 
 import importlib.util
 import json
@@ -34,7 +34,7 @@ needs_cascadio = pytest.mark.skipif(
 
 
 def scene_with(path: Path, regions: list[dict], units: str | None = None, **tables: dict) -> Scene:
-    """A scene of a part's file with regions."""
+    """Return a scene of a part's file with regions."""
     part = {"path": str(path)} | ({"units": units} if units else {})
     return load_scene(None, {"part": part, **tables}).model_copy(
         update={"region": Scene.model_validate({"region": regions}, context={"folder": path.parent}).region}
@@ -42,18 +42,18 @@ def scene_with(path: Path, regions: list[dict], units: str | None = None, **tabl
 
 
 def tagged(path: Path, regions: list[dict], units: str | None = None) -> Workpiece:
-    """The part with its regions."""
+    """Return the part with its regions."""
     return with_regions(load(path, units), scene_with(path, regions, units))
 
 
 def area(part: Workpiece, number: int) -> float:
-    """Area of a region [mm^2]."""
+    """Return the area of a region [mm^2]."""
     return 1e6 * float(part.reference.areas[part.reference.region == number].sum())
 
 
 @pytest.fixture
 def box(tmp_path: Path) -> Path:
-    """A box of 20 x 30 x 40 mm, twelve triangles, its middle at the origin."""
+    """A box of 20 x 30 x 40 mm, twelve triangles, about the origin."""
     path = tmp_path / "box.ply"
     trimesh.creation.box((20.0, 30.0, 40.0)).export(path)
     return path
@@ -70,8 +70,8 @@ def box(tmp_path: Path) -> Path:
     ],
     ids=["kind", "kind and diameter", "diameter", "kind and box"],
 )
-def test_faces_are_selected_by_what_they_are(tmp_path: Path, selects: dict, wanted: float) -> None:
-    """All that a region selects by holds; its area is that of the drawing."""
+def test_faces_are_selected_by_all_selectors(tmp_path: Path, selects: dict, wanted: float) -> None:
+    """All selectors of a region hold; its area is that of the drawing."""
     path = tmp_path / "block.stp"
     path.write_text(bored_block())
     part = tagged(path, [{"name": "it", **selects}, NO])
@@ -81,7 +81,7 @@ def test_faces_are_selected_by_what_they_are(tmp_path: Path, selects: dict, want
 
 @needs_cascadio
 def test_a_face_belongs_to_the_first_region_that_selects_it(tmp_path: Path) -> None:
-    """The bore by its number, then all faces; what is left over to a region is not there twice."""
+    """The bore by its number, then all faces: the second region does not have the bore again."""
     path = tmp_path / "block.stp"
     path.write_text(bored_block())
     number = next(face.number for face in load(path).cad.faces if face.kind == "cylinder")
@@ -117,8 +117,8 @@ def test_paint_selects_by_colour(tmp_path: Path, box: Path) -> None:
         tagged(box, [wanted, NO], "mm")
 
 
-def test_samples_lie_where_somebody_cares(box: Path) -> None:
-    """Held-out samples are of cared faces alone and know their region; a small region has enough rows of its own."""
+def test_samples_lie_in_measured_regions(box: Path) -> None:
+    """Held-out samples are on measured faces and know their region; a small region has enough samples."""
     part = tagged(
         box,
         [
@@ -149,7 +149,7 @@ def test_a_part_without_regions_is_itself(box: Path) -> None:
 
 @needs_cascadio
 def test_colours_of_a_step_file_select_its_faces(tmp_path: Path) -> None:
-    """The bore is red, the block it is in blue; a file whose faces have no colour is told so."""
+    """The bore is red, its block blue; a file without colours has a message."""
     made, path = StepFile(), tmp_path / "block.stp"
     made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
     bore = next(k for k, line in enumerate(made.lines, 1) if line.startswith("ADVANCED_FACE") and line.endswith(".F.)"))
@@ -178,8 +178,8 @@ def test_colours_of_a_step_file_select_its_faces(tmp_path: Path) -> None:
     ],
     ids=["faces of a mesh", "empty", "taken", "no paint"],
 )
-def test_what_the_part_has_not_is_a_sentence(box: Path, regions: list[dict], said: str) -> None:
-    """With the region's name and what to do."""
+def test_a_property_that_the_part_does_not_have_is_refused(box: Path, regions: list[dict], said: str) -> None:
+    """With the region's name and a remedy."""
     with pytest.raises(CellError, match=said):
         tagged(box, regions, "mm")
 
@@ -216,8 +216,8 @@ def test_a_scene_that_contradicts_itself_is_refused(tmp_path: Path, regions: lis
         load_scene(tmp_path / "scene.toml")
 
 
-def test_limits_of_regions_are_conditions_of_their_points() -> None:
-    """Spacing and sigma are refused exactly above the limit of the point's own region; others keep the scanner's."""
+def test_limits_of_regions_apply_to_their_points() -> None:
+    """Spacing and sigma are refused exactly above the limit of the point's region; other points keep the scanner's."""
     bare = LaserArea()
     rng = np.random.default_rng(0)
     z = rng.uniform(0.16, 0.44, 500)
@@ -238,8 +238,8 @@ def test_limits_of_regions_are_conditions_of_their_points() -> None:
     assert with_limits(bare, None, ()) is bare
 
 
-def test_a_spacing_that_no_device_keeps_names_what_does(box: Path) -> None:
-    """One sentence with spacing, range, resolution and device; the numbers it gives keep the limit."""
+def test_an_unattainable_spacing_has_remedies(box: Path) -> None:
+    """One sentence with spacing, range, resolution and device; its numbers keep the limit."""
     regions = [{"name": "seat", "max_spacing_mm": 0.3, "box_mm": [-50, -50, 2, 50, 50, 5]}, NO]
     scene = scene_with(box, regions, "mm", scanner={"sensor": "generic-area-large"})
     scene = settle_scene(scene, load(box, "mm"))
@@ -253,8 +253,8 @@ def test_a_spacing_that_no_device_keeps_names_what_does(box: Path) -> None:
     require_attainable(scene, LaserArea(range_mm=(50.0, 150.0), baseline_mm=25.0))
 
 
-def test_regions_become_demands_weights_and_parts(box: Path) -> None:
-    """Regions with a coverage are a part each, the others share the plan's; rows take after their region."""
+def test_regions_become_demands_weights_and_targets(box: Path) -> None:
+    """Regions with a coverage have a target each, the others share the plan's; samples follow their region."""
     asked = [
         {"name": "a", "box_mm": [-50, -50, 2, 50, 50, 5], "coverage": 0.9},
         {"name": "b", "box_mm": [-50, -50, 8, 50, 50, 9], "views": 3},
@@ -278,14 +278,14 @@ def test_regions_become_demands_weights_and_parts(box: Path) -> None:
     assert RegionGroups.of(only.region, only.plan).is_plain
 
 
-def test_studies_refuse_what_they_do_not_know(box: Path) -> None:
-    """A region that is only cared for is all that they take."""
+def test_studies_refuse_targets_of_regions(box: Path) -> None:
+    """Only the key care is supported."""
     require_no_region_targets(scene_with(box, [{"name": "a", "kind": "plane"}, NO], "mm").region)
     with pytest.raises(SceneError, match="'a' has the target views, and studies"):
         require_no_region_targets(scene_with(box, [{"name": "a", "kind": "plane", "views": 2}, NO], "mm").region)
 
 
-def test_a_mesh_without_a_face_that_counts_is_refused() -> None:
+def test_a_mesh_without_a_measured_face_is_refused() -> None:
     """It could not be sampled."""
     mesh = trimesh.creation.box((1, 1, 1))
     with pytest.raises(ValueError, match="must belong to a region"):

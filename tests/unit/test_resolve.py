@@ -1,4 +1,4 @@
-"""What the scene leaves open is settled by the part's defaults, as docs and the table say."""
+"""Settled planning parameters: defaults of the part, as in the documentation."""
 
 import numpy as np
 import pytest
@@ -20,13 +20,13 @@ TABLE = {
 
 
 def ball(radius_mm: float, name: str = "ball") -> Workpiece:
-    """A sphere as a part."""
+    """Return a sphere as a part."""
     body = trimesh.creation.icosphere(3, radius_mm)
     return from_mesh(name, body.vertices, body.faces, "mm", "0")
 
 
 def own(**tables: dict) -> Scene:
-    """A scene of a user's file, without the file."""
+    """Return a scene of a user's file, without the file."""
     scene = Scene.model_validate(tables)
     return scene.model_copy(update={"part": scene.part.model_copy(update={"path": "ball.stl", "units": "mm"})})
 
@@ -43,7 +43,7 @@ def test_built_in_parts_have_the_documented_defaults(name: str) -> None:
 
 
 def test_a_standoff_is_the_middle_of_the_range() -> None:
-    """Whether the range is the device's or the scene's own."""
+    """Of the device's range or of the scene's."""
     assert settle(own(), ball(400)).settings.standoffs == (0.3,)
     assert settle(own(scanner={"range_mm": [100, 450]}), ball(400)).settings.standoffs == (0.275,)
 
@@ -63,7 +63,7 @@ def test_equal_rolls_and_standoffs_count_once() -> None:
 
 @pytest.mark.parametrize("clearance", [0, 0.5])
 def test_a_clearance_too_small_to_plan_with_is_refused(clearance: float) -> None:
-    """Checks are as far apart as the clearance; below 1 mm a motion would take millions of them."""
+    """Checks are a clearance apart; below 1 mm a motion would need millions of them."""
     with pytest.raises(SceneError, match="at least 1"):
         settle(own(clearance_mm=clearance), ball(50))
 
@@ -75,7 +75,7 @@ def test_the_percentage_is_of_the_faces_that_are_kept() -> None:
 
 @pytest.mark.parametrize(("clearance", "arrival"), [(10.0, 1.0), (5.0, 0.5), (20.0, 1.5)])
 def test_an_arrival_is_at_most_a_tenth_of_the_clearance(clearance: float, arrival: float) -> None:
-    """What is taken from the clearance at the end of a move; more is refused, with the largest that may be."""
+    """A larger one is refused, with the largest valid value."""
     settle(own(clearance_mm=clearance, arrival_mm=arrival), ball(50))
     with pytest.raises(SceneError, match=rf"at most a tenth of clearance_mm, {clearance / 10:g}"):
         settle(own(clearance_mm=clearance, arrival_mm=1.001 * clearance / 10), ball(50))

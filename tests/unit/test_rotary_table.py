@@ -1,4 +1,4 @@
-"""The rotary table: turns in closed form, the chain of seven axes, travel, what it may not be and not touch."""
+"""The rotary table: closed-form rotations, the chain of seven axes, travel, collisions, invalid tables."""
 
 import mujoco
 import numpy as np
@@ -38,7 +38,7 @@ def _world(**tables: object) -> World:
 
 @pytest.fixture(scope="module")
 def off_axis() -> World:
-    """A block 300 mm beside the axis, a clamp on it, a pillar that it passes on its way round."""
+    """A block 300 mm beside the axis with a clamp, and a pillar in its swing."""
     clamp = {
         "name": "clamp",
         "shape": "box",
@@ -56,7 +56,7 @@ def off_axis() -> World:
 
 @pytest.fixture(scope="module")
 def tilted() -> World:
-    """A block beside an axis that leans by 40 deg, its post to the face; the pillar stands upright."""
+    """A block beside an axis that is tilted by 40 deg, its post to the face, and an upright pillar."""
     pillar = {"name": "pillar", "shape": "cylinder", "size_mm": [100, 800], "position_mm": [1560, 440, 0]}
     clamp = {"name": "clamp", "shape": "box", "size_mm": [20, 20, 20], "position_mm": [0, 0, 170]}
     return _world(
@@ -68,13 +68,13 @@ def tilted() -> World:
 
 @pytest.fixture(params=["off_axis", "tilted"])
 def either(request: pytest.FixtureRequest) -> World:
-    """About an upright axis, and about one that is not."""
+    """An upright and a tilted axis."""
     world: World = request.getfixturevalue(request.param)
     return world
 
 
-def test_a_quarter_turn_takes_a_point_beside_the_axis_round_it() -> None:
-    """Right-handed about the upright axis: 100 mm in x of it becomes 100 mm in y of it."""
+def test_a_quarter_turn_moves_a_point_about_the_axis() -> None:
+    """Right-handed about the upright axis: 100 mm along x becomes 100 mm along y."""
     turned = _table(1.0, 2.0).turn(np.radians([0.0, 90.0])) @ np.array([1.1, 2.0, 0.7, 1.0])
     np.testing.assert_allclose(turned[:, :3], [[1.1, 2.0, 0.7], [1.0, 2.1, 0.7]], atol=1e-12)
 
@@ -89,8 +89,8 @@ def test_a_table_about_the_first_axis_of_the_arm_is_that_axis() -> None:
     np.testing.assert_allclose(chain.forward(q), arm.forward(same), atol=1e-12)
 
 
-def test_every_solution_takes_the_pose_and_the_first_is_nearest_home() -> None:
-    """Each branch at each angle within the limits, in the order of the slowest axis' time from home."""
+def test_every_configuration_reaches_the_pose_and_the_first_is_nearest_home() -> None:
+    """Each branch at each angle within the limits, sorted by the slowest axis' time from home."""
     arm, home = kinematics_of(robot.load()), np.append(np.radians([0.0, -90, 90, 0, 90, 0]), 0.0)
     chain = ArmOnTable(arm, _table(1.2, 0.5, -90.0, 60.0), home, 24)
     T = chain.forward(np.radians([[-20, -60, 110, 40, 50, 70, 15], [5, -75, 100, -20, 60, 0, -45]]))
@@ -106,8 +106,8 @@ def test_every_solution_takes_the_pose_and_the_first_is_nearest_home() -> None:
     assert len(chain.limits.lower) == 7
 
 
-def test_one_pose_at_angles_of_its_own() -> None:
-    """All branches at each angle given take the pose, as many as the arm has for it there."""
+def test_one_pose_at_given_angles() -> None:
+    """All branches at each given angle reach the pose, as many as the arm has there."""
     chain = ArmOnTable(kinematics_of(robot.load()), _table(1.2, 0.5), np.zeros(7), 36)
     T = chain.forward(np.radians([[-20, -60, 110, 40, 50, 70, 15]]))[0]
     angles = np.radians([12.5, 15.0, 21.25])
@@ -118,14 +118,14 @@ def test_one_pose_at_angles_of_its_own() -> None:
         np.testing.assert_allclose(chain.forward(real), np.broadcast_to(T, (8, 4, 4)), atol=1e-9)
 
 
-def test_limits_without_room_for_a_step_leave_their_middle() -> None:
-    """24 angles have steps of 15 deg; a range of 4 deg beside them has one angle."""
+def test_limits_narrower_than_a_step_have_one_angle() -> None:
+    """24 angles have steps of 15 deg; a range of 4 deg between them has its middle."""
     np.testing.assert_allclose(np.degrees(_table(0, 0, 2.0, 6.0).angles(24)), [4.0], atol=1e-9)
     assert len(_table().angles(36)) == 36
 
 
-def test_the_engine_has_part_and_post_where_the_transform_says(either: World) -> None:
-    """MuJoCo's own kinematics of the mocap bodies against a rotation vector about the table's axis."""
+def test_mujoco_has_part_and_post_at_the_transform(either: World) -> None:
+    """MuJoCo's kinematics of the mocap bodies against a rotation vector about the table's axis."""
     data, q = either.data(), either.home.copy()
     assert either.table is not None
     poses, T_base_table = TablePoses(data, either.table), either.table.T_base_table
@@ -144,7 +144,7 @@ def test_the_engine_has_part_and_post_where_the_transform_says(either: World) ->
 
 
 def test_no_distance_of_arm_and_part_changes_by_more_than_the_travel(either: World) -> None:
-    """Flange to a corner of the part, and that corner to a place that stands, between ends drawn at random."""
+    """Flange to a corner of the part, and that corner to a stationary point, between random ends."""
     checker, arm = MujocoCollisionChecker(either), kinematics_of(either.model)
     rng = np.random.default_rng(3)
     low, high = either.limits.lower, either.limits.upper
@@ -164,8 +164,8 @@ def test_no_distance_of_arm_and_part_changes_by_more_than_the_travel(either: Wor
     assert (travel[:100] > middle * np.abs(q_to - q_from)[:100, 6]).all()  # the block's middle alone goes so far
 
 
-def test_what_turns_is_as_far_from_the_axis_as_its_farthest_corner(either: World) -> None:
-    """What the table adds to the travel by each radian: no less, or motions touch between two looks; and no more."""
+def test_the_radius_of_the_table_is_that_of_the_farthest_corner(either: World) -> None:
+    """It bounds the travel per radian: not smaller, or motions would touch between two checks, and not larger."""
     assert either.table is not None
     corners = (either.T_base_object @ np.c_[BLOCK.vertices, np.ones(8)].T)[:3].T
     axis, face = either.table.T_base_table[:3, 2:].T
@@ -173,10 +173,10 @@ def test_what_turns_is_as_far_from_the_axis_as_its_farthest_corner(either: World
     assert table_radius(either.model, either.data(), either.table) == pytest.approx(farthest, abs=1e-7)
 
 
-def test_a_tilted_axis_carries_its_post_and_turns_no_part_into_what_stands(tilted: World) -> None:
-    """Post from the part's lowest point along the axis to the face; free where solids of trimesh are apart.
+def test_a_tilted_axis_carries_its_post_without_collision(tilted: World) -> None:
+    """The post spans the part's lowest point along the axis to the face; free where solids of trimesh are apart.
 
-    The floor looks different from each angle, so that it hides as the pillar does.
+    The floor looks different from each angle, so it occludes as the pillar does.
     """
     assert tilted.table is not None
     T_base_table, T_base_post = tilted.table.T_base_table, tilted.T_base_post(tilted.T_base_object)
@@ -220,10 +220,10 @@ def test_a_tilted_axis_carries_its_post_and_turns_no_part_into_what_stands(tilte
         (((1300.0, 500.0, -300.0), (0.0, 30.0, 0.0)), (-0.3, 0.0, 0.4), "stop with part"),
     ],
 )
-def test_half_a_turn_about_a_tilted_axis_takes_part_and_post_into_what_stands_across_it(
+def test_half_a_turn_about_a_tilted_axis_collides_on_the_other_side(
     table: tuple[tuple[float, float, float], tuple[float, float, float]], of_part: tuple[float, ...], met: str
 ) -> None:
-    """A cube beside the axis, farther than its own size from where it comes: floor, post's foot, a box of 60 mm."""
+    """A cube beside the axis meets floor, post's foot and a box of 60 mm."""
     small, T = trimesh.creation.box((0.1, 0.1, 0.1)), pose(*table)
     place, across = (1000 * (T @ [sign * of_part[0], *of_part[1:], 1.0])[:3] for sign in (1, -1))
     box = {"name": "stop", "shape": "box", "size_mm": [60, 60, 60], "position_mm": across.tolist()}
@@ -240,8 +240,8 @@ def test_half_a_turn_about_a_tilted_axis_takes_part_and_post_into_what_stands_ac
     assert 90 < np.degrees(world.table.upper) < 180
 
 
-def test_a_part_that_turns_into_what_stands_is_not_free(off_axis: World) -> None:
-    """The pillar stands where the block comes at -90 deg: found there, by name, and not at 0 and 90 deg."""
+def test_a_part_that_turns_into_a_pillar_is_not_free(off_axis: World) -> None:
+    """The pillar is where the block is at -90 deg: found there, by name, and not at 0 and 90 deg."""
     checker = MujocoCollisionChecker(off_axis)
     q = np.repeat(off_axis.home[None], 4, axis=0)
     q[:, 6] = np.radians([0.0, 90.0, -90.0, -60.0])
@@ -250,8 +250,8 @@ def test_a_part_that_turns_into_what_stands_is_not_free(off_axis: World) -> None
     assert checker.contacts(q[2])[0] == "pillar with part"
 
 
-def test_a_post_that_swings_into_what_stands_is_not_free() -> None:
-    """A small part high over the face, beside the axis: at -90 deg its post comes where a stud stands, it does not."""
+def test_a_post_that_swings_into_a_stud_is_not_free() -> None:
+    """A small part high above the face, beside the axis: at -90 deg its post meets a stud, the part does not."""
     small = trimesh.creation.box((0.05, 0.05, 0.05))
     stud = {"name": "stud", "shape": "cylinder", "size_mm": [60, 200], "position_mm": [1200, 350, -300]}
     scene = {"table": {"position_mm": [1200.0, 500.0, -400.0]}, "fixtures": [stud]}
@@ -266,8 +266,8 @@ def test_a_post_that_swings_into_what_stands_is_not_free() -> None:
         assert certify_many(*edges, checker)[0].tolist() == free[1:]
 
 
-def test_a_table_without_a_place_goes_with_the_part_and_another_stays(off_axis: World) -> None:
-    """Elsewhere and upside down it is under the part again, its post as long; one that is placed refuses the reach."""
+def test_a_table_without_a_position_moves_with_the_part(off_axis: World) -> None:
+    """Elsewhere and upside down it is below the part again, its post as long; one with a position refuses."""
     world, T = _world(), pose((900.0, -300.0, 200.0), (30.0, 0.0, 180.0))
     there = world.with_placement(T)
     assert world.table is not None
@@ -279,10 +279,10 @@ def test_a_table_without_a_place_goes_with_the_part_and_another_stays(off_axis: 
         off_axis.with_placement(T)
 
 
-def test_a_table_turns_as_far_as_its_part_keeps_clear_and_no_angle_behind_is_offered() -> None:
-    """A pillar in the way of a part beside the axis: every angle up to it is clear, by brute force the next is not.
+def test_a_table_turns_as_far_as_its_part_keeps_clear() -> None:
+    """Every angle up to a pillar is clear, and by brute force the next is not.
 
-    Stopped to one side, an endless axis goes round to the other; between two pillars it has what lies between.
+    Blocked on one side, an endless axis turns to the other; between two pillars it has the range between them.
     """
     place = {"table": {"position_mm": [1200.0, 500.0, -400.0]}, "placement": {"position_mm": [1450.0, 500.0, 0.0]}}
 
@@ -308,8 +308,8 @@ def test_a_table_turns_as_far_as_its_part_keeps_clear_and_no_angle_behind_is_off
     assert any("the rotary table turns its part" in said for said in find_warnings(two))
 
 
-def test_the_switch_of_the_command_line_and_the_table_of_a_scene_say_the_same() -> None:
-    """`--table` takes the default one; keys of [table] are there without `enabled`."""
+def test_the_option_and_the_table_of_a_scene_are_equivalent() -> None:
+    """`--table` enables the default table; keys of [table] enable it without `enabled`."""
     assert scene_from_options(None, {"table": True}).table == Scene.model_validate({"table": {"enabled": True}}).table
     assert Scene.model_validate({"table": {"diameter_mm": 300.0}}).table.enabled
     assert not Scene().table.enabled
@@ -330,28 +330,28 @@ def test_the_switch_of_the_command_line_and_the_table_of_a_scene_say_the_same() 
         ),
     ],
 )
-def test_a_table_that_cannot_be_is_refused_in_a_sentence(tables: dict[str, object], said: str) -> None:
+def test_an_invalid_table_is_refused(tables: dict[str, object], said: str) -> None:
     """Too narrow, too high, its name taken."""
     with pytest.raises(SceneError, match=said):
         _world(**tables)
 
 
-def test_a_table_in_the_robot_is_told_with_the_way_out() -> None:
-    """Its body reaches into the pedestal's corner or the robot's base, and the sentence says what to type."""
+def test_a_table_inside_the_robot_is_a_problem_with_a_remedy() -> None:
+    """It reaches into the pedestal's corner or the robot's base; the sentence says what to type."""
     found = find_problems(
         _world(table={"position_mm": [100.0, 450.0, 100.0]}, placement={"position_mm": [300.0, 700.0, 600.0]})
     )
     assert any("rotary table" in sentence and "table.position_mm" in sentence for sentence in found), found
 
 
-def test_limits_must_hold_the_angle_of_home() -> None:
-    """0 is where every motion begins and ends."""
+def test_limits_must_contain_home() -> None:
+    """Every motion begins and ends at 0."""
     with pytest.raises(ValueError, match="around 0, where motions begin and end"):
         Scene.model_validate({"table": {"limits_deg": [10.0, 90.0]}})
 
 
-def test_limits_of_a_scene_are_never_left_to_go_round_what_stands() -> None:
-    """The pillar at 100 deg ends the range there; to the other side it stays what the scene says, to the degree."""
+def test_limits_of_a_scene_are_never_extended() -> None:
+    """A pillar at 100 deg ends the range there; on the other side it stays the scene's, to the degree."""
     x, y = 1200 + 250 * np.cos(np.radians(100)), 500 + 250 * np.sin(np.radians(100))
     pillar = {"name": "pillar", "shape": "cylinder", "size_mm": [40, 300], "position_mm": [x, y, 0]}
     table = {"position_mm": [1200.0, 500.0, -400.0], "limits_deg": [-90.5, 150.0]}
@@ -362,8 +362,8 @@ def test_limits_of_a_scene_are_never_left_to_go_round_what_stands() -> None:
     assert 40 < upper < 100
 
 
-def test_a_run_keeps_how_far_its_table_turns_and_its_part_elsewhere_where_it_stands() -> None:
-    """What stands limits the axis before the scene does; runs that do not say it have the scene's limits, or none."""
+def test_a_run_stores_the_range_of_its_table() -> None:
+    """Obstacles limit the axis before the scene does; runs without a stored range have the scene's limits, or none."""
     T = np.eye(4)
     T[:3, 3] = 1.2, 0.5, -0.4
     said = ResolvedTable.model_construct(

@@ -1,4 +1,4 @@
-"""Scanners by name: what is found, and what the errors say."""
+"""Scanners by name: entry points and error messages."""
 
 from importlib.metadata import EntryPoint
 
@@ -28,33 +28,33 @@ def test_the_installed_project_offers_laser_area():
 
 
 def test_an_unknown_name_lists_the_valid_ones():
-    """The error names what was asked for and what is installed."""
+    """The error names the unknown and the installed scanners."""
     with pytest.raises(SceneError, match=r"'laser-aera' is not installed; valid are:.*laser-area"):
         cell.scanners.load("laser-aera")
 
 
 def test_names_does_not_import(monkeypatch):
-    """Listing works although the module behind a name does not exist."""
+    """The names are listed even if a module does not exist."""
     _offer(monkeypatch, ("b", "does_not_exist:B"), ("a", "does_not_exist:A"))
     assert cell.scanners.names() == ("a", "b")
 
 
 def test_a_broken_plug_in_names_its_distribution(monkeypatch):
-    """A user can find out what to uninstall."""
+    """The user learns what to uninstall."""
     _offer(monkeypatch, ("a", "does_not_exist:A"))
     with pytest.raises(SceneError, match=r"foreign-scanners 1\.2 cannot be imported from does_not_exist:A"):
         cell.scanners.load("a")
 
 
 def test_two_distributions_with_one_name_are_refused(monkeypatch):
-    """Which one would be taken is not left to chance."""
+    """The choice is not left to chance."""
     _offer(monkeypatch, ("a", "json:JSONDecoder"), ("a", "json:JSONEncoder"))
     with pytest.raises(SceneError, match=r"offered by .*JSONDecoder.* and .*JSONEncoder"):
         cell.scanners.load("a")
 
 
 def test_a_plug_in_that_is_no_class_is_refused(monkeypatch):
-    """A function behind the name is said, with its distribution."""
+    """The message names the distribution of the function."""
     _offer(monkeypatch, ("a", "json:dumps"))
     with pytest.raises(SceneError, match=r"foreign-scanners 1\.2 is json:dumps, which is no class"):
         cell.scanners.load("a")

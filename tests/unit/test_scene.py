@@ -30,12 +30,12 @@ def _problems(tmp_path: Path, text: str, **options: dict) -> list[str]:
 
 
 def test_the_documented_scene_is_the_built_in_one() -> None:
-    """models/scene.toml states every default truly."""
+    """models/scene.toml states every default correctly."""
     assert load_scene(model_file("scene.toml")) == Scene() == load_scene(None)
 
 
 def test_the_documented_scene_names_every_key_with_its_default() -> None:
-    """Each key of each table stands in models/scene.toml: set, or commented out, which is true of a default as well."""
+    """Each key of each table is in models/scene.toml: set, or commented out with its default."""
     text = model_file("scene.toml").read_text(encoding="utf-8")
     sections = re.split(r"^(?:# )?\[\[?(\w+)\]", text, flags=re.MULTILINE)
     documented: dict[str, str] = {"": sections[0]}
@@ -61,12 +61,12 @@ def test_the_documented_scene_names_every_key_with_its_default() -> None:
 
 
 def test_an_empty_file_is_the_built_in_scene(tmp_path: Path) -> None:
-    """Keys left out keep their defaults."""
+    """Missing keys have their defaults."""
     assert _load(tmp_path, "") == Scene()
 
 
-def test_all_problems_come_at_once_with_key_and_cure(tmp_path: Path) -> None:
-    """A file with a dozen mistakes gives a dozen lines, each with its key and what would be valid."""
+def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
+    """A file with a dozen mistakes gives a dozen lines, each with its key and the valid values."""
     problems = _problems(
         tmp_path,
         """
@@ -160,14 +160,14 @@ def test_a_misspelt_word_gets_a_hint(tmp_path: Path, text: str, start: str, hint
         ("clearance_mm = true", "clearance_mm is true; it must be a number"),
     ],
 )
-def test_a_wrong_value_is_named_with_what_would_be_valid(tmp_path: Path, text: str, start: str) -> None:
+def test_a_wrong_value_is_named_with_the_valid_ones(tmp_path: Path, text: str, start: str) -> None:
     """Every kind of mistake has its own sentence."""
     (problem,) = _problems(tmp_path, text)
     assert problem.startswith(start)
 
 
 def test_fixtures_need_distinct_names(tmp_path: Path) -> None:
-    """Two fixtures of one name could not be told apart in a report."""
+    """Two fixtures of one name could not be distinguished in a report."""
     one = "[[fixtures]]\nshape='box'\nname='a'\nsize_mm=[1,1,1]\n"
     (problem,) = _problems(tmp_path, one + one)
     assert problem.startswith("fixtures hold the name 'a' more than once")
@@ -177,8 +177,8 @@ def test_fixtures_need_distinct_names(tmp_path: Path) -> None:
     ("content", "words"),
     [(b"a = = 2\n", "line 1"), (b"\xff\xfe", "UTF-8"), (None, "No such file")],
 )
-def test_a_file_that_is_no_toml_is_one_sentence(tmp_path: Path, content: bytes | None, words: str) -> None:
-    """Syntax errors name the line, encodings and missing files are said."""
+def test_a_file_that_is_no_toml_has_one_message(tmp_path: Path, content: bytes | None, words: str) -> None:
+    """Syntax errors name the line; encodings and missing files are named."""
     path = tmp_path / "scene.toml"
     if content is not None:
         path.write_bytes(content)
@@ -188,8 +188,8 @@ def test_a_file_that_is_no_toml_is_one_sentence(tmp_path: Path, content: bytes |
     assert str(path) in str(caught.value)
 
 
-def test_options_go_before_the_file(tmp_path: Path) -> None:
-    """The command line's keys replace the file's, a part as a whole, and leave the others."""
+def test_options_take_precedence_over_the_file(tmp_path: Path) -> None:
+    """Options replace keys of the file, a part as a whole, and keep the others."""
     mesh = tmp_path / "part.stl"
     mesh.touch()
     text = "[part]\npath = 'part.stl'\nunits = 'mm'\n[plan]\nseed = 3\ncoverage = 0.5"
@@ -202,7 +202,7 @@ def test_options_go_before_the_file(tmp_path: Path) -> None:
 
 
 def test_paths_are_relative_to_the_scene_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A scene means the same from whichever folder it is used."""
+    """A scene is the same from every working folder."""
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "vice.stl").touch()
     monkeypatch.chdir("/")
@@ -225,6 +225,6 @@ def test_a_pose_is_millimetres_and_kuka_abc() -> None:
 
 
 def test_the_housing_follows_the_baseline() -> None:
-    """By default the box is centred over the baseline and its front face lies in the source's plane."""
+    """By default the box is centred over the baseline with its front face in the source's plane."""
     T = with_device(Scene(), "mseke", 220.0).housing.T_scanner_housing(75.0)
     np.testing.assert_allclose(T[:3, 3], [0.0375, 0.0, -0.03], atol=1e-15)

@@ -1,4 +1,4 @@
-"""Thirty-one written mistakes of scenes: found with both partners, and gone where their own words are followed."""
+"""Thirty-one mistakes in scenes: found with both objects, and gone if the remedy is followed."""
 
 import re
 from collections.abc import Callable
@@ -20,33 +20,33 @@ NO_POST = {"post": {"enabled": False}}
 
 
 def box(name: str, size: list[float], at: list[float], **more: object) -> dict[str, Any]:
-    """A box among the fixtures."""
+    """Return a box fixture."""
     return {"name": name, "shape": "box", "size_mm": size, "position_mm": at, **more}
 
 
 def rod(name: str, size: list[float], at: list[float], **more: object) -> dict[str, Any]:
-    """A cylinder among the fixtures."""
+    """Return a cylinder fixture."""
     return {"name": name, "shape": "cylinder", "size_mm": size, "position_mm": at, **more}
 
 
 def table(top: float = -50.0, at: tuple[float, float] = (1200.0, 500.0), side: float = 400.0) -> dict[str, Any]:
-    """From the floor up to a height [mm]."""
+    """Return a fixture from the floor up to a height [mm]."""
     return box("table", [side, side, top + 600], [*at, (top - 600) / 2])
 
 
 def cup() -> trimesh.Trimesh:
-    """A cup of 100 mm with walls of 5 mm."""
+    """Return a cup of 100 mm with walls of 5 mm."""
     profile = np.array([[0, -50], [50, -50], [50, 50], [45, 50], [45, -45], [0, -45]], dtype=float)
     return trimesh.creation.revolve(profile, sections=48)
 
 
 def block() -> trimesh.Trimesh:
-    """A cube of 100 mm."""
+    """Return a cube of 100 mm."""
     return trimesh.creation.box((100, 100, 100))
 
 
 def angle() -> trimesh.Trimesh:
-    """An L of two plates, 200 mm long, that stands on the short one."""
+    """Return an L of two plates, 200 mm long, on the short one."""
     plates = [[[0, 0, 0], [40, 100, 100]], [[40, 0, 80], [240, 100, 100]]]
     return trimesh.util.concatenate([trimesh.creation.box(bounds=plate) for plate in plates])
 
@@ -120,7 +120,7 @@ WARNINGS: dict[str, tuple[Mesh, dict[str, Any], tuple[str, ...]]] = {
 
 @pytest.fixture
 def world(tmp_path: Path) -> Callable[[Mesh, dict[str, Any]], World]:
-    """Compiles tables of a scene with a part of its own."""
+    """Return a function that compiles tables of a scene with a part."""
 
     def compiled(mesh: Mesh, tables: dict[str, Any]) -> World:
         tables = {**tables, "fixtures": list(tables.get("fixtures", []))}
@@ -136,7 +136,7 @@ def world(tmp_path: Path) -> Callable[[Mesh, dict[str, Any]], World]:
 
 
 def followed(tables: dict[str, Any], sentence: str) -> dict[str, Any] | None:
-    """The tables with what a sentence says to type; None where it says no position."""
+    """Return the tables changed as a sentence says; None if it names no position."""
     found = re.search(r"move (?:(\w+)|fixtures\[(\d)\])\.position_mm by \(.*?\) mm, to \((.*?)\)", sentence)
     if found is None:
         return {**tables, **NO_POST} if "set post.enabled" in sentence else None
@@ -151,8 +151,8 @@ def followed(tables: dict[str, Any], sentence: str) -> dict[str, Any] | None:
 
 
 @pytest.mark.parametrize("name", ERRORS)
-def test_an_error_is_found_and_its_cure_cures_it(name: str, world: Callable[..., World]) -> None:
-    """Exit code 2's sentence names both partners; typed in, the same two are no problem any more."""
+def test_a_problem_is_found_and_its_remedy_removes_it(name: str, world: Callable[..., World]) -> None:
+    """The sentence names both objects; after the change they are no problem any more."""
     mesh, tables, words = ERRORS[name]
     said = [each for each in find_problems(world(mesh, tables)) if all(word in each for word in words)]
     assert len(said) == 1, find_problems(world(mesh, tables))
@@ -168,8 +168,8 @@ def test_an_error_is_found_and_its_cure_cures_it(name: str, world: Callable[...,
 
 
 @pytest.mark.parametrize("name", WARNINGS)
-def test_a_warning_is_found_and_its_cure_cures_it(name: str, world: Callable[..., World]) -> None:
-    """A scene that is hardly meant so is no error, and is told."""
+def test_a_warning_is_found_and_its_remedy_removes_it(name: str, world: Callable[..., World]) -> None:
+    """A probable mistake is no problem, and is reported."""
     mesh, tables, words = WARNINGS[name]
     cell = world(mesh, tables)
     assert not find_problems(cell)
@@ -193,20 +193,20 @@ def test_a_warning_is_found_and_its_cure_cures_it(name: str, world: Callable[...
         {"fixtures": [rod("stand", [30, 550], [1200, 500, -325])], **NO_POST},
     ],
 )
-def test_what_stands_flush_is_neither(tables: dict[str, Any], world: Callable[..., World]) -> None:
-    """Part on table, stop on table beside the part, clamp on the part, part on a stand of one's own."""
+def test_flush_objects_are_neither(tables: dict[str, Any], world: Callable[..., World]) -> None:
+    """Part on table, stop on table beside the part, clamp on the part, part on a stand of the user's."""
     cell = world(block, tables)
     assert find_problems(cell) == []
     assert find_warnings(cell) == []
 
 
-def test_a_cup_over_a_peg_is_no_mistake_although_its_hull_is(world: Callable[..., World]) -> None:
-    """True triangles: the peg stands in the hollow."""
+def test_a_cup_over_a_peg_is_valid_although_its_hull_is_not(world: Callable[..., World]) -> None:
+    """With true triangles the peg is in the cavity."""
     assert find_problems(world(cup, {"fixtures": [rod("peg", [60, 80], [1200, 500, 5])]})) == []
 
 
-def test_a_file_in_inches_is_told_by_its_size() -> None:
-    """A cube of 4 inches read as millimetres, one in metres, and one that is right."""
+def test_wrong_units_are_noticed_by_the_size() -> None:
+    """A cube of 4 inches read as millimetres, one in metres, and a right one."""
     for side, units, hint in ((4.0, "mm", "102 mm in in"), (0.1, "mm", "100 mm in m"), (100.0, "mm", "")):
         cube = trimesh.creation.box((side, side, side))
         found = [each.sentence for each in workpiece.from_arrays("cube", cube.vertices, cube.faces, units).findings]
@@ -214,8 +214,8 @@ def test_a_file_in_inches_is_told_by_its_size() -> None:
         assert all(hint in sentence for sentence in found)
 
 
-def test_the_way_out_of_a_mesh_of_many_faces_is_that_of_its_true_triangles() -> None:
-    """A ball of 82,000 faces sunk 30 mm into a slab comes out 30 mm upward, to the tenth of scenes."""
+def test_the_separation_of_a_large_mesh_is_that_of_its_true_triangles() -> None:
+    """A ball of 82,000 faces 30 mm deep in a slab is separated 30 mm upward, to 0.1 mm."""
     ball = trimesh.creation.icosphere(subdivisions=6, radius=0.1)
     slab = trimesh.creation.box((1.0, 1.0, 0.4))
     sunk = Solid("ball", ball.vertices + np.array([0.02, -0.03, 0.27]), ball.faces)

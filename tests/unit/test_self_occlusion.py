@@ -1,4 +1,4 @@
-"""Views that their own arm shades: judged by brute force, given other joint solutions, else cut to what is left."""
+"""Self-occlusion: compared with brute force; other joint configurations first, then lost samples."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def _world(**tables: object) -> World:
 
 
 def _cell(world: World) -> tuple[Measurability, Reach, Viewpoints]:
-    """Candidates all around the ball with every joint solution of the closed form, and what they measure."""
+    """Candidates all around the ball with all joint configurations, and their measurability."""
     views = optimal_scanning_zone(TriangleMesh(PART.vertices, PART.faces[::20]), (0.48,), (0.0, np.pi / 2))
     kinematics = kinematics_of(world.model)
     flange = world.T_base_object @ views.T_object_scanner[:, 0] @ np.linalg.inv(world.T_flange_scanner)
@@ -52,7 +52,7 @@ def _column(M: Measurability, view: int) -> np.ndarray:
 
 
 def _hidden(world: World, T: np.ndarray, q: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Float64 ray-triangle tests of both legs against the arm, all pairs, in the base frame."""
+    """Test both rays of each pair against the arm in float64, in the base frame."""
     to_base = world.T_base_object
     targets = points @ to_base[:3, :3].T + to_base[:3, 3]
     hidden = np.zeros(len(points), dtype=bool)
@@ -72,8 +72,8 @@ def _hidden(world: World, T: np.ndarray, q: np.ndarray, points: np.ndarray) -> n
     return hidden
 
 
-def test_a_scanner_at_the_end_of_the_arm_is_never_shaded():
-    """The built-in mount: one look, nothing is found, and the matrix is the very same object."""
+def test_the_default_mount_is_never_occluded():
+    """One check finds nothing, and the matrix is the same object."""
     world = _world()
     M, reached, views = _cell(world)
     arm = SelfOcclusion(M, reached, views, world, SCANNER)
@@ -84,8 +84,8 @@ def test_a_scanner_at_the_end_of_the_arm_is_never_shaded():
     assert not arm.reasons
 
 
-def test_what_is_left_is_exactly_what_the_arm_does_not_hide():
-    """A mount that looks over the wrist: a view loses what brute force finds hidden, and nothing else."""
+def test_exactly_the_hidden_samples_are_removed():
+    """With a mount that looks over the wrist a view loses the samples that brute force finds hidden, and no others."""
     world = _world(mount=SIDEWAYS, housing={"bracket_diameter_mm": 0.0, "size_mm": [100.0, 60.0, 40.0]})
     M, reached, views = _cell(world)
     arm = SelfOcclusion(M, reached, views, world, SCANNER)
@@ -114,8 +114,8 @@ def test_what_is_left_is_exactly_what_the_arm_does_not_hide():
     assert (arm.M.matrix()[:, untouched] != M.matrix()[:, untouched]).nnz == 0
 
 
-def test_another_joint_solution_is_taken_before_anything_is_given_up(monkeypatch: pytest.MonkeyPatch):
-    """An arm that hides only where A4 is positive: those solutions go, the matrix stays, the next look is clear."""
+def test_other_configurations_are_used_before_samples_are_removed(monkeypatch: pytest.MonkeyPatch):
+    """An arm that occludes only for positive A4: these configurations go, the matrix stays, the next check is clear."""
     world = _world()
     M, reached, views = _cell(world)
     block, faces = box_triangles(np.array([0.2, 0.2, 0.01]))
@@ -137,8 +137,8 @@ def test_another_joint_solution_is_taken_before_anything_is_given_up(monkeypatch
     assert arm.update(np.array([view]), solutions[good][:1]) is OcclusionUpdate.CLEAR
 
 
-def test_shade_on_what_another_view_measures_is_no_loss(monkeypatch: pytest.MonkeyPatch):
-    """Two views of the same samples: the arm before one of them costs the plan nothing, before both it does."""
+def test_occlusion_of_samples_of_another_view_is_no_loss(monkeypatch: pytest.MonkeyPatch):
+    """Two views of the same samples: an arm in front of one costs nothing, in front of both it does."""
     world = _world()
     M, reached, views = _cell(world)
     twice = Viewpoints(*(
@@ -165,8 +165,8 @@ def test_shade_on_what_another_view_measures_is_no_loss(monkeypatch: pytest.Monk
     assert f"{100 * MAX_OCCLUDED_SHARE:g} %" in arm.reasons[0]
 
 
-def test_coverage_with_the_arm_is_never_more(monkeypatch: pytest.MonkeyPatch):
-    """And equal where the arm is away."""
+def test_coverage_with_the_arm_is_never_larger(monkeypatch: pytest.MonkeyPatch):
+    """It is equal if the arm is far away."""
     from cell.world.prediction import Prediction
 
     world = _world(mount=SIDEWAYS, housing={"bracket_diameter_mm": 0.0, "size_mm": [100.0, 60.0, 40.0]})
@@ -188,8 +188,8 @@ def test_coverage_with_the_arm_is_never_more(monkeypatch: pytest.MonkeyPatch):
     )
 
 
-def test_the_housing_hides_only_where_it_stands_apart_from_source_and_sensor():
-    """Front face in the plane of the source: a window. Moved aside: a shape like the others."""
+def test_the_housing_occludes_only_away_from_source_and_sensor():
+    """With its front face in the plane of the source it has a window; moved aside it occludes as other shapes."""
     q = np.deg2rad([10, -80, 90, 5, 20, 30])
     names = {piece.name for piece in arm_occluders(_world(), q, ENDS)}
     assert "housing" not in names

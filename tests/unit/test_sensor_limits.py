@@ -1,4 +1,4 @@
-"""The sensor's own field of view and the depth of field: closed forms, limits inclusive, refusals."""
+"""The sensor's own field of view and the depth of field: closed forms, inclusive limits, refusals."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def _codes(scanner: LaserArea, *points: list[float]) -> list[int]:
 
 
 def test_without_the_keys_nothing_changes():
-    """No limit is the default, in what is measured and in what the run folder and the cache are told."""
+    """Without limits the measured points and the stored parameters are those of earlier versions."""
     rng = np.random.default_rng(0)
     points = rng.uniform([-0.3, -0.3, 0], [0.3, 0.3, 0.6], (5000, 3))
     normals = np.tile(BACK, (5000, 1))
@@ -30,7 +30,7 @@ def test_without_the_keys_nothing_changes():
 
 
 def test_parameters_make_the_same_scanner_again():
-    """What a run folder keeps rebuilds the law, the tilt that was left open included."""
+    """The stored parameters rebuild the scanner, with the derived tilt."""
     scanner = LaserArea(**BASE, sensor_fov_deg=(30, 20), depth_of_field_mm=(200, 400))
     kept = scanner.parameters()
     again = LaserArea(**{key: value for key, value in kept.items() if key != "type"})
@@ -40,7 +40,7 @@ def test_parameters_make_the_same_scanner_again():
 
 @pytest.mark.parametrize("tilt", [0.0, 10.0, 25.0, -5.0, None])
 def test_planar_angles_about_the_sensor_s_axis_are_the_limit(tilt):
-    """Points placed by angle in the tilted frame of the sensor: inside and on the limit measured, 1e-6 beyond not."""
+    """Points inside and on the limit are measured, points 1e-6 beyond are not."""
     scanner = LaserArea(**BASE, sensor_fov_deg=(30, 24), sensor_tilt_deg=tilt)
     turn = np.radians(tilt) if tilt is not None else np.arctan2(0.1, 0.3)  # the range's middle is at 300 mm
     x_axis, z_axis = np.array([np.cos(turn), 0, np.sin(turn)]), np.array([-np.sin(turn), 0, np.cos(turn)])
@@ -56,7 +56,7 @@ def test_planar_angles_about_the_sensor_s_axis_are_the_limit(tilt):
 
 
 def test_by_default_the_axes_cross_in_the_middle_of_the_working_range():
-    """A very narrow sensor sees exactly that point of the source's axis: of the depth of field where it is given."""
+    """A very narrow sensor sees exactly that point of the source's axis, of the depth of field if given."""
     narrow = {"sensor_fov_deg": (0.01, 0.01)}
     assert _codes(LaserArea(**BASE, **narrow), [0, 0, 0.3], [0, 0, 0.25]) == [0, Rejection.OUT_OF_SENSOR_FOV]
     shallow = LaserArea(**BASE, **narrow, depth_of_field_mm=(200, 300))
@@ -64,7 +64,7 @@ def test_by_default_the_axes_cross_in_the_middle_of_the_working_range():
 
 
 def test_depth_is_along_z_and_inclusive():
-    """A limit of z, not of the distance; the range keeps its own reason and comes first."""
+    """A limit of z, not of the distance; the range has its own code and is tested first."""
     scanner = LaserArea(**BASE, depth_of_field_mm=(200, 400))
     assert _codes(
         scanner, [0, 0, 0.2], [0.1, 0.1, 0.4], [0, 0, 0.1999999], [0.15, 0, 0.19], [0, 0, 0.4000001], [0, 0, 0.6]
@@ -83,7 +83,7 @@ def test_depth_is_along_z_and_inclusive():
         ({"sigma_angle_mdeg": float("nan")}, "finite"),
     ],
 )
-def test_impossible_values_are_refused(keys, words):
-    """One sentence with the key and what is valid."""
+def test_invalid_values_are_refused(keys, words):
+    """One sentence with the key and the rule."""
     with pytest.raises(SceneError, match=words):
         LaserArea(**keys)

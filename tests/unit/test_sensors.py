@@ -24,13 +24,13 @@ GENERIC = ("generic-area-large", "generic-area-medium", "generic-area-small")
 
 
 def test_the_library_holds_real_sensors_generic_devices_and_the_papers_scanner() -> None:
-    """Names are the files' names."""
+    """Their names are those of the files."""
     assert set(sensors.names()) == {*REAL, *GENERIC, "paper"}
 
 
 @pytest.mark.parametrize("name", sensors.names())
 def test_every_figure_has_its_source(name: str) -> None:
-    """Each figure, and nothing else; the keys that follow are the type's."""
+    """Each figure and nothing else; the derived keys are those of the type."""
     sensor = sensors.load(name)
     assert set(sensor.source) == sensor.figures.model_fields_set
     assert all(sensor.source.values())
@@ -40,8 +40,8 @@ def test_every_figure_has_its_source(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "near", "far"), [("small", 15.0, 45.0), ("medium", 50.0, 150.0), ("large", 150.0, 450.0)]
 )
-def test_the_generic_devices_are_one_device_to_scale(name: str, near: float, far: float) -> None:
-    """Baseline and body are to the range as those of the large one, to the tenth of a millimetre; all is stated."""
+def test_the_generic_devices_are_scaled_copies(name: str, near: float, far: float) -> None:
+    """Baseline and body scale with the range, to 0.1 mm; nothing is open."""
     device, large = sensors.load(f"generic-area-{name}"), sensors.load("generic-area-large")
     assert device.figures.range_mm == (near, far)
     assert device.figures.baseline_mm == (near + far) / 8
@@ -52,8 +52,8 @@ def test_the_generic_devices_are_one_device_to_scale(name: str, near: float, far
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_of_a_real_sensor_nothing_is_invented(name: str) -> None:
-    """What is not stated is asked for, the baseline of each among it."""
+def test_figures_that_are_not_stated_must_be_given(name: str) -> None:
+    """The baseline of each real sensor is one of them."""
     sensor = sensors.load(name)
     assert set(sensor.keys) | set(sensor.not_stated) >= {"fan_deg", "range_mm", "baseline_mm"}
     assert not set(sensor.keys) & set(sensor.not_stated)
@@ -70,7 +70,7 @@ def test_of_a_real_sensor_nothing_is_invented(name: str) -> None:
     ],
 )
 def test_fan_and_range_give_back_the_data_sheet_s_line(name: str, near: float, far: float, from_housing: tuple) -> None:
-    """The line is as long at both ends of the range as the data sheet says; fans are 26 to 30 degrees."""
+    """The line has the length of the data sheet at both ends of the range; fans are 26 to 30 degrees."""
     sensor = sensors.load(name)
     fan, (low, high) = sensor.keys["fan_deg"], sensor.keys["range_mm"]
     assert 26 < fan < 30
@@ -81,8 +81,8 @@ def test_fan_and_range_give_back_the_data_sheet_s_line(name: str, near: float, f
     np.testing.assert_allclose(np.array([low, high]) - behind, from_housing, rtol=1e-12)
 
 
-def test_a_sensor_fills_the_scanner_table_and_the_scene_goes_before_it() -> None:
-    """Type, fan and range from the library; a key of the scene wins; the standoff is the middle of the range."""
+def test_a_sensor_fills_the_scanner_table_and_the_scene_takes_precedence() -> None:
+    """Type, fan and range are the library's, a key of the scene replaces one; standoff in mid-range."""
     scene = load_scene(None, {"scanner": {"sensor": "gocator-2350", "baseline_mm": 160.0, "fan_deg": 27.0}})
     assert scene.scanner.type == "laser-line"
     assert scene.scanner.fan_deg == 27.0
@@ -127,16 +127,16 @@ def test_a_sensor_fills_the_scanner_table_and_the_scene_goes_before_it() -> None
         ({"type": "laser-line", "sweep_steps": 2.5}, ["scanner.sweep_steps is 2.5; it must be a whole number"]),
     ],
 )
-def test_all_problems_of_the_scanner_table_come_at_once(scanner: dict, lines: list[str]) -> None:
-    """One line a problem: a key of another type, a figure that is not stated, a value that is out of its range."""
+def test_all_problems_of_the_scanner_table_are_reported_at_once(scanner: dict, lines: list[str]) -> None:
+    """One line each: a key of another type, a figure that is not stated, a value out of range."""
     problems = _problems(**scanner)
     assert len(problems) == len(lines), problems
     for problem, start in zip(problems, lines, strict=True):
         assert problem.startswith(start), problem
 
 
-def test_laser_area_without_more_keys_stays_what_it_was() -> None:
-    """The default table holds no key of the line sensor that would reach the plug-in."""
+def test_laser_area_has_no_keys_of_the_line_sensor() -> None:
+    """The default table passes none of them to the plug-in."""
     settings = settle(Scene(), load_part("mseke", None)).settings
     assert "fan_deg" not in settings.scanner
     assert "sweep_steps" not in settings.scanner
@@ -158,7 +158,7 @@ def test_laser_area_without_more_keys_stays_what_it_was() -> None:
     ],
 )
 def test_a_damaged_sensor_file_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
-    """With the file, the key and what is wrong with it."""
+    """With file, key and rule."""
     from cell.files import model_file
 
     text = model_file("sensors/gocator-2350.toml").read_text(encoding="utf-8")
@@ -170,7 +170,7 @@ def test_a_damaged_sensor_file_is_refused(tmp_path: Path, old: str, new: str, wo
 
 
 def test_a_sensor_file_does_not_name_itself(tmp_path: Path) -> None:
-    """It is called as its file, or a scene would find another sensor than it asks for."""
+    """The name of the file is the name of the sensor."""
     from cell.files import model_file
 
     path = tmp_path / "own.toml"
@@ -180,7 +180,7 @@ def test_a_sensor_file_does_not_name_itself(tmp_path: Path) -> None:
         sensors.read(path)
 
 
-def test_a_range_that_is_stated_goes_before_the_one_that_follows_from_the_line() -> None:
+def test_a_stated_range_replaces_the_derived_one() -> None:
     """The fan still follows from the widths of the line."""
     widths = {"depth_mm": 80.0, "width_near_mm": 47.0, "width_far_mm": 85.0}
 

@@ -33,7 +33,7 @@ def _met(direction: np.ndarray, origin: np.ndarray, point: np.ndarray, normal: n
 
 
 def test_the_spacing_of_an_area_scanner_is_that_of_its_neighbouring_rays() -> None:
-    """Compared with intersections of rays half a step to either side, at 500 places and inclinations."""
+    """Compared with intersections of rays half a step to either side, at 500 positions and inclinations."""
     points, normals = _planes(np.random.default_rng(1), 500)
     for point, normal, told in zip(points, normals, AREA.spacing(points, normals), strict=True):
         gaps = []
@@ -47,7 +47,7 @@ def test_the_spacing_of_an_area_scanner_is_that_of_its_neighbouring_rays() -> No
         assert told == pytest.approx(max(gaps), rel=1e-4)
 
 
-def test_the_grid_that_is_scanned_has_the_spacing_that_is_told() -> None:
+def test_the_ray_grid_has_the_computed_spacing() -> None:
     """A tilted wall met by `ray_directions`: neighbouring points of the grid itself."""
     scanner = LaserArea(fov_deg=(40, 40), resolution_deg=(0.25, 0.25), range_mm=(1, 2000))
     normal = np.array([0.5, 0.2, -1.0]) / np.linalg.norm([0.5, 0.2, -1.0])
@@ -88,8 +88,8 @@ def test_the_spacing_of_a_line_sensor_is_along_its_line_and_to_the_next_one(swee
 
 
 @pytest.mark.parametrize("limit_mm", [0.2, 0.5, 2.0])
-def test_the_limit_refuses_what_is_sparser_and_nothing_else(limit_mm: float) -> None:
-    """Among points that pass all other conditions, exactly those above the limit are rejected."""
+def test_the_limit_rejects_exactly_the_sparser_points(limit_mm: float) -> None:
+    """Among points that pass all other conditions."""
     points, normals = _planes(np.random.default_rng(3), 2000)
     for free, limited in (
         (AREA, LaserArea(**_keys(AREA), max_spacing_mm=limit_mm)),
@@ -111,14 +111,14 @@ def _keys(scanner: LaserArea | LaserLine) -> dict[str, object]:
     return {key: value for key, value in scanner.parameters().items() if key != "type"}
 
 
-def test_what_does_not_face_the_source_has_no_spacing() -> None:
+def test_a_surface_that_does_not_face_the_source_has_no_spacing() -> None:
     """Behind the scanner, seen from behind, at a right angle."""
     points = np.array([[0, 0, -0.3], [0, 0, 0.3], [0, 0, 0.3]])
     normals = np.array([[0, 0, 1.0], [0, 0, 1.0], [1.0, 0, 0]])
     assert np.isinf(AREA.spacing(points, normals)).all()
 
 
-def test_what_is_not_known_is_asked_for() -> None:
+def test_an_unknown_rate_must_be_given() -> None:
     """A line sensor without its rate has no spacing and no limit on it; a limit is above 0."""
     assert LaserLine().spacing is None
     with pytest.raises(SceneError, match=r"set scanner\.profile_rate_hz"):
@@ -130,8 +130,8 @@ def test_what_is_not_known_is_asked_for() -> None:
 @pytest.mark.parametrize(
     "scanner", [LaserArea(), LaserArea(fov_deg=(90, 90), resolution_deg=(0.1, 0.1)), LaserLine(profile_rate_hz=50.0)]
 )
-def test_a_limit_that_no_surface_keeps_is_refused(scanner: LaserArea | LaserLine) -> None:
-    """A limit is accepted down to the smallest spacing in range and field of view, not below."""
+def test_an_unattainable_limit_is_refused(scanner: LaserArea | LaserLine) -> None:
+    """A limit is valid down to the smallest spacing in range and field of view."""
     rng = np.random.default_rng(7)
     angles = np.radians(rng.uniform(-45, 45, (200_000, 2)))
     points = np.stack([np.tan(angles[:, 0]), np.tan(angles[:, 1]), np.ones(len(angles))], axis=1)
@@ -147,7 +147,7 @@ def test_a_limit_that_no_surface_keeps_is_refused(scanner: LaserArea | LaserLine
         kind(**_keys(scanner), max_spacing_mm=0.97 * least)
 
 
-def test_of_several_views_the_densest_that_measures_counts() -> None:
+def test_the_densest_view_that_measures_a_point_counts() -> None:
     """Two views of a plate, each of a half and both of the middle, at 200 and 300 mm."""
     square = 0.05 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     plate = TriangleMesh(square, np.array([[0, 1, 2], [0, 2, 3]]))

@@ -1,4 +1,4 @@
-"""One scan of a plate, a wall and an occluder, where every ray's fate is known."""
+"""One scan of a plate, a wall and an occluder, with known results for every ray."""
 
 import numpy as np
 import pytest
@@ -23,8 +23,8 @@ def _caster(mesh):
     return EmbreeRayCaster(mesh.vertices, mesh.faces)
 
 
-def test_rays_that_meet_the_plate_give_points_on_it_and_the_others_meet_nothing():
-    """Which rays hit follows from the tangents alone; points lie on their ray and on the plate, at their face."""
+def test_rays_that_meet_the_plate_give_points_on_it():
+    """The tangents decide which rays hit; points are on their ray, on the plate and on their face."""
     plate = _plate()
     result = scan(SCANNER, DOWN, _caster(plate), plate)
     directions = SCANNER.ray_directions()
@@ -42,7 +42,7 @@ def test_rays_that_meet_the_plate_give_points_on_it_and_the_others_meet_nothing(
 
 
 def test_counts_add_up_to_the_grid():
-    """Every ray has exactly one reason."""
+    """Every ray has exactly one code."""
     plate = _plate()
     counts = scan(SCANNER, DOWN, _caster(plate), plate).counts()
     assert set(counts) == set(Rejection)
@@ -50,8 +50,8 @@ def test_counts_add_up_to_the_grid():
     assert counts[Rejection.MEASURED] > 0
 
 
-def test_an_occluder_in_front_takes_the_ray_and_one_behind_does_not():
-    """A small screen in front of the plate blocks the source leg; the same screen behind changes nothing."""
+def test_an_occluder_blocks_only_in_front():
+    """A small screen in front of the plate blocks the active ray; behind it changes nothing."""
     plate = _plate()
     free = scan(SCANNER, DOWN, _caster(plate), plate)
     behind = scan(SCANNER, DOWN, _caster(plate), plate, _caster(_plate(0.02, -0.1)))
@@ -78,7 +78,7 @@ def test_range_and_back_faces_are_rejected_with_their_reason():
 
 
 def test_with_no_baseline_the_sensor_sees_whatever_the_source_hits():
-    """A bumpy surface under every angle up to 90 degrees: no reflected ray is blocked when both legs are one."""
+    """On a bumpy surface at every angle up to 90 degrees no reflected ray is blocked."""
     u, v = np.meshgrid(np.linspace(-0.1, 0.1, 41), np.linspace(-0.1, 0.1, 41), indexing="ij")
     height = 0.03 * np.sin(80 * u) * np.cos(70 * v)
     number = np.arange(41 * 41).reshape(41, 41)
@@ -94,7 +94,7 @@ def test_with_no_baseline_the_sensor_sees_whatever_the_source_hits():
 
 
 def test_a_pose_that_is_no_rigid_motion_is_refused():
-    """A scaled pose would change distances unseen."""
+    """A scaled pose would change distances unnoticed."""
     plate = _plate()
     with pytest.raises(PlannerError, match="not a rigid motion"):
         scan(SCANNER, 2 * DOWN, _caster(plate), plate)

@@ -1,4 +1,4 @@
-"""The compiled cell: names, guarded pairs, placement as data, cell.xml, occluders."""
+"""The compiled cell: names, checked pairs, placement, cell.xml, occluders."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -40,15 +40,15 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> World:
     return compile_world(_scene(fixtures=fixtures, placement={"abc_deg": [20, 30, 40]}), PART, baseline_mm=75.0)
 
 
-def test_every_shape_has_a_name_for_readers(world: World) -> None:
-    """Links, tool, cell and fixtures, each by one name."""
+def test_every_shape_has_a_name_for_reports(world: World) -> None:
+    """Links, tool, cell and fixtures have one name each."""
     assert set(world.entities) == {
         *robot.LINKS, "bracket", "housing", "part", "post", "pedestal", "floor", "ring", "clamp", "pillar", "glass"
     }  # fmt: skip
 
 
-def test_the_guarded_pairs_are_those_of_the_table(world: World) -> None:
-    """By name: everything that moves with everything that it can touch, and nothing else."""
+def test_the_checked_pairs_are_those_of_the_table(world: World) -> None:
+    """Every moving shape is checked with everything that it can touch, and nothing else."""
     names = {frozenset(world.entities[geom] for geom in pair) for pair in world.pairs}
     standing = ("part", "post", "ring", "clamp", "pillar", "glass")
     arm = robot.LINKS[1:]
@@ -70,8 +70,8 @@ def test_the_guarded_pairs_are_those_of_the_table(world: World) -> None:
     assert expected <= names
 
 
-def test_guarded_pairs_are_what_the_engine_looks_at() -> None:
-    """With margins beyond the cell's size the engine reports exactly the guarded pairs, no more and no fewer."""
+def test_mujoco_checks_exactly_these_pairs() -> None:
+    """With margins larger than the cell MuJoCo reports exactly the checked pairs."""
     world = compile_world(_scene(clearance_mm=0), PART - OFFSET, baseline_mm=75.0)
     spec = world.spec.copy()
     for geom in spec.geoms:
@@ -90,15 +90,15 @@ def test_guarded_pairs_are_what_the_engine_looks_at() -> None:
     assert {tuple(p) for p in world.pairs.tolist() if not boxes[p].all()} <= seen
 
 
-def test_the_placement_puts_the_part_s_centre(world: World) -> None:
-    """The middle of the bounding box in the file's axes stands at placement.position_mm, turned by abc_deg."""
+def test_the_placement_is_the_pose_of_the_part_s_centre(world: World) -> None:
+    """The middle of the bounding box is at placement.position_mm, turned by abc_deg."""
     middle = np.append((PART.min(axis=0) + PART.max(axis=0)) / 2, 1.0)
     np.testing.assert_allclose((world.T_base_object @ middle)[:3], [1.2, 0.5, 0.0], atol=1e-12)
     np.testing.assert_allclose(world.T_base_object[:3, :3], pose((0, 0, 0), (20, 30, 40))[:3, :3], atol=1e-12)
 
 
-def test_the_part_s_hull_stands_where_its_vertices_do(world: World) -> None:
-    """The engine's own copy of the hull, mapped to base, has the corners of the part."""
+def test_the_part_s_hull_is_at_its_vertices(world: World) -> None:
+    """MuJoCo's copy of the hull, in base, has the corners of the part."""
     data, geom = world.data(), world.model.geom("part").id
     mesh = world.model.geom_dataid[geom]
     start = world.model.mesh_vertadr[mesh]
@@ -111,7 +111,7 @@ def test_the_part_s_hull_stands_where_its_vertices_do(world: World) -> None:
 
 
 def test_the_post_reaches_from_below_the_floor_to_the_lowest_point(world: World) -> None:
-    """Under the centre, up to the height of the lowest vertex, for a turned part too."""
+    """It is below the centre and ends at the height of the lowest vertex, for a turned part too."""
     placed = PART @ world.T_base_object[:3, :3].T + world.T_base_object[:3, 3]
     data, post = world.data(), world.model.geom("post").id
     half = world.model.geom_size[post, 1]
@@ -120,8 +120,8 @@ def test_the_post_reaches_from_below_the_floor_to_the_lowest_point(world: World)
     np.testing.assert_allclose(data.geom_xpos[post, :2], [1.2, 0.5], atol=1e-12)
 
 
-def test_housing_and_bracket_stand_on_the_flange(world: World) -> None:
-    """Front face in the source's plane, centred over the baseline; the bracket fills flange to housing."""
+def test_housing_and_bracket_are_on_the_flange(world: World) -> None:
+    """The front face is in the source's plane, centred over the baseline; the bracket spans flange to housing."""
     data = world.data()
     flange, housing, bracket = data.site("flange"), data.geom("housing"), data.geom("bracket")
     R = flange.xmat.reshape(3, 3)
@@ -147,8 +147,8 @@ def test_a_tilted_mount_turns_housing_and_bracket() -> None:
     assert "bracket" not in compile_world(no_bracket, PART, baseline_mm=25.0).entities
 
 
-def test_the_housing_is_guarded_against_the_hand_where_the_mount_lets_them_meet() -> None:
-    """A scanner folded back over the hand meets link_5; the default one never does and is not looked at."""
+def test_the_housing_is_checked_with_the_hand_if_the_mount_lets_them_meet() -> None:
+    """A scanner folded back over the hand meets link_5; the default one never does and is not checked."""
 
     def guards_hand(mount: dict) -> bool:
         world = compile_world(_scene(mount=mount), PART, baseline_mm=75.0)
@@ -159,7 +159,7 @@ def test_the_housing_is_guarded_against_the_hand_where_the_mount_lets_them_meet(
 
 
 def test_cell_xml_is_the_checked_cell(world: World, tmp_path: Path) -> None:
-    """MuJoCo loads the file alone; every shape stands exactly where it was checked, at home and elsewhere."""
+    """MuJoCo loads the file alone; every shape has its checked pose, at home and elsewhere."""
     T = world.T_base_object_at(pose((1000, -300, 100), (70, -20, 5)))
     assert write_mjcf(replace(world, T_base_object=T), tmp_path) == ("cell.xml",)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "cell.xml"))
@@ -179,8 +179,8 @@ def test_cell_xml_is_the_checked_cell(world: World, tmp_path: Path) -> None:
     np.testing.assert_array_equal(model.mesh_vert, world.model.mesh_vert)
 
 
-def test_cell_xml_opens_with_the_robot_at_home_in_the_light(world: World, tmp_path: Path) -> None:
-    """What MuJoCo's viewer shows at first: visible groups only (0 to 2), the first state of a model, its own lights."""
+def test_cell_xml_opens_at_home_with_a_light(world: World, tmp_path: Path) -> None:
+    """MuJoCo's viewer initially shows visible groups only (0 to 2), the first state and the file's lights."""
     write_mjcf(world, tmp_path)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "cell.xml"))
     np.testing.assert_array_equal(mujoco.MjData(model).qpos, world.home)
@@ -196,8 +196,8 @@ def test_cell_xml_has_the_same_bytes_twice(world: World, tmp_path: Path) -> None
     assert (tmp_path / "cell.xml").read_bytes() == first
 
 
-def test_occluders_are_everything_that_stands_and_is_not_glass(world: World) -> None:
-    """Post, pedestal, floor and occluding fixtures; each closed, outward and attached to what it stands with."""
+def test_occluders_are_all_stationary_opaque_objects(world: World) -> None:
+    """Post, pedestal, floor and occluding fixtures are closed, outward, and attached as in the scene."""
     T = world.T_base_object
     found = {o.name: Occluder(o.name, o.vertices @ T[:3, :3].T + T[:3, 3], o.faces) for o in fixed_occluders(world)}
     assert set(found) == {"post", "pedestal", "floor", "ring", "clamp", "pillar"}
@@ -221,8 +221,8 @@ def test_occluders_are_everything_that_stands_and_is_not_glass(world: World) -> 
     assert ring.euler_number == 0  # its hole is open: not the hull
 
 
-def test_what_is_attached_to_the_object_goes_with_it_and_the_rest_stays(world: World) -> None:
-    """In the object frame the clamp is where it was whatever the placement; the others are where they were in base."""
+def test_fixtures_of_the_object_move_with_it(world: World) -> None:
+    """In the object frame the clamp never moves; the other fixtures keep their pose in base."""
     T, T_now = world.T_base_object_at(pose((900, 700, 50), (10, 80, -30))), world.T_base_object
     for moved, here in zip(fixed_occluders(world, T), fixed_occluders(world), strict=True):
         if moved.name == "clamp":
@@ -234,7 +234,7 @@ def test_what_is_attached_to_the_object_goes_with_it_and_the_rest_stays(world: W
 
 
 def test_the_arm_s_triangles_are_its_shapes_without_the_housing(world: World) -> None:
-    """One mesh per shape of base, links and bracket, at the asked configuration."""
+    """One mesh per shape of base, links and bracket, at the given configuration."""
     q = np.deg2rad([40, -60, 80, 10, 20, 30])
     found = arm_occluders(world, q)
     assert {o.name for o in found} == {*robot.LINKS, "bracket"}
@@ -263,8 +263,8 @@ def test_the_arm_s_triangles_are_its_shapes_without_the_housing(world: World) ->
         ),
     ],
 )  # fmt: skip
-def test_a_scene_that_cannot_be_is_refused(tables: dict, words: list[str]) -> None:
-    """One sentence that says what is wrong and what to change."""
+def test_an_impossible_scene_is_refused(tables: dict, words: list[str]) -> None:
+    """One sentence says what is wrong and what to change."""
     world = compile_world(_scene(**tables), PART, baseline_mm=75.0)
     with pytest.raises(SceneError) as caught:
         require_feasible(world)
@@ -272,15 +272,15 @@ def test_a_scene_that_cannot_be_is_refused(tables: dict, words: list[str]) -> No
 
 
 def test_a_link_of_another_shape_than_box_cylinder_and_mesh_is_named() -> None:
-    """Their distance from triangles is all that is known."""
+    """Distances from triangles are defined for these shapes only."""
     spec = robot.spec()
     spec.geom("link_4_wrist").type = mujoco.mjtGeom.mjGEOM_CAPSULE
     with pytest.raises(SceneError, match="'link_4_wrist' is no box, cylinder or mesh"):
         set_robot_pairs(spec)
 
 
-def test_the_scene_s_baseline_goes_before_all_others() -> None:
-    """Then comes the one that is given, then the device's; the housing is centred over it."""
+def test_the_baseline_of_the_scene_takes_precedence() -> None:
+    """The given one is second, the device's third; the housing is centred over it."""
     world = compile_world(_scene(scanner={"baseline_mm": 50}), PART, baseline_mm=70.0)
     assert world.T_flange_housing[0, 3] == pytest.approx(0.025)
     assert compile_world(Scene(), PART, baseline_mm=70.0).T_flange_housing[0, 3] == pytest.approx(0.035)
@@ -288,7 +288,7 @@ def test_the_scene_s_baseline_goes_before_all_others() -> None:
 
 
 def test_a_scanner_without_a_baseline_must_be_given_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else the housing has no place."""
+    """Without one the housing has no position."""
     monkeypatch.setattr("cell.scanners.keys", lambda name: ("fov_deg", "range_mm"))
     with pytest.raises(SceneError, match=r"scanner\.baseline_mm"):
         compile_world(Scene(), PART)
