@@ -7,6 +7,7 @@ from typing import cast
 import numpy as np
 from pydantic import JsonValue
 
+from cell.formatting import percent
 from cell.part.workpiece import Workpiece
 from cell.plan.candidates import view_evaluator
 from cell.plan.motion import ConnectedPlan
@@ -15,7 +16,6 @@ from cell.runs import schema
 from cell.runs.facts import degrees
 from cell.scene.model import PlanSettings, RegionTargets, with_rest
 from cell.scene.settle import SettledScene
-from cell.words import percent
 from cell.world.clearance import MotionClearance, time_of_tightest
 from planner.cover import Cover
 from planner.cover.overlap import OverlapGraph

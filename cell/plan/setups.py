@@ -18,6 +18,7 @@ import numpy as np
 from scipy.sparse import csr_array, hstack
 
 from cell.errors import SceneError, UnreachableError, UsageError
+from cell.formatting import percent
 from cell.part.workpiece import Workpiece
 from cell.plan import files, pipeline, selection
 from cell.plan.candidates import (
@@ -66,7 +67,6 @@ from cell.scene.model import Placement, Scene, with_rest
 from cell.scene.model import Setup as SetupTable
 from cell.scene.settle import SettledScene
 from cell.session import Session, Stream
-from cell.words import percent
 from cell.world.checks import find_problems
 from cell.world.contact import in_contact
 from cell.world.measurability import PartSurface, surface_samples

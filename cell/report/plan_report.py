@@ -3,6 +3,7 @@
 import html
 from collections.abc import Iterable
 
+from cell.formatting import comma_list, percent
 from cell.runs.schema import (
     Attainable,
     Clearance,
@@ -14,7 +15,6 @@ from cell.runs.schema import (
     ReportMotion,
     ReportSettings,
 )
-from cell.words import listed, percent
 
 LOW_COVERAGE = 0.8
 """Share of the surface below which the largest loss is named."""
@@ -159,8 +159,8 @@ def _facts(report: Report) -> list[str]:
         f"| part | {html.escape(part.name)}: {part.faces:,} faces, {_times(part.extents_mm)} mm, "
         f"{part.area_mm2:,.0f} mm² |",
         f"| planning mesh | {part.planning_faces:,} faces |",
-        f"| placement of its centre in base | {listed(settings.placement_mm)} mm, "
-        f"A B C {listed(settings.placement_abc_deg)} deg |",
+        f"| placement of its centre in base | {comma_list(settings.placement_mm)} mm, "
+        f"A B C {comma_list(settings.placement_abc_deg)} deg |",
         *_scanner_rows(settings),
         f"| candidates | {settings.candidates}, {report.verdicts.total:,} |",
         f"| matrix | {settings.fill}, {report.n_features:,} surface samples |",
@@ -187,8 +187,8 @@ def _views(report: Report) -> list[str]:
     for stop, view in enumerate(report.views, start=1):
         clearance = view.clearance_on_the_way_mm
         lines.append(
-            f"| {stop} | {view.id} | {100 * view.adds:.2f} | {listed(view.source_in_base_mm)} | "
-            f"{listed((*view.q_deg, *(view.e_deg or ())))} | {view.roll_deg:g} | "
+            f"| {stop} | {view.id} | {100 * view.adds:.2f} | {comma_list(view.source_in_base_mm)} | "
+            f"{comma_list((*view.q_deg, *(view.e_deg or ())))} | {view.roll_deg:g} | "
             f"{'' if clearance is None else f'{clearance:.1f}'} |"
         )
     return lines
@@ -196,7 +196,7 @@ def _views(report: Report) -> list[str]:
 
 def _scanner_rows(settings: ReportSettings) -> list[str]:
     """Return the rows of the scanner; keys of a plug-in keep their names."""
-    row = f"| scanner | {settings.sensor or settings.scanner}, standoff {listed(settings.standoffs_mm)} mm"
+    row = f"| scanner | {settings.sensor or settings.scanner}, standoff {comma_list(settings.standoffs_mm)} mm"
     if (baseline := settings.number("baseline_mm")) is not None:
         row += f", baseline {baseline:g} mm"
     if span := settings.pair("range_mm"):

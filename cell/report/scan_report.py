@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from cell.formatting import percent
 from cell.runs.schema import ExecutedDeviation, ExecutedRegion, ExecutionReport, ScannedSetups, SharedSurface
-from cell.words import percent
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.surface import Deviation
 from planner.values import Floats

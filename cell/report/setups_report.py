@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cell.formatting import comma_list, percent
 from cell.report.plan_report import curve_section
 from cell.runs.schema import PlannedOpen, SetupsFile, SharedSurface
-from cell.words import listed, percent
 from planner.cover.grouped import GroupedCover
 from planner.values import Floats
 
@@ -45,7 +45,7 @@ def status(found: GroupedCover, offered: int, requested: Floats) -> str:
         in_all = "with the costs of set-ups" if found.has_group_costs else f"in {setups} set-ups"
         return f"{fewest}; costs at most {100 * (paid - least) / least:.3g} % more than the cheapest views {in_all}"
     raised = not np.array_equal(found.targets, requested)
-    at = f", at {listed(np.round(100 * found.targets, 2))} % of the samples for the request" if raised else ""
+    at = f", at {comma_list(np.round(100 * found.targets, 2))} % of the samples for the request" if raised else ""
     if views <= views_bound:
         return f"{fewest}; proven fewest views in {setups} set-ups{at}"
     more = views - views_bound
@@ -110,8 +110,8 @@ def page(file: SetupsFile) -> str:
             (f"[{chosen.folder}]({chosen.folder}/report.md)" for chosen in file.chosen if chosen.offered == row), ""
         )
         lines.append(
-            f"| {row} | {each.name} | {listed(each.placement_mm)} | {listed(each.placement_abc_deg)} | {each.reachable}"
-            f" | {percent(each.coverable)} | {percent(each.in_contact)} | {each.left_out or use} |"
+            f"| {row} | {each.name} | {comma_list(each.placement_mm)} | {comma_list(each.placement_abc_deg)} "
+            f"| {each.reachable} | {percent(each.coverable)} | {percent(each.in_contact)} | {each.left_out or use} |"
         )
     curve = ["", *curve_section(file.curve)] if file.curve else []
     return "\n".join([*lines, *shared_surface(file.shared), *curve, ""])

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import FileError, UsageError
+from cell.formatting import comma_list
 from cell.metrology import point_files
 from cell.metrology.reconstruct import reconstruct
 from cell.plan.shared_surface import shared_surfaces, unconnected_setups
@@ -44,7 +45,6 @@ from cell.scan.results import (
 )
 from cell.scan.scan import resume, scan
 from cell.session import Session, Stream, random_stream
-from cell.words import listed
 from cell.world.contact import in_contact
 from cell.world.prediction import held_out_samples
 from planner.geometry.closest import ClosestPointQuery
@@ -197,7 +197,7 @@ def _describe_placement(planned: SetupsRun, number: int) -> str:
             "moved: plan the set-ups again"
         )
     candidate = planned.file.offered[chosen.offered]
-    xyz, abc = listed(candidate.placement_mm), listed(candidate.placement_abc_deg)
+    xyz, abc = comma_list(candidate.placement_mm), comma_list(candidate.placement_abc_deg)
     table = "" if run.scene.table is None else ", the rotary table at 0"
     return (
         f"set-up {number} of {len(planned.folders)}: the part lies {candidate.name}, its centre at {xyz} mm, "

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import SceneError
+from cell.formatting import comma_list
 from cell.part import workpiece
 from cell.part.workpiece import size_findings
 from cell.robot.arm import wrist_in_flange, wrist_positions
@@ -28,7 +29,6 @@ from cell.robot.model import AXES, model_warnings
 from cell.scene.model import MeshFixture, Scene
 from cell.scene.regions import region_areas, with_regions
 from cell.scene.settle import SettledScene, settle
-from cell.words import listed
 from cell.world import shapes as cell_shapes
 from cell.world.collision import DISTANCE_CAP, MujocoCollisionChecker
 from cell.world.embree import EmbreeRayCaster
@@ -666,8 +666,8 @@ class CheckResult:
         return [
             ("part", f"{self.part}, {_by(self.part_size_mm)} mm"),
             *[(f"region {name}", f"{area:,.1f} mm²") for name, area in self.regions_mm2.items()],
-            ("part's centre", f"{listed(self.placement_mm)} mm in base"),
-            ("home", f"{listed(self.home_deg)} deg"),
+            ("part's centre", f"{comma_list(self.placement_mm)} mm in base"),
+            ("home", f"{comma_list(self.home_deg)} deg"),
             ("contacts at home", contacts or "none"),
             ("nearest at home", nearest if nearest != "none" else f"nothing within {1000 * DISTANCE_CAP:g} mm"),
             ("joint limits", f"{limits} deg"),
@@ -677,8 +677,11 @@ class CheckResult:
                 f"{reach.wrist_highest_mm:.1f} mm; the source {reach.wrist_to_source_mm:.1f} mm from the wrist",
             ),
             ("scanner", f"{self.sensor or 'of its own'}{span}"),
-            ("laser source", f"{listed(self.mount_mm)} mm in flange; baseline {self.baseline_mm:g} mm"),
-            ("housing", f"{_by(self.housing_size_mm)} mm, middle at {listed(self.housing_mm)} mm in flange{bracket}"),
+            ("laser source", f"{comma_list(self.mount_mm)} mm in flange; baseline {self.baseline_mm:g} mm"),
+            (
+                "housing",
+                f"{_by(self.housing_size_mm)} mm, middle at {comma_list(self.housing_mm)} mm in flange{bracket}",
+            ),
             ("keeps clear of", f"{', '.join(self.obstacles)} by {self.clearance_mm:g} mm"),
             ("part in collisions", _FIDELITY[self.collision]),
             ("guarded pairs", f"{self.guarded_pairs} pairs of shapes"),

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.errors import SceneError
+from cell.formatting import comma_list
 from cell.robot import model as robot
 from cell.robot import robot_file
 from cell.robot.arm import chain_of
 from cell.robot.model import AXES
 from cell.robot.normalise import ACCELERATION_TIME, JERK_TIME
-from cell.words import listed
 from cell.world.robot_spec import JOINED, is_normalised, load_robot, modification_times
 from cell.world.self_collision import N_POSES, LinkPairs
 from cell.world.shapes import meshes_of
@@ -98,12 +98,12 @@ class RobotReport:
         apart, near = (
             ", ".join(f"{pair} ({mm:.2g} mm)" for pair, mm in each.items()) for each in (self.apart, self.near)
         )
-        home = "none found; give robot.home_deg" if self.home_deg is None else f"{listed(self.home_deg)} deg"
+        home = "none found; give robot.home_deg" if self.home_deg is None else f"{comma_list(self.home_deg)} deg"
         return [
             ("arm", f"{self.base} to {self.flange}: {', '.join(self.joints)}"),
             ("family", f"{self.family}, off by {self.residual_mm:.2g} mm: {polish}"),
             ("dimensions", ", ".join(f"{name} {length:.4g}" for name, length in self.dimensions_mm.items()) + " mm"),
-            ("signs, zeros", f"{listed(self.signs)}; {listed(self.offsets_deg)} deg"),
+            ("signs, zeros", f"{comma_list(self.signs)}; {comma_list(self.offsets_deg)} deg"),
             ("axes", "; ".join(limits) + " (deg)"),
             ("driven along", ", ".join(self.followers) or "nothing"),
             ("shapes", ", ".join(f"{body} {count}" for body, count in self.shapes.items())),

@@ -1,4 +1,4 @@
-"""`cell study` and `cell place` from the command line: folders, resumption, and what is refused."""
+"""`cell study` and `cell place`: folders, cached trials, and refused options."""
 
 import csv
 import json
@@ -17,7 +17,7 @@ _COARSE = "[plan]\nfaces = 60\nsamples_per_face = 2\n"
 
 
 class _Here:
-    """Computes trials in this process; those of their own are looked at in tests/faults/test_study_workers.py."""
+    """Workers in this process; tests/faults/test_study_workers.py tests separate processes."""
 
     def __init__(self, count: int) -> None:
         pass
@@ -66,8 +66,8 @@ def test_a_study_leaves_rows_and_pictures_and_the_same_bytes_again(
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
 
 
-def test_a_changed_parameter_computes_only_what_depends_on_it(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
-    """One more standoff costs one trial."""
+def test_an_added_value_computes_one_trial(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
+    """The other standoffs are cached."""
     (tmp_path / "coarse.toml").write_text(_COARSE)
     options = ("--units", "mm", "--scene", "coarse.toml", "--processes", "1", "--json")
     arguments = ("study", "standoff", part_file, *options)
@@ -82,10 +82,10 @@ def test_a_changed_parameter_computes_only_what_depends_on_it(part_file: Path, t
     assert answer["sentences"][-1].startswith("The scanner is `paper`")
 
 
-def test_a_map_names_the_best_place_and_keeps_places_out_of_reach(
+def test_a_map_names_the_best_placement_and_keeps_unreachable_ones(
     part_file: Path, run_cell: Run, tmp_path: Path
 ) -> None:
-    """At 9 m nothing is reached: a row with zero, not a failure."""
+    """At 9 m nothing is reachable: a row with zero, not a failure."""
     (tmp_path / "coarse.toml").write_text(_COARSE)
     done = run_cell(
         "study", "placement", part_file, "--units", "mm", "--scene", "coarse.toml", "--x", "1000,9000", "--y", "400",

@@ -1,4 +1,4 @@
-"""Studies whose workers die: nothing that was finished is lost, what was being computed is computed again."""
+"""Studies whose workers die: finished results are kept, running trials are computed again."""
 
 import contextlib
 import multiprocessing
@@ -47,7 +47,7 @@ def run(
 
 @pytest.fixture(scope="module")
 def local(trials: list[Trial]) -> list[Outcome]:
-    """What this process makes of the trials, undisturbed."""
+    """The outcomes of the trials in this process."""
     outcomes = [compute(trial, trial.digest) for trial in trials]
     assert not [outcome.failure for outcome in outcomes if outcome.failure]
     assert len({outcome.values["coverable"] for outcome in outcomes}) == len(trials)
@@ -59,7 +59,7 @@ def _values(outcomes: list[Outcome]) -> list[Any]:
 
 
 def test_a_process_that_dies_costs_no_trial(trials: list[Trial], local: list[Outcome], tmp_path: Path) -> None:
-    """Killed at the first result: all trials come out, as those of an undisturbed run do."""
+    """A worker is killed at the first result: the outcomes are those of an undisturbed run."""
     killed: list[int] = []
 
     def kill_one(done: int, total: int, outcome: Outcome) -> None:
@@ -73,8 +73,8 @@ def test_a_process_that_dies_costs_no_trial(trials: list[Trial], local: list[Out
     assert _values(outcomes) == _values(local)
 
 
-def test_a_stopped_study_goes_on_where_it_was(trials: list[Trial], local: list[Outcome], tmp_path: Path) -> None:
-    """Ctrl-C after the first result: it is kept, and only the others are computed by the next run."""
+def test_a_stopped_study_resumes(trials: list[Trial], local: list[Outcome], tmp_path: Path) -> None:
+    """Ctrl-C after the first result: the next run computes only the others."""
 
     def stop(done: int, total: int, outcome: Outcome) -> None:
         raise KeyboardInterrupt
@@ -96,7 +96,7 @@ def test_no_processes_is_refused(trials: list[Trial], tmp_path: Path) -> None:
 def test_no_worker_outlives_a_study_that_was_killed(
     tmp_path: Path, start_cell: Callable[..., "subprocess.Popen[str]"]
 ) -> None:
-    """Kill -9 of the command in its first trial: its processes are gone soon after."""
+    """SIGKILL of the command in its first trial: its processes end soon after."""
     silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     study = start_cell("study", "standoff", "petanque", "--processes", "2", cwd=tmp_path, **silent)
 
@@ -137,7 +137,7 @@ def cluster() -> Iterator[Any]:
 def test_a_cluster_gives_the_same_to_the_bit_and_loses_nothing_with_a_worker(
     trials: list[Trial], local: list[Outcome], cluster: Any, tmp_path: Path
 ) -> None:
-    """A worker is killed at the first result; the other takes over what it had."""
+    """A worker is killed at the first result; the other one takes over its trials."""
     killed: list[int] = []
 
     def kill_one(done: int, total: int, outcome: Outcome) -> None:
@@ -154,7 +154,7 @@ def test_a_cluster_gives_the_same_to_the_bit_and_loses_nothing_with_a_worker(
 def test_a_cluster_that_does_not_answer_is_one_sentence(
     trials: list[Trial], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With the address, and what would start one."""
+    """With the address, and the command that starts one."""
     monkeypatch.setattr("cell.study.trials._CLUSTER_TIMEOUT_S", 0.5)
     with pytest.raises(UsageError, match="dask scheduler"):
         run(trials[:1], processes=1, cluster="tcp://127.0.0.1:9", folder=tmp_path)

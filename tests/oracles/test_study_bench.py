@@ -1,4 +1,4 @@
-"""Numbers of the studies against other ways to them."""
+"""Numbers of the studies against independent computations."""
 
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from planner.measurability.visibility import apply_occluders
 
 @pytest.fixture(scope="module")
 def tables(part_file: Path) -> dict[str, Any]:
-    """A small, coarse job."""
+    """Tables of a small, coarse scene."""
     return {
         "part": {"path": str(part_file), "units": "mm"},
         "plan": {"faces": 60, "samples_per_face": 3, "candidates": "optimal-scanning-zone"},
@@ -31,12 +31,12 @@ def tables(part_file: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def bench(tables: dict[str, Any]) -> Bench:
-    """The small job with 4,000 held-out samples."""
+    """The small scene with 4,000 held-out samples."""
     return Bench(load_scene(None, tables), samples=4000)
 
 
 def test_sampled_coverage_view_by_view_is_that_of_the_merged_cloud(bench: Bench) -> None:
-    """Leaving out samples that were near an earlier view changes nothing."""
+    """Skipping the samples of earlier views changes nothing."""
     views = bench.candidates.T_object_scanner[[0, 17, 40, 63]]
     points = [virtual_scan.scan(bench.scanner, T, bench.caster, bench.part.reference).points for T in views[:, 0]]
     merged = coverage.sampled_coverage(
@@ -46,8 +46,8 @@ def test_sampled_coverage_view_by_view_is_that_of_the_merged_cloud(bench: Bench)
     assert bench.sampled_coverage(views) == pytest.approx(merged.fraction, abs=1e-12)
 
 
-def test_settings_give_the_scene_back(tables: dict[str, Any], tmp_path: Path) -> None:
-    """Also one with a fixture and a field of view of its own."""
+def test_a_scene_survives_the_settings_of_a_trial(tables: dict[str, Any], tmp_path: Path) -> None:
+    """With a fixture and its own field of view."""
     path = tmp_path / "cell.toml"
     path.write_text(
         '[scanner]\nfov_deg = [40.0, 30.0]\n[[fixtures]]\nname = "clamp"\nshape = "box"\nsize_mm = [50, 40, 6]\n'
@@ -58,7 +58,7 @@ def test_settings_give_the_scene_back(tables: dict[str, Any], tmp_path: Path) ->
 
 
 def test_a_file_that_changed_under_a_study_is_refused(tmp_path: Path) -> None:
-    """Its trials would speak of another part than their keys say."""
+    """The keys of its trials would belong to another part."""
     path = tmp_path / "part.stl"
     trimesh.creation.box((0.1, 0.1, 0.1)).export(path)
     settings = scene_settings(load_scene(None, {"part": {"path": str(path), "units": "m"}}))
@@ -68,8 +68,8 @@ def test_a_file_that_changed_under_a_study_is_refused(tmp_path: Path) -> None:
         scene_from_settings(settings)
 
 
-def test_a_placement_s_numbers_are_those_of_its_steps(tables: dict[str, Any]) -> None:
-    """Reach, occlusion and coverage done one by one give the same shares."""
+def test_the_values_of_a_placement_are_those_of_its_steps(tables: dict[str, Any]) -> None:
+    """Reach, occlusion and coverage computed one by one give equal shares."""
     scene = load_scene(None, tables)
     settings = scene_settings(scene)
     values = evaluate_placement(

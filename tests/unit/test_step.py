@@ -102,7 +102,7 @@ def test_what_bounds_no_solid_is_left_out_and_told(tmp_path: Path) -> None:
 
 @needs_cascadio
 def test_surfaces_alone_are_taken_and_said_to_be_open(tmp_path: Path) -> None:
-    """Where nothing is a solid the surfaces are the part, as those of an open mesh are."""
+    """Without any solid the surfaces are the part, as for an open mesh."""
     made = StepFile()
     made.open_sheet((0, 0, 0), 50)
     part = load(written(tmp_path, made.text()))
@@ -123,7 +123,7 @@ def test_surfaces_alone_are_taken_and_said_to_be_open(tmp_path: Path) -> None:
 def test_broken_files_are_one_sentence(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], content: str, said: str
 ) -> None:
-    """What Open CASCADE cannot read is a sentence with what to do; its own words are on no stream."""
+    """An unreadable file gives one sentence with a cure; the output of Open CASCADE is discarded."""
     with pytest.raises(FileError, match=said):
         load(written(tmp_path, content))
     assert capfd.readouterr() == ("", "")

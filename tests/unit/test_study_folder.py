@@ -1,4 +1,4 @@
-"""A study's folder: tidy rows, what failed, pictures and sentences; equal trials give equal bytes."""
+"""The folder of a study: rows, failures, pictures and sentences; equal trials give equal bytes."""
 
 import base64
 import csv
@@ -25,17 +25,17 @@ _TRIALS = [Trial.of(select_views, {"part": "mug", "faces": faces}) for faces in 
 
 
 class _Workers:
-    """Knows the outcomes; the second trial fails."""
+    """Workers with fixed outcomes; the second trial fails."""
 
     def __init__(self) -> None:
-        self.asked = 0
+        self.computed = 0
 
     def compute(self, trials: Sequence[Trial]) -> Iterator[Outcome]:
-        for trial in reversed(trials):  # as they are finished, not as they were asked for
-            self.asked += 1
+        for trial in reversed(trials):  # in another order than that of the trials
+            self.computed += 1
             faces = json.loads(trial.settings)["faces"]
             failed = "too few faces" if faces == 9 else ""
-            yield Outcome(trial, {} if failed else {"views": faces / 3}, failed, {"total": 0.1 * self.asked})
+            yield Outcome(trial, {} if failed else {"views": faces / 3}, failed, {"total": 0.1 * self.computed})
 
     def __enter__(self) -> "_Workers":
         return self
@@ -68,8 +68,8 @@ def conducted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drawn_pictures: N
     return result.folder
 
 
-def test_rows_are_in_the_order_of_the_trials_and_failures_stand_apart(conducted: Path) -> None:
-    """Whatever order they were finished in; the reason stands in report and JSON."""
+def test_rows_are_in_the_order_of_the_trials_without_failures(conducted: Path) -> None:
+    """The order of completion has no effect; report and JSON have the reason."""
     rows = list(csv.DictReader((conducted / "rows.csv").read_text().splitlines()))
     assert [row["faces"] for row in rows] == ["8", "10"]
     content = json.loads((conducted / "study.json").read_text())
@@ -80,8 +80,8 @@ def test_rows_are_in_the_order_of_the_trials_and_failures_stand_apart(conducted:
     assert "(views.png)" in report
 
 
-def test_its_page_has_pictures_and_a_command_for_each_row(conducted: Path, tmp_path: Path) -> None:
-    """The command of the best row once more above; a study of a version before, without commands, has a page too."""
+def test_the_page_has_pictures_and_a_command_for_each_row(conducted: Path, tmp_path: Path) -> None:
+    """The command of the best row is repeated above; a study of an earlier version without commands has a page too."""
     page = (conducted / "view.html").read_text(encoding="utf-8")
     (picture,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', page)
     assert base64.b64decode(picture) == (conducted / "views.svg").read_bytes()
@@ -101,23 +101,23 @@ def test_its_page_has_pictures_and_a_command_for_each_row(conducted: Path, tmp_p
 
 
 @pytest.mark.parametrize(("knob", "value"), [("standoff", 250.0), ("baseline", 30.0), ("sensors", "gocator-2340")])
-def test_options_of_a_row_say_what_its_trial_had(knob: str, value: object) -> None:
-    """Read as the command line reads them, they are the keys that the study set."""
+def test_the_options_of_a_row_are_the_settings_of_its_trial(knob: str, value: object) -> None:
+    """Parsed by the command line, they give the keys that the study set."""
     _, given = PARAMETERS[knob]
     keys = given(value)
     words = (word.removeprefix("--").partition("=") for word in shlex.split(plan_options(keys)))
     assert option_tables({name: text for name, _, text in words}) == keys
-    told = plan_options({"part": {"name": "mug"}, "plan": {"faces": 75}, "scanner": {"fov_deg": [20.0, 20.0]}})
-    assert told == "mug --faces=75  # with fov_deg = [20.0, 20.0] under [scanner] in the scene file"
+    text = plan_options({"part": {"name": "mug"}, "plan": {"faces": 75}, "scanner": {"fov_deg": [20.0, 20.0]}})
+    assert text == "mug --faces=75  # with fov_deg = [20.0, 20.0] under [scanner] in the scene file"
 
 
-def test_the_same_again_is_the_same_bytes_and_only_failures_are_computed(
+def test_a_repeated_study_gives_equal_bytes_and_computes_only_failures(
     conducted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Rows, report and pictures, SVG too; a failed trial is tried again."""
+    """Rows, report, PNG and SVG pictures; a failed trial is computed again."""
     workers = _Workers()
     result = run_study(_study(), workers, out=tmp_path / "again", reporter=Terminal(quiet_stdout=True))
-    assert workers.asked == 1
+    assert workers.computed == 1
     assert result.computed == 1
     for name in ("rows.csv", "study.json", "report.md", "view.html", "views.png", "views.svg"):
         assert (result.folder / name).read_bytes() == (conducted / name).read_bytes(), name

@@ -1,4 +1,4 @@
-"""Trials of studies: their keys, what is kept of them and what is not, and how one that fails is told."""
+"""Trials of studies: keys, cached results, and failures."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ from cell.study.trials import Outcome, Processes, Trial, compute, load, run_tria
 _SMALL: dict[str, Any] = {"part": "petanque", "faces": 30, "samples_per_face": 4}
 
 
-def _kept(folder: Path, **change: Any) -> Outcome:
+def _save(folder: Path, **change: Any) -> Outcome:
     outcome = Outcome(Trial.of(select_views, _SMALL), {"views": 3}, "", {"total": 1.5})
     save(outcome, folder)
     (path,) = folder.rglob("*.json")
@@ -23,34 +23,34 @@ def _kept(folder: Path, **change: Any) -> Outcome:
     return outcome
 
 
-def test_equal_settings_are_one_trial_in_whatever_order_they_are_given() -> None:
-    """The key is of the content."""
+def test_equal_settings_in_any_order_are_one_trial() -> None:
+    """The key depends on the content."""
     one = Trial.of(select_views, {"part": "mug", "faces": 40})
     assert one == Trial.of(select_views, {"faces": 40, "part": "mug"})
     assert one.key != Trial.of(select_views, {"faces": 41, "part": "mug"}).key
 
 
-def test_a_changed_program_has_other_keys(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What another version computed is not taken for this version's."""
+def test_a_changed_program_changes_the_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Results of another version are not used."""
     before = Trial.of(select_views, _SMALL).key
     monkeypatch.setattr(trials, "sources_digest", lambda package: "another")
     assert Trial.of(select_views, _SMALL).key != before
 
 
-def test_a_trial_of_a_package_beside_the_program_depends_on_its_sources_too() -> None:
+def test_a_benchmark_trial_depends_on_the_sources_of_the_benchmarks_too() -> None:
     """Keys of benchmark trials depend on the sources of the benchmarks, keys of the product's trials do not."""
     assert trials.sources_digest("planner") == trials.sources_digest("cell") != trials.sources_digest("benchmarks")
 
 
 def test_settings_that_json_cannot_hold_exactly_are_refused() -> None:
-    """NaN is equal to nothing, so no key could find it again."""
+    """NaN equals nothing, so a key could not find it again."""
     with pytest.raises(ValueError, match="JSON"):
         Trial.of(select_views, {"faces": float("nan")})
 
 
-def test_a_kept_result_comes_back_as_it_was_and_is_marked(tmp_path: Path) -> None:
-    """Values and seconds; nothing is computed."""
-    outcome = _kept(tmp_path)
+def test_a_cached_result_is_returned_and_marked(tmp_path: Path) -> None:
+    """With values and seconds; nothing is computed."""
+    outcome = _save(tmp_path)
     calls: list[tuple[int, int, Outcome]] = []
     (found,) = run_trials([outcome.trial], Processes(1), folder=tmp_path, on_outcome=lambda *each: calls.append(each))
     assert found == Outcome(outcome.trial, {"views": 3}, "", {"total": 1.5}, cached=True)
@@ -62,29 +62,29 @@ def test_a_kept_result_comes_back_as_it_was_and_is_marked(tmp_path: Path) -> Non
     [{"schema": "scan-cell/trial/0"}, {"settings": "{}"}, {"failure": "no memory"}, {"values": 3}, {"seconds": None}],
     ids=lambda change: next(iter(change)),
 )
-def test_what_is_no_finished_result_of_this_trial_is_not_taken(change: dict[str, Any], tmp_path: Path) -> None:
-    """Another version, other settings, a failure, a damaged file: the trial is computed again."""
-    outcome = _kept(tmp_path, **change)
+def test_only_a_finished_result_of_the_trial_is_used(change: dict[str, Any], tmp_path: Path) -> None:
+    """Another version, other settings, a failure or a damaged file: the trial is computed again."""
+    outcome = _save(tmp_path, **change)
     assert load(outcome.trial, tmp_path) is None
 
 
-def test_a_torn_file_is_not_taken(tmp_path: Path) -> None:
-    """Half a file reads as none."""
-    outcome = _kept(tmp_path)
+def test_a_cut_file_is_not_used(tmp_path: Path) -> None:
+    """Half a file counts as missing."""
+    outcome = _save(tmp_path)
     (path,) = tmp_path.rglob("*.json")
     path.write_text(path.read_text()[:40])
     assert load(outcome.trial, tmp_path) is None
 
 
-def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
-    """It names the folder and what to do."""
+def test_an_unwritable_folder_is_one_sentence(tmp_path: Path) -> None:
+    """It names the folder and the cure."""
     (tmp_path / "file").write_text("")
     outcome = Outcome(Trial.of(select_views, _SMALL), {}, "", {})
     with pytest.raises(FileError, match="XDG_CACHE_HOME"):
         save(outcome, tmp_path / "file")
 
 
-def test_a_trial_that_fails_says_why_and_the_others_go_on(tmp_path: Path) -> None:
+def test_a_failed_trial_has_its_reason_and_is_not_cached(tmp_path: Path) -> None:
     """A missing file is one sentence; the failure is not kept as a result."""
     bad = Trial.of(select_views, {"scene": {}, "files": {"gone.stl": "0"}, "robot": False})
     outcome = compute(bad, bad.digest)
@@ -95,6 +95,6 @@ def test_a_trial_that_fails_says_why_and_the_others_go_on(tmp_path: Path) -> Non
 
 
 def test_a_worker_of_another_version_refuses() -> None:
-    """Its result would be kept under a key that says otherwise."""
+    """Its result would be cached under the key of this version."""
     outcome = compute(Trial.of(select_views, _SMALL), "another program")
     assert "version" in outcome.failure

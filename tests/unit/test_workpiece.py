@@ -38,7 +38,7 @@ def volume(part: Workpiece) -> float:
 
 
 def kinds(part: Workpiece) -> list[Kind]:
-    """What was found."""
+    """Kinds of the findings."""
     return [finding.kind for finding in part.findings]
 
 

@@ -1,4 +1,4 @@
-"""Ranges of the studies' options."""
+"""Texts of the options of studies: ranges, spans and pairs."""
 
 import pytest
 
@@ -8,37 +8,37 @@ from cell.study.options import PlaceRange, parse_pairs, parse_range
 
 
 def test_a_range_holds_its_first_and_last_value() -> None:
-    """1000 to 1600 in steps of 50 are 13 values; a step of a tenth does not gather rounding."""
+    """1000 to 1600 in steps of 50 are 13 values; steps of 0.1 do not accumulate rounding."""
     assert parse_range("--x", "1000:1600:50") == tuple(range(1000, 1601, 50))
     assert parse_range("--x", "0:0.3:0.1") == (0.0, 0.1, 0.2, 0.3)
     assert parse_range("--x", "300:0:-100") == (300.0, 200.0, 100.0, 0.0)
     assert parse_range("--x", "7:7:1") == (7.0,)
 
 
-def test_numbers_with_commas_are_taken_once_each() -> None:
-    """As they stand."""
+def test_numbers_with_commas_are_used_once() -> None:
+    """In the given order."""
     assert parse_range("--z", "5,-3,5") == (5.0, -3.0)
 
 
 @pytest.mark.parametrize(
     "text", ["", "a", "1:2", "1:2:0", "1:2:-1", "2:1:1", "0:nan:1", "0:inf:1", "1:2:3:4", "0:1e9:1"]
 )
-def test_what_is_no_range_is_refused_with_the_option_s_name(text: str) -> None:
+def test_an_invalid_range_is_refused_with_the_name_of_the_option(text: str) -> None:
     """One sentence, with an example or the limit."""
     with pytest.raises(UsageError, match="--x"):
         parse_range("--x", text)
 
 
 def test_a_span_is_two_values_or_one_twice() -> None:
-    """Negative ones too; what is not given is the whole axis."""
+    """Also negative ones; an axis that is not given is complete."""
     where = parse_options(PlaceRange, {"y": "-600:600", "z": "5"})
     assert (where.y_mm, where.z_mm) == ((-600.0, 600.0), (5.0, 5.0))
     assert where.x_mm == (700.0, 1600.0)
 
 
 @pytest.mark.parametrize("text", ["2:1", "a:1", "1:2:3", "", "nan", "0:inf"])
-def test_what_is_no_span_is_refused(text: str) -> None:
-    """With the option's name."""
+def test_an_invalid_span_is_refused(text: str) -> None:
+    """With the name of the option."""
     with pytest.raises(UsageError, match="--y"):
         parse_options(PlaceRange, {"y": text}, flag)
 
@@ -49,7 +49,7 @@ def test_pairs_are_near_and_far_limits() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "50", "150-50", "0-10", "a-b", "10-inf"])
-def test_what_is_no_pair_is_refused(text: str) -> None:
-    """With the option's name and an example."""
+def test_an_invalid_pair_is_refused(text: str) -> None:
+    """With the name of the option and an example."""
     with pytest.raises(UsageError, match="--range"):
         parse_pairs("--range", text)

@@ -11,14 +11,14 @@ _NEAR = [(0.0, 0.0, 5.0, 0.0), (50.0, 0.0, 5.0, 0.0), (90.0, 0.0, 5.0, 10.0), (0
 _FAR = [(500.0, 0.0, 5.0, 0.0), (0.0, 0.0, 5.0, 180.0), (510.0, 10.0, 5.0, 0.0)]
 
 
-def test_places_within_a_tenth_of_the_range_are_one_basin():
-    """Turns count as well as metres, and a fixed axis does not."""
+def test_placements_within_a_tenth_of_the_range_are_one_basin():
+    """Rotations count as well as positions; a fixed axis does not."""
     basins = _basins([*_NEAR, *_FAR], _EXTENT)
     assert basins == [_NEAR, [_FAR[0], _FAR[2]], [_FAR[1]]]
 
 
 def test_the_best_half_is_kept_and_every_basin_follows_in_turn():
-    """Four of seven: the best two, and the first of both basins behind them."""
+    """Four of seven: the best two, then the first of both other basins."""
     assert _best_of_all_basins([*_NEAR, *_FAR], 4, _EXTENT) == [*_NEAR[:2], _FAR[0], _FAR[1]]
     assert sorted(_best_of_all_basins([*_NEAR, *_FAR], 99, _EXTENT)) == sorted([*_NEAR, *_FAR])
 
