@@ -20,7 +20,7 @@ FLOAT_ERROR = 1e-12
 
 
 class CoverStatus(Enum):
-    """How a selection ended; the value is the sentence for reports, without numbers (`Cover.sentence` has them)."""
+    """Result of a selection; the value is its sentence for reports, without numbers (`Cover.sentence` has them)."""
 
     PROVEN = "proven optimal for these candidates and samples"
     BOUNDED = "within a known distance of the optimum for these candidates and samples"
@@ -163,9 +163,16 @@ def make_cover(
     """
     instance = form.reduced
     order, added = order_by_marginal_area(instance, columns)
-    if instance.maximises_area:  # drop views that add nothing to those before
+    if instance.maximises_area and instance.has_unit_demand:  # drop views that add nothing to those before
         kept = [k for k, rows in enumerate(added) if len(rows) or order[k] in form.pinned_columns]
         order, added = order[kept], [added[k] for k in kept]
+    elif instance.maximises_area:  # a view that satisfies no row may still be needed: drop those that are not
+        for column in order[::-1]:
+            others = order[order != column]
+            is_lost = instance.satisfied(others) != instance.satisfied(order)
+            if column not in form.pinned_columns and not is_lost.any():
+                order = others
+        order, added = order_by_marginal_area(instance, order)
     idle = form.idle_pins  # pinned views that measure nothing stay, at the end
     views = np.concatenate((form.columns[order], idle))
     areas = form.areas[form.rows]

@@ -307,7 +307,7 @@ class Reduction:
         return np.concatenate((self.forced, self.columns[columns]))
 
     def project(self, columns: Ints) -> Ints:
-        """Return those of some original columns that remain, as columns of the reduced problem."""
+        """Return the remaining ones of some original columns, as columns of the reduced problem."""
         return np.searchsorted(self.columns, columns[np.isin(columns, self.columns)])
 
 

@@ -279,7 +279,7 @@ def occluders_of(
     scanner: Scanner,
     occluders: Mapping[str, RayCaster],
 ) -> list[str]:
-    """Return what occludes each row at its closest candidate: "part", names of occluders joined by " and ", or "".
+    """Return the occluders of each row at its closest candidate: "part", names joined by " and ", or "".
 
     Args:
         targets: surface points.
