@@ -40,8 +40,8 @@ def status(found: GroupedCover, offered: int, requested: Floats) -> str:
         if points <= 0:
             return f"{fewest}; proven maximum coverage for {views} views in {setups} set-ups"
         return f"{fewest}; {views} views in {setups} set-ups cannot exceed this by more than {max(points, 0.01):.2f} %"
-    if found.price is not None:
-        paid, least = found.price
+    if found.cost_and_bound is not None:
+        paid, least = found.cost_and_bound
         in_all = "with the costs of set-ups" if found.has_group_costs else f"in {setups} set-ups"
         return f"{fewest}; costs at most {100 * (paid - least) / least:.3g} % more than the cheapest views {in_all}"
     raised = not np.array_equal(found.targets, requested)

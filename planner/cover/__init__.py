@@ -19,6 +19,7 @@ selection     `solve`; targets for several regions
 overlap       views whose overlap graph is connected
 curve         coverage over the number of views
 robust        coverage at a confidence under pose errors
+grouped       fewest groups of columns (set-ups), then fewest views
 """
 
 from planner.cover.answer import Cover, CoverStatus

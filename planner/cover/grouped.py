@@ -47,8 +47,8 @@ class GroupLoads:
         loads: (G, S) allowed columns of each group that measure each row.
         demand: (S,) columns that must measure each row, at most as many as all groups offer.
         weights: (S,) area or weight of each row.
-        part: (S,) part of each row.
-        wanted: (P,) weight that must be satisfied in each part.
+        region: (S,) region of each row.
+        wanted: (P,) weight that must be satisfied in each region.
     """
 
     def __init__(self, problem: CoverProblem, targets: Floats) -> None:
@@ -58,7 +58,7 @@ class GroupLoads:
         self.loads: Ints = np.asarray(problem.matrix @ member.astype(np.int64)).T
         self.demand: Ints = np.minimum(self.loads.sum(axis=0), problem.demand)
         self.weights = np.asarray(problem.areas if problem.weights is None else problem.weights, dtype=np.float64)
-        self.part: Ints = (
+        self.region: Ints = (
             np.zeros(len(self.weights), np.int64) if problem.region is None else np.asarray(problem.region, np.int64)
         )
         self.wanted: Floats = targets * self.weight_of(self.demand > 0)
@@ -69,9 +69,9 @@ class GroupLoads:
         return len(self.loads)
 
     def weight_of(self, rows: Bools) -> Floats:
-        """Return the (P,) weight of selected (S,) rows in each part."""
-        n_parts = int(self.part.max(initial=0)) + 1
-        return np.bincount(self.part[rows], self.weights[rows], minlength=n_parts).astype(np.float64)
+        """Return the (P,) weight of selected (S,) rows in each region."""
+        n_regions = int(self.region.max(initial=0)) + 1
+        return np.bincount(self.region[rows], self.weights[rows], minlength=n_regions).astype(np.float64)
 
     def satisfied(self, loads: Ints) -> Bools:
         """Return (S,) whether the load of each row meets its demand."""
@@ -98,8 +98,8 @@ class GroupedCover:
         loads: loads and targets of the rows.
         targets: (P,) requested share of the weight that all groups can satisfy.
         is_feasible: whether the allowed number of groups can meet the targets.
-        price: cost of views and groups, and its lower bound; None without costs.
-        has_group_costs: whether the price contains groups.
+        cost_and_bound: cost of views and groups, and its lower bound; None without costs.
+        has_group_costs: whether the cost contains groups.
         upper_area: upper bound on the covered area for a limited number of views; None without a limit.
     """
 
@@ -110,7 +110,7 @@ class GroupedCover:
     loads: GroupLoads
     targets: Floats
     is_feasible: bool
-    price: tuple[float, float] | None = None
+    cost_and_bound: tuple[float, float] | None = None
     has_group_costs: bool = False
     upper_area: float | None = None
 
@@ -122,7 +122,7 @@ class GroupedCover:
     @property
     def objective(self) -> tuple[float, ...]:
         """Values to minimise in order: uncovered area if views are limited, groups if they are free, cost or views."""
-        paid = float(self.n_views) if self.price is None else self.price[0]
+        paid = float(self.n_views) if self.cost_and_bound is None else self.cost_and_bound[0]
         area = 0.0 if self.upper_area is None else -self.covered_area
         return (area, paid) if self.has_group_costs else (area, float(len(self.views)), paid)
 
@@ -135,19 +135,19 @@ class GroupedCover:
     def with_view(self, group: int, column: int, cost: float) -> "GroupedCover":
         """Return the cover with one more view of a used group."""
         views = {**self.views, group: np.append(self.views[group], column)}
-        price = None if self.price is None else (self.price[0] + cost, self.price[1])
-        return replace(self, views=views, price=price)
+        price = None if self.cost_and_bound is None else (self.cost_and_bound[0] + cost, self.cost_and_bound[1])
+        return replace(self, views=views, cost_and_bound=price)
 
     def with_bounds_of(self, other: "GroupedCover") -> "GroupedCover":
         """Return the cover with the bounds of a cover of the same problem, or of one with more candidates."""
-        price = self.price
-        if price is not None and other.price is not None:
-            price = price[0], min(other.price[1], price[0])
+        price = self.cost_and_bound
+        if price is not None and other.cost_and_bound is not None:
+            price = price[0], min(other.cost_and_bound[1], price[0])
         return replace(
             self,
             group_bound=min(other.group_bound, len(self.views)),
             view_bound=min(other.view_bound, self.n_views),
-            price=price,
+            cost_and_bound=price,
             upper_area=None if other.upper_area is None else max(other.upper_area, self.covered_area),
         )
 
@@ -173,7 +173,7 @@ def solve_grouped(
 
     Args:
         problem: columns of all groups side by side; its coverage is ignored. Pinned columns require their groups.
-        targets: (P,) requested share of what all allowed columns together can measure of each part of the rows.
+        targets: (P,) requested share of what all allowed columns together can measure of each region of the rows.
         rng: randomness of the search.
         max_groups: limit; if the targets take more groups, those that can measure most do what they can.
         group_cost: cost of each group in the unit of the costs of the columns; the sum of all costs is minimised.
@@ -209,7 +209,7 @@ def solve_grouped(
         loads=loads,
         targets=targets,
         is_feasible=is_feasible,
-        price=None if paid is None else (paid, min(bound.cost, paid)),
+        cost_and_bound=None if paid is None else (paid, min(bound.cost, paid)),
         has_group_costs=group_cost is not None,
         upper_area=None if problem.max_views is None else max(bound.area, covered),
     )
@@ -218,7 +218,7 @@ def solve_grouped(
 def fewest_views(problem: CoverProblem, targets: Floats, rng: np.random.Generator) -> tuple[int, int] | None:
     """Return numbers of groups and views by a short search for the fewest views.
 
-    None if views have costs or a limit, must overlap, or rows have weights or parts.
+    None if views have costs or a limit, must overlap, or rows have weights or regions.
     """
     covers = _GroupCovers(problem, GroupLoads(problem, targets), rng, "auto")
     if problem.costs is not None or not covers.allow_group_costs:
@@ -366,7 +366,7 @@ class _GroupCovers:
 
     @property
     def allow_group_costs(self) -> bool:
-        """Whether one problem can hold costs of groups (`planner.cover.targets`, `planner.cover.canonical`)."""
+        """Whether one problem can hold costs of groups (`planner.cover.selection`, `planner.cover.reductions`)."""
         problem = self._problem
         return problem.region is None and problem.weights is None and problem.max_views is None and not problem.overlap
 
@@ -374,7 +374,7 @@ class _GroupCovers:
         self, columns: Bools, share: float, *, start: Ints | None = None, group_cost: float | None = None,
         bound_only: bool = False,
     ) -> Cover:  # fmt: skip
-        """Cover what (V,) selected columns can satisfy, as far as the targets ask for it.
+        """Cover the rows that (V,) selected columns can satisfy, up to the targets.
 
         Args:
             columns: that may be chosen.
@@ -394,7 +394,7 @@ class _GroupCovers:
             costs=None if problem.costs is None else self._costs[some],
             pinned=np.searchsorted(some, list(problem.pinned)).tolist(),
             weights=None if problem.weights is None else loads.weights[kept],
-            region=None if problem.region is None else loads.part[kept],
+            region=None if problem.region is None else loads.region[kept],
             region_coverage=() if problem.region is None else tuple(shares.tolist()),
             overlap=None if bound_only else problem.overlap,
             group=None if group_cost is None else self._group[some],

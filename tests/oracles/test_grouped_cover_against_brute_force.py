@@ -1,283 +1,204 @@
-"""The cover over several set-ups against all choices of views."""
+"""Covers with groups of columns against all selections."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.sparse import csc_array
 
 from planner.cover import CoverProblem, Overlap, grouped
 from planner.cover.grouped import GroupedCover, GroupLoads, fewest_groups, fewest_views, solve_grouped
-from planner.values import Bools
+from planner.values import Ints
+from tests.support.cover_oracle import Selections
 
 ROWS = 14
+SEEDS = st.integers(0, 10**6)
 
 
-def _wish(rng: np.random.Generator, setups: int, columns: int) -> CoverProblem:
-    """Columns of all set-ups, each of which measures other rows; nine of ten are usable."""
-    dense = np.column_stack(
-        [(rng.random((ROWS, columns)) < 0.3) & (rng.random(ROWS) < 0.6)[:, None] for _ in range(setups)]
+def draw(seed: int, n_groups: int, n_columns: int) -> CoverProblem:
+    """Columns of groups that each measure other rows; nine of ten are usable."""
+    rng = np.random.default_rng(seed)
+    dense = [(rng.random((ROWS, n_columns)) < 0.3) & (rng.random(ROWS) < 0.6)[:, None] for _ in range(n_groups)]
+    return CoverProblem(
+        csc_array(np.column_stack(dense)),
+        rng.integers(1, 4, ROWS).astype(float),
+        allowed=rng.random(n_groups * n_columns) < 0.9,
+        group=np.repeat(np.arange(n_groups), n_columns),
     )
-    areas = rng.integers(1, 4, ROWS).astype(float)
-    group = np.repeat(np.arange(setups), columns)
-    return CoverProblem(csc_array(dense), areas, allowed=rng.random(setups * columns) < 0.9, group=group)
 
 
-def _best(wish: CoverProblem, size: Callable[[list[int], Bools], tuple[float, ...] | None]) -> tuple[float, ...]:
-    """The smallest size of all choices of usable columns; None is none. Told (S,) rows that have what they need."""
-    dense, usable = wish.matrix.toarray(), np.flatnonzero(wish.allowed)
-    need = np.minimum(dense[:, usable].sum(axis=1), wish.demand)
-    found = []
-    for count in range(1, len(usable) + 1):
-        for some in combinations(usable.tolist(), count):
-            if set(wish.pinned) <= set(some):
-                told = size(list(some), (need > 0) & (dense[:, list(some)].sum(axis=1) >= need))
-                found += [] if told is None else [told]
-    return min(found)
+def columns_of(problem: CoverProblem, cover: GroupedCover) -> Ints:
+    """The selected columns of all groups."""
+    group = np.asarray(problem.group)
+    selected = [np.flatnonzero(group == number)[views] for number, views in cover.views.items()]
+    return np.concatenate([np.zeros(0, np.int64), *selected])
 
 
-def _wanted(wish: CoverProblem, target: float) -> float:
-    dense = wish.matrix.toarray()[:, wish.allowed]
-    return target * float(np.asarray(wish.areas)[dense.any(axis=1)].sum())
+def solved(
+    problem: CoverProblem, targets: list[float], seed: int, **options: float | int | None
+) -> tuple[GroupedCover, Selections]:
+    """The cover, checked against its own columns, and all selections with these targets."""
+    cover = solve_grouped(problem, np.array(targets), np.random.default_rng(seed), **options)  # type: ignore[arg-type]
+    stated = replace(problem, group_costs=None)
+    if problem.max_views is None:
+        coverage = tuple(targets) if problem.region is not None else ()
+        stated = replace(stated, coverage=targets[0], region_coverage=coverage)
+    columns = columns_of(problem, cover).tolist()
+    own = Selections(stated, [columns])
+    assert set(problem.pinned) <= set(columns)
+    assert own.n_groups[0] == len(cover.views)
+    assert own.size[0] == cover.n_views
+    assert own.weight[0] == pytest.approx(cover.covered_area)
+    assert own.meets_target[0] or not cover.is_feasible
+    assert cover.is_met_by(problem.matrix.toarray()[:, columns].sum(axis=1))
+    return cover, Selections(stated)
 
 
-def _checked(wish: CoverProblem, found: GroupedCover) -> None:
-    """The views are usable, contain the pinned ones, and cover what is said."""
-    group, dense = np.asarray(wish.group), wish.matrix.toarray()
-    columns = np.concatenate([np.flatnonzero(group == setup)[views] for setup, views in found.views.items()])
-    assert np.asarray(wish.allowed)[columns].all()
-    assert set(wish.pinned) <= set(columns.tolist())
-    need = np.minimum(dense[:, wish.allowed].sum(axis=1), wish.demand)
-    has = (need > 0) & (dense[:, columns].sum(axis=1) >= need)
-    assert np.asarray(wish.areas)[has].sum() >= found.covered_area - 1e-9
-    assert found.is_met_by(dense[:, columns].sum(axis=1))
+def best(selections: Selections, *values: np.ndarray) -> tuple[float, ...]:
+    """The lexicographically smallest values of a feasible selection."""
+    return min(tuple(float(value[k]) for value in values) for k in np.flatnonzero(selections.is_feasible))
 
 
-@pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize("wished", ["plain", "pinned", "twice"])
-def test_fewest_setups_and_then_fewest_views(seed: int, wished: str) -> None:
-    """Both numbers are the best there is; pinned views are taken, and rows may need two views of any set-ups."""
-    wish = _wish(np.random.default_rng(seed), 3, 4)
-    if wished == "pinned":
-        wish = replace(wish, pinned=np.flatnonzero(wish.allowed)[[1, -1]].tolist())
-    if wished == "twice":
-        wish = replace(wish, demand=2)
-    target, group = (1.0, 0.8)[seed % 2], np.asarray(wish.group)
-    found = solve_grouped(wish, np.array([target]), np.random.default_rng(0))
-
-    def size(some: list[int], has: Bools) -> tuple[float, ...] | None:
-        enough = np.asarray(wish.areas)[has].sum() >= _wanted(wish, target) - 1e-9
-        return (len(set(group[some])), len(some)) if enough else None
-
-    setups, views = _best(wish, size)
-    assert (len(found.views), found.group_bound) == (setups, setups)
-    assert (found.n_views, found.view_bound) == (views, views)
-    assert found.is_feasible
-    _checked(wish, found)
-    first = fewest_views(wish, np.array([target]), np.random.default_rng(0))
-    assert first is not None
-    least = _best(wish, lambda some, has: (told := size(some, has)) and told[::-1])
-    assert first == least[::-1]
+@settings(max_examples=40)
+@given(SEEDS, st.sampled_from([1.0, 0.8]), st.sampled_from([1, 1, 2]), st.integers(0, 2))
+def test_the_fewest_groups_and_then_the_fewest_views_are_proven(
+    seed: int, target: float, demand: int, n_pinned: int
+) -> None:
+    """Pinned views are selected; a row may need two views of any groups; and the fewest views with free groups."""
+    problem = replace(draw(seed, 3, 4), demand=demand)
+    problem = replace(problem, pinned=np.flatnonzero(problem.allowed)[[1, -1][:n_pinned]].tolist())
+    cover, selections = solved(problem, [target], 0)
+    assert cover.is_feasible
+    n_groups, n_views = best(selections, selections.n_groups, selections.size)
+    assert (len(cover.views), cover.group_bound) == (n_groups, n_groups)
+    assert (cover.n_views, cover.view_bound) == (n_views, n_views)
+    views_first = fewest_views(problem, np.array([target]), np.random.default_rng(0))
+    assert views_first is not None
+    assert views_first[::-1] == best(selections, selections.size, selections.n_groups)
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_seconds_come_after_set_ups_or_with_them(seed: int) -> None:
-    """The cheapest views in the fewest set-ups; where a set-up has a price, the cheapest sum, and no bound above it."""
-    rng = np.random.default_rng(50 + seed)
-    wish = _wish(rng, 3, 4)
-    wish = replace(wish, costs=rng.integers(1, 9, 12).astype(float))
-    costs, group = np.asarray(wish.costs), np.asarray(wish.group)
-    for each in (None, 6.0):
-        found = solve_grouped(wish, np.array([0.8]), np.random.default_rng(0), group_cost=each)
-
-        def size(some: list[int], has: Bools, each: float | None = each) -> tuple[float, ...] | None:
-            if np.asarray(wish.areas)[has].sum() < _wanted(wish, 0.8) - 1e-9:
-                return None
-            setups = len(set(group[some]))
-            paid = float(costs[some].sum())
-            return (setups, paid) if each is None else (paid + each * setups,)
-
-        assert found.price is not None
-        assert found.price[0] == pytest.approx(_best(wish, size)[-1])
-        assert found.price[1] <= found.price[0] + 1e-9
-        assert found.price[1] >= found.price[0] * (1 - 1e-3)
-        _checked(wish, found)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_what_bounds_seconds_is_no_more_than_the_optimum(seed: int) -> None:
-    """By itself, not held to what was found."""
-    rng = np.random.default_rng(50 + seed)
-    wish = replace(_wish(rng, 3, 4), costs=rng.integers(1, 9, 12).astype(float))
-    costs, group = np.asarray(wish.costs), np.asarray(wish.group)
-
-    def paid(some: list[int], has: Bools) -> tuple[float, ...] | None:
-        if np.asarray(wish.areas)[has].sum() < _wanted(wish, 0.8) - 1e-9:
-            return None
-        setups = len(set(group[some]))
-        return setups, float(costs[some].sum()), float(costs[some].sum()) + 6.0 * setups
-
-    rows = GroupLoads(wish, np.array([0.8]))
-    fewest, members, every = fewest_groups(rows, (), None)
-    asked = grouped._GroupCovers(wish, rows, rng, "auto")
-    found, bound = asked.best_of(members, np.empty(0, np.int64), is_complete=every, fast=False)
-    assert bound.cost <= _best(wish, paid)[1] + 1e-9
-    priced = asked.with_group_costs(found, 6.0, fewest, 1.0)[1]
-    assert priced.cost <= _best(wish, lambda some, has: (told := paid(some, has)) and told[2:])[0] + 1e-9
+@settings(max_examples=25)
+@given(SEEDS)
+def test_costs_follow_groups_or_are_summed_with_theirs(seed: int) -> None:
+    """The cheapest views in the fewest groups; with a cost of groups the cheapest sum; no bound is above it."""
+    rng = np.random.default_rng(seed)
+    problem = replace(draw(seed, 3, 4), costs=rng.integers(1, 9, 12).astype(float))
+    for group_cost in (None, 6.0):
+        cover, selections = solved(problem, [0.8], 0, group_cost=group_cost)
+        total = selections.cost + (group_cost or 0.0) * selections.n_groups
+        keys = (total,) if group_cost else (selections.n_groups, total)
+        assert cover.cost_and_bound is not None
+        cost, bound = cover.cost_and_bound
+        assert cost == pytest.approx(best(selections, *keys)[-1])
+        assert cost * (1 - 1e-3) <= bound <= cost + 1e-9
+    loads = GroupLoads(problem, np.array([0.8]))
+    fewest, choices, is_complete = fewest_groups(loads, (), None)
+    covers = grouped._GroupCovers(problem, loads, rng, "auto")
+    found, alone = covers.best_of(choices, np.empty(0, np.int64), is_complete=is_complete, fast=False)
+    assert (
+        alone.cost <= best(selections, selections.n_groups, selections.cost)[1] + 1e-9
+    )  # not limited to what was found
+    assert covers.with_group_costs(found, 6.0, fewest, 1.0)[1].cost <= best(selections, total)[0] + 1e-9
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_the_most_area_with_so_many_views(seed: int) -> None:
-    """In as few set-ups as could measure what is asked for with all their views; the bound is no less."""
-    wish = replace(_wish(np.random.default_rng(80 + seed), 4, 3), max_views=3)
-    found = solve_grouped(wish, np.array([0.8]), np.random.default_rng(0))
-    rows, group = GroupLoads(wish, np.array([0.8])), np.asarray(wish.group)
-    count, members, _ = fewest_groups(rows, (), None)
-
-    def size(some: list[int], has: Bools) -> tuple[float, ...] | None:
-        inside = any(set(group[some]) <= set(each) for each in members)
-        return (-float(np.asarray(wish.areas)[has].sum()),) if len(some) <= 3 and inside else None
-
-    assert found.covered_area == pytest.approx(-_best(wish, size)[0])
-    assert found.upper_area == pytest.approx(found.covered_area)
-    assert len(found.views) <= count
-    assert found.n_views <= 3
+@settings(max_examples=25)
+@given(SEEDS)
+def test_the_most_area_of_a_number_of_views(seed: int) -> None:
+    """In as few groups as could meet the target with all their views; the bound is not lower."""
+    problem = replace(draw(seed, 4, 3), max_views=3)
+    cover, selections = solved(problem, [0.8], 0)
+    count, choices, _ = fewest_groups(GroupLoads(problem, np.array([0.8])), (), None)
+    group = np.asarray(problem.group)[selections.usable]
+    inside = [~selections.selected[:, ~np.isin(group, choice)].any(axis=1) for choice in choices]
+    most = selections.area[selections.is_feasible & np.any(inside, axis=0)].max()
+    assert cover.covered_area == pytest.approx(most)
+    assert cover.upper_area == pytest.approx(most)
+    assert len(cover.views) <= count
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_parts_of_the_rows_have_targets_of_their_own(seed: int) -> None:
-    """All of one part and half of the other, in the fewest set-ups; the bound on views is one."""
-    rng = np.random.default_rng(120 + seed)
-    wish = replace(_wish(rng, 3, 4), region=np.arange(ROWS) % 2)
-    targets, areas, group = np.array([1.0, 0.5]), np.asarray(wish.areas), np.asarray(wish.group)
-    can = wish.matrix.toarray()[:, wish.allowed].any(axis=1)
-    wanted = [float(share * areas[can & (np.arange(ROWS) % 2 == part)].sum()) for part, share in enumerate(targets)]
+@settings(max_examples=25)
+@given(SEEDS)
+def test_regions_have_targets_of_their_own(seed: int) -> None:
+    """All of one region and half of the other, in the fewest groups."""
+    problem = replace(draw(seed, 3, 4), region=np.arange(ROWS) % 2)
+    cover, selections = solved(problem, [1.0, 0.5], 0)
+    n_groups, n_views = best(selections, selections.n_groups, selections.size)
+    assert len(cover.views) == cover.group_bound == n_groups
+    assert cover.view_bound <= n_views <= cover.n_views
 
-    def size(some: list[int], has: Bools) -> tuple[float, ...] | None:
-        reached = [float(areas[has & (np.arange(ROWS) % 2 == part)].sum()) for part in range(2)]
-        return (len(set(group[some])), len(some)) if np.all(np.array(reached) >= np.array(wanted) - 1e-9) else None
 
-    found = solve_grouped(wish, targets, np.random.default_rng(0))
-    setups, views = _best(wish, size)
-    assert len(found.views) == found.group_bound == setups
-    assert found.view_bound <= views <= found.n_views
-    _checked(wish, found)
+@pytest.mark.parametrize("seed", range(5))
+def test_views_of_all_groups_are_connected(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The overlap graph may connect views of different groups; no bound is above the best."""
+    monkeypatch.setattr(grouped, "DEFAULT_EFFORT", grouped.DEFAULT_EFFORT // 10)  # for twelve columns
+    monkeypatch.setattr(grouped, "N_THOROUGH", 1)  # so that all choices are bounded together
+    problem = replace(draw(160 + seed, 3, 4), overlap=Overlap(area=0.5))
+    cover, selections = solved(problem, [0.7], 0)
+    if Selections(problem, [columns_of(problem, cover).tolist()]).is_connected[0]:  # else no choice of groups is
+        n_groups, n_views = best(selections, selections.n_groups, selections.size)
+        assert (cover.group_bound, cover.view_bound) <= (n_groups, n_views)
+        assert len(cover.views) == n_groups
+        assert n_views <= cover.n_views <= n_views + 1
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_views_of_all_set_ups_hang_together(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One chain of views that share a row, whichever set-up each is of; no bound is above the best."""
-    monkeypatch.setattr(grouped, "DEFAULT_EFFORT", grouped.DEFAULT_EFFORT // 10)  # for twelve columns
-    monkeypatch.setattr(grouped, "N_THOROUGH", 1)  # so that they are bounded together
-    wish = replace(_wish(np.random.default_rng(160 + seed), 3, 4), overlap=Overlap(area=0.5))
-    dense, group = wish.matrix.toarray(), np.asarray(wish.group)
-
-    def hang(some: list[int]) -> bool:
-        joined, left = {some[0]}, set(some[1:])
-        while near := {one for one in left if any((dense[:, one] & dense[:, other]).any() for other in joined)}:
-            joined, left = joined | near, left - near
-        return not left
-
-    def size(some: list[int], has: Bools) -> tuple[float, ...] | None:
-        enough = np.asarray(wish.areas)[has].sum() >= _wanted(wish, 0.7) - 1e-9
-        return (len(set(group[some])), len(some)) if enough and hang(some) else None
-
-    found = solve_grouped(wish, np.array([0.7]), np.random.default_rng(0))
-    columns = np.concatenate([np.flatnonzero(group == setup)[views] for setup, views in found.views.items()])
-    if hang(columns.tolist()):  # else no choice of so few set-ups does
-        setups, views = _best(wish, size)
-        assert (found.group_bound, found.view_bound) <= (setups, views)
-        assert len(found.views) == setups
-        assert views <= found.n_views <= views + 1
-
-
-@pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize("looked_at", [1, 100])
-def test_many_choices_are_bounded_together(seed: int, looked_at: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where one choice is covered by itself, the number of set-ups stays exact and the bound on views a bound.
-
-    Where all are looked at, so many views are the fewest.
-    """
+@pytest.mark.parametrize("n_covered", [1, 100])
+def test_many_choices_are_bounded_together(seed: int, n_covered: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The number of groups stays exact and the bound on views valid; with all choices covered, views are the fewest."""
     monkeypatch.setattr(grouped, "N_COVERED", 1)
-    monkeypatch.setattr(grouped, "N_COVERED_MORE", looked_at)
-    wish = _wish(np.random.default_rng(100 + seed), 4, 3)
-    group = np.asarray(wish.group)
-    found = solve_grouped(wish, np.array([0.75]), np.random.default_rng(0))
-
-    def size(some: list[int], has: Bools) -> tuple[float, ...] | None:
-        enough = np.asarray(wish.areas)[has].sum() >= _wanted(wish, 0.75) - 1e-9
-        return (len(set(group[some])), len(some)) if enough else None
-
-    setups, views = _best(wish, size)
-    assert (len(found.views), found.group_bound) == (setups, setups)
-    assert found.view_bound <= views <= found.n_views
-    assert looked_at == 1 or found.n_views == views
-    _checked(wish, found)
+    monkeypatch.setattr(grouped, "N_COVERED_MORE", n_covered)
+    cover, selections = solved(draw(100 + seed, 4, 3), [0.75], 0)
+    n_groups, n_views = best(selections, selections.n_groups, selections.size)
+    assert (len(cover.views), cover.group_bound) == (n_groups, n_groups)
+    assert cover.view_bound <= n_views <= cover.n_views
+    assert n_covered == 1 or cover.n_views == n_views
 
 
-@pytest.mark.parametrize("seed", range(8))
-@pytest.mark.parametrize("most", [None, 2])
-def test_more_choices_than_can_be_looked_at(seed: int, most: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No more set-ups than are allowed are used then, and neither bound is above what all choices would show."""
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("max_groups", [None, 2])
+def test_more_choices_than_can_be_enumerated(
+    seed: int, max_groups: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The limit on groups holds, and no bound is above that of all choices."""
     monkeypatch.setattr(grouped, "MAX_ENUMERATED", 0)
-    wish = _wish(np.random.default_rng(200 + seed), 5, 2)
-    group, dense = np.asarray(wish.group), wish.matrix.toarray()
-    found = solve_grouped(wish, np.array([0.9]), np.random.default_rng(0), max_groups=most)
-    wanted = float(found.loads.wanted[0])
-
-    def size(some: list[int], has: Bools) -> tuple[float, ...] | None:
-        enough = np.asarray(wish.areas)[has].sum() >= wanted - 1e-9
-        return (len(set(group[some])), len(some)) if enough else None
-
-    setups, _ = _best(wish, size)
-    views, _ = _best(wish, lambda some, has: None if size(some, has) is None else (len(some), 0))
-    assert found.group_bound <= setups <= len(found.views) <= (most or len(dense))
-    assert found.view_bound <= views
-    _checked(wish, found)
+    problem = draw(200 + seed, 5, 2)
+    cover, selections = solved(problem, [0.9], 0, max_groups=max_groups)
+    enough = selections.weight >= float(cover.loads.wanted[0]) - 1e-9
+    assert cover.group_bound <= selections.n_groups[enough].min() <= len(cover.views) <= (max_groups or 5)
+    assert cover.view_bound <= selections.size[enough].min()
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_share_that_is_kept_is_of_what_rows_weigh(seed: int) -> None:
-    """Where rows weigh more than their area, that is what they count in the share too."""
-    wish = _wish(np.random.default_rng(seed), 3, 4)
-    weights = np.asarray(wish.areas) * np.where(np.arange(ROWS) % 2, 5.0, 1.0)
-    found = solve_grouped(replace(wish, weights=weights), np.array([0.8]), np.random.default_rng(0))
-    group, dense = np.asarray(wish.group), wish.matrix.toarray()
-    columns = np.concatenate([np.flatnonzero(group == setup)[views] for setup, views in found.views.items()])
-    has, can = (dense[:, some].any(axis=1) for some in (columns, np.asarray(wish.allowed)))
-    assert found.share == pytest.approx(weights[has].sum() / weights[can].sum())
-    assert found.share >= 0.8 - 1e-9
+def test_the_share_counts_weights(seed: int) -> None:
+    """If rows have weights in place of their areas."""
+    problem = draw(seed, 3, 4)
+    weights = np.asarray(problem.areas) * np.where(np.arange(ROWS) % 2, 5.0, 1.0)
+    cover, selections = solved(replace(problem, weights=weights), [0.8], 0)
+    assert cover.share == pytest.approx(cover.covered_area / selections.weight.max())
+    assert cover.share >= 0.8 - 1e-9
 
 
-def test_one_set_up_alone_does_what_it_can() -> None:
-    """Where more set-ups would be needed than are allowed, the one that can measure most is covered."""
-    wish = _wish(np.random.default_rng(1), 3, 4)
-    found = solve_grouped(wish, np.array([1.0]), np.random.default_rng(0), max_groups=1)
-    dense = wish.matrix.toarray() & wish.allowed
-    can = [np.asarray(wish.areas)[dense[:, np.asarray(wish.group) == row].any(axis=1)].sum() for row in range(3)]
-    assert list(found.views) == [int(np.argmax(can))]
-    assert not found.is_feasible
-    assert found.covered_area == pytest.approx(max(can))
+def test_one_group_covers_what_it_can() -> None:
+    """If the target needs more groups than are allowed, the one that can measure most is covered."""
+    cover, selections = solved(draw(1, 3, 4), [1.0], 0, max_groups=1)
+    alone = selections.n_groups == 1
+    assert len(cover.views) == 1
+    assert not cover.is_feasible
+    assert cover.covered_area == pytest.approx(selections.weight[alone].max())
 
 
-def test_choices_of_set_ups_are_all_that_reach_the_area() -> None:
-    """Against all subsets of the fewest; those that must be used are in each."""
+@pytest.mark.parametrize("required", [(), (3,)])
+def test_the_choices_of_groups_are_complete(required: tuple[int, ...]) -> None:
+    """All subsets of the smallest size that reach the area and contain the required groups, and only those."""
     rng = np.random.default_rng(5)
-    can, areas = rng.random((7, 60)) < 0.45, rng.random(60)
-    wish = CoverProblem(csc_array(can.T), areas, allowed=np.ones(7, dtype=bool), group=np.arange(7))
-    wanted = 0.9 * float(areas[can.any(axis=0)].sum())
-    for must in ((), (3,)):
-        count, members, every = fewest_groups(GroupLoads(wish, np.array([0.9])), must, None)
-        assert every
-        enough = {
-            size: {
-                some
-                for some in combinations(range(7), size)
-                if set(must) <= set(some) and areas[can[list(some)].any(axis=0)].sum() >= wanted
-            }
-            for size in range(1, count + 1)
-        }
-        assert set(members) == enough[count]
-        assert not any(enough[size] for size in range(1, count))
+    measurable, areas = rng.random((7, 60)) < 0.45, rng.random(60)
+    problem = CoverProblem(csc_array(measurable.T), areas, allowed=np.ones(7, dtype=bool), group=np.arange(7))
+    target = 0.9 * float(areas[measurable.any(axis=0)].sum())
+    count, choices, is_complete = fewest_groups(GroupLoads(problem, np.array([0.9])), required, None)
+    assert is_complete
+    subsets = [set(some) for size in range(1, count + 1) for some in combinations(range(7), size)]
+    enough = [some for some in subsets if areas[measurable[list(some)].any(axis=0)].sum() >= target]
+    assert {frozenset(choice) for choice in choices} == {frozenset(some) for some in enough if set(required) <= some}
