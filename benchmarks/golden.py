@@ -254,7 +254,7 @@ CASES = (
     _case("setups", "setups --scene in.toml --proposals 2 --coverage 0.98 --out made", scene=_SETUPS),
     _case("setups-given", "setups --scene in.toml --out made", scene=_GIVEN_SETUPS, pages=True),
     _case("setups-table", "setups --scene in.toml --proposals 3 --coverage 1 --out made", scene=_TABLE_SETUPS),
-    _case("open-of", "plan --open-of run --place 1100,400,100,0,0,180 --out second", run="plan"),
+    _case("setups-first", f"setups ../blob.stl {_SMALL} --first run --proposals 2 --out made", run="plan"),
     _case("edit-drop", "edit run --drop 2 --repair --out edited", run="plan", pages=True),
     _case("edit-order", "edit run --order 4,2,1,3 --out edited --json", run="plan"),
     _case("edit-turn", "edit run --turn 1:90 --keep-order --out edited", run="plan"),

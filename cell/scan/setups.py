@@ -389,19 +389,19 @@ def _combined_cloud(bodies: Sequence[_ScannedBody]) -> tuple[PointCloud, NDArray
 def _uncovered_by_cause(planned: SetupsRun, measured: Mapping[int, Bools], samples: SurfaceSamples) -> OpenShares:
     """Return the uncovered surface by cause; each sample counts once, for the first cause that applies."""
     uncovered = ~np.logical_or.reduce(list(measured.values()))
-    remaining, lost, in_contact = np.zeros_like(uncovered), np.zeros_like(uncovered), np.ones_like(uncovered)
+    remaining, lost, touched = np.zeros_like(uncovered), np.zeros_like(uncovered), np.ones_like(uncovered)
     for number, folder in enumerate(planned.folders, start=1):
         run = open_finished(folder)
         cell = read_cell(run)
         touches = in_contact(samples, cell.occluders)
         expected = _measured_by(cell, [view.T_object_poses for view in run.plan.views], samples) & ~touches
-        in_contact &= touches
+        touched &= touches
         if number in measured:
             lost |= expected
         else:
             remaining |= expected
     shares = []
-    for cause in (remaining, lost, in_contact, uncovered):
+    for cause in (remaining, lost, touched, uncovered):
         shares.append(float((uncovered & cause).mean()))
         uncovered = uncovered & ~cause
     return OpenShares(to_come=shares[0], lost=shares[1], in_contact=shares[2], not_planned=shares[3])
