@@ -109,12 +109,15 @@ def plan_setups(
     from cell.plan.pipeline import read_request
     from cell.plan.setup_options import SetupOptions
     from cell.plan.setups import plan_setups as planned
+    from cell.plan.setups import scene_after
     from cell.runs.setups import SetupsRun
     from cell.scene.options import option_specs, parse_options
 
     own = {name: wishes.pop(name) for name in option_specs(SetupOptions) if name in wishes}
-    checked, workpiece = read_request(part, scene, wishes)
     wanted = parse_options(SetupOptions, own) if options is None else options
+    if wanted.first is not None and part is None and scene is None:
+        part, wishes = scene_after(open_run(wanted.first), wishes), {}
+    checked, workpiece = read_request(part, scene, wishes)
     session = _session(progress, out=out, scene=scene, use_cache=use_cache, argv=argv)
     return SetupsRun.opened(planned(session, checked, options=wanted, part=workpiece))
 

@@ -63,8 +63,7 @@ def plan(
     terminal = Terminal(quiet_stdout=as_json)
     if open_of:
         raise UsageError(
-            "--open-of was replaced by a fixed first set-up of cell setups: give the same part and options with "
-            f"cell setups --first {open_of[0]}"
+            f"--open-of is replaced by the first set-up of cell setups: use cell setups --first {open_of[0]}"
         )
     run = api.plan(
         scene_from_options(scene, given, part, flag), scene=scene, out=out, use_cache=not no_cache, progress=terminal,
@@ -82,7 +81,7 @@ def plan(
     "cell setups mug --cost time --setup-seconds 300",
     "cell setups mug --table --proposals 6",
     "cell setups mug --proposals 4 --pin 0:168 --ban 0:1506",
-    "cell setups mug --first sim_runs/trial",
+    "cell setups --first sim_runs/trial",
     note="Each set-up is a run folder of its own in FOLDER/setups; cell scan FOLDER scans one after the other.",
 )
 def setups(
@@ -98,10 +97,14 @@ def setups(
     """Plan several set-ups of a part as one cover: fewest set-ups, then fewest views, each with a bound."""
     from cell import api
     from cell.cli.terminal import Terminal
+    from cell.plan.setups import scene_after
     from cell.report.setups_report import rows
 
     terminal = Terminal(quiet_stdout=as_json)
-    checked = scene_from_options(scene, given, part, flag)
+    if options.first is not None and part is None and scene is None:
+        checked = scene_after(api.open_run(options.first), given, flag)
+    else:
+        checked = scene_from_options(scene, given, part, flag)
     made = api.plan_setups(
         checked, options, scene=scene, out=out, use_cache=not no_cache, progress=terminal, argv=sys.argv[1:]
     )

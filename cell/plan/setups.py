@@ -51,7 +51,7 @@ from cell.plan.selection import (
 from cell.plan.setup_options import SetupOptions, format_candidate
 from cell.plan.shared_surface import connecting_view, shared_surfaces, unconnected_setups
 from cell.report.setups_report import page, status
-from cell.runs.cell import read_cell
+from cell.runs.cell import read_cell, scene_of_run
 from cell.runs.run import Run
 from cell.runs.schema import (
     ChosenSetup,
@@ -63,8 +63,10 @@ from cell.runs.schema import (
     SetupsRegion,
     ViewsFirst,
 )
+from cell.scene.file import load_scene, option_names, option_tables
 from cell.scene.model import Placement, Scene, with_rest
 from cell.scene.model import Setup as SetupTable
+from cell.scene.options import Spell
 from cell.scene.settle import SettledScene
 from cell.session import Session, Stream
 from cell.world.checks import find_problems
@@ -584,7 +586,9 @@ class SetupSearch:
             if not self._request_more(found, _driven(connected)):
                 break
         if last is None:
-            raise UnreachableError("no cover could be connected; move the part, or allow other set-ups with --offer")
+            raise UnreachableError(
+                "no cover could be connected; move the part, or allow other set-ups with --proposals"
+            )
         return self._with_shared_surface(*self._thorough(*last))
 
     def _thorough(self, found: GroupedCover, connected: Connected) -> tuple[GroupedCover, Connected]:
@@ -893,10 +897,30 @@ def plan_setups(session: Session[None], scene: Scene, *, options: SetupOptions, 
     options.check(scene)
     first = None if options.first is None else Run.open_finished(Path(options.first))
     if options.proposals == 0 and not scene.setup:
-        raise UsageError("there is no set-up candidate: give [[setup]] tables in the scene, or a larger --offer")
+        raise UsageError("there is no set-up candidate: give [[setup]] tables in the scene, or a larger --proposals")
     with pipeline.open_run(session, scene, part, with_plots=scene.plan.curve) as run:
         run.conclude(_plan_setups(session, run.session, run.settled, options, first))
     return run.path
+
+
+def scene_after(first: Run, options: Mapping[str, object], spell: Spell = str) -> Scene:
+    """Return the scene of a plan, which is the first set-up, with options of the set-ups before it.
+
+    Raises:
+        UsageError: if an option describes another cell, part or scanner; a scene file does that.
+        SceneError: if the scene is not possible.
+    """
+    tables = option_tables(options, spell=spell)
+    names = option_names(tables, spell)
+    for key in names:
+        if not key.startswith(("plan.", "placement.")):
+            raise UsageError(f"{names[key]} changes the cell of {first.folder}; give part and options, or a scene file")
+    scene, given = scene_of_run(first), load_scene(None, tables, names)
+    plan = {"pinned": (), "banned": ()} | {key: getattr(given.plan, key) for key in tables.get("plan", {})}
+    if "coverage" in plan:
+        plan["max_views"] = None
+    placement = given.placement if "placement" in tables else scene.placement
+    return scene.model_copy(update={"plan": scene.plan.model_copy(update=plan), "placement": placement})
 
 
 def _plan_setups(

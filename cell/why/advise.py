@@ -113,16 +113,8 @@ def _displaced_placements(world: World) -> Iterator[tuple[str, Floats]]:
 
 def setup_command(run: Run, T_base_centre: Floats) -> str:
     """Return the command that plans a further set-up with the run as the fixed first one."""
-    words = list(run.manifest.argv)
-    if words[:1] in (["plan"], ["setups"]):
-        words = words[1:]
-    else:  # of `cell edit` or Python
-        part, units = run.scene.part, run.scene.part.units
-        path = next((file.path for file in run.manifest.files or () if file.what == "part"), part.name)
-        words = [path, *(["--units", units] if units else [])]
-    words = _without(words, "--place", "--out", "--proposals", "--max-setups", "--first")
     first = ("--first", str(run.folder), "--proposals", "1")
-    return shlex.join(["cell", "setups", *words, *first, "--place", format_placement(T_base_centre)])
+    return shlex.join(["cell", "setups", *first, "--place", format_placement(T_base_centre)])
 
 
 def replan_command(run: Run, T_base_centre: Floats) -> str:

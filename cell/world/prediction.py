@@ -1,6 +1,6 @@
 """Predicted coverage of a plan on samples that the optimiser does not use (`planner.measurability.coverage`)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -40,8 +40,6 @@ class Prediction:
         scanner: sensor model.
         casters: of the part and of the occluders, object frame.
         coverable: coverage by all reachable candidates.
-        required: (S,) samples with a coverage target; None: all.
-        is_required: the same for any samples.
         memo: visibility of earlier views, at most one item.
     """
 
@@ -49,8 +47,6 @@ class Prediction:
     scanner: Scanner
     casters: Sequence[RayCaster]
     coverable: Coverage
-    required: Bools | None = None
-    is_required: Callable[[SurfaceSamples], Bools] | None = None
     memo: list[VisibilityMemo] = field(default_factory=list)
 
     @classmethod
@@ -84,14 +80,10 @@ class Prediction:
     def share_of_coverable(self, T_object_scanner: Floats) -> float:
         """Return the coverage of views (n, K, 4, 4) [m] as a share of the coverable area; 1 if nothing is coverable.
 
-        Only required samples count. Samples measured by the views count as coverable: the views need not be candidates.
+        Samples measured by the views count as coverable: the views need not be candidates.
         """
-        visible, areas = self.visible(T_object_scanner), self.samples.areas
-        coverable = self.coverable.covered | visible.covered
-        if self.required is not None:
-            coverable = coverable & self.required
-            return float(areas[coverable & visible.covered].sum() / areas[coverable].sum()) if coverable.any() else 1.0
-        area = float(areas[coverable].sum())
+        visible = self.visible(T_object_scanner)
+        area = float(self.samples.areas[self.coverable.covered | visible.covered].sum())
         return visible.area / area if area > 0 else 1.0
 
     def seen(self, T_object_scanner: Floats, among: Bools | None = None) -> NDArray[np.bool_]:

@@ -15,21 +15,18 @@ from tests.seen_samples import seen_samples
 
 Cell = Callable[..., Any]
 
-OPTIONS = (
-    "--units", "mm", "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
-    "--candidates", "optimal-scanning-zone", "--coverage", "0.97", "--proposals", "5",
-)  # fmt: skip
+OPTIONS = ("--coverage", "0.97", "--proposals", "5")
 
 
 @pytest.fixture(scope="module")
-def made(made_once: Callable[..., Path], planned: Path, part_file: Path, run_cell: Cell) -> Path:
+def made(made_once: Callable[..., Path], planned: Path, run_cell: Cell) -> Path:
     """Folder of set-ups behind the planned run, which has an execution of its own."""
 
     def make(folder: Path) -> None:
         shutil.copytree(planned, folder / "first")
         done = run_cell("scan", "first", "--resolution", "2", "--json", cwd=folder)
         assert done.returncode == 0, done.stderr
-        done = run_cell("setups", part_file, *OPTIONS, "--first", "first", "--out", "made", "--json", cwd=folder)
+        done = run_cell("setups", *OPTIONS, "--first", "first", "--out", "made", "--json", cwd=folder)
         assert done.returncode == 0, done.stderr
 
     return made_once("first_setup", make) / "made"
@@ -74,12 +71,15 @@ def test_a_scan_of_the_set_ups_goes_on_with_the_second(made: Path, run_cell: Cel
 
 
 def test_the_first_set_up_has_the_same_part(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """Another mesh is refused in one sentence, and a folder that is no run as everywhere."""
+    """Another mesh or cell is refused in one sentence, and a folder that is no run as everywhere."""
     trimesh.creation.box([60, 60, 60]).export(tmp_path / "box.stl")
-    done = run_cell("setups", "box.stl", *OPTIONS, "--first", planned, "--out", "made", cwd=tmp_path)
+    done = run_cell("setups", "box.stl", "--units", "mm", *OPTIONS, "--first", planned, "--out", "made", cwd=tmp_path)
     assert done.returncode == 2
     assert "give a plan of the same part" in done.stderr
-    done = run_cell("setups", "box.stl", *OPTIONS, "--first", "nothing", "--out", "other", cwd=tmp_path)
+    done = run_cell("setups", "--baseline", "60", "--first", planned, "--out", "other", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "give part and options, or a scene file" in done.stderr
+    done = run_cell("setups", "--first", "nothing", "--out", "other", cwd=tmp_path)
     assert done.returncode == 6
 
 

@@ -266,18 +266,18 @@ def test_a_table_never_needs_more_views(planned: Path, turned: Path) -> None:
         assert len(table.views) <= len(fixed.views)
 
 
-def test_a_further_setup_has_the_table(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
-    """Upside down the table is below the part again, and both measure more than one; the motion is certified."""
-    done = run_cell("plan", "--open-of", turned, "--place", "1000,300,100,0,0,180", "--out", "over", cwd=tmp_path)
+def test_a_further_set_up_keeps_the_table(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
+    """Upside down on the same table both set-ups measure more than the first; the motion is certified."""
+    further = ("--proposals", "1", "--place", "1000,300,100,0,0,180", "--coverage", "1", "--out", "over")
+    done = run_cell("setups", "--first", turned, *further, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    together = _json(tmp_path / "over" / "report.json")["open_of"]
-    assert (
-        together["together"] > together["before"] == pytest.approx(_share(turned), abs=0.001)
-    )  # less what the post touches
-    first, second = (_json(run / "scene.resolved.json") for run in (turned, tmp_path / "over"))
-    assert second["table"]["post_mm"] == first["table"]["post_mm"]
-    assert second["table"]["T_base_table"] != first["table"]["T_base_table"]
-    assert verify_plan(tmp_path / "over").world.table is not None
+    file = _json(tmp_path / "over" / "setups.json")
+    assert len(file["chosen"]) == 2
+    assert file["coverage"]["visible"] > file["chosen"][0]["visible"] == pytest.approx(_share(turned), abs=0.001)
+    first, second = (tmp_path / "over" / "setups" / number for number in "12")
+    tables = [_json(run / "scene.resolved.json")["table"] for run in (first, second)]
+    assert tables[0]["T_base_table"] == tables[1]["T_base_table"]
+    assert verify_plan(second).world.table is not None
 
 
 def test_views_are_edited_and_the_motion_of_seven_axes_certified_again(

@@ -70,9 +70,10 @@ def test_advice_is_a_share_and_a_command_each(planned: Path, run_cell: Cell, tmp
     assert len(set(commands)) == len(commands) == 8
     for advice in said["advice"]:
         words = advice["command"].split()
-        assert words[:2] == ["cell", "plan"]
+        is_further = "second set-up" in advice["what"]
+        assert words[:2] == ["cell", "setups" if is_further else "plan"]
         assert words.count("--place") == 1
-        assert words.count("--open-of") == ("second set-up" in advice["what"])
+        assert words.count("--first") == is_further
         assert "--out" not in words
         assert 0 <= advice["share"] <= 1
-        assert advice["share"] >= visible - 2e-4 or "second set-up" not in advice["what"]
+        assert advice["share"] >= visible - 2e-4 or not is_further
