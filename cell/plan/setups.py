@@ -586,9 +586,7 @@ class SetupSearch:
             if not self._request_more(found, _driven(connected)):
                 break
         if last is None:
-            raise UnreachableError(
-                "no cover could be connected; move the part, or allow other set-ups with --proposals"
-            )
+            raise UnreachableError("no cover could be connected; move the part, or allow more with --proposals")
         return self._with_shared_surface(*self._thorough(*last))
 
     def _thorough(self, found: GroupedCover, connected: Connected) -> tuple[GroupedCover, Connected]:

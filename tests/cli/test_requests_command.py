@@ -91,7 +91,7 @@ def test_the_most_coverage_around_pinned_and_banned_views_with_its_curve(
     assert (folder / "curve.png").stat().st_size > 10_000
     page = (folder / "report.md").read_text()
     assert "curve.png" in page
-    assert "no so many candidates cover more than" in page
+    assert "no selection of 3 views covers more than" in page
 
 
 def test_an_unreachable_pinned_view_is_refused_with_its_verdict(

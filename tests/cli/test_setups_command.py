@@ -37,7 +37,7 @@ def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
     assert said["views"] == sum(setup["views"] for setup in said["chosen"]) >= said["views_bound"] >= len(seen)
     assert len(said["offered"]) == 4
     assert max(each["coverable"] for each in said["offered"]) <= said["coverage"]["coverable"]
-    assert "proven fewest of the 4 set-ups offered" in " ".join(
+    assert "proven fewest of 4 set-up candidates" in " ".join(
         (made.parent / "stdout").read_text().replace("│", " ").split()
     )
     assert "## Set-ups offered" in (made / "report.md").read_text()
@@ -71,26 +71,26 @@ def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: Cell) -> None:
         assert str(Path("made", "setups", number, "view.html")) in done.stdout
     done = run_cell("view", "made", "--no-open", "--out", "x.html", cwd=made.parent)
     assert done.returncode == 2
-    assert "holds several set-ups, each with a page of its own" in done.stderr
+    assert "holds several set-ups with a page each" in done.stderr
 
 
 @pytest.mark.parametrize(
     ("options", "code", "told"),
     [
-        (("--pin", "3"), 2, "--pin 3 must be candidates, each by the number of the set-up offered"),
-        (("--pin", "1:3"), 2, "candidate 1:3: there are 1 set-ups offered, 0 to 0"),
+        (("--pin", "3"), 2, "--pin 3 must be candidates, each as SETUP:ID with the number of the set-up candidate"),
+        (("--pin", "1:3"), 2, "candidate 1:3: there are 1 set-up candidates, 0 to 0"),
         (("--pin", "0:3000"), 2, "candidate 0:3000: set-up 0 has candidates 0 to "),
         (("--pin", "0:3", "--ban", "0:3"), 2, "candidate 0:3 is pinned and banned"),
         (("--pin", "0:3,0:4", "--max-views", "1"), 2, "2 views are pinned and at most 1 are allowed"),
-        (("--pin", "0:3,1:4", "--max-setups", "1"), 2, "views of more than the 1 set-ups that may be used are pinned"),
-        (("--setup-seconds", "60"), 2, "a set-up costs seconds only where views do; give --cost time as well"),
+        (("--pin", "0:3,1:4", "--max-setups", "1"), 2, "views of more than the 1 allowed set-ups are pinned"),
+        (("--setup-seconds", "60"), 2, "--setup-seconds needs views with a cost in seconds; give --cost time as well"),
         (
             ("--setup-seconds", "60", "--cost", "time", "--max-setups", "1"),
             2,
-            "both say how few set-ups there are to be",
+            "both limit the number of set-ups",
         ),
-        (("--proposals", "0"), 2, "no set-up is offered: give [[setup]] tables in the scene"),
-        (("--place", "9000,0,100"), 4, "none of the 1 set-ups offered can be planned"),
+        (("--proposals", "0"), 2, "there is no set-up candidate: give [[setup]] tables in the scene"),
+        (("--place", "9000,0,100"), 4, "none of the 1 set-up candidates can be planned"),
     ],
 )
 def test_what_cannot_be_is_said(
@@ -150,7 +150,7 @@ def test_given_set_ups_are_planned_each_among_its_own_fixtures(part_file: Path, 
         assert names == (["vise"] if setup["offered"] == 1 else [])
     done = run_cell("plan", "--scene", "cell.toml", "--out", "run", cwd=tmp_path)
     assert done.returncode == 2
-    assert "the scene gives 3 set-ups, and this plans one: give it to cell setups" in done.stderr
+    assert "the scene has 3 set-ups, and cell plan plans one: use cell setups" in done.stderr
 
 
 def test_equal_set_ups_are_refused(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ def test_texts_and_values_say_the_same(wishes: dict[str, Any]) -> None:
         ({"order": "1,2,2"}, "view 2 twice"),
         ({"order": "1,2", "keep_order": True}, "give one of them"),
         ({"drop": "1", "turn": "1:90"}, "view 1 twice"),
-        ({"drop": "1", "table_angle": 30}, "table_angle_deg concerns the poses of move and add_pose"),
+        ({"drop": "1", "table_angle": 30}, "concerns the poses of move and add_pose"),
     ],
 )
 def test_what_an_edit_cannot_say(wishes: dict[str, Any], told: str) -> None:

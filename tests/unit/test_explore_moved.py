@@ -31,10 +31,17 @@ def problem(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     candidates = aim_viewpoints(0.03 * outward, outward, np.arange(12), [0.1], [0.0])
     scouts = draw_samples(mesh, mesh, 300, np.random.default_rng(1))
     arm = ViewEvaluator(scanner, casters, lambda T: np.ones(len(T), dtype=bool), np.eye(4)[None])
-    monkeypatch.setattr(moved, "arm_of", lambda *_: arm)
+    monkeypatch.setattr(moved, "view_evaluator", lambda *_: arm)
     prediction = SimpleNamespace(samples=scouts, scanner=scanner, casters=casters)
     return SimpleNamespace(
-        candidates=candidates, prediction=prediction, world=None, kinematics=None, checker=None, arm=arm, request=_GROWN
+        candidates=candidates,
+        prediction=prediction,
+        world=None,
+        kinematics=None,
+        checker=None,
+        arm=arm,
+        request=_GROWN,
+        cell=None,
     )
 
 
@@ -64,5 +71,5 @@ def test_where_nothing_is_better_the_problem_is_the_same(problem: SimpleNamespac
     assert with_better(problem, np.empty(0, dtype=np.int64), _append) is problem
     sphere = SimpleNamespace(**vars(problem) | {"request": _NOT})
     assert with_better(sphere, np.arange(12), _append) is sphere
-    object.__setattr__(problem.arm, "takes_up", lambda T: np.zeros(len(T), dtype=bool))
+    object.__setattr__(problem.arm, "are_reachable", lambda T: np.zeros(len(T), dtype=bool))
     assert with_better(problem, np.arange(12), _append) is problem

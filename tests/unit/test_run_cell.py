@@ -18,9 +18,8 @@ from cell.replay.model import build_replay_model
 from cell.runs.cell import collision_note, read_cell, scene_of_run, world_of
 from cell.runs.folder import RunFolder
 from cell.runs.run import Run, open_run
-from cell.scanners.laser_area import LaserArea
 from cell.scene.file import load_scene
-from cell.scene.settle import resolve, settle_scene
+from cell.scene.settle import settle
 from cell.world.model import World, compile_world
 from cell.world.occluders import fixed_occluders
 from cell.world.travel import TravelBound
@@ -75,12 +74,12 @@ def _written(home: Path, part_file: Path, plan: dict[str, object]) -> tuple[Run,
     (home / "scene.toml").write_text(SCENE)
     scene = load_scene(home / "scene.toml", {"part": {"path": str(part_file), "units": "mm"}, "plan": plan})
     part = workpiece.load(part_file, "mm")
-    scene = settle_scene(scene, part)
-    settings = resolve(scene, part)
-    world = compile_world(scene, part.reference.vertices, baseline_mm=settings.scanner["baseline_mm"])
+    settled = settle(scene, part)
+    world = compile_world(settled.scene, part.reference.vertices, baseline_mm=settled.baseline_mm)
     folder = RunFolder.create(home / "run", [], 0, {}, datetime(2024, 1, 2, tzinfo=UTC))
-    plan_files.write_meshes(folder, part.reference, decimate(part.reference, 200))
-    plan_files.write_cell(folder, scene, settings, part, 200, world, LaserArea(**settings.scanner).parameters())
+    planning = decimate(part.reference, 200)
+    plan_files.write_meshes(folder, part.reference, planning)
+    plan_files.write_cell(folder, settled, planning, world)
     return open_run(folder.finish(0)), world
 
 
