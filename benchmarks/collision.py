@@ -1,8 +1,8 @@
 """Collision checks: configurations per second beside disagreements with python-fcl on the same shapes.
 
-Rows compare ways to run MuJoCo on one cell, and the checker's services. Rates are per second of processor time, which a
-shared machine disturbs least, and per second of wall time. Disagreements are counted on configurations of which many
-lie within 10 mm of contact, against fcl's box, cylinder and hull routines (overlap or not).
+Rows compare ways to run MuJoCo on one cell, and the methods of the checker. Rates are per second of processor time,
+which a shared machine disturbs least, and per second of wall time. Disagreements with fcl's box, cylinder and hull
+routines (overlap or not) are counted on configurations of which many are within 10 mm of contact.
 """
 
 import time
@@ -26,7 +26,7 @@ _REPEATS = 5
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per way to check."""
+    """Measure one row per kind of check."""
     part = workpiece.load(Scene().part.source)
     started = time.perf_counter()
     world = compile_world(Scene(), part.reference.vertices, baseline_mm=75.0)
@@ -34,18 +34,18 @@ def run() -> list[dict[str, Any]]:
     checker = MujocoCollisionChecker(world)
     q = np.random.default_rng(0).uniform(world.limits.lower, world.limits.upper, (_COUNT, 6))
     free = checker.free(q)
-    judged, truth, n_near = _against_fcl(world, checker, q)
+    compared, truth, n_near = _against_fcl(world, checker, q)
 
-    def row(what: str, run_it: Callable[[], Any], count: int, wrong: int | str = "", note: str = "") -> dict[str, Any]:
+    def row(name: str, run_it: Callable[[], Any], count: int, wrong: int | str = "", note: str = "") -> dict[str, Any]:
         return {
-            "what": what,
-            **{name: round(count / seconds, -3) for name, seconds in _best(run_it).items()},
+            "what": name,
+            **{rate: round(count / seconds, -3) for rate, seconds in _best(run_it).items()},
             "disagreements with fcl": wrong,
-            "of": len(judged) if wrong != "" else "",
+            "of": len(compared) if wrong != "" else "",
             "note": note,
         }
 
-    overlap_free = _overlap_free(world, part.reference.vertices, judged)
+    overlap_free = _overlap_free(world, part.reference.vertices, compared)
     rows = [
         row("checker.free", lambda: checker.free(q), _COUNT, int((overlap_free != truth).sum()),
             f"{n_near} compared near contact; {np.mean(free):.1%} free at 10 mm; cell compiled in {compile_ms:.0f} ms"),
@@ -59,14 +59,18 @@ def run() -> list[dict[str, Any]]:
     rows += [
         row("checker.distance", lambda: checker.distance(few), len(few), "", "nearest pair within 300 mm"),
         row(
-            "checker.travel, batch", lambda: checker.travel(q[:-1], q[1:]), _COUNT, "", "bound on the way of a segment"
+            "checker.travel, batch",
+            lambda: checker.travel(q[:-1], q[1:]),
+            _COUNT,
+            "",
+            "bound on the travel of a segment",
         ),
     ]
     return rows
 
 
 def _best(run_it: Callable[[], Any]) -> dict[str, float]:
-    """Shortest processor and wall time of a few runs [s]: the machine is shared."""
+    """Return the shortest processor and wall time of a few runs [s]: the machine is shared."""
     best = {"configurations/CPU s": np.inf, "configurations/s": np.inf}
     for _ in range(_REPEATS):
         started = time.process_time(), time.perf_counter()
@@ -95,7 +99,7 @@ def _batch(batch: mujoco.batch.Batch, q: NDArray[np.float64]) -> int:
 
 
 def _overlap_free(world: World, vertices: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """The checker's verdict without clearance, which is what fcl decides exactly."""
+    """Return the checker's result without clearance, which fcl decides exactly."""
     touching = Scene.model_validate({"clearance_mm": 0.0})
     return MujocoCollisionChecker(compile_world(touching, vertices, baseline_mm=75.0), world.T_base_object).free(q)
 
@@ -103,14 +107,14 @@ def _overlap_free(world: World, vertices: NDArray[np.float64], q: NDArray[np.flo
 def _against_fcl(
     world: World, checker: MujocoCollisionChecker, q: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], int]:
-    """Configurations, fcl's verdict on each (True: nothing overlaps), and how many are near contact."""
+    """Return configurations, fcl's result for each (True: no overlap), and the number near contact."""
     distance, _ = checker.distance(q)
     near = np.flatnonzero(np.abs(distance) < 0.01)[: _COMPARED // 2]
-    judged = np.concatenate([q[: _COMPARED - len(near)], q[near]])
+    compared = np.concatenate([q[: _COMPARED - len(near)], q[near]])
     shapes = [_fcl_shape(world, geom) for geom in range(world.model.ngeom)]
     data = world.data()
-    truth = np.empty(len(judged), dtype=np.bool_)
-    for i, configuration in enumerate(judged):
+    truth = np.empty(len(compared), dtype=np.bool_)
+    for i, configuration in enumerate(compared):
         data.qpos[:] = configuration
         mujoco.mj_kinematics(world.model, data)
         for geom, shape in enumerate(shapes):
@@ -119,7 +123,7 @@ def _against_fcl(
                 R, position = world.T_base_object[:3, :3], world.T_base_object[:3, 3]
             shape.setTransform(fcl.Transform(R, position))
         truth[i] = not any(fcl.collide(shapes[a], shapes[b]) for a, b in world.pairs)
-    return judged, truth, len(near)
+    return compared, truth, len(near)
 
 
 def _fcl_shape(world: World, geom: int) -> fcl.CollisionObject:

@@ -1,9 +1,9 @@
-"""Hull or triangles: what each misses or refuses falsely against triangle-exact truth, and its time.
+"""Hull or triangles: missed collisions, false rejections and time, against triangle-exact truth.
 
-Configurations are joint solutions of candidate viewpoints (what `reach` asks about) and of random scanner poses close
-to the surface; kept are those at which nothing but the part can be too near. Truth is python-fcl on the part's true
-triangles: boxes as boxes, cylinders as the prism around and the prism inside them; the few that these two decide
-differently, or that lie within 10 um of the clearance, are left out. Times are processor times of one run.
+Configurations are joint configurations of candidate viewpoints (those that `reach` checks) and of random scanner poses
+near the surface, restricted to those at which only the part can be too near. Truth is python-fcl on the part's true
+triangles: boxes as boxes, cylinders between the prisms around and inside them. The few configurations that these two
+decide differently, or within 10 um of the clearance, are left out. Times are processor times of one run.
 """
 
 import tempfile
@@ -46,7 +46,7 @@ _TREE_POSES = 400
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per part and fidelity, and one over all parts for each fidelity."""
+    """Measure one row per part and fidelity, and one over all parts for each fidelity."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for name, part, scene in _parts(Path(folder)):
@@ -63,7 +63,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def _tree_rows() -> list[dict[str, Any]]:
-    """Distance of the housing from a mug's triangles: the own tree beside python-fcl's, times and difference."""
+    """Compare distances of the housing from a mug's triangles with python-fcl: times and differences."""
     part = workpiece.load("mug")
     mesh = part.reference
     tree = TriangleTree(mesh)
@@ -122,7 +122,7 @@ def _parts(folder: Path) -> Iterator[tuple[str, Workpiece, Scene]]:
 
 
 def deep_bucket() -> trimesh.Trimesh:
-    """A bucket 480 mm wide and 360 mm deep with a 12 mm wall [mm]: the scanner has to go down into it."""
+    """Return a bucket 480 mm wide and 360 mm deep with a 12 mm wall [mm]: the scanner has to enter it."""
     outline = [(0.0, 0.0), (240.0, 0.0), (240.0, 360.0), (228.0, 360.0), (228.0, 12.0), (0.0, 12.0)]
     return trimesh.creation.revolve(np.array(outline), sections=160)
 
@@ -176,7 +176,7 @@ def _rows(name: str, part: Workpiece, scene: Scene) -> list[dict[str, Any]]:
 
 
 def _judged(world: World, part: Workpiece, q: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """The configurations that fcl decides, and whether they keep the clearance from the true triangles."""
+    """Return the configurations that fcl decides, and whether they keep the clearance from the true triangles."""
     mesh = part.reference
     T = world.T_base_object
     placed = fcl.CollisionObject(
@@ -220,13 +220,13 @@ def _bvh(vertices: Floats, faces: NDArray[np.integer]) -> fcl.BVHModel:
 
 
 def _moves(world: World, geom: int) -> bool:
-    """Whether a shape is guarded against the part."""
+    """Return whether a shape is checked with the part."""
     part = {g for g, entity in enumerate(world.entities) if entity == "part"}
     return any(geom in pair and part & set(pair) for pair in world.pairs.tolist() if geom not in part)
 
 
 def _fcl_shapes(world: World, geom: int) -> list[fcl.CollisionObject]:
-    """The shape, or what is around and what is inside it."""
+    """Return the shape, or prisms around and inside it."""
     size = world.model.geom_size[geom]
     if world.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
         return [fcl.CollisionObject(fcl.Box(*(2 * size)))]

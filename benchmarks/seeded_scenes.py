@@ -1,7 +1,7 @@
-"""Seeded scenes for benchmarks of motion: a built-in part, where it stands, and fixtures around it.
+"""Seeded scenes for benchmarks of motion: a built-in part, its placement, and fixtures around it.
 
-Every scene is drawn from its number alone. Some draws cannot be (a fixture inside the robot, a part out of reach); the
-next draw of the same number is taken then.
+Every scene is drawn from its number alone. Infeasible draws (a fixture inside the robot, a part out of reach) are
+replaced by the next draw of the same number.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ PARTS = ("mseke", "mug", "robinet", "petanque", "humerus", "st-jean")
 
 _FIXTURES = 2, 7  # from, to below
 _FACES, _ROLLS = 60, np.radians([0.0, 90.0])  # candidates: one per face and roll
-_STANDOFF = 0.2  # m: near the part, so that ways around it are needed
+_STANDOFF = 0.2  # m: near the part, so that paths around it are needed
 _DRAWS = 40
 
 
@@ -38,11 +38,11 @@ class SeededCell:
 
     Attributes:
         number: of the scene.
-        world: the cell.
-        checker: its collisions.
+        world: the compiled cell.
+        checker: its collision checker.
         part: the part's faces, object frame [m].
         viewpoints: candidates.
-        reach: their joint solutions.
+        reach: their joint configurations.
     """
 
     number: int
@@ -59,12 +59,12 @@ class SeededCell:
 
 
 def usable(number: int, least: int = 2, *, table: str = "") -> SeededCell:
-    """The first draw of a scene that can be and of which enough candidates are reachable.
+    """Return the first feasible draw of a scene with enough reachable candidates.
 
     Args:
         number: of the scene.
-        least: reachable candidates that are needed.
-        table: how a rotary table that turns the part moves, or "tilted": synchronised, its axis tilted; "": none.
+        least: required number of reachable candidates.
+        table: mode of a rotary table, or "tilted": synchronised, with a tilted axis; "": no table.
     """
     for draw in range(_DRAWS):
         scene = Scene.model_validate(content(number, draw) | ({"table": _table(number, draw, table)} if table else {}))
@@ -86,7 +86,7 @@ def usable(number: int, least: int = 2, *, table: str = "") -> SeededCell:
 
 
 def _table(number: int, draw: int, moves: str) -> dict[str, Any]:
-    """A rotary table: every second one with limits, and the part beside its axis."""
+    """Return a rotary table: every second one has limits, and the part beside its axis."""
     rng = np.random.default_rng([number, draw, 1])
     keys: dict[str, Any] = {
         "diameter_mm": round(float(rng.uniform(200, 500)), 1),
@@ -111,12 +111,7 @@ def _part(name: str) -> tuple[Workpiece, TriangleMesh]:
 
 
 def content(number: int, draw: int = 0) -> dict[str, Any]:
-    """Tables of a scene file.
-
-    Args:
-        number: of the scene.
-        draw: 0, or how many draws of this number could not be used.
-    """
+    """Return the tables of a scene file for a draw of a number."""
     rng = np.random.default_rng([number, draw])
     distance, bearing = rng.uniform(800, 1350), np.radians(rng.uniform(-80, 80))
     middle = np.array([distance * np.cos(bearing), distance * np.sin(bearing), rng.uniform(-250, 450)])

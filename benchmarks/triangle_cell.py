@@ -1,8 +1,8 @@
-"""A second judge of motions: triangles of part, tool and arm in python-fcl, carried by the joints' exponentials.
+"""Independent check of motions: triangles of part, tool and arm in python-fcl, moved by the joints' exponentials.
 
-Boxes are twelve triangles, cylinders the prism of 96 sides around them, the part and mesh fixtures their own faces: no
-hull, no clearance, no travel bound, and none of MuJoCo's kinematics or collision routines. Only where every shape is at
-A1..A6 = 0, and which pairs are guarded, is taken from the compiled cell. Base frame, metres.
+Boxes are twelve triangles, cylinders circumscribed prisms of 96 sides, the part and mesh fixtures their own faces: no
+hulls, no clearance, no travel bound, and none of MuJoCo's kinematics or collision routines. Only the poses of the
+shapes at A1..A6 = 0 and the checked pairs are those of the compiled cell. Base frame, metres.
 """
 
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ class TriangleCell:
     def __init__(self, world: World, part: TriangleMesh) -> None:
         model, data = world.model, world.data()
         data.qpos[:] = 0.0
-        mujoco.mj_kinematics(model, data)  # only for where everything is at A1..A6 = 0
+        mujoco.mj_kinematics(model, data)  # only for the poses at A1..A6 = 0
         joints = [model.joint(f"A{i}").id for i in range(1, 7)]
         self._axes, self._anchors = data.xaxis[joints].copy(), data.xanchor[joints].copy()
         self._link, self._rest, self._shape, self._radius, self._half = [], [], [], [], []
@@ -60,14 +60,14 @@ class TriangleCell:
             turns = world.table is not None and model.body(model.geom_bodyid[geom]).name in ("object", "post")
             tool = 6 if name in ("housing", "bracket") else 0
             self._link.append(int(name[5:]) if name.startswith("link_") else 7 if turns else tool)
-        if world.table is not None:  # a seventh axis, of what stands on the table
+        if world.table is not None:  # a seventh axis, of everything on the table
             self._axes = np.concatenate([self._axes, world.table.T_base_table[None, :3, 2]])
             self._anchors = np.concatenate([self._anchors, world.table.T_base_table[None, :3, 3]])
         self._names = world.entities
         self._pairs = sorted(map(tuple, world.pairs.tolist()))
 
-    def _places(self, q: Floats) -> Floats:
-        """(N, shapes, 4, 4) poses at (N, axes) joint angles."""
+    def _poses(self, q: Floats) -> Floats:
+        """Return the poses (N, shapes, 4, 4) at joint angles (N, axes)."""
         carried = [np.tile(np.eye(4), (len(q), 1, 1))]
         for axis, anchor, angle in zip(self._axes, self._anchors, q.T, strict=True):
             x, y, z = axis
@@ -80,46 +80,46 @@ class TriangleCell:
         return np.stack([carried[link] @ rest for link, rest in zip(self._link, self._rest, strict=True)], axis=1)
 
     def contacts(self, q: Floats) -> dict[str, int]:
-        """How many of (N, axes) configurations have triangles that meet, by pair."""
+        """Count the configurations (N, axes) at which triangles intersect, by pair."""
         found: dict[str, int] = {}
-        for places, a, b, near in self._near(q, 0.0):
+        for poses, a, b, near in self._near(q, 0.0):
             for i in near:
-                if fcl.collide(self._placed(a, places[i, a]), self._placed(b, places[i, b])):
+                if fcl.collide(self._at_pose(a, poses[i, a]), self._at_pose(b, poses[i, b])):
                     name = self._named(a, b)
                     found[name] = found.get(name, 0) + 1
         return found
 
     def nearest(self, q: Floats, reach: float = 0.05) -> float:
-        """Smallest distance of triangles over (N, axes) configurations [m], at most `reach`."""
+        """Return the smallest distance of triangles over configurations (N, axes) [m], at most `reach`."""
         return min(self.distances(q, reach).values(), default=reach)
 
     def distances(self, q: Floats, reach: float) -> dict[str, float]:
-        """Smallest distance over (N, axes) configurations [m] of each pair that comes nearer than `reach`."""
+        """Return the smallest distance of each pair nearer than `reach` over configurations (N, axes) [m]."""
         found: dict[str, float] = {}
-        for places, a, b, near in self._near(q, reach):
+        for poses, a, b, near in self._near(q, reach):
             best = reach
             for i in near:
-                gap = np.linalg.norm(places[i, a, :3, 3] - places[i, b, :3, 3]) - self._radius[a] - self._radius[b]
+                gap = np.linalg.norm(poses[i, a, :3, 3] - poses[i, b, :3, 3]) - self._radius[a] - self._radius[b]
                 if gap < best:
-                    best = min(best, fcl.distance(self._placed(a, places[i, a]), self._placed(b, places[i, b])))
+                    best = min(best, fcl.distance(self._at_pose(a, poses[i, a]), self._at_pose(b, poses[i, b])))
             if best < reach:
                 found[self._named(a, b)] = min(best, found.get(self._named(a, b), reach))
         return found
 
     def _near(self, q: Floats, reach: float) -> Iterator[tuple[Floats, int, int, Ints]]:
-        """Pairs with the configurations at which neither their spheres nor the faces of their boxes part them."""
+        """Yield pairs with the configurations at which neither bounding spheres nor boxes separate them."""
         for start in range(0, len(q), 2000):
-            places = self._places(q[start : start + 2000])
+            poses = self._poses(q[start : start + 2000])
             for a, b in self._pairs:
-                gap = np.linalg.norm(places[:, a, :3, 3] - places[:, b, :3, 3], axis=1)
+                gap = np.linalg.norm(poses[:, a, :3, 3] - poses[:, b, :3, 3], axis=1)
                 near = np.flatnonzero(gap <= self._radius[a] + self._radius[b] + reach)
                 if len(near):
-                    near = near[self._boxes_meet(places[near, a], places[near, b], a, b, reach)]
+                    near = near[self._boxes_meet(poses[near, a], poses[near, b], a, b, reach)]
                 if len(near):
-                    yield places, a, b, near
+                    yield poses, a, b, near
 
     def _boxes_meet(self, T_a: Floats, T_b: Floats, a: int, b: int, reach: float) -> NDArray[np.bool_]:
-        """(n,) False where a face of one bounding box keeps the other farther than reach."""
+        """Return (n,) False where a face of one bounding box separates the other by more than reach."""
         into_a = T_a[:, :3, :3].transpose(0, 2, 1)
         turn = into_a @ T_b[:, :3, :3]
         shift = into_a @ (T_b[:, :3, 3] - T_a[:, :3, 3])[..., None]
@@ -135,13 +135,13 @@ class TriangleCell:
     def _named(self, a: int, b: int) -> str:
         return f"{self._names[b]} with {self._names[a]}"
 
-    def _placed(self, geom: int, T: Floats) -> fcl.CollisionObject:
+    def _at_pose(self, geom: int, T: Floats) -> fcl.CollisionObject:
         self._shape[geom].setTransform(fcl.Transform(T[:3, :3], T[:3, 3]))
         return self._shape[geom]
 
 
 def _mesh(kind: int, size: Floats, T: Floats) -> tuple[trimesh.Trimesh, Floats]:
-    """Triangles of a primitive in its own frame, and its pose."""
+    """Return the triangles of a primitive in its own frame, and its pose."""
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return trimesh.creation.box(2 * size), T
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
