@@ -4,13 +4,14 @@ Everything is made from report.json. The pages contain no clock value.
 """
 
 import html
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from cell.formatting import percent
-from cell.runs.schema import ExecutedDeviation, ExecutedRegion, ExecutionReport, ScannedSetups, SharedSurface
+from cell.report.setups_report import shared_surface
+from cell.runs.schema import ExecutedDeviation, ExecutedRegion, ExecutionReport, ScannedSetups
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.surface import Deviation
 from planner.values import Floats
@@ -147,21 +148,27 @@ def _settings(report: ExecutionReport) -> list[str]:
     grid = f", {grid} deg" if grid else ""
     view = "" if settings.view is None else f", only view {settings.view} was requested"
     model = " and the scanner's own model" if settings.noise == "model" else ""
-    error = f"{_or_off(settings.pose_error_mm, 'mm')}, {_or_off(settings.pose_error_deg, 'deg')}"
-    return [
-        "| | |",
-        "|---|---|",
-        f"| part | {html.escape(report.part.name)}: {report.part.faces:,} faces |",
-        f"| views | {report.n_views} of the plan's {report.n_views_planned}{view} |",
-        f"| points | {report.n_points:,}, {html.escape(report.source)} |",
-        f"| scanner | {settings.scanner}{grid}, {settings.rays_per_scan:,} rays a scan |",
-        f"| driver | {settings.driver} |",
-        f"| range noise (1 sigma) | {_or_off(settings.range_noise_mm, 'mm')}{model} |",
-        f"| pose error (1 sigma an axis) | {error} |",
-        f"| motion | {motion.planned_s:.2f} s planned{executed} |",
-        f"| seed | {settings.seed} |",
-        "",
+    rows = [
+        ("part", f"{html.escape(report.part.name)}: {report.part.faces:,} faces"),
+        ("views", f"{report.n_views} of the plan's {report.n_views_planned}{view}"),
+        ("points", f"{report.n_points:,}, {html.escape(report.source)}"),
+        ("scanner", f"{settings.scanner}{grid}, {settings.rays_per_scan:,} rays a scan"),
+        ("driver", settings.driver),
+        ("range noise (1 sigma)", f"{_or_off(settings.range_noise_mm, 'mm')}{model}"),
+        (
+            "pose error (1 sigma an axis)",
+            f"{_or_off(settings.pose_error_mm, 'mm')}, {_or_off(settings.pose_error_deg, 'deg')}",
+        ),
+        ("motion", f"{motion.planned_s:.2f} s planned{executed}"),
+        ("seed", settings.seed),
     ]
+    return _grid(("", ""), rows)
+
+
+def _grid(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    """Return a Markdown table and an empty line."""
+    table = [f"| {' | '.join(map(str, row))} |" for row in (head, *rows)]
+    return [table[0], "|---" * len(head) + "|", *table[1:], ""]
 
 
 def _region(region: ExecutedRegion) -> str:
@@ -172,19 +179,15 @@ def _region(region: ExecutedRegion) -> str:
 def _coverage(report: ExecutionReport) -> list[str]:
     coverage = report.coverage
     model = "" if coverage.kind == "simulated" else " (computed by the model from the registered poses)"
-    lines = [
-        "## Coverage",
-        "",
-        "| | achieved | predicted |",
-        "|---|---|---|",
-        f"| visible{model}, of the surface | {percent(coverage.visible)} | {percent(coverage.predicted)} |",
-        f"| visible, of the coverable surface | {percent(coverage.visible_of_coverable)} | |",
-        f"| sampled, radius {coverage.sampled_radius_mm:.3g} mm | {percent(coverage.sampled)} | |",
+    rows = [
+        (f"visible{model}, of the surface", percent(coverage.visible), percent(coverage.predicted)),
+        ("visible, of the coverable surface", percent(coverage.visible_of_coverable), ""),
+        (f"sampled, radius {coverage.sampled_radius_mm:.3g} mm", percent(coverage.sampled), ""),
     ]
     if coverage.dense is not None:
-        lines.append(f"| dense: a point within 1.5 x the planned spacing | {percent(coverage.dense)} | |")
-    lines += [f"| region {html.escape(each.name)} | {_region(each)} | |" for each in report.regions or ()]
-    lines.append("")
+        rows.append(("dense: a point within 1.5 x the planned spacing", percent(coverage.dense), ""))
+    rows += [(f"region {html.escape(each.name)}", _region(each), "") for each in report.regions or ()]
+    lines = ["## Coverage", "", *_grid(("", "achieved", "predicted"), rows)]
     if coverage.predicted != coverage.predicted_all_views:
         every = percent(coverage.predicted_all_views)
         lines += [f"The prediction is for the scanned views; for all views of the plan it is {every}.", ""]
@@ -193,34 +196,34 @@ def _coverage(report: ExecutionReport) -> list[str]:
 
 def _surface(report: ExecutionReport) -> list[str]:
     model, deviation = report.model, report.deviation
-    lines = ["## Surface", ""]
     if deviation is None or model.reach_mm is None:
-        return [*lines, f"None: {model.status}.", ""]
-    holes = (
-        f"{model.closed_faces:,} faces close holes: they are not measured, are marked `closed` in mesh.ply, and do not "
-        f"count in the deviation below. They deviate by {deviation.closed.rms_mm:.4f} mm rms, by "
-        f"{deviation.closed.largest_mm:.4f} mm at most."
-        if deviation.closed is not None
-        else f"Holes stay holes: no surface is farther than {model.reach_mm:.3g} mm from a measured point."
-    )
+        return ["## Surface", "", f"None: {model.status}.", ""]
+    if deviation.closed is not None:
+        holes = (
+            f"{model.closed_faces:,} faces close holes: they are not measured, are marked `closed` in mesh.ply, and do "
+            f"not count in the deviation below. They deviate by {deviation.closed.rms_mm:.4f} mm rms, by "
+            f"{deviation.closed.largest_mm:.4f} mm at most."
+        )
+    else:
+        holes = f"Holes stay holes: no surface is farther than {model.reach_mm:.3g} mm from a measured point."
     if model.reach_mm > _COARSE * model.diagonal_mm:
         holes += (
             f" The points are far apart for a part of {model.diagonal_mm:.0f} mm: the surface is interpolated over "
             f"gaps up to {model.reach_mm:.3g} mm; a finer `--resolution` measures more of it."
         )
+    rows = [
+        ("root mean square", f"{deviation.rms_mm:.4f}"),
+        ("mean, signed", f"{deviation.mean_mm:+.4f}"),
+        ("95 % of the area within", f"{deviation.quantile_95_mm:.4f}"),
+        ("largest", f"{deviation.largest_mm:.4f}"),
+    ]
     return [
-        *lines,
-        f"{model.faces:,} faces from points {model.spacing_mm:.3g} mm apart, on a grid of "
-        f"{model.grid_mm:.3g} mm; {_number(model.holes, 'open edge loop')}, "
-        f"{_number(model.outliers, 'outlier')} left out. {holes}",
+        "## Surface",
         "",
-        "| deviation from the reference | mm |",
-        "|---|---|",
-        f"| root mean square | {deviation.rms_mm:.4f} |",
-        f"| mean, signed | {deviation.mean_mm:+.4f} |",
-        f"| 95 % of the area within | {deviation.quantile_95_mm:.4f} |",
-        f"| largest | {deviation.largest_mm:.4f} |",
+        f"{model.faces:,} faces from points {model.spacing_mm:.3g} mm apart, on a grid of {model.grid_mm:.3g} mm; "
+        f"{_number(model.holes, 'open edge loop')}, {_number(model.outliers, 'outlier')} left out. {holes}",
         "",
+        *_grid(("deviation from the reference", "mm"), rows),
         "![Deviation of the surface](deviation.png)",
         "",
     ]
@@ -228,59 +231,60 @@ def _surface(report: ExecutionReport) -> list[str]:
 
 def _registration(report: ExecutionReport) -> list[str]:
     registration, cloud, settings = report.registration, report.cloud, report.settings
+    reported, corrected = _mm(cloud.rms_to_reference_as_reported_mm), _mm(cloud.rms_to_reference_mm)
     if registration is None:
         if not (settings.pose_error_mm or settings.pose_error_deg):
             return []
-        distance = _mm(cloud.rms_to_reference_mm)
-        return [
-            "## Pose error",
-            "",
-            f"The scans were not registered; the points are {distance} rms from the reference.",
-            "",
-        ]
-    before, after = _mm(registration.rms_before_mm), _mm(registration.rms_after_mm)
-    reported, corrected = _mm(cloud.rms_to_reference_as_reported_mm), _mm(cloud.rms_to_reference_mm)
-    lines = [
+        sentence = f"The scans were not registered; the points are {corrected} rms from the reference."
+        return ["## Pose error", "", sentence, ""]
+    residuals = [
+        ("matched points, rms along the normals", _mm(registration.rms_before_mm), _mm(registration.rms_after_mm)),
+        ("all points to the reference, rms", reported, corrected),
+    ]
+    errors = [
+        (
+            view.stop,
+            _or_unknown(view.pose_error_mm, 3),
+            _or_unknown(view.pose_error_after_mm, 3),
+            _or_unknown(view.pose_error_deg, 4),
+            _or_unknown(view.pose_error_after_deg, 4),
+            view.registration,
+        )
+        for view in report.views
+    ]
+    return [
         "## Registration",
         "",
         "The reported poses were corrected by registration of the scans to each other and to the reference "
         f"({_number(registration.overlapping_pairs, 'overlapping pair')}, "
         f"{_number(registration.iterations, 'step')}).",
         "",
-        "| | as reported | registered |",
-        "|---|---|---|",
-        f"| matched points, rms along the normals | {before} | {after} |",
-        f"| all points to the reference, rms | {reported} | {corrected} |",
-        "",
-        "| view | position error mm | after | angle error deg | after | result |",
-        "|---|---|---|---|---|---|",
+        *_grid(("", "as reported", "registered"), residuals),
+        *_grid(("view", "position error mm", "after", "angle error deg", "after", "result"), errors),
     ]
-    lines += [
-        f"| {view.stop} | {_or_unknown(view.pose_error_mm, 3)} | {_or_unknown(view.pose_error_after_mm, 3)} | "
-        f"{_or_unknown(view.pose_error_deg, 4)} | {_or_unknown(view.pose_error_after_deg, 4)} | {view.registration} |"
-        for view in report.views
-    ]
-    return [*lines, ""]
 
 
 def _views(report: ExecutionReport) -> list[str]:
     if not report.views:
         return []
     rejections = [name for name in _REJECTIONS if any((view.rays or {}).get(name) for view in report.views)]
-    names = ["view", "candidate", "adds % of surface", "reported - commanded deg", "points"]
-    names += [_REJECTIONS[name] for name in rejections]
-    lines = ["## Scans in driving order", "", f"| {' | '.join(names)} |", "|---" * len(names) + "|"]
-    for view in report.views:
-        cells = [str(view.stop), str(view.id), f"{100 * view.adds:.2f}"]
-        cells += [f"{view.reported_minus_commanded_deg:.4f}", f"{view.points:,}"]
-        cells += [format((view.rays or {}).get(name, 0), ",") for name in rejections]
-        lines.append(f"| {' | '.join(cells)} |")
+    head = ["view", "candidate", "adds % of surface", "reported - commanded deg", "points"]
+    rows = [
+        (
+            view.stop,
+            view.id,
+            f"{100 * view.adds:.2f}",
+            f"{view.reported_minus_commanded_deg:.4f}",
+            f"{view.points:,}",
+            *(f"{(view.rays or {}).get(name, 0):,}" for name in rejections),
+        )
+        for view in report.views
+    ]
+    lines = ["## Scans in driving order", "", *_grid([*head, *(_REJECTIONS[name] for name in rejections)], rows)]
     if all(view.rays for view in report.views):
-        lines += ["", "Points and the columns after them add up to the rays of a scan."]
+        lines += ["Points and the columns after them add up to the rays of a scan.", ""]
     empty = [str(view.stop) for view in report.views if not view.points]
-    if empty:
-        lines += ["", f"View {', '.join(empty)} has no point of the part."]
-    return [*lines, ""]
+    return [*lines, f"View {', '.join(empty)} has no point of the part.", ""] if empty else lines
 
 
 def _or_unknown(value: float | None, digits: int) -> str:
@@ -316,44 +320,28 @@ def combined_rows(report: ScannedSetups) -> list[tuple[str, str]]:
             rows.append(("", sentence + undetermined))
     for name, share in dict(report.open).items():
         if share >= 5e-5:
-            rows.append(("open", f"{percent(share)}: {_UNCOVERED[name]}"))
+            rows.append(("uncovered", f"{percent(share)}: {_UNCOVERED[name]}"))
     surface = _surface_row(report.surface.status, report.surface.faces, report.deviation)
     return [*rows, ("surface", surface), *(("doubtful", doubt) for doubt in report.doubts)]
 
 
 def combined_markdown(report: ScannedSetups) -> str:
     """Return the report page of combined scans."""
-    lines = [f"# Scan of {report.part} in several set-ups, {report.source}", "", "| | |", "|---|---|"]
-    lines += [f"| {name} | {value} |" for name, value in combined_rows(report)]
-    lines += [
-        "",
-        "## Set-ups",
-        "",
-        "| | execution | views | points | measures | adds | stood off, mm | deg | not told |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
+    setups = []
     for setup in report.setups:
-        place, displaced = setup.place, " |  | "
+        place, displaced = setup.place, ("", "", "")
         if place is not None:
-            displaced = f"{place.moved_mm:.3f} | {place.turned_deg:.3f} | {'; '.join(place.undetermined)}"
+            displaced = (f"{place.moved_mm:.3f}", f"{place.turned_deg:.3f}", "; ".join(place.undetermined))
         link = f"[{setup.number}](../setups/{setup.number}/executions/{setup.execution}/report.md)"
-        lines.append(
-            f"| {link} | {setup.execution} | {setup.views} | {setup.points:,} | {percent(setup.visible)} "
-            f"| {percent(setup.adds)} | {displaced} |"
-        )
-    lines += shared_surface_section(report.shared)
+        shares = percent(setup.visible), percent(setup.adds)
+        setups.append((link, setup.execution, setup.views, f"{setup.points:,}", *shares, *displaced))
+    head = ("", "execution", "views", "points", "measures", "adds", "displaced, mm", "deg", "not determined")
+    lines = [f"# Scan of {report.part} in several set-ups, {report.source}", ""]
+    lines += [*_grid(("", ""), combined_rows(report)), "## Set-ups", "", *_grid(head, setups)[:-1]]
+    lines += shared_surface(report.shared)
     if report.deviation is not None:
         lines += ["", "![Deviation of the surface](deviation.png)"]
     return "\n".join([*lines, ""])
-
-
-def shared_surface_section(pairs: Sequence[SharedSurface]) -> list[str]:
-    """Return the section about the common surface of set-ups, for plans and scans; empty without pairs."""
-    if not pairs:
-        return []
-    head = ["", "## Shared surface of set-ups", "", "| set-ups | of the surface | leaves free |", "|---|---|---|"]
-    rows = ((*pair.setups, percent(pair.share), "; ".join(pair.free)) for pair in pairs)
-    return head + [f"| {one} and {other} | {share} | {free} |" for one, other, share, free in rows]
 
 
 # Picture of the deviation
