@@ -90,7 +90,7 @@ def mount_of(target: str, radius: float | None, views: list[View], draw: int) ->
     scans = [_ball(view, rng) if target == "ball" else _plane(view, rng) for view in views]
     poses = [_flange(view, rng) for view in views]
     if target == "ball":
-        points = np.stack([each.centre[None] for each in hand_eye.fit_spheres(scans, radius, rng)])
+        points = np.stack([each.points for each in hand_eye.fit_spheres(scans, radius, rng)])
     else:
         points = np.stack([each.points for each in hand_eye.fit_planes(scans, rng)])
     return solve_hand_eye(TargetScans(np.stack(poses), points, target == "plane"), PoseError(_POSE_M, _POSE_RAD), rng)

@@ -16,8 +16,7 @@ from cell.runs.schema import JsonTable, Transform, Triple
 from cell.session import ProgressReporter
 from planner.errors import PlannerError
 from planner.kinematics.frames import kuka_abc_from_pose, pose_from_kuka_abc
-from planner.registration import hand_eye as targets
-from planner.registration.hand_eye import PoseError, TargetScans, solve_hand_eye
+from planner.registration.hand_eye import PoseError, TargetScans, fit_planes, fit_spheres, solve_hand_eye
 from planner.values import Floats, readonly
 
 _SEED = 0  # of the start rotations; equal scans give equal mounts
@@ -105,15 +104,17 @@ def calibrate_hand_eye(files: Sequence[Path], options: HandEyeOptions, reporter:
     T_base_flange = np.stack(_read_poses(files, options)) if files else np.empty((0, 4, 4))
     rng, metres = np.random.default_rng(_SEED), UNITS[str(options.points_units)]
     clouds = [point_files.read(path) * metres for path in files]
-    with reporter.stage(f"find the {options.target}"):
-        targets_seen, spheres = _find_targets(files, clouds, options, rng)
-    with reporter.stage("solve for the mount"):
-        points = np.stack([each[0] for each in targets_seen]) if targets_seen else np.empty((0, 1, 3))
-        error = PoseError(options.pose_sd_mm / 1000, float(np.radians(options.pose_sd_deg)))
-        try:
-            fit = solve_hand_eye(TargetScans(T_base_flange, points, options.target == "plane"), error, rng)
-        except PlannerError as problem:
-            raise UsageError(str(problem)) from problem
+    is_plane, names = options.target == "plane", [str(path) for path in files]
+    radius = None if options.diameter_mm is None else options.diameter_mm / 2000
+    error = PoseError(options.pose_sd_mm / 1000, float(np.radians(options.pose_sd_deg)))
+    try:
+        with reporter.stage(f"find the {options.target}"):
+            targets = fit_planes(clouds, rng, names) if is_plane else fit_spheres(clouds, radius, rng, names)
+        with reporter.stage("solve for the mount"):
+            points = np.stack([target.points for target in targets]) if targets else np.empty((0, 1, 3))
+            fit = solve_hand_eye(TargetScans(T_base_flange, points, is_plane), error, rng)
+    except PlannerError as problem:
+        raise UsageError(str(problem)) from problem
     position, abc = kuka_abc_from_pose(fit.T)
     sd = None if fit.covariance is None else np.sqrt(np.diag(fit.covariance))
     x, y, z, w = Rotation.from_matrix(fit.T[:3, :3]).as_quat(canonical=True).round(12).tolist()
@@ -127,8 +128,8 @@ def calibrate_hand_eye(files: Sequence[Path], options: HandEyeOptions, reporter:
         if sd is None
         else MountPrecision(position_mm=tuple((1000 * sd[:3]).tolist()), turn_deg=tuple(np.degrees(sd[3:]).tolist())),
         rms_mm=1000 * fit.rms,
-        diameter_mm=2000 * spheres[0].radius if spheres else None,
-        diameter_sd_mm=2000 * spheres[0].radius_sd if spheres else None,
+        diameter_mm=None if is_plane else 2000 * targets[0].radius,
+        diameter_sd_mm=None if is_plane else 2000 * targets[0].radius_sd,
         within_mm=options.tolerance_mm,
         undetermined=(
             *(motion.sentence for motion in fit.undetermined_motions(options.tolerance_mm / 1000)),
@@ -136,26 +137,15 @@ def calibrate_hand_eye(files: Sequence[Path], options: HandEyeOptions, reporter:
         ),
         scans=tuple(
             TargetScan(
-                file=str(path), points=len(cloud), used=used, noise_mm=1000 * noise, residual_mm=1000 * float(residual)
+                file=name,
+                points=len(cloud),
+                used=target.used,
+                noise_mm=1000 * target.rms,
+                residual_mm=1000 * float(residual),
             )
-            for path, cloud, (_, used, noise), residual in zip(files, clouds, targets_seen, fit.residuals, strict=True)
+            for name, cloud, target, residual in zip(names, clouds, targets, fit.residuals, strict=True)
         ),
     )
-
-
-def _find_targets(
-    files: Sequence[Path], clouds: list[Floats], options: HandEyeOptions, rng: np.random.Generator
-) -> tuple[list[tuple[Floats, float, float]], list[targets.Sphere]]:
-    """Return points of the target (J, 3), share of inliers and noise [m] of each scan; and the spheres."""
-    try:
-        if options.target == "plane":
-            planes = targets.fit_planes(clouds, rng)
-            return [(each.points, each.used, each.rms) for each in planes], []
-        radius = None if options.diameter_mm is None else options.diameter_mm / 2000
-        spheres = targets.fit_spheres(clouds, radius, rng)
-        return [(each.centre[None], each.used, each.rms) for each in spheres], spheres
-    except targets.TargetNotFoundError as error:
-        raise UsageError(f"{files[error.scan]}: {error}") from error
 
 
 def _read_poses(files: Sequence[Path], options: HandEyeOptions) -> list[Floats]:

@@ -20,20 +20,11 @@ from planner.values import Floats
 
 SUFFIXES = (".ply", ".xyz", ".txt", ".pcd")
 
-_PLY_TYPES = {
-    name: code
-    for names, code in (
-        ("char int8", "i1"),
-        ("uchar uint8", "u1"),
-        ("short int16", "i2"),
-        ("ushort uint16", "u2"),
-        ("int int32", "i4"),
-        ("uint uint32", "u4"),
-        ("float float32", "f4"),
-        ("double float64", "f8"),
-    )
-    for name in names.split()
-}
+_PLY_TYPE_NAMES = (
+    "char=i1 uchar=u1 short=i2 ushort=u2 int=i4 uint=u4 float=f4 double=f8 "
+    "int8=i1 uint8=u1 int16=i2 uint16=u2 int32=i4 uint32=u4 float32=f4 float64=f8"
+)
+_PLY_TYPES = dict(pair.split("=") for pair in _PLY_TYPE_NAMES.split())
 
 
 def read(path: Path) -> Floats:

@@ -18,9 +18,9 @@ the points as outliers. Least squares with Tukey's weights refine it. Metres, ra
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations, product
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -210,50 +210,30 @@ _EXACT = 1e-9  # m; smaller residuals are rounding errors
 
 
 class TargetNotFoundError(PlannerError):
-    """A scan shows no target; the message gives the reason.
-
-    Attributes:
-        scan: index of the scan.
-    """
-
-    scan = 0
+    """A scan shows no target; the message gives scan and reason."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sphere(Value):
-    """A sphere in a scan.
+class Target(Value):
+    """A sphere or a plane in a scan.
 
     Attributes:
-        centre: (3,) [m].
-        radius: [m].
+        points: (J, 3) [m]: the centre of a sphere, or four points on a plane with the mean and the spread of the
+            measured points, which they represent.
+        rms: root mean square distance of the inliers [m].
+        used: share of inliers among the points.
+        radius: of a sphere [m]; 0 for a plane.
         radius_sd: standard deviation of the radius [m]; 0 for a given radius.
-        rms: root mean square distance of the inliers [m].
-        used: share of inliers among the points.
     """
 
-    centre: Annotated[Floats, "3"]
-    radius: float
-    radius_sd: float
+    points: Annotated[Floats, "_ 3"]
     rms: float
     used: float
+    radius: float = 0.0
+    radius_sd: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Plane(Value):
-    """A plane in a scan.
-
-    Attributes:
-        points: (4, 3) on it, with the mean and the spread of the measured points, which they represent [m].
-        rms: root mean square distance of the inliers [m].
-        used: share of inliers among the points.
-    """
-
-    points: Annotated[Floats, "4 3"]
-    rms: float
-    used: float
-
-
-def fit_sphere(points: Floats, radius: float | None, rng: np.random.Generator) -> Sphere:
+def fit_sphere(points: Floats, radius: float | None, rng: np.random.Generator) -> Target:
     """Fit a sphere to the points (P, 3) of a scan.
 
     Args:
@@ -287,35 +267,48 @@ def fit_sphere(points: Floats, radius: float | None, rng: np.random.Generator) -
     is_inlier = _tukey(residual) > 0
     rms = float(np.sqrt(np.mean(residual[is_inlier] ** 2)))
     sd = 0.0 if radius is not None else rms * float(np.sqrt(np.linalg.inv(J[is_inlier].T @ J[is_inlier])[3, 3]))
-    return Sphere(c + origin, r, sd, rms, float(is_inlier.mean()))
+    return Target((c + origin)[None], rms, float(is_inlier.mean()), r, sd)
 
 
-def fit_spheres(scans: Sequence[Floats], radius: float | None, rng: np.random.Generator) -> list[Sphere]:
+def fit_spheres(
+    scans: Sequence[Floats], radius: float | None, rng: np.random.Generator, names: Sequence[str] = ()
+) -> list[Target]:
     """Fit the same sphere in several scans; an unknown radius is common, each scan weighted by its precision.
 
     Raises:
-        TargetNotFoundError: as `fit_sphere`.
+        TargetNotFoundError: as `fit_sphere`, with the name of the scan.
     """
-    found = _fit_each(scans, lambda points: fit_sphere(points, radius, rng))
+    found = _fit_each(scans, names, lambda points: fit_sphere(points, radius, rng))
     if radius is not None:
         return found
     weights = np.array([max(each.radius_sd, _EXACT) ** -2 for each in found])
     common = float(weights @ [each.radius for each in found] / weights.sum())
     sd = float(weights.sum() ** -0.5)
-    refined = _fit_each(scans, lambda points: fit_sphere(points, common, rng))
-    return [Sphere(each.centre, common, sd, each.rms, each.used) for each in refined]
+    return [
+        replace(each, radius_sd=sd) for each in _fit_each(scans, names, lambda points: fit_sphere(points, common, rng))
+    ]
 
 
-def fit_planes(scans: Sequence[Floats], rng: np.random.Generator) -> list[Plane]:
+def fit_planes(scans: Sequence[Floats], rng: np.random.Generator, names: Sequence[str] = ()) -> list[Target]:
     """Fit a plane in each of several scans.
 
     Raises:
-        TargetNotFoundError: as `fit_plane`.
+        TargetNotFoundError: as `fit_plane`, with the name of the scan.
     """
-    return _fit_each(scans, lambda points: fit_plane(points, rng))
+    return _fit_each(scans, names, lambda points: fit_plane(points, rng))
 
 
-def fit_plane(points: Floats, rng: np.random.Generator) -> Plane:
+def _fit_each(scans: Sequence[Floats], names: Sequence[str], fit: Callable[[Floats], Target]) -> list[Target]:
+    found = []
+    for number, points in enumerate(scans):
+        try:
+            found.append(fit(points))
+        except TargetNotFoundError as error:
+            raise TargetNotFoundError(f"{names[number] if names else f'scan {number + 1}'}: {error}") from error
+    return found
+
+
+def fit_plane(points: Floats, rng: np.random.Generator) -> Target:
     """Fit a plane to the points (P, 3) of a scan [m].
 
     Raises:
@@ -338,22 +331,7 @@ def fit_plane(points: Floats, rng: np.random.Generator) -> Plane:
         raise TargetNotFoundError("the points lie on a line and show no plane; scan more of the target")
     residual, is_inlier = points @ n - d, weight > 0
     ends = [sign * np.sqrt(2 * spread[k]) * axes[:, k] for k in (1, 2) for sign in (-1, 1)]
-    return Plane(middle + np.stack(ends), float(np.sqrt(np.mean(residual[is_inlier] ** 2))), float(is_inlier.mean()))
-
-
-Fitted = TypeVar("Fitted")
-
-
-def _fit_each(scans: Sequence[Floats], fit: Callable[[Floats], Fitted]) -> list[Fitted]:
-    """Apply a fit to each scan; an error carries the index of the scan."""
-    found = []
-    for number, points in enumerate(scans):
-        try:
-            found.append(fit(points))
-        except TargetNotFoundError as error:
-            error.scan = number
-            raise
-    return found
+    return Target(middle + np.stack(ends), float(np.sqrt(np.mean(residual[is_inlier] ** 2))), float(is_inlier.mean()))
 
 
 def _thinned(points: Floats) -> Floats:

@@ -154,7 +154,7 @@ def test_a_ball_among_other_points(known: bool) -> None:
     wild = rng.uniform((-0.05, -0.05, 0.25), (0.05, 0.05, 0.35), (200, 3))
     points = np.concatenate([cap, table, wild])
     (ball,) = hand_eye.fit_spheres([points], radius if known else None, np.random.default_rng(0))
-    np.testing.assert_allclose(ball.centre, centre, atol=3e-5)
+    np.testing.assert_allclose(ball.points[0], centre, atol=3e-5)
     assert ball.radius == pytest.approx(radius, abs=3e-5)
     assert ball.used == pytest.approx(len(cap) / len(points), abs=0.05)
 
