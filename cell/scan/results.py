@@ -170,14 +170,9 @@ def report_execution(
         # For a resumed execution only the duration of its last part is known.
         is_timed = bool(folder.manifest.simulated_time) and not folder.manifest.resumed
         executed_s = folder.manifest.moving_s if is_timed else None
-        made = execution_report(
-            cell,
-            run.plan,
-            _settings(cell, recorded.manifest.options, seed),
-            results,
-            plan.stops,
-            ExecutedMotion(planned_s=plan.planned_seconds, executed_s=executed_s),
-        )
+        motion = ExecutedMotion(planned_s=plan.planned_seconds, executed_s=executed_s)
+        settings = _settings(cell, recorded.manifest.options, seed)
+        made = _execution_report(run, cell, settings, results, plan.stops, motion)
         folder.write_json("report.json", made.as_json())
         folder.write_text("report.md", scan_report.markdown(made))
         _draw(run, folder, cell, recorded, made, results)
@@ -460,25 +455,17 @@ def executed_poses(scans: Sequence[ExecutedScan], merged: MergedScans) -> list[F
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AchievedCoverage:
-    """Coverage of an execution on the samples of the plan's prediction, as fractions of the surface.
+    """Coverage of an execution on the samples of the plan's prediction.
 
     Attributes:
-        visible: measured from at least one executed pose: the true one of a simulation, else the registered one.
-        predicted: the same from the planned poses of the scanned views.
-        sampled: within `radius` of a scan point.
-        dense: measured, and within 1.5 x the planned spacing of a scan point; None if not known, or for a sweep, whose
-            simulated lines are farther apart than the real ones (`cell.scan.simulated`).
-        radius: of sampled coverage [m].
+        values: for the report. `visible` counts the true poses of a simulation, else the registered ones; `dense` is
+            null for a sweep, whose simulated lines are farther apart than the real ones (`cell.scan.simulated`).
         marginal: (n,) marginal coverage of each scan in driving order.
         marginal_sorted: (n,) marginal coverage if the scan with the largest gain comes first each time.
         surface: held-out samples measured by the scans.
     """
 
-    visible: float
-    predicted: float
-    sampled: float
-    dense: float | None
-    radius: float
+    values: ExecutedCoverage
     marginal: Floats
     marginal_sorted: Floats
     surface: MeasuredSamples
@@ -490,28 +477,30 @@ def achieved_coverage(
     """Measure coverage on the held-out samples of the plan, which `plan_seed` reproduces."""
     samples = held_out_samples(cell.reference, cell.planning, plan_seed)
     surface = contents.measured_by_views(cell, samples, executed_poses(scans, merged))
-    measured = surface.seen
-    predicted = plan.coverage.visible
+    measured, points = surface.seen, merged.cloud.points
+    predicted, coverable = plan.coverage.visible, plan.coverage.coverable
     poses = [plan.views[scan.stop - 1].T_object_poses for scan in scans]
     if sorted(scan.stop for scan in scans) != list(range(1, len(plan.views) + 1)):
         predicted = coverage.coverage_of_views(contents.measured_by_views(cell, samples, poses).seen, samples).fraction
-    radius = coverage.sampling_radius(cell.reference)
-    spacing = None
+    radius, spacing = coverage.sampling_radius(cell.reference), None
     if poses and len(poses[0]) == 1:
         # The grid of the plan's scanner counts, whatever the resolution of the scan.
         planned = scanner_of(cell.scene, cell.scene.scanner)
         spacing = best_spacing(np.stack(poses), samples, measured, planned)
-    points = merged.cloud.points
-    return AchievedCoverage(
-        visible=coverage.coverage_of_views(measured, samples).fraction,
+    visible = coverage.coverage_of_views(measured, samples).fraction
+    values = ExecutedCoverage(
+        kind="simulated" if all(scan.T_true is not None for scan in scans) else "model",
+        visible=visible,
         predicted=predicted,
+        predicted_all_views=plan.coverage.visible,
+        coverable=coverable,
+        visible_of_coverable=visible / coverable if coverable > 0 else 0.0,
         sampled=coverage.sampled_coverage(points, samples, radius).fraction,
         dense=None if spacing is None else coverage.dense_coverage(points, samples, spacing).fraction,
-        radius=radius,
-        marginal=coverage.marginal_coverage(measured),
-        marginal_sorted=coverage.marginal_coverage(measured[:, _largest_gain_first(measured)]),
-        surface=surface,
+        sampled_radius_mm=_mm(radius),
     )
+    largest_first = coverage.marginal_coverage(measured[:, _largest_gain_first(measured)])
+    return AchievedCoverage(values, coverage.marginal_coverage(measured), largest_first, surface)
 
 
 def _largest_gain_first(measured: Bools) -> list[int]:
@@ -528,9 +517,9 @@ def _largest_gain_first(measured: Bools) -> list[int]:
 # report.json
 
 
-def execution_report(
+def _execution_report(
+    run: Run,
     cell: RunCell,
-    plan: PlanFile,
     settings: ExecutedSettings,
     results: ExecutionResults,
     stops: Sequence[int],
@@ -540,7 +529,6 @@ def execution_report(
     scans, merged = results.scans, results.merged
     scanned = {scan.stop for scan in scans}
     missing = tuple(stop for stop in stops if stop not in scanned)
-    achieved, coverable = results.achieved, plan.coverage.coverable
     return ExecutionReport(
         part=ExecutedPart(name=cell.scene.part.name, faces=len(cell.reference.faces)),
         complete=not missing and not results.unusable,
@@ -548,22 +536,12 @@ def execution_report(
         left_out=tuple(results.unusable),
         settings=settings,
         n_views=len(scans),
-        n_views_planned=len(plan.views),
+        n_views_planned=len(run.plan.views),
         n_points=len(merged.cloud),
         source=source_of(scans),
         doubts=tuple(results.doubts),
-        coverage=ExecutedCoverage(
-            kind="simulated" if all(scan.T_true is not None for scan in scans) else "model",
-            visible=achieved.visible,
-            predicted=achieved.predicted,
-            predicted_all_views=plan.coverage.visible,
-            coverable=coverable,
-            visible_of_coverable=achieved.visible / coverable if coverable > 0 else 0.0,
-            sampled=achieved.sampled,
-            dense=achieved.dense,
-            sampled_radius_mm=_mm(achieved.radius),
-        ),
-        regions=_region_values(cell, achieved),
+        coverage=results.achieved.values,
+        regions=_region_values(cell, results.achieved),
         views=tuple(_view_values(k, scan, results) for k, scan in enumerate(scans)),
         cloud=ExecutedCloud(
             rms_to_reference_mm=_finite_mm(merged.rms_after),
