@@ -925,7 +925,7 @@ def _plan_setups(
     outer: Session[None], session: PlanSession, settled: SettledScene, options: SetupOptions, first: Run | None
 ) -> Verdict:
     """Plan all set-ups into the open folder."""
-    if first is not None and first.scene.part.sha256 != settled.part.sha256:
+    if first is not None and not _is_same_mesh(first.mesh("reference.ply"), settled.part.reference):
         raise UsageError(
             f"{first.folder} is a plan of the part {first.scene.part.name} with another mesh than {settled.part.name}; "
             "give a plan of the same part"
@@ -1005,6 +1005,11 @@ def _try_candidates(
             session.note(f"the part has no other stable pose: the only candidate is the part as it is placed{turned}")
     tried = [make_setup(session, settled, surface, world, each, viewpoints, scouts) for each in candidates]
     return surface, candidates, tried
+
+
+def _is_same_mesh(one: TriangleMesh, other: TriangleMesh) -> bool:
+    """Return whether two meshes have the same faces and, up to the rounding of a file, the same vertices."""
+    return np.array_equal(one.faces, other.faces) and np.allclose(one.vertices, other.vertices, rtol=0, atol=_SAME)
 
 
 def _fixed_candidate(run: Run) -> SetupCandidate:

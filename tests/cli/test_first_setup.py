@@ -73,7 +73,7 @@ def test_a_scan_of_the_set_ups_goes_on_with_the_second(made: Path, run_cell: Cel
 
 def test_the_first_set_up_has_the_same_part(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
     """Another mesh or cell is refused in one sentence, and a folder that is no run as everywhere."""
-    trimesh.creation.box([60, 60, 60]).export(tmp_path / "box.stl")
+    trimesh.creation.box([120, 60, 60]).export(tmp_path / "box.stl")
     done = run_cell("setups", "box.stl", *BOX, *OPTIONS, "--first", planned, "--out", "made", cwd=tmp_path)
     assert done.returncode == 2
     assert "give a plan of the same part" in done.stderr

@@ -153,8 +153,8 @@ def _as_earlier(run: Run, to: Path, collision: str) -> Run:
 @pytest.mark.parametrize(
     ("collision", "triangles", "said"),
     [
-        ("decomposed", {"part", "horn"}, "the part as convex pieces and the fixture 'horn' as its convex hull; true"),
-        ("exact", {"part", "horn"}, "checked with the fixture 'horn' as its convex hull; true triangles are taken"),
+        ("decomposed", {"part", "horn"}, "the part as convex pieces and the fixture 'horn' as its convex hull; their"),
+        ("exact", {"part", "horn"}, "checked with the fixture 'horn' as its convex hull; their triangles"),
         ("hull", set(), None),
     ],
 )
