@@ -18,7 +18,7 @@ from cell.runs.folder import SCHEMA
 from cell.runs.schema import ExploredCylinder, ExploreFile
 from cell.scan.options import RESUME_OPTIONS, ScanOptions
 from cell.scene.model import Scene
-from cell.scene.settle import Settings, resolve, settle_scene
+from cell.scene.settle import Settings, settle
 from cell.session import Session
 from planner.errors import PlannerError
 from planner.explore.space import VoxelSpace
@@ -206,20 +206,19 @@ def prepared(session: Session[None], scene: Scene, options: ExploreOptions, scan
             "nobody knows how large the part is; give --cylinder DIAMETER,HEIGHT in mm, about --place, that holds it"
         )
     known = _as_workpiece(cylinder) if part is None or cylinder.given else part
-    settled = settle_scene(scene, known)
-    settings = resolve(settled, known)
-    scanner = scanners.make(settled.scanner.type, settings.scanner)
+    settled = settle(scene, known)
+    scene, settings, scanner = settled.scene, settled.settings, settled.scanner
     if getattr(scanner, "T_view_scanner", np.eye(4)[None]).shape[0] > 1:
         raise SceneError(
-            f"the scanner {settled.scanner.type} sweeps, and from where each of its points was seen is not kept; "
+            f"the scanner {scene.scanner.type} sweeps, and from where each of its points was seen is not kept; "
             "explore with a scanner that stands still, such as laser-area"
         )
     if scanning.resolution_deg is not None and "resolution_deg" in settings.scanner:
         resolution = {"resolution_deg": (scanning.resolution_deg, scanning.resolution_deg)}
-        scanner = scanners.make(settled.scanner.type, {**settings.scanner, **resolution})
+        scanner = scanners.make(scene.scanner.type, {**settings.scanner, **resolution})
     unknown = _unknown(options, scanning, settings, cylinder)
     return Exploring(
-        settled, options, scanning, part, hidden, cylinder, unknown, Eye.of(scanner, settled),
+        scene, options, scanning, part, hidden, cylinder, unknown, Eye.of(scanner, scene),
         Paths(session.out or Path()), session,
     )  # fmt: skip
 

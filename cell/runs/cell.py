@@ -19,7 +19,7 @@ from cell.robot.model import KR16
 from cell.runs.run import Run, reading
 from cell.runs.schema import ResolvedScene, ScannerKeys, StandingFixture
 from cell.scene.file import BUILT_IN
-from cell.scene.model import Placement, PlanKeys, Region, Scene
+from cell.scene.model import Placement, PlanKeys, Region, Scene, pose_keys
 from cell.scene.regions import with_limits
 from cell.world import shapes
 from cell.world.embree import EmbreeRayCaster
@@ -28,7 +28,6 @@ from cell.world.occluders import Occluder, make_caster, names_beside_table, occl
 from cell.world.table import ENDLESS_LIMITS_DEG, kinematics_on_table
 from cell.world.travel import TravelBound, table_radius
 from planner.geometry.mesh import TriangleMesh
-from planner.kinematics.frames import kuka_abc_from_pose
 from planner.kinematics.rotary_table import RotaryTable
 from planner.ports import ARM_AXES, Kinematics, Scanner
 from planner.values import Floats
@@ -223,14 +222,14 @@ def scene_of_run(run: Run, without: Collection[str] = ()) -> Scene:
                     **({} if pedestal is None else {"pedestal_size_mm": pedestal.size_mm[:2]}),
                 },
                 "scanner": {"type": resolved.scanner.type, **resolved.scanner.own},
-                "mount": _pose(resolved.T_flange_scanner),
+                "mount": pose_keys(resolved.T_flange_scanner),
                 "housing": {
-                    **_pose(T_scanner_housing),
+                    **pose_keys(T_scanner_housing),
                     "size_mm": resolved.housing.size_mm,
                     "bracket_diameter_mm": resolved.housing.bracket_diameter_mm,
                 },
                 "part": _part(run, resolved),
-                "placement": _pose(resolved.T_base_object @ resolved.T_object_centre),
+                "placement": pose_keys(resolved.T_base_object @ resolved.T_object_centre),
                 "post": {"enabled": False} if post is None else {"diameter_mm": post.size_mm[0]},
                 "table": _table(resolved),
                 "fixtures": [
@@ -260,7 +259,7 @@ def with_placement(scene: Scene, T_base_object: Floats, resolved: ResolvedScene)
     """Return a scene of a run with another placement (4, 4) of the part [m]; a rotary table stays in place."""
     update: dict[str, object] = {"placement": Placement.at(T_base_object @ resolved.T_object_centre)}
     if resolved.table is not None:
-        update["table"] = scene.table.model_copy(update=_pose(resolved.table.T_base_table))
+        update["table"] = scene.table.model_copy(update=pose_keys(resolved.table.T_base_table))
     return scene.model_copy(update=update)
 
 
@@ -280,7 +279,7 @@ def _robot(run: Run, resolved: ResolvedScene) -> dict[str, object]:
         run.artefact(model)  # checks its sha256
         model = str((run.folder / model).absolute())
     upright = np.array_equal(resolved.robot.T_base, np.eye(4))
-    return {"model": model, **({} if upright else {"base": _pose(resolved.robot.T_base)})}
+    return {"model": model, **({} if upright else {"base": pose_keys(resolved.robot.T_base)})}
 
 
 def _table(resolved: ResolvedScene) -> Mapping[str, object]:
@@ -288,7 +287,7 @@ def _table(resolved: ResolvedScene) -> Mapping[str, object]:
     if resolved.table is None:
         return {}
     keys = resolved.table.model_dump(exclude={"T_base_table", "post_mm", "turn_deg"})
-    pose = _pose(resolved.table.T_base_table)
+    pose = pose_keys(resolved.table.T_base_table)
     if resolved.table.post_mm is not None:
         return {**keys, "post_mm": resolved.table.post_mm, "abc_deg": pose["abc_deg"]}
     return {**keys, **pose}
@@ -316,14 +315,7 @@ def _part(run: Run, resolved: ResolvedScene) -> dict[str, object]:
 def _place(run: Run, fixture: StandingFixture) -> Mapping[str, object]:
     """Return the keys of a fixture that depend on its shape."""
     if fixture.file is None:
-        return {**_pose(fixture.pose), "size_mm": fixture.size_mm}
+        return {**pose_keys(fixture.pose), "size_mm": fixture.size_mm}
     run.artefact(fixture.file)  # checks its sha256
     # The vertices are stored in the frame that the mesh is attached to, so there is no pose.
     return {"path": str((run.folder / fixture.file).absolute()), "units": "mm"}
-
-
-def _pose(T: Floats) -> Mapping[str, tuple[float, ...]]:
-    """Return position and angles of a pose, rounded to restore the numbers of the scene file."""
-    position, abc = kuka_abc_from_pose(T)
-    numbers = {"position_mm": (position * 1000).round(9) + 0.0, "abc_deg": np.degrees(abc).round(9) + 0.0}
-    return {key: tuple(values.tolist()) for key, values in numbers.items()}

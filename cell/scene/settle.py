@@ -93,7 +93,7 @@ def settle(scene: Scene, part: Workpiece) -> SettledScene:
             scanner cannot be made, or a region demands a spacing that the scanner cannot attain.
     """
     scene = settle_scene(scene, part)
-    settings = resolve(scene, part)
+    settings = _settings(scene, part)
     scanner = scanners.make(scene.scanner.type, settings.scanner)
     require_attainable(scene, scanner)
     settings = replace(settings, scanner=scanners.with_own_parameters(settings.scanner, scanner))
@@ -137,7 +137,7 @@ def with_device(scene: Scene, part: str, longest_mm: float) -> Scene:
     )
 
 
-def resolve(scene: Scene, part: Workpiece) -> Settings:
+def _settings(scene: Scene, part: Workpiece) -> Settings:
     """Compute the planning parameters of a settled scene.
 
     Raises:

@@ -5,7 +5,7 @@ The steps of `cell plan` for many selections, without motion and files; and scen
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from cell.plan.candidates import generate_viewpoints
 from cell.robot.model import KR16
 from cell.scene.model import Scene, require_no_region_targets
 from cell.scene.regions import with_regions
-from cell.scene.settle import Settings, resolve, settle_scene
+from cell.scene.settle import settle
 from cell.session import Stream, random_stream
 from cell.study.trials import JsonTable
 from cell.world import virtual_scan
@@ -28,7 +28,7 @@ from cell.world.checks import require_feasible
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.embree import EmbreeRayCaster
 from cell.world.measurability import PartSurface, part_matrix, surface_samples
-from cell.world.model import World, compile_world
+from cell.world.model import World, compile_settled
 from cell.world.prediction import held_out_samples
 from planner import cover
 from planner.cover import Cover, CoverProblem
@@ -79,12 +79,9 @@ class Bench:
     def __init__(self, scene: Scene, *, samples: int | None = None) -> None:
         require_no_region_targets(scene.region)
         self.part: Workpiece = with_regions(workpiece.load(scene.part.source, scene.part.units), scene)
-        self.scene = scene = settle_scene(scene, self.part)
-        settings = resolve(scene, self.part)
-        self.scanner: Scanner = scanners.make(scene.scanner.type, settings.scanner)
-        self.settings: Settings = replace(
-            settings, scanner=scanners.with_own_parameters(settings.scanner, self.scanner)
-        )
+        self.settled = settled = settle(scene, self.part)
+        self.scene, self.settings = settled.scene, settled.settings
+        self.scanner: Scanner = settled.scanner
         self.n_samples = samples
         self._subsets: dict[int, tuple[Viewpoints, Measurability]] = {}
         self._matrices: dict[tuple[str, int], tuple[Viewpoints, Measurability]] = {}
@@ -113,9 +110,7 @@ class Bench:
     @cached_property
     def world(self) -> World:
         """The compiled cell."""
-        baseline = scanners.baseline_mm(self.settings.scanner, self.scanner)
-        part = self.part.reference
-        world = compile_world(self.scene, part.vertices, part_faces=part.faces, baseline_mm=baseline)
+        world = compile_settled(self.settled)
         require_feasible(world)
         return world
 
