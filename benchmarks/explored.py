@@ -23,10 +23,10 @@ from benchmarks.exploring import evaluation, reasons
 from benchmarks.exploring.chart import draw_evaluations
 from benchmarks.parts import parts
 from benchmarks.triangle_cell import TriangleCell
-from cell.explore.explore import LAST_STAGE, explore
+from cell.explore.explore import FINAL_STAGE, explore
 from cell.explore.options import ExploreOptions
-from cell.explore.policies import POLICIES
-from cell.explore.prepare import prepared
+from cell.explore.policy import POLICIES
+from cell.explore.prepare import prepare_exploration
 from cell.runs.cell import world_of
 from cell.runs.run import open_finished
 from cell.runs.schema import ExploreFile
@@ -67,7 +67,7 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
         scene = scene_from_options(None, {"place": (1200, 500, 0), "seed": seed} | units, words[0])
         options = parse_options(ExploreOptions, {"policy": policy})
         file = explore(Session(None, clock, out), scene, options, ScanOptions())
-        work = prepared(Session(None, out=out), scene, options, ScanOptions())
+        work = prepare_exploration(Session(None, out=out), scene, options, ScanOptions())
         known_model = Path(folder) / "known"
         evaluation.plan_known_model(work, known_model)
         known = evaluation.evaluate(work, file, known_model)
@@ -108,7 +108,7 @@ class _Clock(LoggedProgress):
 
     @contextmanager
     def stage(self, name: str, *, time_left: bool = False) -> Iterator[Progress]:
-        if name == LAST_STAGE:
+        if name == FINAL_STAGE:
             self.exploring = process_time() - self._began
         with super().stage(name, time_left=time_left) as progress:
             yield progress

@@ -239,14 +239,14 @@ def explore(
 
     from cell.explore.exploration import Exploration
     from cell.explore.explore import explore as run
-    from cell.explore.options import OF_SCAN, ExploreOptions
+    from cell.explore.options import SCAN_OPTIONS, ExploreOptions
     from cell.plan.pipeline import read_request
     from cell.scan.options import ScanOptions
     from cell.scene.options import option_specs, parse_options
 
     own, of_scan = (
         {name: wishes.pop(name) for name in names if name in wishes}
-        for names in (option_specs(ExploreOptions), OF_SCAN)
+        for names in (option_specs(ExploreOptions), SCAN_OPTIONS)
     )
     checked, _ = read_request(part, scene, wishes)
     wanted = parse_options(ExploreOptions, own) if options is None else options

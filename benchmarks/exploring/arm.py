@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.explore import belief
-from cell.explore.prepare import Exploring
+from cell.explore.prepare import ExplorationContext
 from cell.robot.arm import kinematics_of
 from cell.robot.model import home
 from cell.scanners import baseline_mm
@@ -37,13 +37,13 @@ class CellArm:
     _asked: dict[bytes, bool] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, work: Exploring, settings: Settings, scanner: Scanner) -> "CellArm":
+    def of(cls, work: ExplorationContext, settings: Settings, scanner: Scanner) -> "CellArm":
         """The cell of the first stage of an exploration."""
-        believed = belief.part_of(belief.surface_about(work.unknown, work.unknown.belief_voxels()), work.name)
+        believed = belief.belief_part(belief.surface_about(work.unknown, work.unknown.belief_voxels()), work.name)
         with tempfile.TemporaryDirectory() as folder:
             unseen = Path(folder) / "unseen.ply"
             belief.write_unseen(work.unknown, unseen)
-            scene = belief.scene_of(work.scene, work.cylinder, believed, unseen)
+            scene = belief.batch_scene(work.scene, work.cylinder, believed, unseen)
             mesh = believed.reference
             baseline = baseline_mm(settings.scanner, scanner)
             world = compile_world(scene, mesh.vertices, part_faces=mesh.faces, baseline_mm=baseline)

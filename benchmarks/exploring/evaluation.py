@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from cell.explore import state
-from cell.explore.prepare import Exploring
+from cell.explore.prepare import ExplorationContext
 from cell.plan import pipeline
 from cell.runs.cell import read_cell, world_of
 from cell.runs.run import ExecutedScan, Run, open_finished
@@ -86,13 +86,13 @@ class Evaluation:
     nearest: str
 
 
-def plan_known_model(work: Exploring, out: Path) -> None:
+def plan_known_model(work: ExplorationContext, out: Path) -> None:
     """Plan the true part of a simulated exploration with its coverage curve, in the run folder `out`."""
     plan = work.scene.plan.model_copy(update={"max_views": None, "curve": True})
     pipeline.plan(Session(None, out=out), work.scene.model_copy(update={"plan": plan}), part=work.part)
 
 
-def evaluate(work: Exploring, file: ExploreFile, known_model: Path) -> Evaluation:
+def evaluate(work: ExplorationContext, file: ExploreFile, known_model: Path) -> Evaluation:
     """Evaluate a simulated exploration.
 
     Args:
@@ -100,12 +100,12 @@ def evaluate(work: Exploring, file: ExploreFile, known_model: Path) -> Evaluatio
         file: its explore.json.
         known_model: run folder of `plan_known_model`.
     """
-    assert work.hidden is not None
-    scans = state.scans_of(work.paths, file.stages)
+    assert work.ground_truth is not None
+    scans = state.read_scans(work.paths, file.stages)
     run = open_finished(known_model)
     cell, report = read_cell(run), run.report
     samples = held_out_samples(cell.reference, cell.planning, run.seed)
-    to_object = np.linalg.inv(work.hidden.T_explored_object)
+    to_object = np.linalg.inv(work.ground_truth.T_explored_object)
     poses = np.stack([to_object @ _true_pose(scan) for scan in scans])[:, None]
     seen = find_measured(poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
     by_views = np.cumsum(marginal_coverage(seen))

@@ -16,9 +16,10 @@ from scipy import ndimage
 
 from benchmarks.exploring.arm import CellArm
 from cell import scanners
-from cell.explore.hidden import Cylinder
+from cell.explore.belief import Cylinder
+from cell.explore.frustum import SensorFrustum
 from cell.explore.options import ExploreOptions
-from cell.explore.prepare import Eye, prepared
+from cell.explore.prepare import prepare_exploration
 from cell.part import workpiece
 from cell.scan.options import ScanOptions
 from cell.scene.file import scene_from_options
@@ -85,7 +86,7 @@ class Lab:
 
     cylinder: Cylinder
     scanner: Scanner
-    eye: Eye
+    frustum: SensorFrustum
     settings: Settings
     unknown: VoxelSpace
     part: TriangleMesh
@@ -98,25 +99,25 @@ class Lab:
         """A built-in part by name, or a mesh file, without an arm or with the default cell's."""
         wishes: dict[str, Any] = {"place": (1200, 500, 0), "seed": 0} | ({} if units is None else {"units": units})
         scene = scene_from_options(None, wishes, part)
-        work = prepared(Session(None), scene, ExploreOptions(), ScanOptions())
+        work = prepare_exploration(Session(None), scene, ExploreOptions(), ScanOptions())
         known = workpiece.load(scene.part.source, scene.part.units)
         settings = settle(work.scene, known).settings
-        assert work.hidden is not None
-        mesh, scanner = work.hidden.mesh, scanners.make(work.scene.scanner.type, settings.scanner)
+        assert work.ground_truth is not None
+        mesh, scanner = work.ground_truth.mesh, scanners.make(work.scene.scanner.type, settings.scanner)
         samples = held_out_samples(mesh, decimate(mesh, min(settings.faces, len(mesh.faces))), 0)
         return cls(
-            work.cylinder, scanner, work.eye, settings, work.unknown, mesh, samples,
+            work.cylinder, scanner, work.frustum, settings, work.unknown, mesh, samples,
             EmbreeRayCaster(mesh.vertices, mesh.faces), CellArm.of(work, settings, scanner) if arm else None,
         )  # fmt: skip
 
     @property
     def middle_range(self) -> float:
         """Middle of the scanner's range [m]."""
-        return (self.eye.near + self.eye.far) / 2
+        return (self.frustum.near + self.frustum.far) / 2
 
     def first_view(self, rng: Generator) -> Floats:
         """(4, 4) of the view that all begin with: level, from a random side, at the middle of the range or farther."""
-        distance, free = max(self.middle_range, self.cylinder.radius + self.eye.near), self.free(self.unknown)
+        distance, free = max(self.middle_range, self.cylinder.radius + self.frustum.near), self.free(self.unknown)
         for _ in range(_SIDES):
             turn = rng.uniform(0, 2 * np.pi)
             out = np.array([[np.cos(turn), np.sin(turn), 0.0]])
@@ -134,7 +135,7 @@ class Lab:
         halves = (space.state != FREE).reshape([n for whole in space.state.shape for n in (whole // 2, 2)])
         away = ndimage.distance_transform_edt(~halves.any(axis=(1, 3, 5))) * 2 * space.edge
         away = away.repeat(2, 0).repeat(2, 1).repeat(2, 2)
-        ends = (self.eye.source, self.eye.sensor)
+        ends = (self.frustum.source, self.frustum.sensor)
 
         def stands(T: Floats) -> Bools:
             near = np.min([space.values_at(T[:, :3, :3] @ at + T[:, :3, 3], away) for at in ends], axis=0)
@@ -148,7 +149,10 @@ class Lab:
     def look(self, known: Known, T: Floats) -> Known:
         """What is known after a view from (4, 4)."""
         points = virtual_scan.scan(self.scanner, T, self.caster, self.part).points
-        eye, source, sensor = self.eye, *(T[:3, :3] @ at + T[:3, 3] for at in (self.eye.source, self.eye.sensor))
+        eye, source, sensor = (
+            self.frustum,
+            *(T[:3, :3] @ at + T[:3, 3] for at in (self.frustum.source, self.frustum.sensor)),
+        )
         space = known.space
         if len(points):
             space = space.with_points(points, [source, sensor]).with_surface_between(eye.between(points, T, space.gap))

@@ -11,10 +11,9 @@ from scipy.sparse import csr_array
 
 from benchmarks.exploring.lab import Known, Lab, NextView
 from cell.explore import belief
-from cell.explore.asked import Asked, probable
-from cell.explore.policies import Batch
-from cell.explore.stage import DRAWN, ROWS_KEPT, SCHEDULE, SCOUTS_KEPT, STARTS
-from cell.explore.too_near import BeyondNear, keep_off, too_near
+from cell.explore.frustum import MinRangeOccluder, area_below_min_range, should_keep_min_range
+from cell.explore.policy import Batch, BatchRequest, expected_samples
+from cell.explore.stage import BELIEF_SCHEDULE, MAX_ROWS, MAX_SCOUTS, N_DRAWN, N_STARTS
 from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import GainRecord, select_by_gain_per_second
 from planner.explore.space import VoxelSpace
@@ -39,23 +38,24 @@ class _Ours:
     def __call__(self, known: Known) -> Floats | None:
         lab, space = self._lab, self._learned(known)
         mesh = belief.surface_about(space, space.belief_voxels())
-        planning = decimate(belief.rough(space), lab.settings.faces)
-        asked = Asked(space, self._record, Batch(1), 0.0)
+        planning = decimate(belief.coarse_surface(space), lab.settings.faces)
+        asked = BatchRequest(space, self._record, Batch(1), 0.0)
         rows, scouts = (
-            probable(draw_samples(mesh, planning, DRAWN, self._rng), asked, kept) for kept in (ROWS_KEPT, SCOUTS_KEPT)
+            expected_samples(draw_samples(mesh, planning, N_DRAWN, self._rng), asked, kept)
+            for kept in (MAX_ROWS, MAX_SCOUTS)
         )
         if not len(rows) or not len(scouts):
             return None
         casters: tuple[RayCaster, ...] = (EmbreeRayCaster(mesh.vertices, mesh.faces),)
-        if keep_off(self._near):
-            casters = (*casters, BeyondNear(None, space, lab.eye.near))
+        if should_keep_min_range(self._near):
+            casters = (*casters, MinRangeOccluder(None, space, lab.frustum.near))
         free = lab.free(space)
-        poses, distance = lab.candidates(planning, scouts, casters, free, SCHEDULE)
+        poses, distance = lab.candidates(planning, scouts, casters, free, BELIEF_SCHEDULE)
         M = find_measured(poses[:, None], rows, lab.scanner, casters, each=True)
         if not M.any():
             return None
         starts = select_by_gain_per_second(
-            csr_array(M), rows.areas, np.ones(len(M.T)), np.ones(len(M.T), np.bool_), STARTS
+            csr_array(M), rows.areas, np.ones(len(M.T)), np.ones(len(M.T), np.bool_), N_STARTS
         )
         targets, arm = RayTargets.of(scouts.points, scouts.normals), lab.holder(casters, free)
         T, moved = improve_views(poses[starts], distance[starts], targets, scouts.areas, arm)
@@ -72,11 +72,11 @@ class _Ours:
             return space
         (rows, surface), before = self._expected, self._before
         new = known.points[-1][before.is_new(known.points[-1])]
-        found = self._lab.eye.answered(rows.points, new, known.poses[-1]).astype(np.float64)
+        found = self._lab.frustum.answered(rows.points, new, known.poses[-1]).astype(np.float64)
         of = before.open_samples_at(rows.points, rows.normals)
         self._record = self._record.with_batch(of, rows.areas / self._record.weights(of) / surface, found)
         last = [(known.points[-1], known.poses[-1])]
-        near = too_near(rows, np.ones((len(rows), 1), np.bool_), last, before, self._lab.eye)
+        near = area_below_min_range(rows, np.ones((len(rows), 1), np.bool_), last, before, self._lab.frustum)
         self._near.append((near, float(rows.areas.sum())))
         return space.with_tries(rows.points[space.is_still_open(rows.points, rows.normals)])
 

@@ -15,9 +15,17 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cell.explore import state
-from cell.explore.explore import stays_open
-from cell.explore.prepare import Exploring
-from cell.explore.reasons import BESIDE, NOT_TAKEN, SMALL, TRIED, StillOpen, closest, sentence
+from cell.explore.belief import (
+    NEAR_MEASURED,
+    NOT_SELECTED,
+    REMAINDER,
+    TRIED,
+    UncoveredReport,
+    closest_causes,
+    describe_cause,
+)
+from cell.explore.explore import explain_remaining
+from cell.explore.prepare import ExplorationContext
 from cell.runs.cell import RunCell, read_cell, world_of
 from cell.runs.run import open_finished
 from cell.runs.schema import ExploreFile
@@ -32,7 +40,7 @@ from planner.values import Bools, Floats
 from planner.why.why import Reason
 
 
-def judged(work: Exploring, file: ExploreFile, known_model: Path) -> dict[str, tuple[float, float]]:
+def judged(work: ExplorationContext, file: ExploreFile, known_model: Path) -> dict[str, tuple[float, float]]:
     """Area [mm2] of what is open by stated sentence, and of it the area for which the sentence is true.
 
     Args:
@@ -40,25 +48,25 @@ def judged(work: Exploring, file: ExploreFile, known_model: Path) -> dict[str, t
         file: its explore.json.
         known_model: run folder of the plan of the true part.
     """
-    said = stays_open(work, file, work.paths.known(len(file.stages), work.unknown))
+    said = explain_remaining(work, file, work.paths.known(len(file.stages), work.unknown))
     if said is None:
         return {}
     true = _true(work, file, said, known_model)
     found: dict[str, tuple[float, float]] = {}
     for code in np.unique(said.reason).tolist():
         here = said.reason == code
-        area, of_it = found.get(sentence(code), (0.0, 0.0))
+        area, of_it = found.get(describe_cause(code), (0.0, 0.0))
         areas = 1e6 * said.samples.areas
-        found[sentence(code)] = area + float(areas[here].sum()), of_it + float(areas[here & true].sum())
+        found[describe_cause(code)] = area + float(areas[here].sum()), of_it + float(areas[here & true].sum())
     return found
 
 
-def _true(work: Exploring, file: ExploreFile, said: StillOpen, known_model: Path) -> Bools:
+def _true(work: ExplorationContext, file: ExploreFile, said: UncoveredReport, known_model: Path) -> Bools:
     """(N,) for which samples the reason is true."""
     run = open_finished(known_model)
     cell, part = read_cell(run), run.mesh("reference.ply")
-    assert work.hidden is not None
-    to_object = np.asarray(np.linalg.inv(work.hidden.T_explored_object), dtype=np.float64)
+    assert work.ground_truth is not None
+    to_object = np.asarray(np.linalg.inv(work.ground_truth.T_explored_object), dtype=np.float64)
     samples = _on_part(said.samples, to_object, part, work.unknown.edge)
     candidates = replace(said.candidates, T_object_scanner=to_object @ said.candidates.T_object_scanner)
     world = world_of(run, part)
@@ -66,14 +74,14 @@ def _true(work: Exploring, file: ExploreFile, said: StillOpen, known_model: Path
         candidates, world.T_base_object, world.T_flange_scanner, cell.kinematics, MujocoCollisionChecker(world)
     )
     casters = (cell.part_caster, cell.occluder_caster)
-    there = closest(samples, candidates, reached, cell.scanner, casters)
+    there = closest_causes(samples, candidates, reached, cell.scanner, casters)
     pairs = zip(said.reason.tolist(), there.tolist(), strict=True)
-    same = np.array([code > 0 and sentence(code) == sentence(true) for code, true in pairs])
-    same |= (said.reason == NOT_TAKEN) & (there == Reason.NOT_SELECTED)
+    same = np.array([code > 0 and describe_cause(code) == describe_cause(true) for code, true in pairs])
+    same |= (said.reason == NOT_SELECTED) & (there == Reason.NOT_SELECTED)
     same |= (said.reason >= Reason.OUT_OF_REACH) & (there != Reason.NOT_SELECTED)
     edge, poses = work.unknown.edge, _poses(work, file, to_object)
     same |= (said.reason == TRIED) & (_measured_beside(samples.points, poses, cell, edge) < 0.5)
-    same |= (said.reason == SMALL) & (_measured_beside(samples.points, poses, cell, BESIDE * edge) > 0)
+    same |= (said.reason == REMAINDER) & (_measured_beside(samples.points, poses, cell, NEAR_MEASURED * edge) > 0)
     return same
 
 
@@ -88,9 +96,9 @@ def _on_part(believed: SurfaceSamples, to_object: Floats, part: TriangleMesh, ed
     return SurfaceSamples(points, normals, believed.areas, believed.face, believed.planning_face)
 
 
-def _poses(work: Exploring, file: ExploreFile, to_object: Floats) -> Floats:
+def _poses(work: ExplorationContext, file: ExploreFile, to_object: Floats) -> Floats:
     """(V, 4, 4) from where the rays of all views went out, object frame [m]."""
-    scans = state.scans_of(work.paths, file.stages)
+    scans = state.read_scans(work.paths, file.stages)
     return np.stack([to_object @ (scan.T_reported if scan.T_true is None else scan.T_true) for scan in scans])
 
 

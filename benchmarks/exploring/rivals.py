@@ -73,7 +73,7 @@ def volumetric(space: str) -> Policy:
     def begun(lab: Lab, rng: Generator) -> NextView:
         poses = VIEW_SPACES[space](lab, _CANDIDATES)
         rows, columns = lab.scanner.grid_shape
-        rays = lab.eye.rays.reshape(rows, columns, 3)[_EVERY // 2 :: _EVERY, _EVERY // 2 :: _EVERY].reshape(-1, 3)
+        rays = lab.frustum.rays.reshape(rows, columns, 3)[_EVERY // 2 :: _EVERY, _EVERY // 2 :: _EVERY].reshape(-1, 3)
 
         def next_view(known: Known) -> Floats | None:
             usable = poses[lab.free(known.space)(poses)]
@@ -90,9 +90,11 @@ def volumetric(space: str) -> Policy:
 
 def _unknown_along(lab: Lab, known: Known, T: Floats, rays: Floats) -> int:
     space = known.space
-    source = T[:3, :3] @ lab.eye.source + T[:3, 3]
+    source = T[:3, :3] @ lab.frustum.source + T[:3, 3]
     return int(
-        _crossed(source, rays @ T[:3, :3].T, lab.eye.near, lab.eye.far, np.array(space.low), space.edge, space.state)
+        _crossed(
+            source, rays @ T[:3, :3].T, lab.frustum.near, lab.frustum.far, np.array(space.low), space.edge, space.state
+        )
     )
 
 

@@ -45,9 +45,9 @@ def _enclosing(lab: Lab) -> float:
 
 
 VIEW_SPACES: dict[str, Callable[[Lab, int], Floats]] = {
-    "sphere, far": lambda lab, n: _sphere(lab, n, _enclosing(lab) + lab.eye.near),
+    "sphere, far": lambda lab, n: _sphere(lab, n, _enclosing(lab) + lab.frustum.near),
     "sphere, middle": lambda lab, n: _sphere(lab, n, max(lab.middle_range, _enclosing(lab) + 2 * CLEARANCE)),
     "cylinder, middle": lambda lab, n: _cylinder(lab, n, lab.middle_range),
-    "cylinder, near": lambda lab, n: _cylinder(lab, n, max(lab.eye.near, 2 * CLEARANCE)),
+    "cylinder, near": lambda lab, n: _cylinder(lab, n, max(lab.frustum.near, 2 * CLEARANCE)),
 }
 """Name -> (lab, count) -> (count, 4, 4) poses."""

@@ -10,7 +10,7 @@ from benchmarks.exploring.evaluation import CurvePoint, bounds, evaluate, fewest
 from benchmarks.triangle_cell import TriangleCell
 from cell.explore.explore import explore
 from cell.explore.options import ExploreOptions
-from cell.explore.prepare import prepared
+from cell.explore.prepare import prepare_exploration
 from cell.runs.cell import world_of
 from cell.runs.run import open_finished
 from cell.scan.options import ScanOptions
@@ -82,7 +82,7 @@ def test_an_exploration_is_evaluated_on_the_true_part(part_file: Path, tmp_path:
     options, scanning = parse_options(ExploreOptions, {"ring": 3, "batch": 2}), ScanOptions(resolution_deg=0.5)
     session, known_model = Session(None, out=tmp_path / "explored"), tmp_path / "known"
     file = explore(session, scene, options, scanning)
-    work = prepared(session, scene, options, scanning)
+    work = prepare_exploration(session, scene, options, scanning)
     plan_known_model(work, known_model)
     found = evaluate(work, file, known_model)
     assert len(found.by_views) == file.views == 5
@@ -107,7 +107,7 @@ def test_explorations_of_built_in_parts_measure_most_and_touch_nothing(name: str
         tmp_path / "known",
     )
     file = explore(Session(None, out=out), scene, options, ScanOptions())
-    work = prepared(Session(None, out=out), scene, options, ScanOptions())
+    work = prepare_exploration(Session(None, out=out), scene, options, ScanOptions())
     plan_known_model(work, known_model)
     found = evaluate(work, file, known_model)
     assert found.nearest_mm > 0

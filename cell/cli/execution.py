@@ -19,7 +19,7 @@ from cell.cli.options import (
 )
 from cell.emulate.options import EmulateOptions
 from cell.errors import UsageError
-from cell.explore.options import OF_SCAN, ExploreOptions
+from cell.explore.options import SCAN_OPTIONS, ExploreOptions
 from cell.metrology.options import HandEyeOptions, LocateOptions
 from cell.scan.options import REAL_ROBOT, RESUME_OPTIONS, ScanOptions
 from cell.scene.file import scene_from_options
@@ -173,7 +173,7 @@ def explore(
     part: Part = None,
     scene: SceneFile = None,
     options: ExploreOptions,
-    scanning: Annotated[Given, option_specs(ScanOptions, *OF_SCAN)],
+    scanning: Annotated[Given, option_specs(ScanOptions, *SCAN_OPTIONS)],
     given: SceneOptions,
     out: Annotated[
         Path | None,

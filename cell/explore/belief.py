@@ -1,24 +1,46 @@
-"""What is believed of the part, as `cell plan` wants it: a part to measure, and unseen space that nothing may touch.
+"""Belief about the part: its surfaces for planning, the unseen space as an obstacle, and causes of uncovered surface.
 
-Both are surfaces about voxels (marching cubes). The believed part is the tight one, at a distance from their middles:
-it is what rays are thought to meet. What arm and housing keep away from holds every voxel that is not free as a whole:
-it is at a distance from their corners, as a surface about middles would cut the corners of what sticks out.
+The **belief surface** encloses voxels that are not free (marching cubes, at a distance from their centres): rays are
+expected to meet it. The obstacle for arm and housing encloses every voxel that is not free completely, at a distance
+from their corners.
+
+The **measured surface** is reconstructed from all points. Voxels fill tubes and slots narrower than twice the depth of
+the belief and hide their walls; the measured surface does not. It is continued beyond its border along its last
+normals, where no part lies in front. Where none of its faces has a similar normal, the rest of the belief surface
+remains: a lid across a tube, the unseen side of a sheet. Everything in free space is cut off.
+
+The explored frame has its origin at the centre of the cylinder and the axes of base; it is the object frame of every
+batch. Metres.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
-from cell.explore.hidden import Cylinder, with_stand
+from cell.metrology.reconstruct import REACH, ReconstructionStatus, reconstruct
 from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.runs import ply
-from cell.runs.schema import UNSEEN
-from cell.scene.model import MeshFixture, Scene
-from planner.explore.space import FREE, VoxelSpace
-from planner.geometry.mesh import TriangleMesh
-from planner.values import Bools, Floats
+from cell.runs.run import ExecutedScan
+from cell.runs.schema import UNSEEN, OpenReason
+from cell.scene.model import CylinderFixture, MeshFixture, Scene
+from planner.explore.gain import OpenSamples
+from planner.explore.space import FREE, UNKNOWN, VoxelSpace, first_in_cubes
+from planner.geometry.mesh import TriangleMesh, concatenate_meshes
+from planner.geometry.sampling import SurfaceSamples
+from planner.kinematics.reach import Reach
+from planner.ports import RayCaster, Scanner
+from planner.registration.cloud import PointCloud, ScanCloud, merge
+from planner.values import Bools, Floats, Ints, Value
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.viewpoints import Viewpoints
+from planner.why import why
+from planner.why.why import REASON_OF_VERDICT, Reason
 
 _TIGHT, _SMOOTH = 0.75, 0.7  # of an edge: the believed surface's distance, and how far the distances are smoothed
 _ROUGH = 0.87  # of an edge: the distance of the surface before which candidates stand
@@ -26,51 +48,65 @@ _BEYOND = 0.37  # of an edge: how far beyond voxels arm and housing keep away fr
 _BLOCK = 2  # edges: where a surface need not be tight, blocks of voxels do, with a quarter of the faces
 
 
+@dataclass(frozen=True, slots=True)
+class Cylinder:
+    """An upright cylinder about the placement.
+
+    Attributes:
+        radius: [m].
+        height: [m].
+        given: whether the user gave it; else it encloses the simulated part.
+    """
+
+    radius: float
+    height: float
+    given: bool
+
+
 def surface_about(space: VoxelSpace, chosen: Bools) -> TriangleMesh:
-    """The tight surface about chosen voxels (X, Y, Z) [m]."""
-    return _about(space.low, space.edge, chosen, _TIGHT, _SMOOTH)
+    """Return the belief surface about selected voxels (X, Y, Z) [m]."""
+    return _surface_at(space.low, space.edge, chosen, _TIGHT, _SMOOTH)
 
 
-def part_of(surface: TriangleMesh, name: str, known: str = "believed") -> Workpiece:
-    """A believed, or measured, surface as a part, its name saying that it is no model."""
+def belief_part(surface: TriangleMesh, name: str, known: str = "believed") -> Workpiece:
+    """Return a belief or measured surface as a part, named as such."""
     return workpiece.from_trusted_mesh(f"{name} as {known}", surface)
 
 
-def rough(space: VoxelSpace, *, whole: bool = False) -> TriangleMesh:
-    """A surface of few faces about what is believed [m], before which candidates stand.
-
-    `whole` as in `VoxelSpace.believed`.
-    """
-    return _about(space.low, _BLOCK * space.edge, _blocks(space.belief_voxels(unlimited=whole)), _ROUGH, _SMOOTH)
+def coarse_surface(space: VoxelSpace, *, unlimited: bool = False) -> TriangleMesh:
+    """Return a surface with few faces about the belief [m]; `unlimited` disregards the votes of missing returns."""
+    return _surface_at(
+        space.low, _BLOCK * space.edge, _blocks(space.belief_voxels(unlimited=unlimited)), _ROUGH, _SMOOTH
+    )
 
 
 def write_unseen(space: VoxelSpace, path: Path) -> None:
-    """Write what arm and housing keep away from as a mesh file in millimetres."""
-    path.write_bytes(ply.mesh_bytes(enclosing(space, np.asarray(space.state != FREE))))
+    """Write the obstacle for arm and housing as a mesh file in millimetres."""
+    path.write_bytes(ply.mesh_bytes(enclosing_surface(space, np.asarray(space.state != FREE))))
 
 
-def enclosing(space: VoxelSpace, chosen: Bools) -> TriangleMesh:
-    """A surface of few faces in which every chosen voxel lies as a whole [m]: all corners of its block do."""
+def enclosing_surface(space: VoxelSpace, chosen: Bools) -> TriangleMesh:
+    """Return a surface with few faces that encloses every selected voxel completely [m]."""
     blocks = np.pad(_blocks(chosen), 1)
     x, y, z = (size - 1 for size in blocks.shape)
     corners = np.zeros((x, y, z), dtype=np.bool_)
     for i, j, k in np.ndindex(2, 2, 2):
         corners |= blocks[i : i + x, j : j + y, k : k + z]
     edge = _BLOCK * space.edge
-    return _about(space.low - edge / 2, edge, corners, _BEYOND, 0.0)
+    return _surface_at(space.low - edge / 2, edge, corners, _BEYOND, 0.0)
 
 
-def scene_of(scene: Scene, cylinder: Cylinder, believed: Workpiece, unseen: Path) -> Scene:
-    """The scene of a stage: the believed part where the hidden one stands, unseen space about it.
+def batch_scene(scene: Scene, cylinder: Cylinder, surface: Workpiece, unseen: Path) -> Scene:
+    """Return the scene of a batch: the belief in place of the part, with the unseen space as a fixture.
 
     Args:
         scene: of the exploration.
         cylinder: about its placement.
-        believed: in the explored frame.
-        unseen: the file of `write_unseen`.
+        surface: the belief as a part, explored frame.
+        unseen: file of `write_unseen`.
     """
     place = np.asarray(scene.placement.position_mm)
-    centre = place + 1000 * believed.centre
+    centre = place + 1000 * surface.centre
     space = MeshFixture(
         name=UNSEEN, shape="mesh", path=str(unseen.absolute()), units="mm", occludes=False,
         position_mm=tuple(place.tolist()),
@@ -82,13 +118,13 @@ def scene_of(scene: Scene, cylinder: Cylinder, believed: Workpiece, unseen: Path
 
 
 def _blocks(chosen: Bools) -> Bools:
-    """The blocks in which a voxel is chosen: where a surface need not be tight, they do."""
+    """Return the blocks of voxels that contain a selected one."""
     nx, ny, nz = (n // _BLOCK for n in chosen.shape)  # a grid has even numbers of voxels
     return np.asarray(chosen.reshape(nx, _BLOCK, ny, _BLOCK, nz, _BLOCK).any(axis=(1, 3, 5)))
 
 
-def _about(low: Floats, edge: float, chosen: Bools, level: float, smooth: float) -> TriangleMesh:
-    """The surface at a distance from the middles of cells, and the distances smoothed [edges of a cell]."""
+def _surface_at(low: Floats, edge: float, chosen: Bools, level: float, smooth: float) -> TriangleMesh:
+    """Return the surface at a distance from the centres of cells, with smoothed distances [edges of a cell]."""
     from skimage.measure import marching_cubes  # takes a third of a second to import
 
     distance = ndimage.distance_transform_edt(~chosen)
@@ -96,3 +132,229 @@ def _about(low: Floats, edge: float, chosen: Bools, level: float, smooth: float)
         distance = smoothed
     vertices, faces, _, _ = marching_cubes(distance.astype(np.float32), level, gradient_direction="descent")
     return TriangleMesh(low + edge * (vertices.astype(np.float64) + 0.5), faces.astype(np.int32))
+
+
+CYLINDER_MARGIN = 1.05
+"""How much wider than the simulated part a cylinder is that nobody gives: who clamps a part knows it to so much."""
+
+STAND = "stand"
+"""The post of the scene, as a fixture: the post of a stage would follow what is believed of the part."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundTruth:
+    """The part in the cell, which the planner does not know.
+
+    Attributes:
+        mesh: in the explored frame [m].
+        T_explored_object: (4, 4) from the object frame [m].
+    """
+
+    mesh: TriangleMesh
+    T_explored_object: Floats
+
+    @classmethod
+    def of(cls, scene: Scene, part: Workpiece) -> "GroundTruth":
+        """Return the part at the placement of the scene."""
+        T = np.eye(4)
+        T[:3, :3] = scene.placement.T[:3, :3]
+        T[:3, 3] = -T[:3, :3] @ part.centre
+        vertices = part.reference.vertices @ T[:3, :3].T + T[:3, 3]
+        return cls(TriangleMesh(vertices, part.reference.faces), T)
+
+
+def enclosing_cylinder(hidden: GroundTruth) -> Cylinder:
+    """Return the cylinder about a simulated part, wider by `CYLINDER_MARGIN`; its bottom is the lowest point."""
+    vertices = hidden.mesh.vertices
+    radius = float(np.hypot(vertices[:, 0], vertices[:, 1]).max())
+    return Cylinder(CYLINDER_MARGIN * radius, 2 * float(np.abs(vertices[:, 2]).max()), given=False)
+
+
+def with_stand(scene: Scene, cylinder: Cylinder) -> Scene:
+    """Return the scene with a fixture below the cylinder instead of its post."""
+    if not scene.post.enabled:
+        return scene
+    x, y, z = scene.placement.position_mm
+    bottom, floor = z - 500 * cylinder.height, -scene.robot.pedestal_height_mm
+    if bottom <= floor:
+        return scene.model_copy(update={"post": scene.post.model_copy(update={"enabled": False})})
+    stand = CylinderFixture(
+        name=STAND, shape="cylinder", position_mm=(x, y, (bottom + floor) / 2),
+        size_mm=(scene.post.diameter_mm, bottom - floor),
+    )  # fmt: skip
+    post = scene.post.model_copy(update={"enabled": False})
+    return scene.model_copy(update={"post": post, "fixtures": (*scene.fixtures, stand)})
+
+
+_CONTINUATION = 4.0
+"""Edges of a voxel by which the surface is continued. Of 4, 6 and 8 the one with which most is measured of tubes."""
+
+_CUBE = 0.5
+"""Edges of the cubes of which one point is kept: what is planned on need not be finer than what is sampled of it."""
+
+_MAX_CUBES = 40_000
+"""Cubes at most: where there would be more they are larger. A stage's plan is as good, and takes half the time."""
+
+_GRID = 1.5  # sides of those cubes: what the surface is made with
+_MARGIN_AHEAD = 0.5  # edges before the surface from where on nothing is believed
+_NEARBY, _FACES = 2.0, 3
+"""Edges about a face of the believed surface, and how many faces of the other one next to it, of which one looks to the
+same side where the believed one has no place."""
+
+
+def reconstruct_scans(scans: Sequence[ExecutedScan]) -> TriangleMesh | None:
+    """Return the surface of all scans, explored frame [m]; None without one."""
+    return reconstruct(merge([ScanCloud(scan.points, scan.T_reported[:3, 3]) for scan in scans])).mesh
+
+
+def continue_surface(scans: Sequence[ExecutedScan], space: VoxelSpace, solid: Bools) -> TriangleMesh | None:
+    """Return the measured surface of thinned points with its continuation, explored frame [m].
+
+    Args:
+        scans: all scans.
+        space: voxels after them; free and rejected voxels end the continuation.
+        solid: (X, Y, Z) voxels of the belief.
+
+    Returns:
+        The surface for planning; None if there are too few points.
+    """
+    points, apart = _thin_points(scans, _CUBE * space.edge)
+    found = reconstruct(merge(points), grid=_GRID * apart, reach=_CONTINUATION * space.edge)
+    if found.status is ReconstructionStatus.TOO_FEW_POINTS:
+        return None
+    parts, tree = list[TriangleMesh](), cKDTree(found.cloud.points, balanced_tree=False, compact_nodes=False)
+    if found.mesh is not None:
+        middles = found.mesh.centres
+        near = tree.query(middles, distance_upper_bound=REACH * found.spacing, workers=2)[0]
+        parts += _submesh(found.mesh, np.isfinite(near) | space.values_at(middles, space.maybe_part).astype(np.bool_))
+    lids = surface_about(space, solid & ~_ahead_of(found.cloud, tree, space, solid))
+    parts += _submesh(lids, ~_has_similar_normal(lids, parts[0], _NEARBY * space.edge)) if parts else [lids]
+    vertices, faces, _ = concatenate_meshes([(each.vertices, each.faces) for each in parts])
+    return TriangleMesh(vertices, faces.astype(np.int32))
+
+
+def _thin_points(scans: Sequence[ExecutedScan], apart: float) -> tuple[list[ScanCloud], float]:
+    """Return the first point of each cube of an edge [m], by scan, and the edge, larger for too many cubes."""
+    points = np.concatenate([scan.points for scan in scans]) if scans else np.empty((0, 3))
+    number = np.repeat(np.arange(len(scans)), [len(scan.points) for scan in scans])
+    kept = first_in_cubes(points, apart)
+    while len(kept) > _MAX_CUBES:
+        apart *= np.sqrt(len(kept) / _MAX_CUBES) + 0.01
+        kept = kept[first_in_cubes(points[kept], apart)]
+    points, number = points[kept], number[kept]
+    clouds = [ScanCloud(points[number == each], scan.T_reported[:3, 3]) for each, scan in enumerate(scans)]
+    return clouds, apart
+
+
+def _ahead_of(cloud: PointCloud, tree: cKDTree, space: VoxelSpace, solid: Bools) -> Bools:
+    """Return (X, Y, Z) belief voxels in front of a cloud's surface and its continuation, except hit ones."""
+    doubtful = solid & (space.state == UNKNOWN)
+    centres = space.centres(doubtful)
+    nearest, at = map(np.asarray, tree.query(centres, distance_upper_bound=_CONTINUATION * space.edge, workers=2))
+    near = np.isfinite(nearest)
+    legs, normals = centres[near] - cloud.points[at[near]], cloud.normals[at[near]]
+    ahead, of_near = np.zeros(doubtful.shape, dtype=np.bool_), np.zeros(len(near), dtype=np.bool_)
+    of_near[near] = np.einsum("nj,nj->n", legs, normals) > _MARGIN_AHEAD * space.edge
+    ahead[doubtful] = of_near
+    return ahead
+
+
+def _has_similar_normal(lids: TriangleMesh, surface: TriangleMesh, distance: float) -> Bools:
+    """Return (F,) whether a face of `surface` within `distance` [m] has a normal to the same side as each lid."""
+    _, at = cKDTree(surface.centres).query(lids.centres, _FACES, distance_upper_bound=distance, workers=2)
+    normals = np.concatenate([surface.normals, np.zeros((1, 3))])[np.asarray(at)]  # the last of what is too far
+    return np.asarray((np.einsum("fkj,fj->fk", normals, lids.normals) > 0).any(axis=1))
+
+
+def _submesh(mesh: TriangleMesh, chosen: Bools) -> list[TriangleMesh]:
+    """Return the mesh of selected faces as a list, empty without any."""
+    if not chosen.any():
+        return []
+    used, faces = np.unique(mesh.faces[chosen], return_inverse=True)
+    return [TriangleMesh(mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32))]
+
+
+REMAINDER, TRIED, NOT_SELECTED = -3, -2, -1
+"""Beside `Reason`: what views that were to measure it left, near what was measured and far from it; and what a view
+is to measure that was not taken."""
+
+NEAR_MEASURED = 2.0
+"""Edges from the middle of a measured voxel within which what views left is a rest, whose believed place and normal
+are too uncertain for any other reason."""
+
+_OCCLUDED = (Reason.SOURCE_SHADED_BY_PART, Reason.SENSOR_SHADED_BY_PART, Reason.SOURCE_SHADED, Reason.SENSOR_SHADED)
+
+_SENTENCES: dict[int, str] = {
+    REMAINDER: "remainder within two voxels of measured surface, missed by the views for it",
+    TRIED: "missed by views that should measure it: too steep, or not part of the surface",
+    NOT_SELECTED: "measurable by a reachable view that was not selected",
+    **dict.fromkeys(_OCCLUDED, "laser or sensor occluded"),
+    Reason.OUT_OF_REACH: "views that might measure it are out of reach",
+    Reason.JOINT_LIMIT: "views that might measure it are beyond a joint limit",
+    Reason.COLLISION: "views that might measure it are in collision, or too close to unseen space",
+}
+"""Sentences about belief surface. Which line of sight is occluded, and by what, is not known within a voxel."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UncoveredReport(Value):
+    """Uncovered samples of the belief surface with their causes.
+
+    Attributes:
+        samples: N samples.
+        reason: (N,) `Reason` values, `REMAINDER`, `TRIED` or `NOT_SELECTED`.
+        candidates: tested viewpoints.
+    """
+
+    samples: SurfaceSamples
+    reason: Annotated[Ints, "N"]
+    candidates: Viewpoints
+
+    def by_area(self) -> tuple[OpenReason, ...]:
+        """Return the area by cause, largest first."""
+        said = np.array([describe_cause(code) for code in self.reason.tolist()], dtype=object)
+        areas = {each: 1e6 * float(self.samples.areas[said == each].sum()) for each in dict.fromkeys(said.tolist())}
+        return tuple(
+            OpenReason(reason=each, area_mm2=round(area, 3))
+            for each, area in sorted(areas.items(), key=lambda item: -item[1])
+        )
+
+
+def describe_cause(code: int) -> str:
+    """Return a cause in words."""
+    return _SENTENCES.get(code) or Reason(code).sentence
+
+
+def assign_causes(
+    samples: SurfaceSamples,
+    of: OpenSamples,
+    candidates: Viewpoints,
+    reached: Reach,
+    scanner: Scanner,
+    casters: Sequence[RayCaster],
+) -> UncoveredReport:
+    """Return uncovered samples with their causes.
+
+    Args:
+        samples: uncovered samples of the belief surface.
+        of: their classes.
+        candidates: tested viewpoints.
+        reached: their verdicts.
+        scanner: the scanner.
+        casters: ray casters of the belief and of the occluders.
+    """
+    found = closest_causes(samples, candidates, reached, scanner, casters)
+    reason = np.where(found == Reason.NOT_SELECTED, np.where(of.tries > 0, TRIED, NOT_SELECTED), found)
+    # Occlusion by other objects so close is a voxel of belief inside the support of the part.
+    reason[(of.tries > 0) & (of.distance_edges <= NEAR_MEASURED) & (found >= Reason.SOURCE_SHADED)] = REMAINDER
+    return UncoveredReport(samples, reason, candidates)
+
+
+def closest_causes(
+    samples: SurfaceSamples, candidates: Viewpoints, reached: Reach, scanner: Scanner, casters: Sequence[RayCaster]
+) -> Ints:
+    """Return (S,) the `Reason` of the candidate that comes closest to measuring each sample."""
+    fails = np.array([REASON_OF_VERDICT[verdict] for verdict in REASON_OF_VERDICT], dtype=np.uint8)[reached.verdict]
+    targets, rows = RayTargets.of(samples.points, samples.normals), np.arange(len(samples))
+    found = why.diagnose(targets, rows, candidates, scanner, casters[0], casters[1], fails)
+    return found.reason.astype(np.int64)

@@ -1,4 +1,4 @@
-"""A stage is driven and scanned, or gone on with where it was stopped; its points are read back from disk."""
+"""Execute the batches of an exploration, or resume them, and read their scans."""
 
 import shutil
 from pathlib import Path
@@ -14,47 +14,39 @@ from cell.session import Session
 from planner.geometry.mesh import TriangleMesh
 
 
-def executed(
-    session: Session[None], stage: Path, options: ScanOptions, *, stands: TriangleMesh | None
+def execute_batch(
+    session: Session[None], stage: Path, options: ScanOptions, *, true_part: TriangleMesh | None
 ) -> tuple[ExecutedScan, ...]:
-    """The scans of a stage, taken now as far as they are not on disk.
+    """Return the scans of a batch; scan the views that are not on disk yet.
 
     Args:
         session: of the exploration.
-        stage: its run folder.
+        stage: run folder of the batch.
         options: of the execution.
-        stands: the hidden part, explored frame; None where points are not simulated.
-
-    Raises:
-        FileError: if a view has no points.
-        CellError: as `cell scan`.
+        true_part: the true part, explored frame; None if points are not simulated.
     """
     run = open_finished(stage)
-    _clear_unbegun(run)
+    _remove_unstarted(run)
     known = run.execution_ids
     if known and read_execution(run, known[-1]).manifest.status != "finished":
-        scan.resume_run(session, _taken, stage, known[-1], options, true_part=stands)
+        scan.resume_run(session, _finish_scans, stage, known[-1], options, true_part=true_part)
     elif not known:
-        scan.execute_run(session, _taken, stage, options, true_part=stands)
-    return scans_of_stage(run)
+        scan.execute_run(session, _finish_scans, stage, options, true_part=true_part)
+    return read_batch_scans(run)
 
 
-def scans_of_stage(run: Run) -> tuple[ExecutedScan, ...]:
-    """The scans of a stage that was executed, in driving order.
-
-    Raises:
-        FileError: if one is missing or damaged.
-    """
+def read_batch_scans(run: Run) -> tuple[ExecutedScan, ...]:
+    """Return the scans of an executed batch in execution order."""
     planned = run.plan.views
     scans, left_out = usable_scans(read_execution(run, "latest"), planned)
     if left_out or len(scans) < len(planned):
         why = left_out[0] if left_out else f"{len(planned) - len(scans)} of its {len(planned)} scans are missing"
-        raise FileError(f"{run.folder}: {why}; explore anew, or put back what was there")
+        raise FileError(f"{run.folder}: {why}; start a new exploration, or restore the missing files")
     return scans
 
 
-def _clear_unbegun(run: Run) -> None:
-    """Take away an execution that was stopped before its manifest was written: nothing was driven in it."""
+def _remove_unstarted(run: Run) -> None:
+    """Remove an execution that ended before its manifest was written; nothing was driven in it."""
     for name in run.execution_ids[-1:]:
         folder = run.folder / EXECUTIONS / name
         left = {path.name for path in folder.rglob("*")} - {"scans"}
@@ -62,8 +54,8 @@ def _clear_unbegun(run: Run) -> None:
             shutil.rmtree(folder)
 
 
-def _taken(session: Session[ExecutionFolder], run: Run, cell: RunCell) -> None:
-    """Finish an execution that only has to have its scans; nothing is reported, as there is no reference."""
+def _finish_scans(session: Session[ExecutionFolder], run: Run, cell: RunCell) -> None:
+    """Finish an execution that consists of scans only, since there is no reference to report on."""
     folder, planned = session.folder, run.plan.views
     scans, _ = usable_scans(read_execution(run, folder.path.name), planned)
     for number in range(1, len(planned) + 1):

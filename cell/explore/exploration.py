@@ -1,4 +1,4 @@
-"""An exploration as Python gets it: its folder, explore.json, and the explored surface to go on with."""
+"""The result of an exploration for Python: its folder, explore.json, and the explored surface."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +11,11 @@ from planner.geometry.mesh import TriangleMesh
 
 @dataclass(frozen=True, slots=True)
 class Exploration:
-    """What was explored.
+    """An exploration.
 
     Attributes:
-        folder: of it.
-        file: explore.json: batches, what stays open and why.
+        folder: its folder.
+        file: explore.json: batches, and uncovered surface by cause.
     """
 
     folder: Path
@@ -23,12 +23,12 @@ class Exploration:
 
     @property
     def stages(self) -> tuple[Run, ...]:
-        """The plan of each batch, in the explored frame: middle of the cylinder, axes of the base frame."""
+        """Plans of the batches in the explored frame: centre of the cylinder, axes of base."""
         return tuple(open_finished(self.folder / stage.folder) for stage in self.file.stages)
 
     @property
     def model(self) -> Path | None:
-        """The mesh file of all scans, mm; None where the points describe no surface."""
+        """Mesh file of all scans, mm; None without a surface."""
         return self.folder / self.file.model if self.file.model else None
 
     @property
@@ -38,5 +38,5 @@ class Exploration:
 
     @property
     def place(self) -> tuple[float, float, float] | None:
-        """Where `plan(exploration.model, units="mm", place=...)` finds it again: its middle, base frame [mm]."""
+        """Centre of the model in base [mm], for `plan(exploration.model, units="mm", place=...)`."""
         return self.file.model_middle_mm

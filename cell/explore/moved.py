@@ -1,9 +1,8 @@
-"""Candidates moved to where they measure more of what is open (`planner.viewpoints.refinement`).
+"""Refine candidates of a batch towards more uncovered surface (`planner.viewpoints.refinement`).
 
-A candidate looks at one patch of what is open, along its normal or however the arm gets there. The view that measures
-most of several is searched for from the best of them: what a view adds grows by a tenth to a quarter. Each is moved as
-if it were the only one; which of them stand together is chosen among all, those that did not move included. The search
-asks the scouts, the choice the rows of the matrix, which it has not seen.
+A candidate is aimed at one patch. The search starts from the best candidates and finds views of several patches, which
+adds 10 to 25 %. Each is refined as if it were the only view; the selection then uses all candidates. The search is
+evaluated on the scouts, the selection on the rows of the matrix.
 """
 
 from cell.plan.candidates import GROWN, view_evaluator
@@ -15,12 +14,12 @@ from planner.viewpoints.refinement import improve_views
 from planner.viewpoints.viewpoints import pick_viewpoints, viewpoints_from_poses
 
 
-def with_better(problem: SelectionProblem, views: Ints, append: Append) -> SelectionProblem:
-    """The problem with poses behind its candidates at which these measure more of what is open, if any may be grown.
+def with_refined_candidates(problem: SelectionProblem, views: Ints, append: Append) -> SelectionProblem:
+    """Return the problem with refined poses appended to its candidates, if candidates may be grown.
 
     Args:
-        problem: what is asked; its held-out samples are a stage's scouts.
-        views: (n,) candidates from which is searched.
+        problem: whose held-out samples are the scouts of the batch.
+        views: (n,) candidates to start from.
         append: makes candidates of poses.
     """
     if problem.request.plan.candidates != GROWN:

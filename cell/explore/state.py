@@ -1,12 +1,12 @@
-"""An exploration on disk and in memory: what is kept after each stage, and taken up again by the same command.
+"""State of an exploration in memory and on disk, for continuation by the same command.
 
-    explore.json               what was done (`cell.runs.schema`); a stage that it names is finished
-    stages/0001/               run folder of the batch: plan, and its execution
-    stages/0001.unseen.ply     what arm and housing kept away from
-    stages/0001.measured.ply   the surface of all points before it and where it leads, where it was planned on that
-    stages/0001.voxels.npz     the voxels after it
+    explore.json               finished batches (`cell.runs.schema`)
+    stages/0001/               run folder of a batch with its execution
+    stages/0001.unseen.ply     obstacle for arm and housing
+    stages/0001.measured.ply   measured surface and its continuation, if the batch was planned on it
+    stages/0001.voxels.npz     voxels after the batch
 
-explore.json is written last, so a stage is in it whole or not at all. A plan whose stage is not in it is gone on with.
+explore.json is written last, so it contains complete batches only. A plan of a batch that is not in it is continued.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ import numpy as np
 
 from cell.errors import FileError, UsageError
 from cell.explore import belief
-from cell.explore.execution import scans_of_stage
+from cell.explore.execution import read_batch_scans
 from cell.runs import schema
 from cell.runs.folder import json_text
 from cell.runs.run import ExecutedScan, npz_arrays, open_finished, reading
@@ -33,13 +33,13 @@ from planner.values import Bools
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
-    """What is known.
+class Belief:
+    """Knowledge about the part.
 
     Attributes:
-        space: about the part.
-        record: what became of what was open.
-        scans: all of them, in driving order.
+        space: voxels.
+        record: realised gains.
+        scans: all scans in execution order.
     """
 
     space: VoxelSpace
@@ -48,18 +48,18 @@ class Known:
 
     @cached_property
     def solid(self) -> Bools:
-        """(X, Y, Z) the voxels that the part is believed to fill."""
+        """(X, Y, Z) voxels of the belief."""
         return self.space.belief_voxels()
 
     @cached_property
-    def believed(self) -> TriangleMesh:
-        """The surface about them [m]."""
+    def surface(self) -> TriangleMesh:
+        """The belief surface [m]."""
         return belief.surface_about(self.space, self.solid)
 
 
 @dataclass(frozen=True, slots=True)
-class Paths:
-    """Where everything of an exploration is."""
+class ExplorationFolder:
+    """Paths of an exploration."""
 
     root: Path
 
@@ -69,28 +69,23 @@ class Paths:
         return self.root / schema.EXPLORE_FILE
 
     def stage(self, number: int) -> Path:
-        """The run folder of a stage, from 1."""
+        """Return the run folder of a batch, from 1."""
         return self.root / "stages" / f"{number:04d}"
 
     def unseen(self, number: int) -> Path:
-        """What was not seen before a stage."""
+        """Return the file of the unseen space before a batch."""
         return self.root / "stages" / f"{number:04d}.unseen.ply"
 
     def measured(self, number: int) -> Path:
-        """The surface of all points, and where it leads, that a stage was planned on; there where it was."""
+        """Return the file of the measured surface of a batch; it exists if the batch was planned on it."""
         return self.root / "stages" / f"{number:04d}.measured.ply"
 
     def voxels(self, number: int) -> Path:
-        """What was known after a stage."""
+        """Return the file of the voxels after a batch."""
         return self.root / "stages" / f"{number:04d}.voxels.npz"
 
     def begin(self, file: ExploreFile) -> ExploreFile:
-        """The exploration as it is on disk; one that is not there yet is begun.
-
-        Raises:
-            UsageError: if what is there is another exploration.
-            FileError: if the folder cannot be made, or is none of an exploration.
-        """
+        """Return the exploration on disk, or create it; raise if the folder holds something else."""
         if self.file.is_file():
             known = schema.read_explore_file(self.file)
             if known.inputs != file.inputs:
@@ -110,7 +105,7 @@ class Paths:
         return file
 
     def _only_made(self) -> bool:
-        """Whether the folder is one that was stopped between its making and its first explore.json."""
+        """Return whether the folder was created without a first explore.json."""
         try:
             found = {path.name for path in self.root.rglob("*")}
         except OSError:
@@ -122,7 +117,7 @@ class Paths:
         return self.file.with_name(f"{schema.EXPLORE_FILE}.tmp")
 
     def write(self, file: ExploreFile) -> None:
-        """Write explore.json: whole or not at all."""
+        """Write explore.json atomically."""
         temporary = self._temporary
         try:
             with temporary.open("w", encoding="utf-8") as stream:
@@ -133,22 +128,18 @@ class Paths:
         except OSError as error:
             raise FileError(f"{self.file} cannot be written: {error.strerror or error}") from error
 
-    def keep(self, number: int, known: Known) -> None:
-        """Write what is known after a stage."""
+    def keep(self, number: int, known: Belief) -> None:
+        """Write the belief after a batch."""
         space, record = known.space, known.record
         np.savez_compressed(
             self.voxels(number), allow_pickle=False, state=space.state, votes=space.votes, tries=space.tries,
             points=space.points, between=space.between, expected=record.expected, found=record.found,
         )  # fmt: skip
 
-    def known(self, number: int, unknown: VoxelSpace) -> Known:
-        """What was known after a stage, without the scans; `unknown` is before the first.
-
-        Raises:
-            FileError: if it is missing or damaged.
-        """
+    def known(self, number: int, unknown: VoxelSpace) -> Belief:
+        """Return the belief after a batch without the scans; `unknown` is that before the first."""
         if number == 0:
-            return Known(unknown, GainRecord.empty())
+            return Belief(unknown, GainRecord.empty())
         path = self.voxels(number)
         if not path.is_file():
             raise FileError(f"{path} is missing; explore anew")
@@ -157,25 +148,21 @@ class Paths:
             state, votes, tries = (stored[name] for name in ("state", "votes", "tries"))
             points, between = (stored[name] for name in ("points", "between"))
             space = replace(unknown, state=state, votes=votes, tries=tries, points=points, between=between)
-            return Known(space, GainRecord(stored["expected"], stored["found"]))
+            return Belief(space, GainRecord(stored["expected"], stored["found"]))
 
     def clear(self, number: int) -> None:
-        """Take away what is left of a stage's plan that did not finish."""
+        """Remove the files of an unfinished batch."""
         for path in self.root.glob(f"{self.stage(number).relative_to(self.root)}.part*"):
             shutil.rmtree(path)
         self.unseen(number).unlink(missing_ok=True)
         self.measured(number).unlink(missing_ok=True)
 
 
-def scans_of(paths: Paths, stages: tuple[ExploredStage, ...]) -> tuple[ExecutedScan, ...]:
-    """The scans of all stages, in driving order.
-
-    Raises:
-        FileError: if one is missing or damaged.
-    """
-    return tuple(scan for stage in stages for scan in scans_of_stage(open_finished(paths.root / stage.folder)))
+def read_scans(paths: ExplorationFolder, stages: tuple[ExploredStage, ...]) -> tuple[ExecutedScan, ...]:
+    """Return the scans of all batches in execution order."""
+    return tuple(scan for stage in stages for scan in read_batch_scans(open_finished(paths.root / stage.folder)))
 
 
-def digest_of(*said: object) -> str:
-    """sha256 of JSON values."""
+def hash_inputs(*said: object) -> str:
+    """Return the sha256 of JSON values."""
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()

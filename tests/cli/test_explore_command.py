@@ -17,10 +17,9 @@ from benchmarks.triangle_cell import TriangleCell
 from cell.errors import FileError
 from cell.explore import explore, state
 from cell.explore import stage as stage_plan
-from cell.explore.hidden import Hidden
-from cell.explore.measured_surface import continued
+from cell.explore.belief import GroundTruth, continue_surface
 from cell.explore.options import ExploreOptions
-from cell.explore.prepare import Exploring, prepared
+from cell.explore.prepare import ExplorationContext, prepare_exploration
 from cell.explore.stage import StopReason
 from cell.part import workpiece
 from cell.plan.selection import SelectionProblem
@@ -88,23 +87,23 @@ def test_views_are_moved_to_where_they_measure_more(
     They are moved from candidates that are grown briefly on the believed surface, on the measured one for as long as by
     `cell plan`.
     """
-    before, better = list[int](), stage_plan.with_better
-    schedules, grow, believed = list[Any](), stage_plan.with_grown, explore._on_believed
+    before, better = list[int](), stage_plan.with_refined_candidates
+    schedules, grow, believed = list[Any](), stage_plan.with_grown, explore._plan_on_belief
 
     def counted(*asked: Any, schedule: Any) -> Any:
         schedules.append(schedule)
         return grow(*asked, schedule=schedule)
 
-    def measured_at_last(work: Exploring, file: ExploreFile, known: Any, batch: Any) -> Path:
-        return (explore._on_measured if len(file.stages) == 2 else believed)(work, file, known, batch)
+    def measured_at_last(work: ExplorationContext, file: ExploreFile, known: Any, batch: Any) -> Path:
+        return (explore._plan_on_measured if len(file.stages) == 2 else believed)(work, file, known, batch)
 
     def with_better(problem: SelectionProblem, *asked: Any) -> SelectionProblem:
         before.append(len(problem.candidates))
         return better(problem, *asked)
 
-    monkeypatch.setattr(stage_plan, "with_better", with_better)
+    monkeypatch.setattr(stage_plan, "with_refined_candidates", with_better)
     monkeypatch.setattr(stage_plan, "with_grown", counted)
-    monkeypatch.setattr(explore, "_on_believed", measured_at_last)
+    monkeypatch.setattr(explore, "_plan_on_belief", measured_at_last)
     grown = (*PLACE[:-1], "grown", "--resolution", "0.5", "--max-views", "3")
     done = run_cell("explore", part_file, "--units", "mm", *grown, "--out", "explored", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -113,7 +112,7 @@ def test_views_are_moved_to_where_they_measure_more(
     for folder, known in zip(("0002", "0003"), before, strict=True):
         run = open_finished(tmp_path / "explored" / "stages" / folder)
         M, candidates, cell = run.measurability, run.candidates, read_cell(run)
-        assert known < len(candidates) == len(run.reach) == M.shape[1] <= known + stage_plan.STARTS
+        assert known < len(candidates) == len(run.reach) == M.shape[1] <= known + stage_plan.N_STARTS
         (view,) = run.plan.views
         moved += view.id >= known
         for number in (view.id, *range(known, len(candidates))):
@@ -135,7 +134,7 @@ def test_nothing_touches_the_part_that_the_planning_does_not_know(explored: Path
 def test_no_point_of_the_part_is_in_space_that_counts_as_free(explored: Path, part_file: Path) -> None:
     """What the planning takes for free lies beyond the true part, but for a voxel that holds a piece of it."""
     scene = scene_from_options(None, {"place": (1100, 400, 100), "units": "mm"}, part_file)
-    mesh = Hidden.of(scene, workpiece.load(str(part_file), "mm")).mesh
+    mesh = GroundTruth.of(scene, workpiece.load(str(part_file), "mm")).mesh
     file = schema.read_explore_file(explored / "explore.json")
     stored = np.load(explored / "stages" / "0002.voxels.npz")
     edge = file.voxel_mm / 1000
@@ -218,16 +217,16 @@ _MEASURED = (*PLACE, "--resolution", "0.5", "--ring", "3", "--batch", "1", "--ma
 @pytest.fixture
 def soon_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     """The believed surface is worth no further view after the first batch, as if so little of it stayed open."""
-    believed = explore._on_believed
+    believed = explore._plan_on_belief
 
-    def plan(work: Exploring, file: ExploreFile, *asked: Any) -> Path | StopReason:
+    def plan(work: ExplorationContext, file: ExploreFile, *asked: Any) -> Path | StopReason:
         folder = believed(work, file, *asked)
         if file.stages and isinstance(folder, Path):
             shutil.rmtree(folder)
             return StopReason("too little of the believed surface is open")
         return folder
 
-    monkeypatch.setattr(explore, "_on_believed", plan)
+    monkeypatch.setattr(explore, "_plan_on_belief", plan)
 
 
 @pytest.fixture
@@ -252,16 +251,16 @@ def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(
     """Their part is the surface of all points before them, which is kept; what is believed learns no record of them."""
     file = schema.read_explore_file(on_measured / "explore.json")
     assert [(stage.planned_on, stage.views) for stage in file.stages] == [(BELIEVED, 3), (MEASURED, 1), (MEASURED, 1)]
-    paths, first = state.Paths(on_measured), np.load(on_measured / "stages" / "0001.voxels.npz")
+    paths, first = state.ExplorationFolder(on_measured), np.load(on_measured / "stages" / "0001.voxels.npz")
     assert not paths.measured(1).exists()
     scene = scene_from_options(
         None, {"place": (1100.0, 400.0, 100.0), "standoff": 250.0, "units": "mm"}, str(part_file)
     )
-    work = prepared(Session(None, out=on_measured), scene, ExploreOptions(), ScanOptions(resolution_deg=0.5))
+    work = prepare_exploration(Session(None, out=on_measured), scene, ExploreOptions(), ScanOptions(resolution_deg=0.5))
     for number, stage in enumerate(file.stages[1:], start=2):
-        run, scans = open_finished(on_measured / stage.folder), state.scans_of(paths, file.stages[: number - 1])
+        run, scans = open_finished(on_measured / stage.folder), state.read_scans(paths, file.stages[: number - 1])
         known_before = paths.known(number - 1, work.unknown)
-        surface = continued(scans, known_before.space, known_before.solid)
+        surface = continue_surface(scans, known_before.space, known_before.solid)
         assert surface is not None
         assert paths.measured(number).read_bytes() == ply.mesh_bytes(surface)
         assert run.mesh("reference.ply").areas.sum() == pytest.approx(surface.areas.sum(), rel=1e-6)

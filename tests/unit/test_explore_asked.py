@@ -11,11 +11,10 @@ import pytest
 import trimesh
 
 from cell.explore import explore, stage
-from cell.explore.asked import Asked, came_of, probable, wanted
 from cell.explore.options import ExploreOptions
-from cell.explore.policies import Batch
+from cell.explore.policy import Batch, BatchRequest, expected_samples, realised_gain_ratio, select_samples
 from cell.explore.stage import StopReason
-from cell.explore.state import Paths
+from cell.explore.state import ExplorationFolder
 from cell.runs import ply
 from cell.runs.schema import BELIEVED, MEASURED, SurfaceName
 from cell.scan.options import ScanOptions
@@ -67,20 +66,20 @@ def _measured(samples: SurfaceSamples, poses: Floats, mesh: TriangleMesh, grazin
     return found
 
 
-def _asked(poses: Floats | None, whole: bool = False, space: VoxelSpace = UNKNOWN) -> Asked:
-    return Asked(space, GainRecord.empty(), Batch(1, whole=whole), 0.001, poses=poses)
+def _asked(poses: Floats | None, whole: bool = False, space: VoxelSpace = UNKNOWN) -> BatchRequest:
+    return BatchRequest(space, GainRecord.empty(), Batch(1, include_covered=whole), 0.001, poses=poses)
 
 
 def test_of_the_measured_surface_is_wanted_what_no_view_measures(balls: TriangleMesh) -> None:
     """Each such sample with the area that it has, in their order; brute force says which. Believed weights are none."""
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
-    kept = wanted(samples, _asked(_poses()), 3000, LAW, caster)
+    kept = select_samples(samples, _asked(_poses()), 3000, LAW, caster)
     missed = ~_measured(samples, _poses(), balls, LAW.grazing_max_deg)
     assert 0.2 < missed.mean() < 0.8
     for name in ("points", "normals", "areas", "face", "planning_face"):
         assert np.array_equal(getattr(kept, name), getattr(samples, name)[missed]), name
-    assert len(wanted(samples, _asked(np.repeat(_poses()[:1], 2, axis=0)), 3000, LAW, caster)) > len(kept)
+    assert len(select_samples(samples, _asked(np.repeat(_poses()[:1], 2, axis=0)), 3000, LAW, caster)) > len(kept)
 
 
 @pytest.mark.parametrize("views", [(1, 1), (2,), (1,)])
@@ -100,16 +99,16 @@ def test_what_came_is_what_the_latest_views_measured_first(views: tuple[int, ...
     asked = replace(_asked(_poses(), space=space), latest=latest)
     areas = np.split(np.array(firsts[-sum(views) :]), np.cumsum(views)[:-1])
     batches = [(expected, float(area.sum())) for (_, expected), area in zip(latest, areas, strict=True)]
-    assert came_of(samples, asked, LAW, caster) == pytest.approx(gain_ratio(batches))
-    assert came_of(samples, replace(asked, poses=None, came=1.5), LAW, caster) == 1.5
-    assert came_of(samples, replace(asked, latest=[(2, 0.0)]), LAW, caster) == 1.0
+    assert realised_gain_ratio(samples, asked, LAW, caster) == pytest.approx(gain_ratio(batches))
+    assert realised_gain_ratio(samples, replace(asked, poses=None, gain_ratio=1.5), LAW, caster) == 1.5
+    assert realised_gain_ratio(samples, replace(asked, latest=[(2, 0.0)]), LAW, caster) == 1.0
 
 
 def test_of_more_samples_than_are_kept_the_area_is_the_same(balls: TriangleMesh) -> None:
     """At most so many stay, of those that are wanted, and they stand for all of it."""
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
-    every, few = (wanted(samples, _asked(_poses()), most, LAW, caster) for most in (3000, 100))
+    every, few = (select_samples(samples, _asked(_poses()), most, LAW, caster) for most in (3000, 100))
     assert 90 < len(few) <= 100 < len(every)
     assert few.areas.sum() == pytest.approx(every.areas.sum())
     assert {tuple(point) for point in few.points.tolist()} < {tuple(point) for point in every.points.tolist()}
@@ -122,7 +121,7 @@ def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls:
     right = samples.points[:, 0] > 0
     space = replace(UNKNOWN, points=samples.points[right])
     asked = _asked(None, whole, space)
-    kept = wanted(samples, asked, 3000, LAW, EmbreeRayCaster(balls.vertices, balls.faces))
+    kept = select_samples(samples, asked, 3000, LAW, EmbreeRayCaster(balls.vertices, balls.faces))
     seen = space.is_measured(samples.points, samples.normals)
     assert seen[right].all()
     weights = np.where(
@@ -130,7 +129,7 @@ def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls:
     )
     assert np.array_equal(kept.points, samples.points[weights > 0])
     assert kept.areas == pytest.approx((weights * samples.areas)[weights > 0])
-    assert np.array_equal(probable(samples, asked, 3000).areas, kept.areas)
+    assert np.array_equal(expected_samples(samples, asked, 3000).areas, kept.areas)
 
 
 class _Worth:
@@ -175,18 +174,18 @@ def test_batches_are_tried_in_turn_until_one_is_worth_its_views(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     """Nothing is left of one that was not; where none is, it is the last believed one's reason that counts."""
-    planners, paths = _Worth(*worth), Paths(tmp_path)
+    planners, paths = _Worth(*worth), ExplorationFolder(tmp_path)
     (tmp_path / "stages").mkdir()
-    monkeypatch.setattr(explore, "_on_believed", planners.on(BELIEVED))
-    monkeypatch.setattr(explore, "_on_measured", planners.on(MEASURED))
+    monkeypatch.setattr(explore, "_plan_on_belief", planners.on(BELIEVED))
+    monkeypatch.setattr(explore, "_plan_on_measured", planners.on(MEASURED))
     file, batches = SimpleNamespace(stages=[None]), [Batch(1, on=on) for on in tried]
     given: Any = (SimpleNamespace(paths=paths), file, None, batches, "nothing was tried")
     if ends in (BELIEVED, MEASURED):
-        assert explore._planned(*given) == Path(ends)
+        assert explore._plan_next(*given) == Path(ends)
         assert paths.measured(2).exists() == (ends == MEASURED)
         assert paths.unseen(2).exists()
     else:
-        stop = explore._planned(*given)
+        stop = explore._plan_next(*given)
         assert isinstance(stop, StopReason)
         assert ends in stop.sentence
     assert planners.asked == asked
@@ -213,10 +212,10 @@ def test_the_next_batches_are_the_policys_within_the_budget(
     plan = SimpleNamespace(max_views=7, max_sigma_mm=None)
     scene = SimpleNamespace(plan=plan, scanner=SimpleNamespace(max_spacing_mm=None))
     work: Any = SimpleNamespace(scene=scene, options=ExploreOptions(max_seconds=60.0, batch=3))
-    found, told = explore._next(work, SimpleNamespace(stages=stages, views=views))  # type: ignore[arg-type]
+    found, told = explore._next_batches(work, SimpleNamespace(stages=stages, views=views))  # type: ignore[arg-type]
     assert [(batch.views, batch.per_second, batch.on) for batch in found] == [(2, True, each) for each in batches]
     assert told.startswith(ended)
-    first, _ = explore._next(work, SimpleNamespace(stages=[], views=0))  # type: ignore[arg-type]
+    first, _ = explore._next_batches(work, SimpleNamespace(stages=[], views=0))  # type: ignore[arg-type]
     assert first == (Batch(1),)
 
 
@@ -224,16 +223,16 @@ def test_the_next_batches_are_the_policys_within_the_budget(
     ("batch", "said"),
     [
         (Batch(1), "less than the 0.1 % asked for"),
-        (Batch(1, worth=1.5), "less than 1.5 x the 0.1 % asked for"),
-        (Batch(1, worth=0.5), ""),
-        (Batch(1, whole=True), ""),
+        (Batch(1, min_gain_factor=1.5), "less than 1.5 x the 0.1 % asked for"),
+        (Batch(1, min_gain_factor=0.5), ""),
+        (Batch(1, include_covered=True), ""),
     ],
 )
 def test_a_batch_that_is_not_worth_its_views_says_what_was_asked_of_it(batch: Batch, said: str) -> None:
     """Of two views that are expected to add 0.08 % each: a little more comes than is expected."""
     chosen: Any = SimpleNamespace(cover=SimpleNamespace(covered_area=0.0001, views=(3, 7)))
-    asked = Asked(UNKNOWN, GainRecord.empty(), batch, 0.001, measured_area=0.1, came=1.6)
-    told = stage._too_little(chosen, asked)
+    asked = BatchRequest(UNKNOWN, GainRecord.empty(), batch, 0.001, measured_area=0.1, gain_ratio=1.6)
+    told = stage._insufficient_gain(chosen, asked)
     assert told.endswith(said)
     assert ("to add 0.080 % of what" in told) == bool(said)
 
@@ -249,65 +248,65 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     monkeypatch.setattr(explore, "continued", lambda scans, space, solid: balls)
     monkeypatch.setattr(explore, "_stage", lambda work, asked, number, part: (asked, number, part))
     (tmp_path / "stages").mkdir()
-    work: Any = SimpleNamespace(paths=Paths(tmp_path), options=SimpleNamespace(min_gain=0.25), name="balls")
-    known: Any = SimpleNamespace(space=UNKNOWN, record=GainRecord.empty(), scans=scans, solid=None, believed=balls)
+    work: Any = SimpleNamespace(paths=ExplorationFolder(tmp_path), options=SimpleNamespace(min_gain=0.25), name="balls")
+    known: Any = SimpleNamespace(space=UNKNOWN, record=GainRecord.empty(), scans=scans, solid=None, surface=balls)
     told = {"expected_mm2": 1.0, "new_mm2": 3.0, "measured_mm2": 7.0, "too_near_mm2": 0.4, "planned_on": BELIEVED}
     told["views"] = 1
     stages = [SimpleNamespace(**told)] * 2
     file, first = SimpleNamespace(stages=stages), SimpleNamespace(stages=[])
-    believed: Any = explore._on_believed(work, file, known, Batch(1, worth=3.0))
-    assert (believed[0].poses, believed[0].min_gain, believed[0].came) == (None, 0.25, 2.0)
+    believed: Any = explore._plan_on_belief(work, file, known, Batch(1, min_gain_factor=3.0))
+    assert (believed[0].poses, believed[0].min_gain, believed[0].gain_ratio) == (None, 0.25, 2.0)
     assert believed[0].measured_area == pytest.approx(7e-6)
-    assert believed[0].least_area == pytest.approx(3 * 0.25 * 7e-6)
+    assert believed[0].min_area == pytest.approx(3 * 0.25 * 7e-6)
     assert (believed[1], believed[2].name) == (3, "balls as believed")
     assert not work.paths.measured(3).exists()
-    assert not believed[0].cautious
+    assert not believed[0].keep_min_range
     near: Any = SimpleNamespace(stages=[stages[0], SimpleNamespace(**{**told, "too_near_mm2": 0.6})])
-    assert explore._on_believed(work, near, known, Batch(1))[0].cautious  # type: ignore[index]
+    assert explore._plan_on_belief(work, near, known, Batch(1))[0].keep_min_range  # type: ignore[index]
 
     def nothing_from_afar(work: Any, asked: Any, number: int, part: Any) -> Any:
-        if asked.cautious:
+        if asked.keep_min_range:
             return StopReason("too far off")
         return asked, number, part
 
     with monkeypatch.context() as now:
         now.setattr(explore, "_stage", nothing_from_afar)
-        assert not explore._on_believed(work, near, known, Batch(1))[0].cautious  # type: ignore[index]
-    begun: Any = explore._on_believed(work, first, known, Batch(1))
-    assert (begun[0].min_gain, begun[0].came, begun[1]) == (0.0, 1.0, 1)
-    on: Any = explore._on_measured(work, file, known, Batch(1, worth=2.0))
+        assert not explore._plan_on_belief(work, near, known, Batch(1))[0].keep_min_range  # type: ignore[index]
+    begun: Any = explore._plan_on_belief(work, first, known, Batch(1))
+    assert (begun[0].min_gain, begun[0].gain_ratio, begun[1]) == (0.0, 1.0, 1)
+    on: Any = explore._plan_on_measured(work, file, known, Batch(1, min_gain_factor=2.0))
     assert np.array_equal(on[0].poses, _poses()[:2])
-    assert (on[0].min_gain, on[0].least_area, on[0].came) == (0.25, pytest.approx(2 * 0.25 * 7e-6), 1.0)
+    assert (on[0].min_gain, on[0].min_area, on[0].gain_ratio) == (0.25, pytest.approx(2 * 0.25 * 7e-6), 1.0)
     assert (on[1], on[2].name, on[2].reference) == (3, "balls as measured", balls)
     assert work.paths.measured(3).read_bytes() == ply.mesh_bytes(balls)
     assert on[0].latest == ((1, 0.0), (1, 0.0))
     late: Any = SimpleNamespace(
         stages=[*stages, *(SimpleNamespace(**{**told, "planned_on": MEASURED, "views": 2}),) * 3]
     )
-    after: Any = explore._on_measured(work, late, known, Batch(1))
+    after: Any = explore._plan_on_measured(work, late, known, Batch(1))
     assert after[0].latest == ((1, 0.0), *((2, 1e-6),) * 3)
 
 
 def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """There is no further view then, and no file."""
     monkeypatch.setattr(explore, "continued", lambda scans, space, solid: None)
-    work: Any = SimpleNamespace(paths=Paths(tmp_path))
+    work: Any = SimpleNamespace(paths=ExplorationFolder(tmp_path))
     known: Any = SimpleNamespace(space=UNKNOWN, scans=(), solid=None)
-    stop = explore._on_measured(work, SimpleNamespace(stages=[None]), known, Batch(1))  # type: ignore[arg-type]
+    stop = explore._plan_on_measured(work, SimpleNamespace(stages=[None]), known, Batch(1))  # type: ignore[arg-type]
     assert stop == StopReason("the points describe no surface")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:
     """Nothing is planned anew, and nothing beside it is taken away."""
-    paths = Paths(tmp_path)
+    paths = ExplorationFolder(tmp_path)
     paths.stage(2).mkdir(parents=True)
     for path in (paths.unseen(2), paths.measured(2)):
         path.touch()
     work: Any = SimpleNamespace(paths=paths)
     file: Any = SimpleNamespace(stages=[None])
     known: Any = None
-    assert explore._planned(work, file, known, [Batch(1)], "") == paths.stage(2)
+    assert explore._plan_next(work, file, known, [Batch(1)], "") == paths.stage(2)
     assert paths.unseen(2).is_file()
     assert paths.measured(2).is_file()
 
@@ -320,10 +319,10 @@ def test_one_word_releases_every_motion_of_an_exploration(
     given: list[Any] = []
     monkeypatch.setattr(explore, "executed", lambda session, folder, options, **_: given.append(options))
     work: Any = SimpleNamespace(
-        options=ExploreOptions(confirm_motion=word), hidden=None, session=Session(None),
+        options=ExploreOptions(confirm_motion=word), ground_truth=None, session=Session(None),
         scanning=ScanOptions(acquire=f"files:{tmp_path}", points_frame="base", points_units="mm"),
     )  # fmt: skip
-    explore._executed(work, Path("stages") / "0007")
+    explore._execute(work, Path("stages") / "0007")
     assert given[0].confirm_motion == (ANY_MOTION if word == "explore" else word)
     assert given[0].acquire == f"files:{tmp_path}/0007"
     assert (tmp_path / "0007").is_dir()
@@ -337,11 +336,11 @@ def test_a_stage_says_what_its_views_stood_too_near_for(balls: TriangleMesh, mon
     )
 
     monkeypatch.setattr(explore, "too_near", lambda *given: asked.append(given) or 3e-6)
-    known: Any = SimpleNamespace(space=UNKNOWN, believed=balls)
+    known: Any = SimpleNamespace(space=UNKNOWN, surface=balls)
     samples = draw_samples(balls, balls, 5, np.random.default_rng(0))
     expected: Any = SimpleNamespace(samples=samples, sees=np.ones((5, 1), dtype=bool), surface=1.0, on=BELIEVED)
     scan: Any = SimpleNamespace(points=balls.vertices, T_reported=np.eye(4))
-    stage_ = explore._stage_of(Path("stages") / "0002", [scan], expected, UNKNOWN, known, None)  # type: ignore[arg-type]
+    stage_ = explore._batch_entry(Path("stages") / "0002", [scan], expected, UNKNOWN, known, None)  # type: ignore[arg-type]
     assert stage_.too_near_mm2 == pytest.approx(3.0)
     assert stage_.expected_mm2 == pytest.approx(1e6 * samples.areas.sum(), abs=1e-3)
     (told,) = asked

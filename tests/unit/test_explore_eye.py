@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from cell.errors import SceneError
+from cell.explore.frustum import SensorFrustum
 from cell.explore.options import ExploreOptions
-from cell.explore.prepare import Eye, prepared
+from cell.explore.prepare import prepare_exploration
 from cell.scan.options import ScanOptions
 from cell.scanners.laser_area import LaserArea
 from cell.scene.file import scene_from_options
@@ -15,12 +16,14 @@ from planner.values import Floats
 STEP = np.radians(0.5)
 
 
-def _eye(across: float = 0.5, down: float = 0.5) -> Eye:
+def _eye(across: float = 0.5, down: float = 0.5) -> SensorFrustum:
     """Of rays so many degrees apart over 20 degrees each way."""
     scanner = LaserArea(fov_deg=(20, 20), resolution_deg=(across, down), range_mm=(100, 900))
     rays = np.asarray(scanner.ray_directions())
     apart = float(np.arccos(rays[0] @ rays[1]))
-    return Eye(np.asarray(scanner.source), np.asarray(scanner.sensor), rays, scanner.grid_shape[1], 0.1, 0.9, apart)
+    return SensorFrustum(
+        np.asarray(scanner.source), np.asarray(scanner.sensor), rays, scanner.grid_shape[1], 0.1, 0.9, apart
+    )
 
 
 def _pose(lean: float, distance: float) -> Floats:
@@ -32,7 +35,7 @@ def _pose(lean: float, distance: float) -> Floats:
     return T
 
 
-def _on_planes(eye: Eye, T: Floats, step: float = 0.0) -> Floats:
+def _on_planes(eye: SensorFrustum, T: Floats, step: float = 0.0) -> Floats:
     """(N, 3) where the rays meet z = 0, or `step` below where y < 0.2."""
     rays = eye.rays @ T[:3, :3].T
     height = np.where(rays[:, 1] < 0, step, 0.0)
@@ -93,7 +96,8 @@ def test_the_rays_are_those_of_a_scan() -> None:
     """At the resolution that is scanned with, the plan's where none is asked for."""
     scene = scene_from_options(None, {"place": (1200, 500, 0)}, "petanque")
     eyes = [
-        prepared(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=asked)).eye for asked in (None, 2.0)
+        prepare_exploration(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=asked)).frustum
+        for asked in (None, 2.0)
     ]
     assert [eye.rays.shape for eye in eyes] == [(240 * 240, 3), (30 * 30, 3)]
     assert [eye.columns for eye in eyes] == [240, 30]
@@ -104,4 +108,4 @@ def test_an_angle_that_leaves_no_ray_is_refused() -> None:
     """By its own name, before anything is asked of it."""
     scene = scene_from_options(None, {"place": (1200, 500, 0)}, "petanque")
     with pytest.raises(SceneError, match="leaves no ray"):
-        prepared(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=100.0))
+        prepare_exploration(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=100.0))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from cell.explore import belief, measured_surface
+from cell.explore import belief
 from cell.metrology.reconstruct import ReconstructionStatus
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.geometry.mesh import TriangleMesh
@@ -47,7 +47,7 @@ def _looked_into() -> VoxelSpace:
 
 
 def _continued(scans: list[Any], space: VoxelSpace) -> TriangleMesh | None:
-    return measured_surface.continued(scans, space, space.belief_voxels())
+    return belief.continue_surface(scans, space, space.belief_voxels())
 
 
 def _plate(z: float, side: float = 0.008, apart: float = 0.0004) -> Floats:
@@ -138,7 +138,7 @@ def test_what_lies_before_a_wall_is_not_believed() -> None:
     space, believed = replace(space, state=state), np.ones(state.shape, dtype=np.bool_)
     inward = -wall * (1.0, 1.0, 0.0) / RADIUS
     cloud = PointCloud(wall, inward, np.zeros(len(wall), dtype=np.int32))
-    before = measured_surface._ahead_of(cloud, cKDTree(wall), space, believed)
+    before = belief._ahead_of(cloud, cKDTree(wall), space, believed)
     assert not before[hit]
     assert not before[space.state == FREE].any()
     centres = space.centres(believed)
@@ -200,7 +200,7 @@ def test_of_the_three_nearest_faces_one_may_look_alike(heights: list[float], sid
     """At a distance of one millimetre; others say nothing."""
     lid = _faces([0.0], [1])
     assert lid.normals[0, 2] == pytest.approx(1)
-    assert measured_surface._looks_alike(lid, _faces(heights, sides), 0.001).tolist() == [alike]
+    assert belief._has_similar_normal(lid, _faces(heights, sides), 0.001).tolist() == [alike]
 
 
 def test_a_lone_voxel_has_a_surface() -> None:
@@ -223,9 +223,9 @@ def test_what_it_is_made_of_is_as_fine_as_the_voxels_ask(most: int, monkeypatch:
         asked.append((cloud, how))
         return SimpleNamespace(mesh=None, status=ReconstructionStatus.TOO_FEW_POINTS)
 
-    monkeypatch.setattr(measured_surface, "reconstruct", spy)
+    monkeypatch.setattr(belief, "reconstruct", spy)
     scans = [_scan(_wall(SEEN, apart), (0.0, 0.0, -0.005)) for apart in (0.0001, 0.00013)]
-    monkeypatch.setattr(measured_surface, "_MOST", most)
+    monkeypatch.setattr(belief, "_MAX_CUBES", most)
     assert _continued(scans, _looked_into()) is None
     ((cloud, how),) = asked
     assert how["reach"] == pytest.approx(4 * EDGE)
@@ -240,9 +240,9 @@ def test_what_it_is_made_of_is_as_fine_as_the_voxels_ask(most: int, monkeypatch:
 
 def test_there_are_no_more_points_than_that_where_rays_are_far_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     """Larger cubes take few points away until they hold several; which scan each is from stays known."""
-    monkeypatch.setattr(measured_surface, "_MOST", 250)
+    monkeypatch.setattr(belief, "_MAX_CUBES", 250)
     scans = [_scan(_wall(SEEN, 0.0008), (0.0, 0.0, -0.005)), _scan(_wall(SEEN, 0.0009), (0.0, 0.0, -0.004))]
-    points, apart = measured_surface._thinned(scans, 0.5 * EDGE)
+    points, apart = belief._thin_points(scans, 0.5 * EDGE)
     assert 150 < sum(len(each) for each in points) <= 250
     assert apart > 0.5 * EDGE
     for kept, scan in zip(points, scans, strict=True):
@@ -266,5 +266,5 @@ def test_it_is_of_all_scans_with_each_ones_own_side() -> None:
 def test_no_points_are_no_surface() -> None:
     """Neither to plan on nor as a model."""
     for scans in ([], [_scan(np.empty((0, 3)), (0.0, 0.0, 1.0))]):
-        assert measured_surface.surface_of(scans) is None
+        assert belief.reconstruct_scans(scans) is None
         assert _continued(scans, _space()) is None

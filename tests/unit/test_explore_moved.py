@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from cell.explore import moved
-from cell.explore.moved import with_better
+from cell.explore.moved import with_refined_candidates
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
@@ -52,7 +52,7 @@ def _append(problem: SimpleNamespace, views: object) -> SimpleNamespace:
 def test_poses_that_measure_more_stand_behind_the_candidates(problem: SimpleNamespace) -> None:
     """Each of its own candidate's face, aimed where it looks at its distance, and measuring more than that."""
     views = np.array([7, 2, 4])
-    after = with_better(problem, views, _append)
+    after = with_refined_candidates(problem, views, _append)
     added = len(after.candidates) - 12
     assert 0 < added <= 3
     assert np.array_equal(after.candidates.T_object_scanner[:12], problem.candidates.T_object_scanner)
@@ -68,8 +68,8 @@ def test_poses_that_measure_more_stand_behind_the_candidates(problem: SimpleName
 
 def test_where_nothing_is_better_the_problem_is_the_same(problem: SimpleNamespace) -> None:
     """As where there is no view to begin from, and where the user wants the candidates of a generator."""
-    assert with_better(problem, np.empty(0, dtype=np.int64), _append) is problem
+    assert with_refined_candidates(problem, np.empty(0, dtype=np.int64), _append) is problem
     sphere = SimpleNamespace(**vars(problem) | {"request": _NOT})
-    assert with_better(sphere, np.arange(12), _append) is sphere
+    assert with_refined_candidates(sphere, np.arange(12), _append) is sphere
     object.__setattr__(problem.arm, "are_reachable", lambda T: np.zeros(len(T), dtype=bool))
-    assert with_better(problem, np.arange(12), _append) is problem
+    assert with_refined_candidates(problem, np.arange(12), _append) is problem

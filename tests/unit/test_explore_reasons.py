@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cell.explore.reasons import NOT_TAKEN, SMALL, TRIED, StillOpen, sentence, still_open
+from cell.explore.belief import NOT_SELECTED, REMAINDER, TRIED, UncoveredReport, assign_causes, describe_cause
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import OpenSamples
@@ -33,22 +33,24 @@ def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) ->
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     q = np.zeros((1 if verdict == Verdict.REACHABLE else 0, 6))
     reached = Reach(np.array([verdict], dtype=np.uint8), q, np.array([0, len(q)]), ("",))
-    found = still_open(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), (_FAR, _FAR))
-    reached_codes = [NOT_TAKEN, NOT_TAKEN, SMALL, TRIED]
-    others = [Reason.OUT_OF_REACH, Reason.OUT_OF_REACH, SMALL, Reason.OUT_OF_REACH]
+    found = assign_causes(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), (_FAR, _FAR))
+    reached_codes = [NOT_SELECTED, NOT_SELECTED, REMAINDER, TRIED]
+    others = [Reason.OUT_OF_REACH, Reason.OUT_OF_REACH, REMAINDER, Reason.OUT_OF_REACH]
     assert found.reason.tolist() == (reached_codes if verdict == Verdict.REACHABLE else others)
 
 
-@pytest.mark.parametrize(("casters", "near"), [((_FAR, _WALL), SMALL), ((_WALL, _FAR), Reason.SOURCE_SHADED_BY_PART)])
+@pytest.mark.parametrize(
+    ("casters", "near"), [((_FAR, _WALL), REMAINDER), ((_WALL, _FAR), Reason.SOURCE_SHADED_BY_PART)]
+)
 def test_what_views_left_is_a_rest_where_what_the_part_stands_on_seems_to_shade_it(
     casters: tuple[EmbreeRayCaster, EmbreeRayCaster], near: int
 ) -> None:
     """A voxel more or less lies within the stand; farther off, untried, or shaded by the part, it is the reason."""
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     reached = Reach(np.array([Verdict.REACHABLE], dtype=np.uint8), np.zeros((1, 6)), np.array([0, 1]), ("",))
-    found = still_open(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), casters)
-    told = [sentence(code) for code in found.reason.tolist()]
-    assert told == ["laser or sensor shaded"] * 2 + [sentence(near), "laser or sensor shaded"]
+    found = assign_causes(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), casters)
+    told = [describe_cause(code) for code in found.reason.tolist()]
+    assert told == ["laser or sensor shaded"] * 2 + [describe_cause(near), "laser or sensor shaded"]
 
 
 def test_what_no_view_looks_at_squarely_is_no_rest() -> None:
@@ -58,15 +60,15 @@ def test_what_no_view_looks_at_squarely_is_no_rest() -> None:
     )
     reached = Reach(np.array([Verdict.REACHABLE], dtype=np.uint8), np.zeros((1, 6)), np.array([0, 1]), ("",))
     scanner = LaserArea(range_mm=(50, 900), baseline_mm=0, fov_deg=(60, 60))
-    found = still_open(_samples(4), _OF, views, reached, scanner, (_FAR, _FAR))
+    found = assign_causes(_samples(4), _OF, views, reached, scanner, (_FAR, _FAR))
     assert found.reason.tolist() == [Reason.GRAZING_SOURCE] * 4
 
 
 def test_sentences_that_are_the_same_are_told_once() -> None:
     """Areas [mm2] of codes with one sentence are summed; the largest comes first."""
-    codes = np.array([Reason.SOURCE_SHADED_BY_PART, NOT_TAKEN, Reason.SENSOR_SHADED, TRIED])
+    codes = np.array([Reason.SOURCE_SHADED_BY_PART, NOT_SELECTED, Reason.SENSOR_SHADED, TRIED])
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
-    told = StillOpen(_samples(4), codes, views).by_area()
+    told = UncoveredReport(_samples(4), codes, views).by_area()
     assert [(each.reason, each.area_mm2) for each in told] == [
-        (sentence(Reason.SENSOR_SHADED), 4.0), (sentence(TRIED), 4.0), (sentence(NOT_TAKEN), 2.0)
+        (describe_cause(Reason.SENSOR_SHADED), 4.0), (describe_cause(TRIED), 4.0), (describe_cause(NOT_SELECTED), 2.0)
     ]  # fmt: skip

@@ -11,12 +11,13 @@ import trimesh
 from scipy.sparse import csr_array
 
 from cell.errors import FileError, UnreachableError
-from cell.explore import belief, specification, stage
-from cell.explore.explore import _came, _finished, _nearness, require_plausible
+from cell.explore import belief, report, stage
+from cell.explore.explore import _belief_gain_ratio, _finish, _min_range_history, require_plausible
+from cell.explore.frustum import SensorFrustum
 from cell.explore.options import ExploreOptions
-from cell.explore.policies import POLICIES, Batch, So
-from cell.explore.prepare import Eye, begun, prepared
-from cell.explore.state import Known, Paths
+from cell.explore.policy import POLICIES, Batch, ExplorationState
+from cell.explore.prepare import initial_file, prepare_exploration
+from cell.explore.state import Belief, ExplorationFolder
 from cell.part import mesh_files
 from cell.runs.schema import BELIEVED, MEASURED, ExploreFile
 from cell.scan.options import ScanOptions
@@ -36,16 +37,18 @@ def _scene(**wishes: float) -> Scene:
     return scene_from_options(None, {"place": (1100, 400, 100), **wishes}, "mug")
 
 
-def _eye() -> Eye:
+def _eye() -> SensorFrustum:
     """Of a scanner with rays a degree apart."""
     scanner = LaserArea(fov_deg=(30, 30), resolution_deg=(1.0, 1.0), range_mm=(100, 900))
     rays = np.asarray(scanner.ray_directions())
     apart = float(np.arccos(rays[0] @ rays[1]))
-    return Eye(np.asarray(scanner.source), np.asarray(scanner.sensor), rays, scanner.grid_shape[1], 0.1, 0.9, apart)
+    return SensorFrustum(
+        np.asarray(scanner.source), np.asarray(scanner.sensor), rays, scanner.grid_shape[1], 0.1, 0.9, apart
+    )
 
 
 def _begun(root: Path) -> ExploreFile:
-    return begun(prepared(Session(None, out=root), _scene(), ExploreOptions(), ScanOptions()))
+    return initial_file(prepare_exploration(Session(None, out=root), _scene(), ExploreOptions(), ScanOptions()))
 
 
 @pytest.mark.parametrize("left", [(), ("stages",), ("stages", "explore.json.tmp")])
@@ -57,16 +60,16 @@ def test_a_kill_before_the_first_explore_json_is_gone_on_after(left: tuple[str, 
         if name != "stages":
             (root / name).write_text('{"half')
     file = _begun(root)
-    assert Paths(root).begin(file) == file
-    assert Paths(root).begin(file) == file  # and again, from what it wrote
-    assert Paths(root).file.is_file()
+    assert ExplorationFolder(root).begin(file) == file
+    assert ExplorationFolder(root).begin(file) == file  # and again, from what it wrote
+    assert ExplorationFolder(root).file.is_file()
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     """Nothing is written beside another's files, nor into a folder that is merely empty."""
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(FileError, match="no exploration"):
-        Paths(tmp_path).begin(_begun(tmp_path))
+        ExplorationFolder(tmp_path).begin(_begun(tmp_path))
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
@@ -141,16 +144,18 @@ def test_a_view_of_what_is_not_there_is_no_reason_to_stop() -> None:
 def test_limits_hold_in_the_fine_stage_alone() -> None:
     """The rough stage of two-stage is planned without them, the fine one and all of stepwise with them."""
     scene = _scene(max_sigma=0.05, max_spacing=1.0)
-    assert specification.asked(scene)
-    rough = specification.without(scene)
-    assert not specification.asked(rough)
+    assert report.has_limits(scene)
+    rough = report.without_limits(scene)
+    assert not report.has_limits(rough)
     assert rough.plan.model_copy(update={"max_sigma_mm": 0.05}) == scene.plan
-    batches = {name: [policy(ExploreOptions(), So(n, None)) for n in (0, 1)] for name, policy in POLICIES.items()}
+    batches = {
+        name: [policy(ExploreOptions(), ExplorationState(n, None)) for n in (0, 1)] for name, policy in POLICIES.items()
+    }
     said = {name: [[batch.rough for batch in tried] for tried in each] for name, each in batches.items()}
     assert said == {"stepwise": [[False], [False] * 2], "two-stage": [[True], [False] * 4]}
-    limited = [POLICIES["two-stage"](ExploreOptions(), So(n, 7, limited=True)) for n in (1, 2)]
-    assert limited[0] == (Batch(7, whole=True),)
-    assert not any(batch.whole for batch in limited[1])
+    limited = [POLICIES["two-stage"](ExploreOptions(), ExplorationState(n, 7, limited=True)) for n in (1, 2)]
+    assert limited[0] == (Batch(7, include_covered=True),)
+    assert not any(batch.include_covered for batch in limited[1])
 
 
 def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_on() -> None:
@@ -159,25 +164,25 @@ def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_
     More is asked of the believed one, which promises too much late, less of the measured one: too little.
     """
     policy = POLICIES["stepwise"]
-    assert policy(ExploreOptions(), So(0, None)) == (Batch(1),)
-    assert policy(ExploreOptions(ring=4), So(0, None)) == (Batch(4),)
-    assert policy(ExploreOptions(ring=4), So(0, 2)) == (Batch(2),)
-    believed = Batch(3, per_second=True, on=BELIEVED, worth=2.0)
-    measured = Batch(3, per_second=True, on=MEASURED, worth=0.6)
-    assert policy(ExploreOptions(batch=3), So(1, 9)) == (believed, measured)
-    assert policy(ExploreOptions(batch=3), So(7, 9, on=MEASURED)) == (measured, believed)
+    assert policy(ExploreOptions(), ExplorationState(0, None)) == (Batch(1),)
+    assert policy(ExploreOptions(ring=4), ExplorationState(0, None)) == (Batch(4),)
+    assert policy(ExploreOptions(ring=4), ExplorationState(0, 2)) == (Batch(2),)
+    believed = Batch(3, per_second=True, on=BELIEVED, min_gain_factor=2.0)
+    measured = Batch(3, per_second=True, on=MEASURED, min_gain_factor=0.6)
+    assert policy(ExploreOptions(batch=3), ExplorationState(1, 9)) == (believed, measured)
+    assert policy(ExploreOptions(batch=3), ExplorationState(7, 9, on=MEASURED)) == (measured, believed)
 
 
 def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
     """The later it is; where one that asks much is worth no view the next is tried, then the measured surface."""
     policy = POLICIES["two-stage"]
-    much, less, least = (Batch(9, worth=worth) for worth in (3.0, 1.5, 1.0))
-    last = Batch(9, on=MEASURED, worth=0.6)
-    assert policy(ExploreOptions(), So(0, 9)) == (Batch(6, rough=True),)
+    much, less, least = (Batch(9, min_gain_factor=worth) for worth in (3.0, 1.5, 1.0))
+    last = Batch(9, on=MEASURED, min_gain_factor=0.6)
+    assert policy(ExploreOptions(), ExplorationState(0, 9)) == (Batch(6, rough=True),)
     every = (much, less, least, last)
     for stages, tried in enumerate((every, every, every[1:], every[2:], every[3:]), start=1):
-        assert policy(ExploreOptions(), So(stages, 9)) == tried
-        assert policy(ExploreOptions(), So(stages, 9, on=MEASURED)) == (last,)
+        assert policy(ExploreOptions(), ExplorationState(stages, 9)) == tried
+        assert policy(ExploreOptions(), ExplorationState(stages, 9, on=MEASURED)) == (last,)
 
 
 def test_what_the_model_misses_of_the_limits() -> None:
@@ -188,7 +193,7 @@ def test_what_the_model_misses_of_the_limits() -> None:
     poses = aim_viewpoints(np.zeros((1, 3)), up, np.array([-1]), [0.1], [0.0]).T_object_scanner[:, 0]
     step = 0.1 * np.radians(0.25)
     shares = [
-        specification.missed(_scene(max_spacing=1000 * limit * step), mesh, poses)
+        report.share_beyond_limits(_scene(max_spacing=1000 * limit * step), mesh, poses)
         for limit in (0.9, 1.0, 1.05, 1.1, 4.0)
     ]
     assert shares[0] == 1.0
@@ -228,18 +233,18 @@ def test_a_batch_is_of_as_many_views_as_each_add_what_is_asked_of_them() -> None
     M = SimpleNamespace(matrix=lambda: csr_array(np.eye(3, dtype=bool)), samples=SimpleNamespace(areas=areas))
     problem = Stub(M, lambda: np.ones(3, dtype=bool))
     for came, worth, views in ((1.0, 1.0, 3), (1.0, 50.0, 2), (0.5, 50.0, 1), (0.0, 1.0, 1)):
-        asked = stage.Asked(None, None, Batch(None, worth=worth), 0.01, 3.0, came)
-        assert max(len(stage._views_worth_it(problem, asked)), 1) == views
+        asked = stage.BatchRequest(None, None, Batch(None, min_gain_factor=worth), 0.01, 3.0, came)
+        assert max(len(stage._views_with_gain(problem, asked)), 1) == views
 
 
 def test_what_came_is_held_against_what_was_expected() -> None:
     """Newly measured over expected area; the first batch and those planned on measured surface count for nothing."""
     went = [(5.0, 20.0, BELIEVED), (2.0, 4.0, BELIEVED), *[(9.0, 0.0, MEASURED)] * 2, (1.0, 3.0, BELIEVED)]
     stages = [SimpleNamespace(expected_mm2=area, new_mm2=new, planned_on=on) for area, new, on in went]
-    assert _came(SimpleNamespace(stages=stages)) == 2.0  # median of 1, 2 and 3
-    assert _came(SimpleNamespace(stages=stages[:1])) == 1.0
+    assert _belief_gain_ratio(SimpleNamespace(stages=stages)) == 2.0  # median of 1, 2 and 3
+    assert _belief_gain_ratio(SimpleNamespace(stages=stages[:1])) == 1.0
     little = [stages[0], *[SimpleNamespace(expected_mm2=2.0, new_mm2=0.5, planned_on=BELIEVED)] * 3]
-    assert _came(SimpleNamespace(stages=little)) == 1.0  # is in the record of what they looked at
+    assert _belief_gain_ratio(SimpleNamespace(stages=little)) == 1.0  # is in the record of what they looked at
 
 
 def test_what_the_part_is_believed_to_fill_is_the_spaces() -> None:
@@ -247,10 +252,10 @@ def test_what_the_part_is_believed_to_fill_is_the_spaces() -> None:
     space = VoxelSpace.from_cylinder(0.02, 0.05, 0.002, 0.002).with_points(
         np.zeros((1, 3)), [np.array([0.2, 0.0, 0.0])]
     )
-    known = Known(space, GainRecord.empty())
+    known = Belief(space, GainRecord.empty())
     assert not np.array_equal(space.belief_voxels(), space.maybe_part)
     assert np.array_equal(known.solid, space.belief_voxels())
-    assert np.array_equal(known.believed.vertices, belief.surface_about(space, space.belief_voxels()).vertices)
+    assert np.array_equal(known.surface.vertices, belief.surface_about(space, space.belief_voxels()).vertices)
 
 
 def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
@@ -264,8 +269,8 @@ def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
     space = replace(space, votes=rng.integers(-3, 4, space.votes.shape).astype(np.int16))
     of = space.open_samples_at(points, np.tile([0.0, 0.0, 1.0], (100, 1)))
     record = GainRecord.empty().with_batch(of, rng.random(100), rng.random(100))
-    Paths(tmp_path).keep(1, Known(space, record))
-    again = Paths(tmp_path).known(1, unknown)
+    ExplorationFolder(tmp_path).keep(1, Belief(space, record))
+    again = ExplorationFolder(tmp_path).known(1, unknown)
     for one, other in ((again.space, space), (again.record, record)):
         for name in one.__slots__:
             assert np.array_equal(getattr(one, name), getattr(other, name)), name
@@ -277,18 +282,18 @@ def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -
         acquire="command:take", points_frame="base", points_units="mm"
     )  # fmt: skip
     work, real, own = (
-        prepared(Session(None, out=tmp_path), _scene(), asked, scanning)
+        prepare_exploration(Session(None, out=tmp_path), _scene(), asked, scanning)
         for asked, scanning in ((options, ScanOptions()), (options, elsewhere), (ExploreOptions(), ScanOptions()))
     )
     assert work.scene.scanner == real.scene.scanner != own.scene.scanner
-    assert work.eye.near == real.eye.near > own.eye.near
+    assert work.frustum.near == real.frustum.near > own.frustum.near
 
 
 def test_nothing_that_can_be_reached_has_the_exit_code_of_that() -> None:
     """Where not even a first view can be planned."""
     given: Any = (None, SimpleNamespace(stages=()), (), "the arm reaches no view", ())
     with pytest.raises(UnreachableError, match="nothing can be explored here: the arm reaches no view") as told:
-        _finished(*given)
+        _finish(*given)
     assert told.value.exit_code == 4
 
 
@@ -296,4 +301,4 @@ def test_the_ring_says_nothing_of_standing_too_near() -> None:
     """It was planned for the cylinder, of which all is unknown."""
     ring, batch = (SimpleNamespace(too_near_mm2=near, expected_mm2=9.0) for near in (8.0, 1.0))
     file: Any = SimpleNamespace(stages=[ring, batch])
-    assert _nearness(file) == [(1.0, 9.0)]
+    assert _min_range_history(file) == [(1.0, 9.0)]

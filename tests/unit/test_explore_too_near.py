@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell.explore.prepare import Eye
-from cell.explore.too_near import BeyondNear, keep_off, too_near
+from cell.explore.frustum import MinRangeOccluder, SensorFrustum, area_below_min_range, should_keep_min_range
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import N_LATEST_BATCHES
@@ -49,19 +48,19 @@ def _space(state: int = FREE, votes: int = 0) -> VoxelSpace:
 def test_what_may_be_the_part_lies_no_nearer_than_the_range(space: VoxelSpace, away: float, blocked: bool) -> None:
     """A scanner that measures from 150 mm on stands so far before the middle."""
     stand = np.array([[away, 0.0, 0.0]])
-    assert BeyondNear(None, space, 0.15).blocked(stand, TARGET).tolist() == [blocked]
+    assert MinRangeOccluder(None, space, 0.15).blocked(stand, TARGET).tolist() == [blocked]
 
 
 @pytest.mark.parametrize(("x", "blocked"), [(0.05, True), (-0.05, False)])
 def test_occluders_block_as_they_do(x: float, blocked: bool) -> None:
     """All along the leg, and rays meet them where they stand."""
-    caster, stand = BeyondNear(_wall(x), _space(), 0.15), np.array([[0.2, 0.0, 0.0]])
+    caster, stand = MinRangeOccluder(_wall(x), _space(), 0.15), np.array([[0.2, 0.0, 0.0]])
     assert caster.blocked(stand, TARGET).tolist() == [blocked]
     along: Floats = np.array([[-1.0, 0.0, 0.0]])
     assert caster.first_hit(stand, along).distance == pytest.approx([0.2 - x])
 
 
-def _scan(eye: Eye, T: Floats, x: float) -> Floats:
+def _scan(eye: SensorFrustum, T: Floats, x: float) -> Floats:
     """(N, 3) where rays meet a wall across the x axis, if they do so within the range."""
     rays = eye.rays @ T[:3, :3].T
     source = T[:3, :3] @ eye.source + T[:3, 3]
@@ -86,7 +85,7 @@ def test_what_gave_no_point_was_too_near_where_nobody_had_looked(
     rays = np.asarray(scanner.ray_directions())
     apart = float(np.arccos(rays[0] @ rays[1]))
     source = np.array([0.0, 0.0, beside])
-    eye = Eye(source, np.asarray(scanner.sensor), rays, scanner.grid_shape[1], 0.15, 0.45, apart)
+    eye = SensorFrustum(source, np.asarray(scanner.sensor), rays, scanner.grid_shape[1], 0.15, 0.45, apart)
     T = np.eye(4)
     T[:3, :3] = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     T[:3, 3] = np.array([0.2, 0.0, 0.0]) - T[:3, :3] @ source
@@ -96,15 +95,15 @@ def test_what_gave_no_point_was_too_near_where_nobody_had_looked(
         points, np.tile([1.0, 0.0, 0.0], (5, 1)), np.full(5, 0.2), np.zeros(5, dtype=int), np.zeros(5, dtype=int)
     )
     view = (_scan(eye, T, wall), T)
-    assert too_near(samples, np.ones((5, 1), dtype=bool), [view], _space(state), eye) == pytest.approx(told)
+    assert area_below_min_range(samples, np.ones((5, 1), dtype=bool), [view], _space(state), eye) == pytest.approx(told)
     sees = np.zeros((5, 2), dtype=bool)
     sees[0, 0] = sees[1:3, 1] = True  # two are asked of neither view
-    assert too_near(samples, sees, [view, view], _space(state), eye) == pytest.approx(0.6 * told)
+    assert area_below_min_range(samples, sees, [view, view], _space(state), eye) == pytest.approx(0.6 * told)
 
 
 def test_views_keep_off_for_some_batches_after_one_that_stood_too_near() -> None:
     """More than half of what it was to measure may have been hidden before the range."""
-    assert not keep_off([])
-    assert not keep_off([(0.5, 1.0), (0.0, 0.0)])
-    assert keep_off([(0.6, 1.0), *[(0.0, 1.0)] * (N_LATEST_BATCHES - 1)])
-    assert not keep_off([(0.6, 1.0), *[(0.0, 1.0)] * N_LATEST_BATCHES])
+    assert not should_keep_min_range([])
+    assert not should_keep_min_range([(0.5, 1.0), (0.0, 0.0)])
+    assert should_keep_min_range([(0.6, 1.0), *[(0.0, 1.0)] * (N_LATEST_BATCHES - 1)])
+    assert not should_keep_min_range([(0.6, 1.0), *[(0.0, 1.0)] * N_LATEST_BATCHES])

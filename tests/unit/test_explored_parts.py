@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from cell import scanners
 from cell.explore import belief
-from cell.explore.prepare import Eye
+from cell.explore.frustum import SensorFrustum
 from cell.part import workpiece
 from cell.world import virtual_scan
 from cell.world.embree import EmbreeRayCaster
@@ -84,7 +84,7 @@ def _points(mesh: TriangleMesh, T: Floats) -> Floats:
 def _learned(space: VoxelSpace, points: Floats, T: Floats) -> VoxelSpace:
     rays = np.asarray(_SCANNER.ray_directions())
     source, sensor = np.asarray(_SCANNER.source), np.asarray(_SCANNER.sensor)
-    eye = Eye(source, sensor, rays, _SCANNER.grid_shape[1], NEAR, FAR, float(np.arccos(rays[0] @ rays[1])))
+    eye = SensorFrustum(source, sensor, rays, _SCANNER.grid_shape[1], NEAR, FAR, float(np.arccos(rays[0] @ rays[1])))
     stands = [T[:3, :3] @ at + T[:3, 3] for at in (source, sensor)]
     space = space.with_points(points, stands) if len(points) else space
     return space.with_votes(points, *stands, eye.blank(points, T), NEAR, FAR)
@@ -167,7 +167,7 @@ def test_a_believed_surface_is_closed_before_and_after() -> None:
     """Marching cubes about voxels within the grid: each edge has two faces, of tight and of rough surfaces."""
     unknown = VoxelSpace.from_cylinder(RADIUS, HEIGHT, EDGE, SPACING)
     for space in (unknown, _explored("ring")):
-        for mesh in (belief.surface_about(space, space.belief_voxels()), belief.rough(space)):
+        for mesh in (belief.surface_about(space, space.belief_voxels()), belief.coarse_surface(space)):
             assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
 
 
@@ -180,4 +180,4 @@ def test_a_believed_surface_needs_no_repair(name: str) -> None:
     volumes = [trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume for mesh in (surface, checked)]
     assert volumes[0] > 0
     assert volumes[0] == pytest.approx(volumes[1], rel=1e-9)
-    assert belief.part_of(surface, name).reference is surface
+    assert belief.belief_part(surface, name).reference is surface
