@@ -1,4 +1,4 @@
-"""The reasons against the definition written down pair by pair, without classes, bundles or culling."""
+"""Causes of uncovered points against the definition, pair by pair, without classes, bundles or culling."""
 
 from collections.abc import Callable
 
@@ -17,8 +17,8 @@ from planner.why import why
 from planner.why.why import Reason
 
 
-def test_every_reason_is_that_of_the_pair_that_comes_farthest(blob: Callable[[int], trimesh.Trimesh]) -> None:
-    """Each sample with each candidate alone: conditions in order, one ray after the other; the farthest one decides."""
+def test_every_reason_is_that_of_the_closest_candidate(blob: Callable[[int], trimesh.Trimesh]) -> None:
+    """Each sample with each candidate alone: conditions in order, one ray after the other; the last one decides."""
     mesh = blob(3)
     part = TriangleMesh(mesh.vertices / 1000, mesh.faces.astype(np.int32))
     planning = decimate(part, 24)
@@ -36,7 +36,7 @@ def test_every_reason_is_that_of_the_pair_that_comes_farthest(blob: Callable[[in
     rows = np.flatnonzero(rng.random(len(samples)) < 0.9)
     found = why.diagnose(targets, rows, views, scanner, caster, other, fails)
 
-    wanted, squarest = [], []
+    expected, cosines = [], []
     for row in rows:
         best = (0, -np.inf)
         for view, T in enumerate(views.T_object_scanner[:, 0]):
@@ -59,11 +59,11 @@ def test_every_reason_is_that_of_the_pair_that_comes_farthest(blob: Callable[[in
                 level = Reason(fails[view])
             cosine = float(normal @ -point / np.linalg.norm(point))
             best = max(best, (int(level), cosine))
-        wanted.append(best[0])
-        squarest.append(best[1])
-    assert len(set(wanted)) >= 7, "the case must have most of the reasons"
-    np.testing.assert_array_equal(found.reason, wanted)
-    # Where a condition has no degree, the closest candidate is the squarest of those that come as far.
-    no_degree = found.reason >= Reason.SOURCE_SHADED_BY_PART
-    assert no_degree.any()
-    np.testing.assert_allclose(np.cos(found.grazing_source[no_degree]), np.array(squarest)[no_degree], atol=1e-9)
+        expected.append(best[0])
+        cosines.append(best[1])
+    assert len(set(expected)) >= 7, "the case must have most of the reasons"
+    np.testing.assert_array_equal(found.reason, expected)
+    # For conditions without a measure, the closest candidate has the smallest grazing angle.
+    unmeasured = found.reason >= Reason.SOURCE_SHADED_BY_PART
+    assert unmeasured.any()
+    np.testing.assert_allclose(np.cos(found.grazing_source[unmeasured]), np.array(cosines)[unmeasured], atol=1e-9)

@@ -1,4 +1,4 @@
-"""What `cell why` claims holds when the change is made: a plate with a void, a clamp and sides out of reach."""
+"""Claims of `cell why` against plans with the change: a plate with a void, a clamp and sides out of reach."""
 
 import json
 import re
@@ -68,7 +68,7 @@ def run(run_folder: Path) -> Run:
 
 @pytest.fixture(scope="module")
 def answer(run: Run) -> Analysis:
-    """What is said about it."""
+    """The analysis of the run."""
     return why.analyse(run, Terminal(quiet_stdout=True), _SAMPLES)
 
 
@@ -78,8 +78,8 @@ def _group(answer: Analysis, reason: Reason, what: str) -> Group:
     return found[0]
 
 
-def test_a_closed_void_is_shaded_by_the_part_and_nothing_helps(answer: Analysis) -> None:
-    """All samples of the void and no others, with the void's area; no change is named."""
+def test_a_closed_void_is_occluded_by_the_part_and_no_change_helps(answer: Analysis) -> None:
+    """All samples of the void and no others, with the area of the void; no change is named."""
     group = _group(answer, Reason.SOURCE_SHADED_BY_PART, "part")
     inside = (np.abs(answer.samples.points) < np.array([0.0201, 0.0151, 0.0061])).all(axis=1)
     np.testing.assert_array_equal(np.flatnonzero(inside), group.rows)
@@ -98,8 +98,8 @@ class _NoRun:
 _NO_RUN = _NoRun()
 
 
-def test_what_the_clamp_shades_is_its_own_and_gone_without_it(answer: Analysis) -> None:
-    """The shade lies under the clamp, on the top; "without fixture clamp" is among the changes and gains all of it."""
+def test_the_surface_under_the_clamp_is_gained_without_it(answer: Analysis) -> None:
+    """The group lies under the clamp, on the top; "without fixture clamp" is among the changes and gains all of it."""
     for group in answer.groups:
         if group.what != "clamp":
             continue
@@ -110,19 +110,19 @@ def test_what_the_clamp_shades_is_its_own_and_gone_without_it(answer: Analysis) 
         assert [named.change.sentence for named in without] == ["without fixture clamp"]
         assert without[0].gained[group.rows].all()
         return
-    pytest.fail("nothing is shaded by the clamp")
+    pytest.fail("the clamp occludes nothing")
 
 
-def test_sides_out_of_reach_and_views_that_were_not_needed_are_told_apart(answer: Analysis) -> None:
-    """The far side is out of reach; below full coverage there is surface that only waits for a view more."""
+def test_sides_out_of_reach_and_views_that_are_not_needed_are_distinguished(answer: Analysis) -> None:
+    """The far side is out of reach; below full coverage some surface only needs one more view."""
     assert (answer.samples.points[_group(answer, Reason.OUT_OF_REACH, "").rows, 0] > -0.0499).any()
     waiting = _group(answer, Reason.NOT_SELECTED, "")
     assert {named.change.kind for named in waiting.named} == {ChangeKind.VIEW}
     assert answer.share(waiting.rows) > 0.02
 
 
-def test_reasons_complete_the_plan_to_the_whole_surface(answer: Analysis, run: Run) -> None:
-    """Every sample is measured or in exactly one group and patch; the plan's own figure is met to sampling error."""
+def test_the_groups_and_the_measured_samples_are_the_surface(answer: Analysis, run: Run) -> None:
+    """Each sample is measured or in exactly one group and patch; the share equals the plan's to sampling error."""
     count = answer.covered.astype(int)
     for group in answer.groups:
         count[group.rows] += 1
@@ -133,7 +133,7 @@ def test_reasons_complete_the_plan_to_the_whole_surface(answer: Analysis, run: R
 
 
 class _Cell:
-    """The scene made anew by the public functions, with a change in it."""
+    """The scene with a change, built by the public functions."""
 
     def __init__(self, run: Run, scene: Scene) -> None:
         self.reference, self.planning = run.mesh("reference.ply"), run.mesh("planning.ply")
@@ -149,10 +149,8 @@ class _Cell:
         return coverage.visible_coverage(views.T_object_scanner[reached], answer.samples, scanner, self.casters).covered
 
 
-def test_every_change_that_is_named_measures_what_it_claims_when_it_is_made(
-    answer: Analysis, run: Run, run_folder: Path
-) -> None:
-    """Settings are taken from the words that are printed, the scene is built from its file, the arm asked again."""
+def test_every_named_change_measures_the_claimed_share(answer: Analysis, run: Run, run_folder: Path) -> None:
+    """Settings are taken from the printed options, the scene is built from its file, reach is computed again."""
     path = run_folder.parent / "scene.toml"
     place = [float(value) for value in _PLACE.split(",")]
     views = run.candidates
@@ -199,10 +197,10 @@ _FIELDS = ("T_object_scanner", "face", "standoff", "roll")
 
 
 @pytest.mark.usefixtures("drawn_pictures")
-def test_the_files_repeat_and_the_plan_stays_as_it_is(
+def test_the_files_repeat_and_the_plan_is_unchanged(
     run_folder: Path, run: Run, data_of: Callable[[str], dict[str, Any]]
 ) -> None:
-    """Asked twice: the same bytes in why/, the page's first colours with the shares of why.json; the plan untouched."""
+    """Two runs give the same bytes in why/, and the page's first colours have the shares of why.json."""
     contents = []
     for _ in range(2):
         outcome = why.explain(run_folder, Terminal(quiet_stdout=True), samples=1500)
@@ -219,8 +217,8 @@ def test_the_files_repeat_and_the_plan_stays_as_it_is(
         run.artefact(name)
 
 
-def test_points_carry_reason_group_and_gain(run_folder: Path) -> None:
-    """why.ply is read by another program: every sample in mm, and the counts of why.json."""
+def test_points_have_reason_group_and_gain(run_folder: Path) -> None:
+    """Another program reads why.ply: each sample in mm, and the counts of why.json."""
     outcome = why.explain(run_folder, Terminal(quiet_stdout=True), samples=1500)
     cloud = trimesh.load(outcome.folder / "why.ply", process=False)
     assert len(cloud.vertices) == 1500

@@ -1,4 +1,4 @@
-"""Kernels are compiled once, and the person who waits for it is told."""
+"""Compiled kernels: one note to the user, cached on disk, calls only inside a file."""
 
 import ast
 import os
@@ -18,19 +18,19 @@ count_crossings(np.zeros(3), np.ones(3), (np.zeros((1, 3, 3)), first, bounds))
 """
 
 
-def test_who_waits_for_a_kernel_to_be_compiled_is_told_once(tmp_path):
-    """A second process finds it compiled and says nothing; several kernels are one note."""
+def test_compilation_is_announced_once(tmp_path):
+    """A second process finds the kernels in the cache and prints nothing; several kernels give one note."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    said = [
+    errors = [
         subprocess.run([sys.executable, "-c", _CALL], env=environment, check=True, capture_output=True).stderr
         for _ in range(2)
     ]
-    assert said[0].count(b"note: compiling inner loops") == 1
-    assert said[1] == b""
+    assert errors[0].count(b"note: compiling inner loops") == 1
+    assert errors[1] == b""
 
 
 def test_a_kernel_calls_only_kernels_of_its_own_file():
-    """Numba would not notice that a kernel of another file has changed."""
+    """Numba does not notice that a kernel of another file has changed."""
     root = Path(planner.__file__).parents[1]
     kernels: dict[str, list[ast.FunctionDef]] = {}
     trees = {}

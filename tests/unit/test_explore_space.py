@@ -1,19 +1,21 @@
-"""Voxels about a part that nobody knows: the walk through the grid, what points and their legs say, what is open."""
+"""Voxel space of an unknown part: traversal of the grid, points and their lines of sight, belief, expected gain."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from planner.errors import PlannerError
 from planner.explore.gain import MAX_TRIES, GainRecord, OpenSamples, gain_ratio, select_by_gain_per_second
-from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace, count_crossings
+from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace, count_crossings, first_in_cubes
 from planner.values import Bools, Floats, Ints
 
 
 def _crossed(starts: Floats, ends: Floats, low: Floats, edge: float, shape: tuple[int, int, int]) -> Ints:
-    """Brute force: each leg against the box of each voxel, by slabs."""
+    """Brute force: each segment against the box of each voxel, by slabs."""
     count = np.zeros(shape, dtype=np.int64)
     with np.errstate(divide="ignore"):
         for start, end in zip(starts, ends, strict=True):
@@ -24,8 +26,8 @@ def _crossed(starts: Floats, ends: Floats, low: Floats, edge: float, shape: tupl
     return count
 
 
-def test_a_leg_crosses_the_voxels_whose_boxes_it_meets() -> None:
-    """Random legs that begin and end within and beyond the grid cross what brute force finds."""
+def test_a_segment_crosses_the_voxels_whose_boxes_it_meets() -> None:
+    """Random segments that begin and end inside and outside the grid cross the same voxels as brute force."""
     rng = np.random.default_rng(0)
     shape, low, edge = (5, 4, 6), np.array([-0.2, 0.1, 0.3]), 0.1
     size = edge * np.array(shape)
@@ -36,8 +38,8 @@ def test_a_leg_crosses_the_voxels_whose_boxes_it_meets() -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_leg_along_an_axis_crosses_its_row(axis: int) -> None:
-    """A component of zero divides nothing; a leg beside the grid crosses nothing."""
+def test_a_segment_along_an_axis_crosses_its_row(axis: int) -> None:
+    """There is no division by zero; a segment beside the grid crosses nothing."""
     start, end = np.full((2, 3), 0.25), np.full((2, 3), 0.25)
     start[:, axis], end[:, axis] = -1.0, 2.0
     start[1, (axis + 1) % 3] = end[1, (axis + 1) % 3] = 5.0
@@ -52,8 +54,8 @@ def _space() -> VoxelSpace:
     return VoxelSpace.from_cylinder(0.05, 0.06, 0.004, 0.003)
 
 
-def test_the_cylinder_alone_is_unknown_at_first() -> None:
-    """Voxels with their middle in it are unknown, those a voxel beyond free."""
+def test_only_the_cylinder_is_unknown_at_first() -> None:
+    """Voxels with their centre in it are unknown, those a voxel outside are free."""
     space = _space()
     x, y, z = space.centres(np.ones(space.state.shape, dtype=bool)).T
     beyond = np.maximum(np.hypot(x, y) - 0.05, np.abs(z) - 0.03)
@@ -63,33 +65,33 @@ def test_the_cylinder_alone_is_unknown_at_first() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sizes", "said"),
+    ("sizes", "words"),
     [
         ((0.0, 0.1, 0.01, 0.01), "must be above 0"), ((0.1, 0.1, -1.0, 0.01), "must be above 0"),
         ((0.1, 0.1, 0.01, 0.0), "must be above 0"), ((1.0, 1.0, 1e-4, 0.01), "exceed the limit"),
     ],
 )  # fmt: skip
-def test_cylinders_that_cannot_be_are_refused(sizes: tuple[float, float, float, float], said: str) -> None:
-    """In a sentence that says what would be valid."""
-    with pytest.raises(PlannerError, match=said):
+def test_invalid_cylinders_are_refused(sizes: tuple[float, float, float, float], words: str) -> None:
+    """The message says what is valid."""
+    with pytest.raises(PlannerError, match=words):
         VoxelSpace.from_cylinder(*sizes)
 
 
-def _ball_seen_from(space: VoxelSpace, stand: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Points of a ball of 30 mm that are in sight of a place 0.3 m away, and that place."""
+def _ball_from(space: VoxelSpace, origin: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Visible points of a ball of 30 mm from a position 0.3 m away, and that position."""
     normals = rng.standard_normal((20_000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = 0.03 * normals
-    return points[np.einsum("ij,ij->i", stand - points, normals) > 0], stand
+    return points[np.einsum("ij,ij->i", origin - points, normals) > 0], origin
 
 
-def test_space_is_free_only_where_the_part_is_not() -> None:
-    """A ball seen from all round: what is free is beyond it, by at most a voxel's diagonal; its points are occupied."""
+def test_free_space_does_not_contain_the_part() -> None:
+    """A ball seen from all sides: free voxels are outside it, to within a diagonal; its points are occupied."""
     space, rng = _space(), np.random.default_rng(1)
     everything = []
     for direction in rng.standard_normal((40, 3)):
         direction = direction / np.linalg.norm(direction)
-        points, stand = _ball_seen_from(space, 0.3 * direction, rng)
+        points, stand = _ball_from(space, 0.3 * direction, rng)
         space = space.with_points(points, [stand])
         everything.append(points)
     depth = 0.03 - np.linalg.norm(space.centres(space.state == FREE), axis=1)
@@ -104,7 +106,7 @@ def test_space_is_free_only_where_the_part_is_not() -> None:
 
 
 def _seen(space: VoxelSpace, point: Floats, normal: Floats) -> bool:
-    """Brute force: of the eight points next to it, one within a gap of the normal, half an edge above to 1.6 below."""
+    """Brute force: one of the eight nearest points is within a gap of the normal, 0.5 edges above to 1.6 below."""
     nearest = np.argsort(np.linalg.norm(space.points - point, axis=1))[:8]
     for measured in space.points[nearest]:
         height = float((measured - point) @ normal)
@@ -114,8 +116,8 @@ def _seen(space: VoxelSpace, point: Floats, normal: Floats) -> bool:
     return False
 
 
-def test_what_is_seen_has_a_point_beside_it_along_its_normal() -> None:
-    """Random points of a layer, and samples about it with random normals: what brute force says."""
+def test_measured_samples_have_a_point_near_their_normal() -> None:
+    """Random points of a layer, and samples around it with random normals, against brute force."""
     rng = np.random.default_rng(5)
     points = rng.uniform(-1, 1, (300, 3)) * np.array([0.02, 0.02, 0.001])
     space = replace(_space(), points=points)
@@ -131,8 +133,8 @@ def test_what_is_seen_has_a_point_beside_it_along_its_normal() -> None:
 
 
 @pytest.mark.parametrize("more", [0, 40, 300])
-def test_what_is_seen_since_is_what_was_not_seen_before(more: int) -> None:
-    """With more points, or none: what both spaces say by themselves."""
+def test_measured_since_is_the_difference_of_two_spaces(more: int) -> None:
+    """With more points, or none."""
     rng = np.random.default_rng(more)
     points = rng.uniform(-1, 1, (300, 3)) * np.array([0.02, 0.02, 0.001])
     before = replace(_space(), points=points[: 300 - more])
@@ -147,8 +149,8 @@ def test_what_is_seen_since_is_what_was_not_seen_before(more: int) -> None:
 
 
 @pytest.mark.parametrize(("spacing", "gap"), [(0.003, 0.0027), (0.0005, 0.0014)])
-def test_a_strip_without_points_is_open_though_its_voxels_are_occupied(spacing: float, gap: float) -> None:
-    """A plane of points but for a strip: open is what is farther than a gap from the points, never within half an edge.
+def test_a_strip_without_points_is_open_although_its_voxels_are_occupied(spacing: float, gap: float) -> None:
+    """A plane of points without a strip: samples farther than a gap from the points are open, those near them are not.
 
     The strip is less than two voxels wide, so that each of its voxels, or the next one, has a point.
     """
@@ -161,14 +163,14 @@ def test_a_strip_without_points_is_open_though_its_voxels_are_occupied(spacing: 
     above = np.column_stack([across, np.zeros(201), np.full(201, 0.5 * space.edge)])
     up = np.tile([0.0, 0.0, 1.0], (201, 1))
     open_now = ~space.is_measured(above, up)
-    sure = space.gap * 0.7 + 0.0003  # of the points that are kept one lies within a cube's side
+    sure = space.gap * 0.7 + 0.0003  # one of the kept points lies within a cube's side
     assert open_now[np.abs(across) < 0.0035 - space.gap].all()
     assert not open_now[np.abs(across) > 0.0035 - space.gap + sure].any()
     assert np.array_equal(space.is_still_open(above, up), open_now)
 
 
-def test_between_points_of_neighbouring_rays_a_surface_is_open_as_what_was_seen_steeply() -> None:
-    """Places there make nothing seen, and are kept from view to view; what is beside neither is open as ever."""
+def test_surface_between_points_of_neighbouring_rays_is_a_class_of_its_own() -> None:
+    """Positions there measure nothing, and are kept from view to view; other surface is open as before."""
     space = _space()
     space = space.with_points(np.array([[0.0, 0.0, 0.0], [0.012, 0.0, 0.0]]), [])
     places = np.array([[0.004, 0.0, 0.0], [0.008, 0.0, 0.0]])
@@ -185,7 +187,7 @@ def test_between_points_of_neighbouring_rays_a_surface_is_open_as_what_was_seen_
         == [True, False, False, True, False]
     )
     assert joined.open_samples_at(above, up).between.tolist() == [False, True, True, False, False]
-    beyond = np.array([[0.004, 0.0, space.edge]])  # the place lies an edge below it, which is near; above it is not
+    beyond = np.array([[0.004, 0.0, space.edge]])  # the position lies an edge below it, which is near; above it is not
     assert [joined.open_samples_at(beyond, side * up[:1]).between[0] for side in (1, -1)] == [True, False]
     assert not space.open_samples_at(above, up).between.any()
     outside = np.array([[1.0, 0.0, 0.0]])
@@ -195,8 +197,28 @@ def test_between_points_of_neighbouring_rays_a_surface_is_open_as_what_was_seen_
     assert np.array_equal(joined.between, [*places, [0.03, 0.003, 0.0]])
 
 
+CUBE_SIDE = 0.25
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 300))
+def test_each_cube_keeps_its_first_point(seed: int, count: int) -> None:
+    """Cubes begin at 0, on both sides of it; no points give none."""
+    points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
+    taken: dict[tuple[int, ...], int] = {}
+    for number, point in enumerate(points):
+        taken.setdefault(tuple(np.floor(point / CUBE_SIDE).astype(int)), number)
+    assert first_in_cubes(points, CUBE_SIDE).tolist() == sorted(taken.values())
+
+
+@pytest.mark.parametrize("offset", [1e6, -1e6])
+def test_cubes_far_from_the_origin_are_the_same(offset: float) -> None:
+    """Cube numbers do not grow with the position."""
+    points = np.round(np.random.default_rng(0).uniform(-1, 1, (1000, 3)) * 1024) / 1024  # so that sums are exact
+    assert np.array_equal(first_in_cubes(points + offset, CUBE_SIDE), first_in_cubes(points, CUBE_SIDE))
+
+
 def test_each_small_cube_keeps_its_first_point() -> None:
-    """Points that came before stay, in order; the same points again change nothing; one beyond the cylinder is none."""
+    """Earlier points stay, in order; the same points again change nothing; points outside the cylinder are ignored."""
     rng = np.random.default_rng(6)
     first, second = rng.uniform(-0.01, 0.01, (2, 500, 3))
     once = _space().with_points(np.concatenate([first, [[0.2, 0.0, 0.0]]]), [])
@@ -209,8 +231,8 @@ def test_each_small_cube_keeps_its_first_point() -> None:
     assert np.array_equal(twice.with_points(first, []).points, twice.points)
 
 
-def test_what_was_never_crossed_and_touches_no_point_is_not_believed() -> None:
-    """An unknown voxel apart from all points is no part of the belief; before the first point the middle is."""
+def test_unknown_space_without_a_connection_to_points_is_not_believed() -> None:
+    """Before the first point the belief is the middle of the cylinder."""
     space = _space()
     first = space.belief_voxels()
     assert (space.state[first] == UNKNOWN).all()
@@ -223,16 +245,16 @@ def test_what_was_never_crossed_and_touches_no_point_is_not_believed() -> None:
 
 
 @pytest.mark.parametrize(("radius", "height"), [(0.0003, 0.1), (0.1, 0.0005), (0.0002, 0.0002)])
-def test_what_is_thinner_than_voxels_is_believed_at_first(radius: float, height: float) -> None:
-    """A wire, a sheet and a pin: the middle of the cylinder holds some voxels, so that a view can be planned."""
+def test_cylinders_thinner_than_voxels_have_a_first_belief(radius: float, height: float) -> None:
+    """A wire, a sheet and a pin: the middle contains some voxels, so that a view can be planned."""
     space = VoxelSpace.from_cylinder(radius, height, 0.0012, 0.001)
     first = space.belief_voxels()
     assert first.any()
     assert (np.abs(space.centres(first)) <= np.array([max(radius, 0.0012)] * 2 + [max(height / 2, 0.0012)])).all()
 
 
-def test_a_ray_without_an_answer_counts_where_the_sensor_sees() -> None:
-    """Two votes along it, none where a point stands between voxel and sensor; one off behind a point."""
+def test_a_ray_without_a_point_votes_where_the_sensor_sees() -> None:
+    """Two votes along it, none behind a point as seen from the sensor; minus one behind a point of the source."""
     space, source, sensor = _space(), np.array([-0.2, 0.0, 0.0]), np.array([-0.2, 0.1, 0.0])
     wall, ahead = np.array([[0.0, y, 0.0] for y in np.arange(0.006, 0.02, 0.001)]), np.array([[1.0, 0.0, 0.0]])
     at = np.array([[-0.02, 0.001, 0.001], [0.02, 0.001, 0.001], [0.02, 0.015, 0.001]])
@@ -243,7 +265,7 @@ def test_a_ray_without_an_answer_counts_where_the_sensor_sees() -> None:
     assert votes[""].values_at(at, votes[""].votes).tolist() == [2, 0, -1]
 
 
-def test_a_ray_that_may_have_met_the_part_too_near_says_nothing() -> None:
+def test_a_ray_that_may_have_met_the_part_before_the_range_does_not_vote() -> None:
     """Its way to where the scanner begins to measure leads through what nobody looked at, or what was hit.
 
     A block whose near side stands before the range and whose far side does not: no ray comes back, and the block is
@@ -268,8 +290,8 @@ def test_a_ray_that_may_have_met_the_part_too_near_says_nothing() -> None:
     assert voted(free, 0.19) == 2
 
 
-def test_tries_are_counted_once_a_stage_and_reach_to_neighbours() -> None:
-    """Two points of one voxel are one try; a class knows the distance to the nearest measured voxel."""
+def test_tries_are_counted_once_a_voxel_and_reach_to_neighbours() -> None:
+    """Two points of one voxel are one try; the class contains the distance to the nearest measured voxel."""
     space = _space().with_tries(np.array([[0.0, 0.0, 0.001], [0.0, 0.0, 0.0015], [0.02, 0.0, 0.001]]))
     assert space.tries.max() == 1
     points, up = np.array([[0.0, 0.004, 0.001], [0.0, 0.03, 0.001]]), np.tile([0.0, 0.0, 1.0], (2, 1))
@@ -283,7 +305,7 @@ def test_tries_are_counted_once_a_stage_and_reach_to_neighbours() -> None:
 
 
 def test_the_probability_follows_the_record() -> None:
-    """Nothing known: less with each try, and with distance. Much known: the share of each class that was found."""
+    """Without observations it falls with tries and distance; with many it is the found share of each class."""
     tries, beside = np.repeat(np.arange(3), 2), np.tile([1.0, 20.0], 3)
     unseen = np.zeros(6, dtype=bool)
     before = GainRecord.empty().weights(OpenSamples(tries, beside, unseen))
@@ -304,8 +326,8 @@ def test_the_probability_follows_the_record() -> None:
     assert after.found == pytest.approx(0.7 * known.found)
 
 
-def test_the_views_of_most_gain_per_second() -> None:
-    """Each is the best of brute force after those before it; what adds nothing or must not be taken is left."""
+def test_views_are_selected_by_gain_per_second() -> None:
+    """Each is the best of brute force after those before it; views without gain and unusable ones are not selected."""
     rng = np.random.default_rng(2)
     measured, areas = rng.random((200, 12)) < 0.2, rng.random(200)
     seconds, usable = rng.uniform(1, 4, 12), np.arange(12) != 5
@@ -322,29 +344,29 @@ def test_the_views_of_most_gain_per_second() -> None:
         assert len(select_by_gain_per_second(csr_array(measured), areas, seconds, usable, 4, least)) == views
 
 
-def test_how_much_more_comes_than_was_expected() -> None:
-    """As much at first; then the median, which one batch that met a whole side of the part does not move far."""
+def test_the_gain_ratio_is_the_median_of_the_latest_batches() -> None:
+    """It is 1 at first, and one batch that met a complete side of the part changes it little."""
     assert gain_ratio([]) == 1
     assert gain_ratio([(1.0, 2.0), (1.0, 2.0), (1.0, 30.0), (0.5, 1.0), (0.0, 7.0)]) == 2
     assert gain_ratio([(1.0, 3.0)]) == 2
     assert gain_ratio([(2.0, 0.0)]) == 0.5
     assert gain_ratio([(1.0, 0.0), (1.0, 0.0)]) == 0
-    assert gain_ratio([(1.0, 9.0)] * 9 + [(1.0, 3.0)] * 4) == 3  # what came long ago is of another kind
+    assert gain_ratio([(1.0, 9.0)] * 9 + [(1.0, 3.0)] * 4) == 3  # early batches are ignored
 
 
 def _block() -> VoxelSpace:
-    """A grid of which nothing is known to be free but its border."""
+    """A grid of which only the border is free."""
     return VoxelSpace.from_cylinder(0.08, 0.16, 0.004, 0.003)
 
 
 def _shell(space: VoxelSpace, radius: float) -> Bools:
-    """(X, Y, Z) a closed shell about the middle, a diagonal of a voxel thick."""
+    """(X, Y, Z) closed shell around the centre, a voxel diagonal thick."""
     away = np.linalg.norm(space.centres(np.ones(space.state.shape, dtype=bool)), axis=1).reshape(space.state.shape)
     return np.asarray(np.abs(away - radius) < space.edge)
 
 
 def _flooded(open_to: Bools, starts: Bools, steps: Ints) -> Bools:
-    """Brute force: voxels that steps lead to from the starts, on voxels that are open to them."""
+    """Brute force: voxels reached from the starts by steps on open voxels."""
     reached, front = np.array(starts & open_to), [tuple(at) for at in np.argwhere(starts & open_to).tolist()]
     while front:
         at = np.array(front.pop())
@@ -357,7 +379,7 @@ def _flooded(open_to: Bools, starts: Bools, steps: Ints) -> Bools:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_believed_part_is_that_of_brute_force(seed: int) -> None:
+def test_the_belief_is_that_of_brute_force(seed: int) -> None:
     """Floods from what was hit to neighbours by a corner, then from the border to those by a face; never what is free.
 
     Random voxels of all kinds and votes, pockets that nothing leads to among them.
@@ -383,8 +405,8 @@ def test_the_believed_part_is_that_of_brute_force(seed: int) -> None:
     assert np.array_equal(replace(space, state=state, votes=votes).belief_voxels(), expected)
 
 
-def test_the_part_is_believed_to_go_eight_edges_behind_what_was_measured() -> None:
-    """Of a measured plane above what was never entered: eight layers, and none above it that is free."""
+def test_the_belief_continues_eight_edges_behind_measured_voxels() -> None:
+    """Eight layers below a measured plane, and none in the free space above it."""
     space = _block()
     state = np.array(space.state)
     state[:, :, 30][state[:, :, 30] == UNKNOWN] = OCCUPIED
@@ -397,8 +419,8 @@ def test_the_part_is_believed_to_go_eight_edges_behind_what_was_measured() -> No
     assert np.array_equal(whole, state != FREE)
 
 
-def test_what_a_closed_surface_encloses_is_believed_however_deep() -> None:
-    """No leg enters it, voted down or not; a pocket that is free stays so, and one leg opens all that is deep."""
+def test_space_inside_a_closed_surface_is_believed_at_any_depth() -> None:
+    """Whether voted down or not; a free pocket stays free, and one crossing frees everything that is deep."""
     space = _block()
     shell, far = _shell(space, 0.06), _shell(space, 0.0) | _shell(space, 0.07)
     state = np.where(shell, OCCUPIED, np.where(far, FREE, space.state)).astype(np.uint8)

@@ -46,10 +46,10 @@ def motion(**changes: object) -> Motion:
     return Motion(**{**fields, **changes})  # type: ignore[arg-type]  # the broken cases are the point
 
 
-NASTY = {
+INVALID = {
     "too few columns": ({"via": np.zeros((2, 5))}, "via has shape (2, 5); it must be (2, 6)"),
     "an axis too few": ({"via": np.zeros(6)}, "via has shape (6,); it must be (n, 6)"),
-    "no array at all": ({"via": 1.0}, "via has shape (); it must be (n, 6)"),
+    "no array": ({"via": 1.0}, "via has shape (); it must be (n, 6)"),
     "lengths of one name disagree": ({"pose": [0, 1, 2]}, "pose has shape (3,); it must be (2,)"),
     "not one more": ({"start": [0, 1]}, "start has shape (2,); it must be (3,)"),
     "an empty array that must have one more": ({"via": np.zeros((0, 6)), "pose": [], "start": []}, "it must be (1,)"),
@@ -57,20 +57,20 @@ NASTY = {
     "not square": ({"square": np.zeros((2, 3))}, "square has shape (2, 3); it must be (2, 2)"),
     "any length, but not of the other axis": ({"anything": [[True]]}, "anything has shape (1, 1); it must be (any, 2)"),
     "NaN": ({"via": np.full((2, 6), np.nan)}, "via contains NaN; every value must be a number"),
-    "NaN where None may stand": ({"sigma": [1.0, np.nan]}, "sigma contains NaN; every value must be a number"),
-    "None where it may not stand": ({"via": None}, "via has shape (); it must be (n, 6)"),
-    "a wrong length where None may stand": ({"sigma": [1.0]}, "sigma has shape (1,); it must be (2,)"),
+    "NaN in an optional array": ({"sigma": [1.0, np.nan]}, "sigma contains NaN; every value must be a number"),
+    "None for a required array": ({"via": None}, "via has shape (); it must be (n, 6)"),
+    "a wrong length of an optional array": ({"sigma": [1.0]}, "sigma has shape (1,); it must be (2,)"),
 }
 
 
-@pytest.mark.parametrize(("changes", "sentence"), NASTY.values(), ids=list(NASTY))
-def test_what_does_not_fit_is_refused(changes: dict[str, object], sentence: str) -> None:
+@pytest.mark.parametrize(("changes", "sentence"), INVALID.values(), ids=list(INVALID))
+def test_wrong_shapes_and_nan_are_refused(changes: dict[str, object], sentence: str) -> None:
     """The error names the array, its shape and the required one."""
     with pytest.raises(PlannerError, match=re.escape(sentence)):
         motion(**changes)
 
 
-def test_arrays_are_cast_copies_that_nobody_can_write() -> None:
+def test_arrays_are_cast_read_only_copies() -> None:
     """Later changes of the arguments do not affect the value, and its own arrays are read-only."""
     given = np.asfortranarray(np.arange(12.0).reshape(2, 6))
     value = motion(via=given, sigma=[1, np.inf])
@@ -86,7 +86,7 @@ def test_arrays_are_cast_copies_that_nobody_can_write() -> None:
     assert not np.shares_memory(replace(value, pose=[1, 1]).via, value.via)
 
 
-def test_empty_arrays_and_none_are_values() -> None:
+def test_empty_arrays_and_none_are_valid() -> None:
     """Length 0 is valid, and a field that may be None may be left out."""
     empty = motion(
         via=np.zeros((0, 6)), pose=[], start=[0], names=(), square=np.zeros((0, 0)), anything=np.ones((0, 2))
@@ -95,14 +95,14 @@ def test_empty_arrays_and_none_are_values() -> None:
     assert empty.pose.dtype == np.int64
 
 
-def test_lengths_known_from_elsewhere_count() -> None:
+def test_known_lengths_are_checked() -> None:
     """A length given by name applies to all arrays that have it."""
     assert len(Known(np.arange(3)).rows) == 3
     with pytest.raises(PlannerError, match=re.escape("rows has shape (4,); it must be (3,)")):
         Known(np.arange(4))
 
 
-def test_a_single_array_says_the_same_sentences() -> None:
+def test_a_single_array_has_the_same_messages() -> None:
     """`readonly` copies and refuses like a value, with the same messages."""
     given = np.zeros((2, 3))
     taken = readonly("ends", given, (None, 3))
@@ -114,8 +114,8 @@ def test_a_single_array_says_the_same_sentences() -> None:
         readonly("ends", [np.nan], (1,))
 
 
-def test_whoever_declares_shapes_is_a_value_that_takes_them_in() -> None:
-    """In cell and planner no class has shapes in its fields without `Value`, nor a `__post_init__` without `freeze`."""
+def test_classes_with_shapes_derive_from_value_and_freeze() -> None:
+    """In cell and planner each class with shapes derives from `Value`, and each `__post_init__` calls `freeze`."""
     found = 0
     for path in [*(ROOT / "planner").rglob("*.py"), *(ROOT / "cell").rglob("*.py")]:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

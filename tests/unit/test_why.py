@@ -1,4 +1,4 @@
-"""Reasons and changes where both are known in closed form: a wall on a plate, a grazing plane, fields of view."""
+"""Causes and changes with known closed forms: a wall on a plate, a grazing plane, fields of view."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from planner.why.what_if import ChangeKind, PlanChange, select_changes
 from planner.why.why import Reason
 
 _FAR = EmbreeRayCaster(np.array([[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9]]), np.array([[0, 1, 2]]))
-"""Something that is never in the way."""
+"""An object that occludes nothing."""
 
 
 def _rectangle(corner, first, second):
@@ -33,7 +33,7 @@ _WALL = _rectangle([0, -0.05, 0], [0, 0.1, 0], [0, 0, 0.02])  # 20 mm high, in t
 
 
 def _down(x: float, height: float, roll: float = 0.0) -> Viewpoints:
-    """A scanner over the plate at (x, 0, height) that looks straight down; at roll 0 the sensor is towards +x."""
+    """A scanner above the plate at (x, 0, height) that looks straight down; at roll 0 the sensor is towards +x."""
     return aim_viewpoints(np.array([[x, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([0]), [height], [roll])
 
 
@@ -47,8 +47,8 @@ def _reasons(targets: RayTargets, views: Viewpoints, scanner: LaserArea, part, o
     return why.diagnose(targets, rows, views, scanner, part, other, np.full(len(views), fails, np.uint8))
 
 
-def test_the_laser_shadow_of_a_wall_ends_where_similar_triangles_say() -> None:
-    """Behind a wall of 20 mm, from 40 mm before it and 200 mm up, the laser's shadow is 40 * 20 / 180 mm long."""
+def test_the_laser_shadow_of_a_wall_follows_from_similar_triangles() -> None:
+    """Behind a wall of 20 mm, from 40 mm in front of it and 200 mm above, it is 40 * 20 / 180 mm long."""
     x = np.linspace(0.0005, 0.03, 400)
     scanner = LaserArea(range_mm=(50, 900), baseline_mm=0, grazing_max_deg=90)
     found = _reasons(_on_plate(x), _down(-0.04, 0.2), scanner, _caster(_PLATE, _WALL))
@@ -59,8 +59,8 @@ def test_the_laser_shadow_of_a_wall_ends_where_similar_triangles_say() -> None:
     np.testing.assert_array_equal(found.reason == Reason.NOT_SELECTED, ~shaded)
 
 
-def test_another_standoff_frees_exactly_the_difference_of_the_shadows() -> None:
-    """From twice as high the shadow is 40 * 20 / 380 mm long: the change gains what lies between both ends."""
+def test_another_standoff_gains_the_difference_of_the_shadows() -> None:
+    """From twice the height the shadow is 40 * 20 / 380 mm long: the change gains the points between both ends."""
     x = np.linspace(0.0005, 0.03, 400)
     targets, part = _on_plate(x), _caster(_PLATE, _WALL)
     scanner = LaserArea(range_mm=(50, 900), baseline_mm=0, grazing_max_deg=90)
@@ -73,8 +73,8 @@ def test_another_standoff_frees_exactly_the_difference_of_the_shadows() -> None:
     assert not gained.all()
 
 
-def test_the_sensor_shadow_of_a_wall_and_the_baseline_that_ends_it() -> None:
-    """With the sensor beyond the wall the side of the source is in its shadow; half the baseline halves the shadow."""
+def test_a_shorter_baseline_shortens_the_sensor_shadow_of_a_wall() -> None:
+    """With the sensor behind the wall, the source side is in its shadow; half the baseline halves the shadow."""
     x = -np.linspace(0.0005, 0.03, 400)
     targets, part = _on_plate(x), _caster(_PLATE, _WALL)
     limits = {"range_mm": (50, 900), "grazing_max_deg": 90}
@@ -92,7 +92,7 @@ def test_the_sensor_shadow_of_a_wall_and_the_baseline_that_ends_it() -> None:
 
 
 def test_a_roll_that_turns_the_baseline_along_the_wall_ends_the_sensor_shadow() -> None:
-    """Source and sensor on the same side of the wall: nothing on that side is shaded."""
+    """Source and sensor on the same side of the wall: nothing on that side is occluded."""
     x = -np.linspace(0.0005, 0.03, 100)
     targets, part = _on_plate(x), _caster(_PLATE, _WALL)
     scanner = LaserArea(range_mm=(50, 900), grazing_max_deg=90, baseline_mm=100)
@@ -103,8 +103,8 @@ def test_a_roll_that_turns_the_baseline_along_the_wall_ends_the_sensor_shadow() 
     assert change.measures(targets, np.arange(len(x))).all()
 
 
-def test_what_stands_in_the_way_is_named() -> None:
-    """A plate of its own over the part is the clamp's shade, not the part's; without it the points are measured."""
+def test_the_occluder_is_named() -> None:
+    """A plate above the part is an occluder, not the part; without it the points are measured."""
     x = np.linspace(-0.02, 0.02, 81)
     targets, part = _on_plate(x), _caster(_PLATE)
     clamp = _caster(_rectangle([-0.01, -0.02, 0.05], [0.02, 0, 0], [0, 0.04, 0]))
@@ -121,9 +121,9 @@ def test_what_stands_in_the_way_is_named() -> None:
 
 
 @pytest.mark.parametrize("angle_deg", [76.0, 80.0, 88.0])
-def test_grazing_is_told_by_its_exact_angle_and_the_smallest_limit_that_helps_is_that_angle(angle_deg: float) -> None:
-    """One candidate at a known angle: its reason, its angle, and of all whole degrees the first that measures."""
-    targets = _on_plate(np.array([0.0, 0.01]))  # legs need an extent to end a hair above the plate
+def test_the_grazing_angle_is_exact_and_the_smallest_sufficient_limit_is_that_angle(angle_deg: float) -> None:
+    """One candidate at a known angle: its reason, its angle, and the first whole degree at which it measures."""
+    targets = _on_plate(np.array([0.0, 0.01]))  # lines of sight need an extent to end slightly above the plate
     outward = np.array([[np.sin(np.radians(angle_deg)), 0, np.cos(np.radians(angle_deg))]])
     views = aim_viewpoints(np.array([[0.0, 0.003, 0.0]]), outward, np.array([0]), [0.2], [0.0])
     rows, part = np.array([0]), _caster(_PLATE)
@@ -145,8 +145,8 @@ def test_grazing_is_told_by_its_exact_angle_and_the_smallest_limit_that_helps_is
     assert [int(limits[i]) for i in named] == [angle_deg]
 
 
-def test_the_robot_is_blamed_only_where_the_scanner_would_measure() -> None:
-    """A candidate that would measure a point gives its verdict; what it would not measure stays the scanner's."""
+def test_the_verdict_of_the_robot_counts_only_if_the_scanner_would_measure() -> None:
+    """Other points have a reason of the scanner."""
     x = np.array([0.0, 0.04])
     scanner = LaserArea(range_mm=(50, 900), fov_deg=(10, 10), baseline_mm=0)
     for fails in (Reason.OUT_OF_REACH, Reason.JOINT_LIMIT, Reason.COLLISION, Reason.NO_PATH):
@@ -154,8 +154,8 @@ def test_the_robot_is_blamed_only_where_the_scanner_would_measure() -> None:
         assert found.reason.tolist() == [fails, Reason.OUT_OF_FOV]
 
 
-def test_of_two_that_miss_the_range_the_nearer_one_is_the_closest() -> None:
-    """Range is missed by the logarithm of distance over standoff: 500 of 450 mm is nearer than 900."""
+def test_the_range_is_missed_by_the_logarithm_of_the_distance() -> None:
+    """Over the standoff: 500 of 450 mm is closer than 900."""
     T = np.concatenate([_down(0.0, height).T_object_scanner for height in (0.9, 0.5)])
     views = Viewpoints(T, np.zeros(2, np.int32), np.full(2, 0.3), np.zeros(2))
     found = _reasons(_on_plate(np.array([0.0, 0.01])), views, LaserArea(baseline_mm=0), _caster(_PLATE))
@@ -165,7 +165,7 @@ def test_of_two_that_miss_the_range_the_nearer_one_is_the_closest() -> None:
 
 
 def test_new_views_are_aimed_at_the_point_at_the_tilt_and_the_standoff() -> None:
-    """Every view's axis goes through its point; tilt, standoff and number of sides are those asked for."""
+    """The axis of each view passes through its point; tilt, standoff and number of sides are as requested."""
     rng = np.random.default_rng(5)
     points, normals = rng.normal(size=(7, 3)), rng.normal(size=(7, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -179,29 +179,29 @@ def test_new_views_are_aimed_at_the_point_at_the_tilt_and_the_standoff() -> None
     assert len(np.unique(T[:16, :3, 2].round(9), axis=0)) == 8
 
 
-def test_the_smaller_of_two_changes_that_gain_alike_is_named_first_and_none_that_gains_nothing() -> None:
-    """Nine tenths of the largest gain counts as much; then the kind decides, then the size; below 1 % is nothing."""
+def test_the_smaller_of_two_equally_good_changes_is_selected_first() -> None:
+    """From 90 % of the largest gain the kind decides, then the size; a change below 1 % is not selected."""
     kinds = [ChangeKind.GRAZING, ChangeKind.STANDOFF, ChangeKind.STANDOFF, ChangeKind.FOV]
     assert select_changes(np.array([1.0, 0.92, 0.95, 0.005]), kinds, [3, 0.1, 0.2, 10]) == [1, 0]
     assert select_changes(np.array([1.0, 0.5, 0.6, 0.3]), kinds, [3, 0.1, 0.2, 10]) == [0, 2, 3]
     assert select_changes(np.array([0.009, 0.0, 0.0, 0.0]), kinds, [3, 0.1, 0.2, 10]) == []
 
 
-def test_few_views_cover_greedily_until_nearly_all_is_measured() -> None:
-    """View 2 measures rows 0 to 5, view 0 the rest of ten: both are named, no third."""
+def test_few_views_are_selected_greedily_until_nearly_all_rows_are_measured() -> None:
+    """View 2 measures rows 0 to 5, view 0 the other four of ten: both are selected, no third."""
     pairs = np.array([[row, 2] for row in range(6)] + [[row, 0] for row in range(5, 10)] + [[0, 1], [9, 1]])
     assert what_if.select_views(pairs, 10) == [2, 0]
     assert what_if.select_views(np.empty((0, 2), np.int64), 4) == []
 
 
-def test_a_candidate_must_fail_at_something_beyond_measuring() -> None:
-    """A reason of the scanner's for a whole candidate is refused."""
+def test_a_candidate_needs_a_reason_beyond_the_scanner() -> None:
+    """A reason of the scanner for a candidate is refused."""
     with pytest.raises(PlannerError, match="each value must be OUT_OF_REACH"):
         _reasons(_on_plate(np.array([0.0])), _down(0.0, 0.2), LaserArea(), _caster(_PLATE), fails=Reason.OUT_OF_FOV)
 
 
-def test_the_middle_of_a_sweep_stays_when_it_backs_off_and_rolls() -> None:
-    """A sweep of eight poses, turned or straight, moved as a whole: what is made is the sweep of the moved view."""
+def test_the_middle_of_a_sweep_stays_with_another_standoff_and_roll() -> None:
+    """A sweep of eight poses, rotating or straight, moves as one: the result is the sweep of the moved view."""
     from planner.viewpoints.viewpoints import straight_sweep_poses, sweep_viewpoints, turned_sweep_poses
 
     start = np.concatenate([_down(0.01, 0.2).T_object_scanner, _down(-0.02, 0.2, 0.3).T_object_scanner])
