@@ -1,1 +1,1 @@
-"""View selection examined: instances, rivals, runs in processes of their own, tables. `python -m benchmarks cover`."""
+"""Benchmark of the view selection: instances, rivals, separate processes, tables. `python -m benchmarks cover`."""

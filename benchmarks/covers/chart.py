@@ -1,4 +1,4 @@
-"""Excess over the best known against processor time: a panel for each family of instances, a line for each solver."""
+"""Chart of the excess over the best known cost: a panel for each family of instances, a line for each solver."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from benchmarks.covers.instances import best_known
 
 _COLOURS = {"ours": "#1e8449", "textbook": "#2471a3", "HiGHS": "#c0392b", "CP-SAT": "#ca6f1e"}
-_MOST = 60.0  # percent; above it a solver is off the chart
+_MAX_PERCENT = 60.0  # upper limit of the chart
 
 
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Draw the picture.
+    """Draw the chart.
 
     Args:
         rows: ours at several budgets, the rivals with their traces.
@@ -37,7 +37,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         axis.set_title(f"{name} ({count})" if count > 1 else name, fontsize=9.5, loc="left")
         axis.set(xscale="log", xlim=(0.01, 1.6 * max(row["seconds"] or 1 for row in rows)))
         axis.set_yscale("symlog", linthresh=1.0)
-        axis.set_ylim(-0.05, _MOST)
+        axis.set_ylim(-0.05, _MAX_PERCENT)
         axis.set_yticks([0, 1, 3, 10, 30], ["0", "1", "3", "10", "30"])
         axis.grid(color="0.92", lw=0.6)
         axis.tick_params(labelsize=8)
@@ -51,30 +51,32 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
 
 
 def curve(rows: Sequence[dict[str, Any]], best: dict[str, float]) -> tuple[list[float], list[float]]:
-    """Mean excess [%] over the instances from the moment on at which each of them has an answer; `_MOST` until then."""
-    found = []
+    """Return times [s] and the mean excess over the instances [%]; `_MAX_PERCENT` for one without an answer."""
+    by_instance = []
     for instance in dict.fromkeys(row["instance"] for row in rows):
         same = [row for row in rows if row["instance"] == instance]
         answered = [row for row in same if row["views"]]
         points = sorted(point for row in answered for point in row["trace"] or [(row["cpu_s"], row["cost"])])
-        found.append([(at, 100 * (cost / best[instance] - 1)) for at, cost in points])
-    times = sorted({at for points in found for at, _ in points} | {row["seconds"] for row in rows if row["trace"]})
+        by_instance.append([(at, 100 * (cost / best[instance] - 1)) for at, cost in points])
+    times = sorted(
+        {at for points in by_instance for at, _ in points} | {row["seconds"] for row in rows if row["trace"]}
+    )
     means = [
-        float(np.mean([min([value for at, value in points if at <= time] + [_MOST]) for points in found]))
+        float(np.mean([min([value for at, value in points if at <= time] + [_MAX_PERCENT]) for points in by_instance]))
         for time in times
     ]
     return times, means
 
 
 def family(name: str) -> str:
-    """scp41 is of the family scp4, scpclr10 of scpclr, rail:500x20000:1 of rail, a part of its own."""
+    """Return the family of an instance: scp4 of scp41, scpclr of scpclr10, rail of rail:500x20000:1."""
     stem = name.split(":")[0]
     letters = stem.rstrip("0123456789")
     return stem[:4] if letters == "scp" else letters
 
 
 def _best(rows: Sequence[dict[str, Any]], row: dict[str, Any]) -> float:
-    """The best known, else the best of these rows."""
+    """Return the best known cost, or the best of these rows."""
     known = None if row["weighted"] or row["coverage"] < 1 else best_known(row["instance"])
     costs = [other["cost"] for other in rows if other["instance"] == row["instance"] and other["views"]]
     return min(costs + ([] if known is None else [known]))

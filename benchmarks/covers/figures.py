@@ -1,4 +1,4 @@
-"""Rows of runs, kept one by one so that a stopped figure goes on where it was, and the tables made of them."""
+"""Rows of runs, stored one by one so that a stopped benchmark can continue, and the tables made of them."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -13,7 +13,7 @@ Row = dict[str, Any]
 
 
 class Store:
-    """Rows in `rows.jsonl` of a folder: a task that was run with the same version of its solver is not run again."""
+    """Rows in `rows.jsonl` of a folder; a task is not run again with the same version of its solver."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -22,27 +22,27 @@ class Store:
         self._rows = {_key(row): row for row in map(json.loads, lines)}
 
     def rows(self, tasks: Iterable[Task]) -> list[Row]:
-        """The rows of these tasks; those that are missing are computed and kept."""
-        found = []
+        """Return the rows of these tasks; missing ones are computed and stored."""
+        rows = []
         for task in tasks:
-            key = (task.asked, task.solver, task.seconds, task.seed, version_of(task.solver))
+            key = (task.question, task.solver, task.seconds, task.seed, version_of(task.solver))
             if key not in self._rows:
                 self._rows[key] = run(task)
                 with self._path.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(self._rows[key]) + "\n")
-            found.append(self._rows[key])
-        return found
+            rows.append(self._rows[key])
+        return rows
 
 
 def _key(row: Row) -> tuple[Any, ...]:
     task = Task(**{name: row[name] for name in Task.__dataclass_fields__})
-    return task.asked, task.solver, task.seconds, task.seed, row["version"]
+    return task.question, task.solver, task.seconds, task.seed, row["version"]
 
 
 def covers(rows: Sequence[Row]) -> list[Row]:
-    """A line per question: what each solver's best seed costs, its mean over seeds, its bound, and processor seconds.
+    """Return a line per question: each solver's cost at the best seed, mean over seeds, bound and processor seconds.
 
-    *over* is the excess of the mean over the best known, which where no list says it is the best of these rows.
+    *over* is the excess of the mean over the best known cost, or over the best of these rows if no list has it.
     """
     lines = []
     for same in _grouped(rows, "instance", "weighted", "coverage", "max_views"):
@@ -65,13 +65,13 @@ def covers(rows: Sequence[Row]) -> list[Row]:
 
 
 def sums(lines: Sequence[Row]) -> list[str]:
-    """Of a table of covers: each solver's mean excess, how often it has the best, what it proves."""
-    told = []
+    """Summarise a table of covers: mean excess of each solver, number of best answers and of proofs."""
+    lines_of_text = []
     for solver in dict.fromkeys(key.removesuffix(" over %") for line in lines for key in line if " over %" in key):
         mine = [line for line in lines if line.get(f"{solver} over %") is not None]
         over = mean(line[f"{solver} over %"] for line in mine) if mine else float("nan")
         gaps = [line[solver] - line[f"{solver} bound"] for line in mine if f"{solver} bound" in line]
-        told.append(
+        lines_of_text.append(
             f"{solver}: {over:.2f} % over the best on average, the best in {sum(x[solver] == x['best'] for x in mine)} "
             f"of {len(lines)}, an answer in {len(mine)}"
             + (
@@ -79,13 +79,13 @@ def sums(lines: Sequence[Row]) -> list[str]:
                 * bool(gaps)
             )
         )
-    return told
+    return lines_of_text
 
 
 def by_part(rows: Sequence[Row]) -> list[Row]:
-    """A line per part, a column for each of alone and in the cell, coverage and solver: `views (bound), seconds`.
+    """Return a line per part; columns for alone and in the cell, coverage and solver: `views (bound), seconds`.
 
-    Proven answers are without a bound; of several seeds the first is shown.
+    Proven answers have no bound; the first of several seeds is shown.
     """
     lines = []
     for row in rows:
@@ -102,18 +102,18 @@ def by_part(rows: Sequence[Row]) -> list[Row]:
 
 
 def most(rows: Sequence[Row]) -> list[Row]:
-    """A line per part and number of views: covered percent at the worst and the best seed, bounds, what is proven."""
+    """Return a line per part and number of views: coverage at the worst and the best seed [%], bounds, proofs."""
     lines = []
     for same in _grouped(rows, "instance", "max_views"):
-        whole = same[0]["coverable"]
+        coverable = same[0]["coverable"]
         line: Row = {"instance": same[0]["name"], "k": same[0]["max_views"]}
         for mine in _grouped([row for row in same if row["views"]], "solver"):
             solver, covered = mine[0]["solver"], [row["covered"] for row in mine]
             bound = min(row["bound"] for row in mine)
             line |= {
-                f"{solver} worst %": round(100 * min(covered) / whole, 3),
-                f"{solver} best %": round(100 * max(covered) / whole, 3),
-                f"{solver} bound %": round(100 * bound / whole, 3),
+                f"{solver} worst %": round(100 * min(covered) / coverable, 3),
+                f"{solver} best %": round(100 * max(covered) / coverable, 3),
+                f"{solver} bound %": round(100 * bound / coverable, 3),
                 f"{solver} proven": bound < max(covered) + 1 - 1e-6,
                 f"{solver} cpu s": round(mean(row["cpu_s"] for row in mine), 2),
             }
@@ -122,7 +122,7 @@ def most(rows: Sequence[Row]) -> list[Row]:
 
 
 def steady(rows: Sequence[Row]) -> tuple[list[Row], list[str]]:
-    """Processor seconds for each second's worth of budget, and the largest over the median."""
+    """Return processor seconds for each second of budget, and the ratio of the largest to the median."""
     lines = [
         {
             "instance": row["name"], "asked": row["coverage"], "budget s": row["seconds"], "cpu s": row["cpu_s"],
@@ -133,12 +133,12 @@ def steady(rows: Sequence[Row]) -> tuple[list[Row], list[str]]:
     ratios = [line["cpu s / budget s"] for line in lines]
     searched = [line["cpu s / budget s"] for line in lines if not line["proven"]] or ratios
     middle, top, low = median(searched), max(ratios), min(searched)
-    told = f"median of those without a proof {middle:.2f}, smallest {low:.2f}; largest of all {top:.2f}"
-    return lines, [f"{told}, {top / middle:.2f} times the median"]
+    text = f"median of those without a proof {middle:.2f}, smallest {low:.2f}; largest of all {top:.2f}"
+    return lines, [f"{text}, {top / middle:.2f} times the median"]
 
 
 def large(rows: Sequence[Row]) -> list[Row]:
-    """Processor seconds, memory and gap of large instances."""
+    """Return processor seconds, memory and gap of large instances."""
     return [
         {
             "instance": row["name"], "solver": row["solver"], "budget s": row["seconds"], "cpu s": row["cpu_s"],
@@ -150,7 +150,7 @@ def large(rows: Sequence[Row]) -> list[Row]:
 
 
 def _grouped(rows: Sequence[Row], *keys: str) -> list[list[Row]]:
-    """Rows that agree in these keys, in order of appearance."""
+    """Group rows by these keys, in order of appearance."""
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(tuple(row[key] for key in keys), []).append(row)

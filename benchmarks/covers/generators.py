@@ -1,10 +1,10 @@
-"""Set-cover instances by their published construction, and seeded ones like those that the literature calls hard.
+"""Set-cover instances by their published construction, and random ones like the hard ones of the literature.
 
 cyc9                    hypercube cycles (Grossman and Wool 1997, doi:10.1016/S0377-2217(96)00161-0)
 clr12                   two-colourings (same source)
 rail:500x20000:1        crew duties: rows are trips, a column is a chain of trips (seed 1)
-uniform:1000x1000:0.05:1    each entry is there with this probability; an empty row gets one
-caps:1000x1000:0.05:1   points on a sphere seen from above others, within a cap of this share of it
+uniform:1000x1000:0.05:1    each entry exists with this probability; an empty row gets one
+caps:1000x1000:0.05:1   points on a sphere, covered by caps of this share of it
 """
 
 from collections.abc import Callable
@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 _Ints = NDArray[np.int64]
 
-_TRIPS = 12  # in a duty at most, as in the rail files
-_STATIONS, _LAYOVER = 12, 0.08  # a duty waits at most this share of the day for its next trip
-_BLOCK = 500  # rows that are drawn at once
+_TRIPS = 12  # largest number in a duty, as in the rail files
+_STATIONS, _LAYOVER = 12, 0.08  # longest wait for the next trip, as a share of the day
+_BLOCK = 500  # rows that are drawn together
 
 
 def cyc(n: int) -> tuple[Any, _Ints]:
-    """The fewest edges of the n-cube that meet all its cycles of length four; row for row scpcyc06 to scpcyc11.
+    """Return the problem of the fewest edges of the n-cube on all its cycles of length four: scpcyc06 to scpcyc11.
 
     A row is a cycle, ordered by its lowest vertex, then by the larger and by the smaller of the bits that it flips. A
     column is an edge, ordered by its upper vertex, then by its lower one.
@@ -46,10 +46,10 @@ def cyc(n: int) -> tuple[Any, _Ints]:
 
 
 def clr(n: int) -> tuple[Any, _Ints]:
-    """The fewest 4-subsets of n points such that each colouring with two colours leaves one of a single colour.
+    """Return the problem of the fewest 4-subsets of n points, one of a single colour in each two-colouring.
 
     A column is a subset in lexicographic order. Row r - 1 is the colouring in which the points of the ones of r, the
-    last point being the lowest bit, have one colour; row for row scpclr10 to scpclr13.
+    last point being the lowest bit, have one colour; rows as in scpclr10 to scpclr13.
 
     Returns:
         (2^(n - 1) - 1, n choose 4) csr_array of bool, and the costs, which are 1.
@@ -61,9 +61,9 @@ def clr(n: int) -> tuple[Any, _Ints]:
 
 
 def rail(n_trips: int, n_duties: int, rng: np.random.Generator) -> tuple[Any, _Ints]:
-    """Trips between stations through a day; a duty goes on with a trip that leaves soon from where the last arrived.
+    """Return trips between stations during a day; a duty continues with a trip that leaves soon from its station.
 
-    A duty that ends where it began costs 1, one that does not costs 2, the two costs of the rail files; all differ.
+    A duty that ends where it began costs 1, another 2, the two costs of the rail files; all duties differ.
 
     Returns:
         (n_trips, n_duties or fewer) csr_array of bool, and the costs.
@@ -89,21 +89,23 @@ def rail(n_trips: int, n_duties: int, rng: np.random.Generator) -> tuple[Any, _I
 
 
 def uniform(n_rows: int, n_columns: int, density: float, rng: np.random.Generator) -> tuple[Any, _Ints]:
-    """Each entry is there with the given probability; a row without any gets one, anywhere."""
+    """Return a matrix in which each entry exists with a probability; an empty row gets a random one."""
     counts = np.maximum(rng.binomial(n_columns, density, n_rows), 1)
     rows = [np.sort(rng.choice(n_columns, count, replace=False, shuffle=False)) for count in counts]
     return _matrix(rows, n_columns), np.ones(n_columns, dtype=np.int64)
 
 
 def caps(n_rows: int, n_columns: int, density: float, rng: np.random.Generator) -> tuple[Any, _Ints]:
-    """Random points on a sphere, each seen by the eyes in the cap of the given share of the sphere about it."""
-    points, eyes = (_directions(count, rng) for count in (n_rows, n_columns))
-    blocks = [sp.csr_array(points[at : at + _BLOCK] @ eyes.T > 1.0 - 2.0 * density) for at in range(0, n_rows, _BLOCK)]
+    """Return random points on a sphere; a column covers the points in a cap of the given share of the sphere."""
+    points, centres = (_directions(count, rng) for count in (n_rows, n_columns))
+    blocks = [
+        sp.csr_array(points[at : at + _BLOCK] @ centres.T > 1.0 - 2.0 * density) for at in range(0, n_rows, _BLOCK)
+    ]
     return sp.vstack(blocks, format="csr"), np.ones(n_columns, dtype=np.int64)
 
 
 def generate(name: str) -> tuple[Any, _Ints] | None:
-    """The instance of a name as the module's docstring writes them; None where it is no such name."""
+    """Return the instance of a name, see the docstring of this module; None for another name."""
     kind, *words = name.split(":")
     if kind[:3] in _BY_SIZE and kind[3:].isdecimal() and not words:
         return _BY_SIZE[kind[:3]](int(kind[3:]))
@@ -120,12 +122,12 @@ _BY_SIZE: dict[str, Callable[[int], tuple[Any, _Ints]]] = {"cyc": cyc, "clr": cl
 
 
 def _directions(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    found = rng.normal(size=(count, 3))
-    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
+    vectors = rng.normal(size=(count, 3))
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _matrix(rows: Any, n_columns: int) -> Any:
-    """(len(rows), n_columns) csr_array of bool from the columns of each row."""
+    """Return the (len(rows), n_columns) csr_array of bool with the given columns of each row."""
     start = np.concatenate(([0], np.cumsum([len(row) for row in rows])))
     members = np.concatenate([np.asarray(row, dtype=np.int64) for row in rows])
     return sp.csr_array((np.ones(len(members), bool), members, start), shape=(len(rows), n_columns))

@@ -1,4 +1,4 @@
-"""What is solved: an instance from a file or a generator, what is asked of it, and the judge of an answer."""
+"""Tasks of the benchmark: an instance from a file or a generator, a question, and the evaluation of an answer."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -16,13 +16,13 @@ from benchmarks.covers.generators import generate
 
 @dataclass(frozen=True)
 class Instance:
-    """A matrix with what its columns cost and its rows stand for.
+    """A matrix with the costs of its columns and the areas of its rows.
 
     Attributes:
         M: (m, n) csr_array of bool.
         costs: (n,) whole numbers above zero.
         area: (m,) [m^2], or 1 each.
-        usable: (n,) columns that may be chosen.
+        usable: (n,) whether a column may be selected.
     """
 
     M: Any
@@ -32,13 +32,13 @@ class Instance:
 
     @property
     def units(self) -> NDArray[np.int64]:
-        """(m,) area as whole numbers: 1 each where all are equal, else millionths of their mean."""
+        """(m,) areas as integers: 1 each if all are equal, else millionths of their mean."""
         equal = np.ptp(self.area) <= 1e-9 * self.area.mean()
         return np.ones(len(self.area), np.int64) if equal else np.round(1e6 * self.area / self.area.mean()).astype(int)
 
     @property
     def coverable(self) -> NDArray[np.bool_]:
-        """(m,) rows that a usable column covers."""
+        """(m,) whether a usable column covers a row."""
         return np.asarray(self.M @ self.usable.astype(np.int32) > 0)
 
 
@@ -50,11 +50,11 @@ class Task:
         instance: a file (a set-cover file, or a part's matrix as `benchmarks.covers.visibility` writes it), or
             the name of a generated instance.
         solver: a name in `benchmarks.covers.one_run.SOLVERS`.
-        seconds: processor seconds, or for ours seconds' worth of work; None: ours by default.
+        seconds: processor seconds; for our solver counted effort of this many seconds, None: its default.
         seed: of the solver.
-        weighted: whether columns cost what the file says, or 1.
+        weighted: whether columns have the costs of the file, or 1.
         coverage: share of the coverable area that must be covered.
-        max_views: in its place: the most area with at most so many columns.
+        max_views: in place of `coverage`, the largest number of columns, whose area is maximised.
     """
 
     instance: str
@@ -67,19 +67,19 @@ class Task:
 
     @property
     def name(self) -> str:
-        """The instance for people."""
+        """Name of the instance in tables."""
         return Path(self.instance).name.removesuffix(".gz").removesuffix(".txt").removesuffix(".npz")
 
     @property
-    def asked(self) -> str:
-        """All but solver, seconds and seed, in one word."""
+    def question(self) -> str:
+        """All fields except solver, seconds and seed, as one string."""
         settings = asdict(self) | {"instance": self.name}
         return json.dumps({k: v for k, v in settings.items() if k not in ("solver", "seconds", "seed")}, sort_keys=True)
 
 
 @lru_cache(2)
 def load(name: str, weighted: bool) -> Instance:
-    """The instance of a file's path or of a generator's name."""
+    """Return the instance of a file or of a generator."""
     if name.endswith(".npz"):
         with np.load(name, allow_pickle=False) as file:
             ones = np.ones(len(file["indices"]), dtype=bool)
@@ -97,33 +97,33 @@ def load(name: str, weighted: bool) -> Instance:
 
 
 def best_known(name: str) -> int | None:
-    """The fewest columns known, from `best_known.json` beside a file; None where there is no such list."""
+    """Return the fewest known columns from `best_known.json` beside a file; None without such a list."""
     path = Path(name)
     beside = path.parent / "best_known.json"
     stem = path.name.removesuffix(".gz").removesuffix(".txt")
     return json.loads(beside.read_text())["best_known_unicost"].get(stem) if beside.is_file() else None
 
 
-def judged(task: Task, columns: list[int]) -> dict[str, int | bool]:
-    """An answer looked at without its solver: cost, number, covered units, and whether it gives what was asked."""
+def evaluate_answer(task: Task, columns: list[int]) -> dict[str, int | bool]:
+    """Evaluate an answer without its solver: number, cost, covered units, and whether it is feasible."""
     instance = load(task.instance, task.weighted)
-    chosen = np.zeros(len(instance.costs), dtype=np.int32)
-    chosen[columns] = 1
+    selected = np.zeros(len(instance.costs), dtype=np.int32)
+    selected[columns] = 1
     units, coverable = instance.units, instance.coverable
-    covered = int(units[instance.M @ chosen > 0].sum())
+    covered = int(units[instance.M @ selected > 0].sum())
     if task.max_views is not None:
-        good = len(columns) <= task.max_views
+        is_feasible = len(columns) <= task.max_views
     else:
-        good = covered >= target(task.coverage, int(units[coverable].sum()))
+        is_feasible = covered >= required_units(task.coverage, int(units[coverable].sum()))
     return {
         "views": len(columns),
         "cost": int(instance.costs[columns].sum()),
         "covered": covered,
         "coverable": int(units[coverable].sum()),
-        "good": bool(good and instance.usable[columns].all()),
+        "good": bool(is_feasible and instance.usable[columns].all()),
     }
 
 
-def target(coverage: float, units: int) -> int:
-    """Whole units that are the share of so many."""
+def required_units(coverage: float, units: int) -> int:
+    """Return the integer units of a coverage."""
     return int(np.ceil(coverage * units - 1e-9 * units))

@@ -1,7 +1,7 @@
-"""One run in a process of its own: a task as JSON on the standard input, what came of it as JSON on the output.
+"""One run in a separate process: a task as JSON on standard input, its result as JSON on standard output.
 
-A process each, because highspy and OR-Tools do not load together, and because peak memory belongs to a process. The
-clock starts after imports, reading and a small instance of the same kind, on which compiled loops are loaded.
+Each run has its own process, because highspy and OR-Tools cannot be loaded together, and because peak memory belongs to
+a process. The clock starts after imports, reading, and a small instance of the same kind that loads compiled loops.
 """
 
 import hashlib
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.covers import rivals, row_weighting
-from benchmarks.covers.instances import Instance, Task, judged, load
+from benchmarks.covers.instances import Instance, Task, evaluate_answer, load
 from benchmarks.covers.ours import ours
 
 SOLVERS: dict[str, Callable[[Instance, Task], rivals.Answer]] = {
@@ -29,13 +29,13 @@ SOLVERS: dict[str, Callable[[Instance, Task], rivals.Answer]] = {
     "CP-SAT": rivals.cp_sat,
 }
 
-_PATIENCE = 3  # times its seconds that a solver may take
+_TIMEOUT = 3  # times the seconds of a task
 _WARM = "uniform:60x120:0.05:1"
 
 
 @cache
 def version_of(solver: str) -> str:
-    """What a solver's results depend on: the version of its library, or the digest of our own sources."""
+    """Return the version of a solver's library, or the digest of our own sources."""
     if solver in ("HiGHS", "CP-SAT"):
         return version({"HiGHS": "highspy", "CP-SAT": "ortools"}[solver])
     own = Path(str(row_weighting.__file__))
@@ -44,12 +44,12 @@ def version_of(solver: str) -> str:
 
 
 def run(task: Task) -> dict[str, Any]:
-    """The row of a task: its settings, the judge's findings, bound, trace, processor seconds and peak memory.
+    """Return the row of a task: its fields, the evaluation, bound, trace, processor seconds and peak memory.
 
-    A solver that does not end is killed at `_PATIENCE` times its seconds and has no columns then.
+    A solver that does not end is killed after `_TIMEOUT` times its seconds; it then has no columns.
 
     Raises:
-        RuntimeError: if the process fails, or if its answer is not what was asked.
+        RuntimeError: if the process fails, or if its answer is infeasible.
     """
     child = subprocess.run(
         [sys.executable, "-m", "benchmarks.covers.one_run"],
@@ -59,12 +59,12 @@ def run(task: Task) -> dict[str, Any]:
         child.stdout = json.dumps({"columns": [], "bound": None, "cpu_s": None, "trace": [], "killed": True})
     elif child.returncode:
         raise RuntimeError(f"{task}: {child.stderr.strip().splitlines()[-1:]}")
-    told = json.loads(child.stdout)
-    columns = told.pop("columns")
-    found = judged(task, columns)
-    if columns and not found["good"]:
-        raise RuntimeError(f"{task}: the answer is not what was asked: {found}")
-    return asdict(task) | {"name": task.name, "version": version_of(task.solver)} | found | told
+    result = json.loads(child.stdout)
+    columns = result.pop("columns")
+    evaluation = evaluate_answer(task, columns)
+    if columns and not evaluation["good"]:
+        raise RuntimeError(f"{task}: the answer is infeasible: {evaluation}")
+    return asdict(task) | {"name": task.name, "version": version_of(task.solver)} | evaluation | result
 
 
 def _child(task: Task) -> dict[str, Any]:
@@ -74,7 +74,7 @@ def _child(task: Task) -> dict[str, Any]:
     instance = load(task.instance, task.weighted)
     used = time.process_time()
     if task.seconds is not None:
-        resource.setrlimit(resource.RLIMIT_CPU, (round(used + _PATIENCE * task.seconds + 5), resource.RLIM_INFINITY))
+        resource.setrlimit(resource.RLIMIT_CPU, (round(used + _TIMEOUT * task.seconds + 5), resource.RLIM_INFINITY))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
     begun = time.process_time()
     answer = solve(instance, task)

@@ -1,4 +1,4 @@
-"""The one place where the laboratory asks the planner for a cover."""
+"""Our solver, as one of the solvers of the benchmark."""
 
 import numpy as np
 
@@ -8,13 +8,13 @@ from planner import cover
 
 
 def ours(instance: Instance, task: Task) -> Answer:
-    """The planner at a budget of so many seconds' worth of work; None: its default."""
+    """Solve a task with the planner; `task.seconds` of counted effort, None: its default."""
     problem = cover.CoverProblem(
         instance.M, instance.area, instance.usable, coverage=task.coverage, max_views=task.max_views,
         costs=instance.costs if task.weighted else None,
     )  # fmt: skip
-    work = None if task.seconds is None else round(task.seconds * cover.EFFORT_PER_SECOND)
-    found = cover.solve(problem, rng=np.random.default_rng(task.seed), effort_budget=work)
+    effort = None if task.seconds is None else round(task.seconds * cover.EFFORT_PER_SECOND)
+    found = cover.solve(problem, rng=np.random.default_rng(task.seed), effort_budget=effort)
     unit = found.total_area / instance.units.sum()
     bound = found.cost_bound if task.max_views is None else found.upper_area / unit
     return Answer(found.views.tolist(), bound, [])

@@ -1,11 +1,11 @@
-"""HiGHS and CP-SAT on the plain integer programme of a task, and the textbook search, each ended by processor time.
+"""HiGHS and CP-SAT on the plain integer programme of a task, and the textbook search, limited by processor time.
 
     cover the rows     min c x    s.t. M x >= 1
     a share of area    min c x    s.t. M x >= y, a y >= share of the coverable area
     at most k views    max a y    s.t. M x >= y, 1 x <= k
 
-Rows of the same columns are merged first. Both get one core (HiGHS one thread, CP-SAT eight searches whose processor
-time counts together), and their clock starts when the model stands.
+Rows with the same columns are merged first. Both get one core (HiGHS one thread, CP-SAT eight searches whose processor
+times are summed), and their clock starts once the model exists.
 """
 
 import threading
@@ -19,21 +19,21 @@ import numpy as np
 import scipy.sparse as sp
 
 from benchmarks.covers import row_weighting
-from benchmarks.covers.instances import Instance, Task, target
+from benchmarks.covers.instances import Instance, Task, required_units
 
 _MANY = 2**40  # no upper limit
-_LOOK_S = 0.02  # between looks at the clock
+_CHECK_S = 0.02  # between checks of the clock
 _WORKERS = 8  # of CP-SAT: with one it has no neighbourhood search, and finds worse covers
 
 
 @dataclass
 class Answer:
-    """What a solver says.
+    """Answer of a solver.
 
     Attributes:
-        columns: chosen.
-        bound: on the cost from below; with at most k views on the covered units from above.
-        trace: processor seconds since the beginning, and cost (or units), of each better answer.
+        columns: selected columns.
+        bound: lower bound on the cost; with `max_views` upper bound on the covered units.
+        trace: processor seconds since the start and cost (or units) of each better answer.
     """
 
     columns: list[int]
@@ -43,7 +43,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Programme:
-    """min objective z subject to lower <= A z <= upper, z the usable columns (0 or 1) and then y (0 to 1)."""
+    """Minimise objective z subject to lower <= A z <= upper; z are the usable columns (0 or 1), then y (0 to 1)."""
 
     A: Any
     lower: Any
@@ -53,7 +53,7 @@ class Programme:
 
 
 def programme(instance: Instance, task: Task) -> Programme:
-    """The integer programme of a task."""
+    """Return the integer programme of a task."""
     columns, rows = np.flatnonzero(instance.usable), np.flatnonzero(instance.coverable)
     M = instance.M[rows][:, columns].astype(np.int64)
     first, same = _merged(M)
@@ -66,7 +66,7 @@ def programme(instance: Instance, task: Task) -> Programme:
     A = sp.hstack((M, -sp.eye_array(m, dtype=np.int64)), format="csr")
     if task.max_views is None:
         last = np.concatenate((np.zeros(n, np.int64), units))
-        low, high = target(task.coverage, int(units.sum())), int(units.sum())
+        low, high = required_units(task.coverage, int(units.sum())), int(units.sum())
         objective = np.concatenate((costs, np.zeros(m, np.int64)))
     else:
         last, low, high = np.repeat((1, 0), (n, m)), 0, task.max_views
@@ -76,7 +76,7 @@ def programme(instance: Instance, task: Task) -> Programme:
 
 
 def _merged(M: Any) -> tuple[Any, Any]:
-    """Rows of the same columns are one: the first of each, and which of these each row is."""
+    """Return the first row of each group with the same columns, and the group of each row."""
     M.sort_indices()
     numbers: dict[bytes, int] = {}
     same = np.array([
@@ -86,22 +86,22 @@ def _merged(M: Any) -> tuple[Any, Any]:
 
 
 def highs(instance: Instance, task: Task) -> Answer:
-    """HiGHS's branch and cut."""
+    """Solve by branch and cut of HiGHS."""
     import highspy
 
-    asked = programme(instance, task)
-    n, sign = len(asked.columns), -1 if task.max_views is not None else 1
+    model_data = programme(instance, task)
+    n, sign = len(model_data.columns), -1 if task.max_views is not None else 1
     solver = highspy.Highs()
     settings = {"threads": 1, "random_seed": task.seed, "mip_rel_gap": 0.0, "mip_abs_gap": 0.999, "output_flag": False}
     for key, value in settings.items():
         solver.setOptionValue(key, value)
     model = highspy.HighsLp()
-    model.num_col_, model.num_row_ = len(asked.objective), len(asked.lower)
-    model.col_cost_, model.col_lower_ = asked.objective.astype(float), np.zeros(model.num_col_)
+    model.num_col_, model.num_row_ = len(model_data.objective), len(model_data.lower)
+    model.col_cost_, model.col_lower_ = model_data.objective.astype(float), np.zeros(model.num_col_)
     model.col_upper_ = np.ones(model.num_col_)
-    model.row_lower_ = asked.lower.astype(float)
-    model.row_upper_ = np.where(asked.upper < _MANY, asked.upper, highspy.kHighsInf)
-    matrix = asked.A
+    model.row_lower_ = model_data.lower.astype(float)
+    model.row_upper_ = np.where(model_data.upper < _MANY, model_data.upper, highspy.kHighsInf)
+    matrix = model_data.A
     model.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
     model.a_matrix_.start_, model.a_matrix_.index_ = matrix.indptr, matrix.indices
     model.a_matrix_.value_ = matrix.data.astype(float)
@@ -113,42 +113,42 @@ def highs(instance: Instance, task: Task) -> Answer:
     def better(event: Any) -> None:
         trace.append((time.process_time() - begin, sign * event.data_out.objective_function_value))
 
-    def look(event: Any) -> None:
+    def check(event: Any) -> None:
         if time.process_time() - begin >= (task.seconds or 0.0):
             event.interrupt()
 
     solver.cbMipImprovingSolution += better
     for moment in (solver.cbMipInterrupt, solver.cbSimplexInterrupt, solver.cbIpmInterrupt):
-        moment += look
+        moment += check
     solver.run()
     info = solver.getInfo()
     bound = sign * float(info.mip_dual_bound)
     if not info.primal_solution_status:  # none found
         return Answer([], bound if np.isfinite(bound) else 0.0, trace)
     values = np.asarray(solver.getSolution().col_value)[:n]
-    return Answer(asked.columns[values > 0.5].tolist(), bound, trace)
+    return Answer(model_data.columns[values > 0.5].tolist(), bound, trace)
 
 
 def cp_sat(instance: Instance, task: Task) -> Answer:
-    """CP-SAT of OR-Tools."""
+    """Solve by CP-SAT of OR-Tools."""
     from ortools.sat.python import cp_model
 
-    asked = programme(instance, task)
+    model_data = programme(instance, task)
     sign = -1 if task.max_views is not None else 1
     model = cp_model.CpModel()
-    z = np.array([model.new_bool_var("") for _ in asked.objective], dtype=object)
-    full, A = task.coverage == 1 and task.max_views is None, asked.A
-    for row in range(len(asked.lower)):
+    z = np.array([model.new_bool_var("") for _ in model_data.objective], dtype=object)
+    full, A = task.coverage == 1 and task.max_views is None, model_data.A
+    for row in range(len(model_data.lower)):
         inside = slice(A.indptr[row], A.indptr[row + 1])
-        chosen, factors = z[A.indices[inside]], A.data[inside]
+        variables, factors = z[A.indices[inside]], A.data[inside]
         if full:
-            model.add_bool_or(chosen)
-        elif row < len(asked.lower) - 1:  # y implies one of the columns that cover the row
-            model.add_bool_or(*chosen[factors > 0], ~chosen[factors < 0][0])
+            model.add_bool_or(variables)
+        elif row < len(model_data.lower) - 1:  # y implies one of the columns that cover the row
+            model.add_bool_or(*variables[factors > 0], ~variables[factors < 0][0])
         else:
-            total = cp_model.LinearExpr.weighted_sum(chosen, factors)
-            model.add_linear_constraint(total, int(asked.lower[row]), int(asked.upper[row]))
-    model.minimize(cp_model.LinearExpr.weighted_sum(z, asked.objective))
+            total = cp_model.LinearExpr.weighted_sum(variables, factors)
+            model.add_linear_constraint(total, int(model_data.lower[row]), int(model_data.upper[row]))
+    model.minimize(cp_model.LinearExpr.weighted_sum(z, model_data.objective))
     solver = cp_model.CpSolver()
     solver.parameters.num_workers, solver.parameters.random_seed = _WORKERS, task.seed
     begin, trace = time.process_time(), list[tuple[float, float]]()
@@ -157,40 +157,40 @@ def cp_sat(instance: Instance, task: Task) -> Answer:
         def on_solution_callback(self) -> None:
             trace.append((time.process_time() - begin, sign * self.objective_value))
 
-    with _ended_after(task.seconds or 0.0, begin, solver.stop_search):
+    with _TimeLimit(task.seconds or 0.0, begin, solver.stop_search):
         status = solver.solve(model, Better())
     found = status in (cp_model.OPTIMAL, cp_model.FEASIBLE)
-    columns = [int(c) for c, v in zip(asked.columns, z, strict=False) if solver.boolean_value(v)] if found else []
+    columns = [int(c) for c, v in zip(model_data.columns, z, strict=False) if solver.boolean_value(v)] if found else []
     return Answer(columns, sign * solver.best_objective_bound if found else 0.0, trace)
 
 
 def textbook(instance: Instance, task: Task) -> Answer:
-    """The row-weighting search, after columns without an alternative; it knows covers only, and no bound."""
+    """Solve by the row-weighting search after selecting columns without an alternative; covers only, no bound."""
     answer, seconds = Answer([], 0.0, []), task.seconds or 0.0
     usable = np.flatnonzero(instance.usable)
     M = instance.M[:, usable]
     forced = np.unique(M.indices[M.indptr[:-1][np.diff(M.indptr) == 1]])
-    taken = np.isin(np.arange(len(usable)), forced).astype(np.int32)
-    rest = M[(np.diff(M.indptr) > 0) & (M @ taken == 0)]
-    rest.sort_indices()
-    paid, costs = int(instance.costs[usable[forced]].sum()), instance.costs[usable]
-    for at, cost, columns in row_weighting.search(rest, costs, task.seed, seconds, time.process_time):
+    selected = np.isin(np.arange(len(usable)), forced).astype(np.int32)
+    residual = M[(np.diff(M.indptr) > 0) & (M @ selected == 0)]
+    residual.sort_indices()
+    forced_cost, costs = int(instance.costs[usable[forced]].sum()), instance.costs[usable]
+    for at, cost, columns in row_weighting.row_weighting_search(residual, costs, task.seed, seconds, time.process_time):
         answer.columns = usable[np.union1d(forced, columns)].tolist()
-        answer.trace.append((at, paid + cost))
+        answer.trace.append((at, forced_cost + cost))
     return answer
 
 
-class _ended_after:  # noqa: N801 - reads as a word of the `with` line
-    """Call `stop` once the processor time is up, from a thread of its own: CP-SAT has no processor clock."""
+class _TimeLimit:
+    """Call `stop` once the processor time is spent, from another thread: CP-SAT has no processor clock."""
 
     def __init__(self, seconds: float, begin: float, stop: Callable[[], None]) -> None:
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._watch, args=(begin + seconds, stop))
 
     def _watch(self, end: float, stop: Callable[[], None]) -> None:
-        while not self._done.wait(_LOOK_S):
+        while not self._done.wait(_CHECK_S):
             if time.process_time() >= end:
-                stop()  # again and again: before the search has begun it is not heard
+                stop()  # repeatedly: before the search has started it is ignored
 
     def __enter__(self) -> None:
         self._thread.start()

@@ -1,9 +1,9 @@
-"""A textbook row-weighting local search for set covering, on its own: the rival that a planner has to beat.
+"""A textbook row-weighting local search for set cover, without other parts: a rival of the planner.
 
 One column leaves, others enter random uncovered rows while the cover stays cheaper than the best, and rows that stay
 uncovered gain weight (RWLS: Gao, Weise, Li 2015, doi:10.1016/j.ejor.2015.04.026; scores are divided by costs as in
-Gao, Zhang, Fan, Wang 2014). No reduction, no bound, no sampling, no restart: what a careful reader programs in an
-afternoon. Flags of configuration checking are set where a row becomes covered or uncovered, which costs nothing more.
+Gao, Zhang, Fan, Wang 2014). It has no reduction, bound, sampling or restart. Flags of configuration checking are set
+when a row becomes covered or uncovered, at no further cost.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,23 +13,25 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-_STEPS = 500  # between looks at the clock
-_OPEN, _INSIDE, _COST, _TIME, _TABU = range(5)  # of `numbers`: rows open, columns chosen, their cost, flips, last in
+_STEPS = 500  # between checks of the clock
+_OPEN, _INSIDE, _COST, _TIME, _TABU = range(
+    5
+)  # of `numbers`: uncovered rows, selected columns, their cost, flips, last in
 
 _Ints = NDArray[np.int64]
 
 
-def search(
+def row_weighting_search(
     M: Any, costs: _Ints, seed: int, seconds: float, clock: Callable[[], float]
 ) -> Iterator[tuple[float, int, _Ints]]:
-    """Better and better covers until the time is up.
+    """Yield ever better covers until the time is spent.
 
     Args:
         M: (m, n) csr_array of bool, each row covered by some column.
         costs: (n,) of each column, above zero.
         seed: of the draws.
-        seconds: on the clock.
-        clock: processor seconds, say.
+        seconds: time limit.
+        clock: processor seconds, for example.
 
     Yields:
         Seconds since the start, the cost, and the columns of each cover that is the cheapest so far.
@@ -55,7 +57,7 @@ def search(
 
 @njit(cache=True)
 def _greedy(r_start: Any, r_cols: Any, c_start: Any, c_rows: Any, costs: Any, rows: Any, columns: Any, n: Any) -> None:
-    """Always the column that adds most for its cost."""
+    """Always select the column with the largest gain for its cost."""
     everything = np.arange(len(costs))
     while n[_OPEN] > 0:
         j = _pick(everything, False, -1, costs.sum() + 1, costs, columns)
@@ -67,7 +69,7 @@ def _improve(
     r_start: Any, r_cols: Any, c_start: Any, c_rows: Any, costs: Any, rows: Any, columns: Any, n: Any, best: int,
     steps: int, rng: Any,
 ) -> bool:  # fmt: skip
-    """Steps until a cover cheaper than the best stands, or so many are done; whether one does."""
+    """Run steps until a cover is cheaper than the best, or their number is reached; return whether one is."""
     _, weight, open_rows, _ = rows
     score, inside = columns[2], columns[4]
     for _ in range(steps):
@@ -96,12 +98,12 @@ def _improve(
 
 
 @njit(cache=True)
-def _pick(among: Any, wanted: bool, tabu: int, below: int, costs: Any, columns: Any) -> int:
-    """The column, in or else out, allowed and cheaper than a limit, of most score for its cost, the oldest; or -1."""
+def _pick(among: Any, is_selected: bool, tabu: int, below: int, costs: Any, columns: Any) -> int:
+    """Return the allowed column, in or out, below a cost, with the largest score for its cost; or -1."""
     chosen, allowed, score, age, _, _ = columns
     best = -1
     for j in among:
-        if chosen[j] != wanted or j == tabu or not (wanted or (allowed[j] and costs[j] < below)):
+        if chosen[j] != is_selected or j == tabu or not (is_selected or (allowed[j] and costs[j] < below)):
             continue
         more = 1 if best < 0 else score[j] * costs[best] - score[best] * costs[j]
         if more > 0 or (more == 0 and age[j] < age[best]):
@@ -113,7 +115,7 @@ def _pick(among: Any, wanted: bool, tabu: int, below: int, costs: Any, columns: 
 def _flip(
     j: int, r_start: Any, r_cols: Any, c_start: Any, c_rows: Any, costs: Any, rows: Any, columns: Any, n: Any
 ) -> None:
-    """Take a column in or out; scores follow."""
+    """Select or remove a column and update the scores."""
     covered, weight, open_rows, open_place = rows
     chosen, allowed, score, age, inside, inside_place = columns
     sign = -1 if chosen[j] else 1
@@ -137,7 +139,7 @@ def _flip(
 
 @njit(cache=True)
 def _move(items: Any, place: Any, item: int, count: int, sign: int) -> int:
-    """Keep the first `count` items a set: one enters or leaves by changing places with another; their number then."""
+    """Add or remove an item of the set of the first `count` items by a swap; return the new count."""
     at = count if sign > 0 else count - 1
     other = items[at]
     items[place[item]], place[other] = other, place[item]

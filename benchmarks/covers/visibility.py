@@ -1,14 +1,13 @@
-"""Measurability matrices of the parts of benchmarks/parts.py, with the robot and without, kept as files.
+"""Measurability matrices of the parts of benchmarks/parts.py, with and without the robot, as files.
 
 A file `PART.npz` (the part alone) or `PART.robot.npz` (in the cell, at the place of the README) has
 
-    indptr, indices    int64, the matrix by rows: which columns (views) measure the row (sample); ascending in a row
+    indptr, indices    int64, the matrix by rows: columns (views) that measure each row (sample), ascending
     shape              (rows, columns)
-    area               float64, area that a row stands for [m^2]
-    reachable          bool, columns that may be used; all of them without the robot
+    area               float64, area of each row [m^2]
+    reachable          bool, usable columns; all of them without the robot
 
-Without the robot a row may be covered by nothing but the part's own occlusion counts; with it the pedestal and the
-other solids of the cell occlude as well.
+Without the robot only the part itself occludes; with it the pedestal and the other solids of the cell do, too.
 """
 
 import tempfile
@@ -23,7 +22,7 @@ from planner.viewpoints.viewpoints import Viewpoints
 
 
 def write(folder: Path) -> Iterator[Path]:
-    """Make the two files of each part that are not there yet."""
+    """Write the missing files of each part and yield their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
         for name, options in parts(Path(scratch)):

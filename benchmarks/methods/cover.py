@@ -80,7 +80,7 @@ def solve(
     if as_json:
         print_json(solved.as_json())
     else:
-        Terminal().pairs(f"{solved.path.name}: {solved.sentence}", solved.rows())
+        Terminal().print_pairs(f"{solved.path.name}: {solved.sentence}", solved.rows())
 
 
 @app.command()

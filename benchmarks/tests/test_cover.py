@@ -14,7 +14,7 @@ from benchmarks.covers import figures, instances, rivals, row_weighting
 from benchmarks.covers.chart import curve, draw, family
 from benchmarks.covers.figures import Store
 from benchmarks.covers.generators import clr, cyc, generate
-from benchmarks.covers.instances import Instance, Task, judged, load
+from benchmarks.covers.instances import Instance, Task, evaluate_answer, load
 from benchmarks.covers.ours import ours
 
 SMALL = "uniform:30x14:0.15:3"
@@ -77,7 +77,7 @@ def test_the_textbook_search_finds_the_cheapest_of_small_instances(seed: int) ->
     costs = rng.integers(1, 5, 11) if seed % 2 else np.ones(11, np.int64)
     ticks = iter(range(100))
     M = sp.csr_array(dense)
-    found = list(row_weighting.search(M, costs, seed, 40, lambda: next(ticks)))
+    found = list(row_weighting.row_weighting_search(M, costs, seed, 40, lambda: next(ticks)))
     for _, cost, columns in found:
         assert dense[:, columns].any(axis=1).all()
         assert cost == costs[columns].sum()
@@ -94,10 +94,10 @@ def test_solvers_agree_with_brute_force(solver: Any, asked: dict[str, Any]) -> N
     instance = load(task.instance, False)
     dense = instance.M.toarray()
     answer = solver(instance, task)
-    found = judged(task, answer.columns)
+    found = evaluate_answer(task, answer.columns)
     assert found["good"]
     if task.max_views is None:
-        need = instances.target(task.coverage, len(dense))
+        need = instances.required_units(task.coverage, len(dense))
         best = fewest(dense, instance.costs, lambda covered: covered.sum() >= need)
         assert found["cost"] == best
     else:
@@ -110,10 +110,10 @@ def test_the_judge_sees_what_is_missing() -> None:
     """A cover without one of its columns, and a column that may not be used."""
     instance = load(SMALL, False)
     everything = list(range(14))
-    assert judged(Task(SMALL, "any"), everything)["good"]
-    assert not judged(Task(SMALL, "any", max_views=3), everything)["good"]
+    assert evaluate_answer(Task(SMALL, "any"), everything)["good"]
+    assert not evaluate_answer(Task(SMALL, "any", max_views=3), everything)["good"]
     alone = int(instance.M.indices[instance.M.indptr[:-1][np.diff(instance.M.indptr) == 1]][0])
-    assert not judged(Task(SMALL, "any"), [j for j in everything if j != alone])["good"]
+    assert not evaluate_answer(Task(SMALL, "any"), [j for j in everything if j != alone])["good"]
 
 
 def test_units_are_whole_and_uncoverable_rows_do_not_count() -> None:
