@@ -301,6 +301,16 @@ def test_crc16_has_its_published_check_value() -> None:
     assert stations.crc16(b"123456789") == 0x4B37
 
 
+def test_the_lengths_of_rtu_telegrams() -> None:
+    """From a function code alone to 256 bytes."""
+    header = stations.Header(17, None)
+    for size in (1, 253):
+        pdu = bytes(range(7, 7 + size % 200)) + bytes(size - size % 200)
+        assert stations.parse_rtu(stations.pack(header, pdu)) == (header, pdu)
+    assert stations.parse_rtu(stations.pack(header, bytes(254))) is None
+    assert stations.parse_rtu(stations.pack(header, b"")) is None
+
+
 def test_capabilities_survive_their_frame() -> None:
     """Limits, speed, unlimited via points and name."""
     sent = replace(KR16.capabilities("emulator", hardware=True, simulated_time=False), max_speed=0.5)

@@ -14,6 +14,7 @@ from drivers.limits import Limits
 from drivers.registry import Context, DriverUrl, open_driver, schemes
 from drivers.setpoints import to_deg
 from drivers.sim import SimDriver
+from drivers.wire import Timeouts
 from planner.ports import JointLimits
 from tests.support.driver_bench import KR16
 
@@ -155,3 +156,18 @@ def test_the_caller_injects_clock_limits_and_plants() -> None:
     assert len(made) == 1
     with pytest.raises(DriverUrlError, match="injected a clock"):
         sim("sim://?realtime&start=0,0,0,0,0,0", context)
+
+
+def test_timeouts_are_options_in_milliseconds() -> None:
+    """The defaults without options, and other values up to the ends of their ranges."""
+    assert Timeouts.from_url(DriverUrl("serial:///dev/x")) == Timeouts()
+    assert (Timeouts().answer, Timeouts().watchdog, Timeouts().watchdog_ms, Timeouts().poll) == (0.25, 1.0, 1000, 0.02)
+    url = DriverUrl("serial:///dev/x?timeout_ms=30&watchdog_ms=100&poll_ms=50")
+    assert Timeouts.from_url(url) == Timeouts(answer=0.03, watchdog=0.1, poll=0.05)
+    assert Timeouts.from_url(DriverUrl("serial:///dev/x?watchdog_ms=5000")).watchdog == 5.0
+    for options in ("watchdog_ms=99", "watchdog_ms=5001", "timeout_ms=0", "poll_ms=501", "timeout_ms=334"):
+        with pytest.raises(DriverUrlError):
+            Timeouts.from_url(DriverUrl(f"serial:///dev/x?{options}"))
+    assert DriverUrl("x://?unit=1").integer("unit", 5, at_least=1) == 1
+    with pytest.raises(DriverUrlError, match="at least 1"):
+        DriverUrl("x://?unit=0").integer("unit", 5, at_least=1)
