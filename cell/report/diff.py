@@ -20,7 +20,7 @@ from cell.runs.cell import RunCell, read_cell
 from cell.runs.run import EXECUTIONS, Execution, Run, open_finished, read_execution, reading
 from cell.runs.schema import JsonTable, optional
 from cell.session import ProgressReporter
-from cell.view.contents import execution_contents, named_layer, plan_contents
+from cell.view.contents import execution_contents, named_layer, run_contents
 from cell.view.looking import write_page
 from cell.view.page import PageContents, PageScene, PageSurface, PageView, render_page
 from cell.view.palette import BLUE, GREEN, GREY, MEASURED, VERMILION
@@ -359,7 +359,7 @@ def difference_page(
         viewing_directions(canvas, a != b, 1)[0],
     )
     if B.execution is None:
-        contents = plan_contents(B.run.report, B.run.plan.views, B.run.motion, scene.T_base_object)
+        contents = run_contents(B.run)
     else:
         recorded = read_execution(B.run, B.folder.name)
         contents = execution_contents(B.run, recorded, B.execution, cell)

@@ -49,16 +49,12 @@ def run_page(run: Run) -> str:
     cell = cell_of_run(run, scene)
     if not run.is_finished:
         part = PageSurface("part", thin_mesh(run.mesh("reference.ply")))
-        return render_page(
-            PageScene(title, cell, [part]), PageContents(problems=[f"this run {run.ending}"], folder_depth=0)
-        )
-    plan = run.plan
-    canvas, surface = measure_run(run, read_cell(run), [view.T_object_poses for view in plan.views])
+        contents = PageContents(problems=[f"this run {run.ending}"], folder_depth=0)
+        return render_page(PageScene(title, cell, [part]), contents)
+    canvas, surface = measure_run(run, read_cell(run), [view.T_object_poses for view in run.plan.views])
     cell = with_ignored_faces(cell, canvas.mesh, canvas.ignored)
     part = part_surface(canvas, surface, regions=scene.regions)
-    return render_page(
-        PageScene(title, cell, [part]), plan_contents(run.report, plan.views, run.motion, scene.T_base_object)
-    )
+    return render_page(PageScene(title, cell, [part]), run_contents(run))
 
 
 def why_page(run: Run, canvas: Canvas, surface: MeasuredSamples, groups: Sequence[tuple[Ints, str]]) -> str:
@@ -70,15 +66,15 @@ def why_page(run: Run, canvas: Canvas, surface: MeasuredSamples, groups: Sequenc
         surface: samples and the planned views that measure them.
         groups: rows of the uncovered samples of each cause, and its name; largest first.
     """
-    scene, plan = run.scene, run.plan
+    scene = run.scene
     number = group_numbers(len(surface.samples), [rows for rows, _ in groups])
     named = [("measured", MEASURED), *zip(group_names([name for _, name in groups]), REASONS, strict=False)]
     causes = named_layer("Cause", number, named, canvas)
     part = part_surface(canvas, surface, [causes], scene.regions)
     cell = with_ignored_faces(cell_of_run(run, scene), canvas.mesh, canvas.ignored)
     toward = viewing_directions(canvas, number > 0, 1)[0]
-    contents = plan_contents(run.report, plan.views, run.motion, scene.T_base_object, folder_depth=1)
-    return render_page(PageScene(f"Uncovered surface of {scene.part.name}", cell, [part], toward), contents)
+    page_scene = PageScene(f"Uncovered surface of {scene.part.name}", cell, [part], toward)
+    return render_page(page_scene, replace(run_contents(run), folder_depth=1))
 
 
 def named_layer(title: str, which: Ints, named: Iterable[tuple[str, str]], canvas: Canvas) -> Layer:
@@ -170,17 +166,19 @@ def part_surface(
     return PageSurface("part", canvas.counted_mesh, layers)
 
 
-def plan_contents(
-    report: Report, views: Sequence[PlanView], motion: Motion, T_base_object: Floats, folder_depth: int = 0
-) -> PageContents:
-    """Return the views, the motion and the numbers of a plan.
+def run_contents(run: Run) -> PageContents:
+    """Return the views, the motion and the numbers of a run's plan, for a page in the run folder."""
+    return plan_contents(run.report, run.plan.views, run.motion, run.scene.T_base_object)
+
+
+def plan_contents(report: Report, views: Sequence[PlanView], motion: Motion, T_base_object: Floats) -> PageContents:
+    """Return the views, the motion and the numbers of a plan, for a page in its run folder.
 
     Args:
         report: report.json.
         views: in visiting order.
         motion: the plan's.
         T_base_object: (4, 4) placement with a rotary table at 0 [m].
-        folder_depth: as in `PageContents`.
     """
     timeline = timelines.plan_timeline(motion, rest=0.0)
     at = {stop.candidate: stop.begin for stop in timeline.stops}
@@ -208,9 +206,7 @@ def plan_contents(
     ]
     has_table = any(view.e_deg for view in views)  # `cell why` does not support a table
     commands = ["cell scan RUN", *([] if has_table else ["cell why RUN"]), "cell export RUN"]
-    return PageContents(
-        page_views, (timeline.t, timeline.q), rows=rows, next_commands=commands, folder_depth=folder_depth
-    )
+    return PageContents(page_views, (timeline.t, timeline.q), rows=rows, next_commands=commands, folder_depth=0)
 
 
 def _pose_at_part(view: PlanView, T_base_object: Floats) -> Floats:

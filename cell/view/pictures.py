@@ -65,8 +65,7 @@ def draw_part_and_views(
     ]
     n_views = f"{len(at)} view{'s' * (len(at) != 1)}{', ' * bool(source)}{source}"
     titles = [*map(_direction_name, directions), n_views]
-    scaled = [_scaled(panel) for panel in [*panels, (views, depth)]]
-    rays.save_png(_join_panels(scaled, titles, legend, columns=3), path)
+    rays.save_png(_join_panels([*panels, (views, depth)], titles, legend, columns=3), path)
 
 
 def draw_reasons(path: Path, canvas: Canvas, groups: Sequence[tuple[Ints, str]], title: str) -> None:
@@ -87,7 +86,7 @@ def draw_reasons(path: Path, canvas: Canvas, groups: Sequence[tuple[Ints, str]],
     named = zip(colours, ["measured", *group_names([name for _, name in groups])], share, strict=False)
     legend = [(colour, f"{name} ({100 * part:.2f} %)") for colour, name, part in named]
     titles = list(map(_direction_name, directions))
-    rays.save_png(_join_panels([_scaled(panel) for panel in panels], titles, legend, columns=2, title=title), path)
+    rays.save_png(_join_panels(panels, titles, legend, columns=2, title=title), path)
 
 
 def group_names(names: Sequence[str]) -> list[str]:
@@ -131,11 +130,6 @@ def _scale_bar(draw: ImageDraw.ImageDraw, left: float, y: float, width: float, m
     draw.text((end + 6, y), f"{length:g} mm", "#111111", rays.font(13), anchor="lm")
 
 
-def _scaled(panel: tuple[Image.Image, rays.DepthImage]) -> tuple[Image.Image, float]:
-    """Return a panel with its scale [mm per pixel]."""
-    return panel[0], 2000 * float(panel[1].camera.half[0]) / _PANEL[0]
-
-
 def _direction_name(toward: Floats) -> str:
     azimuth, elevation = np.degrees([np.arctan2(toward[1], toward[0]), np.arcsin(np.clip(toward[2], -1, 1))])
     height = f", {abs(elevation):.0f}° {'above' if elevation > 0 else 'below'}" if abs(elevation) > 0.5 else ""
@@ -143,14 +137,14 @@ def _direction_name(toward: Floats) -> str:
 
 
 def _join_panels(
-    panels: Sequence[tuple[Image.Image, float]],
+    panels: Sequence[tuple[Image.Image, rays.DepthImage]],
     titles: Sequence[str],
     legend: Sequence[tuple[Floats, str]],
     *,
     columns: int,
     title: str = "",
 ) -> Image.Image:
-    """Join panels with their scales [mm per pixel] and titles in rows, with a legend of coloured squares below."""
+    """Join panels with their titles and scale bars in rows, with a legend of coloured squares below."""
     width, height = _PANEL
     rows = -(-len(panels) // columns)
     top, across = _LINE * bool(title), columns * (width + _MARGIN) + _MARGIN
@@ -167,11 +161,11 @@ def _join_panels(
     draw = ImageDraw.Draw(sheet)
     if title:
         draw.text((across / 2, _LINE / 2 + 4), title, "#111111", rays.font(19), anchor="mm")
-    for i, ((panel, mm_per_pixel), name) in enumerate(zip(panels, titles, strict=True)):
+    for i, ((panel, depth), name) in enumerate(zip(panels, titles, strict=True)):
         left, upper = _MARGIN + i % columns * (width + _MARGIN), top + i // columns * (height + 2 * _LINE)
         draw.text((left + width / 2, upper + _LINE / 2 + 3), name, "#333333", type_face, anchor="mm")
         sheet.paste(panel, (left, upper + _LINE))
-        _scale_bar(draw, left, upper + _LINE + height + 8, width, mm_per_pixel)
+        _scale_bar(draw, left, upper + _LINE + height + 8, width, 2000 * float(depth.camera.half[0]) / width)
     for (colour, text), (x, y) in zip(legend, places, strict=True):
         square = [(x, y + 4), (x + 16, y + 20)]
         draw.rectangle(square, fill=tuple((255 * colour).astype(int).tolist()), outline="#666666")
