@@ -151,7 +151,11 @@ def with_fixed_table(scene: Scene, world: World) -> Scene:
     """Return the scene with its rotary table at its position in a compiled cell, whatever the pose of the part."""
     if world.table is None:
         return scene
-    position_mm = (1000 * world.table.T_base_table[:3, 3]).round(6).tolist()
+    return _with_table_at(scene, world.table.T_base_table)
+
+
+def _with_table_at(scene: Scene, T_base_table: Floats) -> Scene:
+    position_mm = (1000 * T_base_table[:3, 3]).round(6).tolist()
     return scene.model_copy(update={"table": scene.table.model_copy(update={"position_mm": tuple(position_mm)})})
 
 
@@ -918,7 +922,8 @@ def scene_after(first: Run, options: Mapping[str, object], spell: Spell = str) -
     if "coverage" in plan:
         plan["max_views"] = None
     placement = given.placement if "placement" in tables else scene.placement
-    return scene.model_copy(update={"plan": scene.plan.model_copy(update=plan), "placement": placement})
+    scene = scene.model_copy(update={"plan": scene.plan.model_copy(update=plan), "placement": placement})
+    return scene if first.scene.table is None else _with_table_at(scene, first.scene.table.T_base_table)
 
 
 def _plan_setups(

@@ -40,7 +40,7 @@ def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
     assert "proven fewest of 4 set-up candidates" in " ".join(
         (made.parent / "stdout").read_text().replace("│", " ").split()
     )
-    assert "## Set-ups offered" in (made / "report.md").read_text()
+    assert "## Set-up candidates" in (made / "report.md").read_text()
 
 
 def test_each_set_up_is_a_run_of_its_own(made: Path, run_cell: Cell, tmp_path: Path) -> None:
