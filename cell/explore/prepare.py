@@ -145,7 +145,7 @@ def _unknown_space(
         edge = usual if options.voxel_mm is None else options.voxel_mm / 1000
         return VoxelSpace.from_cylinder(cylinder.radius, cylinder.height, edge, spacing)
     except PlannerError as error:
-        raise UsageError(f"--voxel or --cylinder cannot be: {error}") from error
+        raise UsageError(f"--voxel or --cylinder: {error}") from error
 
 
 def initial_file(work: ExplorationContext) -> ExploreFile:

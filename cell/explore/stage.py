@@ -270,7 +270,6 @@ def _insufficient_gain(plan: ConnectedPlan, request: BatchRequest) -> str:
         return ""
     times = "" if request.batch.min_gain_factor == 1 else f"{request.batch.min_gain_factor:g} x "
     return (
-        f"a further view is expected to add {100 * each / request.measured_area:.3f} % of the measured surface, less "
-        "than "
-        f"{times}the {100 * request.min_gain:g} % minimum"
+        f"a further view is expected to add {100 * each / request.measured_area:.3f} % of the measured surface, "
+        f"less than {times}the {100 * request.min_gain:g} % minimum"
     )

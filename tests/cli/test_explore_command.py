@@ -207,7 +207,7 @@ def test_an_earlier_scan_that_is_gone_is_told_before_anything_moves(
     done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path)
     assert done.returncode == 6, done.stderr
     assert "stages/0001" in done.stderr
-    assert "explore anew" in done.stderr
+    assert "start a new exploration" in done.stderr
     assert not (again / "stages" / "0002").exists()
 
 
@@ -366,7 +366,7 @@ def test_other_options_do_not_go_on_there(
     ("options", "told"),
     [
         (("--acquire", "files:points"), "give --cylinder"),
-        (("--voxel", "0.01"), "choose larger ones"),
+        (("--voxel", "0.01"), "choose larger voxels or a smaller cylinder"),
         (("--pin", "3"), "leave it away"),
         (("--scene", "line.toml"), "sweeps"),
         (("--scene", "setups.toml"), "leave [[setup]] away"),

@@ -222,8 +222,8 @@ def test_the_next_batches_are_the_policys_within_the_budget(
 @pytest.mark.parametrize(
     ("batch", "said"),
     [
-        (Batch(1), "less than the 0.1 % asked for"),
-        (Batch(1, min_gain_factor=1.5), "less than 1.5 x the 0.1 % asked for"),
+        (Batch(1), "less than the 0.1 % minimum"),
+        (Batch(1, min_gain_factor=1.5), "less than 1.5 x the 0.1 % minimum"),
         (Batch(1, min_gain_factor=0.5), ""),
         (Batch(1, include_covered=True), ""),
     ],
@@ -234,7 +234,7 @@ def test_a_batch_that_is_not_worth_its_views_says_what_was_asked_of_it(batch: Ba
     asked = BatchRequest(UNKNOWN, GainRecord.empty(), batch, 0.001, measured_area=0.1, gain_ratio=1.6)
     told = stage._insufficient_gain(chosen, asked)
     assert told.endswith(said)
-    assert ("to add 0.080 % of what" in told) == bool(said)
+    assert ("to add 0.080 % of the measured surface" in told) == bool(said)
 
 
 def test_each_surface_is_planned_for_what_is_known_of_it(
@@ -245,7 +245,7 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     The least gain holds for both, but for the first batch, of which nothing is known.
     """
     scans = [SimpleNamespace(T_reported=T) for T in _poses()[:2]]
-    monkeypatch.setattr(explore, "continued", lambda scans, space, solid: balls)
+    monkeypatch.setattr(explore, "continue_surface", lambda scans, space, solid: balls)
     monkeypatch.setattr(explore, "_stage", lambda work, asked, number, part: (asked, number, part))
     (tmp_path / "stages").mkdir()
     work: Any = SimpleNamespace(paths=ExplorationFolder(tmp_path), options=SimpleNamespace(min_gain=0.25), name="balls")
@@ -289,7 +289,7 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
 
 def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """There is no further view then, and no file."""
-    monkeypatch.setattr(explore, "continued", lambda scans, space, solid: None)
+    monkeypatch.setattr(explore, "continue_surface", lambda scans, space, solid: None)
     work: Any = SimpleNamespace(paths=ExplorationFolder(tmp_path))
     known: Any = SimpleNamespace(space=UNKNOWN, scans=(), solid=None)
     stop = explore._plan_on_measured(work, SimpleNamespace(stages=[None]), known, Batch(1))  # type: ignore[arg-type]
@@ -317,7 +317,7 @@ def test_one_word_releases_every_motion_of_an_exploration(
 ) -> None:
     """A digest is that of one; points of files come into a folder of their stage, which is made."""
     given: list[Any] = []
-    monkeypatch.setattr(explore, "executed", lambda session, folder, options, **_: given.append(options))
+    monkeypatch.setattr(explore, "execute_batch", lambda session, folder, options, **_: given.append(options))
     work: Any = SimpleNamespace(
         options=ExploreOptions(confirm_motion=word), ground_truth=None, session=Session(None),
         scanning=ScanOptions(acquire=f"files:{tmp_path}", points_frame="base", points_units="mm"),
@@ -335,7 +335,7 @@ def test_a_stage_says_what_its_views_stood_too_near_for(balls: TriangleMesh, mon
         explore, "open_finished", lambda folder: SimpleNamespace(digest="d", motion=SimpleNamespace(duration=1.5))
     )
 
-    monkeypatch.setattr(explore, "too_near", lambda *given: asked.append(given) or 3e-6)
+    monkeypatch.setattr(explore, "area_below_min_range", lambda *given: asked.append(given) or 3e-6)
     known: Any = SimpleNamespace(space=UNKNOWN, surface=balls)
     samples = draw_samples(balls, balls, 5, np.random.default_rng(0))
     expected: Any = SimpleNamespace(samples=samples, sees=np.ones((5, 1), dtype=bool), surface=1.0, on=BELIEVED)

@@ -50,7 +50,7 @@ def test_what_views_left_is_a_rest_where_what_the_part_stands_on_seems_to_shade_
     reached = Reach(np.array([Verdict.REACHABLE], dtype=np.uint8), np.zeros((1, 6)), np.array([0, 1]), ("",))
     found = assign_causes(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), casters)
     told = [describe_cause(code) for code in found.reason.tolist()]
-    assert told == ["laser or sensor shaded"] * 2 + [describe_cause(near), "laser or sensor shaded"]
+    assert told == ["laser or sensor occluded"] * 2 + [describe_cause(near), "laser or sensor occluded"]
 
 
 def test_what_no_view_looks_at_squarely_is_no_rest() -> None:

@@ -1,1 +1,0 @@
-"""Present path of the Modbus drivers' entry points."""

@@ -1,1 +1,0 @@
-"""Present path of the serial driver's entry point."""
