@@ -129,7 +129,7 @@ def _changed_tables(verified: VerifiedPlan, path: Path) -> set[str] | None:
 
 
 def _scene(verified: VerifiedPlan, now: Scene, changed: Collection[str] | None) -> Iterator[tuple[str, str]]:
-    """Yield what differs between a scene and the plan.
+    """Yield the differences between a scene and the plan.
 
     Args:
         verified: the plan.

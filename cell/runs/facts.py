@@ -76,14 +76,14 @@ class TableValues(TypedDict, total=False):
 
 
 def table_values(world: World, q: Floats) -> TableValues:
-    """What a view at (axes,) joint angles [rad] says of the table; nothing where there is none."""
+    """Return the table values of a view at (axes,) joint angles [rad]; empty without a table."""
     if world.table is None:
         return {}
     return {"e_deg": tuple(degrees(q[ARM_AXES:])), "T_base_object": world.T_base_part(q)}
 
 
 def sweep_values(T_object_poses: Floats, path: SweepPath) -> Sweep:
-    """What is driven at a view of a line sensor.
+    """Return the sweep of a line sensor at a view.
 
     Args:
         T_object_poses: (K, 4, 4) of the driven set-points [m], in the column's order.

@@ -365,7 +365,7 @@ class ScannerChanges:
         return PlanChange(kind, change, sentence, setting, self.T_object_scanner, scanner, self.casters)
 
     def _sigma(self, factor: float, now: float) -> PlanChange:
-        """Another limit on sigma, so many times the present one [mm]."""
+        """Return the change that scales the limit of sigma `now` [mm] by `factor`."""
         assert isinstance(self.cell.scanner, LimitedScanner)
         scanner = replace(self.cell.scanner, max_sigma=factor * (now / 1000))
         sentence = f"sigma up to {factor * now:.3g} instead of {now:g} mm"
@@ -374,7 +374,7 @@ class ScannerChanges:
 
 
 def _relative_change(value: float, now: float) -> float:
-    """How far a limit is opened, alike for large and small ones."""
+    """Return the relative change of a limit, on a logarithmic scale."""
     return float(abs(np.log(max(value, 1e-3) / max(now, 1e-3))))
 
 
