@@ -1,4 +1,4 @@
-"""The front door for Python; the command line goes through it.
+"""Plan and execute scans from Python; the command line uses the same functions.
 
     from cell.api import open_run, plan, scan
 
@@ -9,10 +9,10 @@
     run = open_run("sim_runs/20261121T030106Z-1f0c2a9b")
     other = run.edited(drop=[4], turn={7: 90}, repair=True)
 
-What the command line offers as `--max-views 8` is the keyword `max_views=8` here. Arrays are in metres and radians;
+The option `--max-views 8` of the command line is the keyword `max_views=8` here. Arrays are in metres and radians;
 a name that ends in a unit (`_mm`, `_deg`) is in that unit. Nothing is printed: notes are logged under `cell.session`.
-Errors are `cell.errors.CellError`, one sentence each. Importing this module imports nothing heavy; that is why the
-functions import what they need themselves.
+Errors are `cell.errors.CellError` with one sentence each. The functions import their modules when they are called, so
+that importing this module is fast.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from cell.session import Confirm, ProgressReporter, Session
 
 Progress = Callable[[str, int, int], None]
-"""Told `(stage, done, total)` while work goes on; what it raises ends the work. A stage begins with (0, 0)."""
+"""Callback `(stage, done, total)`. Each stage starts with (0, 0). An exception that it raises ends the work."""
 
 __all__ = [
     "Progress", "explore", "hand_eye", "locate", "open_run", "plan", "plan_setups", "scan", "scan_setups"
@@ -52,32 +52,32 @@ def plan(
     use_cache: bool = True,
     progress: "Progress | ProgressReporter | None" = None,
     argv: Sequence[str] = (),
-    **wishes: object,
+    **keywords: object,
 ) -> "EditableRun":
     """Plan the views that measure a part, and write a run folder.
 
     Args:
-        part: mesh file or built-in part by name; a mesh in memory (`units` says in what its numbers are); or a whole
-            checked scene. None takes the scene's part.
-        scene: scene file (TOML); None is the built-in scene.
-        out: run folder to make; None makes one below sim_runs/.
-        use_cache: whether measurability matrices are taken from and left in the user's cache.
-        progress: told how far the work is; None works in silence.
-        argv: kept in the manifest beside the options.
-        **wishes: options of `cell plan` by name, as Python values: `place=(1200, 500, 0)`, `standoff=300`,
+        part: mesh or STEP file, name of a built-in part, mesh in memory (with `units`), or a validated scene. None
+            takes the part of the scene.
+        scene: scene file (TOML). None takes the built-in scene.
+        out: run folder to create. None creates one below sim_runs/.
+        use_cache: whether to read and write measurability matrices in the user's cache.
+        progress: callback or reporter of the progress. None reports nothing.
+        argv: command line to record in the manifest.
+        **keywords: options of `cell plan` by name, as Python values: `place=(1200, 500, 0)`, `standoff=300`,
             `coverage=0.99`, `max_views=8`, `pin=[3, 17]`.
 
     Returns:
-        The finished plan. `exit_code` is 3 where it stays below a coverage that was asked for.
+        The finished plan. `exit_code` is 3 if the required coverage is not reached.
 
     Raises:
-        CellError: in one sentence; the run folder keeps what was finished.
+        CellError: with one sentence. The run folder keeps the completed files.
     """
     from cell.plan import pipeline
     from cell.plan.edit import EditableRun
 
     session = _session(progress, out=out, scene=scene, use_cache=use_cache, argv=argv)
-    return EditableRun.opened(pipeline.plan(session, *pipeline.read_request(part, scene, wishes)))
+    return EditableRun.opened(pipeline.plan(session, *pipeline.read_request(part, scene, keywords)))
 
 
 def plan_setups(
@@ -89,37 +89,37 @@ def plan_setups(
     use_cache: bool = True,
     progress: "Progress | ProgressReporter | None" = None,
     argv: Sequence[str] = (),
-    **wishes: object,
+    **keywords: object,
 ) -> "SetupsRun":
-    """Plan several set-ups of a part as one cover: fewest set-ups, then fewest views (docs/setups.md).
+    """Plan several set-ups of a part as one cover: fewest set-ups first, then fewest views (docs/setups.md).
 
     Args:
         part: as for `plan`.
-        options: how many set-ups, and which, as one value; None makes it of the wishes.
-        scene: scene file (TOML); None is the built-in scene. Its placement is the first pose that is offered.
-        out: folder to make; None makes one below sim_runs/.
+        options: options of the set-ups as one value. None takes them from the keywords.
+        scene: scene file (TOML). None takes the built-in scene. Its placement is the first candidate.
+        out: folder to create. None creates one below sim_runs/.
         use_cache: as for `plan`.
-        progress: told how far the work is; None works in silence.
-        argv: kept in the manifests.
-        **wishes: options of `cell setups` by name: `place=(1200, 500, 0)`, `max_setups=2`, `proposals=8`.
+        progress: callback or reporter of the progress. None reports nothing.
+        argv: command line to record in the manifests.
+        **keywords: options of `cell setups` by name: `place=(1200, 500, 0)`, `max_setups=2`, `proposals=8`.
 
     Raises:
-        CellError: in one sentence; the folder keeps what was finished.
+        CellError: with one sentence. The folder keeps the completed files.
     """
     from cell.plan.pipeline import read_request
     from cell.plan.setup_options import SetupOptions
-    from cell.plan.setups import plan_setups as planned
+    from cell.plan.setups import plan_setups as plan_all
     from cell.plan.setups import scene_after
     from cell.runs.setups import SetupsRun
     from cell.scene.options import option_specs, parse_options
 
-    own = {name: wishes.pop(name) for name in option_specs(SetupOptions) if name in wishes}
-    wanted = parse_options(SetupOptions, own) if options is None else options
-    if wanted.first is not None and part is None and scene is None:
-        part, wishes = scene_after(open_run(wanted.first), wishes), {}
-    checked, workpiece = read_request(part, scene, wishes)
+    own = {name: keywords.pop(name) for name in option_specs(SetupOptions) if name in keywords}
+    chosen = parse_options(SetupOptions, own) if options is None else options
+    if chosen.first is not None and part is None and scene is None:
+        part, keywords = scene_after(open_run(chosen.first), keywords), {}
+    checked, workpiece = read_request(part, scene, keywords)
     session = _session(progress, out=out, scene=scene, use_cache=use_cache, argv=argv)
-    return SetupsRun.opened(planned(session, checked, options=wanted, part=workpiece))
+    return SetupsRun.opened(plan_all(session, checked, options=chosen, part=workpiece))
 
 
 def scan(
@@ -130,25 +130,25 @@ def scan(
     argv: Sequence[str] = (),
     ask: "Confirm | None" = None,
     confirm: str | None = None,
-    **wishes: object,
+    **keywords: object,
 ) -> "Execution":
-    """Execute a plan on a controller, scan at every view, merge, make the surface and measure its deviation.
+    """Execute a plan on a controller: scan at every view, merge the scans, reconstruct and compare the surface.
 
     Args:
-        run: a finished plan, or its folder.
-        options: as one value; None makes it of the wishes.
-        progress: told how far the work is; None works in silence.
-        argv: kept in the manifest beside the options.
-        ask: puts a question to a person, for real controllers; None where nobody is there.
-        confirm: the word that an arm may move along what has this digest: `run.digest`. Without it, or somebody's yes,
-            nothing moves on a wire; `sim://` needs none.
-        **wishes: options of `cell scan` by name: `driver="modbus://192.168.1.10"`, `resolution=0.5`, `seed=7`.
+        run: finished plan or its folder.
+        options: options as one value. None takes them from the keywords.
+        progress: callback or reporter of the progress. None reports nothing.
+        argv: command line to record in the manifest.
+        ask: callback that asks a person to confirm the motion of a real robot. None if nobody is present.
+        confirm: digest of the plan (`run.digest`) whose motion is confirmed. A real robot does not move without it or
+            a confirmation by `ask`. `sim://` needs neither.
+        **keywords: options of `cell scan` by name: `driver="modbus://192.168.1.10"`, `resolution=0.5`, `seed=7`.
 
     Returns:
-        The execution. `exit_code` is 3 where it stays below the coverage that the plan requires.
+        The execution. `exit_code` is 3 if the coverage that the plan requires is not reached.
 
     Raises:
-        CellError: in one sentence; the execution's folder keeps the scans that were taken.
+        CellError: with one sentence. The execution folder keeps the completed scans.
     """
     from cell.runs.run import Execution
     from cell.scan import scan as execution
@@ -156,9 +156,9 @@ def scan(
     from cell.scene.options import parse_options
 
     if confirm is not None:
-        wishes = {**wishes, "confirm_motion": confirm}
-    wanted = parse_options(ScanOptions, wishes) if options is None else options
-    outcome = execution.scan(_session(progress, argv=argv, confirm=ask), _folder(run), wanted)
+        keywords = {**keywords, "confirm_motion": confirm}
+    chosen = parse_options(ScanOptions, keywords) if options is None else options
+    outcome = execution.scan(_session(progress, argv=argv, confirm=ask), _folder(run), chosen)
     return Execution.open(outcome.folder)
 
 
@@ -172,37 +172,37 @@ def scan_setups(
     argv: Sequence[str] = (),
     ask: "Confirm | None" = None,
     confirm: str | None = None,
-    **wishes: object,
+    **keywords: object,
 ) -> "SetupsOutcome":
-    """Scan the set-ups of a folder, register them to each other, and make one model of all that are scanned.
+    """Scan the set-ups of a folder, register them to each other and reconstruct one model.
 
     Args:
-        folder: what `plan_setups` returned, or its folder.
+        folder: result of `plan_setups` or its folder.
         options: as for `scan`.
-        setup: the number of one of them; None: each that is not scanned yet, in order, halting after one where points
-            are not simulated.
-        resume: whether an execution that was stopped is gone on with.
+        setup: number of the set-up to scan. None scans the remaining set-ups in order, and stops after one if the
+            points are not simulated.
+        resume: whether to continue an interrupted execution.
         progress: as for `scan`.
-        argv: kept in the manifests.
+        argv: command line to record in the manifests.
         ask: as for `scan`.
         confirm: as for `scan`: the digest of the set-up's plan.
-        **wishes: options of `cell scan` by name: `setup_error="5mm,2deg"`, `range_noise=0.03`.
+        **keywords: options of `cell scan` by name: `setup_error="5mm,2deg"`, `range_noise=0.03`.
 
     Returns:
         `report` (scanned/report.json), `folder`, `exit_code`.
 
     Raises:
-        CellError: in one sentence; what was scanned is kept.
+        CellError: with one sentence. The folder keeps the completed scans.
     """
     from cell.scan.options import ScanOptions
-    from cell.scan.setups import scan_setups as scanned
+    from cell.scan.setups import scan_setups as scan_all
     from cell.scene.options import parse_options
 
     if confirm is not None:
-        wishes = {**wishes, "confirm_motion": confirm}
-    wanted = parse_options(ScanOptions, wishes) if options is None else options
+        keywords = {**keywords, "confirm_motion": confirm}
+    chosen = parse_options(ScanOptions, keywords) if options is None else options
     where = Path(folder) if isinstance(folder, str | Path) else folder.folder
-    return scanned(_session(progress, argv=argv, confirm=ask), where, wanted, setup=setup, resumed=resume)
+    return scan_all(_session(progress, argv=argv, confirm=ask), where, chosen, setup=setup, resumed=resume)
 
 
 def explore(
@@ -215,25 +215,25 @@ def explore(
     progress: "Progress | ProgressReporter | None" = None,
     argv: Sequence[str] = (),
     ask: "Confirm | None" = None,
-    **wishes: object,
+    **keywords: object,
 ) -> "Exploration":
-    """Measure a part that nobody has a model of, a batch of views at a time (docs/explore.md).
+    """Measure a part without a model, one batch of views at a time (docs/explore.md).
 
     Args:
-        part: what stands in the cell: mesh file, built-in part by name, or a whole checked scene. In simulation it is
-            hidden from the planning; elsewhere its mesh is not read. None takes the scene's part.
-        options: of the exploration, as one value; None makes it of the wishes.
-        scanning: of each batch's execution, as one value; None makes it of the wishes.
-        scene: scene file (TOML); None is the built-in scene.
-        out: folder to make, or to go on in where an exploration of the same options was stopped; None makes one below
-            sim_runs/.
-        progress: told how far the work is; None works in silence.
-        argv: kept in the manifests beside the options.
-        ask: puts a question to a person, for real controllers; None where nobody is there.
-        **wishes: options of `cell explore` by name: `place=(1200, 500, 0)`, `policy="two-stage"`, `max_views=12`.
+        part: part in the cell: mesh file, name of a built-in part, or a validated scene. In simulation its mesh is
+            only scanned, not planned on. With a real scanner its mesh is not read. None takes the part of the scene.
+        options: options of the exploration as one value. None takes them from the keywords.
+        scanning: options of the executions as one value. None takes them from the keywords.
+        scene: scene file (TOML). None takes the built-in scene.
+        out: folder to create, or folder of an interrupted exploration with the same options to continue. None creates
+            one below sim_runs/.
+        progress: callback or reporter of the progress. None reports nothing.
+        argv: command line to record in the manifests.
+        ask: callback that asks a person to confirm the motion of a real robot. None if nobody is present.
+        **keywords: options of `cell explore` by name: `place=(1200, 500, 0)`, `policy="two-stage"`, `max_views=12`.
 
     Raises:
-        CellError: in one sentence; what was finished stays in the folder.
+        CellError: with one sentence. The folder keeps the completed stages.
     """
     from datetime import UTC, datetime
 
@@ -245,81 +245,84 @@ def explore(
     from cell.scene.options import option_specs, parse_options
 
     own, of_scan = (
-        {name: wishes.pop(name) for name in names if name in wishes}
+        {name: keywords.pop(name) for name in names if name in keywords}
         for names in (option_specs(ExploreOptions), SCAN_OPTIONS)
     )
-    checked, _ = read_request(part, scene, wishes)
-    wanted = parse_options(ExploreOptions, own) if options is None else options
+    checked, _ = read_request(part, scene, keywords)
+    chosen = parse_options(ExploreOptions, own) if options is None else options
     scans = parse_options(ScanOptions, of_scan) if scanning is None else scanning
     folder = Path("sim_runs") / f"explore-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if out is None else Path(out)
-    file = run(_session(progress, out=folder, argv=argv, confirm=ask), checked, wanted, scans)
+    file = run(_session(progress, out=folder, argv=argv, confirm=ask), checked, chosen, scans)
     return Exploration(folder, file)
 
 
 def locate(
     run: "Run | str | Path",
-    wanted: "LocateOptions | None" = None,
+    options: "LocateOptions | None" = None,
     *,
     progress: "Progress | ProgressReporter | None" = None,
-    **wishes: object,
+    **keywords: object,
 ) -> "LocateResult":
-    """Find where the part of a plan really stands; `run.edited(T_base_object=found.T_base_object)` plans it there.
+    """Measure the true placement of a planned part; `run.edited(T_base_object=result.T_base_object)` replans for it.
 
     Args:
-        run: a finished plan, or its folder; nothing in it changes.
-        wanted: as one value; None makes it of the wishes.
-        progress: told how far the work is; None works in silence.
-        **wishes: options of `cell locate` by name: `points="scan.ply"`, `points_frame="scanner"`, `points_units="mm"`.
+        run: finished plan or its folder. It is not changed.
+        options: options as one value. None takes them from the keywords.
+        progress: callback or reporter of the progress. None reports nothing.
+        **keywords: options of `cell locate` by name: `points="scan.ply"`, `points_frame="scanner"`,
+            `points_units="mm"`.
 
     Returns:
-        The placement with its precision, what is not determined, and whether the plan's motion keeps its clearance.
+        The placement with its precision, its undetermined directions, and whether the motion keeps its clearance.
 
     Raises:
-        CellError: in one sentence.
+        CellError: with one sentence.
     """
-    from cell.metrology.locate import locate as found
+    from cell.metrology.locate import locate as locate_part
     from cell.metrology.options import LocateOptions
-    from cell.runs.run import open_finished as opened
+    from cell.runs.run import open_finished
     from cell.scene.options import parse_options
 
-    planned = opened(Path(run)) if isinstance(run, str | Path) else run
-    return found(planned, parse_options(LocateOptions, wishes) if wanted is None else wanted, _reporter(progress))
+    planned = open_finished(Path(run)) if isinstance(run, str | Path) else run
+    return locate_part(
+        planned, parse_options(LocateOptions, keywords) if options is None else options, _reporter(progress)
+    )
 
 
 def hand_eye(
     files: "Sequence[str | Path]",
-    wanted: "HandEyeOptions | None" = None,
+    options: "HandEyeOptions | None" = None,
     *,
     progress: "Progress | ProgressReporter | None" = None,
-    **wishes: object,
+    **keywords: object,
 ) -> "HandEyeResult":
-    """Find the mount (flange to scanner) from scans of a sphere or a plane from several poses of the flange.
+    """Calibrate the pose of the scanner on the flange from scans of a sphere or a plane at several flange poses.
 
     Args:
-        files: the scans, scanner frame.
-        wanted: as one value; None makes it of the wishes.
-        progress: told how far the work is; None works in silence.
-        **wishes: options of `cell calibrate hand-eye` by name: `points_units="mm"`, `diameter=38.1`.
+        files: scans in the scanner frame.
+        options: options as one value. None takes them from the keywords.
+        progress: callback or reporter of the progress. None reports nothing.
+        **keywords: options of `cell calibrate hand-eye` by name: `points_units="mm"`, `diameter=38.1`.
 
     Raises:
-        CellError: in one sentence.
+        CellError: with one sentence.
     """
-    from cell.metrology.hand_eye import calibrate_hand_eye as found
+    from cell.metrology.hand_eye import calibrate_hand_eye
     from cell.metrology.options import HandEyeOptions
     from cell.scene.options import parse_options
 
-    return found(
+    return calibrate_hand_eye(
         [Path(file) for file in files],
-        parse_options(HandEyeOptions, wishes) if wanted is None else wanted,
+        parse_options(HandEyeOptions, keywords) if options is None else options,
         _reporter(progress),
     )
 
 
 def open_run(folder: "str | Path") -> "EditableRun":
-    """A run folder of `cell plan`, as `plan` returned it.
+    """Open the run folder of a finished plan.
 
     Raises:
-        FileError: if it is missing, damaged, not a run folder, or its plan did not finish.
+        FileError: if the folder is missing, damaged, not a run folder, or its plan did not finish.
     """
     from cell.plan.edit import EditableRun
 

@@ -88,7 +88,7 @@ def _study(words: str, made: str, picture: str) -> Maker:
 QUICK: Mapping[tuple[str, ...], Maker] = {
     ("cell.png", "views.png", "why.png", "deviation.png", "page.png"): _default_plan,
     ("tightest.png",): _tightest,
-    ("stand_ins.png",): lambda folder: stand_in_picture.draw(folder / "stand_ins.png"),
+    ("built_in_parts.png",): lambda folder: stand_in_picture.draw(folder / "built_in_parts.png"),
 }
 _TABLES = [f"table{n}" for n in range(1, 6)]
 LONG: Mapping[tuple[str, ...], Maker] = {

@@ -69,7 +69,7 @@ class EditableRun(Run):
 
     def edited(
         self,
-        wanted: Edit | None = None,
+        edit_options: Edit | None = None,
         *,
         out: str | Path | None = None,
         use_cache: bool = True,
@@ -78,21 +78,21 @@ class EditableRun(Run):
         T_base_object: Floats | None = None,
         **options: object,
     ) -> "EditableRun":
-        """Make a new run with views dropped, moved, turned, added or reordered; everything is checked again.
+        """Plan a new run with views dropped, moved, turned, added or reordered, and check it completely.
 
         Args:
-            wanted: changes as one value; None makes it of the options.
-            out: run folder to make; None makes one below sim_runs/.
+            edit_options: changes as one value. None takes them from the keywords.
+            out: run folder to create. None creates one below sim_runs/.
             use_cache: whether measurability matrices are read from and written to the user's cache.
-            progress: reporter; None is silent.
-            argv: kept in the manifest.
-            T_base_object: (4, 4) placement of the part now [m]; None: as planned. Its views move with it, and `repair`
-                leaves out views that the arm cannot reach there (`cell.api.locate` finds the placement).
+            progress: reporter of the progress. None reports nothing.
+            argv: command line to record in the manifest.
+            T_base_object: (4, 4) measured placement of the part [m], as found by `cell.api.locate`. None keeps the
+                planned placement. The views move with the part, and `repair` omits views that are out of reach.
             **options: of `cell edit` by name: `drop=[4]`, `turn={7: 90}`, `add_candidate=533`, `repair=True`,
                 `move={7: (x, y, z, a, b, c)}` (mm and deg, KUKA ABC, scanner in base).
 
         Raises:
-            CellError: in one sentence; if the arm cannot take a view, with the condition and the blocking object.
+            CellError: with one sentence. For an unreachable view it names the condition and the blocking object.
         """
         session = Session(
             None,
@@ -101,7 +101,7 @@ class EditableRun(Run):
             use_cache=use_cache,
             origin=Origin(tuple(argv)),
         )
-        edit_ = parse_options(Edit, options) if wanted is None else wanted
+        edit_ = parse_options(Edit, options) if edit_options is None else edit_options
         return EditableRun.opened(edit(session, self, edit_, T_base_object=T_base_object))
 
 
