@@ -1,8 +1,8 @@
-"""Shared by all tests: a small part of the tests' own and one finished plan of it, made through the command line.
+"""Fixtures of all tests: a small part and one finished plan of it, made through the command line.
 
-What is dear to make is made once for all workers of a session (`made_once`) and read by all: who changes it takes a
-copy. A command runs in the test's own process (`run_cell`), in one of its own where that is what is tested: signals,
-kills, libraries that a fresh process loads (`start_cell`).
+Expensive results are made once for all workers of a session (`made_once`). All tests read them; a test that changes
+one takes a copy. A command runs in the test's process (`run_cell`). Tests of signals, kills and imports of a fresh
+process use a separate process (`start_cell`).
 """
 
 import contextlib
@@ -26,7 +26,7 @@ from pkgutil import resolve_name
 from typing import Any
 from urllib.parse import urlsplit
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by NumPy as it is imported: workers fill the cores already
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # NumPy reads it on import; the workers use all cores already
 
 import numpy as np
 import pytest
@@ -41,27 +41,27 @@ from cell.runs import digest
 from cell.session import Effort, effort_of
 from cell.view.contents import PARTIAL_PAGE_FILE
 
-# Wall time is not a property; and where a machine decides whether a change lands, the same examples run every time.
-# `--hypothesis-profile=full` has four times as many.
+# Tests have no deadline, because wall time is not a property. In CI the examples are the same in every execution.
+# `--hypothesis-profile=full` has four times as many examples.
 for _name, _examples in (("full", 100), ("own", 25)):
     settings.register_profile(_name, deadline=None, derandomize="CI" in os.environ, max_examples=_examples)
 settings.load_profile("own")
 
-# What one process compiled the others load, those of `start_cell` too.
+# Compiled bytecode is shared by all processes, also by those of `start_cell`.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-# Collecting makes a million objects that stay to the end: not looked through now, nor ever again.
+# Collection makes a million permanent objects. The garbage collector is disabled meanwhile and then ignores them.
 gc.disable()
 
-# MuJoCo reads it once, when it is imported: what draws without a display.
+# MuJoCo reads it once, when it is imported: rendering without a display.
 os.environ.setdefault("MUJOCO_GL", "egl")
 
 
 def pytest_collection_finish() -> None:
-    """From here on what is made may be garbage."""
+    """Freeze the objects of the collection and enable the garbage collector."""
     gc.freeze()
-    gc.set_threshold(50_000)  # as the command line has it: compiling a kernel takes a tenth less
+    gc.set_threshold(50_000)  # as in the command line: compiling a kernel takes 10 % less time
     gc.enable()
 
 
@@ -71,13 +71,13 @@ _SMALL_SETUPS = (
 )  # fmt: skip
 _SMALL_PLAN = (
     "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
-    # Grown candidates take longer, and have tests of their own.
+    # Grown candidates take longer and have their own tests.
     "--candidates", "optimal-scanning-zone", "--coverage", "1",
 )  # fmt: skip
 
 
 def _blob(subdivisions: int = 4) -> trimesh.Trimesh:
-    """A closed, bumpy body of some 110 mm with a dent, in millimetres and off the origin."""
+    """Return a closed, bumpy body of about 110 mm with a dent, in millimetres and off the origin."""
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
     x, y, z = mesh.vertices.T
     radius = 50 + 6 * np.sin(3 * x + 1) * np.cos(2 * y) + 4 * np.sin(4 * z) - 14 * np.exp(-8 * ((x - 1) ** 2 + y**2))
@@ -87,22 +87,22 @@ def _blob(subdivisions: int = 4) -> trimesh.Trimesh:
 
 @pytest.fixture(scope="session")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the test session, for all its workers."""
+    """Return the folder of the test session, shared by all workers."""
     own = tmp_path_factory.getbasetemp()
     return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
 
 
 @pytest.fixture(scope="session", autouse=True)
 def kernels_compiled_once(shared: Path) -> Iterator[None]:
-    """No two workers compile the same kernel: one waits until it can take it from numba's cache; no test is told."""
+    """Compile each kernel in one worker only. Other workers wait and read numba's cache, without a log message."""
     compile_at_once = Dispatcher.compile
-    if compile_at_once.__name__ == "compile_alone":  # by benchmarks/tests, which has these fixtures too
+    if compile_at_once.__name__ == "compile_alone":  # by benchmarks/tests, which uses these fixtures too
         yield
         return
 
     def compile_alone(kernel: Any, signature: Any) -> Any:
         name = f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
-        with global_compiler_lock, FileLock(shared / f"{name}.lock"):  # in this order: it is numba's own too
+        with global_compiler_lock, FileLock(shared / f"{name}.lock"):  # in this order, as in numba
             return compile_at_once(kernel, signature)
 
     with pytest.MonkeyPatch.context() as patch:
@@ -113,7 +113,7 @@ def kernels_compiled_once(shared: Path) -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def made_once(shared: Path) -> Callable[[str, Callable[[Path], object]], Path]:
-    """A folder that the first worker makes who asks for it; the others wait for it. Read it, never change it."""
+    """Return a function that makes a folder in the first worker while others wait. Tests must not change the folder."""
 
     def made(name: str, make: Callable[[Path], object]) -> Path:
         folder, finished = shared / name, shared / f"{name}.finished"
@@ -130,13 +130,13 @@ def made_once(shared: Path) -> Callable[[str, Callable[[Path], object]], Path]:
 
 @pytest.fixture(scope="session")
 def cache(made_once: Callable[..., Path]) -> Path:
-    """The cache folder of the test session, for all its workers."""
+    """Return the cache folder of the test session, shared by all workers."""
     return made_once("cache", lambda folder: None)
 
 
 @pytest.fixture(scope="session")
 def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """`cell` with arguments in a directory `cwd`, in this process; what it returns looks like that of another."""
+    """Return a function that runs `cell` in this process in a directory `cwd` and returns a CompletedProcess."""
     from cell.cli import app
     from cell.cli.failures import INTERRUPTED, report_errors
 
@@ -156,7 +156,7 @@ def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
             code = report_errors(
                 lambda: app(args=words, prog_name="cell", standalone_mode=False), as_json="--json" in words
             )
-        if code == INTERRUPTED:  # the person at the terminal ends the tests
+        if code == INTERRUPTED:  # Ctrl-C at the terminal ends the tests
             raise KeyboardInterrupt
         return subprocess.CompletedProcess(words, code, out.getvalue(), errors.getvalue())
 
@@ -164,16 +164,16 @@ def run_cell(cache: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
 
 
 class _Looks:
-    """Whether this process draws, or leaves empty files in place of pictures and pages.
+    """State whether this process draws pictures and pages or leaves empty files in their place.
 
-    Most tests look at none, and drawing them takes half of what a small plan takes and more than half of a scan.
+    Most tests need no picture. Drawing takes half of the time of a small plan and more than half of that of a scan.
     """
 
     drawn = False
 
 
 class _DrawingHere(plots.PlotProcess):
-    """Draws in this process what the plan's process for pictures draws."""
+    """Draw in this process the pictures of a plan that a separate process draws otherwise."""
 
     def __init__(self) -> None:
         self._sent = []
@@ -190,7 +190,7 @@ class _DrawingHere(plots.PlotProcess):
 
 
 def _only_where_looked_at(draw: Callable[..., object], instead: object) -> Callable[..., object]:
-    """A function that writes a picture (instead: an empty file), or returns a page or what is drawn on."""
+    """Return a function that draws if drawing is enabled. Otherwise it writes an empty file or returns `instead`."""
 
     def look(*arguments: Any, **named: Any) -> object:
         if _Looks.drawn:
@@ -222,7 +222,7 @@ def _drawn() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def drawing_is_here() -> Iterator[None]:
-    """A plan made in this process needs no other for its pictures; those of `start_cell` have their own."""
+    """Draw the pictures of plans in this process. Processes of `start_cell` use their own drawing process."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(plots, "plot_process", lambda: contextlib.nullcontext(_DrawingHere()))
         for names, instead in ((_PICTURES, Path), (_PAGES, ""), (_CANVASES, None)):
@@ -238,9 +238,9 @@ _LOW_EFFORT = Effort(
 
 @pytest.fixture(scope="session", autouse=True)
 def low_effort() -> Iterator[None]:
-    """Commands of this process compute with less effort; properties of 10,000 samples hold for the 100,000 as well.
+    """Reduce the effort of commands in this process. Properties of 10,000 samples hold for 100,000 samples as well.
 
-    Processes of `start_cell` have the default effort, and so have tests that use `full_effort`.
+    Processes of `start_cell` and tests that use `full_effort` have the default effort.
     """
     with effort_of(_LOW_EFFORT):
         yield
@@ -248,14 +248,14 @@ def low_effort() -> Iterator[None]:
 
 @pytest.fixture
 def full_effort() -> Iterator[None]:
-    """Effort of the product, with all samples of the definition of coverage."""
+    """Use the effort of the product, with all samples of the definition of coverage."""
     with effort_of(Effort()):
         yield
 
 
 @pytest.fixture(scope="session", autouse=True)
 def nothing_waits_for_the_disk() -> Iterator[None]:
-    """What is kept when the power fails is no test's property; processes of `start_cell` do wait."""
+    """Disable fsync in this process: no test simulates a power failure. Processes of `start_cell` use fsync."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda file: None)
         yield
@@ -263,23 +263,23 @@ def nothing_waits_for_the_disk() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def drawn() -> Callable[[], contextlib.AbstractContextManager[None]]:
-    """The block in which this process draws true pictures and pages."""
+    """Return a context manager in which this process draws pictures and pages."""
     return _drawn
 
 
 @pytest.fixture
 def drawn_pictures() -> Iterator[None]:
-    """True pictures and pages of what runs in this process, for a test that looks at them."""
+    """Enable drawing of pictures and pages in this process for one test."""
     with _drawn():
         yield
 
 
 @pytest.fixture(scope="session")
 def start_cell(cache: Path) -> Callable[..., "subprocess.Popen[str]"]:
-    """Starts `python -m cell` with arguments in a directory `cwd`, both outputs in pipes unless said otherwise."""
+    """Return a function that starts `python -m cell` in a directory `cwd`, with both outputs in pipes by default."""
 
     def start(*arguments: object, cwd: Path | None = None, **streams: int) -> "subprocess.Popen[str]":
-        # A background job of a shell ignores Ctrl-C, and so would its children.
+        # A background job of a shell ignores Ctrl-C, and its children inherit this.
         inherited = signal.signal(signal.SIGINT, signal.default_int_handler)
         try:
             return subprocess.Popen(
@@ -299,13 +299,13 @@ def _surroundings(cache: Path) -> dict[str, str]:
 
 @pytest.fixture(scope="session")
 def small_plan() -> tuple[str, ...]:
-    """Options of the plan that `planned` holds."""
+    """Return the options of the plan in `planned`."""
     return _SMALL_PLAN
 
 
 @pytest.fixture(scope="session")
 def data_of() -> Callable[[str], dict[str, Any]]:
-    """What the script of a page reads."""
+    """Return a function that reads the data of a page's script."""
 
     def read(page: str) -> dict[str, Any]:
         kept = r'<script type="application/json" id="(?:page-scene|page-contents)">(.*?)</script>'
@@ -317,13 +317,13 @@ def data_of() -> Callable[[str], dict[str, Any]]:
 
 @pytest.fixture(scope="session")
 def blob() -> Callable[[int], trimesh.Trimesh]:
-    """Builds the small part at a number of subdivisions, millimetres."""
+    """Return a function that builds the small part with a number of subdivisions, in millimetres."""
     return _blob
 
 
 @pytest.fixture(scope="session")
 def part_file(made_once: Callable[..., Path]) -> Path:
-    """The small part as binary STL, millimetres."""
+    """Return the small part as binary STL, in millimetres."""
     return made_once("part", lambda folder: _blob().export(folder / "blob.stl")) / "blob.stl"
 
 
@@ -331,7 +331,7 @@ def part_file(made_once: Callable[..., Path]) -> Path:
 def planned(
     made_once: Callable[..., Path], part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> Path:
-    """Run folder of one finished plan of the small part."""
+    """Return the run folder of one finished plan of the small part."""
 
     def make(folder: Path) -> None:
         with _drawn():
@@ -346,11 +346,11 @@ def planned(
 def made_setups(
     made_once: Callable[..., Path], part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> Path:
-    """Folder of the small part's set-ups, two of four that are offered; beside it what the command said."""
+    """Return the folder of the small part's set-ups, chosen from four candidates. The file `stdout` is next to it."""
 
     def make(folder: Path) -> None:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("planner.cover.DEFAULT_EFFORT", 30_000_000)  # the small part is soon proven
+            patch.setattr("planner.cover.DEFAULT_EFFORT", 30_000_000)  # the optimum of the small part is proven early
             done = run_cell("setups", part_file, *_SMALL_SETUPS, "--proposals", "4", "--out", "made", cwd=folder)
         assert done.returncode == 0, done.stderr
         (folder / "stdout").write_text(done.stdout)
@@ -362,7 +362,7 @@ def made_setups(
 def swept(
     made_once: Callable[..., Path], part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> Path:
-    """Run folder of a plan of sweeps that turn, with a mesh fixture; beside it what the command said, by stream."""
+    """Return the run folder of a plan of sweeps with a mesh fixture. Files `stdout` and `stderr` are next to it."""
 
     def make(folder: Path) -> None:
         (folder / "line.toml").write_text(
@@ -392,7 +392,7 @@ def swept(
 
 @pytest.fixture(scope="session")
 def resealed() -> Callable[[Path], str]:
-    """Makes hashes and digest of a changed run folder anew, as who tampers with it would; returns the digest."""
+    """Return a function that updates the hashes and the digest of a changed run folder and returns the digest."""
 
     def seal(run: Path) -> str:
         manifest = json.loads((run / "manifest.json").read_text())
@@ -409,7 +409,7 @@ def resealed() -> Callable[[Path], str]:
 def executed(
     made_once: Callable[..., Path], planned: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> Path:
-    """A copy of the planned run with one finished execution, `0001`, at 1 degree; its JSON object is `scan.json`."""
+    """Return a copy of the planned run with a finished execution `0001` at 1 degree. `scan.json` is its JSON object."""
 
     def make(folder: Path) -> None:
         shutil.copytree(planned, folder / "run")
@@ -428,7 +428,7 @@ def turned(
     small_plan: tuple[str, ...],
     run_cell: Callable[..., subprocess.CompletedProcess[str]],
 ) -> Path:
-    """A plan of the small part on a table, and one execution of it."""
+    """Return a plan of the small part on a rotary table, with one execution."""
 
     def make(folder: Path) -> None:
         done = run_cell(
@@ -462,7 +462,7 @@ class Emulated:
 
     @cached_property
     def url(self) -> str:
-        """Where its controller answers; waits until it does."""
+        """Return the URL of the controller; wait until it is ready."""
         stdout = self.process.stdout
         assert stdout is not None
         ready, _, _ = select.select([stdout], [], [], 60)
@@ -474,13 +474,13 @@ class Emulated:
         return url
 
     def entries(self, *events: str) -> list[dict[str, Any]]:
-        """What the journal says of some kinds of events, of all where none is given, in order."""
+        """Return the entries of the journal in order, limited to `events` if any are given."""
         whole = self.log.read_text(encoding="utf-8").rpartition("\n")[0]
         found = [json.loads(line) for line in whole.splitlines()]
         return [entry for entry in found if not events or entry["event"] in events]
 
     def end(self, how: signal.Signals = signal.SIGTERM) -> int:
-        """End it in order."""
+        """End the process by a signal and return its exit code."""
         self.process.send_signal(how)
         return self.process.wait(20)
 
@@ -496,7 +496,7 @@ def _emulating(
         log, state = folder / "moves.jsonl", folder / "arm.json"
         process = start_cell(
             "emulate", *arguments, "--log", log, "--state", state,
-            "--seconds", "900", stderr=subprocess.DEVNULL,  # a killed test session leaves nothing behind for ever
+            "--seconds", "900", stderr=subprocess.DEVNULL,  # the process ends after a killed test session
         )  # fmt: skip
         started.append(Emulated(process, log, state))
         return started[-1]
@@ -514,9 +514,9 @@ def _emulating(
 def emulate(
     tmp_path_factory: pytest.TempPathFactory, start_cell: Callable[..., "subprocess.Popen[str]"]
 ) -> Iterator[Callable[..., Emulated]]:
-    """Starts `cell emulate` with arguments; given `beside`, with the arm (and the journal) of an earlier one.
+    """Yield a function that starts `cell emulate`. With `beside`, it uses the state and the journal of an earlier one.
 
-    It is ended with the test: a controller without work looks at its line fifty times a second.
+    Processes end with the test, because an idle controller polls its line fifty times a second.
     """
     with _emulating(tmp_path_factory, start_cell) as start:
         yield start
@@ -526,6 +526,6 @@ def emulate(
 def emulate_for_all(
     tmp_path_factory: pytest.TempPathFactory, start_cell: Callable[..., "subprocess.Popen[str]"]
 ) -> Iterator[Callable[..., Emulated]]:
-    """As `emulate`, for all tests of a module."""
+    """Yield the same function as `emulate`, for all tests of a module."""
     with _emulating(tmp_path_factory, start_cell) as start:
         yield start

@@ -1,4 +1,4 @@
-"""What the views of a finished run measure of the held-out samples, asked for all of them; for tests of set-ups."""
+"""Held-out samples that the views of a finished run measure, for tests of set-ups."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from planner.values import Bools
 
 
 def seen_and_touching(run: Path) -> tuple[Bools, Bools]:
-    """(S,) samples that a view measures, with a table each where it is turned back, and (S,) that a support touches."""
+    """Return (S,) samples that a view measures, at the view's table angle, and (S,) samples that a support touches."""
     planned = open_finished(run)
     cell = read_cell(planned)
     samples = held_out_samples(cell.reference, cell.planning, planned.seed)
@@ -23,6 +23,6 @@ def seen_and_touching(run: Path) -> tuple[Bools, Bools]:
 
 
 def seen_samples(run: Path) -> Bools:
-    """(S,) samples that a view measures and no support touches."""
+    """Return (S,) samples that a view measures and no support touches."""
     measured_there, touched = seen_and_touching(run)
     return measured_there & ~touched

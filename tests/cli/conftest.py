@@ -1,4 +1,4 @@
-"""Chromium and Firefox without a screen, each spoken to in its own protocol."""
+"""Drive Chromium and Firefox without a screen, each in its own protocol."""
 
 import base64
 import contextlib
@@ -19,7 +19,7 @@ _PATIENCE_S = 120.0
 
 
 class Chromium:
-    """Headless, with SwiftShader, through pipes in the DevTools protocol."""
+    """Headless Chromium with SwiftShader. It is driven through pipes in the DevTools protocol."""
 
     program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     missing = "" if program else "no Chromium: install chromium"
@@ -52,41 +52,41 @@ class Chromium:
             self._told.append(self._read())
 
     def run(self, script: str) -> Any:
-        """What a script's promise comes to."""
+        """Return the value with which the promise of a script is fulfilled."""
         result = self._ask("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
         assert "exceptionDetails" not in result, result
         return result["result"].get("value")
 
     def screenshot(self) -> bytes:
-        """PNG."""
+        """Return a PNG of the page."""
         return base64.b64decode(self._ask("Page.captureScreenshot")["data"])
 
     def busy(self) -> float:
-        """Processor time of all its processes [s]: what a page costs, however busy the machine is."""
+        """Return the processor time of all processes of the browser [s]. Other load of the machine hardly changes it."""
         session, self._session = self._session, ""
         processes = self._ask("SystemInfo.getProcessInfo")["processInfo"]
         self._session = session
         return sum(each["cpuTime"] for each in processes)
 
     def click(self, x: float, y: float) -> None:
-        """With the mouse."""
+        """Click with the left mouse button."""
         for kind in ("mousePressed", "mouseReleased"):
             self._ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def asked(self) -> list[str]:
-        """Addresses that the page asked for."""
+        """Return the addresses that the page requested."""
         urls = [told["request"]["url"] for told in self._of("Network.requestWillBeSent")]
         return [url for url in urls if url != self._address and not url.startswith("data:")]
 
     def faults(self) -> list[str]:
-        """Complaints about the page."""
+        """Return the errors and console messages of the page."""
         found = [str(told) for name in ("exceptionThrown", "consoleAPICalled") for told in self._of(f"Runtime.{name}")]
-        # A software renderer says that reading pixels is slow.
+        # A software renderer warns that reading pixels is slow.
         logged = [told["entry"]["text"] for told in self._of("Log.entryAdded")]
         return found + [text for text in logged if "GPU stall due to ReadPixels" not in text]
 
     def close(self) -> None:
-        """End it."""
+        """End the process."""
         self._process.kill()
         self._process.wait(20)
         os.close(self._to), os.close(self._from)
@@ -116,7 +116,7 @@ class Chromium:
 
 
 class Firefox:
-    """On a virtual screen, for its headless form has no WebGL; with Mesa's software GL, in the Marionette protocol."""
+    """Firefox on a virtual screen with Mesa's software GL: headless Firefox has no WebGL. The protocol is Marionette."""
 
     program = next(filter(None, map(shutil.which, ("firefox-esr", "firefox"))), None)
     missing = "" if program and shutil.which("Xvfb") else "no Firefox on a virtual screen: install firefox-esr and xvfb"
@@ -128,7 +128,7 @@ class Firefox:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
         preferences = {"marionette.port": port, "network.proxy.type": 1, "network.proxy.ssl": "127.0.0.1"}
-        preferences |= {"network.proxy.ssl_port": 9}  # where nobody listens: it calls home otherwise
+        preferences |= {"network.proxy.ssl_port": 9}  # a port without a listener: no request to the vendor succeeds
         lines = (f'user_pref("{name}", {json.dumps(value)});\n' for name, value in preferences.items())
         (profile / "user.js").write_text("".join(lines))
         shown, screen = os.pipe()
@@ -146,7 +146,7 @@ class Firefox:
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         self._line, self._rest, self._number = self._called(port), b"", 0
-        self._read()  # its greeting
+        self._read()  # the greeting
         self._ask("WebDriver:NewSession")
         self._ask("WebDriver:SetTimeouts", script=int(1000 * _PATIENCE_S))
         self._in_chrome(
@@ -161,8 +161,8 @@ class Firefox:
         self._ask("WebDriver:Navigate", url=address)
 
     def run(self, script: str) -> Any:
-        """What a script's promise comes to."""
-        said = (  # as an element of the page: else the page's constants are not seen
+        """Return the value with which the promise of a script is fulfilled."""
+        said = (  # run as an element of the page: the constants of the page are not visible otherwise
             "const [text, done] = arguments, made = document.createElement('script');"
             "made.textContent = `answer = ${text}`; document.head.append(made);"
             "window.answer.then((found) => done([found]), (error) => done(`${error}`));"
@@ -172,27 +172,27 @@ class Firefox:
         return answer["value"][0]
 
     def screenshot(self) -> bytes:
-        """PNG."""
+        """Return a PNG of the page."""
         return base64.b64decode(self._ask("WebDriver:TakeScreenshot", full=False)["value"])
 
     def click(self, x: float, y: float) -> None:
-        """With the mouse."""
+        """Click with the left mouse button."""
         moves = [{"type": "pointerMove", "x": round(x), "y": round(y)}, {"type": "pointerDown", "button": 0},
                  {"type": "pointerUp", "button": 0}]  # fmt: skip
         self._ask("WebDriver:PerformActions", actions=[{"type": "pointer", "id": "mouse", "actions": moves}])
 
     def asked(self) -> list[str]:
-        """Addresses that the page asked for."""
+        """Return the addresses that the page requested."""
         asked: list[str] = self._in_chrome("return window.asked;")
         return asked
 
     def faults(self) -> list[str]:
-        """Complaints about pages: the browser's own scripts are not ours."""
+        """Return the messages about pages. Messages about the scripts of the browser are left out."""
         told = self._in_chrome("return Services.console.getMessageArray().map((each) => [each.sourceName, `${each}`]);")
         return [text for source, text in told if source and source.startswith("file:")]
 
     def close(self) -> None:
-        """End it."""
+        """End the processes of the browser and of the screen."""
         for process in (self._process, self._screen):
             process.kill()
             process.wait(20)
@@ -209,7 +209,7 @@ class Firefox:
                 time.sleep(0.1)
 
     def _in_chrome(self, script: str) -> Any:
-        """What a script with the browser's own rights returns."""
+        """Return the value of a script that runs with the privileges of the browser."""
         self._ask("Marionette:SetContext", value="chrome")
         value = self._ask("WebDriver:ExecuteScript", script=script, args=[])["value"]
         self._ask("Marionette:SetContext", value="content")
@@ -241,7 +241,7 @@ class Firefox:
 
 @pytest.fixture(scope="module", params=[Chromium, Firefox])
 def browser(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium | Firefox]:
-    """Each of them, where it is installed."""
+    """Yield each installed browser."""
     if request.param.missing:
         pytest.skip(request.param.missing)
     made: Chromium | Firefox = request.param(tmp_path_factory.mktemp("browser"))
@@ -251,7 +251,7 @@ def browser(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 @pytest.fixture(params=[()])
 def chromium(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Chromium]:
-    """Chromium with further flags."""
+    """Yield Chromium with further flags."""
     if Chromium.missing:
         pytest.skip(Chromium.missing)
     with contextlib.closing(Chromium(tmp_path, *request.param)) as made:

@@ -1,4 +1,4 @@
-"""Points that are not simulated: files in every frame, a command, another distribution's source, and what is told."""
+"""Points from other sources than the simulation: files in each frame, commands, sources of other distributions."""
 
 import json
 import os
@@ -31,18 +31,18 @@ PACKAGE = Path(__file__).parents[1] / "third_party_points"
 
 @pytest.fixture
 def run(executed: Path, tmp_path: Path) -> Path:
-    """A copy of the executed run."""
+    """Return a copy of the executed run."""
     return Path(shutil.copytree(executed, tmp_path / "run"))
 
 
 def scan(run: Path, **options: Any) -> ScanOutcome:
-    """A scan in this process."""
+    """Execute a scan in this process."""
     session = Session(None, Terminal(quiet_stdout=True))
     return scan_command.scan(session, run, ScanOptions(**{"resolution_deg": 1.0, **options}))
 
 
 def frames(run: Path, stored: Any) -> dict[str, np.ndarray]:
-    """(4, 4) from the object frame to each other, at the reported pose of a scan."""
+    """Return the (4, 4) transforms from the object frame to the other frames at the reported pose of a scan."""
     scene = open_run(run).scene
     T_scanner_object = np.linalg.inv(stored["T_object_scanner"])
     return {
@@ -60,7 +60,7 @@ def export(
     frame: str = "scanner",
     change: Callable[[int, np.ndarray], np.ndarray] = lambda stop, points: points,
 ) -> list[Path]:
-    """The scans of an execution as files in mm."""
+    """Write the scans of an execution as files in mm and return their paths without suffix."""
     to.mkdir()
     files = []
     for path in sorted((run / "executions" / execution / "scans").iterdir()):
@@ -73,7 +73,7 @@ def export(
 
 
 def as_ply(form: str) -> Callable[[Path, np.ndarray], None]:
-    """Writes little-endian binary PLY of '<f8' or '<f4'."""
+    """Return a function that writes little-endian binary PLY of '<f8' or '<f4'."""
     name = {"<f8": "double", "<f4": "float"}[form]
 
     def write(path: Path, points: np.ndarray) -> None:
@@ -85,13 +85,13 @@ def as_ply(form: str) -> Callable[[Path, np.ndarray], None]:
 
 
 def as_xyz(path: Path, points: np.ndarray) -> None:
-    """Writes text with all digits."""
+    """Write text with all digits."""
     lines = "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in points.tolist())
     path.with_suffix(".xyz").write_text("# x y z\n" + lines)
 
 
 def as_pcd(path: Path, points: np.ndarray) -> None:
-    """Writes binary PCD of floats, with a point that is none."""
+    """Write binary PCD of floats. The last point is NaN."""
     rows = np.concatenate([points.astype("<f4"), np.full((1, 3), np.nan, "<f4")])
     text = (
         "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
@@ -109,7 +109,7 @@ def as_pcd(path: Path, points: np.ndarray) -> None:
 def test_an_execution_s_own_scans_read_back_give_the_same(
     run: Path, tmp_path: Path, frame: str, write: Callable[[Path, np.ndarray], None], off_mm: float
 ) -> None:
-    """Cloud, mesh and deviation; of the report only source, rejection counts and the kind of coverage differ."""
+    """Cloud, mesh and deviation are equal. The reports differ only in source, rejection counts and kind of coverage."""
     export(run, "0001", tmp_path / "files", write, frame)
     outcome = scan(
         run, acquire=f"files:{tmp_path / 'files'}", points_frame=frame, points_units="mm", registration=False
@@ -120,7 +120,7 @@ def test_an_execution_s_own_scans_read_back_give_the_same(
     for axis in "xyz":
         np.testing.assert_allclose(second[axis], first[axis], atol=off_mm)
     first, second = (trimesh.load(folder / "mesh.ply", process=False) for folder in (theirs, ours))
-    if off_mm < 1e-3:  # single precision may tip a cell of the grid
+    if off_mm < 1e-3:  # single precision may change a cell of the grid
         assert (first.faces == second.faces).all()
         np.testing.assert_allclose(second.vertices, first.vertices, atol=off_mm)
     before, after = (json.loads((folder / "report.json").read_text()) for folder in (theirs, ours))
@@ -160,14 +160,14 @@ def _differing(one: Any, other: Any, near: float, at: str = "") -> list[str]:
 
 
 def test_noise_outliers_and_a_missing_view(run: Path, tmp_path: Path) -> None:
-    """Registered as the simulated ones are; the view is named and resumable; hardly an outlier is in the cloud."""
+    """The views are registered like simulated ones. The missing view is resumable. The cloud has few outliers."""
     errors = {"range_noise_mm": 0.03, "pose_error_mm": 0.5, "pose_error_deg": 0.1}
     simulated = scan(run, **errors)
     stray: list[np.ndarray] = []
 
     def dirty(stop: int, points: np.ndarray) -> np.ndarray:
         rng = np.random.default_rng(stop)
-        count = len(points) // 9  # a tenth of all
+        count = len(points) // 9  # a tenth of all points
         low, high = points.min(axis=0) - 30, points.max(axis=0) + 30
         stray.append(rng.uniform(low, high, (count, 3)))
         return np.concatenate([points, stray[-1]])
@@ -208,9 +208,9 @@ CAUSES: dict[str, tuple[str, Callable[[int, np.ndarray], np.ndarray], str]] = {
     ["left-handed base", *(pytest.param(name, marks=pytest.mark.slow) for name in ("metres", "inches", "mirrored"))],
 )
 def test_what_is_wrong_is_told_with_its_cause(run: Path, tmp_path: Path, name: str) -> None:
-    """Units and mirrored frames, by what is left off the part when they are taken as if it were so.
+    """Wrong units and mirrored frames are reported with their cause.
 
-    tests/unit/test_causes.py asks for each of them without an execution.
+    tests/unit/test_causes.py tests each cause without an execution.
     """
     frame, change, words = CAUSES[name]
     export(run, "0001", tmp_path / "files", as_ply("<f8"), frame, change)
@@ -221,9 +221,9 @@ def test_what_is_wrong_is_told_with_its_cause(run: Path, tmp_path: Path, name: s
 
 @pytest.mark.slow
 def test_swapped_views_and_another_frame_are_told(run: Path, tmp_path: Path) -> None:
-    """Two files with each other's names; points of the flange frame that are called the scanner's.
+    """Exchanged files of two views are reported, and so are points of the flange frame in place of the scanner frame.
 
-    Without an execution: tests/unit/test_causes.py.
+    tests/unit/test_causes.py tests these causes without an execution.
     """
     files = export(run, "0001", tmp_path / "files", as_ply("<f8"))
     one, two = (path.with_suffix(".ply") for path in files[:2])
@@ -239,7 +239,7 @@ def test_swapped_views_and_another_frame_are_told(run: Path, tmp_path: Path) -> 
 
 
 def test_a_command_is_called_with_view_pose_and_file(run: Path, tmp_path: Path) -> None:
-    """It fails once, is called again, and never again gives view 2: that is missing and told."""
+    """A command that fails is called a second time. View 2 fails both times and is recorded as missing."""
     program = tmp_path / "scanner.py"
     program.write_text(
         "import json, pathlib, sys\n"
@@ -269,7 +269,7 @@ def test_a_command_is_called_with_view_pose_and_file(run: Path, tmp_path: Path) 
 
 
 def test_a_slow_command_is_ended(run: Path) -> None:
-    """The time-out of a call counts, and the view stays missing."""
+    """A call is ended after its time-out, and the view is missing."""
     outcome = scan(
         run, acquire=f"command:{sys.executable} -c 'import time; time.sleep(60)'", points_frame="base",
         points_units="mm", view=1, acquire_timeout_s=0.2,
@@ -278,7 +278,7 @@ def test_a_slow_command_is_ended(run: Path) -> None:
 
 
 def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, tmp_path: Path) -> None:
-    """It appears, grows, and is read once it keeps its size."""
+    """A file that appears and grows is read once its size is constant. A view without a file is missing."""
     folder, told = tmp_path / "files", []
     folder.mkdir()
     path, time_ = folder / "view_7.xyz", [0.0]
@@ -324,7 +324,7 @@ def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, t
     ],
 )
 def test_a_file_without_points_is_one_sentence(tmp_path: Path, name: str, content: bytes, words: str) -> None:
-    """Broken, cut short, compressed, of another kind."""
+    """Damaged, truncated, compressed and unknown files raise an error that names the cause."""
     (tmp_path / name).write_bytes(content)
     with pytest.raises(FileError, match=re.escape(words)):
         point_files.read(tmp_path / name)
@@ -341,14 +341,14 @@ def test_a_file_without_points_is_one_sentence(tmp_path: Path, name: str, conten
     ],
 )
 def test_what_cannot_be_asked_leaves_no_execution(run: Path, options: dict[str, Any], words: str) -> None:
-    """One sentence, before anything moves."""
+    """Invalid sources are refused before any motion, and no execution is created."""
     with pytest.raises(UsageError, match=re.escape(words)):
         scan(run, **options)
     assert [path.name for path in (run / "executions").iterdir()] == ["0001"]
 
 
 def test_a_source_of_another_distribution(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten lines, installed by pip, found by their entry point."""
+    """A source of ten lines, installed by pip, is found by its entry point."""
     target, source = tmp_path / "site", tmp_path / "source"
     shutil.copytree(PACKAGE, source)
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--no-build-isolation"]

@@ -1,4 +1,4 @@
-"""`cell diff` as a user meets it: what differs, what does not, and areas that another count gives as well."""
+"""`cell diff` on the command line: differences of plans and executions, with areas recounted independently."""
 
 import base64
 import json
@@ -25,7 +25,7 @@ Cell = Callable[..., Any]
 def other(
     made_once: Callable[..., Path], planned: Path, part_file: Path, small_plan: tuple[str, ...], run_cell: Cell
 ) -> Path:
-    """The small part planned again with one view's candidate banned and a slower arm."""
+    """Return a plan of the small part with one view's candidate banned and a slower arm."""
 
     def make(folder: Path) -> None:
         banned = open_finished(planned).plan.views[1].id
@@ -37,7 +37,7 @@ def other(
 
 
 def test_a_run_does_not_differ_from_itself(executed: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """One sentence, of a plan and of an execution; as JSON every list is empty but for the views that are kept."""
+    """The output is one sentence for a plan and for an execution. In JSON the lists of differences are empty."""
     execution = executed / "executions" / "0001"
     for run in (executed, execution):
         done = run_cell("diff", run, run, cwd=tmp_path)
@@ -54,7 +54,7 @@ def test_a_run_does_not_differ_from_itself(executed: Path, run_cell: Cell, tmp_p
 def test_settings_views_and_areas_of_two_plans(
     planned: Path, other: Path, run_cell: Cell, data_of: Callable[[str], dict[str, Any]], tmp_path: Path
 ) -> None:
-    """The changed settings and no others; each view once on each side; areas and page as counted from the artefacts."""
+    """Only the changed settings are listed. Each view occurs once on each side. Areas and page match the artefacts."""
     said = json.loads(run_cell("diff", planned, other, "--json", cwd=tmp_path).stdout)
     assert {each["key"] for each in said["settings"]} == {"speed_scaling", "plan.banned"}
     a, b = open_finished(planned), open_finished(other)
@@ -82,7 +82,7 @@ def test_settings_views_and_areas_of_two_plans(
     names = [view["number"] for view in data["views"]]
     assert names == [*(str(k + 1) for k in range(len(b.plan.views))), *(f"A{k}" for k in views["lost"])]
     for view, name in zip(data["views"], names, strict=True):
-        if name.startswith("A"):  # the plans have one placement: the view is where A has it
+        if name.startswith("A"):  # both plans have one placement: the view has its pose in A
             np.testing.assert_allclose(view["T_base_scanner"], a.T_base_scanner[int(name[1:]) - 1], atol=1e-6)
             assert view["time"] is None
     (layer,) = data["surfaces"][0]["layers"]
@@ -93,7 +93,7 @@ def test_settings_views_and_areas_of_two_plans(
 
 
 def test_sides_exchanged_exchange_the_answer(planned: Path, other: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """What is gained one way is lost the other way."""
+    """The gained area in one direction is the lost area in the other direction."""
     one, back = (
         json.loads(run_cell("diff", *pair, "--json", cwd=tmp_path).stdout)
         for pair in ((planned, other), (other, planned))
@@ -103,7 +103,7 @@ def test_sides_exchanged_exchange_the_answer(planned: Path, other: Path, run_cel
 
 
 def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """An execution with one view has less of the surface; the loss is recounted from the two clouds."""
+    """An execution with one view measures less of the surface. The loss is recounted from the two clouds."""
     shutil.copytree(executed, tmp_path / "run")
     done = run_cell("scan", "run", "--view", "1", "--resolution", "1", "--json", cwd=tmp_path)
     assert done.returncode in (0, 3), done.stderr
@@ -124,7 +124,7 @@ def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell
 
 
 def test_wrong_uses_have_their_exit_codes(executed: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """A plan beside an execution is 2, what is no run 6; one sentence each."""
+    """A plan against an execution has exit code 2, a folder that does not exist has 6, each with one line on stderr."""
     mixed = run_cell("diff", executed, executed / "executions" / "0001", cwd=tmp_path)
     assert (mixed.returncode, mixed.stderr.count("\n")) == (2, 1)
     nowhere = run_cell("diff", executed, tmp_path / "nowhere", cwd=tmp_path)

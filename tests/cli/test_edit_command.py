@@ -1,4 +1,4 @@
-"""`cell edit` as a user meets it: a new run, what it gains or costs, exit codes."""
+"""`cell edit` on the command line: the new run, its gains and losses, exit codes."""
 
 import json
 from collections.abc import Callable
@@ -11,7 +11,7 @@ Cell = Callable[..., Any]
 
 
 def test_a_dropped_view_and_its_repair(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """The table ends with gains and costs and lines to paste; the JSON object has the difference; RUN is untouched."""
+    """The table ends with gains, losses and a command to copy. The JSON object has the difference. RUN is unchanged."""
     before = {path: path.read_bytes() for path in planned.iterdir() if path.is_file()}
     views = len(json.loads((planned / "plan.json").read_text())["views"])
     done = run_cell("edit", planned, "--drop", "2", "--out", "without", cwd=tmp_path)
@@ -39,7 +39,7 @@ def test_a_dropped_view_and_its_repair(planned: Path, run_cell: Cell, tmp_path: 
 def test_refusals_have_a_sentence_and_a_code(
     options: tuple[str, ...], code: int, told: str, planned: Path, run_cell: Cell, tmp_path: Path
 ) -> None:
-    """What cannot be is said, and no finished folder is left."""
+    """A refused edit reports its cause and exit code, and leaves no finished folder."""
     done = run_cell("edit", planned, *options, "--out", "edited", cwd=tmp_path)
     assert done.returncode == code
     assert told in done.stderr

@@ -1,4 +1,4 @@
-"""`cell explore` end to end on the small part: what is on disk, the same bytes again, what is refused."""
+"""`cell explore` end to end on the small part: files, reproducible bytes, refusals."""
 
 import base64
 import json
@@ -48,7 +48,7 @@ OPTIONS = (*PLACE, "--resolution", "0.5", "--ring", "3", "--batch", "2", "--max-
 def explored(
     made_once: Callable[..., Path], part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> Path:
-    """A finished exploration of the small part. Read it, never change it."""
+    """Return a finished exploration of the small part. Tests must not change it."""
 
     def make(folder: Path) -> None:
         command = ("explore", part_file, "--units", "mm", *OPTIONS, "--out", "explored", "--json")
@@ -60,7 +60,7 @@ def explored(
 
 
 def test_the_file_says_what_was_done(explored: Path) -> None:
-    """Stages, digests and views of explore.json are those of the run folders; the JSON that is printed is the file."""
+    """Stages, digests and views of explore.json are those of the run folders. The printed JSON equals the file."""
     file = schema.read_explore_file(explored / "explore.json")
     assert (file.status, file.views) == ("finished", 5)
     assert [stage.views for stage in file.stages] == [3, 2]
@@ -82,10 +82,10 @@ def test_views_are_moved_to_where_they_measure_more(
     part_file: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """What is taken is one of them, on file with its pose, its joint angles and the rows that it measures by rays.
+    """Refined candidates are stored with pose, joint angles and the rows that they measure. A selected view is one.
 
-    They are moved from candidates that are grown briefly on the believed surface, on the measured one for as long as by
-    `cell plan`.
+    They start from grown candidates. Growth is brief on the believed surface and as long as in `cell plan` on the
+    measured surface.
     """
     before, better = list[int](), stage_plan.with_refined_candidates
     schedules, grow, believed = list[Any](), stage_plan.with_grown, explore._plan_on_belief
@@ -124,7 +124,7 @@ def test_views_are_moved_to_where_they_measure_more(
 
 
 def test_nothing_touches_the_part_that_the_planning_does_not_know(explored: Path, part_file: Path) -> None:
-    """Triangles of arm, tool and true part in python-fcl, at every sample of the motions."""
+    """Triangles of arm, tool and true part have no contact in python-fcl at any sample of the motions."""
     bench = Bench(scene_from_options(None, {"place": (1100, 400, 100), "standoff": 250, "units": "mm"}, part_file))
     judge = TriangleCell(bench.world, bench.part.reference)
     for stage in schema.read_explore_file(explored / "explore.json").stages:
@@ -132,7 +132,7 @@ def test_nothing_touches_the_part_that_the_planning_does_not_know(explored: Path
 
 
 def test_no_point_of_the_part_is_in_space_that_counts_as_free(explored: Path, part_file: Path) -> None:
-    """What the planning takes for free lies beyond the true part, but for a voxel that holds a piece of it."""
+    """Voxels that count as free are outside the true part, except for voxels that its surface crosses."""
     scene = scene_from_options(None, {"place": (1100, 400, 100), "units": "mm"}, part_file)
     mesh = GroundTruth.of(scene, workpiece.load(str(part_file), "mm")).mesh
     file = schema.read_explore_file(explored / "explore.json")
@@ -145,7 +145,7 @@ def test_no_point_of_the_part_is_in_space_that_counts_as_free(explored: Path, pa
 
 
 def _stopped_after_the_first(explored: Path, tmp_path: Path) -> Path:
-    """A copy of which explore.json names the first stage alone, as if the second had not come to its end."""
+    """Return a copy in which explore.json has only the first stage, as if the second stage were unfinished."""
     again = tmp_path / "explored"
     shutil.copytree(explored, again)
     file = schema.read_explore_file(again / "explore.json")
@@ -182,7 +182,7 @@ def test_the_same_command_goes_on_where_it_was_killed(
     part_file: Path,
     run_cell: Callable[..., subprocess.CompletedProcess[str]],
 ) -> None:
-    """A stage that explore.json does not name is made again, to the same bytes, from a killed plan or execution."""
+    """A stage that is missing in explore.json is completed from a killed plan or execution with equal bytes."""
     again = _stopped_after_the_first(explored, tmp_path)
     killed(again / "stages" / "0002")
     (again / "stages" / "0002.voxels.npz").unlink()
@@ -200,7 +200,7 @@ def test_an_earlier_scan_that_is_gone_is_told_before_anything_moves(
     part_file: Path,
     run_cell: Callable[..., subprocess.CompletedProcess[str]],
 ) -> None:
-    """Missing or cut in half: no model is made of the rest, no batch is planned for it."""
+    """With a missing or truncated scan of an earlier stage, no batch is planned, and exit code 6 names the stage."""
     again = _stopped_after_the_first(explored, tmp_path)
     shutil.rmtree(again / "stages" / "0002")
     damage(again / "stages" / "0001" / "executions" / "0001" / "scans" / "0002.npz")
@@ -216,7 +216,7 @@ _MEASURED = (*PLACE, "--resolution", "0.5", "--ring", "3", "--batch", "1", "--ma
 
 @pytest.fixture
 def soon_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The believed surface is worth no further view after the first batch, as if so little of it stayed open."""
+    """Make every plan on the believed surface after the first batch stop for too little open surface."""
     believed = explore._plan_on_belief
 
     def plan(work: ExplorationContext, file: ExploreFile, *asked: Any) -> Path | StopReason:
@@ -236,7 +236,7 @@ def on_measured(
     part_file: Path,
     run_cell: Callable[..., subprocess.CompletedProcess[str]],
 ) -> Path:
-    """A finished exploration whose first batch was planned on a believed surface, the others on measured ones."""
+    """Return an exploration: the first batch is planned on the believed surface, the others on measured surfaces."""
 
     def make(folder: Path) -> None:
         done = run_cell("explore", part_file, "--units", "mm", *_MEASURED, "--out", "explored", cwd=folder)
@@ -248,7 +248,7 @@ def on_measured(
 def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(
     on_measured: Path, part_file: Path
 ) -> None:
-    """Their part is the surface of all points before them, which is kept; what is believed learns no record of them."""
+    """The part of such a stage is the stored surface of all earlier points. The record of beliefs does not change."""
     file = schema.read_explore_file(on_measured / "explore.json")
     assert [(stage.planned_on, stage.views) for stage in file.stages] == [(BELIEVED, 3), (MEASURED, 1), (MEASURED, 1)]
     paths, first = state.ExplorationFolder(on_measured), np.load(on_measured / "stages" / "0001.voxels.npz")
@@ -308,7 +308,7 @@ def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
     part_file: Path,
     run_cell: Callable[..., subprocess.CompletedProcess[str]],
 ) -> None:
-    """To the same bytes as those of an exploration that was not killed."""
+    """The bytes equal those of an exploration that was not killed."""
     again = tmp_path / "explored"
     shutil.copytree(on_measured, again)
     file = schema.read_explore_file(again / "explore.json")
@@ -332,7 +332,7 @@ def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
 def test_points_of_files_need_no_model(
     explored: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    """The first stage's points from files, one folder a stage: a model comes out."""
+    """With points from files, one folder for each stage, a model is reconstructed without a model of the part."""
     cylinder = schema.read_explore_file(explored / "explore.json").cylinder
     scans = sorted((explored / "stages" / "0001" / "executions" / "0001" / "scans").glob("*.npz"))
     (tmp_path / "points" / "0001").mkdir(parents=True)
@@ -353,7 +353,7 @@ def test_points_of_files_need_no_model(
 def test_other_options_do_not_go_on_there(
     explored: Path, tmp_path: Path, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    """The folder of another exploration is left alone, as is one that is none."""
+    """The folder of another exploration and a folder without an exploration are refused."""
     done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--ring", "4", "--out", explored, cwd=tmp_path)
     assert done.returncode == 2
     assert "other options" in done.stderr
@@ -381,7 +381,7 @@ def test_what_cannot_be_explored_is_refused_before_anything_is_made(
     part_file: Path,
     run_cell: Callable[..., subprocess.CompletedProcess[str]],
 ) -> None:
-    """In one sentence, with no folder left behind."""
+    """An invalid exploration is refused with exit code 2, and no folder is created."""
     (tmp_path / "setups.toml").write_text('[[setup]]\nname = "up"\nposition_mm = [1100, 400, 100]\n')
     (tmp_path / "line.toml").write_text('[scanner]\ntype = "laser-line"\nsweep_deg = 24.0\nsweep_steps = 5\n')
     done = run_cell("explore", part_file, "--units", "mm", *PLACE, *options, "--out", "new", cwd=tmp_path)
@@ -393,7 +393,7 @@ def test_what_cannot_be_explored_is_refused_before_anything_is_made(
 def test_a_cylinder_that_does_not_hold_the_part_is_told_after_the_ring(
     tmp_path: Path, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    """Points beyond it end the exploration; the scans stay. The scanner is one for so small a cylinder."""
+    """Points outside the cylinder end the exploration before a stage is recorded. The standoff suits the cylinder."""
     options = ["100" if word == "250" else word for word in OPTIONS]
     done = run_cell(
         "explore", part_file, "--units", "mm", *options, "--cylinder", "70,70", "--out", "new", cwd=tmp_path
@@ -408,9 +408,9 @@ def test_the_page_shows_the_views_in_order(
     explored: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]],
     data_of: Callable[[str], dict[str, Any]],
 ) -> None:  # fmt: skip
-    """Views of all batches on one motion, colours by view, the curve as a picture.
+    """The page has the views of all batches on one motion, colours by view and the curve as a picture.
 
-    It is the same page each time, and asks for nothing from outside.
+    It is reproducible and requests nothing from outside.
     """
     done = run_cell("view", explored, "--no-open", "--out", tmp_path / "page.html", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -429,7 +429,7 @@ def test_the_page_shows_the_views_in_order(
     layer = shown["surfaces"][0]["layers"][0]
     assert (layer["kind"], layer["width"]) == ("views", 1)
     seen = np.frombuffer(base64.b64decode(layer["values"]["base64"]), np.uint8)
-    assert (seen > 0).mean() > 0.7  # what closes holes has no point beside it
+    assert (seen > 0).mean() > 0.7  # faces that close holes have no point near them
     assert base64.b64decode(shown["curve"].partition("base64,")[2]).startswith(b"\x89PNG")
     with pytest.raises(FileError, match="no finished batch yet"):
         explore_page(explored, file.model_copy(update={"stages": ()}))

@@ -1,4 +1,4 @@
-"""`cell plan --candidates grown` as a user meets it."""
+"""`cell plan --candidates grown` on the command line."""
 
 import json
 import subprocess
@@ -17,13 +17,13 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture(scope="module")
 def grown(part_file: Path, small_plan: tuple[str, ...]) -> tuple[str, ...]:
-    """The command of a small plan with grown candidates."""
+    """Return the command of a small plan with grown candidates."""
     return ("plan", str(part_file), "--units", "mm", *small_plan, "--faces", "60", "--candidates", "grown")
 
 
 @pytest.fixture(scope="module")
 def run(grown: tuple[str, ...], made_once: Callable[..., Path], run_cell: Run) -> Path:
-    """Its run folder, the matrix from the cache where it is there."""
+    """Return its run folder, with the matrix from the cache if available."""
 
     def make(folder: Path) -> None:
         done = run_cell(*grown, "--out", "run", cwd=folder)
@@ -35,7 +35,7 @@ def run(grown: tuple[str, ...], made_once: Callable[..., Path], run_cell: Run) -
 def test_grown_candidates_keep_the_run_folder_s_contract(
     run: Path, grown: tuple[str, ...], tmp_path: Path, run_cell: Run
 ) -> None:
-    """Cached or not: equal bytes; every array has all candidates; the plan's ids, rolls and poses are theirs."""
+    """Runs with and without cache have equal bytes. Every array has all candidates. Views match their candidates."""
     done = run_cell(*grown, "--no-cache", "--out", "again", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     first, second = (json.loads((each / "manifest.json").read_text()) for each in (run, tmp_path / "again"))
@@ -55,10 +55,10 @@ def test_grown_candidates_keep_the_run_folder_s_contract(
 def test_views_that_moved_are_candidates_like_others(
     run: Path, grown: tuple[str, ...], tmp_path: Path, run_cell: Run
 ) -> None:
-    """They stand behind the candidates that a plan without them has; reach and matrix say of them what is so.
+    """Moved views follow the other candidates, with correct entries of reach and matrix.
 
-    Recounted from the files: each column by the rays of its own pose, each joint solution by forward kinematics. What
-    is driven is checked by `cell edit`, which makes everything anew, and by the proof that every scan begins with.
+    Each column is recounted by rays of its own pose, each joint solution by forward kinematics. The motion is verified
+    by `cell edit`, which computes it again, and at the beginning of each scan.
     """
     done = run_cell(*grown, "--coverage", "0.97", "--no-cache", "--out", "run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -77,7 +77,7 @@ def test_views_that_moved_are_candidates_like_others(
     plan_file = json.loads((tmp_path / "run" / "plan.json").read_text())
     ids = [view["id"] for view in plan_file["views"]]
     assert max(ids) >= known
-    # What the selection had to cover is covered, whatever was exchanged for a shorter motion.
+    # The required coverage is reached, also after exchanges for a shorter motion.
     areas, entries = M.samples.areas, M.matrix().tocsc()
     coverable, covered = (areas[entries[:, which].sum(axis=1) > 0].sum() for which in (reached.reachable, ids))
     assert covered >= plan_file["coverage"]["target_on_features"] * coverable * (1 - 1e-9)
@@ -90,7 +90,7 @@ def test_views_that_moved_are_candidates_like_others(
 def test_the_shortest_time_is_never_longer_than_the_fewest_views(
     grown: tuple[str, ...], tmp_path: Path, run_cell: Run
 ) -> None:
-    """Views that were moved so that fewer do are candidates for it as well; its bound stays below both."""
+    """The plan of shortest time includes the moved views as candidates. Its bound does not exceed its time."""
     said = []
     for cost in ("views", "time"):
         done = run_cell(*grown, "--coverage", "0.97", "--cost", cost, "--out", cost, "--json", cwd=tmp_path)

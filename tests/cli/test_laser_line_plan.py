@@ -1,4 +1,4 @@
-"""`cell plan` with line sensors: views are sweeps, the files say so, and no motion is promised that is not there."""
+"""`cell plan` with line sensors: views are sweeps, recorded in the files, with their motion or a note without it."""
 
 import json
 import subprocess
@@ -17,7 +17,7 @@ _OPTIONS = (
 
 
 def test_a_plan_of_sweeps_ends_in_a_correct_run(swept: Path) -> None:
-    """Columns of five poses, all in plan.json where the joint angles take them, the middle one the view's own."""
+    """A candidate has five poses. plan.json has all of them with joint angles; the middle pose is that of the view."""
     plan = json.loads((swept / "plan.json").read_text())
     candidates = np.load(swept / "viewpoints.npz")["T_object_scanner"]
     assert candidates.shape[1] == 5
@@ -27,7 +27,7 @@ def test_a_plan_of_sweeps_ends_in_a_correct_run(swept: Path) -> None:
         assert sweep.shape == (5, 4, 4)
         np.testing.assert_allclose(sweep[2], view["T_object_scanner"], atol=1e-12)
         assert view["sweep"]["q_deg"][2] == view["q_deg"]
-        # Rounded set-points: each pose is off by some micrometres.
+        # Rounded set-points: each pose has an error of some micrometres.
         np.testing.assert_allclose(sweep, candidates[view["id"]], atol=2e-5)
         relative = np.linalg.inv(sweep[0]) @ sweep
         turn = np.degrees(np.arctan2(relative[:, 0, 2], relative[:, 2, 2]))
@@ -39,7 +39,7 @@ def test_a_plan_of_sweeps_ends_in_a_correct_run(swept: Path) -> None:
 
 
 def test_the_motion_holds_every_sweep_as_a_line_at_constant_speed(swept: Path) -> None:
-    """Judged by the stored arrays alone: every pose in its order, the source at rest, one rate of turn, limits kept."""
+    """In the stored arrays each sweep has its poses in order, a fixed source, a constant rate and valid limits."""
     import mujoco
 
     from cell.robot.arm import kinematics_of
@@ -57,7 +57,7 @@ def test_the_motion_holds_every_sweep_as_a_line_at_constant_speed(swept: Path) -
         assert order.tolist() == (list(range(4, -1, -1)) if view["sweep"]["backwards"] else list(range(5)))
         assert (motion["view"][rows[own]] == view["id"]).all()
         np.testing.assert_allclose(T[own], np.array(view["sweep"]["T_object_scanner"])[order], atol=1e-9)
-        # Between the first and the last pose: equal turns in equal times, and the source stays where it is.
+        # Between the first and the last pose the rate of turn is constant and the source does not move.
         first, last = motion["via_t"][rows[own][[0, -1]]]
         inside = (motion["t"] >= first) & (motion["t"] <= last)
         t, flange = motion["t"][inside], kinematics.forward(motion["q"][inside])
@@ -75,7 +75,7 @@ def test_the_motion_holds_every_sweep_as_a_line_at_constant_speed(swept: Path) -
 
 
 def test_what_is_not_judged_is_said(swept: Path) -> None:
-    """On the terminal, in the page and in report.json."""
+    """The missing check of occlusion is reported on the terminal, in the report page and in report.json."""
     assert "occlusion by the arm itself is not checked" in (swept.parent / "stderr").read_text()
     assert "driven as a straight line at constant speed on one joint branch" in (swept / "report.md").read_text()
     summary = json.loads((swept.parent / "stdout").read_text())
@@ -85,7 +85,7 @@ def test_what_is_not_judged_is_said(swept: Path) -> None:
 
 
 def test_sweeps_are_executed_and_exported(swept: Path, run_cell: Run, tmp_path: Path) -> None:
-    """One view there and back: a scan of all its lines, its poses as reported; replay shows the execution."""
+    """A view is scanned in a motion there and back, with all lines at the reported poses. KRL export is refused."""
     import shutil
 
     run = tmp_path / "run"
@@ -114,7 +114,7 @@ def test_sweeps_are_executed_and_exported(swept: Path, run_cell: Run, tmp_path: 
 
 
 def test_a_sensor_is_chosen_by_name(run_cell: Run, part_file: Path, tmp_path: Path) -> None:
-    """Missing figures end the command; given ones make a plan whose standoff is the middle of the sensor's range."""
+    """Missing figures end the command. With them, the standoff is the middle of the sensor's range."""
     arguments = ("plan", str(part_file), *_OPTIONS, "--sensor", "gocator-2330", "--out", "run", "--json")
     done = run_cell(*arguments, cwd=tmp_path)
     assert done.returncode == 2
@@ -132,7 +132,7 @@ def test_a_sensor_is_chosen_by_name(run_cell: Run, part_file: Path, tmp_path: Pa
 
 
 def test_cell_sensors_lists_what_is_known(run_cell: Run, tmp_path: Path) -> None:
-    """A table for a person, one object for a program, with the sources and what has to be given."""
+    """The output is a table, or one JSON object with the sources and the figures that the user must give."""
     done = run_cell("sensors", cwd=tmp_path)
     assert done.returncode == 0
     assert "gocator-2350" in done.stdout
@@ -144,7 +144,7 @@ def test_cell_sensors_lists_what_is_known(run_cell: Run, tmp_path: Path) -> None
 
 
 def test_a_resolution_is_none_of_a_line_sensor_s_options(swept: Path, run_cell: Run) -> None:
-    """One sentence about the option, not about how the scanner is made."""
+    """The error is one sentence about the option."""
     done = run_cell("scan", "run", "--resolution", "1", cwd=swept.parent)
     assert done.returncode == 2
     assert done.stderr.startswith("cell: --resolution is the angle between rays, and the scanner laser-line has none")
@@ -152,7 +152,7 @@ def test_a_resolution_is_none_of_a_line_sensor_s_options(swept: Path, run_cell: 
 
 
 def test_sweeps_can_be_edited(swept: Path, run_cell: Run, tmp_path: Path) -> None:
-    """Nothing changed is the same bytes; dropped, turned and reordered, each view is still the sweep about its pose."""
+    """An edit without changes gives equal bytes. After drop, turn and order each view is still the sweep about its pose."""
     before = json.loads((swept / "plan.json").read_text())["views"]
     assert run_cell("edit", swept, "--out", "same", "--json", cwd=tmp_path).returncode == 0
     assert (tmp_path / "same" / "motion.npz").read_bytes() == (swept / "motion.npz").read_bytes()

@@ -1,4 +1,4 @@
-"""`cell locate`: a part that was set down elsewhere, from points of several kinds; the plan there; what is refused."""
+"""`cell locate`: a displaced part is located from several kinds of points and the plan is moved; refusals."""
 
 import json
 from collections.abc import Callable
@@ -21,13 +21,13 @@ Command = Callable[..., Any]
 
 
 def _set_down(run: Run, mm: tuple[float, float, float], deg: tuple[float, float, float]) -> Floats:
-    """T_base_object of a part that was set down off its place, turned about its centre; axes of base."""
+    """Return T_base_object of a displaced part, turned about its centre; axes of base."""
     centre = (run.T_base_object @ run.scene.T_object_centre)[:3, 3]
     return motion_from_screw(np.concatenate([np.array(mm) / 1000, np.radians(deg)]), centre) @ run.T_base_object
 
 
 def _scanned(run: Run, T_base_object: Floats, view: int) -> Floats:
-    """(P, 3) what a scanner at a planned view sees of the part there: scanner frame [m], noise of 0.03 mm."""
+    """Return (P, 3) points of the part measured at a planned view: scanner frame [m], noise of 0.03 mm."""
     cell = read_cell(run)
     T = np.linalg.inv(T_base_object) @ run.T_base_scanner[view - 1]
     seen = virtual_scan.scan(cell.scanner, T, cell.part_caster, cell.reference)
@@ -38,7 +38,7 @@ def _scanned(run: Run, T_base_object: Floats, view: int) -> Floats:
 
 
 def test_one_scan_finds_the_part_and_the_plan_is_taken_there(run_cell: Command, planned: Path, tmp_path: Path) -> None:
-    """To 0.05 mm from 15 mm and 4 deg off; the new plan has the same views on the part, is proven, and is scanned."""
+    """A part 15 mm and 4 deg off is located to 0.05 mm. The new plan keeps most views, is verified and scanned."""
     run = open_run(planned)
     T = _set_down(run, (-9.0, 12.0, 2.0), (1.0, -2.0, 3.4))
     np.savetxt(tmp_path / "scan_0001.xyz", 1000 * _scanned(run, T, 1), fmt="%.6f")
@@ -64,7 +64,7 @@ def test_one_scan_finds_the_part_and_the_plan_is_taken_there(run_cell: Command, 
 
 
 def test_named_points_find_the_part(planned: Path, tmp_path: Path) -> None:
-    """Pairs in base and at a view in the scanner's frame, and 3-2-1: the same placement, from exact points."""
+    """Pairs in base, pairs in the scanner frame of a view, and 3-2-1 give the same placement from exact points."""
     run = open_run(planned)
     T = _set_down(run, (5.0, -3.0, 1.0), (0.5, 0.2, -1.0))
     nominal = run.reference.vertices[np.linspace(0, len(run.reference.vertices) - 1, 6).astype(int)]
@@ -82,11 +82,11 @@ def test_named_points_find_the_part(planned: Path, tmp_path: Path) -> None:
         found = locate(run, points_units="mm", **texts)
         np.testing.assert_allclose(found.T_base_object, T, atol=1e-8)
         assert found.precision is not None
-        assert found.undetermined == () or "three_two_one" in wishes  # random points: 0.05 mm may be much elsewhere
+        assert found.undetermined == () or "three_two_one" in wishes  # random points: the uncertainty may be large
 
 
 def test_the_scans_of_an_execution_are_where_they_were_planned(executed: Path) -> None:
-    """A simulated execution finds the planned placement and says what it is; the motion keeps its clearance."""
+    """A simulated execution gives the planned placement and the report says so. The motion keeps its clearance."""
     found = locate(executed)
     assert found.moved_mm < 0.01
     assert any("simulated" in doubt for doubt in found.doubts)
@@ -97,7 +97,7 @@ def test_the_scans_of_an_execution_are_where_they_were_planned(executed: Path) -
 
 
 def test_a_part_in_the_way_of_the_motion_is_told(planned: Path, tmp_path: Path) -> None:
-    """Set down where the scanner is at its first view: the checked motion does not keep its clearance."""
+    """For a part at the scanner's first view, the checked motion does not keep its clearance."""
     run = open_run(planned)
     T = run.T_base_object.copy()
     centre = (T @ run.scene.T_object_centre)[:3, 3]
@@ -122,7 +122,7 @@ def test_a_part_in_the_way_of_the_motion_is_told(planned: Path, tmp_path: Path) 
     ],
 )
 def test_files_of_named_points_that_are_none(content: str, told: str, planned: Path, tmp_path: Path) -> None:
-    """The line and what it must be."""
+    """The error names the line and the valid format."""
     (tmp_path / "touched.txt").write_text(content)
     with pytest.raises(FileError, match=told):
         locate(planned, pairs=str(tmp_path / "touched.txt"), points_frame="base", points_units="mm")
@@ -139,13 +139,13 @@ def test_files_of_named_points_that_are_none(content: str, told: str, planned: P
     ],
 )
 def test_what_cannot_be_asked(wishes: dict[str, Any], told: str, planned: Path) -> None:
-    """One sentence with what would be right."""
+    """Incomplete or contradictory options are refused with the remedy."""
     with pytest.raises((UsageError, FileError), match=told):
         locate(planned, **wishes)
 
 
 def test_what_is_open_is_not_planned_with(run_cell: Command, planned: Path, tmp_path: Path) -> None:
-    """Pairs on one line leave a turn open: exit code 2 and no run, unless it is taken to stand as planned."""
+    """Pairs on one line leave a rotation undetermined: exit code 2 and no new run."""
     run = open_run(planned)
     nominal = np.array([0.02, 0.0, 0.03]) + np.linspace(0, 0.04, 3)[:, None] * [0, 0, 1]
     T = run.T_base_object

@@ -1,4 +1,4 @@
-"""`cell plan` as a user meets it: output, run folder, determinism, exit codes and sentences for bad input."""
+"""`cell plan` on the command line: output, run folder, reproducible bytes, exit codes and errors for invalid input."""
 
 import json
 import os
@@ -25,7 +25,7 @@ CONTRACT = {
 
 
 def test_help_teaches_with_an_example(tmp_path: Path, run_cell: Run) -> None:
-    """`cell plan --help` shows units, defaults' source and a command that can be copied."""
+    """`cell plan --help` has a command to copy and the exit codes."""
     done = run_cell("plan", "--help", cwd=tmp_path)
     assert done.returncode == 0
     assert "cell plan part.stl --units mm --place" in done.stdout
@@ -33,7 +33,7 @@ def test_help_teaches_with_an_example(tmp_path: Path, run_cell: Run) -> None:
 
 
 def test_the_run_folder_is_complete_and_its_manifest_true(planned: Path) -> None:
-    """Every file of the contract is there, finished, and has the sha256 that the manifest gives."""
+    """Every file of the contract exists with the sha256 of the manifest, and the run is finished."""
     import hashlib
 
     names = {path.name for path in planned.iterdir()}
@@ -49,7 +49,7 @@ def test_the_run_folder_is_complete_and_its_manifest_true(planned: Path) -> None
 
 
 def test_arrays_hold_no_pickles(planned: Path) -> None:
-    """Every .npz loads with pickling forbidden."""
+    """Every .npz can be loaded with pickling forbidden."""
     for path in planned.glob("*.npz"):
         with np.load(path, allow_pickle=False) as arrays:
             assert all(arrays[name].dtype != object for name in arrays)
@@ -59,7 +59,7 @@ def test_arrays_hold_no_pickles(planned: Path) -> None:
 def test_equal_input_and_seed_give_equal_bytes(
     part_file: Path, tmp_path: Path, start_cell: Start, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:
-    """A second run, by a process, in another place, matrix from the cache, differs in no artefact: no clock in them."""
+    """A second run in another process and folder, with the matrix from the cache, has equal artefacts."""
     command = ("plan", part_file, "--units", "mm", *small_plan, "--faces", "40", "--out")
     (tmp_path / "elsewhere").mkdir()
     done = run_cell(*command, "run", cwd=tmp_path)
@@ -75,7 +75,7 @@ def test_equal_input_and_seed_give_equal_bytes(
 def test_a_calculated_matrix_equals_the_cached_one(
     planned: Path, part_file: Path, tmp_path: Path, cache: Path, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:
-    """`--no-cache` gives what a run gave that found its matrix in the cache, as far as pictures are made from it."""
+    """`--no-cache` gives the same artefacts as a run with its matrix from the cache, pictures and pages excepted."""
     arguments = ("plan", str(part_file), "--units", "mm", *small_plan, "--no-cache", "--out", "fresh")
     assert run_cell(*arguments, cwd=tmp_path).returncode == 0
     first, second = (
@@ -91,7 +91,7 @@ def test_a_calculated_matrix_equals_the_cached_one(
 
 
 def test_a_coverage_is_kept_where_the_samples_were_too_few(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
-    """Few faces, one sample each and 99.9 %: samples are added where the plan fails, and the matrix has them."""
+    """With few faces, one sample each and 99.9 %, samples are added where the plan fails, also in the matrix."""
     done = run_cell(
         "plan", str(part_file), "--units", "mm", "--place", "1100,400,100", "--faces", "40", "--samples", "1",
         "--standoff", "250", "--coverage", "0.999", "--json", "--out", "run", cwd=tmp_path,
@@ -104,7 +104,7 @@ def test_a_coverage_is_kept_where_the_samples_were_too_few(part_file: Path, tmp_
 
 
 def test_json_prints_one_object_on_stdout(planned: Path) -> None:
-    """The object is the report's; it says views, bound and coverage in fractions."""
+    """The report has the number of views, its bound and coverages as fractions."""
     summary = json.loads((planned / "report.json").read_text())
     assert summary["lower_bound"] <= summary["n_views"]
     assert 0.5 < summary["coverage"]["visible"] <= summary["coverage"]["coverable"] <= 1.0
@@ -149,7 +149,7 @@ def test_bad_input_gets_one_sentence_and_its_code(
     run_cell: Run,
     blob: Callable[[int], Any],
 ) -> None:
-    """No traceback; the sentence names what is wrong, and the exit code is the documented one."""
+    """The error has no traceback, names the cause, and has the documented exit code."""
     (tmp_path / "text.stl").write_text("this is no mesh\n")
     (tmp_path / "empty.obj").write_text("# nothing\n")
     mesh = blob(1)
@@ -169,7 +169,7 @@ def test_bad_input_gets_one_sentence_and_its_code(
 
 
 def test_a_failed_run_keeps_its_folder_with_status_and_stage(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
-    """Nothing reachable: the folder stays as .part with what was finished, and says why; so does the JSON object."""
+    """If nothing is reachable, the folder stays as .part with its artefacts. Manifest and JSON object have the reason."""
     done = run_cell(
         "plan", str(part_file), "--units", "mm", "--place", "9000,0,0", "--faces", "60", *_QUICK, "--out", "far",
         "--json", cwd=tmp_path,
@@ -189,7 +189,7 @@ def test_a_failed_run_keeps_its_folder_with_status_and_stage(part_file: Path, tm
 def test_a_required_coverage_that_is_missed_ends_with_code_3(
     part_file: Path, tmp_path: Path, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:
-    """`--require 1` cannot be met (the part stands on its post): code 3, and the finished run is kept."""
+    """`--require 1` is impossible, because the part is on its post: exit code 3, and the finished run is kept."""
     done = run_cell(
         "plan", str(part_file), "--units", "mm", *small_plan, "--require", "1", "--out", "run", cwd=tmp_path
     )
@@ -200,7 +200,7 @@ def test_a_required_coverage_that_is_missed_ends_with_code_3(
 def test_a_negative_placement_is_not_taken_for_an_option(
     part_file: Path, tmp_path: Path, run_cell: Run, small_plan: tuple[str, ...]
 ) -> None:
-    """`--place -1100,400,100` stands behind the robot and is planned there."""
+    """`--place -1100,400,100` is read as a placement behind the robot."""
     arguments = ("plan", str(part_file), "--units", "mm", "--place", "-1100,400,100", *small_plan[2:])
     done = run_cell(*arguments, "--faces", "24", "--out", "run", cwd=tmp_path)
     assert done.returncode in (0, 4), done.stderr
@@ -222,7 +222,7 @@ def test_a_negative_placement_is_not_taken_for_an_option(
 def test_ctrl_c_in_any_stage_keeps_what_was_finished(
     stage: str, faces: int, part_file: Path, tmp_path: Path, start_cell: Start
 ) -> None:
-    """An interrupt ends with code 130, one sentence, and a folder that says where it stopped."""
+    """An interrupt ends with code 130 and one sentence. The folder records the status and keeps its artefacts."""
     process = start_cell(
         "plan", part_file, "--units", "mm", "--faces", faces, "--no-cache",
         "--place", "1100,400,100", "--samples", "4", "--out", "run", cwd=tmp_path,
@@ -248,7 +248,7 @@ def test_ctrl_c_in_any_stage_keeps_what_was_finished(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_disk_is_said_and_nothing_finished_is_lost(tmp_path: Path) -> None:
-    """Writing to a full device raises the one sentence; artefacts written before stay."""
+    """A write to a full device raises an error, and earlier artefacts stay."""
     from datetime import UTC, datetime
 
     from cell.errors import FileError
@@ -265,7 +265,7 @@ def test_a_full_disk_is_said_and_nothing_finished_is_lost(tmp_path: Path) -> Non
 
 
 def test_no_write_permission_is_said_before_any_work(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
-    """A run folder below a plain file cannot be made: code 6 and a sentence."""
+    """A run folder below a plain file is refused with exit code 6."""
     (tmp_path / "file").write_text("")
     done = run_cell(
         "plan", str(part_file), "--units", "mm", "--out", "file/run", "--place", "1100,400,100", cwd=tmp_path

@@ -1,4 +1,4 @@
-"""`cell plan` with regions: what is asked of each is kept, told and read back by every command that goes on from it."""
+"""`cell plan` with regions: the requirement of each region is met, reported, and used by all later commands."""
 
 import json
 import shutil
@@ -50,7 +50,7 @@ care = "no"
 
 @pytest.fixture(scope="session")
 def regions(made_once: Callable[..., Path], run_cell: Run, drawn: Callable[[], AbstractContextManager[None]]) -> Path:
-    """A folder with a plan of a block whose top and one of whose sides are asked for."""
+    """Return a folder with a plan of a block with requirements for its top and for one of its sides."""
 
     def make(folder: Path) -> None:
         trimesh.creation.box((60.0, 60.0, 40.0)).export(folder / "block.stl")
@@ -64,12 +64,12 @@ def regions(made_once: Callable[..., Path], run_cell: Run, drawn: Callable[[], A
 
 
 def report_of(folder: Path) -> dict[str, Any]:
-    """report.json."""
+    """Return the content of report.json."""
     return json.loads((folder / "report.json").read_text())
 
 
 def test_each_region_gets_what_it_asks_for(regions: Path) -> None:
-    """Areas of the drawing, shares kept, two views on every coverable sample of the top, limits of spacing held."""
+    """Areas match the drawing. Shares, two views for each coverable sample of the top, and spacing limits are met."""
     report = report_of(regions / "run")
     top, side = report["regions"]
     assert (top["name"], side["name"]) == ("top", "side")
@@ -95,7 +95,7 @@ def test_each_region_gets_what_it_asks_for(regions: Path) -> None:
 def test_the_page_shows_regions_and_what_nobody_asks_for(
     regions: Path, data_of: Callable[[str], dict[str, Any]]
 ) -> None:
-    """A colouring by region; the skin is a piece that can be hidden; the report has a table."""
+    """The page has a colouring by region and a separate piece for the surface without requirement."""
     data = data_of((regions / "run" / "view.html").read_text())
     assert "Regions" in [layer["title"] for layer in data["surfaces"][0]["layers"]]
     assert "part, not required" in [piece["name"] for piece in data["pieces"]]
@@ -104,7 +104,7 @@ def test_the_page_shows_regions_and_what_nobody_asks_for(
 
 
 def test_commands_that_go_on_know_the_regions(regions: Path, run_cell: Run, tmp_path: Path) -> None:
-    """Why names them, an edit keeps them, diff compares them, a scan achieves what was predicted of them."""
+    """`why` names the regions, `edit` keeps them, and a scan measures what is predicted for them."""
     run = tmp_path / "run"
     shutil.copytree(regions / "run", run)
     why = json.loads(run_cell("why", run, "--samples", "3000", "--json", cwd=tmp_path).stdout)
@@ -137,7 +137,7 @@ def test_commands_that_go_on_know_the_regions(regions: Path, run_cell: Run, tmp_
 def test_what_no_view_can_keep_is_one_sentence(
     regions: Path, run_cell: Run, tmp_path: Path, limit: str, exit_code: int, said: str
 ) -> None:
-    """With the region, its limit and what helps."""
+    """The error names the region and its limit."""
     shutil.copy(regions / "block.stl", tmp_path)
     text = _REGIONS.replace("max_spacing_mm = 0.6", limit).partition('[[region]]\nname = "side"')[0]
     (tmp_path / "scene.toml").write_text(text + '[[region]]\nname = "skin"\ncare = "no"\n')
@@ -147,7 +147,7 @@ def test_what_no_view_can_keep_is_one_sentence(
 
 
 def test_equal_inputs_give_equal_bytes(regions: Path, run_cell: Run) -> None:
-    """With regions too."""
+    """Plans with regions are reproducible byte for byte."""
     done = run_cell("plan", "--scene", "scene.toml", "--place", "1000,300,200", "--out", "again", cwd=regions)
     assert done.returncode == 0, done.stderr
     for name in ("reference.ply", "measurability.npz", "plan.json", "report.json", "scene.resolved.json", "motion.npz"):
@@ -156,7 +156,7 @@ def test_equal_inputs_give_equal_bytes(regions: Path, run_cell: Run) -> None:
 
 
 def test_an_edit_is_held_to_what_its_regions_and_wishes_ask(regions: Path, run_cell: Run, tmp_path: Path) -> None:
-    """Not to the share of all the surface: unchanged views stay what they were, however often they are edited."""
+    """An unchanged plan stays valid after repeated edits. The default share of the whole surface is not required."""
     scene = (
         _REGIONS.partition("coverage")[0]
         + """[[region]]

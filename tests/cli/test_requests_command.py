@@ -1,4 +1,4 @@
-"""`cell plan` asked for more than the fewest views: what the run folder says, and what is refused."""
+"""`cell plan` with requests beyond the fewest views: content of the run folder, refusals."""
 
 import json
 import subprocess
@@ -20,7 +20,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 def ask(
     part_file: Path, small_plan: tuple[str, ...], run_cell: Run, tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[..., tuple[Path, dict[str, Any]]]:
-    """Plans the small part with more options; the folder and the JSON object."""
+    """Return a function that plans the small part with more options and returns the folder and the JSON object."""
     folder = tmp_path_factory.mktemp("requests")
 
     def run(name: str, *options: str, code: int = 0) -> tuple[Path, dict[str, Any]]:
@@ -34,7 +34,7 @@ def ask(
 
 
 def matrix(folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Dense matrix and areas of a run."""
+    """Return the dense matrix and the areas of a run."""
     with np.load(folder / "measurability.npz") as arrays:
         M = csr_array(
             (np.ones(len(arrays["indices"]), bool), arrays["indices"], arrays["indptr"]), shape=tuple(arrays["shape"])
@@ -43,14 +43,14 @@ def matrix(folder: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def covered(folder: Path) -> tuple[list[int], float]:
-    """Views of a run and the share of its samples that they cover, from its files."""
+    """Return the views of a run and the share of its samples that they cover, from its files."""
     M, areas = matrix(folder)
     views = [view["id"] for view in json.loads((folder / "plan.json").read_text())["views"]]
     return views, float(areas[M[:, views].any(axis=1)].sum() / areas.sum())
 
 
 def test_a_plain_plan_says_nothing_of_requests(planned: Path) -> None:
-    """No new key in plan.json, report.json and the page, and no curve."""
+    """A plan without requests has no further key in plan.json and report.json, and no curve."""
     plan, report = (json.loads((planned / name).read_text()) for name in ("plan.json", "report.json"))
     assert not {"most_coverage", "overlap", "promise", "multiplicity", "cost", "curve"} & (set(plan) | set(report))
     assert not {"max_views", "pinned", "alpha", "overlap_share"} & set(report["settings"])
@@ -61,7 +61,7 @@ def test_a_plain_plan_says_nothing_of_requests(planned: Path) -> None:
 def test_the_most_coverage_around_pinned_and_banned_views_with_its_curve(
     ask: Callable[..., tuple[Path, dict[str, Any]]], planned: Path
 ) -> None:
-    """Three views, one pinned, two banned: what is said is what the files hold; the curve has the plan, bounded."""
+    """The report for three views, with one pinned and two banned, matches the files. The curve contains the plan."""
     plain = [view["id"] for view in json.loads((planned / "plan.json").read_text())["views"]]
     with np.load(planned / "reach.npz") as arrays:
         reachable = np.flatnonzero(arrays["verdict"] == 0)
@@ -97,7 +97,7 @@ def test_the_most_coverage_around_pinned_and_banned_views_with_its_curve(
 def test_an_unreachable_pinned_view_is_refused_with_its_verdict(
     part_file: Path, small_plan: tuple[str, ...], run_cell: Run, planned: Path, tmp_path: Path
 ) -> None:
-    """The sentence names the candidate and why the arm does not get there; one that does not exist likewise."""
+    """The error names the candidate and its verdict. A candidate that does not exist is refused as well."""
     with np.load(planned / "reach.npz") as arrays:
         verdict = arrays["verdict"]
     lost = int(np.flatnonzero(verdict != 0)[0])
@@ -109,13 +109,13 @@ def test_an_unreachable_pinned_view_is_refused_with_its_verdict(
 
 
 def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:
-    """Each sample has two views, or all candidates that can; 2.5 s of each view are scan and settling."""
+    """Each sample has two views, or all available ones. Scan and settling take 2.5 s for each view."""
     folder, said = ask("twice", "--faces", "60", "--multiplicity", "2", "--cost", "time")
     views, _ = covered(folder)
     M, _ = matrix(folder)
     with np.load(folder / "reach.npz") as arrays:
         able = M[:, arrays["verdict"] == 0].sum(axis=1)
-    assert (M[:, views].sum(axis=1) >= np.minimum(able, 2)).mean() > 0.99  # but for what arms shade
+    assert (M[:, views].sum(axis=1) >= np.minimum(able, 2)).mean() > 0.99  # except for samples that arms occlude
     assert said["multiplicity"]["views_per_sample"] == 2
     assert said["cost"]["seconds"] == pytest.approx(2.5 * len(views) + said["motion"]["duration_s"], abs=1e-6)
     assert 0 < said["cost"]["bound_seconds"] <= said["cost"]["seconds"] + 1e-9
@@ -124,10 +124,10 @@ def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict
 def test_scans_that_hang_together(
     ask: Callable[..., tuple[Path, dict[str, Any]]],
 ) -> None:
-    """The graph of the files' views is connected, by networkx; the price is what the report says."""
+    """The overlap graph of the views is connected in networkx. The extra views are as reported."""
     import networkx as nx
 
-    effort = replace(default_effort(), constrained_work=300_000_000)  # the search for fewer views is not judged
+    effort = replace(default_effort(), constrained_work=300_000_000)  # the search for fewer views is not tested
     with effort_of(effort):
         folder, said = ask("overlap", "--faces", "60", "--overlap", "50%", "--overlap-in-order")
     views, _ = covered(folder)
@@ -149,7 +149,7 @@ def test_scans_that_hang_together(
 def test_a_promise_under_pose_errors_is_kept_in_simulated_executions(
     ask: Callable[..., tuple[Path, dict[str, Any]]],
 ) -> None:
-    """200 executions with errors: what is promised is measured as often as promised; nominal coverage is beside it."""
+    """In 200 simulated executions with pose errors, the promised samples are measured at the promised rate."""
     _, said = ask("promise", "--faces", "60", "--pose-sd", "1mm,0.5deg", "--alpha", "0.1", "--coverage", "1")
     promise = said["promise"]
     assert (promise["executions"], promise["samples"], promise["alpha"]) == (200, 10_000, 0.1)
@@ -184,7 +184,7 @@ def test_requests_that_contradict_each_other_are_refused(
     options: tuple[str, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """One sentence, exit code 2, before anything is calculated."""
+    """Contradictory requests are refused with exit code 2 before any computation."""
     from cell.cli import main
 
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""`cell scan` as a user meets it: execution folder, numbers, determinism, what is left of a killed execution."""
+"""`cell scan` on the command line: execution folder, numbers, reproducible bytes, stopped executions."""
 
 import hashlib
 import json
@@ -42,7 +42,7 @@ CONTRACT = {
 
 @pytest.fixture
 def copied(executed: Path, tmp_path: Path) -> Path:
-    """The executed run for a test of its own, its execution as if killed: no status, no sha256."""
+    """Return a copy of the executed run whose execution looks killed: status running, no sha256."""
     run = tmp_path / "run"
     shutil.copytree(executed, run)
     path = run / "executions" / "0001" / "manifest.json"
@@ -60,7 +60,7 @@ def _without_schema(folder: Path) -> dict[str, Any]:
 
 
 def _scan(run: Path, **options: Any) -> ScanOutcome:
-    """A scan in this process, at 1 degree where nothing else is said."""
+    """Execute a scan in this process, at 1 degree by default."""
     asked = ScanOptions(**{"resolution_deg": 1.0, **options})
     return scan_command.scan(Session(None, Terminal(quiet_stdout=True)), run, asked)
 
@@ -84,7 +84,7 @@ def test_help_teaches_with_examples(tmp_path: Path, run_cell: Command) -> None:
 
 
 def test_the_execution_is_complete_and_its_manifest_true(executed: Path) -> None:
-    """Every file is there with the sha256 that the manifest gives; JSONs carry the schema; nothing is pickled."""
+    """Every file is present with the sha256 of the manifest, and the status is finished."""
     folder = executed / "executions" / "0001"
     files = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
     n_views = len(json.loads((executed / "plan.json").read_text())["views"])
@@ -97,12 +97,12 @@ def test_the_execution_is_complete_and_its_manifest_true(executed: Path) -> None
 
 
 def test_one_json_object_on_stdout_is_the_report(executed: Path) -> None:
-    """What `--json` prints and what report.json holds are the same."""
+    """The output of `--json` equals the content of report.json."""
     assert json.loads((executed.parent / "scan.json").read_text()) == _without_schema(executed / "executions" / "0001")
 
 
 def test_the_plan_stays_untouched(executed: Path, planned: Path) -> None:
-    """Nothing of the run changed, nothing was added beside executions/."""
+    """The files of the plan are unchanged, and only executions/ is added."""
     names = {path.name for path in executed.iterdir()}
     assert names == {path.name for path in planned.iterdir()} | {"executions"}
     for name in names - {"executions"}:
@@ -110,7 +110,7 @@ def test_the_plan_stays_untouched(executed: Path, planned: Path) -> None:
 
 
 def test_without_pose_error_reported_equals_commanded_and_the_plan(executed: Path) -> None:
-    """Joint angles to the bit, poses to the rounding of forward kinematics, and rays from the reported pose."""
+    """Joint angles are equal to the last bit. Poses of scans and plan are equal to 1e-12."""
     plan = json.loads((executed / "plan.json").read_text())
     for stop, view in enumerate(plan["views"], start=1):
         scan = read_scan(executed / "executions" / "0001" / "scans" / f"{stop:04d}.npz")
@@ -122,7 +122,7 @@ def test_without_pose_error_reported_equals_commanded_and_the_plan(executed: Pat
 
 
 def test_points_lie_on_the_part_and_rays_are_all_accounted_for(executed: Path) -> None:
-    """Each point lies on the plane of its face of reference.ply; the codes' counts add up to the grid of 60 x 60."""
+    """Each point is on the plane of its face of reference.ply. The counts of the codes sum to the grid of 60 x 60."""
     mesh = trimesh.load(executed / "reference.ply", process=False)
     for path in sorted((executed / "executions" / "0001" / "scans").iterdir()):
         scan = read_scan(path)
@@ -136,7 +136,7 @@ def test_points_lie_on_the_part_and_rays_are_all_accounted_for(executed: Path) -
 
 
 def test_achieved_visible_coverage_is_the_predicted_one(executed: Path) -> None:
-    """Without pose error the executed poses measure the very samples that the plan predicted."""
+    """Without pose error the executed poses measure exactly the samples that the plan predicts."""
     report = _without_schema(executed / "executions" / "0001")
     planned = json.loads((executed / "plan.json").read_text())["coverage"]
     coverage = report["coverage"]
@@ -149,7 +149,7 @@ def test_achieved_visible_coverage_is_the_predicted_one(executed: Path) -> None:
 
 
 def test_cloud_and_mesh_are_readable_and_say_what_the_report_says(executed: Path) -> None:
-    """PLY in mm: as many points as scanned, each with unit normal and its view; mesh close to the reference."""
+    """The cloud is PLY in mm with unit normals and the view of each point. The mesh is close to the reference."""
     folder = executed / "executions" / "0001"
     report = _without_schema(folder)
     content = (folder / "cloud.ply").read_bytes()
@@ -177,7 +177,7 @@ def test_cloud_and_mesh_are_readable_and_say_what_the_report_says(executed: Path
 
 @pytest.mark.usefixtures("drawn_pictures")
 def test_equal_seed_gives_equal_bytes(executed: Path, tmp_path: Path) -> None:
-    """A second execution, in this process: scans, cloud, mesh, report and pictures have the same sha256."""
+    """A second execution in this process has the same sha256 for scans, cloud, mesh, report and pictures."""
     again = tmp_path / "run"
     shutil.copytree(executed, again)
     outcome = _scan(again)
@@ -203,7 +203,7 @@ def test_a_report_made_again_is_the_same(executed: Path, tmp_path: Path) -> None
 
 
 def test_report_files_hold_no_clock_value(executed: Path) -> None:
-    """The day of the execution stands in its manifest and nowhere in report.md and report.json."""
+    """The date of the execution is in its manifest and its events, not in report.md and report.json."""
     folder = executed / "executions" / "0001"
     day = json.loads((folder / "manifest.json").read_text())["started"][:10]
     for name in ("report.md", "report.json"):
@@ -212,7 +212,7 @@ def test_report_files_hold_no_clock_value(executed: Path) -> None:
 
 
 def test_one_view_is_scanned_as_in_the_whole_execution(executed: Path, tmp_path: Path) -> None:
-    """`--view 2` gives the same scan; prediction is that view's; the motion driven is recorded for a replay."""
+    """`--view 2` gives the same scan. The prediction is that of the view, and the executed motion is stored."""
     run = tmp_path / "run"
     shutil.copytree(executed, run)
     outcome = _scan(run, view=2)
@@ -229,7 +229,7 @@ def test_one_view_is_scanned_as_in_the_whole_execution(executed: Path, tmp_path:
 
 
 def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Path) -> None:
-    """0.5 mm and 0.1 deg: the cloud's distance from the reference falls at least 4 times; commands stay the plan's."""
+    """With 0.5 mm and 0.1 deg, the distance to the reference decreases at least 4 times. Commands are unchanged."""
     run = tmp_path / "run"
     shutil.copytree(executed, run)
     outcome = _scan(run, pose_error_mm=0.5, pose_error_deg=0.1, range_noise_mm=0.02, seed=9)
@@ -250,7 +250,7 @@ def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Pat
 
 
 def test_closed_holes_are_marked_and_said(copied: Path) -> None:
-    """The faces that close holes are those that the open mesh lacks; mesh.ply marks them and the page says so."""
+    """The closing faces are marked in mesh.ply, are reported separately and are the difference to the open mesh."""
     open_faces = _without_schema(copied / "executions" / "0001")["model"]["faces"]
     outcome = _scan(copied, close_holes=True)
     model = outcome.report.model
@@ -266,7 +266,7 @@ def test_closed_holes_are_marked_and_said(copied: Path) -> None:
 
 
 def test_an_execution_that_sees_nothing_is_reported(copied: Path) -> None:
-    """The scanner stands metres off: every scan is empty, nothing is measured, there is no surface, all is said."""
+    """With the scanner metres off, the scan is empty, nothing is measured, and the report states both."""
     outcome = _scan(copied, pose_error_mm=5000.0, view=1)
     assert outcome.report.n_points == 0
     assert outcome.report.registration.left_as_reported == 1
@@ -280,7 +280,7 @@ def test_an_execution_that_sees_nothing_is_reported(copied: Path) -> None:
 
 
 def test_one_empty_scan_among_others_is_said_and_the_rest_used(copied: Path) -> None:
-    """View 2 has no point: it is in the table with no point, and the surface is made from the others."""
+    """An empty view is in the table with no point, and the surface is made from the other views."""
     path = copied / "executions" / "0001" / "scans" / "0002.npz"
     counts = np.zeros(len(Rejection), dtype=np.int64)
     counts[Rejection.NO_HIT] = 3600
@@ -294,7 +294,7 @@ def test_one_empty_scan_among_others_is_said_and_the_rest_used(copied: Path) -> 
 
 
 def test_a_truncated_scan_and_one_with_nan_are_named_and_left_out(copied: Path) -> None:
-    """The report of the others is made; page, JSON and notes name the two files and why."""
+    """The report is made from the other views. Page and JSON name the two files and the cause."""
     scans = copied / "executions" / "0001" / "scans"
     (scans / "0002.npz").write_bytes((scans / "0002.npz").read_bytes()[:200])
     points = read_scan(scans / "0003.npz").points.copy()
@@ -319,7 +319,7 @@ def test_a_truncated_scan_and_one_with_nan_are_named_and_left_out(copied: Path) 
 
 
 def test_a_scan_that_was_changed_afterwards_is_left_out(executed: Path, tmp_path: Path) -> None:
-    """The manifest of a finished execution knows its scans; an edited one is not evidence."""
+    """A scan whose content differs from the manifest of a finished execution is not used."""
     run = tmp_path / "run"
     shutil.copytree(executed, run)
     path = run / "executions" / "0001" / "scans" / "0001.npz"
@@ -331,7 +331,7 @@ def test_a_scan_that_was_changed_afterwards_is_left_out(executed: Path, tmp_path
 
 
 def test_a_scan_file_that_is_not_that_of_its_view_is_named_and_left_out(copied: Path) -> None:
-    """A stop beyond the plan, one of another file, another candidate, a stop that repeats: none crashes nor counts."""
+    """Scans of an invalid stop, of another file, of another candidate and of a repeated stop are named and not used."""
     scans = copied / "executions" / "0001" / "scans"
     n = len(json.loads((copied / "plan.json").read_text())["views"])
     _rewrite(scans / "0001.npz", stop=np.array(n + 7))
@@ -350,7 +350,7 @@ def test_a_scan_file_that_is_not_that_of_its_view_is_named_and_left_out(copied: 
 
 
 def test_a_damaged_manifest_of_an_execution_is_told_and_the_scans_used(copied: Path) -> None:
-    """Not JSON, or an entry of another kind: a sentence in left_out, and the report is that of the scans."""
+    """Invalid JSON and entries of wrong type are reported in left_out, and the report is made from the scans."""
     path = copied / "executions" / "0001" / "manifest.json"
     good = json.loads(path.read_text())
     for content in ("{", json.dumps({**good, "seed": "three"}), json.dumps({**good, "options": [1]})):
@@ -365,7 +365,7 @@ def test_a_damaged_manifest_of_an_execution_is_told_and_the_scans_used(copied: P
 
 @pytest.mark.skipif(os.name != "posix", reason="processes")
 def test_an_execution_that_still_runs_is_not_reported_and_that_of_a_dead_process_is(copied: Path) -> None:
-    """With the entries of a process that lives, nothing is touched; of one that ended, the report is made."""
+    """While the process of an execution is alive, nothing is changed. After its end the report is made."""
     path = copied / "executions" / "0001" / "manifest.json"
     manifest = json.loads(path.read_text())
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
@@ -384,14 +384,14 @@ def test_an_execution_that_still_runs_is_not_reported_and_that_of_a_dead_process
 
 
 def test_what_the_controller_refuses_leaves_no_execution(planned: Path) -> None:
-    """Start and steps of all legs are checked before a folder is made."""
+    """Start and steps of all path segments are checked before a folder is created."""
     with pytest.raises(DriverFailureError, match="nothing was moved"):
         _scan(planned, driver="sim://?start=0,-80,90,0,90,0")
     assert not (planned / "executions").exists()
 
 
 def test_the_columns_of_the_table_of_scans_add_up_to_the_rays(copied: Path) -> None:
-    """Points and reasons of each row sum to the 3600 rays, with reasons that the usual scanner never gives as well."""
+    """Points and rejections of each row sum to the 3600 rays, also with rejections that are rare."""
     path = copied / "executions" / "0001" / "scans" / "0002.npz"
     counts = read_scan(path).stored["counts"].copy()
     most = 1 + int(np.argmax(counts[1:8]))
@@ -413,7 +413,7 @@ def test_the_columns_of_the_table_of_scans_add_up_to_the_rays(copied: Path) -> N
 
 @pytest.mark.parametrize("entry", [{"seed": "three"}, {"seed": -1}, {"artefacts": []}, {"status": 5}])
 def test_a_damaged_value_in_the_manifest_of_the_plan_is_a_file_error(copied: Path, entry: dict[str, Any]) -> None:
-    """One sentence that names the entry, for a new scan as for a report."""
+    """The error names the entry, for a new scan and for a report."""
     path = copied / "manifest.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **entry}))
     for work in (_scan, _remake):
@@ -422,7 +422,7 @@ def test_a_damaged_value_in_the_manifest_of_the_plan_is_a_file_error(copied: Pat
 
 
 def test_executions_are_those_with_a_number_in_order_of_it(tmp_path: Path) -> None:
-    """10000 comes after 9999; a folder or file of another name is no execution, so "latest" is the highest number."""
+    """Folders with a number are executions, in numerical order. "latest" is the highest number."""
     for name in ("9999", "10000", "0002", "notes", "0001.bak"):
         (tmp_path / "executions" / name).mkdir(parents=True)
     (tmp_path / "executions" / "20000").write_text("")
@@ -432,7 +432,7 @@ def test_executions_are_those_with_a_number_in_order_of_it(tmp_path: Path) -> No
 
 
 def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
-    """Killed before its first scan: all views are missing, nothing is claimed, no picture is left over."""
+    """After a kill before the first scan, all views are missing, the coverage is zero, and no picture remains."""
     folder = copied / "executions" / "0001"
     shutil.rmtree(folder / "scans")
     (folder / "scans").mkdir()
@@ -449,7 +449,7 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
 def test_a_stopped_execution_keeps_its_scans_and_is_reported(
     how: signal.Signals, planned: Path, tmp_path: Path, run_cell: Command, start_cell: Start
 ) -> None:
-    """In real time, stopped after the first scan: status and exit code tell, --report makes do with what is there."""
+    """After a stop behind the first scan, status and exit code report it, and `--report` uses the available scans."""
     run = tmp_path / "run"
     shutil.copytree(planned, run)
     process = start_cell("scan", "run", "--resolution", "2", "--realtime", cwd=tmp_path)
@@ -506,7 +506,7 @@ def test_bad_input_gets_one_sentence_and_its_code(
     tmp_path: Path,
     run_cell: Command,
 ) -> None:
-    """No traceback; the sentence names what is wrong, and the exit code is the documented one."""
+    """The error has no traceback, names the cause, and has the documented exit code."""
     (tmp_path / "run").symlink_to(executed)
     done = run_cell(*arguments, cwd=tmp_path)
     assert done.returncode == code, done.stderr
@@ -515,7 +515,7 @@ def test_bad_input_gets_one_sentence_and_its_code(
 
 
 def test_an_unfinished_plan_is_not_executed(planned: Path, tmp_path: Path) -> None:
-    """A run that failed has nothing to drive; the sentence says in which stage it ended."""
+    """A failed run is refused, and the error names the stage in which it ended."""
     run = tmp_path / "run.part"
     shutil.copytree(planned, run)
     manifest = json.loads((run / "manifest.json").read_text())
@@ -527,7 +527,7 @@ def test_an_unfinished_plan_is_not_executed(planned: Path, tmp_path: Path) -> No
 def test_a_required_coverage_that_is_missed_ends_with_code_3(
     planned: Path, tmp_path: Path, resealed: Callable[[Path], str]
 ) -> None:
-    """The plan's requirement holds for the execution; a single view is not held against it."""
+    """The requirement of the plan holds for the execution, but not for a single view."""
     run = tmp_path / "run"
     shutil.copytree(planned, run)
     resolved = json.loads((run / "scene.resolved.json").read_text())

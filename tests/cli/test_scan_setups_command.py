@@ -1,4 +1,4 @@
-"""`cell scan SETUPS`: one set-up after the other, wherever it was stopped; all scans as one model."""
+"""`cell scan SETUPS`: the set-ups are scanned in order and resumed after a stop; all scans form one model."""
 
 import json
 import os
@@ -33,13 +33,13 @@ NOISY = ("--setup-error", "5mm,2deg", "--range-noise", "0.03", "--resolution", "
 
 @pytest.fixture
 def folder(made_setups: Path, tmp_path: Path) -> Path:
-    """Two set-ups of the small part, nothing scanned."""
+    """Return two set-ups of the small part without executions."""
     return Path(shutil.copytree(made_setups, tmp_path / "made"))
 
 
 @pytest.mark.parametrize("seed", [11, *(pytest.param(s, marks=pytest.mark.slow) for s in (12, 13))])
 def test_what_is_called_determined_is_found_whatever_the_part_was_moved_by(folder: Path, seed: int) -> None:
-    """From 5 mm and 2 deg off in other directions: within 0.05 mm and 0.02 deg of the truth, in both set-ups."""
+    """A part 5 mm and 2 deg off in several directions is located to 0.05 mm and 0.02 deg in both set-ups."""
     wishes = {"setup_error": "5mm,2deg", "range_noise": 0.03, "resolution": 0.5, "seed": seed}
     report = scan_all(folder, **wishes).report
     assert report.missing == ()
@@ -52,13 +52,13 @@ def test_what_is_called_determined_is_found_whatever_the_part_was_moved_by(folde
 
 
 def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, run_cell: Run) -> None:
-    """From 5 mm and 2 deg off: within 0.05 mm and 0.02 deg of the truth along all that is called determined."""
+    """A part 5 mm and 2 deg off is located to 0.05 mm and 0.02 deg. The report covers both set-ups."""
     done = run_cell("scan", "made", "--setup", "1", *NOISY, "--json", cwd=folder.parent)
     assert done.returncode == 0, done.stderr
     first = json.loads(done.stdout)
     assert (first["missing"], len(first["setups"]), first["shared"]) == ([2], 1, [])
     assert first["open"]["to_come"] > 0.05
-    done = run_cell("scan", "made", "--resume", "latest", cwd=folder.parent)  # begins set-up 2 as 1 was begun
+    done = run_cell("scan", "made", "--resume", "latest", cwd=folder.parent)  # begins set-up 2 with the options of set-up 1
     assert done.returncode == 0, done.stderr
     assert "set-up 2 of 2: the part lies" in done.stderr
     report = json.loads((folder / "scanned" / "report.json").read_text())
@@ -79,7 +79,7 @@ def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, ru
 
 
 def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: Run) -> None:
-    """Without errors, both in one call: the union of what the runs' own views measure and no support touches."""
+    """Without errors, the coverage is the union of the samples that the views measure and no support touches."""
     done = run_cell("scan", "made", "--resolution", "1", "--json", cwd=folder.parent)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
@@ -104,7 +104,7 @@ def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: R
 
 
 def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: Run, start_cell: Callable[..., Any]) -> None:
-    """Kill -9 inside the first set-up: every view is scanned once, then the second set-up, with the same options."""
+    """After kill -9 in the first set-up, each view is scanned once, and the second set-up has the same options."""
     process = start_cell("scan", folder, "--resolution", "1", "--realtime")
     scans = folder / "setups" / "1" / "executions" / "0001" / "scans"
     deadline = time.monotonic() + 240
@@ -136,7 +136,7 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: Run, start_
     ],
 )
 def test_what_cannot_be_is_said(words: tuple[str, ...], told: str, folder: Path, run_cell: Run) -> None:
-    """One sentence, exit code 2, nothing scanned."""
+    """Invalid options are refused with exit code 2, and nothing is scanned."""
     done = run_cell("scan", *words, cwd=folder.parent)
     assert done.returncode == 2
     assert told in done.stderr
@@ -144,7 +144,7 @@ def test_what_cannot_be_is_said(words: tuple[str, ...], told: str, folder: Path,
 
 
 def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_cell: Run) -> None:
-    """Also when it goes on with a set-up that was stopped: the next is begun by nobody, and never with its points."""
+    """Each set-up needs its own points: the next set-up is not begun automatically, also after a resumed one."""
     beside = folder.parent
     done = run_cell("scan", "made/setups/1", "--resolution", "1", cwd=beside)
     assert done.returncode == 0, done.stderr
@@ -173,7 +173,7 @@ def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_
 
 
 def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Path, run_cell: Run) -> None:
-    """A stopped execution of one view stays as it is: the set-up is scanned as a whole, and a person asked so."""
+    """A stopped execution of one view is not resumed: the set-up is scanned completely as a new execution."""
     beside = folder.parent
     done = run_cell("scan", "made/setups/1", "--view", "1", "--resolution", "1", cwd=beside)
     assert done.returncode == 0, done.stderr
@@ -186,7 +186,7 @@ def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Pa
 
 
 def test_who_lets_the_arm_move_says_how_the_part_lies(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each question on a wire names the pose of its own set-up."""
+    """Each confirmation of a motion names the pose of the part in its own set-up."""
     asked: list[str] = []
 
     def scan(session: Session[None], run: Path, _: object) -> None:
@@ -214,7 +214,7 @@ def test_who_lets_the_arm_move_says_how_the_part_lies(folder: Path, monkeypatch:
 
 
 def test_that_a_part_may_be_near_is_told_again_where_an_execution_goes_on(folder: Path, run_cell: Run) -> None:
-    """Before anything is driven, both times."""
+    """The warning is reported before the first and before the resumed execution."""
     (folder.parent / "none").mkdir()
     files = ("--acquire", "files:none", "--points-frame", "scanner", "--points-units", "mm")
     for words in ((*files, "--setup-error", "500mm,2deg"), ("--resume", "latest")):
@@ -224,7 +224,7 @@ def test_that_a_part_may_be_near_is_told_again_where_an_execution_goes_on(folder
 
 
 def test_set_ups_whose_folders_were_exchanged_are_not_driven(folder: Path, run_cell: Run) -> None:
-    """What is said of how the part lies would be that of another plan."""
+    """A run folder that is not the plan of setups.json is refused, and no execution is created."""
     setups = folder / "setups"
     (setups / "1").rename(setups / "3")
     (setups / "2").rename(setups / "1")
@@ -236,7 +236,7 @@ def test_set_ups_whose_folders_were_exchanged_are_not_driven(folder: Path, run_c
 
 
 def test_programs_halt_before_each_set_up(folder: Path, run_cell: Run) -> None:
-    """The main program calls that of each run; its base is the part's frame there."""
+    """The main program sets the base, halts and calls the program of each run."""
     done = run_cell("export", "made", "--name", "TURNED", "--json", cwd=folder.parent)
     assert done.returncode == 0, done.stderr
     lines = (folder / "export" / "TURNED.src").read_bytes().decode("ascii").split("\r\n")
@@ -251,7 +251,7 @@ def test_programs_halt_before_each_set_up(folder: Path, run_cell: Run) -> None:
 
 
 def test_a_part_that_is_off_rests_on_its_post(planned: Path) -> None:
-    """A part that is simulated higher than planned uncovers nothing of what it rests on; the floor stays in base."""
+    """For a part simulated higher than planned, the post moves with the part, and the floor stays in base."""
     cell = read_cell(open_run(planned))
     up = np.eye(4)
     up[2, 3] = -0.004
@@ -261,7 +261,7 @@ def test_a_part_that_is_off_rests_on_its_post(planned: Path) -> None:
 
 
 def test_a_part_that_may_stand_nearer_than_the_motion_is_clear_of_it_is_told(planned: Path) -> None:
-    """5 mm and 2 deg of a part move its farthest point by 5 mm and 2 deg of its arm; the sentence begins there."""
+    """A displacement of 5 mm and 2 deg moves the farthest point by a known distance. The warning begins there."""
     cell = read_cell(open_run(planned))
     centre = cell.scene.T_object_centre[:3, 3]
     radius = np.linalg.norm(cell.reference.vertices - centre, axis=1).max()

@@ -1,4 +1,4 @@
-"""`cell setups` as a user meets it: a folder with a run for each set-up, and both numbers with their bounds."""
+"""`cell setups` on the command line: a folder with a run for each set-up, numbers of set-ups and views with bounds."""
 
 import json
 import shutil
@@ -21,12 +21,12 @@ Cell = Callable[..., Any]
 
 @pytest.fixture
 def made(made_setups: Path) -> Path:
-    """Folder of the small part's set-ups, of four that are offered; beside it what the command said."""
+    """Return the folder of the small part's set-ups, chosen from four candidates. The file `stdout` is next to it."""
     return made_setups
 
 
 def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
-    """The union of all runs on the held-out samples; a second set-up is needed and the bound says so."""
+    """The coverage is the union of all runs on the held-out samples. The number of set-ups equals its bound."""
     said = json.loads((made / "setups.json").read_text())
     seen = [seen_samples(made / setup["folder"]) for setup in said["chosen"]]
     assert said["coverage"]["visible"] == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
@@ -44,7 +44,7 @@ def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
 
 
 def test_each_set_up_is_a_run_of_its_own(made: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """Rows are the same samples in all; digests are those of the runs; a run is scanned as any."""
+    """All runs have the same samples as rows and the digests of setups.json. A run is scanned like any other."""
     said = json.loads((made / "setups.json").read_text())
     points = [np.load(made / setup["folder"] / "measurability.npz")["points"] for setup in said["chosen"]]
     for other in points[1:]:
@@ -64,7 +64,7 @@ def test_each_set_up_is_a_run_of_its_own(made: Path, run_cell: Cell, tmp_path: P
 
 
 def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: Cell) -> None:
-    """`cell view` tells the page of each run; one file cannot hold them."""
+    """`cell view` prints the page of each run. One output file for several pages is refused."""
     done = run_cell("view", "made", "--no-open", cwd=made.parent)
     assert done.returncode == 0, done.stderr
     for number in ("1", "2"):
@@ -96,7 +96,7 @@ def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: Cell) -> None:
 def test_what_cannot_be_is_said(
     options: tuple[str, ...], code: int, told: str, part_file: Path, run_cell: Cell, tmp_path: Path
 ) -> None:
-    """One sentence and a code; no finished folder is left."""
+    """An invalid request is refused with its exit code, and no finished folder is left."""
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "40", "--standoff", "250")
     small += ("--candidates", "optimal-scanning-zone")
     done = run_cell("setups", part_file, *small, "--proposals", "1", *options, "--out", "made", cwd=tmp_path)
@@ -135,7 +135,7 @@ fixtures = [{{ name = "{fixture}", shape = "box", position_mm = [1100, {y}, 0], 
 
 
 def test_given_set_ups_are_planned_each_among_its_own_fixtures(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """None is proposed beside them; one in which the part stands in its fixture is left out, with the reason."""
+    """No set-up is proposed in addition. A set-up with the part in its fixture is left out with the reason."""
     scene = tmp_path / "cell.toml"
     scene.write_text(SCENE.format(part=part_file, third="stuck", angle=90, fixture="block", y=400))
     done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
@@ -154,7 +154,7 @@ def test_given_set_ups_are_planned_each_among_its_own_fixtures(part_file: Path, 
 
 
 def test_equal_set_ups_are_refused(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """In one sentence that names both."""
+    """The error names both set-ups."""
     scene = tmp_path / "cell.toml"
     text = SCENE.format(part=part_file, third="again", angle=180, fixture="vise", y=560).replace("260]", "60]")
     scene.write_text(text)
@@ -164,7 +164,7 @@ def test_equal_set_ups_are_refused(part_file: Path, run_cell: Cell, tmp_path: Pa
 
 
 def test_wishes_are_asked_of_all_set_ups_together(part_file: Path, tmp_path: Path) -> None:
-    """A pinned candidate brings its set-up, a banned one is not taken, and samples count from two views of any."""
+    """A pinned candidate brings its set-up, a banned one is not selected. Two views may be of different set-ups."""
     made = plan_setups(
         part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,
         candidates="optimal-scanning-zone", proposals=3, coverage=0.95,
@@ -187,7 +187,7 @@ def test_wishes_are_asked_of_all_set_ups_together(part_file: Path, tmp_path: Pat
 def test_the_curve_is_of_the_set_ups_that_are_used_and_each_is_visited_in_order(
     part_file: Path, tmp_path: Path
 ) -> None:
-    """Its views are named as pinned ones are and measure what it says; in each set-up views overlap earlier ones."""
+    """Views of the curve are named like pinned ones and measure the stated share. Views overlap earlier ones."""
     made = plan_setups(
         part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,
         candidates="optimal-scanning-zone", proposals=3, coverage=0.95, curve=True, overlap="5%", overlap_in_order=True,
@@ -212,7 +212,7 @@ def test_the_curve_is_of_the_set_ups_that_are_used_and_each_is_visited_in_order(
 
 
 def test_regions_of_set_ups_have_coverages_of_their_own(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """Each is kept over all set-ups; what nobody cares for counts nowhere."""
+    """The coverage of each region is reached over all set-ups. A region without requirement has no entry."""
     (tmp_path / "cell.toml").write_text(
         SCENE.format(part=part_file, third="over and turned", angle=90, fixture="block", y=560).replace(
             "coverage = 0.95", "coverage = 0.8"
@@ -229,7 +229,7 @@ def test_regions_of_set_ups_have_coverages_of_their_own(part_file: Path, run_cel
 
 
 def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """Coverage was asked of all together: one alone misses none and cannot restore it, and no bound on it is known."""
+    """A single set-up of several can be edited. It cannot be repaired, because the coverage belongs to all set-ups."""
     one = next(run for run in sorted((made / "setups").iterdir()) if len(open_run(run).candidate) > 1)
     done = run_cell("edit", one, "--drop", "1", "--repair", "--out", "repaired", cwd=tmp_path)
     assert done.returncode == 2
@@ -239,7 +239,7 @@ def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: Cell, t
     assert "their coverage together is not known now" in " ".join(done.stderr.split())
     assert "--repair" not in done.stdout + done.stderr
     assert "more than the fewest" not in open_run(tmp_path / "edited").report.status
-    done = run_cell("edit", "edited", "--repair", "--out", "repaired", cwd=tmp_path)  # wherever it lies
+    done = run_cell("edit", "edited", "--repair", "--out", "repaired", cwd=tmp_path)  # in any folder
     assert done.returncode == 2
     assert "is one of several set-ups" in done.stderr
     for run in (one, tmp_path / "edited"):
@@ -247,7 +247,7 @@ def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: Cell, t
 
 
 def test_faces_may_be_the_rows(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """`--fill rays`: every set-up has the planning mesh's faces as rows, and no samples are added to them."""
+    """With `--fill rays` each set-up has the faces of the planning mesh as rows, without further samples."""
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "60", "--standoff", "250", "--coverage", "0.5")
     wishes = ("--candidates", "optimal-scanning-zone", "--fill", "rays", "--proposals", "2")
     done = run_cell("setups", part_file, *small, *wishes, "--out", "made", cwd=tmp_path)
@@ -259,7 +259,7 @@ def test_faces_may_be_the_rows(part_file: Path, run_cell: Cell, tmp_path: Path) 
 
 
 def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell, tmp_path: Path) -> None:
-    """A ball lies on no side; that is said, and it is planned in four turns."""
+    """A ball has no stable pose. This is reported, and the ball is planned in four turns about the vertical."""
     trimesh.creation.icosphere(subdivisions=3, radius=60).export(tmp_path / "ball.stl")
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "30", "--samples", "1", "--standoff", "250")
     wishes = ("--candidates", "optimal-scanning-zone", "--coverage", "0.5")
@@ -270,7 +270,7 @@ def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell,
 
 
 def test_why_a_set_up_is_left_out() -> None:
-    """It cannot be, adds nothing, or is not needed for what was asked."""
+    """A set-up is infeasible, measures nothing new, or is not required for the request."""
     seen = np.array([True, True, False, False])
     found = cast(Setup, SimpleNamespace(coverable=np.array([True, False, False, False])))
     assert cause_of_omission("home is not free", seen) == "home is not free"

@@ -1,4 +1,4 @@
-"""`cell setups --table`: the part turned over on a rotary table, each set-up a run with seven axes."""
+"""`cell setups --table`: the part is turned over on a rotary table, and each set-up is a run with seven axes."""
 
 import json
 import shutil
@@ -36,12 +36,12 @@ coverage = 1.0
 
 @pytest.fixture(scope="module")
 def folder(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Path:
-    """Set-ups of the small part on a table, of three that are offered; beside it what the command said."""
+    """Return the set-ups of the small part on a table, chosen from three candidates. The file `said` has the output."""
 
     def make(at: Path) -> None:
         (at / "cell.toml").write_text(SCENE.format(part=part_file))
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("planner.cover.DEFAULT_EFFORT", 30_000_000)  # the small part is soon proven
+            patch.setattr("planner.cover.DEFAULT_EFFORT", 30_000_000)  # the optimum of the small part is proven early
             done = run_cell("setups", "--scene", "cell.toml", "--proposals", "3", "--out", "made", cwd=at)
         assert done.returncode == 0, done.stderr
         (at / "said").write_text(done.stdout + done.stderr)
@@ -50,7 +50,7 @@ def folder(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Pa
 
 
 def test_each_set_up_is_a_plan_of_seven_axes_on_the_same_table(folder: Path) -> None:
-    """Layout 2, the motion's certificate made again from the folder; the table stands where it stood."""
+    """Each run has layout 2 and a motion that is verified again from the folder. The table has one place in all runs."""
     made = SetupsRun.opened(folder)
     tables = []
     for run in made.folders:
@@ -68,7 +68,7 @@ def test_each_set_up_is_a_plan_of_seven_axes_on_the_same_table(folder: Path) -> 
 
 
 def test_a_pose_is_offered_once_where_the_table_turns_it(folder: Path) -> None:
-    """Turned by hand the part would be measured as it is turned by the table."""
+    """Turned set-ups are not offered, because the table turns the part itself."""
     file: SetupsFile = SetupsRun.opened(folder).file
     assert len(file.offered) == 3
     assert not any("turned" in offer.name for offer in file.offered)
@@ -76,7 +76,7 @@ def test_a_pose_is_offered_once_where_the_table_turns_it(folder: Path) -> None:
 
 
 def test_they_are_scanned_and_exported_with_the_table(folder: Path, run_cell: Run, tmp_path: Path) -> None:
-    """From 5 mm and 2 deg off the part is found in each, turned back; programs have E1."""
+    """A part 5 mm and 2 deg off is located in each set-up. The exported programs have E1."""
     shutil.copytree(folder, tmp_path / "made")
     done = run_cell(
         "scan", "made", "--setup-error", "5mm,2deg", "--range-noise", "0.03", "--resolution", "1", "--json",
@@ -98,7 +98,7 @@ def test_they_are_scanned_and_exported_with_the_table(folder: Path, run_cell: Ru
 
 
 def test_what_the_table_cannot_carry_is_left_out(part_file: Path, run_cell: Run, tmp_path: Path) -> None:
-    """A pose that swings too wide is no set-up, and the sentence is the table's; the table stays with the others."""
+    """A set-up that swings too wide is left out with the reason of the table. The others are kept."""
     wide = '[[setup]]\nname = "far off"\nposition_mm = [1700, 400, 100]\n'
     near = '[[setup]]\nname = "upright"\nposition_mm = [1100, 400, 100]\n'
     aside = '[[setup]]\nname = "aside and higher"\nposition_mm = [1150, 400, 120]\n'
