@@ -62,7 +62,7 @@ class Chromium:
         return base64.b64decode(self._ask("Page.captureScreenshot")["data"])
 
     def busy(self) -> float:
-        """Return the processor time of all processes of the browser [s]. Other load of the machine hardly changes it."""
+        """Return the processor time of all processes of the browser [s]. Other load hardly changes it."""
         session, self._session = self._session, ""
         processes = self._ask("SystemInfo.getProcessInfo")["processInfo"]
         self._session = session
@@ -116,7 +116,7 @@ class Chromium:
 
 
 class Firefox:
-    """Firefox on a virtual screen with Mesa's software GL: headless Firefox has no WebGL. The protocol is Marionette."""
+    """Firefox on a virtual screen with Mesa's software GL: headless Firefox has no WebGL. The protocol: Marionette."""
 
     program = next(filter(None, map(shutil.which, ("firefox-esr", "firefox"))), None)
     missing = "" if program and shutil.which("Xvfb") else "no Firefox on a virtual screen: install firefox-esr and xvfb"

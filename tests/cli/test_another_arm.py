@@ -1,4 +1,4 @@
-"""Another arm, models/kr16.xml with other ranges, speeds and drives: all steps after a plan use its limits."""
+"""Another arm, models/kr16.xml with other ranges, speeds and drives: all commands after a plan use its limits."""
 
 import json
 import re
@@ -40,7 +40,7 @@ CHANGES = {
 def other(
     tmp_path_factory: pytest.TempPathFactory, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> Iterator[Path]:
-    """Run folder of a plan for that arm, which is the robot of this process meanwhile."""
+    """Yield the run folder of a plan for that arm, which replaces the robot of this process meanwhile."""
     folder = tmp_path_factory.mktemp("other")
     text = model_file("kr16.xml").read_text(encoding="utf-8")
     for old, new in CHANGES.items():
@@ -60,7 +60,7 @@ def other(
 def test_planning_driving_and_export_use_its_limits(
     other: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    """The simulated controller takes the planned time, and the head of the program has the ranges."""
+    """The simulated controller takes the planned time, and exported programs have the ranges."""
     done = run_cell("scan", other, "--resolution", "2", cwd=other)
     assert done.returncode == 0, done.stderr
     planned = json.loads((other / "report.json").read_text())["motion"]["duration_s"]
@@ -76,7 +76,7 @@ def test_planning_driving_and_export_use_its_limits(
 def test_its_emulator_has_its_limits_and_its_plan_is_driven_there(
     other: Path, emulate: Callable[..., Any], run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    """`cell emulate --run` in a process with the built-in arm only; a plan is driven over its wire."""
+    """`cell emulate --run` runs in a process with the built-in arm only. The plan is executed over its wire."""
     limits = load_arm(other, "ideal").limits
     assert (limits.lower / 1e4).tolist() == LOWER
     assert (limits.upper / 1e4).tolist() == UPPER
@@ -106,7 +106,7 @@ def test_a_plan_that_exceeds_a_controllers_limits_is_refused_before_anything_mov
 
 
 def test_the_dynamic_arm_needs_drives_and_masses(other: Path) -> None:
-    """The torque limits are the file's; without drives or masses the message has a remedy."""
+    """The torque limits are those of the file. Without drives or masses the message has a remedy."""
     run = open_run(other)
     plant = plants.plants_of_run(run)["mujoco"](robot.home(robot.load()))
     assert isinstance(plant, MujocoPlant)
@@ -124,7 +124,7 @@ def test_the_dynamic_arm_needs_drives_and_masses(other: Path) -> None:
 
 
 def test_only_an_arm_with_kukas_axes_is_written_in_krl(other: Path) -> None:
-    """The program of another arm is a table without status and turn."""
+    """KRL is refused for another arm. Its tables have neither status nor turn."""
 
     class Mirrored:
         """The same arm with the opposite sign of A1."""

@@ -1,4 +1,4 @@
-"""`cell calibrate hand-eye`: scans and poses from files, lines for the scene file, sets that say nothing."""
+"""`cell calibrate hand-eye`: scans and poses from files, lines for the scene file, insufficient sets."""
 
 import json
 from collections.abc import Callable
@@ -18,7 +18,7 @@ Run = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve scans of a ball, their poses beside them and as a table."""
+    """Return a folder with twelve scans of a ball, with their poses in JSON files and in a table."""
     folder, rows = tmp_path_factory.mktemp("scans"), []
     for number, view in enumerate(corners(), start=1):
         rng = np.random.default_rng(number)
@@ -32,7 +32,7 @@ def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_mount_as_lines_of_a_scene_file(run_cell: Run, scans: Path, tmp_path: Path) -> None:
-    """Poses beside the scans or in a table give one mount, 0.1 mm and 0.04 deg off; its lines are a scene's."""
+    """Both sources of poses give one mount, to 0.1 mm and 0.04 deg. The printed lines are valid in a scene file."""
     files = sorted(scans.glob("*.xyz"))
     beside = run_cell("calibrate", "hand-eye", *files, "--points-units", "mm", "--diameter", "38.1", cwd=tmp_path)
     assert beside.returncode == 0, beside.stderr
@@ -57,7 +57,7 @@ def test_the_mount_as_lines_of_a_scene_file(run_cell: Run, scans: Path, tmp_path
 
 
 def test_what_cannot_say_a_mount(run_cell: Run, scans: Path, tmp_path: Path) -> None:
-    """Exit code 2 and a sentence: too few scans, all from one pose, no unit, a diameter of a plane; 6 for files."""
+    """Insufficient scans and invalid options have exit code 2 with a message. Unreadable files have 6."""
     files = sorted(scans.glob("*.xyz"))
     for words, code, told in (
         ((*files[:3], "--points-units", "mm"), 2, "at least 5"),

@@ -11,7 +11,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def test_the_device_of_a_part_is_printed_with_the_rule(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
-    """By its longest side; in metres the same part is larger, in tenths of a millimetre smaller."""
+    """The longest side of the part decides: in mm a large device is selected, in um a small one."""
     quick = ("--candidates", "optimal-scanning-zone")
     for units, device in (("mm", "generic-area-large"), ("um", "generic-area-small")):
         done = run_cell(
@@ -35,7 +35,7 @@ def test_the_device_of_a_part_is_printed_with_the_rule(part_file: Path, tmp_path
 def test_an_unknown_device_and_an_unsuitable_standoff_are_refused(
     options: tuple[str, ...], words: str, tmp_path: Path, run_cell: Run
 ) -> None:
-    """A standoff outside the range, an unknown name."""
+    """A standoff outside the range and an unknown name are refused, and no run is created."""
     done = run_cell("plan", "mug", *options, cwd=tmp_path)
     assert done.returncode == 2
     assert words in done.stderr
@@ -43,7 +43,7 @@ def test_an_unknown_device_and_an_unsuitable_standoff_are_refused(
 
 
 def test_the_cell_has_the_device_s_body(tmp_path: Path, run_cell: Run) -> None:
-    """`cell check` reports the scanner and its housing; keys of the scene take precedence."""
+    """`cell check` reports the scanner and its housing. Keys of the scene have priority."""
     (tmp_path / "cell.toml").write_text(
         '[part]\nname = "mug"\n[scanner]\nsensor = "generic-area-small"\n[housing]\nbracket_diameter_mm = 20.0\n'
     )

@@ -10,7 +10,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 def test_a_coarse_mesh_a_steep_limit_and_a_sparse_scan_have_notes(
     part_file: Path, run_cell: Run, tmp_path: Path
 ) -> None:
-    """Three notes on stderr; plan and execution are made all the same."""
+    """Three notes are on stderr, and plan and execution are made."""
     (tmp_path / "cell.toml").write_text("[scanner]\ngrazing_max_deg = 85\n")
     done = run_cell(
         "plan", str(part_file), "--units", "mm", "--scene", "cell.toml", "--place", "1100,400,100", "--faces", "12",

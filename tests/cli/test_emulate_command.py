@@ -1,4 +1,4 @@
-"""`cell emulate` and the drivers' URLs: refusals, and libraries imported only when needed."""
+"""`cell emulate` and the URLs of drivers: refusals, and imports on demand."""
 
 import subprocess
 import sys
@@ -33,7 +33,7 @@ KR16 = Limits.from_rad(robot.limits(robot.load()))
 def test_invalid_options_are_refused(
     arguments: tuple[str, ...], words: str, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With a message in one line and an exit code."""
+    """An invalid option has a message and an exit code."""
     from cell.cli import main
 
     with pytest.raises(SystemExit) as end:
@@ -44,7 +44,7 @@ def test_invalid_options_are_refused(
 
 
 def test_libraries_are_imported_only_when_needed() -> None:
-    """In a fresh process `sim://` imports neither pyserial nor pymodbus, `serial://` no pymodbus."""
+    """In a fresh process `sim://` imports neither pyserial nor pymodbus, and `serial://` does not import pymodbus."""
     code = (
         "import sys; from cell.robot.model import limits, load; from drivers.limits import Limits\n"
         "from drivers.registry import Context, open_driver; arm = Context(Limits.from_rad(limits(load())))\n"
@@ -76,6 +76,6 @@ def test_libraries_are_imported_only_when_needed() -> None:
     ],
 )
 def test_invalid_urls_of_wires_are_refused(url: str, words: str) -> None:
-    """Before anything is opened."""
+    """An invalid URL is refused before anything is opened."""
     with pytest.raises(DriverUrlError, match=words):
         open_driver(url, Context(KR16))

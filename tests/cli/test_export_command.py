@@ -24,7 +24,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 def test_files_are_written_below_the_run_folder_and_are_reproducible(
     planned: Path, run_cell: Run, tmp_path: Path
 ) -> None:
-    """Each call replaces `export/` and leaves the plan unchanged; files contain no clock time and no path."""
+    """Each call replaces `export/` and leaves the plan unchanged. Repeated exports have equal bytes and no path."""
     run = tmp_path / "trial"
     shutil.copytree(planned, run)
     before = {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
@@ -42,7 +42,7 @@ def test_files_are_written_below_the_run_folder_and_are_reproducible(
 
 
 def test_csv_and_json_agree_with_each_other_and_with_the_plan(planned: Path, run_cell: Run, tmp_path: Path) -> None:
-    """Every via point and view: axes to 1e-4 deg, poses of TCP and flange as in plan.json."""
+    """Every via point has its axes to the last digit, every view its poses of TCP and flange as in plan.json."""
     from planner.kinematics.frames import pose_from_kuka_abc
 
     for kind in ("csv", "json"):
@@ -77,7 +77,7 @@ def test_csv_and_json_agree_with_each_other_and_with_the_plan(planned: Path, run
 
 
 def test_json_option_prints_one_object(planned: Path, run_cell: Run, tmp_path: Path) -> None:
-    """Stdout holds exactly one object with the name, the speed and the files."""
+    """Stdout is one object with the name, the speed and the files."""
     done = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--speed", "0.07", "--json", cwd=tmp_path)
     outcome = json.loads(done.stdout)
     assert (outcome["name"], outcome["speed_percent"]) == ("A1", 7)
@@ -86,7 +86,7 @@ def test_json_option_prints_one_object(planned: Path, run_cell: Run, tmp_path: P
 
 
 def test_default_speed_is_low_and_never_above_the_plan(planned: Path, run_cell: Run, tmp_path: Path) -> None:
-    """20 % of the speeds and 30 % of the accelerations, or the plan's scaling if it is less."""
+    """The defaults are 20 % of the speeds and 30 % of the accelerations, or the scaling of the plan if it is lower."""
     done = run_cell("export", str(planned), "--name", "A1", "--out", "x", "--json", cwd=tmp_path)
     outcome = json.loads(done.stdout)
     assert (outcome["speed_percent"], outcome["acceleration_percent"]) == (20, 30)
@@ -99,7 +99,7 @@ def test_default_speed_is_low_and_never_above_the_plan(planned: Path, run_cell: 
 def test_a_folder_name_that_is_invalid_in_krl_is_replaced_by_the_digest(
     planned: Path, run_cell: Run, tmp_path: Path
 ) -> None:
-    """Default names of run folders begin with a digit; other names are keywords."""
+    """A folder name that begins with a digit and one that is a keyword are replaced."""
     for name in ("20261121T030106Z-1f0c2a9b", "pulse"):
         run = tmp_path / name
         shutil.copytree(planned, run)
@@ -136,7 +136,7 @@ def test_a_folder_name_that_is_invalid_in_krl_is_replaced_by_the_digest(
 def test_invalid_options_give_one_sentence_and_code_2(
     planned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], sentence: str
 ) -> None:
-    """The command writes no file."""
+    """The command writes no file and prints one line."""
     from cell.cli import app
     from cell.cli.failures import report_errors
 
@@ -149,7 +149,7 @@ def test_invalid_options_give_one_sentence_and_code_2(
 
 
 def test_a_changed_file_in_an_output_folder_is_not_replaced(planned: Path, run_cell: Run, tmp_path: Path) -> None:
-    """With `--out`, a file with other content stays; an equal file may be written again."""
+    """With `--out`, a file with other content stays. An equal file may be written again."""
     assert run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path).returncode == 0
     assert run_cell("export", str(planned), "--name", "P", "--out", "out", cwd=tmp_path).returncode == 0
     edited = tmp_path / "out" / "P.dat"
@@ -162,7 +162,7 @@ def test_a_changed_file_in_an_output_folder_is_not_replaced(planned: Path, run_c
 
 
 def test_a_folder_name_cannot_inject_a_statement(planned: Path, run_cell: Run, tmp_path: Path) -> None:
-    """A run folder's name with line breaks and more characters than a KRL line stays one comment."""
+    """A folder name with line breaks and more characters than a KRL line stays one comment."""
     run = tmp_path / ("moved\r\nPTP {A1 170}\n" + "x" * 200 + "ü")
     shutil.copytree(planned, run)
     assert run_cell("export", str(run), "--name", "P", "--out", "out", cwd=tmp_path).returncode == 0
@@ -176,7 +176,7 @@ def test_a_folder_name_cannot_inject_a_statement(planned: Path, run_cell: Run, t
 def test_runs_that_cannot_be_exported(
     planned: Path, run_cell: Run, tmp_path: Path, resealed: Callable[[Path], str]
 ) -> None:
-    """Missing, unfinished, damaged, without motion: one sentence and code 6."""
+    """A missing, unfinished or damaged run and a run without motion have exit code 6 with the cause."""
     done = run_cell("export", "nowhere", cwd=tmp_path)
     assert (done.returncode, "the run folder nowhere does not exist" in done.stderr) == (6, True)
 
@@ -211,7 +211,7 @@ def test_runs_that_cannot_be_exported(
 
 
 def test_status_and_turn_as_controllers_export_them() -> None:
-    """HOME exports S 2; T has a bit per negative axis; the bits of S are shoulder, elbow and wrist of a branch."""
+    """HOME has S 2. T has a bit for each negative axis. The bits of S are shoulder, elbow and wrist of a branch."""
     from cell.export.program import status_and_turn
     from cell.robot.arm import kr16_kinematics
 

@@ -21,7 +21,7 @@ OPTIONS = ("--coverage", "0.97", "--proposals", "5")
 
 @pytest.fixture(scope="module")
 def made(made_once: Callable[..., Path], planned: Path, run_cell: Cell) -> Path:
-    """Folder of set-ups behind the planned run, which has an execution of its own."""
+    """Return a folder of set-ups with the planned run, which has an execution, as the first one."""
 
     def make(folder: Path) -> None:
         shutil.copytree(planned, folder / "first")
@@ -34,7 +34,7 @@ def made(made_once: Callable[..., Path], planned: Path, run_cell: Cell) -> Path:
 
 
 def test_the_first_set_up_is_the_given_plan_with_its_executions(made: Path, planned: Path) -> None:
-    """It is a copy to the byte; its placement is a set-up candidate that is not proposed again."""
+    """The first set-up is an exact copy. Its placement is a set-up candidate and is not proposed again."""
     file = json.loads((made / "setups.json").read_text())
     first = made / "setups" / "1"
     assert file["chosen"][0]["digest"] == open_run(first).digest == open_run(planned).digest
@@ -49,7 +49,7 @@ def test_the_first_set_up_is_the_given_plan_with_its_executions(made: Path, plan
 
 
 def test_the_other_set_ups_cover_what_the_first_leaves(made: Path) -> None:
-    """Coverage is that of all views together; the further set-ups add to it and reach the target."""
+    """The coverage is that of all views together. The further set-ups increase it to the target."""
     file = json.loads((made / "setups.json").read_text())
     assert len(file["chosen"]) > 1
     seen = [seen_samples(made / each["folder"]) for each in file["chosen"]]
@@ -61,7 +61,7 @@ def test_the_other_set_ups_cover_what_the_first_leaves(made: Path) -> None:
 
 
 def test_a_scan_of_the_set_ups_goes_on_with_the_second(made: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """The execution of the first set-up is used; only the others are scanned."""
+    """The execution of the first set-up is used, and only the others are scanned."""
     shutil.copytree(made, tmp_path / "made")
     done = run_cell("scan", "made", "--resolution", "2", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -72,7 +72,7 @@ def test_a_scan_of_the_set_ups_goes_on_with_the_second(made: Path, run_cell: Cel
 
 
 def test_the_first_set_up_has_the_same_part(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """Another mesh or cell is refused in one sentence, and a folder that is no run as everywhere."""
+    """Another mesh and other options are refused with exit code 2, a missing run with 6."""
     trimesh.creation.box([120, 60, 60]).export(tmp_path / "box.stl")
     done = run_cell("setups", "box.stl", *BOX, *OPTIONS, "--first", planned, "--out", "made", cwd=tmp_path)
     assert done.returncode == 2
@@ -85,7 +85,7 @@ def test_the_first_set_up_has_the_same_part(planned: Path, run_cell: Cell, tmp_p
 
 
 def test_the_earlier_option_names_the_new_form(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """`cell plan --open-of RUN` answers with one sentence."""
+    """`cell plan --open-of RUN` is refused with the new command in the message."""
     done = run_cell("plan", "--open-of", planned, "--place", "1100,400,100,0,0,180", cwd=tmp_path)
     assert done.returncode == 2
     assert f"cell setups --first {planned}" in " ".join(done.stderr.split())

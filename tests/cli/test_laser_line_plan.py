@@ -1,4 +1,4 @@
-"""`cell plan` with line sensors: views are sweeps, recorded in the files, with their motion or a note without it."""
+"""`cell plan` with line sensors: views are sweeps, and the motion drives each sweep as a line at constant speed."""
 
 import json
 import subprocess
@@ -152,7 +152,7 @@ def test_a_resolution_is_none_of_a_line_sensor_s_options(swept: Path, run_cell: 
 
 
 def test_sweeps_can_be_edited(swept: Path, run_cell: Run, tmp_path: Path) -> None:
-    """An edit without changes gives equal bytes. After drop, turn and order each view is still the sweep about its pose."""
+    """An edit without changes gives equal bytes. After drop, turn and order each view has the sweep of its pose."""
     before = json.loads((swept / "plan.json").read_text())["views"]
     assert run_cell("edit", swept, "--out", "same", "--json", cwd=tmp_path).returncode == 0
     assert (tmp_path / "same" / "motion.npz").read_bytes() == (swept / "motion.npz").read_bytes()

@@ -1,4 +1,4 @@
-"""`cell part`: faces listed with the numbers that a scene file takes, drawn, and as one JSON object."""
+"""`cell part`: faces are listed with the numbers for a scene file, drawn, and printed as one JSON object."""
 
 import importlib.util
 import json
@@ -16,7 +16,7 @@ Run = Callable[..., CompletedProcess[str]]
 
 @pytest.mark.skipif(importlib.util.find_spec("cascadio") is None, reason="cascadio is not installed")
 def test_a_step_file_is_listed_and_drawn(run_cell: Run, tmp_path: Path) -> None:
-    """Seven faces, the bore with its diameter; the same bytes twice; the page knows the faces."""
+    """The seven faces and the diameter of the bore are listed. Files are reproducible, and the page has the faces."""
     (tmp_path / "block.stp").write_text(bored_block())
     done = run_cell("part", "block.stp", "--out", "drawn", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -34,7 +34,7 @@ def test_a_step_file_is_listed_and_drawn(run_cell: Run, tmp_path: Path) -> None:
 
 
 def test_a_mesh_is_described_without_faces(run_cell: Run, tmp_path: Path) -> None:
-    """A mesh has no CAD faces, and needs its units."""
+    """A mesh has no CAD faces and requires its units."""
     trimesh.creation.box((20, 30, 40)).export(tmp_path / "box.stl")
     told = json.loads(run_cell("part", "box.stl", "--units", "mm", "--json", "--out", "drawn", cwd=tmp_path).stdout)
     assert told["volume_mm3"] == pytest.approx(24000)

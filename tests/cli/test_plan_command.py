@@ -169,7 +169,7 @@ def test_bad_input_gets_one_sentence_and_its_code(
 
 
 def test_a_failed_run_keeps_its_folder_with_status_and_stage(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
-    """If nothing is reachable, the folder stays as .part with its artefacts. Manifest and JSON object have the reason."""
+    """If nothing is reachable, the folder stays as .part. Manifest and JSON object have the status and the reason."""
     done = run_cell(
         "plan", str(part_file), "--units", "mm", "--place", "9000,0,0", "--faces", "60", *_QUICK, "--out", "far",
         "--json", cwd=tmp_path,

@@ -1,4 +1,4 @@
-"""`cell replay` by pixels: the arm is drawn and moves, the part is at its planned pose, failed runs are shown."""
+"""`cell replay` tested by pixels: moving arm, part at its planned pose, failed runs."""
 
 import itertools
 import json
@@ -37,7 +37,7 @@ draws = pytest.mark.skipif(find_library("EGL") is None, reason=_NO_EGL)
 
 
 class OffScreen:
-    """MuJoCo's own renderer, which draws like its viewer."""
+    """MuJoCo's renderer, which draws like its viewer."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         model.vis.global_.offwidth, model.vis.global_.offheight = _SIZE
@@ -70,13 +70,13 @@ def _initial_camera(planned: Path, playback: Playback) -> mujoco.MjvCamera:
 
 @pytest.fixture(scope="module")
 def playback(planned: Path) -> Playback:
-    """The playback of the finished run."""
+    """Return the playback of the finished run."""
     return load_playback(open_run(planned), None, Terminal())
 
 
 @pytest.fixture(scope="module")
 def screen(playback: Playback) -> Iterator[OffScreen]:
-    """An off-screen renderer of the playback."""
+    """Yield an off-screen renderer of the playback."""
     opened = OffScreen(playback.replay_model.model)
     yield opened
     opened.renderer.close()
@@ -111,7 +111,7 @@ def _geoms(screen: OffScreen, data: mujoco.MjData, camera: mujoco.MjvCamera) -> 
 
 @draws
 def test_the_part_is_drawn_at_its_planned_pose(planned: Path, playback: Playback, screen: OffScreen) -> None:
-    """The outline of the part in a close-up is that of the reference mesh placed and projected by hand (1 mm)."""
+    """The outline of the part in a close-up equals that of the reference mesh, projected separately (1 mm)."""
     playback.pose(0.0)
     camera = _initial_camera(planned, playback)
     assert (_geoms(screen, playback.data, camera) == playback.replay_model.model.geom("surface").id).sum() > 150
@@ -136,7 +136,7 @@ def test_the_part_is_drawn_at_its_planned_pose(planned: Path, playback: Playback
 
 @draws
 def test_the_arm_is_drawn_at_its_planned_poses(planned: Path, playback: Playback, screen: OffScreen) -> None:
-    """At each view the housing is drawn at its pose in plan.json or hidden by something nearer, nowhere else."""
+    """At each view the housing is drawn at its pose in plan.json or is hidden, and is drawn nowhere else."""
     camera, model = _initial_camera(planned, playback), playback.replay_model.model
     fovy, housing = model.vis.global_.fovy, model.geom("housing").id
     resolved = json.loads((planned / "scene.resolved.json").read_text())
@@ -151,7 +151,7 @@ def test_the_arm_is_drawn_at_its_planned_poses(planned: Path, playback: Playback
         column, row = _project(camera, fovy, middle[None])[0].astype(int)
         seen += int(numbers[row, column] == housing)
         shown = np.argwhere(numbers == housing)
-        if len(shown):  # no point of it is farther from its middle than half its diagonal, 95 mm
+        if len(shown):  # each point of it is within half its diagonal, 95 mm, of its middle
             edge = np.abs(
                 _project(camera, fovy, middle + 0.095 * np.concatenate([np.eye(3), -np.eye(3)])) - [column, row]
             )
@@ -164,7 +164,7 @@ def test_the_arm_is_drawn_at_its_planned_poses(planned: Path, playback: Playback
 
 @draws
 def test_marks_are_drawn_over_the_model(planned: Path, playback: Playback, screen: OffScreen) -> None:
-    """Path and frustum change pixels; the frustum is translucent teal over the part."""
+    """Path and frustum change pixels. The frustum is translucent teal over the part."""
     stop = playback.timeline.stops[0]
     playback.pose(stop.begin)
     camera = _initial_camera(planned, playback)
@@ -201,7 +201,7 @@ def test_visual_meshes_do_not_change_contacts(planned: Path, playback: Playback)
 
 
 def test_a_contact_is_named(playback: Playback) -> None:
-    """With the arm in the floor, link and floor are named; at the planned views there is no violation."""
+    """A contact of the arm with the floor is reported with both names. At the planned views there is no contact."""
     for stop in playback.timeline.stops:
         playback.pose(stop.begin)
         assert playback.violations() == ()
@@ -216,7 +216,7 @@ def test_a_contact_is_named(playback: Playback) -> None:
 def test_frames_through_the_command_line(
     planned: Path, tmp_path: Path, run_cell: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Frames are numbered PNGs of the requested size that differ, without OpenGL; a folder with frames is an error."""
+    """Frames are numbered PNGs of the requested size and need no OpenGL. A folder with frames is an error."""
     monkeypatch.setenv("MUJOCO_GL", "off")
     arguments = ("replay", str(planned), "--frames", "film", "--fps", "0.3", "--size", "320x240")
     done = run_cell(*arguments, cwd=tmp_path)
@@ -234,7 +234,7 @@ def test_frames_through_the_command_line(
 def test_a_picture_needs_no_opengl_and_hides_named_pieces(
     planned: Path, tmp_path: Path, run_cell: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without EGL and OSMesa: reproducible bytes; no orange without the robot; another camera, another picture."""
+    """Without EGL and OSMesa pictures are reproducible. `--hide` and `--camera` change the picture."""
     monkeypatch.setenv("MUJOCO_GL", "off")
 
     def drawn(*options: str) -> NDArray[np.uint8]:
@@ -256,7 +256,7 @@ def test_a_picture_needs_no_opengl_and_hides_named_pieces(
 def test_an_execution_shows_its_points(
     planned: Path, tmp_path: Path, screen: OffScreen, playback: Playback, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A stopped execution is shown up to its last complete scan, whose points cover only the part."""
+    """A stopped execution is shown up to its last complete scan. The points cover only the part."""
     folder = Path(shutil.copytree(planned, tmp_path / "run"))
     scans = folder / "executions" / "0001" / "scans"
     scans.mkdir(parents=True)
@@ -291,7 +291,7 @@ def test_an_execution_shows_its_points(
 
 
 def test_a_failed_run_shows_home_and_candidates(planned: Path, tmp_path: Path, run_cell: Run) -> None:
-    """A run without motion reports it, and its picture shows the arm and the candidates."""
+    """The failure is reported, and the picture shows the arm and the candidates."""
     folder = Path(shutil.copytree(planned, tmp_path / "run.part"))
     for name in ("motion.npz", "plan.json", "report.json", "measurability.npz"):
         (folder / name).unlink()
@@ -360,7 +360,7 @@ print(json.dumps({"oranges": oranges, "columns": columns}))
 
 @pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="the viewer needs a display: install xvfb")
 def test_the_viewer_shows_a_moving_arm_and_ends(planned: Path) -> None:
-    """On a virtual display with a clock of the test, the screen shows orange that moves; --once ends the viewer."""
+    """On a virtual display with a simulated clock, the orange arm moves on the screen. `--once` ends the viewer."""
     kept = {key: value for key, value in os.environ.items() if key not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
     done = subprocess.run(
         ["xvfb-run", "-a", "-s", "-screen 0 1024x768x24", sys.executable, "-c", _WATCH, str(planned)],
@@ -370,5 +370,5 @@ def test_the_viewer_shows_a_moving_arm_and_ends(planned: Path) -> None:
     watched = json.loads(done.stdout.strip().splitlines()[-1])
     drawn = [column for column, orange in zip(watched["columns"], watched["oranges"], strict=True) if orange > 2000]
     assert len(drawn) > 4
-    settled = drawn[2:]  # the first picture of the window may have its default camera
+    settled = drawn[2:]  # the first pictures may have the default camera of the window
     assert max(settled) - min(settled) > 10

@@ -1,4 +1,4 @@
-"""The tightest moment in `cell replay`: as in plan.json, drawn there, and an error if it is unknown."""
+"""The tightest moment in `cell replay`: as in plan.json, drawn, and an error if unknown."""
 
 import json
 import shutil
@@ -29,7 +29,7 @@ _END = 269
 
 @pytest.fixture(scope="module")
 def playback(planned: Path) -> Playback:
-    """The playback of the finished run."""
+    """Return the playback of the finished run."""
     return load_playback(open_run(planned), None, Terminal())
 
 
@@ -48,7 +48,7 @@ def test_the_playback_has_the_tightest_moment_of_the_plan(planned: Path, playbac
 
 
 def test_the_end_key_goes_to_the_tightest_moment_and_pauses(playback: Playback) -> None:
-    """Without a tightest moment the key has no effect."""
+    """The key sets the time and pauses. Without a tightest moment the key has no effect."""
     assert playback.tightest is not None
     player = Player(playback.timeline, tightest=playback.tightest.time)
     player.press(_END)
@@ -59,7 +59,7 @@ def test_the_end_key_goes_to_the_tightest_moment_and_pauses(playback: Playback) 
 
 
 def test_both_points_and_their_line_are_in_the_picture(planned: Path, playback: Playback, tmp_path: Path) -> None:
-    """In the close-up they are in the middle of the picture."""
+    """In the close-up both points are in the middle of the picture."""
     tightest, run = playback.tightest, open_run(planned)
     assert tightest is not None
     cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
@@ -76,7 +76,7 @@ def test_both_points_and_their_line_are_in_the_picture(planned: Path, playback: 
 
 
 def test_a_picture_of_another_moment_does_not_show_the_pair(planned: Path, playback: Playback, tmp_path: Path) -> None:
-    """At another pose its points would be in mid-air: the picture is the same with and without the pair."""
+    """The picture of another moment is the same with and without the pair."""
     assert playback.tightest is not None
     run = open_run(planned)
     cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
@@ -95,7 +95,7 @@ def test_a_picture_of_another_moment_does_not_show_the_pair(planned: Path, playb
 
 
 def test_the_command_draws_the_tightest_moment(planned: Path, tmp_path: Path, run_cell: Run) -> None:
-    """`--tightest --picture` differs from the picture of the tour; --view beside it is an error."""
+    """`--tightest --picture` differs from the picture of the tour. `--tightest` with `--view` is an error."""
     done = run_cell("replay", planned, "--tightest", "--picture", "t.png", "--size", "320x240", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, f"next:\n  cell scan {planned}\n")
     done = run_cell("replay", planned, "--picture", "p.png", "--size", "320x240", cwd=tmp_path)
@@ -107,7 +107,7 @@ def test_the_command_draws_the_tightest_moment(planned: Path, tmp_path: Path, ru
 
 
 def test_an_unknown_tightest_moment_is_an_error(planned: Path, tmp_path: Path) -> None:
-    """An older run is shown without it; --tightest is an error there; a damaged entry is named."""
+    """A run without clearance has no tightest moment, and --tightest is an error. A damaged entry is an error too."""
     folder = Path(shutil.copytree(planned, tmp_path / "run"))
     manifest = json.loads((folder / "manifest.json").read_text())
     plan = json.loads((folder / "plan.json").read_text())

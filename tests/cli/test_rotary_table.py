@@ -44,7 +44,7 @@ def _json(path: Path) -> dict[str, Any]:
 
 
 def test_files_hold_the_angle_of_the_table(turned: Path) -> None:
-    """via_q stays (N, 6), via_e is (N, 1); every view has e_deg and its pose of the part; layout 2."""
+    """via_q is (N, 6) and via_e is (N, 1). Every view has e_deg and its pose of the part. The layout is 2."""
     stored = np.load(turned / "motion.npz")
     assert stored["via_q"].shape[1] == 6
     assert stored["via_e"].shape == (len(stored["via_q"]), 1)
@@ -66,7 +66,7 @@ def test_files_hold_the_angle_of_the_table(turned: Path) -> None:
 
 
 def test_views_are_taken_between_the_angles_that_were_looked_at(turned: Path) -> None:
-    """Some at no multiple of 10 deg, each at its candidate's pose in the part's frame, and a solution of its reach."""
+    """Some views are at no multiple of 10 deg. Each has the pose of its candidate and one of its joint solutions."""
     plan, found = _json(turned / "plan.json"), open_run(turned).reach
     candidates = np.load(turned / "viewpoints.npz")["T_object_scanner"].reshape(-1, 4, 4)
     for view in plan["views"]:
@@ -77,7 +77,7 @@ def test_views_are_taken_between_the_angles_that_were_looked_at(turned: Path) ->
 
 
 def test_a_plan_without_a_table_has_nothing_of_it(planned: Path) -> None:
-    """No array, no key, layout 1."""
+    """A plan without a table has no array and no key of a table, and layout 1."""
     assert not {"via_e", "e", "ed", "edd"} & set(np.load(planned / "motion.npz").files)
     assert "e" not in np.load(planned / "reach.npz").files
     assert "table" not in _json(planned / "scene.resolved.json")
@@ -86,7 +86,7 @@ def test_a_plan_without_a_table_has_nothing_of_it(planned: Path) -> None:
 
 
 def test_the_slowest_of_seven_axes_sets_the_time(turned: Path) -> None:
-    """Every move takes as long as the limits of all seven axes need; at least once the table is the slowest."""
+    """The duration follows from the limits of all seven axes. The table is at angle 0 at begin and end."""
     done = open_run(turned).motion
     times = move_time(done.via_q[:-1], done.via_q[1:], done.limits)
     assert done.duration == pytest.approx(times.sum())
@@ -97,7 +97,7 @@ def test_the_slowest_of_seven_axes_sets_the_time(turned: Path) -> None:
 
 
 def test_the_plan_is_verified_and_a_changed_table_is_found(turned: Path, tmp_path: Path) -> None:
-    """The run folder alone is verified; a changed angle or table fails."""
+    """The run folder is verified alone. A changed diameter of the table is an error."""
     assert verify_plan(turned).world.table is not None
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
@@ -108,7 +108,7 @@ def test_the_plan_is_verified_and_a_changed_table_is_found(turned: Path, tmp_pat
 
 
 def test_an_execution_measures_the_predicted_coverage(turned: Path) -> None:
-    """Scans are of the turned part, in its own frame; points are on it."""
+    """The achieved coverage is the predicted one. Scans store six joint angles and the table's angle."""
     report = _json(turned / "executions" / "0001" / "report.json")
     coverage = report["coverage"]
     assert coverage["visible"] == pytest.approx(coverage["predicted"], abs=1e-6)
@@ -121,7 +121,7 @@ def test_an_execution_measures_the_predicted_coverage(turned: Path) -> None:
 def test_a_dynamic_arm_and_table_measure_from_their_reported_pose(
     turned: Path, run_cell: RunCell, tmp_path: Path
 ) -> None:
-    """All seven reported axes are near the commanded ones; poses in the part's frame use the reported ones."""
+    """All seven reported axes are near the commanded ones. The stored pose of a scan uses the reported axes."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     done = run_cell("scan", copy, "--resolution", "1", "--driver", "sim://?plant=mujoco", cwd=tmp_path)
@@ -141,7 +141,7 @@ def test_a_dynamic_arm_and_table_measure_from_their_reported_pose(
 
 
 def test_the_motion_of_one_view_is_stored_as_that_of_a_plan(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
-    """The motion of `--view` has the table's angles, and is read with seven axes."""
+    """The stored motion of `--view` has the table's angles and is read with seven axes."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     done = run_cell("scan", copy, "--view", "1", "--resolution", "1", cwd=tmp_path)
@@ -154,7 +154,7 @@ def test_the_motion_of_one_view_is_stored_as_that_of_a_plan(turned: Path, run_ce
 
 
 def test_a_scan_begins_at_the_present_angle_of_the_table(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
-    """With the arm at home and a table turned by hand, an approach path of all seven axes begins there."""
+    """With the table at 60 deg, an approach path of all seven axes begins there and ends at the first view."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     (copy / "executions" / "0001" / "scans" / "0001.npz").unlink()
@@ -173,7 +173,7 @@ def test_a_scan_begins_at_the_present_angle_of_the_table(turned: Path, run_cell:
 def test_an_endless_table_continues_from_its_present_turn(
     turned: Path, run_cell: RunCell, tmp_path: Path, turns: int
 ) -> None:
-    """Whole turns are reported, sent with every angle, and appear in no scan: the results are the same."""
+    """Whole turns are reported and added to every angle, but not stored in scans: the results are equal."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(open_run(copy).motion.via_q[0, :6]), 360.0 * turns])
@@ -188,12 +188,12 @@ def test_an_endless_table_continues_from_its_present_turn(
     events = [[json.loads(line) for line in (at / "events.jsonl").read_text().splitlines()] for at in (first, second)]
     assert "whole_turns" not in events[0][0]
     assert events[1][0]["whole_turns"] == turns
-    # It stands on its own turn still, and did not take longer than from 0.
+    # It keeps its turn and takes no longer than from angle 0.
     assert [each["t_s"] for each in events[1]] == pytest.approx([each["t_s"] for each in events[0]], abs=1e-6)
 
 
 def test_a_changed_table_of_the_scene_is_found(turned: Path, tmp_path: Path) -> None:
-    """Faster, elsewhere, indexed, none: a difference with a name, as every other of the cell."""
+    """Another speed, place or mode of the table, or no table, is reported as a difference."""
     proven = verify_plan(turned)
     for text in (
         "[table]\nvelocity_deg_s = 77",
@@ -231,7 +231,7 @@ def _share(run: Path) -> float:
 
 
 def test_why_explains_all_uncovered_surface(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
-    """The uncovered surface is that of the plan; upside down is tried, turns of the table are not."""
+    """The shares sum to one. The upside-down set-up is tried, and turns of the table are not."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     done = run_cell("why", copy, "--samples", "4000", "--json", cwd=tmp_path)
@@ -244,9 +244,9 @@ def test_why_explains_all_uncovered_surface(turned: Path, run_cell: RunCell, tmp
 
 
 def test_a_table_never_needs_more_views(planned: Path, turned: Path) -> None:
-    """The smallest number of views, proven by HiGHS, for each coverage that candidates without a table attain.
+    """For each coverage possible without a table, the proven smallest number of views is not larger with one.
 
-    The samples are the same; `--max-views` gives what a table adds with equally many views.
+    The samples are the same in both plans.
     """
     runs = [open_run(folder) for folder in (planned, turned)]
     matrices, usable = [run.measurability for run in runs], [run.reach.reachable for run in runs]
@@ -267,7 +267,7 @@ def test_a_table_never_needs_more_views(planned: Path, turned: Path) -> None:
 
 
 def test_a_further_set_up_keeps_the_table(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
-    """Upside down on the same table both set-ups measure more than the first; the motion is certified."""
+    """A second, upside-down set-up on the same table increases the coverage, and its motion is verified."""
     further = ("--proposals", "1", "--place", "1100,400,100,0,0,180", "--coverage", "1", "--out", "over")
     done = run_cell("setups", "--first", turned, *further, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -283,7 +283,7 @@ def test_a_further_set_up_keeps_the_table(turned: Path, run_cell: RunCell, tmp_p
 def test_views_are_edited_and_the_motion_of_seven_axes_certified_again(
     turned: Path, run_cell: RunCell, tmp_path: Path
 ) -> None:
-    """A view moved to its own pose, in base at its angle, is unchanged; one more and one fewer are planned."""
+    """A view moved to its own pose in base at its table angle is unchanged. All edited plans are verified."""
     stop, view = next((n, v) for n, v in enumerate(_json(turned / "plan.json")["views"], 1) if v["e_deg"][0])
     T = np.array(view["T_base_scanner"])
     position, abc = kuka_abc_from_pose(T)
@@ -314,11 +314,11 @@ def test_a_turned_part_is_located_at_angle_0(turned: Path, tmp_path: Path) -> No
     np.testing.assert_allclose(found.T_base_object, run.T_base_object @ moved, atol=1e-5)
     there = run.edited(T_base_object=found.T_base_object, repair=True, out=tmp_path / "there", use_cache=False)
     tables = [_json(folder / "scene.resolved.json")["table"]["T_base_table"] for folder in (turned, there.folder)]
-    np.testing.assert_allclose(*tables, atol=1e-9)  # the part was moved on the table, which stands where it stood
+    np.testing.assert_allclose(*tables, atol=1e-9)  # the part was moved on the table; the table keeps its place
 
 
 def test_a_part_that_is_located_beside_the_axis_swings_its_post(turned: Path) -> None:
-    """On the axis a post turns in place; beside it the post is checked with the pedestal, and the table stays."""
+    """On the axis a post turns in place. Off the axis it is checked against the pedestal. The table keeps its place."""
     run = open_run(turned)
     reference, T = run.mesh("reference.ply"), np.array(run.scene.T_base_object)
     planned = world_of(run, reference)
@@ -334,7 +334,7 @@ def test_a_part_that_is_located_beside_the_axis_swings_its_post(turned: Path) ->
 def test_a_located_part_is_kept_clear_of_while_an_indexed_table_turns(
     turned: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The motion is checked for the mode of the table, which its file does not state."""
+    """The motion is checked for the mode of the table: simultaneous motion of arm and table is reported."""
     run = EditableRun.opened(turned)
     world = world_of(run, run.reference)
     indexed = dataclasses.replace(world, limits=dataclasses.replace(world.limits, table_turn_q=world.home))
@@ -352,7 +352,7 @@ def _guarded(world: World) -> set[tuple[str, str]]:
 
 
 def test_a_placement_is_evaluated_with_the_table_below_the_part(part_file: Path) -> None:
-    """With 36 angles more candidates are reached, and more is measured, at every placement."""
+    """At both placements the table increases the reachable candidates and does not reduce the coverable surface."""
     found = {}
     for on_table in (False, True):
         scene = scene_from_options(None, {"table": on_table, "units": "mm", "faces": 60}, part_file)
@@ -368,7 +368,7 @@ def test_a_placement_is_evaluated_with_the_table_below_the_part(part_file: Path)
 
 
 def test_an_exported_program_drives_the_table_as_e1(turned: Path, run_cell: RunCell, tmp_path: Path) -> None:
-    """Every PTP has the seven angles of its via point, and the arm stops only where E1 does; so do the tables."""
+    """Every PTP has the seven angles of its via point, and the stop check includes E1. The CSV table has E1 too."""
     via = np.degrees(open_run(turned).motion.via_q).round(4)
     done = run_cell("export", turned, "--out", tmp_path / "krl", "--name", "TURNED", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -388,7 +388,7 @@ def test_an_exported_program_drives_the_table_as_e1(turned: Path, run_cell: RunC
 def test_seven_axes_are_driven_over_a_wire(
     turned: Path, run_cell: RunCell, emulate: Callable[..., Any], tmp_path: Path, protocol: str
 ) -> None:
-    """An emulated controller of the run's arm and table, two turns on, measures as the simulated one."""
+    """An emulated controller with the table two turns on gives the same coverage as the simulated one."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     axes = from_rad([*open_run(copy).motion.via_q[0, :6], 4 * np.pi]).tolist()
@@ -409,7 +409,7 @@ def test_seven_axes_are_driven_over_a_wire(
 
 
 def test_plans_that_cannot_have_a_table_refuse_it(run_cell: RunCell, part_file: Path, tmp_path: Path) -> None:
-    """An exploration, and a scanner that sweeps."""
+    """An exploration and a scanner that sweeps are refused with exit code 2."""
     (tmp_path / "line.toml").write_text('[scanner]\ntype = "laser-line"\n')
     part = (part_file, "--units", "mm", "--table")
     for command in (("explore", *part), ("plan", *part, "--scene", "line.toml")):
@@ -421,7 +421,7 @@ def test_plans_that_cannot_have_a_table_refuse_it(run_cell: RunCell, part_file: 
 def test_an_indexed_table_is_planned_verified_and_resumed(
     small_plan: tuple[str, ...], part_file: Path, run_cell: RunCell, tmp_path: Path
 ) -> None:
-    """Arm and table never move at once, in the plan and on the approach path; a motion that does is not driven."""
+    """Arm and table never move simultaneously, in the plan and on the approach path. Such a motion is refused."""
     (tmp_path / "indexed.toml").write_text('[table]\nmoves = "indexed"\n')
     scene = ("--scene", "indexed.toml")
     done = run_cell("plan", part_file, "--units", "mm", *small_plan, *scene, "--out", "run", cwd=tmp_path)
@@ -448,7 +448,7 @@ def test_an_indexed_table_is_planned_verified_and_resumed(
 def test_a_tilted_axis_is_planned_scanned_and_placed_as_an_upright_one(
     run_cell: RunCell, part_file: Path, small_plan: tuple[str, ...], tmp_path: Path
 ) -> None:
-    """At each view the part has turned about the tilted axis; the dynamic arm is refused."""
+    """At each view the part is turned about the tilted axis. The dynamic arm is refused."""
     (tmp_path / "tilted.toml").write_text("[table]\nabc_deg = [0.0, -30.0, 20.0]\n", encoding="utf-8")
     done = run_cell(
         "plan", part_file, "--units", "mm", *small_plan, "--scene", "tilted.toml", "--out", "run", cwd=tmp_path

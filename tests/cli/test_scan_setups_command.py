@@ -58,7 +58,7 @@ def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, ru
     first = json.loads(done.stdout)
     assert (first["missing"], len(first["setups"]), first["shared"]) == ([2], 1, [])
     assert first["open"]["to_come"] > 0.05
-    done = run_cell("scan", "made", "--resume", "latest", cwd=folder.parent)  # begins set-up 2 with the options of set-up 1
+    done = run_cell("scan", "made", "--resume", "latest", cwd=folder.parent)  # set-up 2 has the options of set-up 1
     assert done.returncode == 0, done.stderr
     assert "set-up 2 of 2: the part lies" in done.stderr
     report = json.loads((folder / "scanned" / "report.json").read_text())

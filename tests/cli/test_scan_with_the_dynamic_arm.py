@@ -1,4 +1,4 @@
-"""`cell scan --driver sim://?plant=mujoco`: scans from the reported poses, and none from a diverged arm."""
+"""`cell scan --driver sim://?plant=mujoco`: scans from reported poses, and no scan from a diverged arm."""
 
 import json
 import shutil
@@ -26,7 +26,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture(scope="module")
 def scanned(planned: Path, tmp_path_factory: pytest.TempPathFactory, run_cell: Run) -> Path:
-    """A copy of the small run, executed with the dynamic arm (0001, 0002) and with the ideal one (0003)."""
+    """Return a copy of the small run, executed with the dynamic arm (0001, 0002) and with the ideal one (0003)."""
     run = tmp_path_factory.mktemp("dynamic") / "run"
     shutil.copytree(planned, run)
     done = run_cell("scan", "run", "--driver", URL, "--resolution", "2", "--json", cwd=run.parent)
@@ -43,7 +43,7 @@ def scans(run: Path, execution: str) -> list[dict[str, Any]]:
 
 
 def test_every_scan_is_taken_from_the_reported_pose(scanned: Path) -> None:
-    """The reported axes are near the commanded ones but not equal; poses and points follow the reported ones."""
+    """The reported axes are near the commanded ones but not equal. The stored poses follow the reported axes."""
     record = open_run(scanned)
     scene = record.scene
     T_base_object, T_flange_scanner = scene.T_base_object, scene.T_flange_scanner
@@ -62,7 +62,7 @@ def test_every_scan_is_taken_from_the_reported_pose(scanned: Path) -> None:
 
 
 def test_equal_executions_are_equal_byte_for_byte(scanned: Path) -> None:
-    """Scans and the times of events; only the wall clock differs."""
+    """Scans and events are equal, except for the wall clock."""
     names = sorted(path.name for path in (scanned / "executions" / "0001" / "scans").iterdir())
     for name in names:
         first, second = (scanned / "executions" / number / "scans" / name for number in ("0001", "0002"))
@@ -75,7 +75,7 @@ def test_equal_executions_are_equal_byte_for_byte(scanned: Path) -> None:
 
 
 def test_the_report_has_the_time_of_the_arm(scanned: Path) -> None:
-    """Longer than with the ideal arm by at most half a second of settling at each stop."""
+    """The time exceeds that of the ideal arm by at most half a second at each stop."""
     reports = [json.loads((scanned / "executions" / n / "report.json").read_text()) for n in ("0001", "0003")]
     extra = reports[0]["motion"]["executed_s"] - reports[1]["motion"]["executed_s"]
     stops = reports[0]["n_views"] + 1
@@ -99,7 +99,7 @@ def test_replay_shows_the_reported_stops(scanned: Path) -> None:
 def test_a_diverging_simulation_ends_the_scan_without_a_scan(
     scanned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 5; the execution is recorded as failed, without scans and surface."""
+    """The exit code is 5. The execution is recorded as failed, without scans and surface."""
     from cell.cli import main
     from cell.robot import plant
 

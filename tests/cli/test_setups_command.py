@@ -259,7 +259,7 @@ def test_faces_may_be_the_rows(part_file: Path, run_cell: Cell, tmp_path: Path) 
 
 
 def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell, tmp_path: Path) -> None:
-    """A ball has no stable pose. This is reported, and the ball is planned in four turns about the vertical."""
+    """A ball has no stable pose. This is reported, and four candidates are made by turning it."""
     trimesh.creation.icosphere(subdivisions=3, radius=60).export(tmp_path / "ball.stl")
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "30", "--samples", "1", "--standoff", "250")
     wishes = ("--candidates", "optimal-scanning-zone", "--coverage", "0.5")

@@ -50,7 +50,7 @@ def folder(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Pa
 
 
 def test_each_set_up_is_a_plan_of_seven_axes_on_the_same_table(folder: Path) -> None:
-    """Each run has layout 2 and a motion that is verified again from the folder. The table has one place in all runs."""
+    """Each run has layout 2 and a motion that is verified again. The place of the table is equal in all runs."""
     made = SetupsRun.opened(folder)
     tables = []
     for run in made.folders:

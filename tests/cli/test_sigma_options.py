@@ -19,7 +19,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 def limited(
     tmp_path_factory: pytest.TempPathFactory, part_file: Path, small_plan: tuple[str, ...], run_cell: Run
 ) -> dict[str, Any]:
-    """The small plan with a limit that its unlimited matrix exceeds."""
+    """Return the small plan with a limit that its unlimited matrix exceeds."""
     folder = tmp_path_factory.mktemp("sigma")
     command = ("plan", str(part_file), "--units", "mm", *small_plan, "--max-sigma", "0.04", "--json", "--out", "run")
     done = run_cell(*command, cwd=folder)
@@ -28,7 +28,7 @@ def limited(
 
 
 def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, Any], planned: Path) -> None:
-    """No entry above it, its layer in the file, less coverable than without, median and 95 % below it."""
+    """The matrix has a sigma layer without a value above the limit. Quantiles are below it, and less is coverable."""
     with np.load(limited["folder"] / "measurability.npz") as stored, np.load(planned / "measurability.npz") as plain:
         assert stored["sigma"].shape == stored["indices"].shape
         assert 0 < stored["sigma"].max() <= 0.04e-3
@@ -43,7 +43,7 @@ def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, An
 
 
 def test_the_scan_of_a_limited_plan_has_no_point_above_the_limit(limited: dict[str, Any], run_cell: Run) -> None:
-    """The achieved visible coverage is the predicted one, and every ray's code agrees with the limit."""
+    """The achieved visible coverage is the predicted one, and the sigma of every point is within the limit."""
     folder = limited["folder"]
     done = run_cell("scan", "run", "--resolution", "2", "--json", cwd=folder.parent)
     assert done.returncode == 0, done.stderr
@@ -63,7 +63,7 @@ def test_the_scan_of_a_limited_plan_has_no_point_above_the_limit(limited: dict[s
 
 
 def test_model_noise_is_seeded_scatters_by_sigma_and_stays_on_the_rays(planned: Path, tmp_path: Path, run_cell: Run):
-    """Equal seeds give equal scans; divided by sigma the noise is standard normal, along the ray."""
+    """Equal seeds give equal scans. The noise is along the ray and standard normal in units of sigma."""
     import shutil
 
     shutil.copytree(planned, tmp_path / "run")
@@ -106,7 +106,7 @@ def test_model_noise_is_seeded_scatters_by_sigma_and_stays_on_the_rays(planned: 
 def test_invalid_options_are_refused(
     command: tuple[str, ...], words: str, planned: Path, part_file: Path, tmp_path: Path, run_cell: Run
 ) -> None:
-    """Exit code 2 and one sentence."""
+    """Invalid options end with a message that names the valid values or the cause."""
     import shutil
 
     shutil.copytree(planned, tmp_path / "run")

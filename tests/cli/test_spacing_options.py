@@ -1,4 +1,4 @@
-"""`--max-spacing`, and the density of plans and scans, on the command line."""
+"""`--max-spacing` on the command line, and the density of plans and scans."""
 
 import json
 import subprocess
@@ -20,7 +20,7 @@ LIMIT_MM = 1.3  # at 250 mm and 0.25 deg points are 1.09 mm apart where the scan
 def limited(
     tmp_path_factory: pytest.TempPathFactory, part_file: Path, small_plan: tuple[str, ...], run_cell: Run
 ) -> dict[str, Any]:
-    """The small plan with a limit on the distance of points."""
+    """Return the small plan with a limit on the distance of points."""
     folder = tmp_path_factory.mktemp("spacing")
     options = (*small_plan, "--max-spacing", str(LIMIT_MM), "--json", "--out", "run")
     done = run_cell("plan", str(part_file), "--units", "mm", *options, cwd=folder)
@@ -29,7 +29,7 @@ def limited(
 
 
 def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, Any], planned: Path) -> None:
-    """No entry above it, every entry of the unlimited matrix below it, quantiles below it, less coverable."""
+    """The matrix has exactly the entries of the unlimited matrix within the limit. Quantiles are below the limit."""
     spacing, entries, rows = {}, {}, {}
     scanner = LaserArea(range_mm=(150, 450))
     for name, run in (("limited", limited["folder"]), ("planned", planned)):
@@ -42,7 +42,7 @@ def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, An
             rows[name] = set(sample)
             entries[name] = [(sample[i], j) for i, j in zip(row.tolist(), M["indices"].tolist(), strict=True)]
     assert spacing["limited"].max() <= LIMIT_MM * (1 + 1e-9) < spacing["planned"].max()
-    both = rows["limited"] & rows["planned"]  # samples may be added where a plan falls short
+    both = rows["limited"] & rows["planned"]  # samples may be added if the coverage of a plan is too low
     dense = [entry for entry, gap in zip(entries["planned"], spacing["planned"], strict=True) if gap <= LIMIT_MM]
     kept = [{entry for entry in each if entry[0] in both} for each in (entries["limited"], dense)]
     assert len(both) > 100
@@ -56,7 +56,7 @@ def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, An
 
 
 def test_the_scan_has_the_planned_density(limited: dict[str, Any], run_cell: Run) -> None:
-    """Achieved is predicted; nearly all of it has a scan point within 1.5 planned spacings, never more."""
+    """The achieved coverage is the predicted one. At most 1 % of it has no scan point within the planned density."""
     done = run_cell("scan", "run", "--json", cwd=limited["folder"].parent)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
@@ -68,7 +68,7 @@ def test_the_scan_has_the_planned_density(limited: dict[str, Any], run_cell: Run
 
 
 def test_why_tries_a_greater_spacing_and_a_finer_grid(limited: dict[str, Any], run_cell: Run) -> None:
-    """Both measure some of the uncovered surface, the greater spacing with its option."""
+    """Both changes measure some of the uncovered surface. The change of spacing names its option."""
     done = run_cell("why", "run", "--samples", "3000", "--json", cwd=limited["folder"].parent)
     assert done.returncode == 0, done.stderr
     tried = json.loads((limited["folder"] / "why" / "why.json").read_text())["tried"]
@@ -89,7 +89,7 @@ def test_why_tries_a_greater_spacing_and_a_finer_grid(limited: dict[str, Any], r
 def test_invalid_limits_are_refused(
     options: tuple[str, ...], words: str, part_file: Path, run_cell: Run, tmp_path: Path
 ) -> None:
-    """With the valid values."""
+    """The error has exit code 2 and a remedy."""
     done = run_cell("plan", str(part_file), "--units", "mm", "--faces", "40", *options, cwd=tmp_path)
     assert done.returncode == 2
     assert words in done.stderr

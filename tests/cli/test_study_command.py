@@ -17,13 +17,13 @@ _COARSE = "[plan]\nfaces = 60\nsamples_per_face = 2\n"
 
 
 class _Here:
-    """Workers in this process; tests/faults/test_study_workers.py tests separate processes."""
+    """Workers in this process. tests/faults/test_study_workers.py tests separate processes."""
 
     def __init__(self, count: int) -> None:
         pass
 
     def compute(self, trials: Sequence[Trial]) -> Iterator[Outcome]:
-        """Each trial's outcome."""
+        """Yield the outcome of each trial."""
         for trial in trials:
             yield compute(trial, trial.digest)
 
@@ -44,7 +44,7 @@ def _no_processes() -> Iterator[None]:
 def test_a_study_leaves_rows_and_pictures_and_the_same_bytes_again(
     part_file: Path, tmp_path: Path, run_cell: Run, drawn_pictures: None
 ) -> None:
-    """`cell view` shows its page, with the command for each row; the same study again computes nothing."""
+    """The page has the command for each row. A repeated study computes nothing and has equal bytes."""
     (tmp_path / "coarse.toml").write_text(_COARSE)
     words = ("study", "standoff", part_file, "--units", "mm", "--scene", "coarse.toml", "--processes", "1")
     done = run_cell(*words, "--values", "210,310", "--out", "a", cwd=tmp_path)
@@ -67,7 +67,7 @@ def test_a_study_leaves_rows_and_pictures_and_the_same_bytes_again(
 
 
 def test_an_added_value_computes_one_trial(part_file: Path, tmp_path: Path, run_cell: Run) -> None:
-    """The other standoffs are cached."""
+    """The outcomes of the other standoffs are read from the cache."""
     (tmp_path / "coarse.toml").write_text(_COARSE)
     options = ("--units", "mm", "--scene", "coarse.toml", "--processes", "1", "--json")
     arguments = ("study", "standoff", part_file, *options)
@@ -85,7 +85,7 @@ def test_an_added_value_computes_one_trial(part_file: Path, tmp_path: Path, run_
 def test_a_map_names_the_best_placement_and_keeps_unreachable_ones(
     part_file: Path, run_cell: Run, tmp_path: Path
 ) -> None:
-    """At 9 m nothing is reachable: a row with zero, not a failure."""
+    """At 9 m nothing is reachable: the row has coverage 0, and the study does not fail."""
     (tmp_path / "coarse.toml").write_text(_COARSE)
     done = run_cell(
         "study", "placement", part_file, "--units", "mm", "--scene", "coarse.toml", "--x", "1000,9000", "--y", "400",
@@ -136,7 +136,7 @@ def test_bad_input_gets_one_sentence_and_its_code(
     run_cell: Run,
     tmp_path: Path,
 ) -> None:
-    """No traceback, nothing on stdout, no folder."""
+    """The error has no traceback, nothing on stdout, and no folder is created."""
     done = run_cell(*(part_file if word == "PART" else word for word in arguments), cwd=tmp_path)
     assert done.returncode == code, done.stderr
     assert words in done.stderr

@@ -1,4 +1,4 @@
-"""A scanner of another distribution: installed by pip, found by its entry point, used in a plan; and broken ones."""
+"""Scanners of other distributions: installed by pip, found by an entry point, used in a plan; broken scanners."""
 
 import json
 import subprocess
@@ -17,11 +17,11 @@ PACKAGE = Path(__file__).parents[1] / "third_party_scanner"
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The example package in a folder of its own, installed by pip without a network."""
+    """Return a folder with the example package, installed by pip without a network."""
     target = tmp_path_factory.mktemp("site")
     source = tmp_path_factory.mktemp("source") / "package"
     source.mkdir()
-    for name in ("pyproject.toml", "cone_scanner.py"):  # building leaves files behind: not in the tests' own folder
+    for name in ("pyproject.toml", "cone_scanner.py"):  # building writes files: build outside the folder of the tests
         (source / name).write_bytes((PACKAGE / name).read_bytes())
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--no-build-isolation"]
     done = subprocess.run(
@@ -42,7 +42,7 @@ def on_path(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_plan_is_made_with_a_scanner_of_another_distribution(
     run_cell: Callable[..., subprocess.CompletedProcess[str]], part_file: Path, tmp_path: Path
 ) -> None:
-    """Its key is in the scene, its model decides what is measured, its parameters are stored."""
+    """The scene has the scanner's key, the scanner's model decides on measurability, and its parameters are stored."""
     scene = tmp_path / "cell.toml"
     scene.write_text('[scanner]\ntype = "cone"\nhalf_angle_deg = 20.0\n', encoding="utf-8")
     arguments = ["--units", "mm", "--place", "1100,400,100", "--faces", "60", "--samples", "2", "--standoff", "250"]
@@ -54,7 +54,7 @@ def test_a_plan_is_made_with_a_scanner_of_another_distribution(
     assert summary["coverage"]["visible"] > 0.5
     resolved = json.loads((tmp_path / "run" / "scene.resolved.json").read_text())
     assert resolved["scanner"] == {"type": "cone", "half_angle_deg": 20.0, "range_mm": [150.0, 450.0]}
-    # Every entry of the matrix is inside the cone that was asked for, and the cone matters.
+    # Every entry of the matrix is inside the requested cone, and the cone has an effect.
     views = np.load(tmp_path / "run" / "viewpoints.npz")["T_object_scanner"][:, 0]
     M = np.load(tmp_path / "run" / "measurability.npz")
     row = np.repeat(np.arange(len(M["points"])), np.diff(M["indptr"]))
@@ -68,7 +68,7 @@ def test_a_plan_is_made_with_a_scanner_of_another_distribution(
 def test_its_unknown_key_is_refused_with_a_hint(
     run_cell: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
 ) -> None:
-    """The valid keys are the arguments of its class."""
+    """The hint names a key among the arguments of the scanner's class."""
     (tmp_path / "cell.toml").write_text('[scanner]\ntype = "cone"\nhalf_angel_deg = 20.0\n', encoding="utf-8")
     done = run_cell("check", "cell.toml", cwd=tmp_path)
     assert done.returncode == 2
@@ -78,7 +78,7 @@ def test_its_unknown_key_is_refused_with_a_hint(
 def test_equal_parameters_of_other_types_and_versions_are_other_scanners(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The cache must not give one plug-in's matrix to another, nor to another version."""
+    """Identities of plug-ins differ by type, distribution and version, so that the cache separates their matrices."""
     code = (PACKAGE / "cone_scanner.py").read_text()
     seen = []
     for number, (distribution, version, name) in enumerate(
@@ -129,7 +129,7 @@ BROKEN = {
 def test_a_broken_plug_in_gets_an_error_that_names_its_distribution(
     case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The user learns which distribution to repair; names and keys of others still work."""
+    """The error names the distribution and the cause. Names and keys of other scanners still work."""
     code, words = BROKEN[case]
     module = f"broken_{sorted(BROKEN).index(case)}"
     (tmp_path / f"{module}.py").write_text(code, encoding="utf-8")

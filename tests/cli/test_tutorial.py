@@ -1,4 +1,4 @@
-"""docs/tutorial.md is true: its part can be made, its cell is right, and its commands run one after the other."""
+"""docs/tutorial.md: the part can be made, the cell is valid, and the commands run in order."""
 
 import re
 import shlex
@@ -15,7 +15,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "tutorial.md").read_text(encoding="
 
 
 def blocks(language: str) -> list[str]:
-    """The page's code in one language, block by block."""
+    """Return the code blocks of the page in one language."""
     return re.findall(rf"^```{language}\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
 
 
@@ -24,7 +24,7 @@ COMMANDS = [shlex.split(line)[1:] for block in blocks("sh") for line in block.sp
 
 @pytest.fixture
 def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with the page's part and scene."""
+    """Return a folder with the part and the scene of the page."""
     monkeypatch.chdir(tmp_path)
     exec(blocks("python")[0], {})
     (tmp_path / "my_cell.toml").write_text(blocks("toml")[0])
@@ -32,7 +32,7 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_cell_is_right(workplace: Path, run_cell: Callable[..., Any]) -> None:
-    """The first command finds nothing wrong."""
+    """The first command reports no problem."""
     done = run_cell(*COMMANDS[0], cwd=workplace)
     assert done.returncode == 0, done.stderr
     assert "warning" not in done.stdout
@@ -40,7 +40,7 @@ def test_the_cell_is_right(workplace: Path, run_cell: Callable[..., Any]) -> Non
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_the_commands_exist(words: list[str]) -> None:
-    """Every command takes the options that the page gives it (the slow test runs them)."""
+    """Every command accepts its options in the page (the slow test runs the commands)."""
     group = typer.main.get_command(app)
     context = typer.Context(group)
     command = group.get_command(context, words[0])  # type: ignore[attr-defined]
@@ -49,7 +49,7 @@ def test_the_commands_exist(words: list[str]) -> None:
 
 @pytest.mark.slow
 def test_the_commands_run(workplace: Path, run_cell: Callable[..., Any]) -> None:
-    """As they stand, in the order of the page; the plan is proven and the edited one scanned."""
+    """All commands run unchanged in the order of the page. The plan is proven, and the edited plan is scanned."""
     for words in COMMANDS:
         done = run_cell(*words, cwd=workplace)
         assert done.returncode == 0, (words, done.stderr)

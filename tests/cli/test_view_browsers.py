@@ -77,7 +77,7 @@ def test_the_controls_of_a_page_work(browser: Any, planned: Path) -> None:
 def pages(
     planned: Path, executed: Path, run_cell: Callable[..., Any], drawn: Callable[[], Any], tmp_path_factory: Any
 ) -> list[Path]:
-    """Pages of an execution, a scene, `cell why` and `cell diff`."""
+    """Return pages of an execution, a scene, `cell why` and `cell diff`."""
     folder = tmp_path_factory.mktemp("pages")
     shutil.copytree(planned, folder / "run")
     for words in (("view", "--no-open", "--out", "scene.html"), ("why", "run", "--samples", "2000"),
@@ -90,7 +90,7 @@ def pages(
 
 
 def test_every_page_is_shown(browser: Any, pages: list[Path]) -> None:
-    """Each page in each of its colours, without requests and without errors."""
+    """Each page is drawn in each of its colours, without requests and without errors."""
     for page in pages:
         browser.open(page.as_uri())
         titles = browser.run(_EVERY_COLOUR)
@@ -111,16 +111,16 @@ def test_without_webgl_a_page_reports_it_and_shows_its_numbers(chromium: Any, pl
 
 @pytest.mark.parametrize(
     "chromium", [("--window-size=400,300",)], indirect=True
-)  # software rendering pays for each pixel
+)  # software rendering takes time for each pixel
 @pytest.mark.parametrize(
     ("subdivisions", "views", "points"), [(5, 20, 30_000), pytest.param(8, 200, 1_000_000, marks=pytest.mark.slow)]
 )
 def test_a_large_page_is_drawn_quickly(
     subdivisions: int, views: int, points: int, chromium: Any, planned: Path, tmp_path: Path
 ) -> None:
-    """Two surfaces of 1.3 million faces, 200 views, a million points: 25 MB, first frame after 5 s of processor time.
+    """Two surfaces of 1.3 million faces, 200 views and a million points fit in 25 MB. Drawing takes at most 5 s of CPU.
 
-    With the software renderer; a note reports the reduced number of faces.
+    The renderer is the software renderer. A note reports a reduced number of faces.
     """
     rng, ball = np.random.default_rng(0), trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.1)
     mesh = TriangleMesh(ball.vertices, ball.faces.astype(np.int32))

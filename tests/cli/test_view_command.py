@@ -14,7 +14,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def test_a_run_is_never_changed(planned: Path, run_cell: Run, tmp_path: Path) -> None:
-    """The page in the run folder is opened; a new page is written elsewhere, never into the folder."""
+    """The page in the run folder is opened. A new page is written elsewhere, and never into the folder."""
     before = sorted((path.name, path.stat().st_mtime_ns) for path in planned.rglob("*"))
     done = run_cell("view", planned, "--no-open", cwd=tmp_path)
     assert (done.returncode, done.stdout.strip()) == (0, str(planned / "view.html")), done.stderr
@@ -28,7 +28,7 @@ def test_a_run_is_never_changed(planned: Path, run_cell: Run, tmp_path: Path) ->
 
 @pytest.mark.usefixtures("drawn_pictures")
 def test_an_execution_has_its_surface_and_points(executed: Path, run_cell: Run, tmp_path: Path) -> None:
-    """The page has the deviation and the cloud; drawn again, it has the same bytes."""
+    """The page has the deviation and the cloud. A second page has the same bytes."""
     folder = executed / "executions" / "0001"
     page = (folder / "view.html").read_text(encoding="utf-8")
     assert '"name":"surface"' in page
@@ -41,7 +41,7 @@ def test_an_execution_has_its_surface_and_points(executed: Path, run_cell: Run, 
 
 
 def test_the_page_of_a_scene_shows_the_results_of_check(part_file: Path, run_cell: Run, tmp_path: Path) -> None:
-    """The built-in scene has contacts at home in its page; a part in the pedestal is a problem in the page."""
+    """The page of the built-in scene has its contacts at home. A part in the pedestal is a problem in the page."""
     done = run_cell("view", "--no-open", "--out", "a.html", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "contacts at home" in (tmp_path / "a.html").read_text()
@@ -54,7 +54,7 @@ def test_the_page_of_a_scene_shows_the_results_of_check(part_file: Path, run_cel
 
 
 def test_a_watched_scene_is_drawn_again_after_each_save(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A valid scene, an invalid one whose error is on the page beside the last cell, and a valid one again."""
+    """The page is drawn for a valid scene, an invalid one with its error, and a valid one again."""
     scene, page = tmp_path / "mine.toml", tmp_path / "p.html"
     texts = iter(["[placement\n", "[placement]\nposition_mm = [1000, 0, 0]\n"])
     scene.write_text("[placement]\nposition_mm = [1100, 0, 0]\n")

@@ -1,4 +1,4 @@
-"""`cell why` as a user meets it: table, JSON, exit codes."""
+"""`cell why` on the command line: table, JSON, exit codes."""
 
 import json
 import shutil
@@ -11,7 +11,7 @@ Cell = Callable[..., "object"]
 
 
 def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """The title says how much stays open, the files are named, what follows gives no option twice; stderr is empty."""
+    """The table has its title, the files are named, suggested commands have each option once, and stderr is empty."""
     shutil.copytree(planned, tmp_path / "run")
     done = run_cell("why", "run", "--samples", "2000", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -25,7 +25,7 @@ def test_it_prints_a_table_and_writes_its_files(planned: Path, run_cell: Cell, t
 
 
 def test_json_is_one_object_with_shares_that_add_up(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """Stdout is the content of why.json; visible and open make the whole, and so do the groups of what is open."""
+    """Stdout is the content of why.json. Visible and open shares sum to one, and the groups sum to the open share."""
     shutil.copytree(planned, tmp_path / "run")
     done = run_cell("why", "run", "--samples", "2000", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -37,7 +37,7 @@ def test_json_is_one_object_with_shares_that_add_up(planned: Path, run_cell: Cel
 
 
 def test_wrong_uses_have_their_exit_codes(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """No such folder 6, a run that did not finish 6, no samples 2; one sentence each."""
+    """A missing folder and an unfinished run have exit code 6. A request without samples has 2."""
     assert run_cell("why", "nowhere", cwd=tmp_path).returncode == 6
     none = run_cell("why", str(planned), "--samples", "0", cwd=tmp_path)
     assert (none.returncode, none.stderr.count("\n")) == (2, 1)
@@ -50,7 +50,7 @@ def test_wrong_uses_have_their_exit_codes(planned: Path, run_cell: Cell, tmp_pat
 
 
 def test_where_nothing_stays_open_it_says_so(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """One sample, which this plan measures: no reason, no change, and still the four files."""
+    """With one sample, which the plan measures, no reason is given, and the four files are written."""
     shutil.copytree(planned, tmp_path / "run")
     done = run_cell("why", "run", "--samples", "1", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -59,7 +59,7 @@ def test_where_nothing_stays_open_it_says_so(planned: Path, run_cell: Cell, tmp_
 
 
 def test_advice_is_a_share_and_a_command_each(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
-    """A second set-up never takes from the plan; every command is the plan's own at another placement."""
+    """A second set-up never reduces the coverage. Every command is the command of the plan with another placement."""
     shutil.copytree(planned, tmp_path / "run")
     done = run_cell("why", "run", "--advise", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -1,7 +1,7 @@
-"""Oracle for cover problems: all selections of a small problem, evaluated at once, and random problems.
+"""Oracle for cover problems: all selections of a small problem, evaluated together, and random problems.
 
-Nothing here uses the code under test: loads, areas, costs, targets and connectivity follow from the definition of
-`CoverProblem` by plain sums.
+The oracle does not use the code under test. Loads, areas, costs, targets and connectivity follow from the definition
+of `CoverProblem` by plain sums.
 """
 
 from collections.abc import Iterable, Sequence
@@ -15,11 +15,11 @@ from planner.cover import Cover, CoverProblem, CoverStatus, Overlap
 from planner.values import Bools, Floats, Ints
 
 TOLERANCE = 1e-9
-COST_TOLERANCE = 1e-4  # costs that are not whole numbers are rounded
+COST_TOLERANCE = 1e-4  # costs that are not integers are rounded
 
 
 class Selections:
-    """All selections of the usable columns of a problem, or some given ones.
+    """All selections of the usable columns of a problem, or given ones.
 
     Attributes:
         usable: (u,) usable columns.
@@ -28,8 +28,8 @@ class Selections:
         cost: (n,) cost of columns and groups; the size without costs.
         n_groups: (n,) number of groups.
         coverable: (S,) whether all usable columns together bring a load to a row.
-        satisfied: (n, S) whether each row has what it demands, or all that there is.
-        area: (n,) area of the satisfied rows; of the weights with `max_views`.
+        satisfied: (n, S) whether each row has its demanded load, or the largest available one.
+        area: (n,) area of the satisfied rows; with `max_views` their weight.
         weight: (n,) weight of the satisfied rows in the target.
         meets_target: (n,) whether a selection reaches the coverage of all regions.
         is_connected: (n,) whether the overlap graph is connected.
@@ -63,7 +63,7 @@ class Selections:
         weights = areas if problem.weights is None else np.asarray(problem.weights, float)
         self.row_area = areas if problem.max_views is None else weights
         self.area = self.satisfied @ self.row_area
-        weights = weights if weights.any() else np.ones(n_rows)  # rows without area count alike
+        weights = weights if weights.any() else np.ones(n_rows)  # without areas all rows have equal weight
         self.weight = self.satisfied @ weights
         self.n_groups, self.cost = self._costs()
         self.meets_target = np.ones(len(self.selected), bool)
@@ -94,7 +94,7 @@ class Selections:
         return used.sum(axis=1), self.selected @ costs[self.usable] + used @ group_costs[:n_groups]
 
     def _connected(self, measured: Bools) -> Bools:
-        """Whether the columns of each selection are connected, by growing a component of each."""
+        """Return whether the columns of each selection are connected, by growing a component in each selection."""
         overlap, n = self.problem.overlap, len(self.usable)
         if overlap is None:
             return np.ones(len(self.selected), bool)
@@ -109,12 +109,12 @@ class Selections:
         return np.asarray((reached == self.selected).all(axis=1))
 
     def least(self, values: Floats | Ints) -> float | None:
-        """Smallest value of a feasible selection; None if none is feasible."""
+        """Return the smallest value of a feasible selection; None if none is feasible."""
         return float(values[self.is_feasible].min()) if self.is_feasible.any() else None
 
 
 def assert_consistent(problem: CoverProblem, cover: Cover, *, is_minimal: bool = True) -> None:
-    """Everything that a cover says about its own views is true, its target is met, and no view is redundant."""
+    """Check the statements of a cover on its views, its target, and that no view is redundant."""
     views = cover.views.tolist()
     rest = [[other for other in views if other != view] for view in views]
     this = Selections(problem, [views, *rest, *(views[: k + 1] for k in range(len(views)))])
@@ -156,7 +156,7 @@ def assert_consistent(problem: CoverProblem, cover: Cover, *, is_minimal: bool =
 
 
 def assert_bounded(selections: Selections, cover: Cover, *, is_optimal: bool) -> None:
-    """No bound of a cover excludes the best selection, and the cover is no better than it; with `is_optimal`, equal."""
+    """Check that the bounds of a cover admit the best selection; with `is_optimal`, that the cover equals it."""
     problem = selections.problem
     if problem.max_views is not None:
         best = -(selections.least(-selections.area) or 0.0)
@@ -193,11 +193,11 @@ KINDS = ("cost", "area", "overlap", "regions", "weights")
 def cover_problems(
     draw: st.DrawFn, kinds: Sequence[str] = KINDS, max_rows: int = 12, max_columns: int = 8
 ) -> CoverProblem:
-    """Draw a small problem of one of some kinds, with any features that the kind allows."""
+    """Draw a small problem of one of the kinds, with any features that the kind allows."""
     kind = draw(st.sampled_from(kinds))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     n_rows, n_columns = draw(st.integers(0, max_rows)), draw(st.integers(0, max_columns))
-    if kind == "overlap":  # windows on a strip, whose graphs are of every kind
+    if kind == "overlap":  # windows on a strip: their overlap graphs are of all kinds
         start, width = rng.integers(0, max(n_rows, 1), n_columns), rng.integers(1, max(2, n_rows // 2 + 1), n_columns)
         rows = np.arange(n_rows)[:, None]
         M: Any = (rows >= start) & (rows < start + width)
@@ -236,5 +236,5 @@ def cover_problems(
 
 
 def as_sparse(problem: CoverProblem) -> Any:
-    """The matrix of a problem in compressed columns."""
+    """Return the matrix of a problem in compressed columns."""
     return sp.csc_array(problem.matrix)

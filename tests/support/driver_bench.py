@@ -1,4 +1,4 @@
-"""A test bench for drivers: client, wire in memory, faults and controller in one thread on one simulated clock."""
+"""Test bench for drivers: client, wire in memory, faults and controller in one thread on one simulated clock."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -42,7 +42,7 @@ def turned(*degrees: float) -> SetPoints:
 
 @dataclass
 class Journal:
-    """A recorder in memory."""
+    """Recorder in memory."""
 
     entries: list[Event] = field(default_factory=list)
     states: list[RobotState] = field(default_factory=list)
@@ -87,7 +87,7 @@ class MemoryLine:
 
 
 class BenchClock(SimulatedClock):
-    """Simulated time in which the server runs."""
+    """Simulated clock that executes the server at each step."""
 
     step: Callable[[], None] = staticmethod(lambda: None)
 
@@ -101,7 +101,7 @@ class BenchClock(SimulatedClock):
 
 
 class FastClock:
-    """The arm's clock, `scale` times as fast as the wire's."""
+    """Clock of the arm, `scale` times as fast as the clock of the wire."""
 
     simulated = True
 
@@ -116,7 +116,7 @@ class FastClock:
 
 
 class BytePort:
-    """`drivers.wires.serial_link.Port` on a memory line."""
+    """A `drivers.wires.serial_link.Port` on a memory line."""
 
     name = "memory"
 
@@ -149,7 +149,7 @@ class BytePort:
 
 
 class RegisterPort:
-    """`drivers.wires.modbus_link.Port` on a memory line: a Modbus client of the tests instead of pymodbus."""
+    """A `drivers.wires.modbus_link.Port` on a memory line, with a Modbus client of the tests instead of pymodbus."""
 
     name = "memory"
 
@@ -203,7 +203,7 @@ class RegisterPort:
         raise AnswerTimeoutError("no answer")
 
     def _answer(self, received: bytes, header: stations.Header) -> bytes | None:
-        """Return the first complete telegram; on TCP the one with the request's number."""
+        """Return the first complete telegram; on TCP the telegram with the number of the request."""
         if self.rtu:
             sizes = {0x10: 8, 0x84: 5, 0x90: 5}
             for begin in range(len(received) - 4):
@@ -226,12 +226,12 @@ class Bench:
 
     Attributes:
         driver: the client.
-        link: its link.
+        link: the link of the client.
         port: the client's end of the wire.
         line: the wire.
-        clock: the only one.
+        clock: the simulated clock of all parts.
         endpoint: the controller.
-        server: its loop.
+        server: the loop of the controller.
         journal: executed commands.
     """
 
@@ -251,9 +251,9 @@ def make_bench(backend: str, faults: str = "", seed: int = 0, time_scale: float 
     Args:
         backend: one of `WIRES`.
         faults: list of faults.
-        seed: of the faults.
+        seed: seed of the faults.
         time_scale: speed of the arm's clock relative to the wire's.
-        limits: of the arm, for client and controller.
+        limits: limits of the arm, for client and controller.
     """
     clock, journal, line = BenchClock(), Journal(), MemoryLine()
     start = np.concatenate([HOME_Q, np.zeros(len(limits.lower) - len(HOME_Q))])
@@ -275,7 +275,7 @@ def make_bench(backend: str, faults: str = "", seed: int = 0, time_scale: float 
 
 
 def on_one_wire(cases: Iterable[Any]) -> list[Any]:
-    """Return pytest parameters (case, wire): each case on one wire in the default suite, on the others as slow."""
+    """Return pytest parameters (case, wire). Each case is in the default suite on one wire, on the others it is slow."""
     return [
         pytest.param(case, wire, marks=() if wire == WIRES[k % len(WIRES)] else pytest.mark.slow)
         for k, case in enumerate(cases)
