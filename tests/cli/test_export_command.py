@@ -42,7 +42,7 @@ def test_files_are_written_below_the_run_folder_and_are_reproducible(
 
 
 def test_csv_and_json_agree_with_each_other_and_with_the_plan(planned: Path, run_cell: Run, tmp_path: Path) -> None:
-    """Every via point has its axes to the last digit, every view its poses of TCP and flange as in plan.json."""
+    """Every via point has its axes to 1e-9 deg, every view its poses of TCP and flange as in plan.json."""
     from planner.kinematics.frames import pose_from_kuka_abc
 
     for kind in ("csv", "json"):

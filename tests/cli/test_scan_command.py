@@ -449,7 +449,7 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
 def test_a_stopped_execution_keeps_its_scans_and_is_reported(
     how: signal.Signals, planned: Path, tmp_path: Path, run_cell: Command, start_cell: Start
 ) -> None:
-    """After a stop behind the first scan, status and exit code report it, and `--report` uses the available scans."""
+    """If stopped after the first scan, status and exit code report it, and `--report` uses the available scans."""
     run = tmp_path / "run"
     shutil.copytree(planned, run)
     process = start_cell("scan", "run", "--resolution", "2", "--realtime", cwd=tmp_path)

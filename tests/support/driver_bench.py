@@ -275,7 +275,7 @@ def make_bench(backend: str, faults: str = "", seed: int = 0, time_scale: float 
 
 
 def on_one_wire(cases: Iterable[Any]) -> list[Any]:
-    """Return pytest parameters (case, wire). Each case is in the default suite on one wire, on the others it is slow."""
+    """Return pytest parameters (case, wire). Each case is in the default suite on one wire and slow on the others."""
     return [
         pytest.param(case, wire, marks=() if wire == WIRES[k % len(WIRES)] else pytest.mark.slow)
         for k, case in enumerate(cases)
