@@ -173,7 +173,7 @@ def test_a_scan_begins_at_the_present_angle_of_the_table(turned: Path, run_cell:
 def test_an_endless_table_continues_from_its_present_turn(
     turned: Path, run_cell: RunCell, tmp_path: Path, turns: int
 ) -> None:
-    """The number of whole turns is reported and added to every angle, but not stored in scans. The results are equal."""
+    """The number of whole turns is reported and added to every angle, but not stored in scans. Results are equal."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
     start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(open_run(copy).motion.via_q[0, :6]), 360.0 * turns])
