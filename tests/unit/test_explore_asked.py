@@ -1,4 +1,4 @@
-"""Which surface a stage of an exploration is planned on, and what of it is wanted."""
+"""Planning the stages of an exploration: selection of samples, order of the surfaces, expected and realised gain."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -35,7 +35,7 @@ LAW = LaserArea(range_mm=(50, 900), baseline_mm=60.0, grazing_max_deg=75.0, sens
 
 @pytest.fixture(scope="module")
 def balls() -> TriangleMesh:
-    """Two balls beside each other, of which each hides some of the other."""
+    """Return two balls side by side that occlude each other in part."""
     whole = trimesh.util.concatenate([
         trimesh.creation.icosphere(3, 0.02).apply_translation((x, 0.0, 0.0)) for x in (-0.025, 0.025)
     ])  # fmt: skip
@@ -43,15 +43,15 @@ def balls() -> TriangleMesh:
 
 
 def _poses() -> Floats:
-    """(3, 4, 4) from one side, from above and from a corner."""
+    """Return (3, 4, 4) poses: from one side, from above and from a corner."""
     out = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.6, 0.48, 0.64]])
     return np.asarray(aim_viewpoints(np.zeros((3, 3)), out, np.full(3, -1), [0.3], [0.0]).T_object_scanner[:, 0])
 
 
 def _measured(samples: SurfaceSamples, poses: Floats, mesh: TriangleMesh, grazing_deg: float) -> Bools:
-    """(N,) which samples are in view of source and sensor, not too steep for either, by triangles of another library.
+    """Return (N,) samples visible to source and sensor within the grazing limit, by ray casts of trimesh.
 
-    What is within 0.01 mm of being hidden counts as not seen: none of the samples is.
+    Rays start 0.01 mm above the surface.
     """
     found = np.zeros(len(samples), dtype=bool)
     triangles = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
@@ -71,7 +71,10 @@ def _asked(poses: Floats | None, whole: bool = False, space: VoxelSpace = UNKNOW
 
 
 def test_of_the_measured_surface_is_wanted_what_no_view_measures(balls: TriangleMesh) -> None:
-    """Each such sample with the area that it has, in their order; brute force says which. Believed weights are none."""
+    """On measured surface, exactly the samples that no pose measures are selected, by comparison with brute force.
+
+    Areas and order are kept; the weights of the believed surface do not apply.
+    """
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
     kept = select_samples(samples, _asked(_poses()), 3000, LAW, caster)
@@ -84,7 +87,10 @@ def test_of_the_measured_surface_is_wanted_what_no_view_measures(balls: Triangle
 
 @pytest.mark.parametrize("views", [(1, 1), (2,), (1,)])
 def test_what_came_is_what_the_latest_views_measured_first(views: tuple[int, ...], balls: TriangleMesh) -> None:
-    """Of surface beside a point, and not what a view before them measures: brute force says of which that is so."""
+    """The realised gain counts samples near a point that the latest views measured first, as brute force does.
+
+    Without poses the given ratio is kept, and without expected gain the ratio is 1.
+    """
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
     space = replace(UNKNOWN, points=samples.points[samples.points[:, 1] > 0])
@@ -105,7 +111,7 @@ def test_what_came_is_what_the_latest_views_measured_first(views: tuple[int, ...
 
 
 def test_of_more_samples_than_are_kept_the_area_is_the_same(balls: TriangleMesh) -> None:
-    """At most so many stay, of those that are wanted, and they stand for all of it."""
+    """At most the requested number of samples remains; their areas add up to that of all selected samples."""
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
     every, few = (select_samples(samples, _asked(_poses()), most, LAW, caster) for most in (3000, 100))
@@ -116,7 +122,10 @@ def test_of_more_samples_than_are_kept_the_area_is_the_same(balls: TriangleMesh)
 
 @pytest.mark.parametrize("whole", [False, True])
 def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls: TriangleMesh) -> None:
-    """Area times probability, whatever was executed; of what was seen nothing, or all where the whole is asked for."""
+    """On believed surface a sample has its area times its probability of gain.
+
+    Measured samples are left out, unless the batch includes covered surface.
+    """
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     right = samples.points[:, 0] > 0
     space = replace(UNKNOWN, points=samples.points[right])
@@ -133,13 +142,13 @@ def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls:
 
 
 class _Worth:
-    """Planners of both surfaces that write down whose turn it was, and find a batch on those that are worth one."""
+    """Planners of both surfaces that record each call and return a batch only for the given surfaces."""
 
     def __init__(self, *surfaces: str) -> None:
         self.surfaces, self.asked = surfaces, list[str]()
 
     def on(self, surface: str) -> Callable[..., Any]:
-        """The planner of a surface; what it leaves behind is in the way of the next."""
+        """Return the planner of a surface; it checks that no files of an earlier failed plan remain."""
 
         def plan(work: Any, *_: object) -> Path | StopReason:
             self.asked.append(surface)
@@ -173,7 +182,7 @@ def test_batches_are_tried_in_turn_until_one_is_worth_its_views(
     tried: tuple[SurfaceName, ...], worth: tuple[str, ...], asked: list[str], ends: str,
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """Nothing is left of one that was not; where none is, it is the last believed one's reason that counts."""
+    """Files of a failed batch are removed. If all batches fail, the reason of the last believed batch is returned."""
     planners, paths = _Worth(*worth), ExplorationFolder(tmp_path)
     (tmp_path / "stages").mkdir()
     monkeypatch.setattr(explore, "_plan_on_belief", planners.on(BELIEVED))
@@ -204,7 +213,10 @@ def test_batches_are_tried_in_turn_until_one_is_worth_its_views(
 def test_the_next_batches_are_the_policys_within_the_budget(
     views: int, seconds: float, on: SurfaceName, batches: tuple[SurfaceName, ...], ended: str
 ) -> None:
-    """Stepwise with a view at a time, of which as many are left; none where views or seconds are used up."""
+    """Stepwise batches have no more views than remain in the budget.
+
+    No batch follows once views or seconds are used up.
+    """
     stages = [
         SimpleNamespace(seconds=seconds / 2, planned_on=BELIEVED),
         SimpleNamespace(seconds=seconds / 2, planned_on=on),
@@ -229,7 +241,7 @@ def test_the_next_batches_are_the_policys_within_the_budget(
     ],
 )
 def test_a_batch_that_is_not_worth_its_views_says_what_was_asked_of_it(batch: Batch, said: str) -> None:
-    """Of two views that are expected to add 0.08 % each: a little more comes than is expected."""
+    """Two views with an expected gain of 0.08 % each are compared with the minimum gain of the batch."""
     chosen: Any = SimpleNamespace(cover=SimpleNamespace(covered_area=0.0001, views=(3, 7)))
     asked = BatchRequest(UNKNOWN, GainRecord.empty(), batch, 0.001, measured_area=0.1, gain_ratio=1.6)
     told = stage._insufficient_gain(chosen, asked)
@@ -240,9 +252,9 @@ def test_a_batch_that_is_not_worth_its_views_says_what_was_asked_of_it(batch: Ba
 def test_each_surface_is_planned_for_what_is_known_of_it(
     balls: TriangleMesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The measured one from the executed poses, its surface kept; the believed one with what came of batches on it.
+    """Measured surface is planned from the executed poses and is stored; believed surface uses the realised gain ratio.
 
-    The least gain holds for both, but for the first batch, of which nothing is known.
+    The minimum gain applies to both, except for the first batch.
     """
     scans = [SimpleNamespace(T_reported=T) for T in _poses()[:2]]
     monkeypatch.setattr(explore, "continue_surface", lambda scans, space, solid: balls)
@@ -288,7 +300,7 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
 
 
 def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """There is no further view then, and no file."""
+    """If the points describe no surface, planning stops with that reason and writes no file."""
     monkeypatch.setattr(explore, "continue_surface", lambda scans, space, solid: None)
     work: Any = SimpleNamespace(paths=ExplorationFolder(tmp_path))
     known: Any = SimpleNamespace(space=UNKNOWN, scans=(), solid=None)
@@ -298,7 +310,7 @@ def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, mo
 
 
 def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:
-    """Nothing is planned anew, and nothing beside it is taken away."""
+    """A finished plan is used again without new planning, and its files remain."""
     paths = ExplorationFolder(tmp_path)
     paths.stage(2).mkdir(parents=True)
     for path in (paths.unseen(2), paths.measured(2)):
@@ -315,7 +327,7 @@ def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:
 def test_one_word_releases_every_motion_of_an_exploration(
     word: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A digest is that of one; points of files come into a folder of their stage, which is made."""
+    """`explore` confirms every motion, a digest only its own. Points are read from a new folder of the stage."""
     given: list[Any] = []
     monkeypatch.setattr(explore, "execute_batch", lambda session, folder, options, **_: given.append(options))
     work: Any = SimpleNamespace(
@@ -329,7 +341,10 @@ def test_one_word_releases_every_motion_of_an_exploration(
 
 
 def test_a_stage_says_what_its_views_stood_too_near_for(balls: TriangleMesh, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Asked of what they were to measure, by their points and poses and what was known before; in mm2."""
+    """The entry of a batch reports the area [mm2] below the minimum range.
+
+    It is computed from the expected samples, the scans and the space before the batch.
+    """
     asked: list[Any] = []
     monkeypatch.setattr(
         explore, "open_finished", lambda folder: SimpleNamespace(digest="d", motion=SimpleNamespace(duration=1.5))

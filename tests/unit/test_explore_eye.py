@@ -1,4 +1,4 @@
-"""What lies between the points of neighbouring rays: places on one surface, none across a step or a missing ray."""
+"""Interpolation between points of neighbouring rays: on one surface, but not across steps or missing rays."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ STEP = np.radians(0.5)
 
 
 def _eye(across: float = 0.5, down: float = 0.5) -> SensorFrustum:
-    """Of rays so many degrees apart over 20 degrees each way."""
+    """Return the frustum of a scanner of 20 by 20 degrees with the given resolution [deg]."""
     scanner = LaserArea(fov_deg=(20, 20), resolution_deg=(across, down), range_mm=(100, 900))
     rays = np.asarray(scanner.ray_directions())
     apart = float(np.arccos(rays[0] @ rays[1]))
@@ -27,7 +27,10 @@ def _eye(across: float = 0.5, down: float = 0.5) -> SensorFrustum:
 
 
 def _pose(lean: float, distance: float) -> Floats:
-    """(4, 4) of a scanner that looks at (0.1, 0.2, 0) from so far, `lean` from the z axis [rad]; x along the slope."""
+    """Return the (4, 4) pose of a scanner that looks at (0.1, 0.2, 0) from a distance [m].
+
+    The view direction leans by `lean` [rad] from the z axis, and x points along the slope.
+    """
     out = np.array([np.sin(lean), 0.0, np.cos(lean)])
     T = np.eye(4)
     T[:3, :3] = np.column_stack([np.array([-np.cos(lean), 0.0, np.sin(lean)]), [0.0, 1.0, 0.0], -out])
@@ -36,7 +39,7 @@ def _pose(lean: float, distance: float) -> Floats:
 
 
 def _on_planes(eye: SensorFrustum, T: Floats, step: float = 0.0) -> Floats:
-    """(N, 3) where the rays meet z = 0, or `step` below where y < 0.2."""
+    """Return the (N, 3) points in which the rays meet z = 0, or z = -`step` for y below 0.2."""
     rays = eye.rays @ T[:3, :3].T
     height = np.where(rays[:, 1] < 0, step, 0.0)
     return np.asarray(T[:3, 3] - rays * ((T[2, 3] + height) / rays[:, 2])[:, None])
@@ -47,7 +50,10 @@ def _on_planes(eye: SensorFrustum, T: Floats, step: float = 0.0) -> Floats:
 def test_between_points_of_a_slope_are_places_of_it(
     lean: float, distance: float, resolution: tuple[float, float]
 ) -> None:
-    """On the plane, within the points, and with these no place along the slope is farther than a gap from the next."""
+    """Interpolated positions lie on the plane within the measured points.
+
+    Along the slope no two neighbouring positions are farther apart than the gap.
+    """
     eye, T = _eye(*resolution), _pose(np.radians(lean), distance)
     points, gap = _on_planes(eye, T), 1.2 * distance * np.radians(resolution[0])
     places = eye.between(points, T, gap)
@@ -63,7 +69,10 @@ def test_between_points_of_a_slope_are_places_of_it(
 
 
 def test_between_points_of_a_surface_that_is_met_squarely_is_nothing() -> None:
-    """They are no farther apart than a gap; where a gap is half as wide, one place is between each two."""
+    """Points of a surface met squarely are closer than the gap.
+
+    With half the gap, one position lies between each two.
+    """
     eye, T = _eye(), _pose(0.0, 0.4)
     points = _on_planes(eye, T)
     assert not len(eye.between(points, T, 1.2 * 0.4 * STEP))
@@ -74,7 +83,7 @@ def test_between_points_of_a_surface_that_is_met_squarely_is_nothing() -> None:
 @pytest.mark.parametrize(("step", "joined"), [(3.5, True), (4.5, False), (10.0, False)])
 @pytest.mark.parametrize("distance", [0.4, 0.8])
 def test_a_step_is_joined_where_it_may_be_a_slope(step: float, joined: bool, distance: float) -> None:
-    """Of as many distances of points as lie apart on a surface at 75 degrees, not of more."""
+    """A step is bridged up to the point distance of a surface at 75 degrees, and not beyond it."""
     eye, T, spacing = _eye(), _pose(0.0, distance), distance * STEP
     places = eye.between(_on_planes(eye, T, step * spacing), T, 1.5 * spacing)
     assert (len(places) > 0) == joined
@@ -84,7 +93,7 @@ def test_a_step_is_joined_where_it_may_be_a_slope(step: float, joined: bool, dis
 
 
 def test_a_ray_that_did_not_come_back_separates() -> None:
-    """Points two rays apart are not neighbours; of several points next to a ray the first counts."""
+    """Points two rays apart are not neighbours. Of several points next to one ray the first is used."""
     eye, T = _eye(), _pose(np.radians(62), 0.4)
     points, gap = _on_planes(eye, T), 0.5 * 0.4 * STEP
     assert not len(eye.between(points.reshape(40, 40, 3)[::2, ::2].reshape(-1, 3), T, gap))
@@ -93,7 +102,7 @@ def test_a_ray_that_did_not_come_back_separates() -> None:
 
 
 def test_the_rays_are_those_of_a_scan() -> None:
-    """At the resolution that is scanned with, the plan's where none is asked for."""
+    """Rays have the resolution of the scan, or that of the plan by default."""
     scene = scene_from_options(None, {"place": (1200, 500, 0)}, "petanque")
     eyes = [
         prepare_exploration(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=asked)).frustum
@@ -105,7 +114,7 @@ def test_the_rays_are_those_of_a_scan() -> None:
 
 
 def test_an_angle_that_leaves_no_ray_is_refused() -> None:
-    """By its own name, before anything is asked of it."""
+    """A resolution that leaves no ray in the field of view is refused by the preparation."""
     scene = scene_from_options(None, {"place": (1200, 500, 0)}, "petanque")
     with pytest.raises(SceneError, match="leaves no ray"):
         prepare_exploration(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=100.0))

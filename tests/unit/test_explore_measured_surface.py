@@ -1,4 +1,4 @@
-"""The surface of all points, where it leads and where not: a tube that was looked into, a plate in the open."""
+"""The surface of all points and its continuation: a tube seen from its mouth, a plate in free space."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -35,7 +35,7 @@ def _space() -> VoxelSpace:
 
 
 def _looked_into() -> VoxelSpace:
-    """A tube's first millimetres were seen; free is what lies before the mouth, and in the tube as deep as that."""
+    """Return the space of a tube with a measured wall down to `SEEN`; space before the mouth and inside is free."""
     space = _space()
     state = np.full(space.state.shape, UNKNOWN, np.uint8)
     x, y, z = np.moveaxis(np.stack(np.meshgrid(*(space.low[i] + EDGE * (np.arange(n) + 0.5)
@@ -56,7 +56,7 @@ def _plate(z: float, side: float = 0.008, apart: float = 0.0004) -> Floats:
 
 
 def _in_the_open(points: Floats) -> VoxelSpace:
-    """Free but for where points are."""
+    """Return a space that is free except at the points."""
     space = _space()
     state = np.full(space.state.shape, FREE, np.uint8)
     state[tuple(np.floor((points - space.low) / EDGE).astype(int).T)] = OCCUPIED
@@ -64,7 +64,10 @@ def _in_the_open(points: Floats) -> VoxelSpace:
 
 
 def test_the_wall_of_a_tube_goes_on_and_a_lid_stands_where_it_ends() -> None:
-    """It is continued by four voxels on the same cylinder; behind it the tube is closed, before it nothing is."""
+    """The wall continues by four voxels on the same cylinder.
+
+    A lid closes the tube behind it, and none lies before it.
+    """
     surface = _continued([_scan(_wall(SEEN), (0.0, 0.0, -0.005))], _looked_into())
     assert surface is not None
     rho, z = np.hypot(*surface.centres[:, :2].T), surface.centres[:, 2]
@@ -82,7 +85,7 @@ def test_the_wall_of_a_tube_goes_on_and_a_lid_stands_where_it_ends() -> None:
 
 
 def test_where_space_was_seen_free_it_does_not_go_on() -> None:
-    """A plate in the open ends where its points end, to within a voxel."""
+    """A plate in free space ends where its points end, to within one voxel."""
     points = _plate(0.0101)
     plate = _continued([_scan(points, (0.0, 0.0, 0.1))], _in_the_open(points))
     assert plate is not None
@@ -92,7 +95,7 @@ def test_where_space_was_seen_free_it_does_not_go_on() -> None:
 
 
 def test_where_it_was_voted_down_it_does_not_go_on() -> None:
-    """A wall that would be behind the last points is not there where rays went through and did not come back."""
+    """The wall does not continue into voxels with votes of rays without a point."""
     space, scans = _looked_into(), [_scan(_wall(SEEN), (0.0, 0.0, -0.005))]
     voted = replace(space, votes=np.where(space.state == UNKNOWN, 2, 0).astype(np.int16))
     reaches = []
@@ -107,7 +110,7 @@ def test_where_it_was_voted_down_it_does_not_go_on() -> None:
 
 @pytest.mark.parametrize("thick", [0.0002, 0.0004, 0.0008, 0.0012, 0.002])
 def test_a_sheet_has_two_sides_however_thin(thick: float) -> None:
-    """Of points of both sides there is a face on each, to within two voxels, where the voxels are of one millimetre."""
+    """A thin sheet with points on both sides has a face on each side, within two voxels of 1 mm."""
     top, below = _plate(0.01 + thick / 2), _plate(0.01 - thick / 2)
     scans = [_scan(top, (0.0, 0.0, 0.1)), _scan(below, (0.0, 0.0, -0.08))]
     sheet = _continued(scans, _in_the_open(np.concatenate([top, below])))
@@ -119,7 +122,7 @@ def test_a_sheet_has_two_sides_however_thin(thick: float) -> None:
 
 
 def test_the_side_of_a_sheet_that_nobody_saw_is_believed() -> None:
-    """It is there to be looked at, though it lies next to the one that was seen."""
+    """The unseen side of a thin sheet is part of the believed surface, although it is next to the measured side."""
     points = _plate(0.0102)
     space = _in_the_open(points)
     sheet = _continued([_scan(points, (0.0, 0.0, 0.1))], space)
@@ -130,7 +133,10 @@ def test_the_side_of_a_sheet_that_nobody_saw_is_believed() -> None:
 
 
 def test_what_lies_before_a_wall_is_not_believed() -> None:
-    """Of the voxels in a tube those that are half a voxel from its wall, by the cylinder; one that was hit stays."""
+    """Voxels of a tube at least half a voxel before the wall are excluded, by comparison with the cylinder.
+
+    An occupied voxel is kept.
+    """
     space, wall = _looked_into(), _wall(SEEN)
     hit = tuple(np.floor((np.array([0.0015, 0.0, SEEN + 0.0002]) - space.low) / EDGE).astype(int))
     state = np.array(space.state)
@@ -152,7 +158,7 @@ def test_what_lies_before_a_wall_is_not_believed() -> None:
 
 
 def test_a_stray_point_says_nothing_of_what_lies_before_it() -> None:
-    """One deep in a tube, seen from the side: the surface is the same without it."""
+    """A single stray point inside a tube, seen from the side, does not change the surface."""
     scans, stray = [_scan(_wall(SEEN), (0.0, 0.0, -0.005))], np.array([[0.0, 0.0, SEEN + 0.002]])
     with_it, without = (_continued([*scans, *more], _looked_into()) for more in ([_scan(stray, (0.1, 0.0, 0.0))], []))
     assert with_it is not None
@@ -162,7 +168,7 @@ def test_a_stray_point_says_nothing_of_what_lies_before_it() -> None:
 
 
 def test_where_all_was_seen_nothing_is_believed_beside_it() -> None:
-    """A ball, looked at from six sides: its surface alone."""
+    """A ball seen from six sides has only its own surface."""
     turn, z = np.meshgrid(np.arange(0, 2 * np.pi, 0.08), np.linspace(-1, 1, 60))
     ball = RADIUS * np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=-1)
     ball, sides = ball.reshape(-1, 3), np.vstack([np.eye(3), -np.eye(3)])
@@ -178,7 +184,7 @@ def test_where_all_was_seen_nothing_is_believed_beside_it() -> None:
 
 
 def _faces(heights: list[float], sides: list[int]) -> TriangleMesh:
-    """Small level faces at heights [m] over the origin, which look up (1) or down (-1)."""
+    """Return small horizontal faces at heights [m] above the origin that face up (1) or down (-1)."""
     corner = 1e-5 * np.array([[1.0, 0.0, 0.0], [-0.5, 0.8, 0.0], [-0.5, -0.8, 0.0]])
     vertices = np.concatenate(
         [corner[::side] + np.array([0.0, 0.0, z]) for z, side in zip(heights, sides, strict=True)]
@@ -197,14 +203,14 @@ def _faces(heights: list[float], sides: list[int]) -> TriangleMesh:
     ],
 )
 def test_of_the_three_nearest_faces_one_may_look_alike(heights: list[float], sides: list[int], alike: bool) -> None:
-    """At a distance of one millimetre; others say nothing."""
+    """One of the three nearest faces within 1 mm with a similar normal is sufficient; farther faces do not count."""
     lid = _faces([0.0], [1])
     assert lid.normals[0, 2] == pytest.approx(1)
     assert belief._has_similar_normal(lid, _faces(heights, sides), 0.001).tolist() == [alike]
 
 
 def test_a_lone_voxel_has_a_surface() -> None:
-    """One alone, as of a stray point, and one in a row as of a wire: about its middle, though smoothing leaves none."""
+    """A single voxel and a row of voxels each have a surface about their centre, although smoothing would remove it."""
     space = _space()
     for size in (1, 9):
         chosen = np.zeros(space.state.shape, dtype=np.bool_)
@@ -216,7 +222,7 @@ def test_a_lone_voxel_has_a_surface() -> None:
 
 @pytest.mark.parametrize("most", [400, 40_000])
 def test_what_it_is_made_of_is_as_fine_as_the_voxels_ask(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many scans there are of one place; coarser where there would be too many points."""
+    """The point spacing follows the voxel edge for any number of scans. It is coarser if there are too many points."""
     asked = list[tuple[PointCloud, dict[str, float]]]()
 
     def spy(cloud: PointCloud, **how: float) -> Any:
@@ -239,7 +245,7 @@ def test_what_it_is_made_of_is_as_fine_as_the_voxels_ask(most: int, monkeypatch:
 
 
 def test_there_are_no_more_points_than_that_where_rays_are_far_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Larger cubes take few points away until they hold several; which scan each is from stays known."""
+    """Cubes grow until the number of points is within the limit. Each point stays with its own scan."""
     monkeypatch.setattr(belief, "_MAX_CUBES", 250)
     scans = [_scan(_wall(SEEN, 0.0008), (0.0, 0.0, -0.005)), _scan(_wall(SEEN, 0.0009), (0.0, 0.0, -0.004))]
     points, apart = belief._thin_points(scans, 0.5 * EDGE)
@@ -251,7 +257,7 @@ def test_there_are_no_more_points_than_that_where_rays_are_far_apart(monkeypatch
 
 
 def test_it_is_of_all_scans_with_each_ones_own_side() -> None:
-    """Two half walls, seen from within, are one: what is continued begins where both end."""
+    """Two half walls seen from inside form one wall with normals towards the axis."""
     wall = _wall(SEEN)
     halves = (wall[wall[:, 0] > 0], wall[wall[:, 0] <= 0])
     stands = ((-0.004, 0.0, -0.005), (0.004, 0.0, -0.005))
@@ -264,7 +270,7 @@ def test_it_is_of_all_scans_with_each_ones_own_side() -> None:
 
 
 def test_no_points_are_no_surface() -> None:
-    """Neither to plan on nor as a model."""
+    """Without points there is neither a surface to plan on nor a model."""
     for scans in ([], [_scan(np.empty((0, 3)), (0.0, 0.0, 1.0))]):
         assert belief.reconstruct_scans(scans) is None
         assert _continued(scans, _space()) is None

@@ -1,4 +1,4 @@
-"""Candidates of a stage moved to where they measure more: what is made of them, by a problem that is just that."""
+"""Refined candidates of a stage: poses that measure more, in a reduced planning problem."""
 
 from types import SimpleNamespace
 
@@ -21,7 +21,7 @@ _GROWN, _NOT = (SimpleNamespace(plan=SimpleNamespace(candidates=kind)) for kind 
 
 @pytest.fixture
 def problem(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """Before a ball of 60 mm twelve candidates, of an arm that stands anywhere."""
+    """Return a problem with twelve candidates about a ball of 60 mm, all of them reachable."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
     mesh = TriangleMesh(ball.vertices, ball.faces)
     scanner = LaserArea(fov_deg=(40, 40), range_mm=(50, 150), baseline_mm=20, sensor_grazing_max_deg=75)
@@ -50,7 +50,7 @@ def _append(problem: SimpleNamespace, views: object) -> SimpleNamespace:
 
 
 def test_poses_that_measure_more_stand_behind_the_candidates(problem: SimpleNamespace) -> None:
-    """Each of its own candidate's face, aimed where it looks at its distance, and measuring more than that."""
+    """Refined poses are appended, keep face and standoff of their candidate, and measure more area than it does."""
     views = np.array([7, 2, 4])
     after = with_refined_candidates(problem, views, _append)
     added = len(after.candidates) - 12

@@ -1,4 +1,4 @@
-"""What is told of surface that stays open: sentences by area, and which samples are a rest of what was measured."""
+"""Reasons for uncovered surface: sentences by area, and samples that are a remainder of measured surface."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,10 @@ _OF = OpenSamples(np.array([0, 0, 1, 1]), np.array([1.0, 9.0, 1.0, 9.0]), np.zer
 
 @pytest.mark.parametrize("verdict", [Verdict.REACHABLE, Verdict.OUT_OF_REACH])
 def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) -> None:
-    """Tried and near is a rest whatever became of the view; else it is the view's verdict, and whether it was tried."""
+    """A tried sample near measured surface is a remainder.
+
+    Others have the view's verdict, or whether they were tried.
+    """
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     q = np.zeros((1 if verdict == Verdict.REACHABLE else 0, 6))
     reached = Reach(np.array([verdict], dtype=np.uint8), q, np.array([0, len(q)]), ("",))
@@ -45,7 +48,10 @@ def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) ->
 def test_what_views_left_is_a_rest_where_what_the_part_stands_on_seems_to_shade_it(
     casters: tuple[EmbreeRayCaster, EmbreeRayCaster], near: int
 ) -> None:
-    """A voxel more or less lies within the stand; farther off, untried, or shaded by the part, it is the reason."""
+    """A tried sample near measured surface is a remainder even if the stand shades it.
+
+    Samples that are farther off, untried or shaded by the part are reported as occluded.
+    """
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     reached = Reach(np.array([Verdict.REACHABLE], dtype=np.uint8), np.zeros((1, 6)), np.array([0, 1]), ("",))
     found = assign_causes(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), casters)
@@ -54,7 +60,7 @@ def test_what_views_left_is_a_rest_where_what_the_part_stands_on_seems_to_shade_
 
 
 def test_what_no_view_looks_at_squarely_is_no_rest() -> None:
-    """A view from beside it is too grazing, tried or not."""
+    """A view from the side is reported as too grazing for tried and untried samples."""
     views = aim_viewpoints(
         np.zeros((1, 3)), np.array([[0.995, 0, np.sqrt(1 - 0.995**2)]]), np.array([-1]), [0.1], [0.0]
     )
@@ -65,7 +71,7 @@ def test_what_no_view_looks_at_squarely_is_no_rest() -> None:
 
 
 def test_sentences_that_are_the_same_are_told_once() -> None:
-    """Areas [mm2] of codes with one sentence are summed; the largest comes first."""
+    """Areas [mm2] of reasons with the same sentence are added. The largest area comes first."""
     codes = np.array([Reason.SOURCE_SHADED_BY_PART, NOT_SELECTED, Reason.SENSOR_SHADED, TRIED])
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     told = UncoveredReport(_samples(4), codes, views).by_area()

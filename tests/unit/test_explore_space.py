@@ -15,7 +15,7 @@ from planner.values import Bools, Floats, Ints
 
 
 def _crossed(starts: Floats, ends: Floats, low: Floats, edge: float, shape: tuple[int, int, int]) -> Ints:
-    """Brute force: each segment against the box of each voxel, by slabs."""
+    """Count the segments that cross each voxel by brute force, with the slab test."""
     count = np.zeros(shape, dtype=np.int64)
     with np.errstate(divide="ignore"):
         for start, end in zip(starts, ends, strict=True):
@@ -39,7 +39,7 @@ def test_a_segment_crosses_the_voxels_whose_boxes_it_meets() -> None:
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_segment_along_an_axis_crosses_its_row(axis: int) -> None:
-    """There is no division by zero; a segment beside the grid crosses nothing."""
+    """A segment along an axis crosses its row without division by zero. One outside the grid crosses nothing."""
     start, end = np.full((2, 3), 0.25), np.full((2, 3), 0.25)
     start[:, axis], end[:, axis] = -1.0, 2.0
     start[1, (axis + 1) % 3] = end[1, (axis + 1) % 3] = 5.0
@@ -55,7 +55,7 @@ def _space() -> VoxelSpace:
 
 
 def test_only_the_cylinder_is_unknown_at_first() -> None:
-    """Voxels with their centre in it are unknown, those a voxel outside are free."""
+    """Voxels with their centre in the cylinder are unknown; those more than a voxel outside are free."""
     space = _space()
     x, y, z = space.centres(np.ones(space.state.shape, dtype=bool)).T
     beyond = np.maximum(np.hypot(x, y) - 0.05, np.abs(z) - 0.03)
@@ -72,13 +72,13 @@ def test_only_the_cylinder_is_unknown_at_first() -> None:
     ],
 )  # fmt: skip
 def test_invalid_cylinders_are_refused(sizes: tuple[float, float, float, float], words: str) -> None:
-    """The message says what is valid."""
+    """Sizes that are not positive and grids that are too large are refused."""
     with pytest.raises(PlannerError, match=words):
         VoxelSpace.from_cylinder(*sizes)
 
 
 def _ball_from(space: VoxelSpace, origin: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Visible points of a ball of 30 mm from a position 0.3 m away, and that position."""
+    """Return the points of a ball of 30 mm radius that are visible from a position, and this position."""
     normals = rng.standard_normal((20_000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = 0.03 * normals
@@ -86,7 +86,10 @@ def _ball_from(space: VoxelSpace, origin: Floats, rng: np.random.Generator) -> t
 
 
 def test_free_space_does_not_contain_the_part() -> None:
-    """A ball seen from all sides: free voxels are outside it, to within a diagonal; its points are occupied."""
+    """After views of a ball from all sides, free voxels lie outside it to within a voxel diagonal.
+
+    Its points are occupied and measured; those of a moved ball contradict the space.
+    """
     space, rng = _space(), np.random.default_rng(1)
     everything = []
     for direction in rng.standard_normal((40, 3)):
@@ -106,7 +109,10 @@ def test_free_space_does_not_contain_the_part() -> None:
 
 
 def _seen(space: VoxelSpace, point: Floats, normal: Floats) -> bool:
-    """Brute force: one of the eight nearest points is within a gap of the normal, 0.5 edges above to 1.6 below."""
+    """Return whether one of the eight nearest points lies near the normal, by brute force.
+
+    It is at most a gap from the normal, and 0.5 edges above to 1.6 edges below the sample.
+    """
     nearest = np.argsort(np.linalg.norm(space.points - point, axis=1))[:8]
     for measured in space.points[nearest]:
         height = float((measured - point) @ normal)
@@ -117,7 +123,7 @@ def _seen(space: VoxelSpace, point: Floats, normal: Floats) -> bool:
 
 
 def test_measured_samples_have_a_point_near_their_normal() -> None:
-    """Random points of a layer, and samples around it with random normals, against brute force."""
+    """Samples around a layer of random points are measured as brute force finds them."""
     rng = np.random.default_rng(5)
     points = rng.uniform(-1, 1, (300, 3)) * np.array([0.02, 0.02, 0.001])
     space = replace(_space(), points=points)
@@ -134,7 +140,7 @@ def test_measured_samples_have_a_point_near_their_normal() -> None:
 
 @pytest.mark.parametrize("more", [0, 40, 300])
 def test_measured_since_is_the_difference_of_two_spaces(more: int) -> None:
-    """With more points, or none."""
+    """Newly measured samples are those that the later space measures and the earlier one does not."""
     rng = np.random.default_rng(more)
     points = rng.uniform(-1, 1, (300, 3)) * np.array([0.02, 0.02, 0.001])
     before = replace(_space(), points=points[: 300 - more])
@@ -150,9 +156,9 @@ def test_measured_since_is_the_difference_of_two_spaces(more: int) -> None:
 
 @pytest.mark.parametrize(("spacing", "gap"), [(0.003, 0.0027), (0.0005, 0.0014)])
 def test_a_strip_without_points_is_open_although_its_voxels_are_occupied(spacing: float, gap: float) -> None:
-    """A plane of points without a strip: samples farther than a gap from the points are open, those near them are not.
+    """Samples of a strip farther than a gap from all points are open, and those nearer are not.
 
-    The strip is less than two voxels wide, so that each of its voxels, or the next one, has a point.
+    The strip is less than two voxels wide, so that each of its voxels or a neighbour holds a point.
     """
     space = VoxelSpace.from_cylinder(0.05, 0.06, 0.004, spacing)
     assert space.gap == pytest.approx(gap)
@@ -170,7 +176,7 @@ def test_a_strip_without_points_is_open_although_its_voxels_are_occupied(spacing
 
 
 def test_surface_between_points_of_neighbouring_rays_is_a_class_of_its_own() -> None:
-    """Positions there measure nothing, and are kept from view to view; other surface is open as before."""
+    """Surface between points of neighbouring rays is not measured, but is kept as a class of open surface."""
     space = _space()
     space = space.with_points(np.array([[0.0, 0.0, 0.0], [0.012, 0.0, 0.0]]), [])
     places = np.array([[0.004, 0.0, 0.0], [0.008, 0.0, 0.0]])
@@ -202,7 +208,7 @@ CUBE_SIDE = 0.25
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 300))
 def test_each_cube_keeps_its_first_point(seed: int, count: int) -> None:
-    """Cubes begin at 0, on both sides of it; no points give none."""
+    """Each cube keeps its first point, with cube borders at multiples of the side. No points give an empty result."""
     points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
     taken: dict[tuple[int, ...], int] = {}
     for number, point in enumerate(points):
@@ -212,13 +218,16 @@ def test_each_cube_keeps_its_first_point(seed: int, count: int) -> None:
 
 @pytest.mark.parametrize("offset", [1e6, -1e6])
 def test_cubes_far_from_the_origin_are_the_same(offset: float) -> None:
-    """Cube numbers do not grow with the position."""
+    """Cubes far from the origin select the same points."""
     points = np.round(np.random.default_rng(0).uniform(-1, 1, (1000, 3)) * 1024) / 1024  # so that sums are exact
     assert np.array_equal(first_in_cubes(points + offset, CUBE_SIDE), first_in_cubes(points, CUBE_SIDE))
 
 
 def test_each_small_cube_keeps_its_first_point() -> None:
-    """Earlier points stay, in order; the same points again change nothing; points outside the cylinder are ignored."""
+    """Earlier points are kept in their order, and repeated points change nothing.
+
+    Points outside the cylinder are ignored.
+    """
     rng = np.random.default_rng(6)
     first, second = rng.uniform(-0.01, 0.01, (2, 500, 3))
     once = _space().with_points(np.concatenate([first, [[0.2, 0.0, 0.0]]]), [])
@@ -232,7 +241,7 @@ def test_each_small_cube_keeps_its_first_point() -> None:
 
 
 def test_unknown_space_without_a_connection_to_points_is_not_believed() -> None:
-    """Before the first point the belief is the middle of the cylinder."""
+    """Only unknown voxels connected to points are believed. Before the first point it is the middle of the cylinder."""
     space = _space()
     first = space.belief_voxels()
     assert (space.state[first] == UNKNOWN).all()
@@ -246,7 +255,7 @@ def test_unknown_space_without_a_connection_to_points_is_not_believed() -> None:
 
 @pytest.mark.parametrize(("radius", "height"), [(0.0003, 0.1), (0.1, 0.0005), (0.0002, 0.0002)])
 def test_cylinders_thinner_than_voxels_have_a_first_belief(radius: float, height: float) -> None:
-    """A wire, a sheet and a pin: the middle contains some voxels, so that a view can be planned."""
+    """For a wire, a sheet and a pin the first belief contains some voxels, so that a view can be planned."""
     space = VoxelSpace.from_cylinder(radius, height, 0.0012, 0.001)
     first = space.belief_voxels()
     assert first.any()
@@ -254,7 +263,10 @@ def test_cylinders_thinner_than_voxels_have_a_first_belief(radius: float, height
 
 
 def test_a_ray_without_a_point_votes_where_the_sensor_sees() -> None:
-    """Two votes along it, none behind a point as seen from the sensor; minus one behind a point of the source."""
+    """A ray without a point adds two votes along it, but none that a point hides from the sensor.
+
+    Voxels behind a point as seen from the source have a vote of minus one.
+    """
     space, source, sensor = _space(), np.array([-0.2, 0.0, 0.0]), np.array([-0.2, 0.1, 0.0])
     wall, ahead = np.array([[0.0, y, 0.0] for y in np.arange(0.006, 0.02, 0.001)]), np.array([[1.0, 0.0, 0.0]])
     at = np.array([[-0.02, 0.001, 0.001], [0.02, 0.001, 0.001], [0.02, 0.015, 0.001]])
@@ -266,10 +278,9 @@ def test_a_ray_without_a_point_votes_where_the_sensor_sees() -> None:
 
 
 def test_a_ray_that_may_have_met_the_part_before_the_range_does_not_vote() -> None:
-    """Its way to where the scanner begins to measure leads through what nobody looked at, or what was hit.
+    """A ray does not vote if it crosses unseen or occupied space before the minimum range.
 
-    A block whose near side stands before the range and whose far side does not: no ray comes back, and the block is
-    still believed.
+    A part that begins before the range returns no ray, and must remain believed.
     """
     space, ahead = _space(), np.array([[1.0, 0.0, 0.0]])
     source, far = np.array([-0.2, 0.0, 0.0]), np.array([[0.03, 0.001, 0.001]])
@@ -291,7 +302,10 @@ def test_a_ray_that_may_have_met_the_part_before_the_range_does_not_vote() -> No
 
 
 def test_tries_are_counted_once_a_voxel_and_reach_to_neighbours() -> None:
-    """Two points of one voxel are one try; the class contains the distance to the nearest measured voxel."""
+    """Two points of one voxel count as one try, which also holds for its neighbours.
+
+    The class includes the distance to the nearest measured voxel.
+    """
     space = _space().with_tries(np.array([[0.0, 0.0, 0.001], [0.0, 0.0, 0.0015], [0.02, 0.0, 0.001]]))
     assert space.tries.max() == 1
     points, up = np.array([[0.0, 0.004, 0.001], [0.0, 0.03, 0.001]]), np.tile([0.0, 0.0, 1.0], (2, 1))
@@ -305,7 +319,10 @@ def test_tries_are_counted_once_a_voxel_and_reach_to_neighbours() -> None:
 
 
 def test_the_probability_follows_the_record() -> None:
-    """Without observations it falls with tries and distance; with many it is the found share of each class."""
+    """Without observations the probability falls with tries and distance.
+
+    With many observations it is the share found in each class.
+    """
     tries, beside = np.repeat(np.arange(3), 2), np.tile([1.0, 20.0], 3)
     unseen = np.zeros(6, dtype=bool)
     before = GainRecord.empty().weights(OpenSamples(tries, beside, unseen))
@@ -327,7 +344,10 @@ def test_the_probability_follows_the_record() -> None:
 
 
 def test_views_are_selected_by_gain_per_second() -> None:
-    """Each is the best of brute force after those before it; views without gain and unusable ones are not selected."""
+    """Each view has the highest gain per second after those before it, by comparison with brute force.
+
+    Views without gain and unusable views are not selected.
+    """
     rng = np.random.default_rng(2)
     measured, areas = rng.random((200, 12)) < 0.2, rng.random(200)
     seconds, usable = rng.uniform(1, 4, 12), np.arange(12) != 5
@@ -345,7 +365,7 @@ def test_views_are_selected_by_gain_per_second() -> None:
 
 
 def test_the_gain_ratio_is_the_median_of_the_latest_batches() -> None:
-    """It is 1 at first, and one batch that met a complete side of the part changes it little."""
+    """The gain ratio is 1 without batches, and a single batch with a large gain changes it little."""
     assert gain_ratio([]) == 1
     assert gain_ratio([(1.0, 2.0), (1.0, 2.0), (1.0, 30.0), (0.5, 1.0), (0.0, 7.0)]) == 2
     assert gain_ratio([(1.0, 3.0)]) == 2
@@ -355,18 +375,18 @@ def test_the_gain_ratio_is_the_median_of_the_latest_batches() -> None:
 
 
 def _block() -> VoxelSpace:
-    """A grid of which only the border is free."""
+    """Return a grid with unknown voxels except at its border."""
     return VoxelSpace.from_cylinder(0.08, 0.16, 0.004, 0.003)
 
 
 def _shell(space: VoxelSpace, radius: float) -> Bools:
-    """(X, Y, Z) closed shell around the centre, a voxel diagonal thick."""
+    """Return an (X, Y, Z) mask of a closed shell around the centre, one voxel diagonal thick."""
     away = np.linalg.norm(space.centres(np.ones(space.state.shape, dtype=bool)), axis=1).reshape(space.state.shape)
     return np.asarray(np.abs(away - radius) < space.edge)
 
 
 def _flooded(open_to: Bools, starts: Bools, steps: Ints) -> Bools:
-    """Brute force: voxels reached from the starts by steps on open voxels."""
+    """Return the voxels reached from the starts by steps on open voxels, by brute force."""
     reached, front = np.array(starts & open_to), [tuple(at) for at in np.argwhere(starts & open_to).tolist()]
     while front:
         at = np.array(front.pop())
@@ -380,9 +400,9 @@ def _flooded(open_to: Bools, starts: Bools, steps: Ints) -> Bools:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_belief_is_that_of_brute_force(seed: int) -> None:
-    """Floods from what was hit to neighbours by a corner, then from the border to those by a face; never what is free.
+    """The belief is a flood from occupied voxels, plus everything that a flood from the border does not reach.
 
-    Random voxels of all kinds and votes, pockets that nothing leads to among them.
+    Free voxels are excluded. The grid has random states and votes and includes closed pockets.
     """
     rng, space = np.random.default_rng(seed), VoxelSpace.from_cylinder(0.012, 0.022, 0.001, 0.001)
     state = np.array(space.state)
@@ -406,7 +426,7 @@ def test_the_belief_is_that_of_brute_force(seed: int) -> None:
 
 
 def test_the_belief_continues_eight_edges_behind_measured_voxels() -> None:
-    """Eight layers below a measured plane, and none in the free space above it."""
+    """The belief has eight layers below a measured plane and none in the free space above it."""
     space = _block()
     state = np.array(space.state)
     state[:, :, 30][state[:, :, 30] == UNKNOWN] = OCCUPIED
@@ -420,7 +440,10 @@ def test_the_belief_continues_eight_edges_behind_measured_voxels() -> None:
 
 
 def test_space_inside_a_closed_surface_is_believed_at_any_depth() -> None:
-    """Whether voted down or not; a free pocket stays free, and one crossing frees everything that is deep."""
+    """Unknown space in a closed surface is believed at any depth, even if voted down; a free pocket stays free.
+
+    A single free crossing of the surface removes the deep voxels from the belief.
+    """
     space = _block()
     shell, far = _shell(space, 0.06), _shell(space, 0.0) | _shell(space, 0.07)
     state = np.where(shell, OCCUPIED, np.where(far, FREE, space.state)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""An exploration's folder that was killed early, and the limits of sigma and spacing that its model is judged by."""
+"""State of an exploration: interrupted folders, plausibility of points, policies, limits and stored knowledge."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,7 +38,7 @@ def _scene(**wishes: float) -> Scene:
 
 
 def _eye() -> SensorFrustum:
-    """Of a scanner with rays a degree apart."""
+    """Return the frustum of a scanner with rays one degree apart."""
     scanner = LaserArea(fov_deg=(30, 30), resolution_deg=(1.0, 1.0), range_mm=(100, 900))
     rays = np.asarray(scanner.ray_directions())
     apart = float(np.arccos(rays[0] @ rays[1]))
@@ -53,7 +53,7 @@ def _begun(root: Path) -> ExploreFile:
 
 @pytest.mark.parametrize("left", [(), ("stages",), ("stages", "explore.json.tmp")])
 def test_a_kill_before_the_first_explore_json_is_gone_on_after(left: tuple[str, ...], tmp_path: Path) -> None:
-    """What is there between the making of the folder and the first file is an exploration that was begun."""
+    """A folder that was interrupted before its first explore.json can be continued."""
     root = tmp_path / "explored"
     for name in left:
         (root / "stages").mkdir(parents=True, exist_ok=True)
@@ -66,7 +66,7 @@ def test_a_kill_before_the_first_explore_json_is_gone_on_after(left: tuple[str, 
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
-    """Nothing is written beside another's files, nor into a folder that is merely empty."""
+    """A folder with other files is refused, and nothing is written into it."""
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(FileError, match="no exploration"):
         ExplorationFolder(tmp_path).begin(_begun(tmp_path))
@@ -83,7 +83,7 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     ids=["nothing hit", "outside its cylinder", "moved"],
 )
 def test_points_that_cannot_be_stop_an_exploration(points: Floats, told: str) -> None:
-    """In one sentence that names the stage and what to do."""
+    """Implausible points stop an exploration with one sentence on the cause."""
     space = VoxelSpace.from_cylinder(0.1, 0.1, 0.004, 0.003)
     space = replace(space, state=np.full_like(space.state, FREE))
     with pytest.raises(FileError, match=told):
@@ -92,9 +92,9 @@ def test_points_that_cannot_be_stop_an_exploration(points: Floats, told: str) ->
 
 @pytest.mark.parametrize(("away", "told"), [(0.0, False), (0.006, False), (0.02, True), (-0.02, False)])
 def test_a_part_that_was_moved_away_stops_an_exploration(away: float, told: bool) -> None:
-    """A plate is found farther off than it was: no leg enters space that was seen free, but all pass what was known.
+    """A plate found farther away is reported as moved, because its rays pass the known points.
 
-    Nearer than it was it hides that, and its points lie in space that was seen free. Two voxels are no move.
+    A plate found nearer hides the known points, and a shift of 6 mm is within the tolerance.
     """
     eye, T = _eye(), np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 0.4
@@ -116,7 +116,7 @@ def test_a_part_that_was_moved_away_stops_an_exploration(away: float, told: bool
 
 
 def test_what_a_view_cannot_see_was_not_moved() -> None:
-    """Known points before the range, beyond an outline or too few say nothing, though rays beside them went past."""
+    """Known points below the range, beyond the outline or fewer than 100 give no share of passed points."""
     eye, T = _eye(), np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 0.4
     rays = eye.rays @ T[:3, :3].T
@@ -131,7 +131,7 @@ def test_what_a_view_cannot_see_was_not_moved() -> None:
 
 
 def test_a_view_of_what_is_not_there_is_no_reason_to_stop() -> None:
-    """Once something was hit, a batch without points is one that was believed wrongly, and the voxels take it."""
+    """After a first hit, a batch without points is accepted, and its rays add votes to the voxels."""
     space, stand = VoxelSpace.from_cylinder(0.1, 0.1, 0.004, 0.003), np.array([0.3, 0.0, 0.0])
     space, nothing = space.with_points(np.zeros((1, 3)), [stand]), np.empty((0, 3))
     require_plausible(space, Path("stages/0002"), [(nothing, np.eye(4))], _eye())
@@ -142,7 +142,7 @@ def test_a_view_of_what_is_not_there_is_no_reason_to_stop() -> None:
 
 
 def test_limits_hold_in_the_fine_stage_alone() -> None:
-    """The rough stage of two-stage is planned without them, the fine one and all of stepwise with them."""
+    """The rough stage of two-stage has no limits. Its fine stage and all stages of stepwise have them."""
     scene = _scene(max_sigma=0.05, max_spacing=1.0)
     assert report.has_limits(scene)
     rough = report.without_limits(scene)
@@ -159,9 +159,9 @@ def test_limits_hold_in_the_fine_stage_alone() -> None:
 
 
 def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_on() -> None:
-    """Or begins with as many as are asked for; the other surface is tried where the first is worth no view.
+    """Stepwise begins with one view or with the ring, and then tries the surface of the latest batch first.
 
-    More is asked of the believed one, which promises too much late, less of the measured one: too little.
+    The minimum gain factor is 2 on believed surface and 0.6 on measured surface.
     """
     policy = POLICIES["stepwise"]
     assert policy(ExploreOptions(), ExplorationState(0, None)) == (Batch(1),)
@@ -174,7 +174,10 @@ def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_
 
 
 def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
-    """The later it is; where one that asks much is worth no view the next is tried, then the measured surface."""
+    """After six rough views the minimum gain factor falls from 3 to 1 with the stages.
+
+    The measured surface is tried last.
+    """
     policy = POLICIES["two-stage"]
     much, less, least = (Batch(9, min_gain_factor=worth) for worth in (3.0, 1.5, 1.0))
     last = Batch(9, on=MEASURED, min_gain_factor=0.6)
@@ -186,7 +189,7 @@ def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
 
 
 def test_what_the_model_misses_of_the_limits() -> None:
-    """A square seen from one place: of it lies beyond a limit of spacing what the law of the grid's tangents says."""
+    """The share of a square beyond the spacing limit falls from 1 to 0 as the limit grows."""
     square = trimesh.creation.box((0.08, 0.08, 0.002))
     mesh = TriangleMesh(np.asarray(square.vertices, dtype=np.float64), np.asarray(square.faces, dtype=np.int32))
     up = np.array([[0.0, 0.0, 1.0]])
@@ -204,7 +207,7 @@ def test_what_the_model_misses_of_the_limits() -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.3])
 def test_what_the_arm_keeps_away_from_holds_every_voxel_that_is_not_free(share: float, tmp_path: Path) -> None:
-    """With all of its corners, also of a voxel that stands alone, and of the whole cylinder."""
+    """The mesh of unseen space contains all corners of each voxel that is not free, including isolated voxels."""
     space = VoxelSpace.from_cylinder(0.02, 0.05, 0.002, 0.002)
     state = np.where(np.random.default_rng(1).random(space.state.shape) < share, UNKNOWN, FREE).astype(np.uint8)
     if share:
@@ -221,14 +224,14 @@ def test_what_the_arm_keeps_away_from_holds_every_voxel_that_is_not_free(share: 
 
 @dataclass
 class Stub:
-    """What the number of views that are worth it asks of a problem."""
+    """The part of a planning problem that `_views_with_gain` reads."""
 
     M: Any
     usable: Any
 
 
 def test_a_batch_is_of_as_many_views_as_each_add_what_is_asked_of_them() -> None:
-    """Where nothing is expected as batches brought nothing, it is one view that is told to be too little."""
+    """A batch has as many views as reach the minimum gain; a gain ratio of 0 leaves one view to be refused."""
     areas = np.array([3.0, 2.0, 1.0])
     M = SimpleNamespace(matrix=lambda: csr_array(np.eye(3, dtype=bool)), samples=SimpleNamespace(areas=areas))
     problem = Stub(M, lambda: np.ones(3, dtype=bool))
@@ -238,7 +241,10 @@ def test_a_batch_is_of_as_many_views_as_each_add_what_is_asked_of_them() -> None
 
 
 def test_what_came_is_held_against_what_was_expected() -> None:
-    """Newly measured over expected area; the first batch and those planned on measured surface count for nothing."""
+    """The ratio is the median of newly measured over expected area.
+
+    The first batch and batches on measured surface are not counted.
+    """
     went = [(5.0, 20.0, BELIEVED), (2.0, 4.0, BELIEVED), *[(9.0, 0.0, MEASURED)] * 2, (1.0, 3.0, BELIEVED)]
     stages = [SimpleNamespace(expected_mm2=area, new_mm2=new, planned_on=on) for area, new, on in went]
     assert _belief_gain_ratio(SimpleNamespace(stages=stages)) == 2.0  # median of 1, 2 and 3
@@ -248,7 +254,7 @@ def test_what_came_is_held_against_what_was_expected() -> None:
 
 
 def test_what_the_part_is_believed_to_fill_is_the_spaces() -> None:
-    """And the believed surface is about that."""
+    """The believed solid is that of the space, and the believed surface encloses it."""
     space = VoxelSpace.from_cylinder(0.02, 0.05, 0.002, 0.002).with_points(
         np.zeros((1, 3)), [np.array([0.2, 0.0, 0.0])]
     )
@@ -259,7 +265,7 @@ def test_what_the_part_is_believed_to_fill_is_the_spaces() -> None:
 
 
 def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
-    """Every voxel, every point and the record come back as they were."""
+    """Voxels, points and gain record are equal after writing and reading."""
     (tmp_path / "stages").mkdir()
     rng, unknown = np.random.default_rng(3), VoxelSpace.from_cylinder(0.02, 0.05, 0.002, 0.002)
     points = rng.uniform(-0.01, 0.01, (100, 3))
@@ -277,7 +283,10 @@ def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
 
 
 def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -> None:
-    """The same for a simulated part, however small, as for a real one; without a cylinder by the simulated part."""
+    """The given cylinder selects the scanner for simulated and real parts.
+
+    Without a cylinder the simulated part selects it.
+    """
     options, elsewhere = ExploreOptions(cylinder_mm=(400, 300)), ScanOptions(
         acquire="command:take", points_frame="base", points_units="mm"
     )  # fmt: skip
@@ -290,7 +299,7 @@ def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -
 
 
 def test_nothing_that_can_be_reached_has_the_exit_code_of_that() -> None:
-    """Where not even a first view can be planned."""
+    """An exploration without a reachable first view ends with exit code 4."""
     given: Any = (None, SimpleNamespace(stages=()), (), "the arm reaches no view", ())
     with pytest.raises(UnreachableError, match="nothing can be explored here: the arm reaches no view") as told:
         _finish(*given)
@@ -298,7 +307,7 @@ def test_nothing_that_can_be_reached_has_the_exit_code_of_that() -> None:
 
 
 def test_the_ring_says_nothing_of_standing_too_near() -> None:
-    """It was planned for the cylinder, of which all is unknown."""
+    """The first batch is not part of the minimum-range history, since it was planned for an unknown cylinder."""
     ring, batch = (SimpleNamespace(too_near_mm2=near, expected_mm2=9.0) for near in (8.0, 1.0))
     file: Any = SimpleNamespace(stages=[ring, batch])
     assert _min_range_history(file) == [(1.0, 9.0)]

@@ -1,4 +1,4 @@
-"""Legs that cross, before the range begins, what nobody has looked at: the part may begin there."""
+"""Lines of sight through unseen space before the minimum range, where the part may begin."""
 
 from dataclasses import replace
 
@@ -18,14 +18,14 @@ TARGET = np.array([[0.0, 0.0, 0.0]])
 
 
 def _wall(x: float) -> EmbreeRayCaster:
-    """A square across the x axis."""
+    """Return a ray caster of a square across the x axis."""
     y, z = np.array([-1.0, 1.0, 1.0, -1.0]), np.array([-1.0, -1.0, 1.0, 1.0])
     mesh = TriangleMesh(np.column_stack([np.full(4, x), y, z]), np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32))
     return EmbreeRayCaster(mesh.vertices, mesh.faces)
 
 
 def _space(state: int = FREE, votes: int = 0) -> VoxelSpace:
-    """Free but for a point in the middle and a block before it, from 60 to 80 mm along x."""
+    """Return a free space with one occupied voxel in the middle and a block of the given state at x = 60 to 80 mm."""
     space = VoxelSpace.from_cylinder(0.1, 0.1, 0.004, 0.003)
     x = space.centres(np.ones(space.state.shape, dtype=bool))[:, 0].reshape(space.state.shape)
     known = np.where((x > 0.06) & (x < 0.08), state, FREE).astype(np.uint8)
@@ -46,14 +46,14 @@ def _space(state: int = FREE, votes: int = 0) -> VoxelSpace:
     ids=["free", "nobody looked", "voted down", "farther off", "hit", "the target itself is too near"],
 )
 def test_what_may_be_the_part_lies_no_nearer_than_the_range(space: VoxelSpace, away: float, blocked: bool) -> None:
-    """A scanner that measures from 150 mm on stands so far before the middle."""
+    """A line of sight is blocked if the part may lie below the minimum range of 150 mm."""
     stand = np.array([[away, 0.0, 0.0]])
     assert MinRangeOccluder(None, space, 0.15).blocked(stand, TARGET).tolist() == [blocked]
 
 
 @pytest.mark.parametrize(("x", "blocked"), [(0.05, True), (-0.05, False)])
 def test_occluders_block_as_they_do(x: float, blocked: bool) -> None:
-    """All along the leg, and rays meet them where they stand."""
+    """Other occluders block along the whole line of sight, and rays meet them at their true distance."""
     caster, stand = MinRangeOccluder(_wall(x), _space(), 0.15), np.array([[0.2, 0.0, 0.0]])
     assert caster.blocked(stand, TARGET).tolist() == [blocked]
     along: Floats = np.array([[-1.0, 0.0, 0.0]])
@@ -61,7 +61,7 @@ def test_occluders_block_as_they_do(x: float, blocked: bool) -> None:
 
 
 def _scan(eye: SensorFrustum, T: Floats, x: float) -> Floats:
-    """(N, 3) where rays meet a wall across the x axis, if they do so within the range."""
+    """Return the (N, 3) points in which rays meet a wall across the x axis within the range."""
     rays = eye.rays @ T[:3, :3].T
     source = T[:3, :3] @ eye.source + T[:3, 3]
     away = (x - source[0]) / rays[:, 0]
@@ -77,9 +77,9 @@ def _scan(eye: SensorFrustum, T: Floats, x: float) -> Floats:
 def test_what_gave_no_point_was_too_near_where_nobody_had_looked(
     wall: float, state: int, told: float, beside: float
 ) -> None:
-    """A source 200 mm before a believed surface, its range from 150 mm on; the part stands there or nearer.
+    """Samples without a point count as too near if the part lies in unseen space before the minimum range.
 
-    Rays begin at the source, wherever the scanner's frame is.
+    The source is 200 mm before the believed surface. Rays begin at the source, not at the scanner's frame.
     """
     scanner = LaserArea(fov_deg=(20, 20), resolution_deg=(1.0, 1.0), range_mm=(150, 450))
     rays = np.asarray(scanner.ray_directions())
@@ -102,7 +102,7 @@ def test_what_gave_no_point_was_too_near_where_nobody_had_looked(
 
 
 def test_views_keep_off_for_some_batches_after_one_that_stood_too_near() -> None:
-    """More than half of what it was to measure may have been hidden before the range."""
+    """A batch with more than half of its expected area too near has an effect for `N_LATEST_BATCHES` batches."""
     assert not should_keep_min_range([])
     assert not should_keep_min_range([(0.5, 1.0), (0.0, 0.0)])
     assert should_keep_min_range([(0.6, 1.0), *[(0.0, 1.0)] * (N_LATEST_BATCHES - 1)])

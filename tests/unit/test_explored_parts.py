@@ -1,4 +1,4 @@
-"""Awkward parts looked at from all round without an arm: what is known of the space about them, what is believed."""
+"""Difficult parts viewed from all sides without an arm: the known space and the believed surface."""
 
 from dataclasses import replace
 from functools import cache
@@ -69,7 +69,7 @@ PARTS = {
 
 
 def _poses(count: int = 14) -> Floats:
-    """(n, 4, 4) poses about the cylinder, evenly, at the middle of the range."""
+    """Return (n, 4, 4) poses spread evenly about the cylinder, at the middle of the range."""
     k = np.arange(count) + 0.5
     z, turn = 1 - 2 * k / count, np.pi * (1 + np.sqrt(5)) * k
     out = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
@@ -92,7 +92,7 @@ def _learned(space: VoxelSpace, points: Floats, T: Floats) -> VoxelSpace:
 
 @cache
 def _explored(name: str, noise: float = 0.0, pose: float = 0.0) -> VoxelSpace:
-    """What is known after views from all round, their points with noise and their reported poses off [m]."""
+    """Return the space after views from all sides, with noise of points and errors of reported positions [m]."""
     mesh = PARTS[name]
     rng, space = np.random.default_rng(0), VoxelSpace.from_cylinder(RADIUS, HEIGHT, EDGE, SPACING)
     for T in _poses():
@@ -113,14 +113,14 @@ def _surface(mesh: TriangleMesh) -> Floats:
 
 @pytest.mark.parametrize("name", PARTS)
 def test_no_surface_is_farther_than_the_clearance_from_what_the_arm_keeps_away_from(name: str) -> None:
-    """Of wires too, of which rays miss most: what was seen free ends within a clearance of the true surface."""
+    """Free space ends within the clearance of the true surface, even for wires that most rays miss."""
     space = _explored(name)
     away = ndimage.distance_transform_edt(space.state == FREE) * space.edge
     assert space.values_at(_surface(PARTS[name]), away).max() < CLEARANCE
 
 
 def test_what_is_believed_has_the_hole_of_a_ring() -> None:
-    """Views through it vote: its middle is not believed, and nearly all of the ring was seen."""
+    """The hole of a ring is not believed to be part, and more than 95 % of the ring is measured."""
     space = _explored("ring")
     middle = np.zeros((1, 3))
     assert not space.values_at(middle, space.belief_voxels())[0]
@@ -131,14 +131,14 @@ def test_what_is_believed_has_the_hole_of_a_ring() -> None:
 
 
 def test_two_bodies_are_believed_as_two() -> None:
-    """Each with points of its own, and nothing believed between them."""
+    """Two bodies are believed as two separate components."""
     labels, count = ndimage.label(_explored("two bodies").belief_voxels(), np.ones((3, 3, 3)))
     sizes = np.bincount(labels.ravel())[1:]
     assert (sizes > 0.2 * sizes.max()).sum() == 2, (count, sizes)
 
 
 def test_the_inside_of_a_closed_box_stays_unknown_and_is_told() -> None:
-    """No voxel in it is free, its walls are not taken for seen, and its volume counts as never entered."""
+    """No voxel in a closed box is free, and its volume is reported as unseen."""
     space = _explored("closed box")
     x, y, z = np.abs(space.centres(space.state == FREE)).T
     assert not ((x < 0.02) & (y < 0.02) & (z < 0.015)).any()
@@ -148,7 +148,7 @@ def test_the_inside_of_a_closed_box_stays_unknown_and_is_told() -> None:
 
 
 def test_noise_and_pose_errors_are_no_part_that_moved() -> None:
-    """Points a quarter of a millimetre off and poses half a millimetre: each view agrees with those before it."""
+    """Noise of 0.25 mm and position errors of 0.5 mm are not taken for a moved part."""
     space = _explored("ring", noise=0.00025, pose=0.0005)
     assert (space.state == OCCUPIED).any()
 
@@ -156,7 +156,7 @@ def test_noise_and_pose_errors_are_no_part_that_moved() -> None:
 @pytest.mark.parametrize("name", ["ring", "two bodies", "closed box"])
 @pytest.mark.parametrize("shift", [(0.008, 0, 0), (-0.008, 0, 0), (0, 0.008, 0), (0, 0, 0.008)])
 def test_a_part_that_was_moved_is_noticed(name: str, shift: tuple[float, float, float]) -> None:
-    """Points of views after the move lie in space that was free, or behind surface that was measured."""
+    """Points of a shifted part contradict the known space."""
     space, moved = _explored(name), PARTS[name].vertices + np.array(shift)
     mesh = replace(PARTS[name], vertices=moved)
     shares = [space.contradicted_share(points) for T in _poses(5) if len(points := _points(mesh, T))]
@@ -164,7 +164,7 @@ def test_a_part_that_was_moved_is_noticed(name: str, shift: tuple[float, float, 
 
 
 def test_a_believed_surface_is_closed_before_and_after() -> None:
-    """Marching cubes about voxels within the grid: each edge has two faces, of tight and of rough surfaces."""
+    """Tight and coarse believed surfaces are watertight, before the first view and after the last."""
     unknown = VoxelSpace.from_cylinder(RADIUS, HEIGHT, EDGE, SPACING)
     for space in (unknown, _explored("ring")):
         for mesh in (belief.surface_about(space, space.belief_voxels()), belief.coarse_surface(space)):
@@ -173,7 +173,7 @@ def test_a_believed_surface_is_closed_before_and_after() -> None:
 
 @pytest.mark.parametrize("name", ["ring", "closed box"])
 def test_a_believed_surface_needs_no_repair(name: str) -> None:
-    """The checks that a mesh of a file goes through find nothing to turn or drop in it, cavities included."""
+    """The checks of a mesh file change nothing in a believed surface, cavities included."""
     space = _explored(name)
     surface = belief.surface_about(space, space.belief_voxels())
     checked = workpiece.from_arrays(name, surface.vertices, surface.faces, "m").reference
