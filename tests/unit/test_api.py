@@ -1,4 +1,4 @@
-"""The front door for Python gives what the command line gives."""
+"""The Python interface returns the results of the command line."""
 
 import subprocess
 import sys
@@ -21,7 +21,7 @@ _QUICK |= {"candidates": "optimal-scanning-zone"}
 
 @pytest.fixture(scope="module", autouse=True)
 def _cache(cache: Path) -> Iterator[None]:
-    """The tests' own cache in place of the user's."""
+    """Use the cache of the tests in place of the user's."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(cache))
         yield
@@ -29,13 +29,13 @@ def _cache(cache: Path) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def planned(tmp_path_factory: pytest.TempPathFactory) -> EditableRun:
-    """A small plan of a ball in memory."""
+    """Return a small plan of a ball in memory."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=60.0)
     return plan(ball, units="mm", out=tmp_path_factory.mktemp("api") / "run", **_QUICK)
 
 
 def test_importing_it_imports_nothing_heavy() -> None:
-    """What a call needs is imported by the call: not even NumPy is there before."""
+    """Importing `cell.api` imports no heavy package, not even NumPy."""
     heavy = ("numpy", "pydantic", "mujoco", "matplotlib", "rich", "typer", "numba")
     code = f"import sys, cell.api; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -43,7 +43,10 @@ def test_importing_it_imports_nothing_heavy() -> None:
 
 
 def test_a_plan_is_a_value_of_arrays(planned: Run) -> None:
-    """Shapes agree with the number of views, poses with each other, and the bound is not above the views."""
+    """Array shapes agree with the number of views, and the poses agree with each other.
+
+    The bound is not above the number of views.
+    """
     n = len(planned.candidate)
     assert planned.q.shape == (n, 6)
     assert planned.T_base_scanner.shape == planned.T_object_scanner.shape == (n, 4, 4)
@@ -67,7 +70,7 @@ def test_a_run_opened_again_is_the_same_value(planned: Run) -> None:
 def test_a_mesh_in_memory_is_planned_as_its_file(
     planned: Run, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """A file of the same part gives the same views, a checked scene the same as its wishes; nothing is printed."""
+    """A mesh in memory, its file and a checked scene give the same number of views. Nothing is printed."""
     file = tmp_path / "ball.ply"
     trimesh.creation.icosphere(subdivisions=3, radius=60.0).export(file, vertex_normal=False)
     of_file = plan(file, units="mm", out=tmp_path / "file", **_QUICK)
@@ -88,13 +91,13 @@ def test_a_mesh_in_memory_is_planned_as_its_file(
 
 
 def test_a_plan_of_a_mesh_in_memory_can_be_edited(planned: EditableRun, tmp_path: Path) -> None:
-    """The part is the run's own mesh; a view less, the others where they were."""
+    """A plan of a mesh in memory can be edited; dropping a view leaves the others unchanged."""
     edited = planned.edited(drop=1, keep_order=True, out=tmp_path / "edited")
     assert edited.candidate.tolist() == planned.candidate.tolist()[1:]
 
 
 def test_an_execution_is_a_value_too(planned: Run) -> None:
-    """Mesh, points and deviation of a perfect scan: on the ball."""
+    """An execution without errors returns points on the ball, a mesh and its deviation."""
     told: list[tuple[str, int, int]] = []
     execution = scan(planned, resolution=1.0, progress=lambda *words: told.append(words))
     assert execution.exit_code == 0
@@ -131,13 +134,13 @@ def test_an_execution_is_a_value_too(planned: Run) -> None:
     ],
 )
 def test_what_cannot_be_is_one_sentence(call: object, error: type[Exception], words: str) -> None:
-    """The sentence names the keyword as it was written, and what would be valid."""
+    """An invalid call is refused with an error of the matching class that names the cause."""
     with pytest.raises(error, match=words):
         call()  # type: ignore[operator]
 
 
 def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """docs/python.md, its first example as it stands."""
+    """The first example of docs/python.md runs as printed."""
     page = (Path(__file__).parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
@@ -148,9 +151,9 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_exploration_goes_on_where_it_is(tmp_path: Path) -> None:
-    """Options of exploration, execution and scene are keywords; the same call again gives the same value.
+    """Options of exploration, execution and scene are keywords, and a repeated call returns the same value.
 
-    Its surface lies within the cylinder, and the plans of its batches are those that were driven.
+    The surface lies within the cylinder. The digests of the stages are those that were executed.
     """
     ball = trimesh.creation.icosphere(subdivisions=3, radius=60.0)
     ball.export(tmp_path / "ball.stl")

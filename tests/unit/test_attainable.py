@@ -1,4 +1,4 @@
-"""Attainable share: cases with known answers, and the line of the report."""
+"""Attainable share of the surface: cases with known results, and the sentence of the report."""
 
 from types import SimpleNamespace
 
@@ -38,13 +38,16 @@ def _anywhere(T):
 
 
 def test_all_of_a_ball_is_measured_from_anywhere():
-    """A convex body hides nothing."""
+    """All points of a convex body are measured if every pose is reachable."""
     found = probe_attainable(*_ball(_anywhere))
     assert found.measured.all()
 
 
 def test_from_above_the_lowest_points_of_a_ball_are_seen_but_not_reached():
-    """Sources above a plane through the ball's lowest point measure points whose tilt is below the limit."""
+    """With sources above the ball's lowest point all points are visible.
+
+    Points are measured as far as their tilt allows.
+    """
     targets, evaluator = _ball(lambda T: (T[:, :, 2, 3] > -0.04).all(axis=1))
     found = probe_attainable(targets, evaluator)
     assert found.visible.all()
@@ -56,13 +59,13 @@ def test_from_above_the_lowest_points_of_a_ball_are_seen_but_not_reached():
 
 
 def test_in_a_closed_box_nothing_is_seen_from_outside():
-    """A box near about the ball leaves poses inside it that are nearer than the range."""
+    """No point of a ball is visible in a tight box, since poses inside it are nearer than the range."""
     found = probe_attainable(*_ball(_anywhere, trimesh.creation.box((0.09, 0.09, 0.09))))
     assert not found.visible.any()
 
 
 def test_an_arm_that_reaches_nothing_measures_nothing():
-    """All points are visible and none is measured; equal inputs give equal answers."""
+    """Without reachable poses all points are visible and none is measured. Results are repeatable."""
     targets, evaluator = _ball(lambda T: np.zeros(len(T), dtype=bool))
     found, again = probe_attainable(targets, evaluator), probe_attainable(targets, evaluator)
     assert found.visible.all()
@@ -71,7 +74,7 @@ def test_an_arm_that_reaches_nothing_measures_nothing():
 
 
 def test_poses_of_a_point_are_tested_until_one_is_reachable():
-    """The result is the first reachable pose of each point; no pose after it is tested."""
+    """The first reachable pose of each point is returned, and no later pose of the point is tested."""
     rng = np.random.default_rng(0)
     row, T = rng.integers(0, 40, 500), np.tile(np.eye(4), (500, 1, 1))
     T[:, 0, 3], ok, tested = np.arange(500), rng.random(500) < 0.2, []
@@ -89,7 +92,7 @@ def test_poses_of_a_point_are_tested_until_one_is_reachable():
 
 
 def test_the_share_of_a_plan_is_that_of_all_samples(monkeypatch):
-    """The share of few samples is exact; from half of them it is within a few standard errors."""
+    """The share is exact if all samples are tested. From half of them it is within a few standard errors."""
     targets, evaluator = _ball(lambda T: (T[:, :, 2, 3] > -0.02).all(axis=1))
     areas = np.full(300, 2.0)
     samples = SurfaceSamples(targets.points.T, targets.normals.T, areas, np.arange(300), np.arange(300))
@@ -113,7 +116,7 @@ def test_the_share_of_a_plan_is_that_of_all_samples(monkeypatch):
 
 
 def test_the_sentence_names_the_largest_loss_if_little_is_measured():
-    """Above four fifths of the surface it only says how much."""
+    """Below four fifths of the surface the sentence states the largest loss; above, only the measured share."""
     found = Attainable(share=0.75, standard_error=0.001, asked=1000, out_of_reach=0.2, out_of_sight=0.05)
     assert attainable_sentence(0.85, 0.9, found.model_copy(update={"share": 0.91})).endswith("measures 85.00 %")
     low = attainable_sentence(0.7, 0.74, found)

@@ -1,4 +1,4 @@
-"""Causes of points off the part are named right: units, mirrored frame, swapped views, flange for scanner."""
+"""Causes of points off the part are named: unit, mirrored frame, swapped views, flange frame."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -32,7 +32,7 @@ T_FLANGE_SCANNER = pose_from_kuka_abc(np.array([0.0, 0.0, 0.12]), np.zeros(3))
 
 
 def scans_of(part: workpiece.Workpiece, views: int = 8) -> tuple[list[ExecutedScan], Any, ClosestPointQuery]:
-    """Scans with noise of 0.03 mm and pose errors of 0.5 mm and 0.1 deg; what `causes` asks of a cell."""
+    """Return scans with noise of 0.03 mm and pose errors of 0.5 mm and 0.1 deg, a cell, and the closest-point query."""
     mesh = TriangleMesh(part.reference.vertices, part.reference.faces)
     standoff = max(0.03, 1.5 * enclosing_radius(mesh, part.centre))
     keys = {"fov_deg": [60.0, 60.0], "range_mm": [500 * standoff, 1500 * standoff]}
@@ -65,7 +65,7 @@ def scans_of(part: workpiece.Workpiece, views: int = 8) -> tuple[list[ExecutedSc
 
 
 def spoilt(scans: list[ExecutedScan], cause: str) -> list[ExecutedScan]:
-    """The scans as they come in where something is wrong."""
+    """Return the scans as they arrive with the given cause of error."""
     raw = []
     for scan in scans:
         back = np.linalg.inv(scan.T_reported)
@@ -92,7 +92,7 @@ def spoilt(scans: list[ExecutedScan], cause: str) -> list[ExecutedScan]:
 
 
 def named(part: workpiece.Workpiece) -> dict[str, list[str]]:
-    """What is said of each cause, and of none."""
+    """Return the reported sentences for each cause, and for scans without an error."""
     scans, cell, nearest = scans_of(part)
     return {
         cause: point_checks.find_contradictions(spoilt(scans, cause), cell, nearest, "mm") for cause in ("", *CAUSES)
@@ -103,7 +103,10 @@ def named(part: workpiece.Workpiece) -> dict[str, list[str]]:
     "name", [pytest.param(name, marks=() if name == "mug" else pytest.mark.slow) for name in BUILT_IN]
 )
 def test_each_cause_is_named_and_nothing_where_all_is_well(name: str) -> None:
-    """With noise and pose errors as executions have them. Swapped views of the rod of a bone look alike: silence."""
+    """Each cause is named despite noise and pose errors, and correct scans are not reported.
+
+    Swapped views of the rod-like bone are too similar to be found.
+    """
     said = named(workpiece.load(name))
     assert said.pop("") == []
     if name == "humerus":
@@ -113,7 +116,7 @@ def test_each_cause_is_named_and_nothing_where_all_is_well(name: str) -> None:
 
 
 def main(folder: Path) -> None:
-    """The same for meshes of a folder, in millimetres: which cause is not named."""
+    """Print the causes that are not named for the built-in parts and the meshes of a folder [mm]."""
     right = count = 0
     for source in (
         *BUILT_IN,

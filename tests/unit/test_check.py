@@ -19,7 +19,7 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> dict:
 
 
 def test_the_arm_s_envelope_is_the_data_sheet_s(ball: dict) -> None:
-    """KUKA gives 1611 mm to the wrist centre; lowest and highest wrist within the limits of A2 and A3."""
+    """The reach to the wrist centre is KUKA's 1611 mm. The lowest and highest wrist respect the limits of A2 and A3."""
     envelope = check_scene(Scene.model_validate({"part": ball})).envelope
     assert envelope.wrist_reach_mm == pytest.approx(1610.9, abs=0.1)
     assert envelope.wrist_lowest_mm == pytest.approx(-385.9, abs=0.1)
@@ -28,7 +28,10 @@ def test_the_arm_s_envelope_is_the_data_sheet_s(ball: dict) -> None:
 
 
 def test_a_table_is_an_obstacle_and_extends_the_reach(ball: dict) -> None:
-    """Its range is E1's; for a part beside the axis the other side of its circle counts."""
+    """The table is an obstacle with the range of E1.
+
+    A part beside its axis is within reach if the other side of its circle is.
+    """
     place = {"placement": {"position_mm": [2600.0, 0.0, 0.0]}}
     assert check_scene(Scene.model_validate({"part": ball} | place)).problems
     table = {"position_mm": [2200.0, 0.0, -400.0], "limits_deg": [-90.0, 170.0], "swing_mm": 1200.0}
@@ -39,7 +42,7 @@ def test_a_table_is_an_obstacle_and_extends_the_reach(ball: dict) -> None:
 
 
 def test_a_good_scene_has_no_problems(ball: dict) -> None:
-    """The built-in cell with a ball: nothing touches at home, everything is listed and serialises."""
+    """The built-in cell with a ball has no problem and no contact at home. All its values serialise."""
     result = check_scene(Scene.model_validate({"part": ball}))
     assert (result.problems, result.contacts_at_home, result.exit_code) == ((), (), 0)
     assert result.placement_mm == (1200.0, 500.0, 0.0)
@@ -55,7 +58,7 @@ def test_a_good_scene_has_no_problems(ball: dict) -> None:
 
 
 def test_contacts_at_home_are_listed_and_not_raised(ball: dict) -> None:
-    """A fixture inside the arm: the pair, the depth, what to change, exit code 2."""
+    """A fixture inside the arm is reported with pair, depth and the key to change. The exit code is 2."""
     wall = {"name": "wall", "shape": "box", "size_mm": [50, 900, 900], "position_mm": [700, 0, 1300]}
     result = check_scene(Scene.model_validate({"part": ball, "fixtures": [wall]}))
     assert result.exit_code == 2
@@ -70,13 +73,13 @@ def test_contacts_at_home_are_listed_and_not_raised(ball: dict) -> None:
     ("x", "beyond"), [(2200, False), (2270, False), (2300, True), (9000, True)]
 )  # 1610.9 + 278 + the standoff of 300 + the ball's radius of 100 = 2288.9
 def test_a_part_out_of_reach_is_a_problem(ball: dict, x: float, beyond: bool) -> None:
-    """Beyond arm, tool and standoff no point of the part can be measured."""
+    """A part beyond arm, tool and standoff is reported as out of reach."""
     result = check_scene(Scene.model_validate({"part": ball, "placement": {"position_mm": [x, 0, 500]}}))
     assert any("out of reach" in problem for problem in result.problems) == beyond
 
 
 def test_a_missing_mesh_of_a_fixture_is_an_error_of_the_file(tmp_path: Path) -> None:
-    """It is found when the scene is read, with its key."""
+    """A missing mesh of a fixture is refused with its key when the scene is read."""
     from cell.errors import SceneError
     from cell.scene.file import load_scene
 

@@ -1,4 +1,4 @@
-"""The clearance in a plan, and that a motion in contact is never written."""
+"""Clearances of a motion: refusal of a motion in contact, and the tightest moment."""
 
 import numpy as np
 import pytest
@@ -16,14 +16,14 @@ def _measured(*proven: float) -> MotionClearance:
 
 
 def test_a_motion_that_is_not_proven_is_not_written() -> None:
-    """Zero is contact; the message names the segment, from 1, and the pair."""
+    """A proven distance of zero is refused as contact. The message has the segment, counted from 1, and the pair."""
     require_no_contact(_measured(0.01, 1e-6))
     with pytest.raises(PlannerError, match=r"segment 2 of the motion is not proven .*housing with part, 1\.000 mm"):
         require_no_contact(_measured(0.01, 0.0))
 
 
 def test_the_moment_is_found_between_the_samples_of_its_segment() -> None:
-    """The same configuration is passed three times; only that of the segment counts."""
+    """The time of the tightest moment is searched in its own segment, although other segments pass the same pose."""
     t = np.arange(7.0)
     q = np.zeros((7, 6))
     q[:, 0] = [0.0, 1.0, 0.0, 1.0, 2.0, 1.0, 0.0]
@@ -39,7 +39,10 @@ def test_the_moment_is_found_between_the_samples_of_its_segment() -> None:
 
 
 def test_a_motion_that_is_far_from_everything_has_no_tightest_moment() -> None:
-    """Otherwise distance, pair, time and segment from 1 are stated."""
+    """Without a tightest moment the text is empty.
+
+    Otherwise it has distance, pair, time and segment, counted from 1.
+    """
     segment = schema.SegmentClearance(minimum_mm=20.0, at_least_mm=19.0, between="housing with post")
     assert tightest_moment(schema.Clearance(collision="exact", segments=[segment], tightest=None)) == ""
     tightest = schema.Tightest(

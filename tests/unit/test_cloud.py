@@ -1,4 +1,4 @@
-"""Clouds: normals, point spacing, merging, and refusing what is no number."""
+"""Point clouds: normals, point spacing, merging, and refusal of values that are not finite."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,10 @@ def _ball(count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def test_normals_of_a_ball_point_away_from_its_middle() -> None:
-    """Within 2.5 degrees for 20,000 points at random (neighbours span 3 degrees), each turned toward its own sensor."""
+    """Normals of 20,000 random points are within 2.5 degrees and turned towards their own sensor.
+
+    Neighbours span 3 degrees.
+    """
     points = _ball(20_000, np.random.default_rng(0))
     sensors = points * 7 + np.random.default_rng(1).uniform(-0.05, 0.05, points.shape)
     cosine = np.einsum("nj,nj->n", estimate_normals(points, sensors), points / 0.05)
@@ -30,7 +33,7 @@ def test_rows_far_apart_do_not_turn_normals_across_the_rows() -> None:
 
 
 def test_the_two_faces_of_a_thin_sheet_keep_their_own_normals() -> None:
-    """A sheet of 0.3 mm with points 1 mm apart on both faces: the nearest is across, normals are not bent."""
+    """Points 1 mm apart on both faces of a sheet of 0.3 mm keep the normal of their own face."""
     x, y = np.meshgrid(np.arange(40) * 1e-3, np.arange(40) * 1e-3)
     face = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
     points = np.concatenate([face, face - [0, 0, 3e-4]])
@@ -41,7 +44,7 @@ def test_the_two_faces_of_a_thin_sheet_keep_their_own_normals() -> None:
 
 
 def test_spacing_is_of_the_scan_not_of_the_overlap() -> None:
-    """Two grids of 1 mm, one shifted by 0.1 mm, have a spacing of 1 mm; taken as one cloud, of 0.1 mm."""
+    """Two grids of 1 mm, shifted by 0.1 mm, have a spacing of 1 mm as two scans and of 0.1 mm as one cloud."""
     x, y = np.meshgrid(np.arange(30) * 1e-3, np.arange(30) * 1e-3)
     grid = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
     both, scan = np.concatenate([grid, grid + np.array([1e-4, 0, 0])]), np.repeat([0, 1], len(grid))
@@ -52,7 +55,10 @@ def test_spacing_is_of_the_scan_not_of_the_overlap() -> None:
 
 
 def test_merge_keeps_order_and_tells_the_scans_apart() -> None:
-    """Points come scan by scan, an empty scan leaves no gap, no scans give an empty cloud."""
+    """Merged points are in the order of the scans and keep the scan number.
+
+    Without scans the cloud is empty.
+    """
     rng = np.random.default_rng(2)
     scans = [ScanCloud(_ball(count, rng), np.array([0, 0, 0.5])) for count in (50, 0, 30)]
     cloud = merge(scans)
@@ -63,7 +69,7 @@ def test_merge_keeps_order_and_tells_the_scans_apart() -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_what_is_no_number_is_refused_by_name(bad: float) -> None:
-    """A scan with NaN or infinity says how many points are bad."""
+    """A scan with NaN or infinity is refused with the number of such points."""
     points = np.zeros((5, 3))
     points[3, 1] = bad
     with pytest.raises(PlannerError, match=r"points of the scan: 1 of 5 have NaN or infinity"):

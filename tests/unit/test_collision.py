@@ -1,4 +1,4 @@
-"""The collision checker: names, consistent answers, independence of history, invalid input."""
+"""Collision checker: names, consistency, independence of history, invalid input."""
 
 import mujoco
 import numpy as np
@@ -15,13 +15,13 @@ PART = np.array(trimesh.creation.icosphere(3, 0.12).vertices)
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    """The built-in cell with a ball as part."""
+    """Return the built-in cell with a ball as part."""
     return compile_world(Scene(), PART, baseline_mm=75.0)
 
 
 @pytest.fixture
 def checker(world: World) -> MujocoCollisionChecker:
-    """A fresh checker."""
+    """Return a new checker."""
     return MujocoCollisionChecker(world)
 
 
@@ -47,7 +47,7 @@ def test_home_is_free_and_touches_nothing(world: World, checker: MujocoCollision
     ],
 )
 def test_contacts_are_named(world: World, q_deg: list, position: list, name: str) -> None:
-    """Pairs in contact, the more mobile one first, by their names in the scene."""
+    """Pairs in contact have the names of the scene, the more mobile body first."""
     T = np.eye(4)
     T[:3, 3] = np.array(position) / 1000
     checker = MujocoCollisionChecker(world, world.T_base_object_at(T))
@@ -57,7 +57,7 @@ def test_contacts_are_named(world: World, q_deg: list, position: list, name: str
 
 
 def test_contacts_come_nearest_first(world: World, checker: MujocoCollisionChecker) -> None:
-    """Distances increase along the list; the first is the smallest of all."""
+    """Contacts are sorted by distance, and the first has the smallest distance of all pairs."""
     several = 0
     for q in _random(world, 1500):
         near = checker.pairs_within_clearance(q)
@@ -72,7 +72,7 @@ def test_contacts_come_nearest_first(world: World, checker: MujocoCollisionCheck
 
 
 def test_free_contacts_and_distance_agree(world: World, checker: MujocoCollisionChecker) -> None:
-    """Free means no contact and a smallest distance of at least the clearance, also at the limit."""
+    """A configuration is free if and only if it has no contact and its distance is at least the clearance."""
     q = _random(world, 20000, seed=4)
     free = checker.free(q)
     distance, names = checker.distance(q)
@@ -87,7 +87,7 @@ def test_free_contacts_and_distance_agree(world: World, checker: MujocoCollision
 
 
 def test_boxes_edge_to_edge_are_found(world: World, checker: MujocoCollisionChecker) -> None:
-    """MuJoCo's box-box margin misses some near pairs, which the test verifies first; the checker finds them."""
+    """The checker finds near pairs that MuJoCo's box-box margin misses, which the test verifies."""
     data = world.data()
     overlooked = 0
     for q in _random(world, 20000, seed=0):
@@ -115,7 +115,7 @@ def test_distance_is_capped_and_then_has_no_name() -> None:
 
 
 def test_answers_do_not_depend_on_history(world: World) -> None:
-    """Any order, any subset, a used or a new checker give the same bits."""
+    """Results are bit-equal in any order, for any subset, with a used and with a new checker."""
     q = _random(world, 1500, seed=7)
     used = MujocoCollisionChecker(world)
     free, (distance, names) = used.free(q), used.distance(q)
@@ -131,14 +131,14 @@ def test_answers_do_not_depend_on_history(world: World) -> None:
 
 
 def test_a_full_turn_of_a_joint_changes_nothing(world: World, checker: MujocoCollisionChecker) -> None:
-    """A4 and A6 turned by 360 degrees are the same pose."""
+    """Turning A4 and A6 by 360 degrees does not change the distance."""
     q = _random(world, 300, seed=2)
     turned = q + np.array([0, 0, 0, 2 * np.pi, 0, -2 * np.pi])
     np.testing.assert_allclose(checker.distance(turned)[0], checker.distance(q)[0], rtol=0, atol=1e-9)
 
 
 def test_an_empty_batch_is_valid(checker: MujocoCollisionChecker) -> None:
-    """No configurations give no answers."""
+    """An empty batch gives empty results."""
     none = np.zeros((0, 6))
     assert checker.free(none).shape == (0,)
     assert checker.travel(none, none).shape == (0,)

@@ -1,4 +1,4 @@
-"""Compiled kernels: one note to the user, cached on disk, calls only inside a file."""
+"""Compiled kernels: one note to the user, cache on disk, calls within one file only."""
 
 import ast
 import os
@@ -19,7 +19,7 @@ count_crossings(np.zeros(3), np.ones(3), (np.zeros((1, 3, 3)), first, bounds))
 
 
 def test_compilation_is_announced_once(tmp_path):
-    """A second process finds the kernels in the cache and prints nothing; several kernels give one note."""
+    """The first process prints one note for all kernels. A second one uses the cache and prints nothing."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     errors = [
         subprocess.run([sys.executable, "-c", _CALL], env=environment, check=True, capture_output=True).stderr
@@ -30,7 +30,7 @@ def test_compilation_is_announced_once(tmp_path):
 
 
 def test_a_kernel_calls_only_kernels_of_its_own_file():
-    """Numba does not notice that a kernel of another file has changed."""
+    """Kernels call no kernel of another file, since Numba does not notice changes there."""
     root = Path(planner.__file__).parents[1]
     kernels: dict[str, list[ast.FunctionDef]] = {}
     trees = {}

@@ -13,7 +13,7 @@ from planner.cover.search import CHUNK_EFFORT, LocalSearch, greedy
 
 
 def test_portions_of_effort_nest() -> None:
-    """A portion limits what may be spent inside, and the rest is available again afterwards."""
+    """A portion limits the effort inside it, and the remaining effort is available again afterwards."""
     budget = Budget(100)
     assert budget.spend(20)
     with budget.portion(0.5):
@@ -25,12 +25,12 @@ def test_portions_of_effort_nest() -> None:
 
 
 def test_budgets_grow_only_with_large_matrices() -> None:
-    """They are constant up to `LARGE` entries, and grow in proportion from there on."""
+    """The effort is constant up to `LARGE` entries and proportional to their number above."""
     assert [scaled_effort(400, n) for n in (0, LARGE // 2, LARGE, 3 * LARGE)] == [400, 400, 400, 1200]
 
 
 def test_the_time_is_divided_like_the_effort() -> None:
-    """Half of the budget has half of the seconds; a limit that is reached inside leaves the outer time."""
+    """A portion of the effort has the same portion of the seconds. Its limit does not end the outer time."""
     now = [0.0]
     budget = Budget(100, time_limit_s=10.0, clock=lambda: now[0])
     with budget.portion(0.5):
@@ -43,7 +43,7 @@ def test_the_time_is_divided_like_the_effort() -> None:
 
 
 def test_the_incumbent_is_the_smallest_and_proven_by_the_bound() -> None:
-    """Once it is proven no effort is granted."""
+    """The smallest cover is kept. Once the bound proves it, no effort is granted."""
     budget = Budget(100)
     assert budget.offer(np.arange(4), 4)
     assert not budget.offer(np.arange(4) + 1, 4)
@@ -55,7 +55,7 @@ def test_the_incumbent_is_the_smallest_and_proven_by_the_bound() -> None:
 
 
 def test_a_search_exceeds_its_time_limit_by_one_chunk() -> None:
-    """With a clock that jumps past the limit the search ends at the next check."""
+    """The search ends at the first check after the time limit."""
     rng = np.random.default_rng(0)
     instance = canonical_form(CoverProblem(rng.random((200, 300)) < 0.03, np.ones(200))).reduced
     ticks = iter([0.0, *[0.5] * 3, *[2.0] * 1000])
@@ -68,14 +68,14 @@ def test_a_search_exceeds_its_time_limit_by_one_chunk() -> None:
 
 
 def test_interruptible_returns_results_and_raises_errors() -> None:
-    """Both come back from its thread."""
+    """Results are returned and errors raised from the thread."""
     assert interruptible(lambda: 7) == 7
     with pytest.raises(ZeroDivisionError):
         interruptible(lambda: 1 // 0)
 
 
 def test_nothing_is_imported_if_the_reductions_leave_nothing() -> None:
-    """The import of numba takes 0.5 s: it is postponed to the first compiled loop."""
+    """Numba and HiGHS are not imported if the reductions solve the problem; the import of Numba takes 0.5 s."""
     program = (
         "import sys, numpy as np\n"
         "from planner.cover import CoverProblem, solve\n"
@@ -87,14 +87,14 @@ def test_nothing_is_imported_if_the_reductions_leave_nothing() -> None:
 
 
 def test_highs_is_silent() -> None:
-    """Standard output belongs to the command, `--json` above all; some releases print a greeting there."""
+    """HiGHS prints nothing, because standard output belongs to the command; some releases print a banner."""
     program = "from planner.cover import bounds; bounds._highs().run()"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("", "")
 
 
 def test_answers_are_read_only_and_have_sentences() -> None:
-    """The values of the status are without numbers, `Cover.sentence` has them."""
+    """A cover is read-only and has a sentence, as does each status."""
     assert all(" " in status.sentence for status in CoverStatus)
     cover = solve(CoverProblem(np.eye(3, dtype=bool), np.ones(3)), rng=np.random.default_rng(0))
     assert cover.sentence == "proven fewest views for these candidates and samples"

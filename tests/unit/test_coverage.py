@@ -1,4 +1,4 @@
-"""Coverage: shares of area, by visibility and by scan points."""
+"""Coverage as a share of area, by visibility and by scan points."""
 
 import numpy as np
 import pytest
@@ -23,14 +23,14 @@ def _samples(points, areas):
 
 
 def _slab():
-    """A plate 200 x 100 mm, 10 mm thick."""
+    """Return a plate of 200 x 100 x 10 mm."""
     corners = np.array([[x, y, z] for x in (0, 0.2) for y in (0, 0.1) for z in (0, 0.01)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return TriangleMesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
 
 
 def test_fractions_are_of_area_not_of_count():
-    """One large covered sample outweighs three small uncovered ones."""
+    """The fraction is of area: one large covered sample outweighs three small uncovered ones."""
     samples = _samples([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], [7, 1, 1, 1])
     near = coverage.sampled_coverage(np.array([[0, 0, 0.05]]), samples, 0.1)
     assert near.fraction == 0.7
@@ -39,14 +39,14 @@ def test_fractions_are_of_area_not_of_count():
 
 
 def test_the_radius_is_inclusive_and_sharp():
-    """A scan point exactly at the radius covers, one beyond it does not."""
+    """A scan point exactly at the radius covers a sample, and one beyond it does not."""
     samples = _samples([[0, 0, 0]], [1])
     assert coverage.sampled_coverage(np.array([[0.5, 0, 0]]), samples, 0.5).fraction == 1
     assert coverage.sampled_coverage(np.array([[np.nextafter(0.5, 1), 0, 0]]), samples, 0.5).fraction == 0
 
 
 def test_sampled_coverage_equals_all_distances():
-    """The tree gives the result of the matrix of all distances."""
+    """The search tree gives the result of the matrix of all distances."""
     rng = np.random.default_rng(3)
     points, scan_points = rng.random((500, 3)), rng.random((80, 3))
     result = coverage.sampled_coverage(scan_points, _samples(points, np.ones(500)), 0.12)
@@ -56,12 +56,12 @@ def test_sampled_coverage_equals_all_distances():
 
 
 def test_the_radius_is_one_percent_of_the_diagonal():
-    """200 x 100 x 10 mm has a diagonal of 223.83 mm."""
+    """The radius is 1 % of the diagonal, which is 223.83 mm for 200 x 100 x 10 mm."""
     assert coverage.sampling_radius(_slab()) == pytest.approx(0.01 * np.sqrt(0.2**2 + 0.1**2 + 0.01**2))
 
 
 def test_no_scan_point_covers_nothing_and_broken_input_is_refused():
-    """Empty clouds are data, NaN and a radius of zero are errors."""
+    """An empty cloud covers nothing. NaN and a radius of zero are refused."""
     samples = _samples([[0, 0, 0]], [1])
     assert coverage.sampled_coverage(np.zeros((0, 3)), samples, 0.1).fraction == 0
     with pytest.raises(PlannerError, match="finite"):
@@ -71,7 +71,7 @@ def test_no_scan_point_covers_nothing_and_broken_input_is_refused():
 
 
 def test_visible_coverage_of_a_slab():
-    """Views from above measure the top; views from above and from the side all but the bottom."""
+    """Views from above measure the top. Views from above and from the sides measure all but the bottom."""
     slab = _slab()
     caster = EmbreeRayCaster(slab.vertices, slab.faces)
     samples = draw_samples(slab, slab, 5000, np.random.default_rng(0))
@@ -85,7 +85,7 @@ def test_visible_coverage_of_a_slab():
 
 
 def test_coverable_is_the_union_of_all_candidates():
-    """Compared with each candidate alone."""
+    """The coverable samples are the union of those of each candidate alone."""
     part = _slab()
     samples = draw_samples(part, part, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(part.vertices, part.faces)
@@ -98,7 +98,7 @@ def test_coverable_is_the_union_of_all_candidates():
 
 
 def test_remembered_results_are_those_of_a_new_evaluation():
-    """For sets that share views, in any order, with one pose per view and with three."""
+    """Stored results equal new ones for sets with common views, in any order, with one or three poses per view."""
     part, draws = _slab(), np.random.default_rng(3)
     samples = draw_samples(part, part, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(part.vertices, part.faces)
@@ -113,7 +113,7 @@ def test_remembered_results_are_those_of_a_new_evaluation():
 
 
 def test_forgotten_views_are_evaluated_again(monkeypatch):
-    """With room for two views and small bundles the results are the same; a known set casts no rays."""
+    """With room for two views and small bundles the results are the same. A stored set casts no rays."""
     monkeypatch.setattr(visibility, "_REMEMBERED", 2)
     monkeypatch.setattr(visibility, "_OPEN_BUNDLE", 50)
     part, draws = _slab(), np.random.default_rng(4)

@@ -1,4 +1,4 @@
-"""The cell as the user's files describe it now: each change has a name, and is driven only where that is accepted."""
+"""Differences between the plan and the current files of the cell: each has a name and must be accepted."""
 
 import json
 import shutil
@@ -40,7 +40,7 @@ position_mm = [0, -900, 50]
 
 @pytest.fixture(scope="module")
 def cell_of_files(made_once: Callable[..., Path], part_file: Path, run_cell: Run) -> Path:
-    """A folder with a part, a scene and a mesh of a fixture, and the run folder of a plan made of them."""
+    """Return a folder with a part, a scene, a mesh of a fixture, and the run folder of their plan."""
 
     def make(folder: Path) -> None:
         shutil.copy(part_file, folder / "part.stl")
@@ -54,27 +54,27 @@ def cell_of_files(made_once: Callable[..., Path], part_file: Path, run_cell: Run
 
 @pytest.fixture(scope="module")
 def proven(cell_of_files: Path) -> VerifiedPlan:
-    """Its plan."""
+    """Return the verified plan of `cell_of_files`."""
     return verify_plan(cell_of_files / "run")
 
 
 @pytest.fixture
 def now(cell_of_files: Path, tmp_path: Path) -> Path:
-    """A copy of the files, to be changed."""
+    """Return a folder with a copy of the files, to be changed."""
     for name in ("part.stl", "clamp.stl", "cell.toml"):
         shutil.copy(cell_of_files / name, tmp_path)
     return tmp_path
 
 
 def _refused(proven: VerifiedPlan, files: CurrentFiles, *, wire: bool = False) -> str:
-    """Names that the refusal asks to accept."""
+    """Return the names that the refusal asks to accept."""
     with pytest.raises(SceneError, match="the cell differs from the plan") as refusal:
         require_current_scene(proven, files, None, wire=wire)
     return str(refusal.value).rpartition(" ")[2]
 
 
 def test_files_as_they_were_are_driven(proven: VerifiedPlan, now: Path) -> None:
-    """Those that the manifest names, and others of the same content."""
+    """The files of the manifest and other files of the same content are accepted."""
     require_current_scene(proven, CurrentFiles(), None, wire=True)
     require_current_scene(proven, CurrentFiles(scene=now / "cell.toml", part=str(now / "part.stl")), None, wire=True)
     (now / "cell.toml").write_text("# moved nothing\n" + _SCENE)
@@ -99,7 +99,7 @@ def test_files_as_they_were_are_driven(proven: VerifiedPlan, now: Path) -> None:
 def test_what_differs_is_named_and_can_be_accepted(
     was: str, is_now: str, name: str, proven: VerifiedPlan, now: Path
 ) -> None:
-    """Part, placement, mount, housing, post, pedestal, table, fixtures: by name; another name does not help."""
+    """Each difference is refused by its name until that name is accepted. Other accepted names have no effect."""
     (now / "cell.toml").write_text(_SCENE.replace(was, is_now))
     assert _refused(proven, CurrentFiles(scene=now / "cell.toml")) == name
     assert _refused(proven, CurrentFiles(scene=now / "cell.toml", accept_changed_scene=("missing", "nothing"))) == name
@@ -109,7 +109,7 @@ def test_what_differs_is_named_and_can_be_accepted(
 
 
 def test_another_surface_is_another_part_and_another_header_is_not(proven: VerifiedPlan, now: Path) -> None:
-    """The same triangles in another file are the same part."""
+    """A file with the same triangles and another header is the same part; a shifted mesh is not."""
     content = (now / "part.stl").read_bytes()
     (now / "part.stl").write_bytes(b"exported again".ljust(80) + content[80:])
     require_current_scene(proven, CurrentFiles(part=str(now / "part.stl")), None, wire=True)
@@ -121,7 +121,10 @@ def test_another_surface_is_another_part_and_another_header_is_not(proven: Verif
 
 
 def test_the_files_of_the_manifest_are_looked_at_again(cell_of_files: Path, tmp_path: Path, run_cell: Run) -> None:
-    """Changed, or gone: export and scan say so; on a wire a file that is gone has to be accepted."""
+    """Export and scan report a changed file and a missing file.
+
+    With a real controller a missing file has to be accepted.
+    """
     for name in ("part.stl", "clamp.stl", "cell.toml"):
         shutil.copy(cell_of_files / name, tmp_path)
     shutil.copytree(cell_of_files / "run", tmp_path / "run")
@@ -156,7 +159,10 @@ def test_the_files_of_the_manifest_are_looked_at_again(cell_of_files: Path, tmp_
 
 
 def test_what_the_command_line_said_is_no_difference(cell_of_files: Path, tmp_path: Path, run_cell: Run) -> None:
-    """A plan placed by `--place` differs from its scene file from the beginning; a change elsewhere in it is told."""
+    """A placement of the command line is no difference from the scene file of the run.
+
+    Other changes of that file are refused.
+    """
     for name in ("part.stl", "clamp.stl", "cell.toml"):
         shutil.copy(cell_of_files / name, tmp_path)
     done = run_cell(

@@ -1,4 +1,4 @@
-"""Decimation: the planning mesh has the wanted count and keeps the shape; its three methods one by one."""
+"""Decimation of a part to the planning mesh: face count, shape, and each of the three methods."""
 
 import threading
 
@@ -41,7 +41,7 @@ def with_zero_area_faces(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def test_decimation_hits_the_count_and_keeps_the_shape() -> None:
-    """A sphere of 5120 faces becomes a closed one of exactly 930 within 1 % of its volume, outward, manifold."""
+    """A sphere of 5120 faces becomes a closed, outward sphere of exactly 930 faces within 1 % of its volume."""
     fine = sphere()
     coarse = decimate(fine, 930)
     assert len(coarse.faces) == 930
@@ -52,7 +52,7 @@ def test_decimation_hits_the_count_and_keeps_the_shape() -> None:
 
 
 def test_decimation_does_not_depend_on_the_unit() -> None:
-    """A part in metres and the same numbers a thousand times larger or shifted give the same faces."""
+    """The same mesh, 1024 times larger, gives the same faces."""
     fine = sphere(3)
     coarse = decimate(fine, 300)
     larger = decimate(TriangleMesh(fine.vertices * 1024, fine.faces), 300)  # a power of two, so exactly
@@ -61,7 +61,7 @@ def test_decimation_does_not_depend_on_the_unit() -> None:
 
 
 def test_decimation_of_a_mesh_that_is_coarse_already_only_cleans_it() -> None:
-    """With a larger count than its faces, the mesh only loses its degenerate and repeated faces."""
+    """A mesh with fewer faces than requested loses only its degenerate and repeated faces."""
     dirty = with_zero_area_faces(box())
     repeated = TriangleMesh(dirty.vertices, np.vstack([dirty.faces, dirty.faces[5:7, [1, 2, 0]]]))
     clean = decimate(repeated, 12)
@@ -71,7 +71,7 @@ def test_decimation_of_a_mesh_that_is_coarse_already_only_cleans_it() -> None:
 
 
 def test_decimation_from_several_threads_is_that_from_one() -> None:
-    """The library keeps its mesh in globals; our lock makes concurrent calls equal to single ones."""
+    """Concurrent calls equal single calls, although the library keeps its mesh in globals."""
     meshes = [sphere(3, radius) for radius in (0.1, 0.2, 0.3, 0.4)]
     alone = [decimate(mesh, 200) for mesh in meshes]
     together: list[TriangleMesh | None] = [None] * 4
@@ -91,13 +91,13 @@ def test_decimation_from_several_threads_is_that_from_one() -> None:
 
 
 def test_decimation_to_no_faces_is_refused() -> None:
-    """A count below 1 is an error."""
+    """A face count below 1 is refused."""
     with pytest.raises(PlannerError, match="at least 1"):
         decimate(box(), 0)
 
 
 def test_a_mesh_of_few_large_faces_is_split_on_its_surface() -> None:
-    """A box of 12 triangles decimated to 1000 has about 1000 faces, all on the box, with its area and closed."""
+    """A box of 12 faces decimated to 1000 is closed, has about 1000 faces on its surface, and keeps its area."""
     mesh = box()
     planning = decimate(mesh, 1000)
     assert 500 < len(planning.faces) < 1500
@@ -109,7 +109,10 @@ def test_a_mesh_of_few_large_faces_is_split_on_its_surface() -> None:
 
 
 def test_a_ball_stays_a_ball():
-    """About as many faces as wanted, closed, outward, and nowhere farther off than half a cell's diagonal."""
+    """A clustered ball is closed, with about the requested count.
+
+    No vertex is farther off than half a cell's diagonal.
+    """
     ball = trimesh.creation.icosphere(subdivisions=6, radius=0.05)
     copy = cluster_vertices(TriangleMesh(ball.vertices, ball.faces), 8000)
     assert 5000 < len(copy.faces) < 10_000
@@ -121,7 +124,7 @@ def test_a_ball_stays_a_ball():
 
 
 def test_no_copy_of_few_faces_or_thin_walls():
-    """A sheet thinner than a cell would lose both its sides; a mesh with few faces has nothing to gain."""
+    """Clustering is refused for a sheet thinner than a cell and for a mesh with few faces."""
     sheet = trimesh.creation.box((0.1, 0.1, 1e-4))
     for _ in range(7):
         sheet = sheet.subdivide()
@@ -130,7 +133,7 @@ def test_no_copy_of_few_faces_or_thin_walls():
 
 
 def test_coincident_faces_cancel_by_winding():
-    """A fold vanishes; of three sheets, two with one winding, one with this winding remains in any order."""
+    """Two opposite faces cancel. Of two faces with one winding and a third, opposite face, one of the two remains."""
     one, other = [0, 1, 2], [2, 1, 0]
     rest = [4, 3, 5]
     for on_each_other, left in (([one, other], None), ([one, one, other], one), ([other, one, one], one)):
@@ -139,7 +142,7 @@ def test_coincident_faces_cancel_by_winding():
 
 
 def test_a_mesh_of_very_many_faces_is_decimated_to_the_count():
-    """With clustering: the count is met, the volume kept."""
+    """A mesh that is clustered first has about the requested count and keeps its volume."""
     ball = trimesh.creation.icosphere(subdivisions=8, radius=0.05)
     copy = decimate(TriangleMesh(ball.vertices, ball.faces), 900)
     assert abs(len(copy.faces) - 900) <= 20
@@ -157,13 +160,13 @@ def closed_ball() -> trimesh.Trimesh:
 
 
 def as_mesh(vertices: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
-    """Return a mesh for measurements."""
+    """Return a trimesh mesh for measurements."""
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
 @pytest.mark.parametrize("limit", [0.2, 0.05, 0.02])
 def test_splitting_changes_no_surface(limit: float) -> None:
-    """Area, volume, closedness and winding stay; every pass shortens, in the end below the limit."""
+    """Splitting keeps area, volume, closedness and winding. No edge is longer than the limit at the end."""
     body = needles()
     vertices, faces = np.array(body.vertices), np.array(body.faces, np.int32)
     for _ in range(30):
@@ -182,7 +185,10 @@ def test_splitting_changes_no_surface(limit: float) -> None:
 
 @pytest.mark.parametrize("limit", [0.002, 0.01, 0.02])
 def test_contracting_keeps_the_topology(limit: float) -> None:
-    """A ball stays a closed ball of one body, its genus and outward winding unchanged, and is coarser."""
+    """A contracted ball is closed and keeps its genus and outward winding.
+
+    It has fewer faces if any edge was shorter than the limit.
+    """
     body = closed_ball()
     vertices, faces = contract_short_edges(np.array(body.vertices), np.array(body.faces, np.int32), limit)
     result = as_mesh(vertices, faces)
@@ -195,7 +201,7 @@ def test_contracting_keeps_the_topology(limit: float) -> None:
 
 
 def test_contracting_keeps_corners() -> None:
-    """On a finely meshed box all eight corners stay, and little is cut off between them."""
+    """A finely meshed box keeps its eight corners and its volume to within 3 %."""
     body = trimesh.creation.box(extents=(0.1, 0.1, 0.1))
     for _ in range(4):
         body = body.subdivide()
@@ -207,7 +213,7 @@ def test_contracting_keeps_corners() -> None:
 
 
 def test_a_torus_keeps_its_hole() -> None:
-    """The genus survives contraction to edges near the tube's radius."""
+    """A torus keeps its genus when edges are contracted to nearly the tube's radius."""
     body = trimesh.creation.torus(0.1, 0.02, major_sections=120, minor_sections=40)
     vertices, faces = contract_short_edges(np.array(body.vertices), np.array(body.faces, np.int32), 0.015)
     assert len(np.unique(faces)) - len(faces) // 2 == 0
@@ -216,7 +222,7 @@ def test_a_torus_keeps_its_hole() -> None:
 
 
 def test_remeshing_removes_needles() -> None:
-    """No needle of the cylinder (a hundredth as wide as long) is left, and the shape is kept."""
+    """Remeshing a cylinder of needles gives compact faces and keeps the volume."""
     body = needles()
     vertices, faces = remesh(np.array(body.vertices), np.array(body.faces, np.int32), 0.01)
     corners = vertices[faces]
@@ -234,7 +240,7 @@ def test_remeshing_removes_needles() -> None:
     ids=["cylinder", "tube"],
 )
 def test_a_cad_mesh_of_needles_reaches_its_count(body: trimesh.Trimesh, face_count: int) -> None:
-    """The planning mesh has the wanted count although the collapse alone gets stuck at the start."""
+    """A CAD mesh of needles reaches the requested count, although edge collapse alone stops early."""
     planning = decimate(TriangleMesh(body.vertices, body.faces), face_count)
     assert abs(len(planning.faces) - face_count) <= 2 + 0.02 * face_count
     result = as_mesh(planning.vertices, planning.faces)
@@ -243,6 +249,6 @@ def test_a_cad_mesh_of_needles_reaches_its_count(body: trimesh.Trimesh, face_cou
 
 
 def test_the_result_is_the_same_every_time() -> None:
-    """Ties are broken by a fixed seed."""
+    """Repeated decimation is bit-equal, since ties are resolved by a fixed seed."""
     body = TriangleMesh(needles().vertices, needles().faces)
     assert decimate(body, 200).vertices.tobytes() == decimate(body, 200).vertices.tobytes()

@@ -1,4 +1,4 @@
-"""What the deviation of a mesh counts, and how its histogram reads."""
+"""Deviation of a mesh from the reference: statistics, histogram and closing faces."""
 
 import numpy as np
 import pytest
@@ -13,14 +13,14 @@ REFERENCE = TriangleMesh(BOX.vertices, BOX.faces)
 
 
 def test_a_mesh_that_is_the_reference_deviates_by_nothing() -> None:
-    """Every number is zero up to rounding and the histogram still holds the whole area."""
+    """The reference deviates from itself by rounding only, and the histogram contains the whole area."""
     result = measure_deviation(REFERENCE, REFERENCE, np.random.default_rng(0), count=1000)
     assert max(result.rms, abs(result.mean), result.quantile_95, result.largest) < 1e-15
     assert result.histogram.sum() == pytest.approx(1)
 
 
 def test_area_counts_not_faces() -> None:
-    """One of two equal squares is lifted by 1 mm and cut into 200 faces: its share of the area stays one half."""
+    """A square lifted by 1 mm and cut into 200 faces has half of the weight beside an equal square of two faces."""
     flat = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) * 0.1
     ticks = np.linspace(0, 0.1, 101)
     strip = np.concatenate(
@@ -42,7 +42,7 @@ def test_area_counts_not_faces() -> None:
 
 
 def test_closing_faces_are_counted_apart() -> None:
-    """A square with a lid 3 mm above: the square deviates by nothing, the lid by 3 mm, and colours cover both."""
+    """Closing faces have their own statistics, and the deviation at vertices includes them."""
     flat = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) * 0.1
     mesh = TriangleMesh(
         np.concatenate([flat, flat + np.array([0, 0, 0.003])]), [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
@@ -60,7 +60,7 @@ def test_closing_faces_are_counted_apart() -> None:
 
 
 def test_samples_lie_on_the_mesh_and_follow_its_area() -> None:
-    """Each sixth of a cube's area holds a sixth of the samples to within one or two strata."""
+    """Each side of a cube holds a sixth of the samples to within one or two strata."""
     points = sample_by_area(REFERENCE, 6000, np.random.default_rng(2))
     assert np.abs(np.abs(points).max(axis=1) - 0.05).max() < 1e-12
     sides = [(np.abs(points[:, axis] - side) < 1e-12).sum() for axis in range(3) for side in (-0.05, 0.05)]
@@ -68,14 +68,14 @@ def test_samples_lie_on_the_mesh_and_follow_its_area() -> None:
 
 
 def test_equal_seeds_give_equal_numbers() -> None:
-    """The same generator state gives bit-equal results."""
+    """Equal generator states give bit-equal results."""
     first, second = (measure_deviation(REFERENCE, REFERENCE, np.random.default_rng(5), count=500) for _ in range(2))
     assert (first.rms, first.largest) == (second.rms, second.largest)
     assert first.histogram.tobytes() == second.histogram.tobytes()
 
 
 def test_what_cannot_be_measured_is_refused() -> None:
-    """No samples, and a mesh without area, are named."""
+    """A sample count of zero and a mesh without area are refused."""
     with pytest.raises(PlannerError, match="count is 0"):
         measure_deviation(REFERENCE, REFERENCE, np.random.default_rng(0), count=0)
     line = TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]])

@@ -1,4 +1,4 @@
-"""The device of a scene: by name, by the built-in part, by the size of the user's part."""
+"""Selection of the device of a scene: by name, by the built-in part, or by the size of the user's part."""
 
 from typing import Any
 
@@ -24,7 +24,7 @@ def _box(longest_mm: float, name: str = "box") -> Workpiece:
 
 
 def _scene(*, mine: bool = True, **tables: dict[str, Any]) -> Scene:
-    """Return a scene of a user's file, without the file; or of the built-in part that the tables name."""
+    """Return a scene with a user's file, which does not exist, or with the built-in part of the tables."""
     scene = Scene.model_validate(tables)
     return scene.model_copy(update={"part": scene.part.model_copy(update={"path": "box.stl"})}) if mine else scene
 
@@ -38,7 +38,7 @@ def _hardware(scene: Scene) -> tuple[object, ...]:
     [(5.0, SMALL), (30.0, SMALL), (30.1, MEDIUM), (100.0, MEDIUM), (100.1, LARGE), (5000.0, LARGE)],
 )
 def test_a_users_part_has_the_device_of_its_longest_side(longest_mm: float, device: str) -> None:
-    """Limits at 30 and 100 mm, inclusive; the note names device, side and rule."""
+    """The limits are 30 and 100 mm, inclusive. The note contains device, side and rule."""
     part = _box(longest_mm)
     scene = settle_scene(_scene(), part)
     assert scene.scanner.sensor == device
@@ -53,20 +53,20 @@ def test_a_users_part_has_the_device_of_its_longest_side(longest_mm: float, devi
      ("humerus", SMALL)],
 )  # fmt: skip
 def test_a_built_in_part_has_its_own_device(name: str, device: str) -> None:
-    """Whatever its size, and without a note."""
+    """A built-in part has its own device, independent of its size and without a note."""
     scene = settle_scene(_scene(mine=False, part={"name": name}), _box(1.0, name))
     assert scene.scanner.sensor == device
     assert not notes(_scene(mine=False, part={"name": name}), _box(1.0, name))
 
 
 def test_a_mesh_in_memory_is_a_users_part() -> None:
-    """Then the scene names a built-in part, and the part has another name."""
+    """A part with another name than the built-in part of the scene is treated as a user's part."""
     assert settle_scene(_scene(mine=False), _box(20.0)).scanner.sensor == SMALL
     assert notes(_scene(mine=False), _box(20.0))
 
 
 def test_a_named_device_is_used_and_keys_of_the_scene_take_precedence() -> None:
-    """Each key by itself; a named device needs no note."""
+    """A named device is used without a note, and each key of the scene replaces its value."""
     named = _scene(scanner={"sensor": MEDIUM, "baseline_mm": 30.0}, housing={"bracket_diameter_mm": 0.0})
     scene = settle_scene(named, _box(500.0))
     assert _hardware(scene) == (HARDWARE[MEDIUM][0], 30.0, HARDWARE[MEDIUM][2])
@@ -82,7 +82,7 @@ def test_settling_is_idempotent(scanner: dict[str, Any]) -> None:
 
 
 def test_a_standoff_does_not_change_the_device() -> None:
-    """One outside the device's range is refused; in `paper` range and baseline follow."""
+    """A standoff outside the device's range is refused. With `paper`, range and baseline follow the standoffs."""
     part = _box(200.0)
     near = settle(_scene(plan={"standoffs_mm": [200.0]}), part).settings
     assert (near.scanner["range_mm"], near.scanner["baseline_mm"]) == HARDWARE[LARGE][:2]
@@ -93,14 +93,17 @@ def test_a_standoff_does_not_change_the_device() -> None:
 
 
 def test_the_papers_scanner_has_the_standoff_of_the_device() -> None:
-    """Tables that do not vary the standoff have that of the devices."""
+    """Without a standoff in the scene, `paper` uses the standoff of the part's device."""
     paper = settle(_scene(mine=False, part={"name": "mug"}, scanner={"sensor": "paper"}), _box(60.0, "mug")).settings
     assert paper.standoffs == (0.1,)
     assert (paper.scanner["range_mm"], paper.scanner["baseline_mm"]) == HARDWARE[MEDIUM][:2]
 
 
 def test_a_sensor_without_a_stated_body_has_a_note() -> None:
-    """The housing is the large device's; with a housing of the scene there is no note."""
+    """A sensor without a stated body has the housing of the large device and a note.
+
+    With a housing in the scene there is no note.
+    """
     scanner = {"sensor": "gocator-2340", "baseline_mm": 100.0}
     assert _hardware(settle_scene(_scene(scanner=scanner), _box(60.0)))[2] == HARDWARE[LARGE][2]
     (note,) = notes(_scene(scanner=scanner), _box(60.0))

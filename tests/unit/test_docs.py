@@ -1,4 +1,4 @@
-"""The pages tell the truth about the tree: links lead somewhere, commands exist, the README's test command is CI's."""
+"""Documentation agrees with the repository: links, commands, pictures, test command and versions."""
 
 import re
 from pathlib import Path
@@ -24,7 +24,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_prose_is_narrow(page: Path) -> None:
-    """Lines have less than 120 characters, but for tables, code and pictures."""
+    """Lines have less than 120 characters, except tables, code and pictures."""
     prose = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     wide = [
         line
@@ -35,7 +35,7 @@ def test_prose_is_narrow(page: Path) -> None:
 
 
 def headings(page: Path) -> set[str]:
-    """What a link to a heading of a page is called, as GitHub makes it."""
+    """Return the anchors of a page's headings, as GitHub makes them."""
     found = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return {
         re.sub(r"[^\w\- ]", "", re.sub(r"\]\([^)]*\)", "", line)).strip().lower().replace(" ", "-") for line in found
@@ -43,20 +43,20 @@ def headings(page: Path) -> set[str]:
 
 
 def test_every_picture_is_shown() -> None:
-    """No picture lies about that no page shows."""
+    """Every picture of docs/images is shown on a page."""
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     assert [path.name for path in (ROOT / "docs" / "images").glob("*.png") if path.name not in text] == []
 
 
 def test_every_picture_is_drawn_by_a_command() -> None:
-    """`python -m benchmarks pictures` knows how each picture of docs/images is made."""
+    """`python -m benchmarks pictures` makes every picture of docs/images."""
     from benchmarks.methods.pictures import IMAGES, MADE
 
     assert {path.name for path in IMAGES.iterdir()} == set(MADE)
 
 
 def test_the_readme_has_the_one_test_command_that_ci_runs() -> None:
-    """CI takes its test command out of the README: there must be exactly one."""
+    """README.md contains exactly one test command, which CI reads."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(re.findall(r"^python3 -m venv .*pytest .*$", readme, flags=re.MULTILINE)) == 1
 
@@ -73,7 +73,7 @@ def test_every_command_that_the_readme_shows_exists() -> None:
 
 
 def test_the_map_of_the_architecture_is_the_tree() -> None:
-    """Every path and module that the page names exists; every room and file of the packages is on its map."""
+    """Every path and module that the page names exists, and every member of the packages is on its map."""
     page = (ROOT / "docs" / "internals" / "architecture.md").read_text(encoding="utf-8")
     named = re.findall(r"`((?:cell|planner|drivers|benchmarks|models)/[\w/.]*)`", page)
     assert [path for path in named if not (ROOT / path).exists()] == []
@@ -96,7 +96,7 @@ def test_the_map_of_the_architecture_is_the_tree() -> None:
 
 
 def _members(package: str) -> list[Path]:
-    """Rooms and files of a package."""
+    """Return the subfolders and files of a package."""
     found = (ROOT / package).iterdir()
     return [
         path for path in found if path.suffix == ".py" or (path / "__init__.py").exists() if path.stem != "__init__"
@@ -104,7 +104,7 @@ def _members(package: str) -> list[Path]:
 
 
 def _module_or_member(name: str) -> bool:
-    """Whether a dotted name is a module, or something in one."""
+    """Return whether a dotted name is a module or a member of one."""
     package, *rest = name.split(".")
     path = ROOT / package
     for depth, word in enumerate(rest):

@@ -1,4 +1,4 @@
-"""Notes on settings and data beyond the tested range: a sentence each, none if all is well."""
+"""Notes on settings and data beyond the tested range."""
 
 import numpy as np
 import trimesh
@@ -14,13 +14,13 @@ from planner.registration.cloud import ScanCloud, merge
 
 
 def test_a_long_time_step_has_a_note() -> None:
-    """The default has none."""
+    """A time step above 1 ms has a note, and the default has none."""
     assert PlantSettings().warning == ""
     assert "2 ms is longer than 1 ms" in PlantSettings(time_step=2 * MAX_ACCURATE_STEP).warning
 
 
 def test_a_part_far_from_its_origin_has_a_note() -> None:
-    """With both lengths, and not at the limit itself."""
+    """A part far from its origin is reported beyond the limit, but not just below it."""
     box = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
@@ -32,13 +32,13 @@ def test_a_part_far_from_its_origin_has_a_note() -> None:
 
 
 def test_a_steep_grazing_limit_has_a_note() -> None:
-    """The limit itself has none."""
+    """A grazing limit above the tested range has a note, and the limit of that range has none."""
     for limit, said in ((validation.STEEPEST_GRAZING_DEG, 0), (validation.STEEPEST_GRAZING_DEG + 1, 1)):
         assert bool(validation.grazing_note(limit)) == bool(said)
 
 
 def test_a_coarse_planning_mesh_has_a_note() -> None:
-    """A finer mesh is nearer to the part."""
+    """A coarse planning mesh has a note. The deviation falls with the number of faces."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
     part = workpiece.from_mesh("ball", np.array(ball.vertices), np.array(ball.faces), "m", "").reference
     off = {}
@@ -58,7 +58,7 @@ def _plane(step: float, sigma: float) -> ScanCloud:
 
 
 def test_sparse_and_noisy_clouds_have_notes() -> None:
-    """A dense exact plane has none; each fault has its own sentence."""
+    """A sparse and a noisy cloud have a note each, and a dense exact plane has none."""
     assert reconstruct(merge([_plane(0.001, 0.0)])).doubts == ()
     (sparse,) = reconstruct(merge([_plane(1.2 * SPARSEST * 0.14, 0.0)])).doubts
     assert "apart" in sparse

@@ -30,7 +30,7 @@ from tests.support.driver_bench import KR16
 
 
 def test_counts_survive_the_conversion_to_radians_and_back() -> None:
-    """At both ends of int32, around zero, and a million counts in between."""
+    """Counts are equal after conversion to radians and back, at both ends of int32, around zero and at random."""
     ends = np.iinfo(np.int32)
     counts = np.concatenate(
         [
@@ -45,7 +45,7 @@ def test_counts_survive_the_conversion_to_radians_and_back() -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e9])
 def test_angles_outside_int32_are_refused(bad: float) -> None:
-    """NaN, infinities and overflow; the message names the axis."""
+    """NaN, infinities and angles beyond int32 are refused with the name of the axis."""
     q = np.tile(HOME, (3, 1))
     q[2, 4] = bad
     with pytest.raises(SetPointError, match="A5"):
@@ -54,13 +54,13 @@ def test_angles_outside_int32_are_refused(bad: float) -> None:
 
 @pytest.mark.parametrize("bad", [np.zeros((2, 5)), np.float64(0), np.zeros((1, 6), dtype=complex), np.array(["x"] * 6)])
 def test_invalid_joint_angles_are_refused(bad: np.ndarray) -> None:
-    """Shape and type."""
+    """Joint angles of a wrong shape or type are refused."""
     with pytest.raises(SetPointError, match="must be"):
         from_rad(bad)
 
 
 def test_set_points_are_copied_and_read_only() -> None:
-    """The caller's array may change afterwards; the validated one may not."""
+    """Validated set-points are a read-only copy, independent of the caller's array."""
     mine = np.zeros((2, 6), dtype=np.int32)
     validated = require_set_points(mine)
     mine[0, 0] = 7
@@ -71,7 +71,7 @@ def test_set_points_are_copied_and_read_only() -> None:
 
 
 def test_the_kr16_has_its_data_sheets_limits_to_the_count() -> None:
-    """185 deg in radians is not rounded inwards by a count."""
+    """The limits of the KR 16 are those of its data sheet; 185 deg is not rounded inwards by a count."""
     assert to_deg(KR16.lower).tolist() == [-185, -155, -130, -350, -130, -350]
     assert to_deg(KR16.upper).tolist() == [185, 35, 154, 350, 130, 350]
     assert np.degrees(KR16.velocity) == pytest.approx([156, 156, 156, 330, 330, 615])
@@ -79,7 +79,7 @@ def test_the_kr16_has_its_data_sheets_limits_to_the_count() -> None:
 
 
 def test_limits_between_counts_are_rounded_inwards() -> None:
-    """The inner count is the limit."""
+    """A limit between two counts is rounded to the inner count."""
     low, high = np.radians(np.full(6, -10.00004)), np.radians(np.full(6, 10.00006))
     limits = Limits.from_rad(JointLimits(low, high, KR16.velocity, KR16.acceleration))
     assert limits.lower.tolist() == [-100_000] * 6
@@ -101,14 +101,14 @@ def test_limits_between_counts_are_rounded_inwards() -> None:
     ],
 )
 def test_impossible_limits_are_refused(name: str, value: object, words: str) -> None:
-    """Each by name."""
+    """Each invalid limit is refused by its name."""
     fields = {k: getattr(KR16, k) for k in ("lower", "upper", "velocity", "acceleration", "max_step", "max_speed")}
     with pytest.raises(DriverError, match=words):
         Limits(**{**fields, name: value})
 
 
 def test_numbers_go_round_without_zero_and_half_the_circle_is_newer() -> None:
-    """next_sequence wraps from 65535 to 1; is_newer is antisymmetric on random pairs."""
+    """`next_sequence` wraps from 65535 to 1, and `is_newer` is antisymmetric on random pairs."""
     assert next_sequence(0) == 1
     assert next_sequence(LAST_SEQUENCE) == 1
     assert is_newer(1, LAST_SEQUENCE)
@@ -134,7 +134,7 @@ def test_commands_are_equal_only_with_equal_content() -> None:
 
 
 def test_every_code_has_a_message() -> None:
-    """Known codes, and an unknown one."""
+    """Every known code has a message, and an unknown code is stated as a number."""
     for result in Result:
         assert describe_result(result) == result.message != ""
     assert "4711" in describe_result(4711)
@@ -142,7 +142,7 @@ def test_every_code_has_a_message() -> None:
 
 
 def test_a_simulated_clock_advances_by_the_wait() -> None:
-    """Invalid durations are refused."""
+    """A wait advances the simulated clock by its duration. Invalid durations are refused."""
     clock = SimulatedClock(5.0)
     clock.wait(0.25)
     assert clock.now() == 5.25
@@ -152,7 +152,7 @@ def test_a_simulated_clock_advances_by_the_wait() -> None:
 
 
 def test_a_real_time_clock_scales_and_blocks_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """now() is scaled real time; one wait blocks at most MAX_WAIT."""
+    """`now()` is scaled real time, and one wait blocks for at most `MAX_WAIT`."""
     real = [100.0]
     slept: list[float] = []
 
@@ -181,7 +181,7 @@ def start_move(plant: IdealPlant, degrees: float = 40.0) -> None:
 
 
 def test_an_ideal_plant_follows_its_reference_with_any_steps() -> None:
-    """One step or a thousand give the same axes, and exactly the end."""
+    """One step and a thousand steps give the same axes, and the end is reached exactly."""
     coarse, fine = IdealPlant(HOME), IdealPlant(HOME)
     start_move(coarse)
     start_move(fine)
@@ -196,7 +196,7 @@ def test_an_ideal_plant_follows_its_reference_with_any_steps() -> None:
 
 
 def test_a_plant_refuses_invalid_axes_and_times() -> None:
-    """NaN axes, wrong shapes, negative time."""
+    """Axes with NaN or a wrong shape and negative times are refused."""
     for bad in (np.full(6, np.nan), np.zeros(5)):
         with pytest.raises(DriverError, match="finite joint angles"):
             IdealPlant(bad)

@@ -26,7 +26,7 @@ def sim(url: str, context: Context | None = None) -> SimDriver:
 
 @pytest.fixture
 def distribution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A third-party distribution with valid and broken drivers."""
+    """Return a folder with third-party distributions of valid and broken drivers."""
     info = tmp_path / "acme_robots-2.1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme-robots\nVersion: 2.1\n")
@@ -50,7 +50,7 @@ def distribution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_third_party_driver_opens_by_its_scheme(distribution: Path) -> None:
-    """With its class and options."""
+    """The scheme of a third-party driver selects its class, which receives the options of the URL."""
     assert {"acme", "acme-broken"} <= set(schemes())
     driver = open_driver("acme://?start=10,-90,90,0,90,0", Context(KR16))
     assert type(driver).__name__ == "Acme"
@@ -70,7 +70,7 @@ def test_a_third_party_driver_opens_by_its_scheme(distribution: Path) -> None:
     ],
 )
 def test_a_broken_plug_in_is_named(distribution: Path, scheme: str, words: str) -> None:
-    """The message has the distribution, the error and the remedy."""
+    """The message for a broken plug-in states the distribution and the error, or the valid schemes."""
     with pytest.raises(DriverUrlError, match=words):
         open_driver(f"{scheme}://", Context(KR16))
 
@@ -114,7 +114,7 @@ def test_listing_the_schemes_imports_nothing(distribution: Path) -> None:
     ],
 )
 def test_an_invalid_url_is_refused(url: str, words: str) -> None:
-    """The message has the error and a valid value, in one line."""
+    """An invalid URL is refused with a message of one line."""
     with pytest.raises(Exception, match=words) as error:
         sim(url)
     assert "DriverUrlError" in type(error.value).__name__ or "SetPointError" in type(error.value).__name__
@@ -122,7 +122,7 @@ def test_an_invalid_url_is_refused(url: str, words: str) -> None:
 
 
 def test_options_reach_the_controller() -> None:
-    """The start position and real time; the limits are the arm's."""
+    """The URL sets the start position and real time. The limits are those of the arm."""
     with sim("sim://?start=1,-80,70,5,50,9.1234") as driver:
         assert to_deg(driver.state().axes).tolist() == [1, -80, 70, 5, 50, 9.1234]
         assert driver.capabilities.simulated_time
@@ -135,7 +135,7 @@ def test_options_reach_the_controller() -> None:
 
 
 def test_the_caller_injects_clock_limits_and_plants() -> None:
-    """An injected plant replaces the ideal one."""
+    """Clock, limits and plants of the caller replace the defaults. An injected clock excludes real time."""
     narrow = np.radians([10.0] * 6)
     limits = Limits.from_rad(JointLimits(-narrow, narrow, narrow, narrow))
     clock = SimulatedClock(100.0)
@@ -159,7 +159,7 @@ def test_the_caller_injects_clock_limits_and_plants() -> None:
 
 
 def test_timeouts_are_options_in_milliseconds() -> None:
-    """The defaults without options, and other values up to the ends of their ranges."""
+    """Timeouts have defaults and accept values [ms] within their ranges. Others are refused."""
     assert Timeouts.from_url(DriverUrl("serial:///dev/x")) == Timeouts()
     assert (Timeouts().answer, Timeouts().watchdog, Timeouts().watchdog_ms, Timeouts().poll) == (0.25, 1.0, 1000, 0.02)
     url = DriverUrl("serial:///dev/x?timeout_ms=30&watchdog_ms=100&poll_ms=50")

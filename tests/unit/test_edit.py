@@ -1,4 +1,4 @@
-"""What an edit may say, and the two ends of it: nothing changed, and what cannot be."""
+"""Edits of a plan: accepted values, refused values, and edits without effect."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -31,7 +31,7 @@ def _own_cache(monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
     ids=["texts", "tables", "sequences"],
 )
 def test_texts_and_values_say_the_same(wishes: dict[str, Any]) -> None:
-    """Whatever holds the numbers, the edit is the same value; view 7 is edited once only."""
+    """Texts, tables and sequences give the same edit. A view that is edited twice is refused."""
     with pytest.raises(UsageError, match="view 7 twice"):
         parse_options(Edit, wishes)
     edit = parse_options(Edit, wishes | {"drop": 4})
@@ -55,7 +55,7 @@ def test_texts_and_values_say_the_same(wishes: dict[str, Any]) -> None:
     ],
 )
 def test_what_an_edit_cannot_say(wishes: dict[str, Any], told: str) -> None:
-    """One sentence with the option as its user wrote it."""
+    """An invalid edit is refused with one sentence that contains the option as the user wrote it."""
     with pytest.raises(UsageError, match=told):
         parse_options(Edit, wishes, flag)
 
@@ -73,7 +73,7 @@ def test_what_an_edit_cannot_say(wishes: dict[str, Any], told: str) -> None:
 def test_what_is_not_there_is_refused_before_a_folder_is_made(
     wishes: Callable[[int], dict[str, Any]], told: str, planned: Path, tmp_path: Path
 ) -> None:
-    """The plan's own numbers stand in the sentence."""
+    """Views and candidates that the plan does not have are refused with its own numbers, before a folder is made."""
     run = open_run(planned)
     views, last = len(run.candidate), run.report.verdicts.total - 1
     with pytest.raises(UsageError, match=told.format(views=views, one_more=views + 1, last_candidate=last)):
@@ -88,7 +88,10 @@ _LONG = [pytest.param(wishes, marks=pytest.mark.slow) for wishes in ({}, {"keep_
 def test_an_edit_that_changes_nothing_changes_nothing(
     wishes: dict[str, Any] | str, planned: Path, tmp_path: Path
 ) -> None:
-    """The same views in the same order, and artefacts that are the same bytes but for the motion, planned anew."""
+    """An edit without effect keeps the views, their order and the bytes of the artefacts.
+
+    The motion is planned anew.
+    """
     run = open_run(planned)
     asked = {"order": [*range(1, len(run.candidate) + 1)]} if isinstance(wishes, str) else wishes
     same = run.edited(out=tmp_path / "same", **asked)
@@ -101,7 +104,7 @@ def test_an_edit_that_changes_nothing_changes_nothing(
 
 
 def test_a_view_that_collides_is_refused_with_what_it_collides_with(planned: Path, tmp_path: Path) -> None:
-    """A scanner in the part: the verdict, between what, and which view."""
+    """A view with the scanner inside the part is refused with its number and the pair in collision."""
     run = open_run(planned)
     reached = run.reach
     assert reached.reachable[run.candidate[0]]
@@ -112,14 +115,14 @@ def test_a_view_that_collides_is_refused_with_what_it_collides_with(planned: Pat
 
 
 def test_a_pose_that_is_a_view_already_is_refused(planned: Path, tmp_path: Path) -> None:
-    """Twice the same view is an oversight."""
+    """A pose that is a view of the plan already cannot be added."""
     run = open_run(planned)
     with pytest.raises(UsageError, match=f"view {len(run.candidate) + 1} would be the same pose as view 3"):
         run.edited(out=tmp_path / "edited", add_candidate=int(run.candidate[2]))
 
 
 def test_a_dropped_view_can_be_put_back(planned: Path, tmp_path: Path) -> None:
-    """Candidates keep their numbers through edits of edits; repair adds no more views than were dropped."""
+    """Candidates keep their numbers through repeated edits. Repair adds no more views than were dropped."""
     run = open_run(planned)
     without = run.edited(drop=[2], out=tmp_path / "without")
     assert without.coverage.visible < run.coverage.visible

@@ -1,4 +1,4 @@
-"""The Embree ray caster: answers that can be checked by hand, and refused input."""
+"""The Embree ray caster: results that can be checked by hand, and refused input."""
 
 import sys
 import threading
@@ -16,7 +16,7 @@ SQUARE = (
 
 
 def test_first_hit_gives_face_and_distance_and_a_miss_gives_none():
-    """Two rays on either triangle of a square and one beside it."""
+    """Rays at each triangle of a square return face and distance. A ray that misses returns -1 and infinity."""
     origins = np.array([[0.5, -0.5, 2.0], [-0.5, 0.5, -3.0], [1.5, 0, 2.0]])
     directions = np.array([[0, 0, -1.0], [0, 0, 1.0], [0, 0, -1.0]])
     hits = EmbreeRayCaster(*SQUARE).first_hit(origins, directions)
@@ -27,7 +27,7 @@ def test_first_hit_gives_face_and_distance_and_a_miss_gives_none():
 
 
 def test_blocked_is_a_bool_that_ends_before_the_target():
-    """A ray to the square is free, one through it is blocked, one that ends above it is free."""
+    """A ray to the square is free, a ray through it is blocked, and a ray that ends above it is free."""
     caster = EmbreeRayCaster(*SQUARE)
     origins = np.array([[0.3, 0.2, 2.0]] * 3)
     targets = np.array([[0.3, 0.2, 0.0], [0.3, 0.2, -0.001], [0.3, 0.2, 0.001]])
@@ -37,7 +37,7 @@ def test_blocked_is_a_bool_that_ends_before_the_target():
 
 
 def test_the_hair_is_as_short_as_documented():
-    """A target two hairs behind the square is blocked, one half a hair behind is not."""
+    """A target two tolerances behind the square is blocked; a target half a tolerance behind it is not."""
     caster = EmbreeRayCaster(*SQUARE)
     hair = HAIR * (2.0 + np.sqrt(2.0))
     targets = np.array([[0.3, 0.2, -2 * hair], [0.3, 0.2, -0.5 * hair]])
@@ -45,7 +45,7 @@ def test_the_hair_is_as_short_as_documented():
 
 
 def test_a_ray_without_length_is_free_and_an_empty_batch_is_valid():
-    """Origin equal to target, and no rays."""
+    """A ray with equal origin and target is free, and an empty batch gives an empty result."""
     caster = EmbreeRayCaster(*SQUARE)
     assert caster.blocked(np.zeros((1, 3)), np.zeros((1, 3))).tolist() == [False]
     assert caster.blocked(np.zeros((0, 3)), np.zeros((0, 3))).shape == (0,)
@@ -53,7 +53,7 @@ def test_a_ray_without_length_is_free_and_an_empty_batch_is_valid():
 
 
 def test_the_arguments_are_not_written_to():
-    """Embree's bindings write to some arguments; the caster protects the caller's arrays."""
+    """The caller's arrays are unchanged, although Embree's bindings write to some arguments."""
     origins, directions = np.array([[0, 0, 2.0]]), np.array([[0, 0, -1.0]])
     targets = np.array([[0, 0, -1.0]])
     before = [array.copy() for array in (origins, directions, targets)]
@@ -64,7 +64,7 @@ def test_the_arguments_are_not_written_to():
 
 
 def test_rays_that_are_split_over_cores_have_equal_results():
-    """50,001 rays in one call equal the same rays in small calls, bit for bit."""
+    """50,001 rays in one call have bit-equal results to the same rays in small calls."""
     rng = np.random.default_rng(1)
     origins = np.column_stack([rng.uniform(-2, 2, (50_001, 2)), np.full(50_001, 1.5)])
     targets = np.column_stack([rng.uniform(-2, 2, (50_001, 2)), np.full(50_001, -0.5)])
@@ -80,7 +80,7 @@ def test_rays_that_are_split_over_cores_have_equal_results():
 
 
 def test_several_threads_may_share_one_caster():
-    """Four threads at once get the right results."""
+    """Four concurrent threads get the correct results."""
     caster = EmbreeRayCaster(*SQUARE)
     x = np.linspace(-2, 2, 30_001)
     origins = np.column_stack([x, 0.1 * x, np.ones_like(x)])
@@ -99,7 +99,7 @@ def test_several_threads_may_share_one_caster():
 
 
 def test_no_thread_outlives_a_call():
-    """A process that forks after ray casting must not wait for threads that it does not have."""
+    """No thread remains after a call, so that a later fork does not wait for missing threads."""
     caster = EmbreeRayCaster(*SQUARE)
     before = threading.active_count()
     caster.blocked(np.ones((50_000, 3)), np.zeros((50_000, 3)))
@@ -119,7 +119,7 @@ def test_no_thread_outlives_a_call():
     ids=["flat vertices", "no faces", "float faces", "index too large", "negative index", "NaN"],
 )
 def test_invalid_triangles_are_refused(vertices, faces, words):
-    """Embree's bindings would read foreign memory."""
+    """Invalid triangles are refused, since Embree's bindings would read outside the arrays."""
     with pytest.raises(CellError, match=words):
         EmbreeRayCaster(vertices, faces)
 
@@ -136,13 +136,13 @@ def test_invalid_triangles_are_refused(vertices, faces, words):
     ids=["fewer directions", "one-dimensional", "NaN", "not unit", "zero"],
 )
 def test_invalid_rays_are_refused(origins, directions, words):
-    """One sentence instead of foreign memory or a silent miss."""
+    """Invalid rays are refused with one sentence."""
     with pytest.raises(CellError, match=words):
         EmbreeRayCaster(*SQUARE).first_hit(origins, directions)
 
 
 def test_an_error_in_a_thread_is_raised():
-    """NaN in the last of many rays is reported."""
+    """NaN in the last of many rays is refused."""
     origins = np.zeros((50_000, 3))
     origins[-1] = np.nan
     with pytest.raises(CellError, match="NaN"):
@@ -150,14 +150,14 @@ def test_an_error_in_a_thread_is_raised():
 
 
 def test_without_embreex_one_sentence_says_what_to_install(monkeypatch):
-    """There is no other engine as a fallback."""
+    """A missing embreex is reported with the command that installs it. There is no fallback engine."""
     monkeypatch.setitem(sys.modules, "embreex", None)
     with pytest.raises(CellError, match=r'pip install "embreex>=4.4,<5"'):
         EmbreeRayCaster(*SQUARE)
 
 
 def test_an_old_embreex_is_refused(monkeypatch):
-    """Release 2.17 wraps another Embree whose results have another meaning."""
+    """Release 2.17 is refused, since it wraps another Embree with a different meaning of results."""
     import embreex
 
     monkeypatch.setattr(embreex, "__version__", "2.17.7")
@@ -166,7 +166,7 @@ def test_an_old_embreex_is_refused(monkeypatch):
 
 
 def test_an_unused_vertex_may_be_nan():
-    """It does not move the middle of the triangles."""
+    """Unused vertices, also with NaN, do not change the results."""
     vertices = np.vstack([SQUARE[0], [np.nan] * 3, [1e9] * 3])
     hits = EmbreeRayCaster(vertices, SQUARE[1]).first_hit(np.array([[0.5, -0.5, 2.0]]), np.array([[0, 0, -1.0]]))
     assert hits.distance[0] == pytest.approx(2.0, rel=1e-6)

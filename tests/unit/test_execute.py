@@ -1,4 +1,4 @@
-"""Execution against toy drivers: what is driven, in which order things reach the disk, and how it ends."""
+"""Execution with test drivers: moves, order of writes to disk, and the end of an execution."""
 
 import errno
 import itertools
@@ -47,7 +47,7 @@ LIMITS = JointLimits(
 
 
 def _tour(counts=(1, 2, 1), home_points=2, seed=0) -> Motion:
-    """A motion from home through views 70, 71, ... with so many via points on the way to each, and home again."""
+    """Return a motion from home through views 70, 71, ... and back, with `counts` via points before each view."""
     rng = np.random.default_rng(seed)
     n = sum(counts) + home_points
     via = to_rad(from_rad(HOME + rng.uniform(-0.1, 0.1, (n + 1, 6))))
@@ -59,7 +59,7 @@ def _tour(counts=(1, 2, 1), home_points=2, seed=0) -> Motion:
 
 
 def _scene() -> RunCell:
-    """A ball of 60 mm about the middle of the scanner's range at home, and an occluder far away."""
+    """Return a cell with a ball of 60 mm radius in the middle of the scanner's range at home and a distant occluder."""
     import trimesh
 
     model = load()
@@ -82,13 +82,13 @@ def _scene() -> RunCell:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> ExecutionFolder:
-    """A fresh execution of an empty run folder."""
+    """Return a new execution folder of an empty run."""
     run = Run(tmp_path, Manifest(schema=SCHEMA))
     return ExecutionFolder.make(run, ["scan"], 5, {}, datetime(2024, 1, 2, tzinfo=UTC))
 
 
 class Recorded:
-    """A driver that is at once where it is told, remembers every move, and can do something before one."""
+    """A driver that reaches each set-point at once, records its moves and can call a function before each."""
 
     def __init__(self, start=HOME, *, max_via=None, before: Callable[[int], None] = lambda move: None, off=0) -> None:
         self.axes = from_rad(start)
@@ -122,7 +122,10 @@ def _events(folder) -> list[dict]:
 
 
 def test_the_legs_of_a_plan_are_its_via_points_once_each_in_order() -> None:
-    """Start and legs joined are exactly the plan's via points; each stop ends a leg, numbered in visiting order."""
+    """Start and segments together are exactly the plan's via points.
+
+    Each stop ends a segment, numbered in visiting order.
+    """
     motion = _tour()
     plan = plan_execution(motion)
     joined = np.concatenate([plan.start[None], *(segment.via for segment in plan.segments)])
@@ -136,7 +139,7 @@ def test_the_legs_of_a_plan_are_its_via_points_once_each_in_order() -> None:
 
 @pytest.mark.parametrize("stop", [1, 2, 3])
 def test_one_view_is_reached_and_left_on_the_plans_own_path(stop: int) -> None:
-    """Every step of the way is a step of the plan, forward or backward, from home to home, by the shorter side."""
+    """A single view is reached from home and left by steps of the plan, forward or backward, on the shorter side."""
     motion = _tour()
     plan = plan_execution(motion, stop)
     at = int(np.flatnonzero(motion.view >= 0)[stop - 1])
@@ -153,13 +156,13 @@ def test_one_view_is_reached_and_left_on_the_plans_own_path(stop: int) -> None:
 
 @pytest.mark.parametrize("stop", [0, 4, -1])
 def test_a_view_that_the_plan_does_not_have_is_refused(stop: int) -> None:
-    """The sentence names the views there are."""
+    """A view that the plan does not have is refused, and the message states the valid numbers."""
     with pytest.raises(UsageError, match="views 1 to 3"):
         plan_execution(_tour(), stop)
 
 
 def test_the_controller_gets_exactly_the_planned_counts_at_the_planned_speed(folder: ExecutionFolder) -> None:
-    """All set-points of all moves are the plan's via points in 1e-4 deg, and the speed is the plan's fraction."""
+    """The set-points of all moves are the plan's via points in 1e-4 deg, at the plan's speed fraction."""
     driver, motion = Recorded(), _tour()
     _run(driver, motion, folder)
     sent = np.concatenate([points for points, _ in driver.moves])
@@ -169,7 +172,7 @@ def test_the_controller_gets_exactly_the_planned_counts_at_the_planned_speed(fol
 
 
 def test_a_controller_that_takes_few_via_points_gets_them_in_pieces(folder: ExecutionFolder) -> None:
-    """With one via point a move, the same set-points arrive in the same order, and scans only at the stops."""
+    """A controller with one via point per move gets the same set-points in the same order; scans are at stops only."""
     driver, motion = Recorded(max_via=1), _tour()
     _run(driver, motion, folder)
     assert [len(points) for points, _ in driver.moves] == [1] * (len(motion.via_q) - 1)
@@ -178,7 +181,7 @@ def test_a_controller_that_takes_few_via_points_gets_them_in_pieces(folder: Exec
 
 
 def test_each_scan_and_event_is_on_disk_before_the_next_move(folder: ExecutionFolder) -> None:
-    """At the moment of move k there are k whole scan files, and the last event is the announcement of this move."""
+    """Before move k all earlier scan files are complete on disk, and the last event announces move k."""
     seen = []
 
     def look(move: int) -> None:
@@ -197,7 +200,7 @@ def test_each_scan_and_event_is_on_disk_before_the_next_move(folder: ExecutionFo
 
 
 def test_the_scan_is_taken_from_the_reported_pose(folder: ExecutionFolder) -> None:
-    """A controller that ends a little off its set-point: the recorded pose is that of the reported axes."""
+    """The recorded scanner pose is that of the reported axes, not of the set-point."""
     scene = _scene()
     _run(Recorded(off=7), _tour(), folder)
     scan = read_scan(folder.path / "scans" / "0002.npz")
@@ -209,7 +212,7 @@ def test_the_scan_is_taken_from_the_reported_pose(folder: ExecutionFolder) -> No
 
 
 def test_without_errors_points_lie_on_the_part_on_their_rays(folder: ExecutionFolder) -> None:
-    """Counts add up to the grid, and each point is where its pixel's ray meets the plane of its face."""
+    """The counts add up to the grid, and each point is where its pixel's ray meets the plane of its face."""
     scene = _scene()
     _run(Recorded(), _tour(), folder)
     scan = read_scan(folder.path / "scans" / "0001.npz")
@@ -225,7 +228,7 @@ def test_without_errors_points_lie_on_the_part_on_their_rays(folder: ExecutionFo
 
 
 def test_a_view_has_its_own_disturbance_whatever_else_is_scanned(tmp_path: Path) -> None:
-    """View 2 alone gives the bytes that it gives within the whole execution, noise and pose error included."""
+    """View 2 alone has the same bytes as in the whole execution, including noise and pose error."""
     run = Run(tmp_path, Manifest(schema=SCHEMA))
     files = []
     for stop in (None, 2):
@@ -238,7 +241,7 @@ def test_a_view_has_its_own_disturbance_whatever_else_is_scanned(tmp_path: Path)
 
 
 def test_a_view_that_sees_nothing_is_a_scan_without_points(folder: ExecutionFolder) -> None:
-    """Far from the part every ray meets nothing; the file is whole and readable, with noise asked for as well."""
+    """A view away from the part has a complete, readable scan file without points, also with noise."""
     motion = _tour((1,), seed=3)
     away = motion.via_q[:1] + np.array([1.5, 0, 0, 0, 0, 0])
     plan = ExecutionPlan(motion.via_q[0], (Segment(away, 1, 70),), 1.0)
@@ -250,7 +253,10 @@ def test_a_view_that_sees_nothing_is_a_scan_without_points(folder: ExecutionFold
 
 
 def test_an_arm_that_stands_elsewhere_is_not_moved(folder: ExecutionFolder) -> None:
-    """No path from there was checked: refused with both positions, before any move."""
+    """An arm away from the start is refused before any move, and the message has both positions.
+
+    A deviation of 0.009 deg is accepted.
+    """
     driver = Recorded(HOME + np.radians([0, 0.02, 0, 0, 0, 0]))
     with pytest.raises(DriverFailureError, match=r"-89\.9800.*-90\.0000"):
         _run(driver, _tour(), folder)
@@ -267,7 +273,7 @@ def test_an_arm_that_stands_elsewhere_is_not_moved(folder: ExecutionFolder) -> N
 def test_an_execution_that_ends_early_keeps_its_scans_and_says_why(
     error: BaseException, event: str, folder: ExecutionFolder
 ) -> None:
-    """The third move fails: two whole scans stay, and the last event is the end with its reason."""
+    """If the third move fails, two complete scans remain, and the last event states the reason."""
 
     def fail(move: int) -> None:
         if move == 2:
@@ -281,7 +287,7 @@ def test_an_execution_that_ends_early_keeps_its_scans_and_says_why(
 
 
 def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder: ExecutionFolder) -> None:
-    """With the plan's limits and speed its clock agrees with the plan to a microsecond a segment."""
+    """The duration on the controller's clock is that of the plan, to a microsecond per segment."""
     motion, clock = _tour(), SimulatedClock()
     with open_driver("sim://", Context(KR16, clock)) as driver:
         scene = _scene()
@@ -292,7 +298,7 @@ def test_the_simulated_controller_takes_the_planned_time_on_its_own_clock(folder
 
 
 def test_the_clock_of_events_is_the_controllers_own() -> None:
-    """With a time scale there is one clock, so that times of events and of moves are the controller's."""
+    """Events use the controller's clock, with and without a time scale."""
     cell = _scene()
     for url in ("sim://?realtime=1&time_scale=50", "sim://"):
         driver, clock = execution.make_driver(ScanOptions(driver=url), _tour(), cell)
@@ -301,7 +307,7 @@ def test_the_clock_of_events_is_the_controllers_own() -> None:
 
 
 def test_executions_are_numbered_and_never_overwritten(tmp_path: Path) -> None:
-    """Numbers go on after the highest one, whatever else stands in the folder."""
+    """A new execution has the number after the highest one; other entries of the folder are ignored."""
     run = Run(tmp_path, Manifest(schema=SCHEMA))
     (tmp_path / "executions" / "0041").mkdir(parents=True)
     (tmp_path / "executions" / "notes").mkdir()
@@ -311,9 +317,9 @@ def test_executions_are_numbered_and_never_overwritten(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("during", [True, False])
 def test_an_arm_that_was_moved_by_hand_between_two_moves_is_not_moved_on(folder: ExecutionFolder, during: bool) -> None:
-    """Nobody checked a path from there: during or after the scan of view 2 the arm stands elsewhere; nothing is sent.
+    """No move follows if the arm was moved during or after the scan of view 2.
 
-    What was scanned while it was moved is not kept.
+    A scan during which the arm was moved is not kept.
     """
     driver, looks = Recorded(), [0]
 
@@ -333,7 +339,10 @@ def test_an_arm_that_was_moved_by_hand_between_two_moves_is_not_moved_on(folder:
 
 @pytest.mark.parametrize("off", [1000, 300])
 def test_an_arm_that_arrived_elsewhere_is_not_scanned_from_there(folder: ExecutionFolder, off: int) -> None:
-    """A controller that says it arrived and stands 0.1 or 0.03 deg off: several mm at the tool."""
+    """No scan is taken if the arm reports arrival 0.1 or 0.03 deg off its set-point.
+
+    This is several mm at the tool.
+    """
     driver = Recorded(off=off)
     with pytest.raises(DriverFailureError, match=r"may deviate by \d+\.\d+ mm, and 1 mm are allowed"):
         _run(driver, _tour(), folder)
@@ -343,7 +352,7 @@ def test_an_arm_that_arrived_elsewhere_is_not_scanned_from_there(folder: Executi
 
 
 def test_a_full_disk_does_not_hide_why_an_execution_ended(folder: ExecutionFolder, monkeypatch) -> None:
-    """Ctrl-C stays Ctrl-C where its event cannot be written any more."""
+    """Ctrl-C is raised as such, even if its event cannot be written."""
 
     def interrupt(move: int) -> None:
         def full(*arguments: object, **details: object) -> None:
@@ -357,7 +366,7 @@ def test_a_full_disk_does_not_hide_why_an_execution_ended(folder: ExecutionFolde
 
 
 def test_a_move_that_cannot_be_journaled_is_not_made(folder: ExecutionFolder, monkeypatch) -> None:
-    """A disk that is full before the second move: one move was made, its scan is there, and the arm stands."""
+    """If the disk is full before the second move, that move is not made. The first scan remains."""
     driver, write = Recorded(), os.fsync
 
     def full(descriptor: int) -> None:
@@ -373,7 +382,7 @@ def test_a_move_that_cannot_be_journaled_is_not_made(folder: ExecutionFolder, mo
 
 
 def test_a_torn_event_does_not_spoil_the_next_one(folder: ExecutionFolder) -> None:
-    """A kill in the middle of a line: the part is cut off, and every line can be read."""
+    """An incomplete last line of the journal is removed before the next event, so that every line is valid."""
     folder.event(0.0, "connected")
     with (folder.path / "events.jsonl").open("a") as file:
         file.write('{"t_s": 0.1, "ev')
@@ -385,7 +394,7 @@ def test_a_torn_event_does_not_spoil_the_next_one(folder: ExecutionFolder) -> No
 
 
 def test_what_a_killed_execution_scanned_is_in_its_manifest(folder: ExecutionFolder) -> None:
-    """The sum of each scan is on disk with it, so that a scan that was changed after a kill is found out."""
+    """The manifest lists each scan before the next move, so that a later change of a scan is detected."""
     seen = []
 
     def look(move: int) -> None:

@@ -77,8 +77,8 @@ def test_the_wall_of_a_tube_goes_on_and_a_lid_stands_where_it_ends() -> None:
     inside = (rho < RADIUS - 2 * EDGE) & (z > -2 * EDGE) & (z < 0.015)
     assert surface.areas[inside].sum() > np.pi * (RADIUS - 2 * EDGE) ** 2
     assert z[inside].min() > SEEN - EDGE
-    assert z[inside & (rho < EDGE)].min() < SEEN + EDGE  # the axis is too far from the wall for it to say anything
-    assert z[inside & (rho > 2 * EDGE)].min() > SEEN + 1.5 * EDGE  # before the wall that goes on nothing is believed
+    assert z[inside & (rho < EDGE)].min() < SEEN + EDGE  # the axis is too far from the wall to be excluded
+    assert z[inside & (rho > 2 * EDGE)].min() > SEEN + 1.5 * EDGE  # no surface before the continued wall
     assert (inside & (rho > RADIUS - 2.9 * EDGE) & (rho < RADIUS - 2.2 * EDGE)).any()
     beside = (np.abs(rho - RADIUS) > 0.5 * EDGE) & (np.abs(rho - RADIUS) < 1.4 * EDGE)
     assert not (beside & (z > 0) & (z < SEEN + 2 * EDGE)).any()
@@ -129,7 +129,7 @@ def test_the_side_of_a_sheet_that_nobody_saw_is_believed() -> None:
     assert sheet is not None
     below = sheet.normals[:, 2] < -0.7
     assert sheet.areas[below].sum() == pytest.approx(0.016**2, rel=0.3)
-    assert space.is_measured(sheet.centres[below], sheet.normals[below]).mean() > 0.9  # for voxels, which have no sides
+    assert space.is_measured(sheet.centres[below], sheet.normals[below]).mean() > 0.9  # voxels do not distinguish sides
 
 
 def test_what_lies_before_a_wall_is_not_believed() -> None:

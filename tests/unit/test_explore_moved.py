@@ -67,7 +67,7 @@ def test_poses_that_measure_more_stand_behind_the_candidates(problem: SimpleName
 
 
 def test_where_nothing_is_better_the_problem_is_the_same(problem: SimpleNamespace) -> None:
-    """As where there is no view to begin from, and where the user wants the candidates of a generator."""
+    """The problem is returned unchanged without views, with candidates of a generator, or without reachable poses."""
     assert with_refined_candidates(problem, np.empty(0, dtype=np.int64), _append) is problem
     sphere = SimpleNamespace(**vars(problem) | {"request": _NOT})
     assert with_refined_candidates(sphere, np.arange(12), _append) is sphere

@@ -169,7 +169,7 @@ def test_a_strip_without_points_is_open_although_its_voxels_are_occupied(spacing
     above = np.column_stack([across, np.zeros(201), np.full(201, 0.5 * space.edge)])
     up = np.tile([0.0, 0.0, 1.0], (201, 1))
     open_now = ~space.is_measured(above, up)
-    sure = space.gap * 0.7 + 0.0003  # one of the kept points lies within a cube's side
+    sure = space.gap * 0.7 + 0.0003  # a kept point is within the side of a cube
     assert open_now[np.abs(across) < 0.0035 - space.gap].all()
     assert not open_now[np.abs(across) > 0.0035 - space.gap + sure].any()
     assert np.array_equal(space.is_still_open(above, up), open_now)
@@ -193,7 +193,7 @@ def test_surface_between_points_of_neighbouring_rays_is_a_class_of_its_own() -> 
         == [True, False, False, True, False]
     )
     assert joined.open_samples_at(above, up).between.tolist() == [False, True, True, False, False]
-    beyond = np.array([[0.004, 0.0, space.edge]])  # the position lies an edge below it, which is near; above it is not
+    beyond = np.array([[0.004, 0.0, space.edge]])  # a position one edge below is near, one above is not
     assert [joined.open_samples_at(beyond, side * up[:1]).between[0] for side in (1, -1)] == [True, False]
     assert not space.open_samples_at(above, up).between.any()
     outside = np.array([[1.0, 0.0, 0.0]])

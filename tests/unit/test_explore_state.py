@@ -61,7 +61,7 @@ def test_a_kill_before_the_first_explore_json_is_gone_on_after(left: tuple[str, 
             (root / name).write_text('{"half')
     file = _begun(root)
     assert ExplorationFolder(root).begin(file) == file
-    assert ExplorationFolder(root).begin(file) == file  # and again, from what it wrote
+    assert ExplorationFolder(root).begin(file) == file  # read back from its own file
     assert ExplorationFolder(root).file.is_file()
 
 
@@ -110,7 +110,7 @@ def test_a_part_that_was_moved_away_stops_an_exploration(away: float, told: bool
         require_plausible(space, Path("stages/0002"), views, eye)
         return
     assert space.contradicted_share(views[0][0]) == 0
-    views.append((plate(0.01), T))  # of a batch one view is enough
+    views.append((plate(0.01), T))  # one view of a batch is sufficient
     with pytest.raises(FileError, match=r"100.0 % of the known points .* are gone; the part was moved"):
         require_plausible(space, Path("stages/0002"), views, eye)
 
@@ -250,7 +250,7 @@ def test_what_came_is_held_against_what_was_expected() -> None:
     assert _belief_gain_ratio(SimpleNamespace(stages=stages)) == 2.0  # median of 1, 2 and 3
     assert _belief_gain_ratio(SimpleNamespace(stages=stages[:1])) == 1.0
     little = [stages[0], *[SimpleNamespace(expected_mm2=2.0, new_mm2=0.5, planned_on=BELIEVED)] * 3]
-    assert _belief_gain_ratio(SimpleNamespace(stages=little)) == 1.0  # is in the record of what they looked at
+    assert _belief_gain_ratio(SimpleNamespace(stages=little)) == 1.0  # a smaller gain is part of the gain record
 
 
 def test_what_the_part_is_believed_to_fill_is_the_spaces() -> None:

@@ -97,7 +97,7 @@ def test_what_gave_no_point_was_too_near_where_nobody_had_looked(
     view = (_scan(eye, T, wall), T)
     assert area_below_min_range(samples, np.ones((5, 1), dtype=bool), [view], _space(state), eye) == pytest.approx(told)
     sees = np.zeros((5, 2), dtype=bool)
-    sees[0, 0] = sees[1:3, 1] = True  # two are asked of neither view
+    sees[0, 0] = sees[1:3, 1] = True  # two samples are expected of neither view
     assert area_below_min_range(samples, sees, [view, view], _space(state), eye) == pytest.approx(0.6 * told)
 
 

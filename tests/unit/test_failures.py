@@ -1,4 +1,4 @@
-"""How commands end: with one sentence where somebody can read it, and at once where nobody can."""
+"""End of a command: exit code and error message, also with closed output streams."""
 
 import errno
 import io
@@ -21,7 +21,7 @@ class _Closed(io.StringIO):
 def test_a_closed_terminal_holds_nothing_up(
     raised: BaseException, code: int, as_json: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The exit code is given back although neither stream takes a word."""
+    """The exit code is returned although neither output stream accepts text."""
 
     def run() -> None:
         raise raised

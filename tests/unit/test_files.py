@@ -1,4 +1,4 @@
-"""Where caches are kept on each system."""
+"""Cache folder on each operating system."""
 
 import sys
 from pathlib import Path
@@ -20,7 +20,7 @@ from cell.files import cache_folder
     ],
 )
 def test_the_folder_is_where_the_system_keeps_caches_unless_named(platform, environment, below, tmp_path, monkeypatch):
-    """A name that is given counts everywhere."""
+    """The cache is in the system's folder. XDG_CACHE_HOME has precedence on every system."""
     monkeypatch.setattr(sys, "platform", platform)
     monkeypatch.setattr(Path, "home", lambda: tmp_path)
     for name in ("XDG_CACHE_HOME", "LOCALAPPDATA"):

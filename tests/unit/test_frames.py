@@ -7,7 +7,7 @@ from planner.kinematics.frames import kuka_abc_from_pose, pose_from_kuka_abc
 
 
 def test_it_is_rz_ry_rx():
-    """R = Rz(A) Ry(B) Rx(C), equal to SciPy's intrinsic z, y, x rotations; the position is the last column."""
+    """The rotation is Rz(A) Ry(B) Rx(C), equal to SciPy's intrinsic z, y, x. The position is the last column."""
     rng = np.random.default_rng(1)
     abc, position = rng.uniform(-np.pi, np.pi, (500, 3)), rng.normal(size=(500, 3))
     T = pose_from_kuka_abc(position, abc)
@@ -31,7 +31,7 @@ def test_angles_inside_the_range_are_recovered():
 
 @pytest.mark.parametrize("b", [90.0, -90.0])
 def test_straight_up_and_down(b):
-    """At B = +-90 deg C is 0, and A is A - C at 90, A + C at -90."""
+    """At B = +-90 deg, C is 0 and A takes the rotation: A - C at 90, A + C at -90."""
     T = pose_from_kuka_abc([1.0, 2.0, 3.0], np.deg2rad([50.0, b, 20.0]))
     position, abc = kuka_abc_from_pose(T)
     np.testing.assert_allclose(np.rad2deg(abc), [30.0 if b > 0 else 70.0, b, 0.0], rtol=0, atol=1e-12)
@@ -39,7 +39,7 @@ def test_straight_up_and_down(b):
 
 
 def test_half_turns_are_plus_180():
-    """A rotation by half a turn is +180, never -180, for any sign of its zeros."""
+    """Half a turn is +180, never -180, for any sign of zero in the matrix."""
     for sign in (1.0, -1.0):
         R = np.diag([-1.0, -1.0, 1.0, 1.0])
         R[1, 0] = sign * 0.0
@@ -47,7 +47,7 @@ def test_half_turns_are_plus_180():
 
 
 def test_shapes():
-    """Leading axes are kept, also none and empty ones."""
+    """Leading axes are kept, including none and empty ones."""
     assert pose_from_kuka_abc(np.zeros(3), np.zeros(3)).shape == (4, 4)
     assert pose_from_kuka_abc(np.zeros((0, 3)), np.zeros((0, 3))).shape == (0, 4, 4)
     position, abc = kuka_abc_from_pose(np.tile(np.eye(4), (2, 5, 1, 1)))
@@ -65,13 +65,13 @@ def test_shapes():
     ids=["3 x 3", "scaled", "NaN", "mirrored"],
 )
 def test_an_invalid_pose_is_refused(T, words):
-    """A matrix that is not a rigid transform has no A, B, C."""
+    """A matrix that is not a rigid transform is refused."""
     with pytest.raises(PlannerError, match=words):
         kuka_abc_from_pose(T)
 
 
 def test_values_that_are_not_finite_are_refused():
-    """An infinite position, a NaN angle."""
+    """Positions that are not finite and arrays of wrong or unequal shapes are refused."""
     with pytest.raises(PlannerError, match="position has a value that is not finite"):
         pose_from_kuka_abc([np.inf, 0, 0], [0, 0, 0])
     with pytest.raises(PlannerError, match=r"abc has shape \(2,\)"):

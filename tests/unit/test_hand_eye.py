@@ -1,4 +1,4 @@
-"""The mount from scans of a target: exact, against scipy, noisy, degenerate, and targets among other points."""
+"""Hand-eye calibration from scans of a target: exact, noisy and degenerate sets, comparison with SciPy."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from planner.registration.rigid import motion_from_screw
 from planner.values import Floats
 
 TARGET, NORMAL = np.array([1.1, 0.3, 0.0]), np.array([0.1, -0.2, 0.97])
-PLAIN = PoseError(1e-9, 1e-9)  # all residuals weigh alike
+PLAIN = PoseError(1e-9, 1e-9)  # equal weights of all residuals
 
 
 def _pose(R: Floats, t: Floats) -> Floats:
@@ -26,7 +26,7 @@ MOUNT = _pose(Rotation.from_euler("zyx", [30, 10, -15], degrees=True).as_matrix(
 
 
 def _seen(plane: bool, seed: int = 0, count: int = 8, tilt: float = 50.0, noise: float = 0.0) -> TargetScans:
-    """Exact scans from random poses, then the flange's poses off by `noise` [rad] and 1 m times that."""
+    """Return exact scans from random poses, with errors of the flange poses of `noise` [rad] and `noise` times 1 m."""
     rng = np.random.default_rng(seed)
     normal = NORMAL / np.linalg.norm(NORMAL)
     poses, points = [], []
@@ -47,7 +47,7 @@ def _seen(plane: bool, seed: int = 0, count: int = 8, tilt: float = 50.0, noise:
 @pytest.mark.parametrize("plane", [False, True])
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_exact_scans_give_the_mount(plane: bool, seed: int) -> None:
-    """To rounding, from any beginning; nothing is open and no other mount fits."""
+    """Exact scans give the mount to rounding, with no undetermined motion and no alternative."""
     found = solve_hand_eye(_seen(plane, seed), PoseError(), np.random.default_rng(seed))
     np.testing.assert_allclose(found.T, MOUNT, atol=1e-8)
     assert found.undetermined_motions(1e-4) == ()
@@ -56,7 +56,10 @@ def test_exact_scans_give_the_mount(plane: bool, seed: int) -> None:
 
 @pytest.mark.parametrize("plane", [False, True])
 def test_the_equations_are_the_differences_of_the_residuals(plane: bool) -> None:
-    """Gradient of half the sum of squares, the target put where it fits best at each mount: central differences."""
+    """The gradient of half the sum of squares equals central differences.
+
+    The target is placed optimally for each mount.
+    """
     seen = _seen(plane, noise=1e-3)
     T = motion_from_screw(np.array([1e-3, -2e-3, 1e-3, 0.002, 0.001, -0.003]), MOUNT[:3, 3]) @ MOUNT
 
@@ -71,7 +74,7 @@ def test_the_equations_are_the_differences_of_the_residuals(plane: bool) -> None
 
 @pytest.mark.parametrize("plane", [False, True])
 def test_against_least_squares_in_other_coordinates(plane: bool) -> None:
-    """Unweighted, the mount is scipy's by Euler angles and an explicit target."""
+    """The unweighted mount equals SciPy's least squares with Euler angles and an explicit target."""
     seen = _seen(plane, noise=3e-4)
     T_base_flange = seen.T_base_flange
 
@@ -95,7 +98,7 @@ def test_against_least_squares_in_other_coordinates(plane: bool) -> None:
 
 @pytest.mark.parametrize(("sets", "factor"), [(4, 4.0), pytest.param(16, 2.5, marks=pytest.mark.slow)])
 def test_the_standard_deviations_are_the_scatter_of_mounts(sets: int, factor: float) -> None:
-    """Noisy sets of one set of poses: mean square error over said variance is one, to a factor."""
+    """The mean square error over the reported variance of noisy sets is one, to within a factor."""
     rng, exact = np.random.default_rng(5), _seen(plane=False, count=12)
     ratios = []
     for _ in range(sets):
@@ -109,11 +112,14 @@ def test_the_standard_deviations_are_the_scatter_of_mounts(sets: int, factor: fl
 
 
 def test_degenerate_sets_are_told() -> None:
-    """Not turned: any shift. Turned about one axis: a shift along it. Turned about the ball: any turn about it."""
+    """Without rotation every translation is undetermined, and with rotation about one axis that along the axis.
+
+    With rotation about the ball every rotation about it is undetermined.
+    """
     many, rng = _seen(plane=False, count=12), np.random.default_rng(0)
     turned = many.T_base_flange.copy()
     turned[:, :3, :3] = turned[0, :3, :3]
-    points = (TARGET - turned[:, :3, 3]) @ turned[0, :3, :3]  # of the flange; then of the scanner
+    points = (TARGET - turned[:, :3, 3]) @ turned[0, :3, :3]  # in the flange frame
     still = TargetScans(turned, ((points - MOUNT[:3, 3]) @ MOUNT[:3, :3])[:, None], False)
     kinds = [motion.kind for motion in solve_hand_eye(still, PoseError(), rng).undetermined_motions(5e-4)]
     assert kinds == [FreeKind.TRANSLATION] * 3
@@ -136,7 +142,7 @@ def test_degenerate_sets_are_told() -> None:
 
 
 def test_too_few_scans_are_refused() -> None:
-    """Three scans are met exactly by several mounts."""
+    """Four scans are refused; at least five are required."""
     few = _seen(plane=False, count=4)
     with pytest.raises(PlannerError, match="at least 5"):
         solve_hand_eye(few, PoseError(), np.random.default_rng(0))
@@ -144,7 +150,7 @@ def test_too_few_scans_are_refused() -> None:
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_ball_among_other_points(known: bool) -> None:
-    """A quarter of the points are of a table and of nothing: centre and radius are those of the ball, to the noise."""
+    """Centre and radius of a ball are found to the noise among points of a table and outliers."""
     rng = np.random.default_rng(2)
     on = rng.standard_normal((6000, 3))
     on /= np.linalg.norm(on, axis=1, keepdims=True)
@@ -160,7 +166,10 @@ def test_a_ball_among_other_points(known: bool) -> None:
 
 
 def test_the_points_that_stand_for_a_plane_have_its_moments() -> None:
-    """Four points with mean and spread of the measured ones, so that any plane is as far from them, in squares."""
+    """The four points of a fitted plane have mean and covariance of the measured points.
+
+    The sum of squared distances to any plane is thus the same.
+    """
     rng = np.random.default_rng(1)
     flat = np.column_stack([rng.uniform(-0.1, 0.1, 2000), rng.uniform(-0.02, 0.05, 2000), np.zeros(2000)])
     R = Rotation.random(random_state=3).as_matrix()
@@ -172,7 +181,7 @@ def test_the_points_that_stand_for_a_plane_have_its_moments() -> None:
 
 @pytest.mark.parametrize("points", [np.zeros((5, 3)), np.zeros((100, 3)), np.linspace(0, 1, 300).reshape(100, 3)])
 def test_what_is_no_target_is_told(points: Floats) -> None:
-    """Too few points, all in one place, on a line: a sentence."""
+    """Too few points, coincident points and collinear points are reported as no target."""
     for find in (lambda: hand_eye.fit_spheres([points], None, np.random.default_rng(0)),
                  lambda: hand_eye.fit_planes([points], np.random.default_rng(0))):  # fmt: skip
         with pytest.raises(hand_eye.TargetNotFoundError):

@@ -1,4 +1,4 @@
-"""Examples of `--help`: each names a command that exists and options that it has, in the order that it takes them."""
+"""Examples of `--help`: each has an existing command and valid options and arguments."""
 
 import shlex
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ EXAMPLES = sorted({
 
 
 def test_there_are_examples_of_every_command() -> None:
-    """Each command of the front page shows one at least."""
+    """Each visible command has at least one example."""
     shown = {line.split()[1] for line in EXAMPLES}
     commands = {name for name, command in MAIN.commands.items() if not command.hidden}  # type: ignore[attr-defined]
     assert commands <= shown, commands - shown
@@ -31,7 +31,7 @@ def test_there_are_examples_of_every_command() -> None:
 
 @pytest.mark.parametrize("line", EXAMPLES)
 def test_an_example_is_understood(line: str) -> None:
-    """Words, options and the types of their values; nothing is run."""
+    """The command line parses each example, including the types of values. Nothing is executed."""
     command, words = MAIN, shlex.split(line, comments=True)[1:]
     while words and words[0] in getattr(command, "commands", {}):
         command = command.commands[words.pop(0)]  # type: ignore[attr-defined]

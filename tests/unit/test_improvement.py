@@ -1,4 +1,4 @@
-"""Swapped views: the picks of a motion become the plan, and original views are restored."""
+"""Swapped views: the views selected by the motion become the plan, and original views are restored."""
 
 from types import SimpleNamespace
 
@@ -36,7 +36,7 @@ class Open:
         return np.abs(np.asarray(q_to) - q_from).sum(axis=-1)
 
 
-# Six candidates over six samples; 3 measures what 0 does and more, 4 and 5 what 1 and 2 do.
+# Six candidates over six samples; 3, 4 and 5 measure the samples of 0, 1 and 2 and more.
 MATRIX = np.array(
     [
         [1, 0, 0, 1, 0, 0],
@@ -53,7 +53,7 @@ M = SimpleNamespace(matrix=lambda: sp.csr_array(MATRIX), samples=SimpleNamespace
 
 
 def groups() -> EquivalentViews:
-    """Each view with an alternative: two configurations of the view, then one of the alternative."""
+    """Return three views with an alternative each: two configurations of the view and one of the alternative."""
     members = tuple(np.array([k, k + 3]) for k in range(3))
     owner = tuple(np.array([k, k, k + 3]) for k in range(3))
     q = tuple(np.array([[2.0, k, 0, 0, 0, 0], [2.5, k, 0, 0, 0, 0], [0.2 * k, 0.1, 0, 0, 0, 0]]) for k in range(3))
@@ -61,13 +61,16 @@ def groups() -> EquivalentViews:
 
 
 def motion(found: EquivalentViews) -> Tour:
-    """The motion over the groups; the alternatives are nearest to home."""
+    """Return the tour over the groups; the alternatives are nearest to home."""
     poses = np.tile(np.eye(4), (3, 1, 1))
     return plan_tour(Visits(found.configurations, HOME, poses), Open(), LIMITS, np.random.default_rng(0))
 
 
 def test_the_plan_has_the_picks_of_the_motion() -> None:
-    """Cover and motion name the same candidates at the same stops; areas add up; the number of views stays."""
+    """Cover and motion have the same candidates at the same stops.
+
+    The marginal areas add up, and the number of views is unchanged.
+    """
     rows = MATRIX[:, :3].any(axis=1)
     chosen = cover.solve(cover.CoverProblem(MATRIX[:, :3], AREAS), rng=np.random.default_rng(0))
     found = groups()
@@ -86,7 +89,7 @@ def test_the_plan_has_the_picks_of_the_motion() -> None:
 
 
 def test_nothing_changes_without_swaps() -> None:
-    """The same objects come back."""
+    """Without swaps cover and motion are returned unchanged."""
     chosen = cover.solve(cover.CoverProblem(MATRIX[:, :3], AREAS), rng=np.random.default_rng(0))
     found = groups()
     tour = motion(found)
@@ -95,7 +98,7 @@ def test_nothing_changes_without_swaps() -> None:
 
 @pytest.mark.parametrize(("dropped", "expected"), [((0, 0), 1), ((0, 1), 0), ((1, 0), 1)])
 def test_the_shorter_of_two_motions_through_all_views_is_kept(dropped: tuple[int, int], expected: int) -> None:
-    """The second motion is shorter: it wins unless it drops a view that the first does not."""
+    """The shorter second motion is kept unless it drops a view that the first does not."""
     planned = [
         (groups(), SimpleNamespace(dropped=(None,) * count, duration=duration))
         for count, duration in zip(dropped, (2.0, 1.0), strict=True)
@@ -123,7 +126,7 @@ class Seen:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_original_views_are_restored_until_the_share_is_kept(seed: int) -> None:
-    """Every view is that of the swap or its original; none is restored if the share is kept already."""
+    """Each view is the swapped or the original one. None is restored if the share is kept without it."""
     rng = np.random.default_rng(seed)
     known = Seen(rng.random((400, 40)) < 0.1)
     problem = SimpleNamespace(prediction=known, candidates=SimpleNamespace(T_object_scanner=np.arange(40)))

@@ -1,4 +1,4 @@
-"""An indexed table: arm and table never move at once, and the table only while the arm is clear of it at all angles."""
+"""An indexed table: arm and table never move together, and the table turns only with the arm clear of it."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ LIMITS = JointLimits(
 
 
 class Lobe:
-    """A part that blocks a first axis below 0.5, except for table angles below 1; every axis moves 1 m/rad."""
+    """A part that blocks a first axis below 0.5 for table angles from 1 to 2; every axis moves 1 m/rad."""
 
     clearance = 0.01
 
@@ -47,7 +47,7 @@ def at(first: float, table: float, second: float = 0.0) -> np.ndarray:
 
 
 def rng() -> np.random.Generator:
-    """A fresh generator, the same each time."""
+    """Return a new generator with the same seed each time."""
     return np.random.default_rng(0)
 
 
@@ -59,7 +59,7 @@ def one_after_the_other(via: np.ndarray) -> bool:
 
 
 def test_times_of_arm_and_table_add_up() -> None:
-    """A trapezoid of 2 rad at 2 rad/s and 4 rad/s^2 takes 1.5 s; of 1 rad, 1 s."""
+    """Times of arm and table are added: 2 rad at 2 rad/s and 4 rad/s^2 take 1.5 s, and 1 rad takes 1 s."""
     assert move_time(at(0, 0), at(2, 1), LIMITS) == pytest.approx(2.5)
     both = move_time(np.stack([at(0, 0), at(0, 1)])[:, None], np.stack([at(2, 1), at(0, 1)]), LIMITS)
     np.testing.assert_allclose(both, [[2.5, 1.0], [1.5, 0.0]], rtol=1e-6, atol=1e-12)
@@ -78,7 +78,7 @@ def test_times_of_arm_and_table_add_up() -> None:
 def test_the_table_turns_where_the_arm_is_clear(
     q_from: np.ndarray, q_to: np.ndarray, status: PathStatus, points: int
 ) -> None:
-    """At an end if possible, else at the given posture; nothing else moves meanwhile."""
+    """The table turns at an end of the path if the arm is clear there, otherwise at the given posture."""
     found = connect(q_from, q_to, Lobe(), LIMITS, rng())
     assert found.via is not None
     assert (found.status, len(found.via)) == (status, points)
@@ -90,7 +90,7 @@ def test_the_table_turns_where_the_arm_is_clear(
 
 
 def test_a_turning_posture_that_is_not_clear_gives_no_path() -> None:
-    """Neither an end nor the posture is clear: no path is found."""
+    """No path is found if the arm is clear of the table neither at an end nor at the posture."""
     limits = JointLimits(LIMITS.lower, LIMITS.upper, LIMITS.velocity, LIMITS.acceleration, LIMITS.jerk, at(-2, 0))
     found = connect(at(-1, 0), at(-1, 2.5), Lobe(), limits, rng())
     assert found.via is None
@@ -98,7 +98,7 @@ def test_a_turning_posture_that_is_not_clear_gives_no_path() -> None:
 
 
 def test_a_table_turn_is_certified_itself() -> None:
-    """Between the checks at all angles the part may be closer than the clearance; the verification may check there."""
+    """A table turn is verified by itself, since the part may be too close between the checked angles."""
     ends = np.stack([HOME, HOME])
     ends[:, 6] = LIMITS.lower[6], LIMITS.upper[6]
     checked = subdivide(*quantise_inside(ends, LIMITS), Lobe())[:, 6]
@@ -118,7 +118,7 @@ def test_a_table_turn_is_certified_itself() -> None:
 
 
 def test_a_path_that_breaks_the_rule_is_described() -> None:
-    """Both at once, and a turn with the arm in reach of the lobe, although the path itself may be free."""
+    """The description states that both move at once, or that the arm is not clear of the table."""
     assert "at once" in indexed.find_violation(np.stack([at(1, 0), at(2, 0.5)]), Lobe(), LIMITS)
     assert "is not clear of it" in indexed.find_violation(np.stack([at(-1, 0), at(-1, 0.5)]), Lobe(), LIMITS)
     # The motion of the arm is below the tolerance.
@@ -126,7 +126,7 @@ def test_a_path_that_breaks_the_rule_is_described() -> None:
 
 
 def test_a_tour_groups_views_by_angle() -> None:
-    """Four views, each taken at 0 or 2.5 rad, two of them at one only: the table turns once and back."""
+    """For four views at 0 or 2.5 rad, two of them at one angle only, the table turns once and back."""
     places = ((-1, 0), (1, 0), (1, 1), (-1, 1))
     views = [np.stack([at(first, 0.0, second), at(first, 2.5, second)]) for first, second in places]
     views[0], views[3] = views[0][:1], views[3][1:]
@@ -141,7 +141,10 @@ def test_a_tour_groups_views_by_angle() -> None:
 
 
 def test_a_home_in_reach_of_the_table_is_refused() -> None:
-    """A block beside the axis is under the arm at home at some angle, not at 0: the message names it."""
+    """A home position in reach of the part on an indexed table is reported.
+
+    With a synchronised table it is not.
+    """
     block = trimesh.creation.box((0.2, 0.1, 0.9))
     scene = {
         "table": {"position_mm": [900.0, 500.0, -400.0], "moves": "indexed", "swing_mm": 1500.0},

@@ -13,7 +13,10 @@ MODEL = robot.limits(robot.load())
 
 
 def test_omitted_limits_follow_the_given_ones() -> None:
-    """Half the speed: half the acceleration and jerk; half the acceleration: half the jerk; the jerk may be inf."""
+    """Half the speed halves acceleration and jerk, and half the acceleration halves the jerk.
+
+    The jerk may be infinite.
+    """
     slow = robot.override_limits(MODEL, np.degrees(MODEL.velocity) / 2)
     np.testing.assert_allclose(slow.acceleration, MODEL.acceleration / 2)
     np.testing.assert_allclose(slow.jerk, MODEL.jerk / 2)
@@ -24,7 +27,7 @@ def test_omitted_limits_follow_the_given_ones() -> None:
 
 
 def test_a_scene_gives_limits(tmp_path: Path) -> None:
-    """Six numbers each; a jerk may be inf."""
+    """A scene gives six limits of each kind; a jerk may be infinite."""
     path = tmp_path / "scene.toml"
     path.write_text("[robot]\nvelocity_deg_s = [100, 100, 100, 200, 200, 300]\njerk_deg_s3 = [inf, 1, 1, 1, 1, 1]\n")
     scene = load_scene(path)
@@ -44,7 +47,7 @@ def test_a_scene_gives_limits(tmp_path: Path) -> None:
     ],
 )
 def test_invalid_limits_are_refused_by_key(line: str, words: str, tmp_path: Path) -> None:
-    """Zero, negative, NaN, too few; an infinite acceleration."""
+    """Zero, negative, missing and NaN values and an infinite acceleration are refused with their key."""
     path = tmp_path / "scene.toml"
     path.write_text(f"[robot]\n{line}\n")
     with pytest.raises(SceneError, match=words):

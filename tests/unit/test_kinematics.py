@@ -6,7 +6,7 @@ from planner.errors import PlannerError
 from planner.kinematics.closed_form import STRETCH_TOLERANCE
 from planner.kinematics.frames import kuka_abc_from_pose
 
-# A1..A6 [deg] -> flange X, Y, Z [mm], A, B, C [deg] and how many branches are real. Worked out by a chain of
+# A1..A6 [deg] -> flange X, Y, Z [mm], A, B, C [deg] and the number of real branches. Computed by a chain of
 # Denavit-Hartenberg matrices; Z and H0 can be checked by adding up lengths.
 NAMED = {
     "zero": ((0, 0, 0, 0, 0, 0), (1768.0, 0, 640.0), (0, 90, 0), 4),
@@ -23,7 +23,7 @@ NAMED = {
 
 @pytest.fixture(scope="module")
 def kinematics():
-    """Kinematics of models/kr16.xml."""
+    """Return the kinematics of models/kr16.xml."""
     return kr16_kinematics()
 
 
@@ -34,7 +34,7 @@ def difference(a, b):
 
 @pytest.mark.parametrize("name", NAMED)
 def test_named_poses(kinematics, name):
-    """Every named pose is as tabulated, to the last digit, and its branches lead back to it."""
+    """Named poses agree with the table to the last digit, and their inverse solutions lead back to them."""
     q_deg, xyz_mm, abc_deg, branches = NAMED[name]
     T = kinematics.forward(np.deg2rad([q_deg]))
     position, abc = kuka_abc_from_pose(T[0])
@@ -58,7 +58,7 @@ def test_telegram_of_a_real_controller(kinematics):
 
 
 def test_slots_are_shoulder_elbow_wrist(kinematics):
-    """Slot 4 shoulder + 2 elbow + wrist has the branch with these signs of r, psi and A5."""
+    """Slot 4 shoulder + 2 elbow + wrist holds the branch with the corresponding signs of r, psi and A5."""
     rng = np.random.default_rng(2)
     q = rng.uniform(kinematics.limits.lower, kinematics.limits.upper, (3000, 6))
     solutions = kinematics.inverse(kinematics.forward(q))
@@ -76,7 +76,7 @@ def test_slots_are_shoulder_elbow_wrist(kinematics):
 
 
 def test_angles_lie_in_the_half_open_turn(kinematics):
-    """Every angle is in (-pi, pi], also at whole and half turns."""
+    """All angles are in (-pi, pi], including whole and half turns."""
     rng = np.random.default_rng(3)
     q = np.vstack([rng.uniform(-np.pi, np.pi, (2000, 6)), rng.integers(-2, 3, (2000, 6)) * (np.pi / 2)])
     solutions = kinematics.inverse(kinematics.forward(q))
@@ -130,13 +130,13 @@ def test_the_result_does_not_depend_on_other_poses(kinematics):
     ids=["one pose without an axis", "millimetres in the rotation", "NaN", "mirrored"],
 )
 def test_a_transform_that_is_not_rigid_is_refused(kinematics, spoil, words):
-    """A wrong shape, a scaled, mirrored or missing rotation; the message has the pose's number."""
+    """A wrong shape and a scaled, mirrored or missing rotation are refused with the number of the pose."""
     T = kinematics.forward(np.deg2rad([[0, -90, 90, 0, 90, 0]] * 3))
     with pytest.raises(PlannerError, match=words):
         kinematics.inverse(spoil(T))
 
 
 def test_forward_refuses_a_wrong_shape(kinematics):
-    """A single configuration without its leading axis."""
+    """A single configuration without its leading axis is refused."""
     with pytest.raises(PlannerError, match=r"q has shape \(6,\)"):
         kinematics.forward(np.zeros(6))

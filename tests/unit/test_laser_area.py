@@ -42,7 +42,7 @@ def test_the_grid_has_the_rays_of_eq_1(fov, resolution, shape):
 
 
 def test_rays_pass_through_the_middles_of_equal_angular_cells_row_by_row():
-    """Planar angles of the rays are the cells' middles; x changes fastest; directions are unit vectors."""
+    """Rays pass through the centres of the angular cells, x changes fastest, and directions are unit vectors."""
     scanner = LaserArea(fov_deg=(60, 30), resolution_deg=(20, 15))
     directions = scanner.ray_directions()
     across = np.degrees(np.arctan2(directions[:, 0], directions[:, 2])).reshape(2, 3)
@@ -53,7 +53,7 @@ def test_rays_pass_through_the_middles_of_equal_angular_cells_row_by_row():
 
 
 def test_the_source_is_the_origin_and_the_sensor_is_along_x():
-    """The definition of the scanner frame, in metres."""
+    """The source is the origin of the scanner frame, and the sensor is on its x axis at the baseline [m]."""
     scanner = LaserArea(baseline_mm=75)
     assert scanner.source.tolist() == [0, 0, 0]
     assert scanner.sensor.tolist() == [0.075, 0, 0]
@@ -83,12 +83,15 @@ def test_the_source_is_the_origin_and_the_sensor_is_along_x():
     ],
 )
 def test_every_limit_is_inclusive_and_the_first_failed_one_is_reported(point, normal, reason):
-    """Points exactly on a limit and slightly beyond it."""
+    """Points on a limit are measured. Points slightly beyond are rejected for the first failed limit."""
     assert LaserArea().reject(point[None], normal[None]).tolist() == [reason]
 
 
 def test_the_sensor_s_grazing_limit_is_that_of_the_reflected_ray():
-    """A normal that leans away from the sensor: 40 degrees from the source, atan(75 / 300) more from the sensor."""
+    """The grazing limit of the sensor applies to the angle to the sensor.
+
+    For a normal at 40 degrees that leans away from the sensor it is atan(75 / 300) larger.
+    """
     point = np.array([0, 0, 0.3])
     normal = _towards(point, 40.0)
     at_sensor = np.degrees(np.arccos(normal @ (np.array([0.075, 0, 0]) - point) / np.hypot(0.075, 0.3)))
@@ -99,7 +102,7 @@ def test_the_sensor_s_grazing_limit_is_that_of_the_reflected_ray():
 
 
 def test_many_points_have_the_results_of_single_ones():
-    """10,000 points in one call equal these points one block at a time, in any memory layout."""
+    """10,000 points in one call have the results of a part of them, in any memory layout."""
     rng = np.random.default_rng(0)
     points = rng.normal(size=(10_000, 3)) * 0.3
     normals = rng.normal(size=(10_000, 3))
@@ -129,7 +132,7 @@ def test_many_points_have_the_results_of_single_ones():
     ],
 )
 def test_invalid_parameters_are_refused(keys, words):
-    """One sentence with the scene's key and the rule."""
+    """An invalid parameter is refused with the scene's key and the rule."""
     with pytest.raises(SceneError, match=f"scanner.{words}"):
         LaserArea(**keys)
 

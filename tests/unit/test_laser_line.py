@@ -41,13 +41,16 @@ def _in_sheet(degrees: float, depth: float) -> np.ndarray:
     ],
 )
 def test_every_limit_is_inclusive_and_the_first_failed_one_is_reported(point, normal, reason) -> None:
-    """Points on a limit and slightly beyond; eight steps of a sweep of 80 mm are 10 mm thick."""
+    """Points on a limit are measured, and points slightly beyond are rejected.
+
+    Eight steps of a sweep of 80 mm are 10 mm thick.
+    """
     scanner = _line(grazing_max_deg=80)
     assert scanner.reject(point[None], normal[None]).tolist() == [reason]
 
 
 def test_a_turned_sheet_is_a_wedge() -> None:
-    """Six steps of 30 degrees: 2.5 degrees to either side of the sheet, at every depth."""
+    """With six steps of 30 degrees the sheet is a wedge of 2.5 degrees to either side at every depth."""
     scanner = _line(sweep_mm=None, sweep_deg=30, sweep_steps=6)
     for depth in (0.2, 0.4):
         for degrees, reason in ((2.5, Rejection.MEASURED), (2.5001, Rejection.OUT_OF_FOV)):
@@ -56,7 +59,7 @@ def test_a_turned_sheet_is_a_wedge() -> None:
 
 
 def test_the_rays_of_a_line_lie_in_the_sheet_and_are_measured() -> None:
-    """Their number is that of `grid_shape`, with unit length, at equal angles inside the fan."""
+    """Rays are unit vectors in the sheet at equal angles inside the fan, and their number is that of `grid_shape`."""
     scanner = _line(line_points=7)
     rays = scanner.ray_directions()
     assert scanner.grid_shape == (7, 1)
@@ -69,7 +72,7 @@ def test_the_rays_of_a_line_lie_in_the_sheet_and_are_measured() -> None:
 
 
 def test_the_default_sweep_has_the_length_of_the_line_in_mid_range() -> None:
-    """Fan 30 degrees, 200 to 400 mm: 2 x 300 x tan(15 deg)."""
+    """The default sweep is the length of the line in mid range: 2 x 300 x tan(15 deg) for a fan of 30 degrees."""
     scanner = _line(sweep_mm=None)
     assert scanner.sweep_mm == pytest.approx(600 * np.tan(np.radians(15)), rel=1e-12)
     poses = scanner.T_view_scanner
@@ -77,7 +80,7 @@ def test_the_default_sweep_has_the_length_of_the_line_in_mid_range() -> None:
 
 
 def test_sigma_in_front_of_a_wall_is_that_of_triangulation() -> None:
-    """On the source's axis: sigma_angle (z^2 + b^2) / b, corrected for the sensor's incidence."""
+    """On the source's axis sigma is sigma_angle (z^2 + b^2) / b, corrected for the sensor's incidence."""
     z, b = 0.3, 0.1
     cos_sensor = z / np.hypot(z, b)
     wanted = np.radians(2e-3) * (z * z + b * b) / b / (z / z) * np.sqrt(1 / cos_sensor)
@@ -120,6 +123,6 @@ def test_parameters_rebuild_the_scanner(keys: dict) -> None:
     ],
 )
 def test_invalid_parameters_are_refused(keys: dict, words: str) -> None:
-    """One sentence with the scene's key and the rule."""
+    """An invalid parameter is refused with the scene's key and the rule."""
     with pytest.raises(SceneError, match=words):
         _line(**keys)
