@@ -101,7 +101,7 @@ def test_boxes_edge_to_edge_are_found(world: World, checker: MujocoCollisionChec
 
 
 def test_distance_is_capped_and_then_has_no_name() -> None:
-    """If every pair is farther than the cap, the distance is the cap and the name empty."""
+    """If every pair is farther apart than the cap, the distance is the cap and the name is empty."""
     scene = Scene.model_validate(
         {"mount": {"position_mm": [0, 0, 900]}, "housing": {"size_mm": [10, 10, 10], "bracket_diameter_mm": 0}}
     )
@@ -148,6 +148,6 @@ def test_an_empty_batch_is_valid(checker: MujocoCollisionChecker) -> None:
 
 @pytest.mark.parametrize("q", [np.zeros(6), np.zeros((2, 5)), np.full((1, 6), np.nan)])
 def test_invalid_input_is_refused(checker: MujocoCollisionChecker, q: np.ndarray) -> None:
-    """A wrong shape or a value that is not finite is an error."""
+    """A wrong shape or a value that is not finite is refused."""
     with pytest.raises(PlannerError, match="q h"):
         checker.free(q)

@@ -20,7 +20,7 @@ def test_a_mesh_that_is_the_reference_deviates_by_nothing() -> None:
 
 
 def test_area_counts_not_faces() -> None:
-    """A square lifted by 1 mm and cut into 200 faces has half of the weight beside an equal square of two faces."""
+    """Of two equal squares, one lifted by 1 mm and cut into 200 faces, each has half of the weight."""
     flat = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) * 0.1
     ticks = np.linspace(0, 0.1, 101)
     strip = np.concatenate(

@@ -122,7 +122,7 @@ def test_numbers_go_round_without_zero_and_half_the_circle_is_newer() -> None:
 
 
 def test_commands_are_equal_only_with_equal_content() -> None:
-    """A NaN speed equals itself, so that a repetition is recognised."""
+    """Commands are equal only with equal content. A NaN speed equals itself, so that a repetition is recognised."""
     points = np.zeros((2, 6), dtype=np.int32)
     assert is_same_command(Move(points, 0.5), Move(points.copy(), 0.5))
     assert is_same_command(Move(points, np.nan), Move(points, np.nan))

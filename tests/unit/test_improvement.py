@@ -19,7 +19,7 @@ HOME = np.zeros(6)
 
 
 class Open:
-    """Space without obstacles."""
+    """Collision checker of a space without obstacles."""
 
     clearance = 0.01
 
@@ -107,7 +107,7 @@ def test_the_shorter_of_two_motions_through_all_views_is_kept(dropped: tuple[int
 
 
 class Seen:
-    """Held-out samples of equal areas with the measured samples of each candidate; the interface of `Prediction`."""
+    """Held-out samples of equal areas and the samples that each candidate measures, as a part of `Prediction`."""
 
     def __init__(self, measured: np.ndarray) -> None:
         self.measured = measured
