@@ -1,8 +1,8 @@
 """The registry of benchmarks: `python -m benchmarks [NAME ...]` runs them and prints time and accuracy in one row.
 
-Every benchmark is a module of this folder with `run() -> list[dict]`; `chart(rows, folder)` beside it draws a picture.
-Six have words and options of their own (`python -m benchmarks speed --help`), five in `benchmarks/methods`. Timings
-are of this machine and this moment: compare rows of one run, not runs.
+Every benchmark is a module of this folder with `run() -> list[dict]`; an optional `chart(rows, folder)` draws a
+picture. Six have subcommands and options (`python -m benchmarks speed --help`), five of them in `benchmarks/methods`.
+Timings are valid for this machine and this run: compare rows of one run, not rows of different runs.
 """
 
 import json
@@ -122,7 +122,7 @@ def _cell(row: Mapping[str, Any], column: str) -> str:
 
 
 def run_study(name: str, words: list[str]) -> int:
-    """Run a study with words and options of its own; returns the exit code."""
+    """Run a study with its own options; return the exit code."""
     study = import_module("benchmarks.golden" if name == "golden" else f"benchmarks.methods.{name}").app
     program = f"python -m benchmarks {name}"
     return report_errors(lambda: study(words, prog_name=program, standalone_mode=False), as_json="--json" in words)

@@ -1,7 +1,7 @@
-"""How long a piece of work takes: the best of a few runs, on the wall clock and in processor time.
+"""Duration of a function: the best of a few runs, in wall-clock time and in processor time.
 
-The best, because whatever else a machine does only ever adds. Processor time counts all cores and not what other
-programs do; the wall clock is what a person waits for. The first run warms up what is loaded or compiled once.
+The best run counts, because other load only adds time. Processor time includes all cores and excludes other programs;
+the wall clock is the waiting time of a user. The first run loads and compiles code once.
 """
 
 from collections.abc import Callable
@@ -10,15 +10,15 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-_ENOUGH_S = 6.0  # after so much processor time no further run is begun
+_ENOUGH_S = 6.0  # no further run begins after this processor time
 
 
 def best_of(work: Callable[[], T], repeats: int) -> tuple[T, dict[str, float]]:
-    """Result of a work and its seconds: "work" on the wall clock, "processor" over all cores.
+    """Return the result of a function and its seconds: "work" on the wall clock, "processor" over all cores.
 
     Args:
-        work: a function of nothing that gives the same result each time.
-        repeats: runs at most; fewer where they take long.
+        work: function without arguments that returns the same result each time.
+        repeats: largest number of runs; fewer if they take long.
     """
     wall: list[float] = []
     busy: list[float] = []

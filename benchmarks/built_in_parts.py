@@ -1,4 +1,4 @@
-"""The built-in parts: seconds to build and to load each, and whether the shipped mesh is the built one."""
+"""Built-in parts: seconds to build and to load each, and whether the shipped mesh equals the built one."""
 
 from time import perf_counter
 from typing import Any

@@ -107,7 +107,7 @@ def parts(scratch: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 class Bench:
-    """One part in its cell."""
+    """A part in its cell."""
 
     def __init__(self, options: dict[str, Any], scanner: dict[str, float] | None = None) -> None:
         place = [float(value) for value in os.environ.get("SCAN_CELL_PLACE", "1200,500,0").split(",")]
@@ -145,11 +145,11 @@ class Bench:
         return generators.generate_viewpoints(scene, self.settings, self.part, self.planning)
 
     def measure_alone(self, views: Viewpoints) -> Measurability:
-        """Return M without occluders."""
+        """Return the measurability matrix without occluders."""
         return fill_matrix(views, self.samples, self.scanner, self.casters[0])
 
     def measure(self, views: Viewpoints) -> Measurability:
-        """Return M in the cell."""
+        """Return the measurability matrix in the cell."""
         return apply_occluders(self.measure_alone(views), views, self.scanner, self.casters[1])
 
     def plan(self, generator: str) -> tuple[Viewpoints, Reach, Measurability, Cover, float]:

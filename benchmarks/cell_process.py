@@ -1,4 +1,4 @@
-"""A command of the program as a process of its own: what it prints, how long it takes, how much memory it needs."""
+"""Run a command of the program in a separate process and measure its output, duration and memory."""
 
 import json
 import os
@@ -14,15 +14,15 @@ _GOOD = (0, 3)  # exit codes that leave a plan; 3: below the coverage that the s
 
 
 def run_cell(folder: Path, *arguments: str, cache: Path | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What the process printed as JSON, and what it took: "s" on the wall clock, "cpu s" of all cores, "peak MB".
+    """Run a command and return its JSON and its use: "s" on the wall clock, "cpu s" of all cores, "peak MB".
 
     Args:
-        folder: keeps what it prints.
-        arguments: of the command line; `--json` is added.
-        cache: in place of the user's folder of caches.
+        folder: receives the output of the command.
+        arguments: arguments of the command line; `--json` is added.
+        cache: cache folder in place of the user's.
 
     Raises:
-        CellError: with the command's own sentence where it fails.
+        CellError: if the command fails; it has the sentence of the command.
     """
     environment = dict(os.environ) if cache is None else {**os.environ, "XDG_CACHE_HOME": str(cache)}
     out, err = folder / "stdout", folder / "stderr"
@@ -31,7 +31,7 @@ def run_cell(folder: Path, *arguments: str, cache: Path | None = None) -> tuple[
         process = subprocess.Popen(
             [sys.executable, "-m", "cell", *arguments, "--json"], env=environment, stdout=stdout, stderr=stderr
         )
-        # The usage of this one child; the sum over all children would hold the largest peak so far.
+        # Usage of this child only: the sum over all children has the largest peak of all of them.
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
     seconds = perf_counter() - start

@@ -1,4 +1,4 @@
-"""Visible coverage of a run folder measured again from its files: other samples, trimesh's rays, own conditions."""
+"""Visible coverage of a run folder, measured again from its files with other samples, rays and conditions."""
 
 import json
 from collections.abc import Callable
@@ -11,11 +11,11 @@ _SAMPLES = 100_000
 
 
 def independent_visible(run: Path, seed: int) -> float:
-    """Share of 10^5 independent area-weighted samples of `reference.ply` that the views of `plan.json` measure.
+    """Return the share of 10^5 independent samples of `reference.ply` that the views of `plan.json` measure.
 
     Args:
         run: a finished run folder.
-        seed: of the samples.
+        seed: seed of the samples.
     """
     part = trimesh.load(run / "reference.ply", process=False)
     points, face = trimesh.sample.sample_surface(part, _SAMPLES, seed=seed)
@@ -29,16 +29,16 @@ def independent_visible(run: Path, seed: int) -> float:
 
 
 def independently_measured(run: Path, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """(S, n) which of (S, 3) samples [m] with outward normals, object frame, each view of `plan.json` measures."""
+    """Return (S, n): sample measured by view of `plan.json`; points [m] and outward normals (S, 3), object frame."""
     views, law = json.loads((run / "plan.json").read_text())["views"], _law(run)
     return np.stack([law(np.array(view["T_object_scanner"]), points, normals) for view in views], axis=1)
 
 
 def _law(run: Path) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
-    """Whether a scanner at a (4, 4) pose measures samples [m] with outward normals, object frame.
+    """Return a function of pose (4, 4), samples [m] and outward normals: which samples are measured, object frame.
 
-    Only the files are read. Rays go through trimesh's Embree interface; fixtures, post, pedestal and floor are rebuilt
-    from `scene.resolved.json`.
+    Only the files are read. Rays are cast with trimesh's Embree interface; fixtures, post, pedestal and floor are
+    rebuilt from `scene.resolved.json`.
     """
     scene = json.loads((run / "scene.resolved.json").read_text())
     part = trimesh.load(run / "reference.ply", process=False)

@@ -44,9 +44,9 @@ def claim(
     Args:
         M: the matrix.
         candidates: its columns.
-        held_out: samples that the matrix has not seen.
-        scanner: the sensor's law.
-        caster: casts on the part.
+        held_out: samples outside the matrix.
+        scanner: the sensor model.
+        caster: ray caster of the part.
     """
     areas = M.samples.areas
     plan = cover.solve(

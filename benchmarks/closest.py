@@ -1,8 +1,9 @@
-"""Closest points and signed distances on the Mseke, full and decimated: seconds beside error and wrong signs.
+"""Closest points and signed distances on the Mseke, full and decimated: seconds, error and wrong signs.
 
-`near` points are scattered about the surface by 0.4 % of the diagonal, one sigma; `far` ones fill a box twice as large
-as the part's. Error and sign of a hundred of each are compared with every triangle in turn: the plane if the foot is
-inside, else the edges; the sign by the solid angle (van Oosterom and Strackee, doi:10.1109/TBME.1983.325207).
+`near` points are scattered about the surface by 0.4 % of the diagonal, one sigma; `far` points fill a box twice as
+large as that of the part. Error and sign of a hundred of each are compared with every triangle in turn: the plane if
+the foot is inside, else the edges; the sign by the solid angle (van Oosterom and Strackee,
+doi:10.1109/TBME.1983.325207).
 """
 
 from time import perf_counter, process_time

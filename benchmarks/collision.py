@@ -1,8 +1,8 @@
-"""Collision checks: configurations per second beside disagreements with python-fcl on the same shapes.
+"""Collision checks: configurations per second, and disagreements with python-fcl on the same shapes.
 
 Rows compare ways to run MuJoCo on one cell, and the methods of the checker. Rates are per second of processor time,
-which a shared machine disturbs least, and per second of wall time. Disagreements with fcl's box, cylinder and hull
-routines (overlap or not) are counted on configurations of which many are within 10 mm of contact.
+which other load disturbs least, and per second of wall time. Disagreements with fcl's box, cylinder and hull routines
+(overlap or not) are counted on configurations of which many are within 10 mm of contact.
 """
 
 import time
@@ -26,7 +26,7 @@ _REPEATS = 5
 
 
 def run() -> list[dict[str, Any]]:
-    """Measure one row per kind of check."""
+    """Return one row for each kind of check."""
     part = workpiece.load(Scene().part.source)
     started = time.perf_counter()
     world = compile_world(Scene(), part.reference.vertices, baseline_mm=75.0)
@@ -70,7 +70,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def _best(run_it: Callable[[], Any]) -> dict[str, float]:
-    """Return the shortest processor and wall time of a few runs [s]: the machine is shared."""
+    """Return the shortest processor and wall time of a few runs [s]; other load only adds time."""
     best = {"configurations/CPU s": np.inf, "configurations/s": np.inf}
     for _ in range(_REPEATS):
         started = time.process_time(), time.perf_counter()

@@ -1,7 +1,7 @@
-"""Configurations of the arm beside a part, at which nothing but the part can be in the way.
+"""Configurations of the arm near a part, at which only the part can collide.
 
-Joint solutions of candidate viewpoints (what reach asks about) and of random scanner poses close to the surface, tilted
-and turned: what tells hull, pieces and triangles apart lies there. Base frame, metres, radians.
+Joint solutions of candidate viewpoints (those that `reach` checks) and of random scanner poses close to the surface,
+tilted and turned. Hull, pieces and triangles differ at these configurations. Base frame, metres, radians.
 """
 
 import numpy as np
@@ -12,24 +12,24 @@ from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World
 from planner.values import Floats
 
-_APART_M = 50.0  # where the part is put so that only the rest of the cell counts
-_TILT = 0.4  # of the viewing axis against the normal, one sigma and component
+_APART_M = 50.0  # place of the part at which only the rest of the cell can collide
+_TILT = 0.4  # tilt of the viewing axis from the normal, one sigma per component
 _NEAREST, _LEAST_FARTHEST = 0.005, 0.08  # source to surface [m]
-_SOLUTIONS = 6  # tried for each configuration wanted
+_SOLUTIONS = 6  # trials for each requested configuration
 
 
 def configurations(
     world: World, part: Workpiece, T_object_scanner: Floats, standoff: float, counts: tuple[int, int],
     rng: np.random.Generator,
 ) -> Floats:  # fmt: skip
-    """(N, 6) configurations [rad], in limits and clear of everything but the part.
+    """Return (N, 6) configurations [rad] within limits and without collision except with the part.
 
     Args:
         world: the compiled cell.
-        part: what stands in it.
+        part: the part in the cell.
         T_object_scanner: (V, 4, 4) candidate poses [m].
-        standoff: of the candidates [m]; random poses are up to this far from the surface.
-        counts: how many of candidates, how many of random poses, at most.
+        standoff: standoff of the candidates [m], the largest distance of random poses from the surface.
+        counts: largest numbers of configurations of candidates and of random poses.
         rng: draws faces, tilts and distances, and the order of the solutions.
     """
     apart = np.eye(4)

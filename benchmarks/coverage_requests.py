@@ -1,7 +1,7 @@
-"""Requests beyond the fewest views on built-in parts: processor seconds beside the gap that is left.
+"""Requests beyond the fewest views on built-in parts: processor seconds and the remaining gap.
 
-Rows: the curve of coverage over the number of views; scans that hang together, at several overlaps; promises under pose
-errors, with 200 simulated executions. Candidates are one view over each planning face; no robot is asked.
+Rows: the curve of coverage over the number of views; connected scans at several overlaps; coverage promises under pose
+errors, with 200 simulated executions. Candidates are one view over each planning face. The arm is not considered.
 """
 
 import time
@@ -17,12 +17,12 @@ ERRORS = ((0.5, 0.1), (2.0, 0.5))
 
 
 def run() -> list[dict[str, Any]]:
-    """Measure."""
+    """Return the rows of all requests."""
     return [row for part in PARTS for row in _of_part(part)]
 
 
 def chart(rows: list[dict[str, Any]], folder: Path) -> None:
-    """Coverage over views with its bound; the price of overlaps; the price of promises."""
+    """Draw coverage over views with its bound, the price of overlaps, and the price of promises."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -130,7 +130,7 @@ def _timed(call: Callable[[], Any]) -> tuple[Any, float]:
 
 
 def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:
-    """Matrix, candidates, scanner, caster and 5,000 other samples of a built-in part at its defaults."""
+    """Return matrix, candidates, scanner, caster and 5,000 independent samples of a built-in part at its defaults."""
     from cell.part import workpiece
     from cell.plan import candidates
     from cell.scanners.laser_area import LaserArea

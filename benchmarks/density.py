@@ -1,12 +1,13 @@
-"""Density of scans compared with the predictions of plans: dense and visible coverage, quantiles of the spacing, limit.
+"""Density of scans compared with the predictions of plans: dense and visible coverage, quantiles of the spacing.
 
 Two rows per part of benchmarks/parts.py, planned with defaults and with `--max-spacing` of `LIMIT_MM`, each scanned at
-the plan's own 0.25 degree: views with their bound, visible coverage predicted and achieved, dense coverage achieved,
-and the median and the 99 % quantile of the spacing, by the plan and by the scans alone.
+the resolution of the plan, 0.25 degree: views with their bound, visible coverage predicted and achieved, dense coverage
+achieved, and the median and the 99 % quantile of the spacing, from the plan and from the scans alone.
 
 In the scans the spacing at a point is the larger of its distances to its neighbours in the two directions of the ray
-grid: in each the mean of those on the same stretch of surface, not beyond a step (less than 30 degrees off the face). A
-measured sample has the spacing of the nearest scan point within one spacing, of the scan in which it is smallest.
+grid. In each direction it is the mean over the neighbours on the same stretch of surface, not beyond a step (less than
+30 degrees off the face). A measured sample has the spacing of the nearest scan point within one spacing, of the scan in
+which it is smallest.
 """
 
 import tempfile
@@ -70,7 +71,7 @@ def spacing_of_scans(folder: Path) -> Floats:
     """Return (S,) spacing of the scans of a run's first execution at samples of its part [m]; NaN if unknown.
 
     Args:
-        folder: the run.
+        folder: the run folder.
     """
     run = open_run(folder)
     cell = read_cell(run)

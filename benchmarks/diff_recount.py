@@ -1,7 +1,7 @@
-"""What `cell diff` says of two runs, counted again from their artefacts: other rays, other conditions, a k-d tree.
+"""Recount the result of `cell diff` from the artefacts of two runs: other rays, other conditions, a k-d tree.
 
-The samples are those that the difference is defined on (the held-out ones of the first run); what the views measure of
-them is asked of `benchmarks.checks`, which reads the run folders alone. Areas in mm2.
+The samples are those on which the difference is defined (the held-out ones of the first run). `benchmarks.checks`
+determines which of them the views measure; it reads only the run folders. Areas in mm2.
 """
 
 import json
@@ -23,7 +23,7 @@ _MOSTLY = 0.5
 
 
 def recounted(found: Difference) -> tuple[list[str], float]:
-    """What does not hold of a difference, and by how many samples its areas are off at most."""
+    """Return the faults of a difference, and the largest deviation of its areas as a number of samples."""
     folders = Path(found.a), Path(found.b)
     runs = [open_finished(folder if found.kind == "plan" else folder.parent.parent) for folder in folders]
     reference = runs[0].mesh("reference.ply")
@@ -54,7 +54,11 @@ def _near_points(execution: Path, points: np.ndarray) -> np.ndarray:
 
 
 def _views(found: Difference, runs: list[Run], each: list[np.ndarray], areas: np.ndarray) -> list[str]:
-    """Each view is on one side once; kept ones stand at one pose; moved ones do mostly the same, others do not."""
+    """Check the views of a difference.
+
+    Each view is listed once on its side. Kept views have equal poses. Moved views share mostly the same samples, lost
+    and new views do not.
+    """
     views, wrong = found.views, []
     if found.kind == "plan":
         for side, run in enumerate(runs):
@@ -77,7 +81,7 @@ def _views(found: Difference, runs: list[Run], each: list[np.ndarray], areas: np
 
 
 def _numbers(found: Difference, folders: tuple[Path, Path]) -> list[str]:
-    """Figures are those of the two reports."""
+    """Check that the figures are those of the two reports."""
     reports = [json.loads((folder / "report.json").read_text()) for folder in folders]
     wrong = []
     for number in found.numbers:

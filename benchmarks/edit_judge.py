@@ -1,8 +1,8 @@
-"""Edited plans and refused edits judged again: other kinematics, true triangles, other rays, another solver.
+"""Check edited plans and refused edits: other kinematics, true triangles, other rays, another solver.
 
-The arm is py-opw-kinematics with the data sheet's lengths; contacts and distances are those of
-`benchmarks.triangle_cell`, the motion's limits those of `benchmarks.motion_recheck`, coverage that of
-`benchmarks.checks`; how few views repair what is missing is asked of HiGHS. Metres, radians.
+The arm is py-opw-kinematics with the lengths of the data sheet. Contacts and distances are those of
+`benchmarks.triangle_cell`, limits of the motion those of `benchmarks.motion_recheck`, coverage that of
+`benchmarks.checks`. HiGHS finds the smallest number of views that repair the coverage. Metres, radians.
 """
 
 import re
@@ -44,10 +44,10 @@ _ARM = Robot(
 
 
 class EditJudge:
-    """Judges what becomes of edits of a plan.
+    """Check the results of edits of a plan.
 
     Args:
-        run: the plan; its cell, limits and clearance are those of every edit of it.
+        run: the plan; every edit has its cell, limits and clearance.
     """
 
     def __init__(self, run: Run) -> None:
@@ -58,14 +58,14 @@ class EditJudge:
         self.visible_error = 0.0
 
     def accepted(self, run: Run, asked: RandomEdit, made: Run) -> list[str]:
-        """What does not hold of an edited plan; empty where all does."""
+        """Return the faults of an edited plan; empty if there are none."""
         return [
             *self._views(asked, made), *_kept(run, asked, made), *self._motion(made), *self._coverage(made),
             *(_repaired(run, asked, made) if asked.wishes.get("repair") else ()),
         ]  # fmt: skip
 
     def refused(self, asked: RandomEdit, error: CellError) -> list[str]:
-        """What is untrue of a refusal; empty where its reason is the true one."""
+        """Return the faults of a refusal; empty if its reason is true."""
         told = str(error)
         if asked.wrong:
             return [] if asked.wrong in told else [f"should say: {asked.wrong}"]
@@ -83,7 +83,7 @@ class EditJudge:
         return self._no_path(within) if "path" in reason else [f"a reason that is not known here: {reason}"]
 
     def _solutions(self, T_base_flange: Floats) -> tuple[Floats, Floats]:
-        """(n, 6) all branches of a flange pose, and (m, 6) their turns within the joint limits."""
+        """Return (n, 6) all branches of a flange pose, and (m, 6) their turns within the joint limits."""
         q = np.asarray(_ARM.reach(RigidTransform.from_matrix(T_base_flange[None])).joints).reshape(-1, 6)
         q = q[~np.isnan(q).any(axis=1)]
         turns = np.stack(np.meshgrid(*[2 * np.pi * np.arange(-2, 3)] * 3), axis=-1).reshape(-1, 3)
@@ -95,7 +95,7 @@ class EditJudge:
         return q, all_turns[inside.all(axis=1)]
 
     def _collides(self, within: Floats, reason: str) -> list[str]:
-        """Each solution is nearer to something than the clearance, and one of them to what is named."""
+        """Check that each solution violates the clearance, and that one of them does so at the named pair."""
         if not len(within):
             return ["no solution is within the joint limits"]
         near = [self._triangles.distances(q[None], self._world.clearance + CLEARANCE_M) for q in within]
@@ -107,7 +107,10 @@ class EditJudge:
         return found
 
     def _no_path(self, within: Floats) -> list[str]:
-        """That no path is found cannot be judged; that the straight moves from home are not free can."""
+        """Check that no straight move from home to a solution is free.
+
+        The absence of any path is not checked.
+        """
         for q in within:
             share = np.linspace(0.0, 1.0, 400)[:, None]
             if not self._triangles.distances(self._world.home + share * (q - self._world.home), self._world.clearance):
@@ -115,7 +118,7 @@ class EditJudge:
         return []
 
     def _views(self, asked: RandomEdit, made: Run) -> Iterator[str]:
-        """Views are where their joint angles put them, within limits, and where they were asked for."""
+        """Check that poses follow from the joint angles, within limits, and that requested poses are reached."""
         T = np.stack([_ARM.forward(q).as_matrix() for q in made.q]) @ self._scene.T_flange_scanner
         if (wrong := float(np.abs(T - made.T_base_scanner).max())) > 1e-9:
             yield f"poses are {1e6 * wrong:.3g} um off their joint angles"
@@ -128,7 +131,10 @@ class EditJudge:
                 yield f"{name} is {1e6 * apart.min():.0f} um from where it was asked for, or turned"
 
     def _motion(self, made: Run) -> Iterator[str]:
-        """No triangle touches another at any millisecond, no limit is exceeded, the clearance is what is said."""
+        """Check contacts, limits, order, clearance and verification of the motion.
+
+        No triangles touch at any millisecond, no limit is exceeded, and the reported clearance is kept.
+        """
         motion = made.motion
         dense = retime(motion.via_q, motion.segment, motion.view, motion.limits, _STEP_S)
         if contacts := self._triangles.contacts(dense.q):
@@ -153,7 +159,7 @@ class EditJudge:
 
 
 def _kept(run: Run, asked: RandomEdit, made: Run) -> Iterator[str]:
-    """Candidates keep their rows, dropped views are gone, the order is as told."""
+    """Check that candidates keep their rows, dropped views are absent, and the order is the requested one."""
     before, after = run.candidates, made.candidates
     if after.T_object_scanner[: len(before)].tobytes() != before.T_object_scanner.tobytes():
         yield "candidates changed"
@@ -177,7 +183,10 @@ def _kept(run: Run, asked: RandomEdit, made: Run) -> Iterator[str]:
 
 
 def _repaired(run: Run, asked: RandomEdit, made: Run) -> Iterator[str]:
-    """What the run was asked to cover is covered again, by the fewest added views that HiGHS finds."""
+    """Check that a repaired plan reaches its coverage target with the fewest added views.
+
+    HiGHS finds the fewest added views.
+    """
     M, reached = made.measurability, made.reach
     matrix, areas = M.matrix().astype(np.float64), M.samples.areas
     banned = {int(run.candidate[number - 1]) for number in asked.wishes.get("drop", ())} - {*made.candidate.tolist()}

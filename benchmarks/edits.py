@@ -1,13 +1,13 @@
-"""Random edits of plans of every part, and differences of runs, each judged by means of its own.
+"""Random edits of plans of every part, and differences of runs, each with an independent check.
 
-Each part is planned at its defaults; edits are drawn (`benchmarks.random_edits`), a quarter of them of a plan that was
-edited before. What is accepted and what is refused is judged by `benchmarks.edit_judge`, the differences of accepted
-plans from the plan before, of two edited plans, and of executions by `benchmarks.diff_recount`; a run must not differ
-from itself. Pictures and pages are left out: they take as long as the rest.
+Each part is planned at its defaults; edits are drawn (`benchmarks.random_edits`), a quarter of them from a plan that
+was edited before. `benchmarks.edit_judge` checks accepted and refused edits. `benchmarks.diff_recount` checks the
+differences between an accepted plan and the plan before, between two edited plans, and between executions; a run must
+not differ from itself. Pictures and pages are omitted: they take as long as the rest.
 
-SCAN_CELL_EDITS (default 14, the full form has 200) is the number of edits, dealt to the parts in turn; the first
-eighth of it are differences of executions as well, at most 4. With SCAN_CELL_RECHECK=FOLDER plans and finished rows
-are kept there, and a call that was stopped goes on where it ended.
+SCAN_CELL_EDITS (default 14, the full form has 200) is the number of edits, distributed to the parts in turn; the first
+eighth of them, at most 4, also compare executions. With SCAN_CELL_RECHECK=FOLDER plans and finished rows are stored
+there, and an interrupted call continues after them.
 """
 
 import json
@@ -37,11 +37,11 @@ from cell.view.contents import PARTIAL_PAGE_FILE
 
 _FULL_PAIRS, _EXECUTIONS = 30, 4
 _REASONS = {"reach": "out of the arm's reach", "limit": "exceeds a joint limit", "collision": "limits collides"}
-_OF_AN_EDITED = 4  # each so many-th edit is of the plan that was edited last
+_OF_AN_EDITED = 4  # interval of the edits that start from the plan that was edited last
 
 
 def run() -> list[dict[str, Any]]:
-    """One row a part, one over all, and one for each finding."""
+    """Return a row for each part, one over all parts, and one for each finding."""
     count = int(os.environ.get("SCAN_CELL_EDITS", "14"))
     with tempfile.TemporaryDirectory() as scratch, no_pictures():
         folder = Path(os.environ.get("SCAN_CELL_RECHECK", scratch))
@@ -64,7 +64,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def _planned(home: Path, arguments: tuple[str, ...]) -> None:
-    """The plan of a part, made where it is not there yet."""
+    """Return the plan of a part; it is computed if it does not exist."""
     if not (home / "plan").exists():
         units = {"units": arguments[2]} if len(arguments) > 1 else {}
         shutil.rmtree(home / "plan.part", ignore_errors=True)  # of a call that was stopped
@@ -73,7 +73,7 @@ def _planned(home: Path, arguments: tuple[str, ...]) -> None:
 
 
 def _judged(home: Path, judge: EditJudge, number: int, count: int) -> dict[str, Any]:
-    """One edit: made or refused, and judged; with the differences that it gives."""
+    """Make one edit and check its result and its differences."""
     begin = process_time()
     last, out = home / "last", home / f"edit {number}"
     before = open_run(last if number // _OF_AN_EDITED % _OF_AN_EDITED == 3 and last.exists() else home / "plan")
@@ -111,13 +111,13 @@ def _judged(home: Path, judge: EditJudge, number: int, count: int) -> dict[str, 
 
 
 def _execution(run: Path) -> Path:
-    """The folder of an execution of a run, on a coarse grid of rays."""
+    """Return the folder of an execution of a run, on a coarse grid of rays."""
     first = run / "executions" / "0001"
     return first if first.exists() else scan(run, resolution=1.0).folder
 
 
 def _summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row a part and one over all."""
+    """Return a row for each part and one over all parts."""
     names = list(dict.fromkeys(row["part"] for row in rows))
     groups = [(name, [row for row in rows if row["part"] == name]) for name in names]
     return [_counted(name, group) for name, group in [*groups, ("all", rows)]]
@@ -143,7 +143,7 @@ def _counted(name: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 class _Blank(PlotProcess):
-    """Leaves empty files in place of pictures and of the page's first half."""
+    """Write empty files in place of pictures and of the first half of the page."""
 
     def __init__(self) -> None:
         self._sent = []
@@ -159,7 +159,7 @@ class _Blank(PlotProcess):
 
 @contextmanager
 def no_pictures() -> Iterator[None]:
-    """Plans are made without pictures and page, executions without theirs."""
+    """Make plans without pictures and page, and executions without pictures."""
     with (
         mock.patch("cell.report.plots.plot_process", side_effect=lambda: nullcontext(_Blank())),
         mock.patch("cell.scan.results.draw_part_and_views", lambda path, *_: path.write_bytes(b"")),

@@ -1,4 +1,4 @@
-"""Eight virtual scans around a part, and noise on them: what reconstruction and registration are measured with."""
+"""Eight virtual scans around a part, with optional noise, for measurements of reconstruction and registration."""
 
 import numpy as np
 
@@ -15,10 +15,10 @@ DIRECTIONS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1
 
 
 def eight_scans(part: Workpiece, resolution_deg: float) -> list[ScanCloud]:
-    """Exact scans from `STANDOFF` beyond the part's middle, along `DIRECTIONS`.
+    """Return exact scans from `STANDOFF` beyond the middle of the part, along `DIRECTIONS`.
 
     Args:
-        part: what is scanned.
+        part: the scanned part.
         resolution_deg: angle between rays [deg].
     """
     caster = EmbreeRayCaster(part.reference.vertices, part.reference.faces)
@@ -36,11 +36,11 @@ def eight_scans(part: Workpiece, resolution_deg: float) -> list[ScanCloud]:
 
 
 def noisy(scans: list[ScanCloud], sigma: float) -> list[ScanCloud]:
-    """The scans with normal noise along their rays, always the same draw.
+    """Return the scans with normal noise along their rays, with a fixed seed.
 
     Args:
-        scans: exact ones.
-        sigma: standard deviation [m].
+        scans: exact scans.
+        sigma: standard deviation of the noise [m].
     """
     rng = np.random.default_rng(0)
     disturbed = []

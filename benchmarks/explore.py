@@ -1,9 +1,9 @@
-"""Next views of a part without a model: the stepwise policy beside rivals that were written from their publications.
+"""Next views of a part without a model: the stepwise policy and rivals written from their publications.
 
-Without an arm (the choice of views alone) and, with SCAN_CELL_ARM=1, held by the default cell's arm, with seconds of
-motion. Equal first view, scanner, voxels, budget. SCAN_CELL_PARTS names built-in parts and meshes of the folder
-SCAN_CELL_MESHES (default "mug,petanque,bunny"); SCAN_CELL_SEEDS (default 3) is the number of
-seeds. SCAN_CELL_TUNE=1 runs every setting of the rivals with seed 0 instead.
+Rows are without an arm (the choice of views alone) and, with SCAN_CELL_ARM=1, with the arm of the default cell and
+seconds of motion. First view, scanner, voxels and budget are equal. SCAN_CELL_PARTS names built-in parts and meshes of
+the folder SCAN_CELL_MESHES (default "mug,petanque,bunny"); SCAN_CELL_SEEDS (default 3) is the number of seeds.
+SCAN_CELL_TUNE=1 runs every setting of the rivals with seed 0 instead.
 """
 
 import os
@@ -25,7 +25,7 @@ AFTER = (5, 10, 15)
 
 
 def run() -> list[dict[str, Any]]:
-    """One row for each part, policy and seed."""
+    """Return one row for each part, policy and seed."""
     wanted = os.environ.get("SCAN_CELL_PARTS", "mug,petanque,bunny").split(",")
     seeds, arm = int(os.environ.get("SCAN_CELL_SEEDS", "3")), bool(os.environ.get("SCAN_CELL_ARM"))
     rows = []
@@ -38,7 +38,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def chart(rows: Sequence[dict[str, Any]], folder: Path) -> None:
-    """Coverage over views and, with an arm, over seconds of motion."""
+    """Draw coverage over views and, with an arm, over seconds of motion."""
     charts.draw(rows, folder / "explore_rivals.png")
 
 

@@ -1,10 +1,10 @@
-"""Explorations of parts: true coverage and views beside the plan that knows the model, contacts, reasons, seconds.
+"""Explorations of parts: true coverage and views compared with the plan on the known model, contacts, reasons, seconds.
 
 SCAN_CELL_PARTS names built-in parts and meshes of the folder SCAN_CELL_MESHES (default "mug,petanque"; "all": all of
-them), SCAN_CELL_SEEDS (default 1) is the number of seeds, SCAN_CELL_POLICIES names policies (default both). Contact is
-judged by `benchmarks.triangle_cell`, true triangles in python-fcl at every sample of the motions. SCAN_CELL_REASONS=1
-has the stated reasons judged as well (`benchmarks.exploring.reasons`). Each row is printed when it is complete;
-`--charts` draws coverage over views with the bound for the true model (`benchmarks.exploring.evaluation`).
+them), SCAN_CELL_SEEDS (default 1) is the number of seeds, SCAN_CELL_POLICIES names policies (default both).
+`benchmarks.triangle_cell` counts contacts: true triangles in python-fcl at every sample of the motions.
+SCAN_CELL_REASONS=1 checks the stated reasons as well (`benchmarks.exploring.reasons`). Each row is printed when it is
+complete; `--charts` draws coverage over views with the bound for the true model (`benchmarks.exploring.evaluation`).
 """
 
 import os
@@ -42,7 +42,7 @@ _LIMIT = {"stepwise": 1.35, "two-stage": 1.8}
 
 
 def run() -> list[dict[str, Any]]:
-    """One row for each part, policy and seed."""
+    """Return one row for each part, policy and seed."""
     wanted = os.environ.get("SCAN_CELL_PARTS", "mug,petanque").split(",")
     policies = os.environ.get("SCAN_CELL_POLICIES", ",".join(POLICIES)).split(",")
     seeds, rows = range(int(os.environ.get("SCAN_CELL_SEEDS", "1"))), list[dict[str, Any]]()
@@ -51,12 +51,12 @@ def run() -> list[dict[str, Any]]:
             if wanted == ["all"] or name.removesuffix(" (file)") in wanted:
                 for policy, seed in product(policies, seeds):
                     rows.append(_row(name, words, policy, seed))
-                    print(rows[-1], file=sys.stderr, flush=True)  # noqa: T201 -- hours of work are not to be lost
+                    print(rows[-1], file=sys.stderr, flush=True)  # noqa: T201 -- keeps finished rows if the run is interrupted
     return rows
 
 
 def chart(rows: Sequence[dict[str, Any]], folder: Path) -> None:
-    """Draw coverage over the number of views, with the bound of the plan that knows the model."""
+    """Draw coverage over the number of views, with the bound of the plan on the known model."""
     draw_evaluations(rows, folder / "explored.png")
 
 
@@ -100,7 +100,7 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
 
 
 class _Clock(LoggedProgress):
-    """Tells processor seconds until the model that is made at the end of an exploration."""
+    """Measure processor seconds until the model is made at the end of an exploration."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -115,7 +115,7 @@ class _Clock(LoggedProgress):
 
 
 def _told(said: dict[str, tuple[float, float]]) -> dict[str, Any]:
-    """Share of the open area whose reason is true, and each reason's area with what of it is true [mm2]."""
+    """Return the share of the open area with a true reason, and total and true area of each reason [mm2]."""
     if not said:
         return {}
     areas = np.array(list(said.values()))
@@ -130,7 +130,7 @@ def _share(by_views: tuple[float, ...], n: int) -> float:
 
 
 def _judged(out: Path, file: ExploreFile, known_model: Path) -> tuple[int, int]:
-    """Return the number of configurations along all motions, and of those in contact with the true part in place."""
+    """Return the number of configurations along all motions, and the number in contact with the true part in place."""
     known = open_finished(known_model)
     part = known.mesh("reference.ply")
     judge, checked, found = TriangleCell(world_of(known, part), part), 0, 0

@@ -159,7 +159,7 @@ def _read_npz(path: Path) -> object:
 
 
 def _judged(kind: Kind, count: int, seed: int) -> Iterator[tuple[str, float, str]]:
-    """How each mangled file ended, with its seconds, and what was foreign."""
+    """Yield result, seconds and foreign error of each mangled file."""
     rng = np.random.default_rng(seed)
     names = sorted(kind.files)
     with tempfile.TemporaryDirectory() as folder:

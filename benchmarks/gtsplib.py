@@ -89,7 +89,7 @@ def _split(text: str) -> tuple[dict[str, str], dict[str, list[str]]]:
 
 
 def _distances(xy: Floats, kind: str) -> Floats:
-    """Whole-numbered distances between coordinates (N, 2)."""
+    """Return integer distances between coordinates (N, 2)."""
     delta = np.abs(xy[:, None] - xy[None])
     if kind == "EUC_2D":
         return np.floor(np.hypot(delta[..., 0], delta[..., 1]) + 0.5)

@@ -1,10 +1,10 @@
-"""`cell calibrate hand-eye` from 12 poses: error of the mount beside what it says of itself, and degenerate sets.
+"""`cell calibrate hand-eye` from 12 poses: error and reported uncertainty of the mount, and degenerate sets.
 
-The target, a ball of 38.1 mm or a plane, stands in a corner of the field of view, 200 and 400 mm off, and the flange
-looks at it from three tilts up to 60 deg with every roll; or in the middle, tilted by 40 deg at most. Points have noise
-of 0.03 mm along the rays; the flange is turned by 0.02 deg about each axis against what the controller says, and
-shifted by 0.03 mm along each. The degenerate sets are not turned at all, turned about one axis alone, and about the
-ball's centre.
+The target, a ball of 38.1 mm or a plane, lies in a corner of the field of view, 200 and 400 mm away, and the flange
+views it from three tilts up to 60 deg with every roll; or it lies in the middle, with tilts of at most 40 deg. Points
+have noise of 0.03 mm along the rays. The true flange pose differs from the reported one by 0.02 deg about each axis and
+0.03 mm along each axis. The degenerate sets have no rotation, rotations about one axis only, and rotations about the
+centre of the ball.
 """
 
 from collections.abc import Iterator
@@ -28,14 +28,14 @@ _TARGET = np.array([1.1, 0.3, 0.0])
 
 @dataclass(frozen=True)
 class View:
-    """Where the target is in the scanner's frame, and how the scanner is turned in base."""
+    """Position of the target in the scanner frame, and rotation of the scanner in the base frame."""
 
     place: Floats
     turn: Floats
 
 
 def run() -> list[dict[str, Any]]:
-    """One row a target and set of poses."""
+    """Return one row for each target and set of poses."""
     rows = []
     for name, target, radius, views in (
         ("ball, unknown diameter, corners", "ball", None, corners()),
@@ -67,7 +67,7 @@ def run() -> list[dict[str, Any]]:
 
 
 def _degenerate() -> Iterator[dict[str, Any]]:
-    """Sets that cannot say the whole mount: which motions are told."""
+    """Yield a row for each set of poses that leaves motions of the mount undetermined."""
     down = Rotation.from_euler("x", 180, degrees=True).as_matrix()
     tilted = Rotation.from_euler("y", 20, degrees=True).as_matrix() @ down
     spots = [view.place for view in corners()]
@@ -85,7 +85,7 @@ def _degenerate() -> Iterator[dict[str, Any]]:
 
 
 def mount_of(target: str, radius: float | None, views: list[View], draw: int) -> RigidFit:
-    """The mount from scans of a target."""
+    """Return the fitted mount from scans of a target."""
     rng = np.random.default_rng(draw)
     scans = [_ball(view, rng) if target == "ball" else _plane(view, rng) for view in views]
     poses = [_flange(view, rng) for view in views]
@@ -97,7 +97,7 @@ def mount_of(target: str, radius: float | None, views: list[View], draw: int) ->
 
 
 def corners() -> list[View]:
-    """The target in the corners of the field of view, near and far, tilted by 0, 30 and 60 deg."""
+    """Return views of the target in the corners of the field of view, near and far, tilted by 0, 30 and 60 deg."""
     across = np.tan(np.radians(25.0))
     signs = ((1, 1), (-1, 1), (1, -1), (-1, -1))
     places = [
@@ -107,7 +107,7 @@ def corners() -> list[View]:
 
 
 def middle() -> list[View]:
-    """The target within 40 mm of the viewing axis, 250 to 350 mm off, tilted by 40 deg at most."""
+    """Return views of the target within 40 mm of the viewing axis, 250 to 350 mm away, tilted by at most 40 deg."""
     rng = np.random.default_rng(1)
     return [
         View(
@@ -119,7 +119,7 @@ def middle() -> list[View]:
 
 
 def _turn(azimuth: float, tilt: float, roll: float) -> Floats:
-    """(3, 3) of a scanner that looks down, tilted and rolled [deg]."""
+    """Return the (3, 3) rotation of a scanner that looks down, tilted and rolled [deg]."""
     down = Rotation.from_euler("x", 180, degrees=True)
     turned = Rotation.from_euler("zyz", [azimuth, tilt, roll - azimuth], degrees=True) * down
     return np.asarray(turned.as_matrix())
@@ -133,7 +133,7 @@ def _mount() -> Floats:
 
 
 def _flange(view: View, rng: np.random.Generator) -> Floats:
-    """T_base_flange as the controller says it: the true one, off by the errors of the arm."""
+    """Return T_base_flange as the controller reports it: the true pose with the errors of the arm."""
     T, off = np.eye(4), np.eye(4)
     T[:3, :3], T[:3, 3] = view.turn, _TARGET - view.turn @ view.place
     off[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, _POSE_RAD, 3)).as_matrix()
@@ -142,7 +142,7 @@ def _flange(view: View, rng: np.random.Generator) -> Floats:
 
 
 def _ball(view: View, rng: np.random.Generator) -> Floats:
-    """Points within 60 deg of where the ball faces the source."""
+    """Return points within 60 deg of the point of the ball that faces the source."""
     facing = -view.place / np.linalg.norm(view.place)
     on = rng.standard_normal((6 * _POINTS, 3))
     on /= np.linalg.norm(on, axis=1, keepdims=True)
@@ -150,7 +150,7 @@ def _ball(view: View, rng: np.random.Generator) -> Floats:
 
 
 def _plane(view: View, rng: np.random.Generator) -> Floats:
-    """Points within 25 deg of the viewing axis, on the plane through the target."""
+    """Return points within 25 deg of the viewing axis, on the plane through the target."""
     across = np.tan(np.radians(rng.uniform(-25, 25, (_POINTS, 2))))
     rays = np.column_stack([across, np.ones(_POINTS)])
     normal = view.turn.T @ _NORMAL

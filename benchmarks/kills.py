@@ -1,8 +1,8 @@
-"""kill -9 of the client and of the emulated controller at random moments, then `--resume`: what is lost or doubled.
+"""Lost and doubled scans after kill -9 of the client or the emulated controller at random moments, then `--resume`.
 
-A plan of a small part is executed over Modbus. Each trial kills one of the two processes at a random moment between
-the start of the execution and its last scan (timed on an undisturbed one), restarts what died, resumes until the
-execution is finished, and compares its scans with those of the undisturbed one, byte by byte. `KILLS` in the
+A plan of a small part is executed over Modbus. Each trial kills one of the two processes at a random moment between the
+start of the execution and its last scan (timed on an undisturbed execution), restarts the killed process, resumes until
+the execution is finished, and compares its scans with those of the undisturbed execution, byte by byte. `KILLS` in the
 environment changes the 50 trials of each kind.
 """
 
@@ -31,7 +31,7 @@ _PATIENCE_S = 120.0
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per kind of process that is killed."""
+    """Return one row for each kind of killed process."""
     count = int(os.environ.get("KILLS", "50"))
     with tempfile.TemporaryDirectory() as folder:
         base = Path(folder)
@@ -69,7 +69,7 @@ def _row(base: Path, victim: str, count: int, wanted: dict[str, bytes], span_s: 
 
 
 def _disturbed(base: Path, name: str, victim: str, rng: np.random.Generator, span_s: float) -> tuple[int, int]:
-    """Execute, kill, resume; returns the scans that were there at the kill, and how often it was resumed."""
+    """Execute, kill and resume; return the scans at the moment of the kill, and the number of resumptions."""
     arm = base / f"{name}_arm"
     emulator = _Emulator(arm)
     try:
@@ -102,12 +102,12 @@ def _disturbed(base: Path, name: str, victim: str, rng: np.random.Generator, spa
 
 
 def _word(digest: str) -> tuple[str, str]:
-    """The word for what has this digest."""
+    """Return the option that confirms the motion with this digest."""
     return "--confirm-motion", digest
 
 
 def _begun_s(run: Path, client: subprocess.Popen[bytes]) -> float:
-    """The moment at which the execution began to keep its journal, on the monotonic clock."""
+    """Return the time at which the journal of the execution began, on the monotonic clock."""
     deadline = time.monotonic() + _PATIENCE_S
     while not (run / "executions/0001/events.jsonl").exists():
         if client.poll() is not None or time.monotonic() > deadline:
@@ -117,7 +117,7 @@ def _begun_s(run: Path, client: subprocess.Popen[bytes]) -> float:
 
 
 def _span_s(run: Path, client: subprocess.Popen[bytes]) -> float:
-    """From the beginning of an undisturbed execution to its last scan."""
+    """Return the time from the beginning of an undisturbed execution to its last scan."""
     begun, last, seen = _begun_s(run, client), 0.0, 0
     while client.poll() is None:
         if (count := len(list((run / "executions/0001/scans").glob("*.npz")))) > seen:
@@ -132,7 +132,7 @@ _COMMAND = (sys.executable, "-m", "cell")
 
 
 class _Emulator:
-    """`cell emulate modbus`, its arm kept in a file."""
+    """`cell emulate modbus` with the state of its arm in a file."""
 
     def __init__(self, arm: Path) -> None:
         self.process = subprocess.Popen(
@@ -143,7 +143,7 @@ class _Emulator:
         self.url = self.process.stdout.readline().strip()
 
     def close(self) -> None:
-        """End it, however it is."""
+        """Kill the process."""
         self.process.kill()
         self.process.wait()
         if self.process.stdout is not None:

@@ -1,12 +1,12 @@
-"""`cell locate` from one scan: error of the placement beside what is said not to be determined, on every part.
+"""`cell locate` from one scan: error of the placement and reported undetermined motions, on every part.
 
-Each part is planned (200 faces, one sample a face, 90 % of what is coverable), then set down elsewhere than planned: 20
-mm away in a random direction and turned by 5 deg about a random axis. Its first view is scanned there, with noise of
-0.03 mm along the rays, and the points are fitted. The error is that of the point of the part that is farthest off,
-after what is said not to be determined (turning about the axis of a mug) was taken out of it. A row is wrong where
-something that was said to be determined is off by more than 0.1 mm.
+Each part is planned (200 faces, one sample per face, 90 % of the coverable area), then moved by 20 mm in a random
+direction and turned by 5 deg about a random axis. Its first view is scanned there, with noise of 0.03 mm along the
+rays, and the points are fitted. The error is the largest error of the points of the part, without the motions that are
+reported as undetermined (rotation about the axis of a mug). A row is wrong if a motion that is reported as determined
+is off by more than 0.1 mm.
 
-SCAN_CELL_LOCATE (default 3) is the number of placements a part.
+SCAN_CELL_LOCATE (default 3) is the number of placements of each part.
 """
 
 import os
@@ -32,11 +32,11 @@ from planner.registration.rigid import motion_from_screw, motion_from_vector, sc
 from planner.values import Floats
 
 _OFF_M, _OFF_DEG, _NOISE_M, _WITHIN_M = 0.02, 5.0, 3e-5, 1e-4
-_POINTS = 2000  # of the part, at which the error is looked for
+_POINTS = 2000  # points of the part at which the error is evaluated
 
 
 def run() -> list[dict[str, Any]]:
-    """One row a part."""
+    """Return one row for each part."""
     count = int(os.environ.get("SCAN_CELL_LOCATE", "3"))
     rows = []
     with tempfile.TemporaryDirectory() as scratch, no_pictures():
@@ -71,7 +71,7 @@ def _row(planned: Run, count: int) -> dict[str, Any]:
         motions = found.undetermined_motions(_WITHIN_M)
         said = [*([describe(motions)] if motions else []), *found.alternatives, *found.doubts]
         open_ += said
-        if said and error > _WITHIN_M:  # it was said that this may be so
+        if said and error > _WITHIN_M:  # the fit reported this uncertainty
             continue
         errors.append(1000 * error)
         deviations.append(1000 * (found.worst_point_sd(vertices) or 0.0))
@@ -89,7 +89,10 @@ def _row(planned: Run, count: int) -> dict[str, Any]:
 
 
 def scanned(cell: RunCell, T_object_scanner: Floats, centre: Floats, draw: int) -> tuple[Floats, ScanCloud]:
-    """How the part was moved (4, 4) and its scan from a planned view, in the object frame as if it had not been."""
+    """Return the (4, 4) displacement of the part, and its scan from a planned view.
+
+    The scan is in the object frame of the part at its planned place.
+    """
     rng = np.random.default_rng([draw, 5])
     shift, axis = (each / np.linalg.norm(each) for each in (rng.standard_normal(3), rng.standard_normal(3)))
     T_moved = motion_from_vector(np.concatenate([_OFF_M * shift, np.radians(_OFF_DEG) * axis]), centre)
@@ -102,7 +105,10 @@ def scanned(cell: RunCell, T_object_scanner: Floats, centre: Floats, draw: int) 
 
 
 def farthest(found: RigidFit, T_moved: Floats, points: Floats) -> float:
-    """How far off the point is that is farthest off [m], after a turn about the one axis that is free, if one is."""
+    """Return the largest error of the points [m].
+
+    If the rotation about one axis is undetermined, it is removed first.
+    """
     T_off = found.T @ T_moved
     motions = [motion for motion in found.undetermined_motions(_WITHIN_M) if motion.kind is FreeKind.ROTATION]
     for motion in motions[:1]:

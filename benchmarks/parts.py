@@ -1,4 +1,4 @@
-"""The parts that benchmarks of the main job run on: the built-in ones, and meshes that are not in the repository."""
+"""Parts of the benchmarks of the main job: the built-in parts, and meshes from outside the repository."""
 
 import json
 import os
@@ -14,19 +14,19 @@ _SIDE_MM = 150.0
 
 
 def place() -> str:
-    """Where parts are placed; SCAN_CELL_PLACE sets another place than the README's."""
+    """Return the place of the parts; SCAN_CELL_PLACE replaces that of the README."""
     return os.environ.get("SCAN_CELL_PLACE", "1200,500,0")
 
 
 def parts(folder: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Name and command-line arguments of each part, built-in ones first; meshes are written into the folder."""
+    """Return name and command-line arguments of each part, built-in ones first; meshes are written into the folder."""
     for name in NAMES:
         yield name, (name,)
     yield from meshes(folder)
 
 
 def meshes(folder: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Name and command-line arguments of each mesh of `$SCAN_CELL_MESHES`, scaled and written into the folder.
+    """Return name and command-line arguments of each mesh of `$SCAN_CELL_MESHES`, scaled and written into the folder.
 
     `manifest.json` in that folder lists them: `file`, and `scale_len` that brings its numbers to millimetres; without
     one the longest side becomes 150 mm.

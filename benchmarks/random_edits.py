@@ -1,6 +1,6 @@
-"""Random edits of a finished plan as a person might make them, some wrong on purpose, and what each asks for.
+"""Random edits of a finished plan, some of them invalid on purpose, and their requested poses.
 
-Every edit is drawn from its random stream and the plan alone. Base frame, metres; what a user gives in mm and degrees.
+Every edit depends only on its random stream and the plan. Base frame, metres; user inputs in mm and degrees.
 """
 
 from collections.abc import Mapping
@@ -20,12 +20,12 @@ _SHARE_FAR, _SHARE_REACHABLE = 0.2, 0.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RandomEdit:
-    """An edit and what it asks for.
+    """An edit and its expected result.
 
     Attributes:
-        wishes: keywords of `EditableRun.edited`.
-        poses: (4, 4) T_base_scanner of each view that is named anew, by what refusals call it.
-        wrong: what the sentence must hold that refuses it; "" where nothing is wrong by construction.
+        wishes: keyword arguments of `EditableRun.edited`.
+        poses: (4, 4) T_base_scanner of each changed or added view, by its name in refusals.
+        wrong: required text of the refusal; "" if the edit is valid by construction.
     """
 
     wishes: dict[str, Any]
@@ -34,15 +34,15 @@ class RandomEdit:
 
     @property
     def said(self) -> str:
-        """Options as on the command line, values left out."""
+        """Return the options as on the command line, without values."""
         return " ".join(f"--{key.replace('_', '-')}" for key, value in self.wishes.items() if value is not False)
 
 
 def random_edit(rng: np.random.Generator, run: Run) -> RandomEdit:
-    """Views dropped, moved, turned, added, in another order, with and without repair.
+    """Draw an edit: drop, move, turn, add or reorder views, with and without repair.
 
     Args:
-        rng: draws.
+        rng: random stream.
         run: a finished plan of at least four views.
     """
     if rng.random() < _WRONG:
@@ -74,7 +74,7 @@ def random_edit(rng: np.random.Generator, run: Run) -> RandomEdit:
 
 
 def _beside(rng: np.random.Generator, T: Floats) -> list[float]:
-    """x, y, z [mm] and A, B, C [deg] of a pose near another, some of them a hand away."""
+    """Return x, y, z [mm] and A, B, C [deg] of a pose near another pose, some of them about 100 mm away."""
     mm, degrees = _FAR if rng.random() < _SHARE_FAR else _NEAR
     position, abc = kuka_abc_from_pose(T)
     moved = [*(position * 1000 + rng.normal(0, mm, 3)), *(np.degrees(abc) + rng.normal(0, degrees, 3))]
@@ -82,7 +82,7 @@ def _beside(rng: np.random.Generator, T: Floats) -> list[float]:
 
 
 def _wrong(rng: np.random.Generator, run: Run) -> RandomEdit:
-    """An edit that names what is not there, or a view twice."""
+    """Return an edit that names an absent view or candidate, or one view twice."""
     n, total = len(run.candidate), run.report.verdicts.total
     twice = int(rng.integers(n))
     cases = (
@@ -99,7 +99,7 @@ def _wrong(rng: np.random.Generator, run: Run) -> RandomEdit:
 
 
 def _poses(wishes: dict[str, Any], run: Run) -> dict[str, Floats]:
-    """Where the scanner has to be for the views that an edit names anew."""
+    """Return the requested scanner pose of each changed or added view."""
     candidates = run.candidates.T_object_scanner[:, 0]
     T_base_object = run.scene.T_base_object
 

@@ -1,10 +1,11 @@
-"""A rotary table beside the fixed plan of every part: views, coverage, and the ceiling of what can be measured there.
+"""A rotary table compared with the fixed plan of every part: views, coverage, and the ceiling of coverage.
 
-The parts of benchmarks/parts.py, each by `cell plan` with and without `--table`. A table measures more, and is asked
-for 99 % of that; *at fixed* are the views, chosen from the table's candidates and samples, that measure as much of the
-surface as the fixed plan, with the bound on them; where all of them measure less, by how much. *Attainable* is what any
-pose that the arm takes up beside the table would measure, *ceiling* what any scanner pose would past part, post and
-table (report.json). With SCAN_CELL_RUNS=FOLDER plans are kept there, and those that are there taken.
+The parts of benchmarks/parts.py, each by `cell plan` with and without `--table`. A table measures more; its target is
+99 % of that. *at fixed* is the number of views, selected from the candidates and samples of the table, that measure the
+same share of the surface as the fixed plan, with its bound; if all of them measure less, the difference is given.
+*Attainable* is the share that any pose that the arm reaches at the table can measure, *ceiling* the share that any
+scanner pose can measure past part, post and table (report.json). With SCAN_CELL_RUNS=FOLDER plans are stored there and
+used again.
 """
 
 import os
@@ -22,7 +23,7 @@ from planner import cover
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per part."""
+    """Return one row for each part."""
     with tempfile.TemporaryDirectory() as scratch:
         kept = Path(os.environ.get("SCAN_CELL_RUNS", scratch))
         return [_row(name, arguments, kept) for name, arguments in parts(Path(scratch))]
@@ -57,7 +58,7 @@ def _row(name: str, arguments: tuple[str, ...], kept: Path) -> dict[str, Any]:
 
 
 def _at(record: Run, share: float) -> str:
-    """The fewest views found of a run's candidates that measure a share of the surface, and their bound."""
+    """Return the fewest views found among a run's candidates that measure a share of the surface, and their bound."""
     M, areas = record.measurability, record.measurability.samples.areas
     coverable = float(areas[np.diff(M.indptr) > 0].sum())
     less = share - coverable / float(areas.sum())

@@ -29,7 +29,7 @@ LARGEST = 100_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoverFile:
-    """A set-cover problem of a file.
+    """A set-cover problem from a file.
 
     Attributes:
         format: name of the format.

@@ -1,4 +1,4 @@
-"""HiGHS and CP-SAT on the plain integer programme of a task, and the textbook search, limited by processor time.
+"""HiGHS and CP-SAT on the integer programme of a task, and the textbook search, limited by processor time.
 
     cover the rows     min c x    s.t. M x >= 1
     a share of area    min c x    s.t. M x >= y, a y >= share of the coverable area

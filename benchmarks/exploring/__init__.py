@@ -1,1 +1,1 @@
-"""A laboratory for the choice of the next view: no robot, an equal first view, rivals behind one signature."""
+"""Laboratory for the choice of the next view: no robot, an equal first view, one signature for all rivals."""

@@ -1,8 +1,8 @@
-"""The cell's arm in the laboratory: which poses it takes up beside the unseen cylinder, and how long it moves.
+"""The arm of the cell in the laboratory: reachable poses around the unseen cylinder, and duration of motions.
 
-A pose counts where a joint solution keeps the clearance from the whole cylinder, from post, pedestal and itself; moves
-are timed as straight joint moves to the nearest solution, from home on. What stands in the way *between* poses is not
-asked: the seconds compare policies, and are less than those of `cell explore`, which goes home after each batch.
+A pose is reachable if a joint solution keeps the clearance from the whole cylinder, from post, pedestal and the arm.
+Moves are timed as straight joint moves to the nearest solution, starting at home. Obstacles *between* poses are not
+checked: the seconds compare policies, and are less than those of `cell explore`, which goes home after each batch.
 """
 
 import tempfile
@@ -29,7 +29,7 @@ from planner.viewpoints.viewpoints import viewpoints_from_poses
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellArm:
-    """The arm in the cell, the part's cylinder being an obstacle as a whole."""
+    """The arm in the cell; the whole cylinder of the part is an obstacle."""
 
     world: World
     checker: CollisionChecker
@@ -38,7 +38,7 @@ class CellArm:
 
     @classmethod
     def of(cls, work: ExplorationContext, settings: Settings, scanner: Scanner) -> "CellArm":
-        """The cell of the first stage of an exploration."""
+        """Return the cell of the first stage of an exploration."""
         believed = belief.belief_part(belief.surface_about(work.unknown, work.unknown.belief_voxels()), work.name)
         with tempfile.TemporaryDirectory() as folder:
             unseen = Path(folder) / "unseen.ply"
@@ -50,7 +50,7 @@ class CellArm:
         return cls(world, MujocoCollisionChecker(world), kinematics_of(world.model))
 
     def are_reachable(self, poses: Floats) -> Bools:
-        """Which of (n, 4, 4) poses [m] the arm takes up."""
+        """Return which of (n, 4, 4) poses [m] the arm reaches."""
         names = [T.tobytes() for T in poses]
         new = [row for row, name in enumerate(names) if name not in self._asked]
         if new:
@@ -60,7 +60,7 @@ class CellArm:
         return np.array([self._asked[name] for name in names], dtype=np.bool_)
 
     def seconds(self, poses: Sequence[Floats]) -> Floats:
-        """(n,) seconds of motion until each of the poses is reached."""
+        """Return (n,) seconds of motion until each of the poses is reached."""
         views = viewpoints_from_poses(np.stack(poses), np.zeros((len(poses), 3)), np.full(len(poses), -1))
         world, found = self.world, []
         reached = reach.solve_reach(views, world.T_base_object, world.T_flange_scanner, self.kinematics, self.checker)

@@ -1,16 +1,16 @@
-"""Views of a density frontier: where measured surface ends, without voxels or meshes in between.
+"""Views of a density frontier, the end of measured surface, without voxels or meshes.
 
 R. Border, J. D. Gammell, P. Newman, "Surface Edge Explorer (SEE): planning next best views directly from 3D
 observations", ICRA 2018; R. Border, J. D. Gammell, "The Surface Edge Explorer (SEE): a measurement-direct approach to
 next best view planning", International Journal of Robotics Research 43 (2024), doi:10.1177/02783649241230098.
 
-A point is a core where at least so many others lie within the resolution radius, else an outlier; an outlier with cores
-beside it is of the frontier. At each such point the neighbours' principal axes give the surface's normal, the
-direction from their middle to the point the way out of what is measured; the view stands at the view distance along the
-normal. A frontier point that was looked at and still is one is looked at again, tilted over the edge. Views that
-known points stand in the way of are turned about the point until none does. Taken is the view nearest to the last one
-(2018), or the one that sees the most frontier points (2024). Left out: filtering of noise, of which the laboratory has
-none.
+A point is a core if at least a given number of others lie within the resolution radius, else an outlier. An outlier
+with cores among its neighbours belongs to the frontier. At each frontier point the principal axes of the neighbours
+give the normal of the surface, and the direction from their mean to the point leads out of the measured surface. The
+view is at the view distance along the normal. A frontier point that remains one after a view gets another view, tilted
+over the edge. Views that are obstructed by known points are turned about the frontier point until they are free. The
+next view is the nearest to the last one (2018), or the one that sees the most frontier points (2024). The filtering of
+noise is omitted: the laboratory has no noise.
 """
 
 import numpy as np
@@ -22,15 +22,15 @@ from planner.viewpoints.viewpoints import aim_viewpoints
 
 _TILTS = np.radians((0, 20, 40, 60))
 _TURNS = 8
-_CELLS = 3  # of the grid by which points are thinned, on a resolution radius
+_CELLS = 3  # cells of the thinning grid per resolution radius
 _CORE = 0.7
-_MOST = 300  # frontier points that a view is proposed for, spread evenly
+_MOST = 300  # frontier points with a proposed view, spread evenly
 _OVER = np.radians((0, 45, 90))
 """Tilts over the edge, one for each attempt at a frontier point."""
 
 
 def density_frontier(setting: str) -> Policy:
-    """The policy of a setting: resolution radius in edges of a voxel, and which view is taken."""
+    """Return the policy of a setting: resolution radius in edges of a voxel, and rule for the next view."""
     edges, chosen = setting.split(", ")
     return lambda lab, rng: _Explorer(lab, float(edges), chosen == "most")
 
@@ -70,7 +70,7 @@ class _Explorer:
         return poses[best]
 
     def _frontier(self, points: Floats, tree: cKDTree) -> np.ndarray:
-        """Rows of outliers with cores among their neighbours.
+        """Return the rows of outliers with cores among their neighbours.
 
         A core has at least `_CORE` of the neighbours that a point inside a plane patch has at the thinned spacing; at a
         straight edge a point has half of them.
@@ -80,7 +80,10 @@ class _Explorer:
         return np.flatnonzero(~core & np.isfinite(near_core))
 
     def _proposed(self, known: Known, at: Floats, normals: Floats, tree: cKDTree) -> tuple[Floats, np.ndarray]:
-        """(n, 4, 4) views, one for a frontier point, the least tilted one that is free and unhidden, and whose."""
+        """Return (n, 4, 4) views and the frontier point of each.
+
+        Each view is the least tilted free and unobstructed one of its frontier point.
+        """
         free, open_ = self._lab.free(known.space), np.arange(len(at))
         poses, aimed = [], []
         for tilt in _TILTS:
@@ -98,20 +101,20 @@ class _Explorer:
         return np.concatenate(poses), np.concatenate(aimed)
 
     def _unhidden(self, at: Floats, out: Floats, tree: cKDTree) -> Bools:
-        """(n,) whether no known point lies near the line of sight, from two radii above the surface on."""
+        """Return (n,) whether no known point lies near the line of sight beyond two radii above the surface."""
         away = np.arange(2.5, 2.5 + 2 * self._lab.cylinder.radius / self._radius, 1.0) * self._radius
         line = at[:, None] + away[None, :, None] * out[:, None]
         near = tree.query(line.reshape(-1, 3), distance_upper_bound=self._radius)[0].reshape(len(at), -1)
         return np.asarray(np.isinf(near).all(axis=1))
 
     def _sees(self, poses: Floats, at: Floats, normals: Floats) -> Bools:
-        """(frontier, poses) whether a view faces each frontier point within field of view and range."""
+        """Return (frontier, poses) whether a view faces each frontier point within field of view and range."""
         seen = [self._lab.scanner.reject((at - T[:3, 3]) @ T[:3, :3], normals @ T[:3, :3]) == 0 for T in poses]
         return np.stack(seen, axis=1)
 
 
 def _thinned(known: Known, spacing: float) -> tuple[Floats, Floats]:
-    """(P, 3) a point of each cell of a grid, and the unit direction to the source that saw it."""
+    """Return (P, 3) a point of each cell of a grid, and the unit direction to the source that measured it."""
     points = np.concatenate(known.points)
     origin = np.concatenate(
         [np.broadcast_to(T[:3, 3], p.shape) for T, p in zip(known.poses, known.points, strict=True)]
@@ -124,7 +127,7 @@ def _thinned(known: Known, spacing: float) -> tuple[Floats, Floats]:
 def _normal_and_way_out(
     points: Floats, tree: cKDTree, at: int, radius: float, towards: Floats
 ) -> tuple[Floats, Floats]:
-    """The surface's unit normal at a point, on the side from which it was seen, and the way out of what is measured."""
+    """Return the unit normal at a point, on the measured side, and the direction out of the measured surface."""
     near = points[tree.query_ball_point(points[at], radius)]
     middle = near.mean(axis=0)
     axes = np.linalg.svd(near - middle, full_matrices=False)[2]
@@ -136,7 +139,7 @@ def _normal_and_way_out(
 
 
 def _tilted(normals: Floats, tilt: float, turn: float) -> Floats:
-    """(n, 3) unit vectors at an angle from normals, about them by another."""
+    """Return (n, 3) unit vectors at an angle from normals, at another angle about them."""
     helper = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     a = np.cross(normals, helper)
     a /= np.linalg.norm(a, axis=1, keepdims=True)

@@ -1,9 +1,9 @@
-"""A scanner that may stand anywhere that is known to be free, in front of a part that nobody knows.
+"""A scanner that may take any pose in known free space, in front of an unknown part.
 
-Without an arm there is no post and no floor: what is compared is the choice of views alone. With one, poses are those
-that it takes up (`arm`). Every policy begins with the same view, sees
-the same voxels (`planner.explore.space`) and the same points, and is judged on the same 100,000 samples of the true
-part. Explored frame, metres: its origin is the cylinder's middle.
+Without an arm there is no post and no floor: the rows compare the choice of views alone. With an arm, poses are those
+that it reaches (`arm`). Every policy begins with the same view, has the same voxels (`planner.explore.space`) and the
+same points, and is evaluated on the same 100,000 samples of the true part. Explored frame, metres: its origin is the
+middle of the cylinder.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,12 +43,12 @@ from planner.viewpoints.viewpoints import aim_viewpoints, optimal_scanning_zone
 CLEARANCE = 0.01
 """Distance [m] of laser source and sensor from all that was not seen free."""
 
-_SIDES = 200  # that are tried for the first view
+_SIDES = 200  # directions that are tried for the first view
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """What a policy knows.
+    """Knowledge of a policy.
 
     Attributes:
         space: the voxels.
@@ -70,18 +70,18 @@ Policy = Callable[["Lab", Generator], NextView]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lab:
-    """A part, hidden, and the scanner before it.
+    """A hidden part and a scanner in front of it.
 
     Attributes:
-        cylinder: that holds the part; known.
-        scanner: its law.
+        cylinder: known cylinder that contains the part.
+        scanner: the sensor model.
         eye: where it looks.
         settings: standoffs, rolls and faces of a plan.
-        unknown: the voxels before anything was seen.
-        part: the true part; no policy looks at it.
-        samples: of it, on which is judged.
-        caster: of it.
-        arm: that holds the scanner; None: nothing does.
+        unknown: the voxels before the first view.
+        part: the true part; policies do not use it.
+        samples: samples of the true part for the evaluation.
+        caster: ray caster of the true part.
+        arm: arm that holds the scanner; None: no arm.
     """
 
     cylinder: Cylinder
@@ -112,11 +112,14 @@ class Lab:
 
     @property
     def middle_range(self) -> float:
-        """Middle of the scanner's range [m]."""
+        """Return the middle of the range of the scanner [m]."""
         return (self.frustum.near + self.frustum.far) / 2
 
     def first_view(self, rng: Generator) -> Floats:
-        """(4, 4) of the view that all begin with: level, from a random side, at the middle of the range or farther."""
+        """Return the (4, 4) first view of all policies.
+
+        It is level, from a random side, at the middle of the range or farther.
+        """
         distance, free = max(self.middle_range, self.cylinder.radius + self.frustum.near), self.free(self.unknown)
         for _ in range(_SIDES):
             turn = rng.uniform(0, 2 * np.pi)
@@ -127,10 +130,10 @@ class Lab:
         raise RuntimeError("no level view of the cylinder's middle can be taken here")
 
     def free(self, space: VoxelSpace) -> Callable[[Floats], Bools]:
-        """Tells at which of (n, 4, 4) poses the scanner can stand.
+        """Return at which of (n, 4, 4) poses the scanner is free.
 
-        Source and sensor keep `CLEARANCE` from all that was not seen free, to within two voxels; an arm, where there is
-        one, takes the pose up.
+        Source and sensor keep `CLEARANCE` from all space that was not seen free, to within two voxels. If there is an
+        arm, it reaches the pose.
         """
         halves = (space.state != FREE).reshape([n for whole in space.state.shape for n in (whole // 2, 2)])
         away = ndimage.distance_transform_edt(~halves.any(axis=(1, 3, 5))) * 2 * space.edge
@@ -147,7 +150,7 @@ class Lab:
         return stands
 
     def look(self, known: Known, T: Floats) -> Known:
-        """What is known after a view from (4, 4)."""
+        """Return the knowledge after a view from the pose (4, 4)."""
         points = virtual_scan.scan(self.scanner, T, self.caster, self.part).points
         eye, source, sensor = (
             self.frustum,
@@ -160,14 +163,14 @@ class Lab:
         return Known(space, (*known.poses, T), (*known.points, points))
 
     def by_views(self, poses: tuple[Floats, ...]) -> Floats:
-        """(n,) visible coverage after each of the views, share of the true surface."""
+        """Return (n,) visible coverage after each of the views, share of the true surface."""
         seen = find_measured(np.stack(poses)[:, None], self.samples, self.scanner, (self.caster,), each=True)
         return np.cumsum(marginal_coverage(seen))
 
     def ceiling(self) -> float:
-        """Share of the true surface that some pose measures which keeps the clearance from the true part.
+        """Return the share of the true surface that poses with clearance from the true part measure.
 
-        Poses are grown as for a plan of the true part; it is what a search found, not a proof.
+        Poses are grown as for a plan of the true part. The share is the result of a search and not a proven bound.
         """
         planning = decimate(self.part, min(self.settings.faces, len(self.part.faces)))
         space = replace(self.unknown, state=np.full_like(self.unknown.state, FREE))
@@ -179,17 +182,20 @@ class Lab:
         return float(self.samples.areas[seen].sum() / self.samples.areas.sum())
 
     def holder(self, casters: tuple[RayCaster, ...], free: Callable[[Floats], Bools]) -> growth.ViewEvaluator:
-        """Who holds the scanner wherever it can stand, past what the casters know."""
+        """Return the evaluator of views at all free poses.
+
+        Occlusion is that of the casters.
+        """
         return growth.ViewEvaluator(self.scanner, casters, lambda T: free(T[:, 0]), np.eye(4)[None])
 
     def candidates(
         self, planning: TriangleMesh, scouts: SurfaceSamples, casters: tuple[RayCaster, ...],
         free: Callable[[Floats], Bools], schedule: Sequence[growth.SearchStage] = growth.SCHEDULE,
     ) -> tuple[Floats, Floats]:  # fmt: skip
-        """Candidates of a plan of a surface: before its faces, and grown for what those leave open.
+        """Return the candidates of a plan of a surface: over its faces, and grown for the remaining samples.
 
         Returns:
-            (V, 4, 4) and the (V,) distance of each to what it is aimed at [m].
+            (V, 4, 4) poses and the (V,) distance of each to its target [m].
         """
         before = optimal_scanning_zone(planning, self.settings.standoffs, self.settings.rolls)
         zone = before.T_object_scanner[:, 0]
@@ -204,7 +210,7 @@ class Lab:
 
 
 def explored(lab: Lab, policy: Policy, seed: int, views: int) -> tuple[Known, Floats]:
-    """What is known after so many views of a policy, and its (n,) true coverage after each."""
+    """Return the knowledge after a number of views of a policy, and (n,) its true coverage after each view."""
     known = lab.look(Known(lab.unknown), lab.first_view(np.random.default_rng([seed, 0])))
     next_view = policy(lab, np.random.default_rng([seed, 1]))
     while len(known.poses) < views and (T := next_view(known)) is not None:

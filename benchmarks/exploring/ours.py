@@ -1,6 +1,6 @@
-"""The stepwise policy of `cell explore`, a view at a time from the equal first view on, for a scanner without an arm.
+"""The stepwise policy of `cell explore`, one view at a time from the common first view, for a scanner without an arm.
 
-Belief, gain and candidates are those of a stage (`cell.explore.stage`); of what an arm adds nothing is left.
+Belief, gain and candidates are those of a stage (`cell.explore.stage`), without the terms of the arm.
 """
 
 from dataclasses import replace
@@ -27,7 +27,7 @@ from planner.viewpoints.refinement import improve_views
 
 
 class _Ours:
-    """What is kept from view to view beside the voxels: what became of what was expected."""
+    """State between views in addition to the voxels: the record of expected and measured results."""
 
     def __init__(self, lab: Lab, rng: Generator) -> None:
         self._lab, self._rng = lab, rng
@@ -66,7 +66,10 @@ class _Ours:
         return poses[best]
 
     def _learned(self, known: Known) -> VoxelSpace:
-        """The voxels with the tries of all views; the record learns of the last as in `cell.explore.explore`."""
+        """Return the voxels with the tries of all views.
+
+        The record is updated with the last view as in `cell.explore.explore`.
+        """
         space = replace(known.space, tries=self._before.tries)
         if self._expected is None:
             return space
@@ -82,5 +85,5 @@ class _Ours:
 
 
 def stepwise(lab: Lab, rng: Generator) -> NextView:
-    """The policy."""
+    """Return the stepwise policy."""
     return _Ours(lab, rng)

@@ -1,4 +1,4 @@
-"""All policies of the laboratory, and the settings that their rivals were tuned over."""
+"""All policies of the laboratory, and the settings over which their rivals were tuned."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType

@@ -1,11 +1,12 @@
-"""Whether what an exploration says of its open surface is true: asked again of the true part, which the planner hid.
+"""Check the reasons that an exploration reports for open surface against the true part, unknown to the planner.
 
-The last planning step is made again from what is on disk; it gives the open samples, their reasons and the candidates.
-A reason that a candidate fails at is true where planning among the same candidates on the true mesh, in the cell with
-the true part and without unseen space, comes to the same sentence for the same sample: for the true surface where that
-is within a voxel's edge of it, else for the place where it was believed. "Views that might measure it ..." is true
-where no candidate that the arm reaches there measures it. "Views ... did not" is true where less than half of the true
-surface within a voxel's edge of the sample is measured by the executed views, "a rest" where any within two edges is.
+The last planning step is repeated from the stored files; it gives the open samples, their reasons and the candidates. A
+reason for which a candidate fails is true if planning among the same candidates on the true mesh, in the cell with the
+true part and without unseen space, gives the same sentence for the same sample. The sample is moved to the true surface
+if that is within the edge of a voxel, else it stays at its believed place. "Views that might measure it ..." is true if
+no candidate that the arm reaches there measures it. "Views ... did not" is true if the executed views measure less than
+half of the true surface within the edge of a voxel around the sample, "a rest" if they measure any of it within two
+edges.
 """
 
 from dataclasses import replace
@@ -41,10 +42,10 @@ from planner.why.why import Reason
 
 
 def judged(work: ExplorationContext, file: ExploreFile, known_model: Path) -> dict[str, tuple[float, float]]:
-    """Area [mm2] of what is open by stated sentence, and of it the area for which the sentence is true.
+    """Return the open area [mm2] of each stated sentence, and the area for which the sentence is true.
 
     Args:
-        work: what the exploration was begun with, its folder finished.
+        work: inputs of the exploration, whose folder is finished.
         file: its explore.json.
         known_model: run folder of the plan of the true part.
     """
@@ -62,7 +63,7 @@ def judged(work: ExplorationContext, file: ExploreFile, known_model: Path) -> di
 
 
 def _true(work: ExplorationContext, file: ExploreFile, said: UncoveredReport, known_model: Path) -> Bools:
-    """(N,) for which samples the reason is true."""
+    """Return (N,) for which samples the reason is true."""
     run = open_finished(known_model)
     cell, part = read_cell(run), run.mesh("reference.ply")
     assert work.ground_truth is not None
@@ -86,7 +87,7 @@ def _true(work: ExplorationContext, file: ExploreFile, said: UncoveredReport, kn
 
 
 def _on_part(believed: SurfaceSamples, to_object: Floats, part: TriangleMesh, edge: float) -> SurfaceSamples:
-    """Samples in the object frame, those that lie within a voxel's edge of the true part on its surface."""
+    """Return samples in the object frame; those within a voxel's edge of the true part are moved to its surface."""
     points = believed.points @ to_object[:3, :3].T + to_object[:3, 3]
     normals = believed.normals @ to_object[:3, :3].T
     found = ClosestPointQuery(part).closest(points)
@@ -97,13 +98,13 @@ def _on_part(believed: SurfaceSamples, to_object: Floats, part: TriangleMesh, ed
 
 
 def _poses(work: ExplorationContext, file: ExploreFile, to_object: Floats) -> Floats:
-    """(V, 4, 4) from where the rays of all views went out, object frame [m]."""
+    """Return (V, 4, 4) the poses of all executed views, object frame [m]."""
     scans = state.read_scans(work.paths, file.stages)
     return np.stack([to_object @ (scan.T_reported if scan.T_true is None else scan.T_true) for scan in scans])
 
 
 def _measured_beside(points: Floats, poses: Floats, cell: RunCell, radius: float) -> Floats:
-    """(n,) share of the true surface within a radius of points (n, 3) [m] that views (V, 4, 4) measure."""
+    """Return (n,) share of the true surface within a radius of points (n, 3) [m] that views (V, 4, 4) measure."""
     truth = held_out_samples(cell.reference, cell.planning, 0)
     seen = find_measured(poses[:, None], truth, cell.scanner, (cell.part_caster, cell.occluder_caster))
     beside = cKDTree(truth.points).query_ball_point(points, radius)

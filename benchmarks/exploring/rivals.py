@@ -1,7 +1,7 @@
-"""Views that no plan chose (uniform, random), and those that look along most unknown voxels.
+"""Rivals: predefined views (uniform, random), and views with the most unknown voxels along their rays.
 
-Each is a function of a view space (`view_spaces`) that gives a policy. What the publications have beside it and is left
-out here, because the laboratory has no use for it, stands in each docstring.
+Each is a function of a view space (`view_spaces`) that returns a policy. Each docstring lists the parts of the
+publication that are omitted, because the laboratory has no use for them.
 """
 
 from dataclasses import replace
@@ -17,11 +17,11 @@ from planner.geometry.rigid import rotation_matrices
 from planner.values import Floats, Ints
 
 _MANY, _CANDIDATES = 2000, 250
-_EVERY = 6  # of the scanner's rays, along both sides of its grid: 1,600 are cast for a candidate
+_EVERY = 6  # rays along both sides of the grid of the scanner: 1,600 are cast for each candidate
 
 
 def uniform(space: str) -> Policy:
-    """Pre-programmed views, evenly over the view space: each is the farthest from all before.
+    """Return the policy of predefined views over the view space: each is the farthest from all before.
 
     Farthest points first: Gonzalez, "Clustering to minimize the maximum intercluster distance", Theoretical Computer
     Science 38 (1985); as the order of views Scott, Roth and Rivest call it the generic view sphere.
@@ -42,7 +42,7 @@ def uniform(space: str) -> Policy:
 
 
 def random(space: str) -> Policy:
-    """A pose of the view space at random, turned about its axis at random."""
+    """Return the policy of random poses of the view space with random rolls."""
 
     def begun(lab: Lab, rng: Generator) -> NextView:
         poses = VIEW_SPACES[space](lab, _MANY)
@@ -59,15 +59,16 @@ def random(space: str) -> Policy:
 
 
 def volumetric(space: str) -> Policy:
-    """The candidate whose rays cross the most unknown voxels before they meet an occupied one, or leave the range.
+    """Return the policy of the candidate whose rays cross the most unknown voxels.
+
+    A ray ends at an occupied voxel or at the end of the range.
 
     C. I. Connolly, "The determination of next best views", ICRA 1985, counts unknown voxels in sight of candidates on a
     view sphere; J. I. Vasquez-Gomez and others, "Volumetric next-best-view planning for 3D object reconstruction with
     positioning error", International Journal of Advanced Robotic Systems 11 (2014), doi:10.5772/58759, casts rays
     through a voxel grid of candidates about the object. Rays pass through unknown voxels, as in the count of unobserved
-    voxels by S. Isler and others, ICRA 2016; what rays without an answer went through is free, as there. Left out:
-    overlap for registration (poses are known here), positioning
-    errors and the way of the robot.
+    voxels by S. Isler and others, ICRA 2016; voxels along rays without a hit are free, as there. Omitted: overlap for
+    registration (poses are known here), positioning errors and the path of the robot.
     """
 
     def begun(lab: Lab, rng: Generator) -> NextView:
@@ -102,7 +103,7 @@ def _unknown_along(lab: Lab, known: Known, T: Floats, rays: Floats) -> int:
 def _crossed(
     source: Floats, directions: Floats, near: float, far: float, low: Floats, edge: float, state: Ints
 ) -> np.int64:
-    """Unknown voxels along rays, over all of them, looked at every edge of a voxel."""
+    """Return the number of unknown voxels along all rays, sampled at steps of one voxel edge."""
     found = np.int64(0)
     for ray in range(len(directions)):
         begin, end = near, far  # within the grid

@@ -1,4 +1,4 @@
-"""Where rivals look for views that know nothing of the part but its cylinder; each rival is tuned over these four."""
+"""View spaces of rivals, which use only the cylinder of the part; each rival is tuned over these four."""
 
 from collections.abc import Callable
 
@@ -12,7 +12,7 @@ _GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
 def _sphere(lab: Lab, count: int, radius: float) -> Floats:
-    """(count, 4, 4) on a sphere about the cylinder's middle, looking at it: a Fibonacci lattice."""
+    """Return (count, 4, 4) poses on a sphere about the middle of the cylinder, facing it: a Fibonacci lattice."""
     z, turn = 1 - (2 * np.arange(count) + 1) / count, _GOLDEN * np.arange(count)
     level = np.sqrt(1 - z**2)
     out = np.column_stack([level * np.cos(turn), level * np.sin(turn), z])
@@ -20,7 +20,7 @@ def _sphere(lab: Lab, count: int, radius: float) -> Floats:
 
 
 def _cylinder(lab: Lab, count: int, standoff: float) -> Floats:
-    """(count, 4, 4) before the cylinder's surface at a standoff, looking at it squarely; evenly by area."""
+    """Return (count, 4, 4) poses at a standoff from the surface of the cylinder, facing it, evenly by area."""
     radius, height = lab.cylinder.radius, lab.cylinder.height
     side = round(count * height / (height + radius))
     top = (count - side + 1) // 2

@@ -25,7 +25,7 @@ from planner.path.path import connect
 from planner.values import Floats
 
 _HALF_STEP = np.radians(0.5 / STEPS_PER_DEGREE)
-_INNER = 0.95  # of the joint range: questions about singularities and edges keep off the limits
+_INNER = 0.95  # margin in shares of the joint range: poses near singularities and edges are not near the limits
 _SAME_POSE = 1e-9  # m and 1: two poses
 _SAME_BRANCH = 1e-3  # rad; branches that belong to one pose are farther apart, but for those that coincide
 _OURS = "closed form"

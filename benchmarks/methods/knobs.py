@@ -42,7 +42,7 @@ Value = float | int
 
 @dataclass(frozen=True, slots=True)
 class KnobResult:
-    """What came of one value.
+    """Result of one value of a knob.
 
     Attributes:
         error: against the truth, in the knob's unit.

@@ -180,7 +180,7 @@ def _asked(line: str, samples: int) -> tuple[TriangleMesh, EmbreeRayCaster, Surf
 
 @lru_cache(maxsize=2)
 def _measured_by(line: str, faces: int, samples: int) -> tuple[float, int, int, float]:
-    """What the plan of a planning mesh measures; its views; the mesh's faces, and how far the part is off it."""
+    """Return measured share and views of a plan, faces of its planning mesh, and deviation of the part from that."""
     mesh, caster, judged = _asked(line, samples)
     planning, scanner = decimate(mesh, faces), LaserArea()
     views = optimal_scanning_zone(planning, [_STANDOFF_M], _ROLLS)

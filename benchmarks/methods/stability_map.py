@@ -1,4 +1,4 @@
-"""One stability map: what breaks a method, what is asked of it there, and how the answer is judged."""
+"""One stability map: the varied number, the requests at each value, and the evaluation of the results."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -7,13 +7,13 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class MapPoint:
-    """What came of one value.
+    """Result at one value.
 
     Attributes:
-        success: share of what was asked that came out right, 0 to 1.
-        error: in the unit of the map; None where nothing came out that could have one.
-        says: what the program tells its user there, in its own words; "" where it says nothing.
-        more: what else is worth a column.
+        success: share of correct results, 0 to 1.
+        error: in the unit of the map; None if no result has an error.
+        says: message of the program to its user at this value; "" if there is none.
+        more: further columns.
     """
 
     success: float
@@ -28,25 +28,25 @@ Look = Callable[[str, float, int], MapPoint]
 
 @dataclass(frozen=True, slots=True)
 class Map:
-    """What breaks one method, and how that is seen.
+    """Number that limits one method, and the measure of its effect.
 
     Attributes:
-        title: the question, for people.
-        parameter: what is varied, with its unit.
-        success: what counts as success.
-        error: what the error is, with its unit.
-        enough: share that has to succeed.
-        tolerated: largest error that is good.
-        values: of the parameter.
-        quick: those of the reduced study.
-        look: asks the method.
-        sizes: how much is asked at each value: in full, and in the reduced study.
-        lines: variants that are drawn beside each other.
-        quick_lines: how many of them the reduced study has.
-        compared: lines that are no method of the program's, for comparison.
-        borders: (lowest, highest) value that is safe, where the program compares with a number; None for an end that it
-            finds out by trying.
-        judged_by_error: whether the program compares the error itself with `tolerated`; what lies below it is safe.
+        title: title of the chart.
+        parameter: name of the varied number with its unit.
+        success: definition of success.
+        error: definition of the error with its unit.
+        enough: required share of successes.
+        tolerated: largest acceptable error.
+        values: values of the parameter.
+        quick: values of the reduced study.
+        look: function that runs the method.
+        sizes: number of requests at each value, in the full and in the reduced study.
+        lines: variants that are drawn in one chart.
+        quick_lines: number of variants in the reduced study.
+        compared: lines of other methods, for comparison.
+        borders: (lowest, highest) safe value, if the program compares with a number; None for an end that it determines
+        by trial.
+        judged_by_error: whether the program compares the error itself with `tolerated`; smaller errors are safe.
         scale: of the axis: "log", "linear" or "symlog".
         linear_below: of a "symlog" axis.
         towards_small: whether the method breaks towards small values; the axis then runs to the right towards them.

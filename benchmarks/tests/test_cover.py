@@ -1,4 +1,4 @@
-"""Benchmark of view selection: generators, rivals, judge, tables; a reduced form of each figure."""
+"""View selection benchmark: generators, rivals, evaluation, tables, and a reduced form of each figure."""
 
 import json
 from itertools import combinations
@@ -21,7 +21,7 @@ SMALL = "uniform:30x14:0.15:3"
 
 
 def fewest(M: Any, costs: Any, enough: Any) -> int:
-    """Brute force over all choices of columns: the least cost of those that are enough."""
+    """Return the least cost of the sufficient column sets, by enumeration."""
     n = M.shape[1]
     return min(
         int(costs[list(chosen)].sum())
@@ -33,7 +33,10 @@ def fewest(M: Any, costs: Any, enough: Any) -> int:
 
 @pytest.mark.parametrize("n", [3, 4, 5])
 def test_rows_of_cyc_are_the_four_cycles_of_the_cube(n: int) -> None:
-    """So many, each of four edges that close; and the fewest that meet all of the 3-cube's are 3 (Chung 1992)."""
+    """The rows are the cycles of four edges of the n-cube.
+
+    The fewest edges that meet all cycles of the 3-cube are 3 (Chung 1992).
+    """
     M, costs = cyc(n)
     assert M.shape == (n * (n - 1) * 2 ** (n - 3), n * 2 ** (n - 1))
     assert set(np.diff(M.indptr)) == {4}
@@ -55,7 +58,7 @@ def test_rows_of_clr_are_colourings() -> None:
 
 @pytest.mark.parametrize("name", ["rail:40x600:1", SMALL, "caps:50x40:0.2:2"])
 def test_seeded_instances_are_the_same_again_and_coverable(name: str) -> None:
-    """Bytes by seed; no row without a column; costs above zero."""
+    """Equal seeds give equal instances. Every row has a column, and costs are positive."""
     first, again = generate(name), generate(name)
     assert first is not None
     assert again is not None
@@ -68,11 +71,14 @@ def test_seeded_instances_are_the_same_again_and_coverable(name: str) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_textbook_search_finds_the_cheapest_of_small_instances(seed: int) -> None:
-    """Brute force; every cover that it tells of is one, and cheaper than the one before."""
+    """The search finds the least cost of enumeration.
+
+    Every yielded cover is complete and cheaper than the one before.
+    """
     rng = np.random.default_rng(seed)
     dense = rng.random((18, 11)) < 0.25
     dense[np.arange(18), rng.integers(0, 11, 18)] = True
-    dense[:, 0] |= dense.sum(axis=1) < 2  # the search itself knows no reduction: every row has an alternative
+    dense[:, 0] |= dense.sum(axis=1) < 2  # the search has no reduction: every row has an alternative
     dense[:, 1] |= dense.sum(axis=1) < 2
     costs = rng.integers(1, 5, 11) if seed % 2 else np.ones(11, np.int64)
     ticks = iter(range(100))
@@ -88,7 +94,10 @@ def test_the_textbook_search_finds_the_cheapest_of_small_instances(seed: int) ->
 @pytest.mark.parametrize("asked", [{}, {"coverage": 0.8}, {"max_views": 3}])
 @pytest.mark.parametrize("solver", [ours, rivals.highs])
 def test_solvers_agree_with_brute_force(solver: Any, asked: dict[str, Any]) -> None:
-    """Covers, a share of the area, the most with k views; bounds meet what is found, in the units of the judge."""
+    """Covers, a share of the area, and the most area with k views equal the results of enumeration.
+
+    Bounds equal the results, in the units of the evaluation.
+    """
     pytest.importorskip("highspy")
     task = Task(SMALL, "any", 1.0, **asked)
     instance = load(task.instance, False)
@@ -107,7 +116,7 @@ def test_solvers_agree_with_brute_force(solver: Any, asked: dict[str, Any]) -> N
 
 
 def test_the_judge_sees_what_is_missing() -> None:
-    """A cover without one of its columns, and a column that may not be used."""
+    """The evaluation rejects a cover without one of its columns, and a column that may not be used."""
     instance = load(SMALL, False)
     everything = list(range(14))
     assert evaluate_answer(Task(SMALL, "any"), everything)["good"]
@@ -127,7 +136,10 @@ def test_units_are_whole_and_uncoverable_rows_do_not_count() -> None:
 
 
 def test_reduced_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drawn_pictures: None) -> None:
-    """Processes of their own; a figure asked for again computes nothing; tables say what the rows say; a picture."""
+    """Tasks run in separate processes, and stored rows are not computed again.
+
+    The tables have the numbers of the rows, and the chart is drawn.
+    """
     monkeypatch.chdir(Path(__file__).parents[2])
     tasks = [Task("cyc4", solver, 0.2, weighted=False) for solver in ("ours", "textbook")]
     rows = Store(tmp_path).rows(tasks)
@@ -150,7 +162,10 @@ def test_reduced_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drawn_
 
 
 def test_the_most_coverage_is_proven_where_the_bound_meets_it() -> None:
-    """Worst and best seed in percent of what can be covered; a bound less than one unit above is a proof."""
+    """The table has the worst and the best seed in percent of the coverable area.
+
+    A bound less than one unit above the result is a proof.
+    """
     shared = {"instance": "a", "name": "a", "max_views": 3, "coverable": 200, "views": 3, "cpu_s": 1.0}
     rows = [
         shared | {"solver": "ours", "covered": 150, "bound": 160.0},
@@ -165,7 +180,10 @@ def test_the_most_coverage_is_proven_where_the_bound_meets_it() -> None:
 
 
 def test_a_curve_holds_the_mean_of_what_was_known_at_a_time() -> None:
-    """Traces of two instances; until both have an answer the missing one counts as the most the chart shows."""
+    """The curve is the mean over the traces of two instances.
+
+    A missing answer counts as the upper limit of the chart.
+    """
     rows = [
         {"instance": "a", "trace": [(0.1, 12), (0.5, 10)], "seconds": 1.0, "cpu_s": 1.0, "cost": 10, "views": 9},
         {"instance": "b", "trace": [(0.2, 20)], "seconds": 1.0, "cpu_s": 1.0, "cost": 20, "views": 9},

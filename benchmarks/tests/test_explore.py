@@ -15,14 +15,14 @@ from planner.explore.space import FREE, OCCUPIED, UNKNOWN
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory: pytest.TempPathFactory) -> Lab:
-    """A ball of 120 mm, of which every view of the view sphere sees as much."""
+    """Return a ball of 120 mm, of which every view of the view sphere measures the same share."""
     path = tmp_path_factory.mktemp("lab") / "ball.stl"
     trimesh.creation.icosphere(subdivisions=4, radius=60.0).export(path)
     return Lab.of(str(path), "mm")
 
 
 def test_random_views_of_a_ball_cover_what_random_caps_do(ball: Lab) -> None:
-    """So many random caps, each a share f of a sphere, leave (1 - f)^n of it on average (Solomon 1978)."""
+    """Random caps, n of a share f of a sphere, leave (1 - f)^n of it uncovered on average (Solomon 1978)."""
     rng, n, times = np.random.default_rng(0), 5, 12
     next_view = rivals.random("sphere, middle")(ball, rng)
     known = Known(ball.unknown, (ball.first_view(rng),))
@@ -69,7 +69,10 @@ def test_unknown_voxels_along_rays_are_those_of_brute_force() -> None:
 
 
 def test_the_frontier_of_a_patch_is_its_border(ball: Lab) -> None:
-    """Of an evenly measured square all frontier points lie near its border, and all of the border near one of them."""
+    """Frontier points of an evenly measured square lie near its border.
+
+    Every part of the border is near a frontier point.
+    """
     explorer = density._Explorer(ball, 12.0, most=True)
     spacing = explorer._radius / density._CELLS
     side = np.arange(40) * spacing

@@ -36,7 +36,10 @@ class _Bench:
 
 
 def test_a_plan_that_comes_back_unchanged_is_left_behind() -> None:
-    """However far its few views cover beyond the target: raising that by the gap alone would end at all views."""
+    """A plan that does not change with a raised target is replaced by one with more views.
+
+    Raising the target by the gap alone would end with all views.
+    """
     full: Any = SimpleNamespace(cover=SimpleNamespace(views=np.arange(9)), visible=1.0)
     bench: Any = _Bench()
     assert len(fewest_for(bench, None, None, 0.841, full)[0].cover.views) == 6  # type: ignore[arg-type]  # not looked at

@@ -52,7 +52,7 @@ def test_what_is_no_knob_is_refused_with_where_it_is_measured() -> None:
 
 @pytest.mark.parametrize(("name", "text", "values"), [("samples", "1, 4", [1, 4]), ("scan", "1,0.5", [1.0, 0.5])])
 def test_values_of_an_option_are_of_the_knob_s_kind(name: str, text: str, values: list[Any]) -> None:
-    """Whole numbers stay whole."""
+    """Integers stay integers, and other values are numbers of the kind of the knob."""
     found = KNOBS[name].parsed(text)
     assert found == values
     assert [type(value) for value in found] == [type(value) for value in values]
@@ -66,13 +66,13 @@ def test_values_of_an_option_are_of_the_knob_s_kind(name: str, text: str, values
     ],
 )  # fmt: skip
 def test_a_value_of_another_kind_is_refused(name: str, text: str) -> None:
-    """With what is valid."""
+    """The refusal states the valid values."""
     with pytest.raises(UsageError, match="valid are"):
         KNOBS[name].parsed(text)
 
 
 def _outcome(trial: Trial) -> Outcome:
-    """What a trial might give: time grows, error falls."""
+    """Return an outcome of a trial with an error of 2, or of 0 for the value 16."""
     seconds = {"work": 2.0, "processor": 1.5, "total": 9.0}
     error = 0.0 if '"value": 16' in trial.settings else 2.0
     return Outcome(trial, {"error": error, "more": {"views": 5}}, "", seconds)
