@@ -51,7 +51,7 @@ def run() -> list[dict[str, Any]]:
             if wanted == ["all"] or name.removesuffix(" (file)") in wanted:
                 for policy, seed in product(policies, seeds):
                     rows.append(_row(name, words, policy, seed))
-                    print(rows[-1], file=sys.stderr, flush=True)  # noqa: T201 -- keeps finished rows if the run is interrupted
+                    print(rows[-1], file=sys.stderr, flush=True)  # noqa: T201 -- keeps rows of an interrupted run
     return rows
 
 

@@ -1,9 +1,9 @@
-"""Hull or triangles: missed collisions, false rejections and time, against triangle-exact truth.
+"""Collision shapes, hull or triangles: missed collisions, false rejections and time against triangle-exact truth.
 
 Configurations are joint configurations of candidate viewpoints (those that `reach` checks) and of random scanner poses
-near the surface, restricted to those at which only the part can be too near. Truth is python-fcl on the part's true
-triangles: boxes as boxes, cylinders between the prisms around and inside them. The few configurations that these two
-decide differently, or within 10 um of the clearance, are left out. Times are processor times of one run.
+near the surface, restricted to those at which only the part can be too near. Truth is python-fcl on the true triangles
+of the part: boxes as boxes, cylinders between the prisms around and inside them. The few configurations for which these
+two prisms disagree, or within 10 um of the clearance, are omitted. Times are processor times of one run.
 """
 
 import tempfile

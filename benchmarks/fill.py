@@ -1,4 +1,4 @@
-"""Methods to fill the measurability matrix: seconds beside the error of the predicted visible coverage.
+"""Methods to fill the measurability matrix: seconds and error of the predicted visible coverage.
 
 For every built-in part with its default settings: `rays` at four resolutions and `aimed` with four numbers of samples
 per face. Each matrix selects a plan (greedy cover); the share of area that it predicts for the plan is compared with

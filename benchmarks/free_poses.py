@@ -1,8 +1,8 @@
-"""Attainable coverage: a free search over poses for each of 10^5 samples, beside the generators.
+"""Attainable coverage: a free search over poses for each of 10^5 samples, compared with the generators.
 
 This is the oracle of `plan.candidates = "grown"`. Each held-out sample is searched for by itself: poses are drawn over
 all six degrees of freedom (`pose_sampling`), 2,048 for each sample that none measures. A pose counts if the scanner's
-conditions hold, both lines of sight are free of part and occluders, and the arm takes it up without collision. A pose
+conditions hold, both lines of sight are free of part and occluders, and the arm reaches it without collision. A pose
 that measures one sample is tested on the others, so that those need no search. Samples, order and poses differ from
 those of candidate growth, and no pose is transferred from a neighbour.
 

@@ -1,7 +1,8 @@
 """Corrupted frames and telegrams against the codecs: none may crash them, none may be accepted as another message.
 
 Valid frames with random values are corrupted as on a wire: flipped bits, lost, doubled, swapped or inserted bytes,
-bursts, cuts, joined frames, exchanged digits. A decoded frame that is none of the valid frames is a *false accept*. A
+bursts, cuts, joined frames, exchanged digits. A decoded frame that is not among the valid frames is a *false
+accept*. A
 CRC-32 must detect it in frames of the serial line and blocks of the register map; RTU telegrams have a CRC-16 before
 the block's CRC-32, TCP telegrams only the latter.
 
@@ -34,7 +35,7 @@ Decoder = Callable[[bytes], "set[bytes]"]
 
 
 def corrupted(good: bytes, other: bytes, rng: np.random.Generator) -> bytes:
-    """Return one frame after a bad wire."""
+    """Return one frame after corruption."""
     data, n = bytearray(good), len(good)
     at = int(rng.integers(n))
     match int(rng.integers(9)):

@@ -1,10 +1,10 @@
-"""Mangled files of every kind that is read: meshes, scenes (TOML), JSON and npz of run folders.
+"""Corrupted input files of every kind: meshes, scenes (TOML), JSON and npz of run folders.
 
-Good files are mangled as bytes (`benchmarks.fuzz.corrupted`), or in their structure: a number, a word or a bracket of a
-text becomes a nasty one, of a GLB in its description, of an npz in a member with its zip made anew. Whatever comes out
-must be read, or refused by an error of ours that ends with an exit code other than 70, in bounded time and memory: the
-readers run in a process of their own whose memory is limited to a gigabyte more than it begins with, where an
-allocation beyond that is an error that counts.
+Valid files are corrupted as bytes (`benchmarks.fuzz.corrupted`) or in their structure: a number, a word or a bracket of
+a text is replaced by an invalid one, in a GLB the description, in an npz one member of a valid zip. Every result must
+be read, or refused by an error of this program with an exit code other than 70, in bounded time and memory. The readers
+run in a separate process. Its memory is limited to one gigabyte above the initial use, and an allocation beyond that
+counts as an error.
 
 `FUZZ_FILES` in the environment changes the 10,000 files.
 """
@@ -53,9 +53,9 @@ class Kind:
     """A kind of file.
 
     Attributes:
-        name: of it.
-        files: good ones by name.
-        read: reads a file; what it raises is judged.
+        name: name of the kind.
+        files: valid files by name.
+        read: function that reads a file; its exceptions are evaluated.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Kind:
 
 
 def structured(good: bytes, rng: np.random.Generator) -> bytes:
-    """A text in which some tokens are others, or gone."""
+    """Return the text with some tokens replaced or removed."""
     found = list(_TOKEN.finditer(good))
     for at in sorted(rng.choice(len(found), min(len(found), int(rng.integers(1, 4))), replace=False), reverse=True):
         token = found[int(at)]
@@ -76,7 +76,7 @@ def structured(good: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _glb(good: bytes, rng: np.random.Generator) -> bytes:
-    """A GLB whose description is another."""
+    """Return the GLB with another description."""
     size = struct.unpack_from("<I", good, 12)[0]
     described = structured(good[20 : 20 + size].rstrip(), rng)
     described += b" " * (-len(described) % 4)
@@ -86,7 +86,7 @@ def _glb(good: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _npz(good: bytes, rng: np.random.Generator) -> bytes:
-    """An npz of which one member is mangled, its zip whole."""
+    """Return the npz with one corrupted member in a valid zip."""
     with zipfile.ZipFile(io.BytesIO(good)) as stored:
         members = {name: stored.read(name) for name in stored.namelist()}
     name = sorted(members)[int(rng.integers(len(members)))]
@@ -104,7 +104,7 @@ def _npz(good: bytes, rng: np.random.Generator) -> bytes:
 
 
 def disturbed(name: str, good: bytes, rng: np.random.Generator) -> bytes:
-    """One mangled file."""
+    """Return one corrupted file."""
     if rng.random() < 0.4:
         return corrupted(good, good, rng)
     if name.endswith(".glb"):
@@ -115,11 +115,11 @@ def disturbed(name: str, good: bytes, rng: np.random.Generator) -> bytes:
 
 
 def kinds(run: Path, scan: Path | None) -> list[Kind]:
-    """All kinds, with good files of each.
+    """Return all kinds with valid files of each.
 
     Args:
-        run: a run folder, whose JSON and npz files are taken.
-        scan: a file of a scan; None leaves it out.
+        run: a run folder, whose JSON and npz files are used.
+        scan: a file of a scan; None omits it.
     """
     body = trimesh.creation.icosphere(subdivisions=1, radius=20.0)
     meshes = {f"body.{kind}": body.export(file_type=kind) for kind in ("obj", "ply", "off")}
@@ -173,7 +173,7 @@ def _judged(kind: Kind, count: int, seed: int) -> Iterator[tuple[str, float, str
                 ended, told = "read", ""
             except CellError as error:
                 ended, told = ("refused", "") if error.exit_code != CellError.exit_code else ("foreign", str(error))
-            except BaseException as error:  # whatever it is, it would end as a bug
+            except BaseException as error:  # any other exception is a bug
                 ended, told = "foreign", f"{name} {number}: {type(error).__name__}: {str(error)[:200]}"
             yield ended, process_time() - began, told
 
@@ -200,13 +200,13 @@ def _into(pipe: Any, kind: Kind, count: int, seed: int) -> None:
 
 
 def fuzzed(run: Path, scan: Path | None, count: int, seed: int = 0) -> list[dict[str, Any]]:
-    """A row for each kind of file, each read in a process of its own.
+    """Return a row for each kind of file, each read in a separate process.
 
     Args:
         run: a run folder.
         scan: a file of a scan.
-        count: mangled files in all.
-        seed: of the mangling.
+        count: total number of corrupted files.
+        seed: seed of the corruption.
     """
     rows = []
     for kind in kinds(run, scan):
@@ -225,7 +225,7 @@ def fuzzed(run: Path, scan: Path | None, count: int, seed: int = 0) -> list[dict
 
 
 def run() -> list[dict[str, Any]]:
-    """A row for each kind of file, of a plan of a small part."""
+    """Return a row for each kind of file, of a plan of a small part."""
     from cell import api
 
     with tempfile.TemporaryDirectory() as folder:

@@ -316,7 +316,7 @@ def execute(folder: Path, case: Case) -> Executed:
             continue
         with contextlib.nullcontext() if case.pages else no_pictures():
             code, out, errors = _cell(home, shlex.split(step))
-        if code == INTERRUPTED and case.name != _STOPPED:  # the person at the terminal ends all runs
+        if code == INTERRUPTED and case.name != _STOPPED:  # Ctrl-C ends all runs
             raise KeyboardInterrupt
         (home / f"step {number}.log").write_text(f"cell {step}\n{out}\n{errors}\nexit code {code}\n")
         artefacts[f"step {number}: exit code"] = {"data": str(code)}
@@ -406,7 +406,7 @@ def _json(text: str, root: Path) -> dict[str, str]:
 
 
 def _canonical(value: Any, root: Path, *, words: bool) -> Any:
-    """Return JSON without what differs between two executions and, unless `words`, without what rewording changes."""
+    """Return JSON without values that differ between executions and, unless `words`, without wording."""
     if isinstance(value, dict):
         return {
             key: _canonical(each, root, words=words)

@@ -10,16 +10,16 @@ import numpy as np
 
 from planner.values import Floats, Ints
 
-_PI = 3.141592  # as TSPLIB has it: its distances depend on it
+_PI = 3.141592  # value of TSPLIB, on which its distances depend
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gtsp:
-    """One file.
+    """A file.
 
     Attributes:
-        name: as it stands in the file.
-        cost: (N, N) whole-numbered costs.
+        name: name in the file.
+        cost: (N, N) integer costs.
         sets: node numbers from 0, cluster by cluster.
     """
 
@@ -28,7 +28,7 @@ class Gtsp:
     sets: list[Ints]
 
     def sorted_by_cluster(self) -> tuple[Floats, Ints]:
-        """The costs with nodes numbered cluster by cluster, and (m + 1,) first node of each cluster."""
+        """Return the costs with nodes numbered cluster by cluster, and (m + 1,) first node of each cluster."""
         nodes = np.concatenate(self.sets)
         return np.ascontiguousarray(self.cost[np.ix_(nodes, nodes)]), np.cumsum([0, *map(len, self.sets)])
 
@@ -37,7 +37,7 @@ def read(path: Path) -> Gtsp:
     """Read a file.
 
     Raises:
-        ValueError: naming the file and what is wrong with it.
+        ValueError: if the file is invalid; it names the file and the fault.
     """
     header, sections = _split(path.read_text(encoding="ascii"))
     n = int(header["DIMENSION"])
@@ -51,7 +51,7 @@ def read(path: Path) -> Gtsp:
     np.fill_diagonal(cost, 0.0)
     sets: list[list[int]] = [[]]
     numbers = [int(word) for word in sections["GTSP_SET_SECTION"]]
-    named = True  # the number that follows is a set's name
+    named = True  # the number that follows is the name of a set
     for number in numbers:
         if named:
             named = False
@@ -69,7 +69,7 @@ def read(path: Path) -> Gtsp:
 
 
 def _split(text: str) -> tuple[dict[str, str], dict[str, list[str]]]:
-    """Keywords with their values, and sections with their words."""
+    """Return keywords with their values, and sections with their words."""
     header: dict[str, str] = {}
     sections: dict[str, list[str]] = {}
     words: list[str] | None = None
@@ -113,7 +113,7 @@ def _distances(xy: Floats, kind: str) -> Floats:
 
 
 def _matrix(weights: Floats, n: int, layout: str) -> Floats:
-    """A symmetric matrix from one of the layouts of EXPLICIT weights."""
+    """Return a symmetric matrix from one of the layouts of EXPLICIT weights."""
     cost = np.zeros((n, n))
     if layout == "FULL_MATRIX":
         return weights.reshape(n, n).copy()

@@ -1,7 +1,7 @@
 """One hard move of the dynamic arm, recorded at every simulation step.
 
-Three segments with every axis, at full speed and acceleration and without a jerk limit, so that accelerations jump:
-time steps, integrators and gains are compared with it. Metres, radians, seconds.
+Three segments with every axis, at full speed and acceleration and without a jerk limit, so that accelerations jump. It
+is the reference for the comparison of time steps, integrators and gains. Metres, radians, seconds.
 """
 
 from dataclasses import dataclass

@@ -1,1 +1,1 @@
-"""The methods examined: what their speed costs in accuracy, and where each of them breaks."""
+"""Examination of the methods: accuracy against speed, and limits of validity."""

@@ -1,7 +1,7 @@
-"""Where the arm's methods break: inverse kinematics, joint limits, reach, path search.
+"""Limits of the methods of the arm: inverse kinematics, joint limits, reach, path search.
 
-The truth is in how the questions are made: a pose comes from joint angles that are at a given distance from a
-singularity, a limit or the edge of the envelope, so that it is known what has to be found. Metres, radians.
+The truth is known from the construction: a pose comes from joint angles at a given distance from a singularity, a limit
+or the edge of the envelope. Metres, radians.
 """
 
 from functools import lru_cache
@@ -25,11 +25,11 @@ from planner.path.path import connect
 from planner.values import Floats
 
 _HALF_STEP = np.radians(0.5 / STEPS_PER_DEGREE)
-_INNER = 0.95  # margin in shares of the joint range: poses near singularities and edges are not near the limits
+_INNER = 0.95  # share of the joint range: poses near singularities and edges are not near the limits
 _SAME_POSE = 1e-9  # m and 1: two poses
-_SAME_BRANCH = 1e-3  # rad; branches that belong to one pose are farther apart, but for those that coincide
+_SAME_BRANCH = 1e-3  # rad; distinct branches of one pose are farther apart
 _OURS = "closed form"
-_NUMERIC_STARTS, _NUMERIC_GOOD = 4, 1e-7  # of the numeric inverse; m and rad
+_NUMERIC_STARTS, _NUMERIC_GOOD = 4, 1e-7  # starts of the numeric inverse; its tolerance in m and rad
 
 
 @lru_cache(maxsize=1)
@@ -38,20 +38,20 @@ def _kinematics() -> KukaKinematics:
 
 
 def _forearm() -> tuple[float, float]:
-    """Length of the forearm's bar, and the A3 at which the arm is stretched."""
+    """Return the length of the forearm bar, and the A3 at which the arm is stretched."""
     arm = _kinematics().arm
     return float(np.hypot(arm.d4, arm.a3)), float(-np.arctan2(-arm.a3, arm.d4))
 
 
 def _drawn(count: int, seed: int = 0) -> Floats:
-    """(count, 6) joint angles within the inner part of the range."""
+    """Return (count, 6) joint angles within the inner part of the range."""
     limits = _kinematics().limits
     rng = np.random.default_rng(seed)
     return np.asarray(rng.uniform(_INNER * limits.lower, _INNER * limits.upper, (count, 6)))
 
 
 def singular(line: str, distance: float, count: int) -> MapPoint:
-    """Inverse kinematics beside the singularities: is the branch that a pose came from there, and how good is it?"""
+    """Test inverse kinematics near the singularities: share of poses with exact branches, and residual."""
     kinematics = _kinematics()
     forearm, stretched = _forearm()
     q = _drawn(count)
@@ -82,7 +82,7 @@ def singular(line: str, distance: float, count: int) -> MapPoint:
 
 
 def limit(line: str, inside_deg: float, count: int) -> MapPoint:
-    """Joint limits: are set-points inside the range kept and those outside refused?"""
+    """Test joint limits: set-points inside the range are kept, set-points outside are refused."""
     kinematics, limits = _kinematics(), _kinematics().limits
     axis = int(line.removeprefix("A")) - 1
     q = _drawn(count)
@@ -104,7 +104,7 @@ def limit(line: str, inside_deg: float, count: int) -> MapPoint:
 
 
 def reached(line: str, inside_mm: float, count: int) -> MapPoint:
-    """Reach at the envelope's edge: of poses that are surely in or out of reach, how many are told right?"""
+    """Test reach at the edge of the envelope: share of correct answers for poses surely inside or outside."""
     kinematics = _kinematics()
     arm, (forearm, stretched) = kinematics.arm, _forearm()
     q = _drawn(4 * count if line == _OURS else count)
@@ -137,7 +137,7 @@ def reached(line: str, inside_mm: float, count: int) -> MapPoint:
 
 
 def _numeric(T: Floats, seed: int) -> float:
-    """Smallest residual [m, rad] that least squares on MuJoCo's chain of bodies comes to, from some starts."""
+    """Return the smallest residual [m, rad] of least squares on MuJoCo's chain of bodies, from several starts."""
     model = _model()
     data = mujoco.MjData(model)
     limits = _kinematics().limits
@@ -163,14 +163,14 @@ def _model() -> mujoco.MjModel:
     return robot.load()
 
 
-_BALL = 0.02 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])  # a part that is out of the way
+_BALL = 0.02 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])  # a part far from the arm
 _FORWARD = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0.0]])  # the flange looks along the base's x
 _FLANGE, _ASIDE = np.array([1.1, 0.0, 0.8]), np.array([-0.2, 0.35, 0.1])
 
 
 @lru_cache(maxsize=4)
 def _between_plates(beyond_mm: float) -> tuple[World, MujocoCollisionChecker]:
-    """Two plates: the housing's width, the clearance on both sides and `beyond_mm` on both sides apart."""
+    """Return two plates whose gap is the housing width, both clearances, and `beyond_mm` on both sides."""
     middle = 40.0 + Scene().clearance_mm + beyond_mm + 10.0
     plates = [
         {"name": name, "shape": "box", "size_mm": [100, 20, 500], "position_mm": [1190, y, 800]}
@@ -184,7 +184,7 @@ def _between_plates(beyond_mm: float) -> tuple[World, MujocoCollisionChecker]:
 
 
 def _place(checker: MujocoCollisionChecker, position: Floats, turn: float) -> Floats:
-    """The first set-point with the flange there, turned about its axis, that is free between wide plates."""
+    """Return the first free set-point between wide plates with the flange there, turned about its axis."""
     T = np.eye(4)
     T[:3, :3] = _FORWARD @ Rotation.from_rotvec([0, 0, turn]).as_matrix()
     T[:3, 3] = position
@@ -195,7 +195,7 @@ def _place(checker: MujocoCollisionChecker, position: Floats, turn: float) -> Fl
 
 
 def path(line: str, beyond_mm: float, seeds: int) -> MapPoint:
-    """Path search into a gap that is a little wider than the clearance needs: how often is a path found?"""
+    """Test path search into a gap slightly wider than the clearance requires: share of found paths."""
     world, checker = _between_plates(beyond_mm)
     _, wide = _between_plates(20.0)
     inside, outside = _place(wide, _FLANGE, 0.0), _place(wide, _FLANGE + _ASIDE, np.radians(60))

@@ -1,4 +1,4 @@
-"""The body that stability maps of rays and surfaces ask about: bumpy, closed, with a deep dent; made in no time."""
+"""Body for the stability maps of rays and surfaces: bumpy, closed, with a deep dent, and quickly computed."""
 
 from functools import lru_cache
 

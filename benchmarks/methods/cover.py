@@ -1,17 +1,18 @@
-"""`python -m benchmarks cover ...`: view selection against HiGHS, CP-SAT and a textbook search at equal time.
+"""`python -m benchmarks cover ...`: view selection compared with HiGHS, CP-SAT and a textbook search at equal time.
 
     solve       solve a set-cover file of the OR-Library with the product's solvers
     matrices    make the measurability matrices of all parts (the parts of benchmarks/parts.py)
     files       covers of set-cover files and generated instances: cost, excess, bound, processor seconds
     parts       covers of measurability matrices at each coverage
     most        the most coverage with k views
-    steady      processor seconds for each second's worth of budget
+    steady      processor seconds for each second of budget
     large       two large generated matrices, with memory
     chart       excess over the best known against processor time
 
 An instance is a set-cover file, or the name of a generated one (`benchmarks/covers/generators.py`): cyc9,
-rail:500x20000:1. Each figure keeps its runs in the folder of `--out`, resumes there, and leaves FIGURE.json and
-FIGURE.md there. Our solver gets counted effort, the rivals processor seconds. Without words: one minute of all.
+rail:500x20000:1. Each figure stores its runs in the folder of `--out`, resumes there, and writes FIGURE.json and
+FIGURE.md there. Our solver gets counted effort, the rivals processor seconds. Without a subcommand every figure is
+computed in a reduced form, in one minute.
 """
 
 import json
@@ -52,7 +53,7 @@ _OUT = Path("sim_runs/cover")
 
 @app.callback(invoke_without_command=True)
 def reduced(context: typer.Context) -> None:
-    """Without words: every figure in a minute, on generated instances."""
+    """Compute a reduced form of every figure on generated instances, in one minute."""
     if context.invoked_subcommand is None:
         files(["cyc6", "rail:100x2000:1", "uniform:200x1000:0.02:1"], 1.0, ["ours", "textbook", "HiGHS"])
         steady(["cyc7", "uniform:500x500:0.05:1"], [1.0, 2.0])
@@ -85,8 +86,8 @@ def solve(
 
 @app.command()
 def matrices(folder: Annotated[Path, typer.Argument(help="Where the files are written.")]) -> None:
-    """Make the measurability matrices of all parts, with the robot and without."""
-    from benchmarks.covers.visibility import write  # MuJoCo and Embree, for this alone
+    """Make the measurability matrices of all parts, with and without the robot."""
+    from benchmarks.covers.visibility import write  # loads MuJoCo and Embree, which only this command needs
 
     for path in write(folder):
         Console().print(str(path))
@@ -97,7 +98,7 @@ def files(
     instances: _Instances, seconds: _Seconds = 10.0, solver: _Solvers = None, seeds: _Seeds = 1,
     weighted: _Weighted = False, out: _Out = _OUT,
 ) -> None:  # fmt: skip
-    """Covers of set-cover files and generated instances."""
+    """Compute covers of set-cover files and generated instances."""
     rows = _runs(out, _tasks(instances, solver, [seconds], seeds, weighted=weighted))
     lines = figures.covers(rows)
     _show(out, "weighted" if weighted else "files", lines, figures.sums(lines))
@@ -108,7 +109,7 @@ def parts(
     instances: _Instances, seconds: _Seconds = 10.0, solver: _Solvers = None, seeds: _Seeds = 1,
     coverage: _Coverages = None, out: _Out = _OUT,
 ) -> None:  # fmt: skip
-    """Covers of measurability matrices, full and at shares of the coverable area."""
+    """Compute covers of measurability matrices, full and at shares of the coverable area."""
     rows, said = list[Row](), list[str]()
     for share in coverage or [1.0]:
         found = _runs(out, _tasks(instances, solver, [seconds], seeds, coverage=share))
@@ -123,7 +124,7 @@ def most(
     first: Annotated[int, typer.Option(help="Fewest views.")] = 1,
     last: Annotated[int, typer.Option(help="Most views.")] = 15, out: _Out = _OUT,
 ) -> None:  # fmt: skip
-    """The most coverage with k views; give HiGHS 60 s once and ours 10 s, they are kept apart."""
+    """Compute the most coverage with k views. Use one call with 60 s for HiGHS and one with 10 s for ours."""
     tasks = [task for k in range(first, last + 1) for task in _tasks(instances, solver, [seconds], seeds, max_views=k)]
     _show(out, "most", figures.most(_runs(out, tasks)), [])
 
@@ -134,7 +135,7 @@ def steady(
     seconds: Annotated[list[float] | None, typer.Option(help="Budgets. Default: 1, 2, 5.")] = None,
     weighted: _Weighted = False, coverage: _Coverages = None, out: _Out = _OUT,
 ) -> None:  # fmt: skip
-    """Processor seconds for each second's worth of budget."""
+    """Measure processor seconds for each second of budget."""
     budgets = seconds or [1.0, 2.0, 5.0]
     rows = [
         row
@@ -146,7 +147,7 @@ def steady(
 
 @app.command()
 def large(solver: _Solvers = None, out: _Out = _OUT) -> None:
-    """Large generated matrices, with memory."""
+    """Solve large generated matrices and measure memory."""
     tasks = [task for name, seconds in LARGE for task in _tasks([name], solver, [seconds], 1)]
     _show(out, "large", figures.large(_runs(out, tasks)), [])
 
@@ -156,7 +157,7 @@ def chart(
     instances: _Instances, seconds: _Seconds = 10.0, solver: _Solvers = None, weighted: _Weighted = False,
     out: _Out = _OUT,
 ) -> None:  # fmt: skip
-    """Excess over the best known against processor time, the mean over these instances."""
+    """Draw the mean excess over the best known against processor time."""
     rivals = [name for name in solver or ["ours", "textbook", "HiGHS", "CP-SAT"] if name != "ours"]
     budgets = [budget for budget in CHARTED if budget <= seconds]
     tasks = _tasks(instances, None, budgets, 1, weighted=weighted)

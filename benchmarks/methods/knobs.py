@@ -1,7 +1,7 @@
-"""Numbers that trade speed for accuracy: planning faces, samples on each, rays of a scan; seconds and error of each.
+"""Numbers that trade speed for accuracy: planning faces, samples per face, rays of a scan; seconds and error of each.
 
-Each function takes the bench, the knob's value and how often to repeat, and gives an error against a truth, with the
-seconds that the work took. The truths are computed once a process. No robot.
+Each function takes the bench, the value of the knob and the number of repeats, and returns an error against a truth and
+the seconds of the work. The truths are computed once per process. No robot is used.
 """
 
 from collections.abc import Callable, Mapping
@@ -34,8 +34,8 @@ from planner.viewpoints.viewpoints import Viewpoints
 FINEST = 4
 """Candidates of so many times the default planning faces stand for all that there could be."""
 
-_FEATURES, _SELECTION = 0, 2  # streams of randomness, as `cell plan` has them
-_NOISE = 30e-6  # of the scans, along the ray [m]
+_FEATURES, _SELECTION = 0, 2  # random streams, as in `cell plan`
+_NOISE = 30e-6  # noise of the scans along the ray [m]
 
 Value = float | int
 
@@ -45,9 +45,9 @@ class KnobResult:
     """Result of one value of a knob.
 
     Attributes:
-        error: against the truth, in the knob's unit.
+        error: deviation from the truth, in the unit of the knob.
         seconds: "work" on the wall clock, "processor" over all cores.
-        more: what else is worth a column.
+        more: further columns.
     """
 
     error: float
@@ -57,17 +57,17 @@ class KnobResult:
 
 @dataclass(frozen=True, slots=True)
 class Knob:
-    """One knob.
+    """A number that trades speed for accuracy.
 
     Attributes:
-        title: what is turned, for people.
-        unit: of its values, as beside a number; "" for a count.
-        values: its range, the fastest first.
-        default: the value that a plan and a scan take.
-        truth: what an error is measured against.
-        measure: what the error is, with its unit.
-        error_unit: unit of the error alone.
-        turn: computes one value: of bench, value and repeats.
+        title: title of the knob.
+        unit: unit of its values; "" for a count.
+        values: its range, fastest first.
+        default: default value of a plan and a scan.
+        truth: reference of the error.
+        measure: definition of the error with its unit.
+        error_unit: unit of the error.
+        turn: function of bench, value and repeats that computes one result.
     """
 
     title: str
@@ -80,10 +80,10 @@ class Knob:
     turn: Callable[[Bench, Any, int], KnobResult]
 
     def parsed(self, text: str) -> list[Value]:
-        """Values of an option, separated by commas, of the kind that the knob has.
+        """Return the values of an option, separated by commas, as numbers of the kind of the knob.
 
         Raises:
-            UsageError: if one is of another kind.
+            UsageError: if a value is of another kind.
         """
         return [self._parsed(piece) for piece in text.split(",")]
 
@@ -100,7 +100,7 @@ class Knob:
 
 
 def decimation(bench: Bench, share: float, repeats: int) -> KnobResult:
-    """Planning faces as a share of the default: surface that the plan loses for want of candidates and samples."""
+    """Measure the surface lost by a share of the default planning faces: fewer candidates and samples."""
 
     def work() -> tuple[Viewpoints, cover.Cover]:
         planning = _planning(bench, share)
@@ -119,7 +119,7 @@ def decimation(bench: Bench, share: float, repeats: int) -> KnobResult:
 
 
 def samples(bench: Bench, per_face: int, repeats: int) -> KnobResult:
-    """Aimed samples per face: how far the matrix's claim for its plan is from the truth."""
+    """Measure the error of the predicted coverage for a number of aimed samples per face."""
     planning, candidates = bench.planning, bench.candidates
     rng = np.random.default_rng([bench.scene.plan.seed, _FEATURES])
     features = draw_samples(bench.part.reference, planning, per_face * len(planning.faces), rng)
@@ -129,7 +129,7 @@ def samples(bench: Bench, per_face: int, repeats: int) -> KnobResult:
 
 
 def scan(bench: Bench, step_deg: float, repeats: int) -> KnobResult:
-    """Angle between the rays of a scan, the surface made of it: rms deviation of that from the part [um]."""
+    """Measure the rms deviation of the surface from the part [um] for an angle between the rays of a scan."""
     points: list[ScanCloud] = []
 
     def work() -> Reconstruction:
@@ -152,7 +152,7 @@ def _planning(bench: Bench, share: float) -> TriangleMesh:
 
 @lru_cache(maxsize=2)
 def _most(bench: Bench) -> float:
-    """Share of the surface that the finest candidates measure together, on the held-out samples."""
+    """Return the share of the surface that the finest candidates measure together, on the held-out samples."""
     candidates = generate_viewpoints(bench.scene, bench.settings, bench.part, _planning(bench, FINEST))
     found = find_measured(candidates.T_object_scanner, bench.samples, bench.scanner, (bench.caster,))
     return float(bench.samples.areas[found].sum() / bench.samples.areas.sum())
@@ -185,13 +185,13 @@ KNOBS: Mapping[str, Knob] = {
 
 
 def turn(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """One value of one knob: the trial.
+    """Compute one value of one knob: the trial.
 
     Args:
-        settings: scene and files (`cell.study.bench`), knob, value, and repeats, of which the best counts.
+        settings: scene and files (`cell.study.bench`), knob, value, and repeats, the best of which counts.
 
     Returns:
-        The error, in the knob's unit, and what else is worth a column; under "seconds" what the work took.
+        The error in the unit of the knob, and further columns; under "seconds" the time of the work.
     """
     found = KNOBS[settings["knob"]].turn(shared_bench(settings), settings["value"], settings["repeats"])
     return {"error": found.error, "more": dict(found.more), "seconds": dict(found.seconds)}

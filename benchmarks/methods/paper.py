@@ -1,6 +1,6 @@
 """`python -m benchmarks paper [TABLE]`: the paper's Tables 1 to 5, its method and ours side by side, 86 rows in all.
 
-Without words: Table 2 of the mug with a twentieth of the faces, in a minute.
+Without arguments: Table 2 of the mug with a twentieth of the faces, in a minute.
 """
 
 from typing import Annotated

@@ -1,7 +1,7 @@
-"""`python -m benchmarks pictures`: the pictures of docs/images drawn anew, each by what makes it and with its commit.
+"""`python -m benchmarks pictures`: draw the pictures of docs/images again, each with its commit.
 
-Without names those are drawn that take seconds: of the default plan, of the tightest moment, of the built-in parts. The
-others are charts of benchmarks and studies, minutes to an hour each; they are drawn where they are named.
+Without names it draws the pictures that take seconds: the default plan, the tightest moment, the built-in parts. The
+others are charts of benchmarks and studies, which take minutes to an hour each; they are drawn if they are named.
 """
 
 import os
@@ -31,7 +31,7 @@ Maker = Callable[[Path], None]
 
 
 def _python(folder: Path, *words: object) -> None:
-    """A command of this clone, in a folder."""
+    """Run a command of this clone in a folder."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", *map(str, words)]
     done = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL)
@@ -50,7 +50,7 @@ def _default_plan(folder: Path) -> None:
 
 
 def _page(folder: Path, browser: str) -> None:
-    """The page of the plan as a browser shows it, the third view chosen."""
+    """Draw the page of the plan in a browser, with the third view selected."""
     page = (folder / "run" / "view.html").read_text(encoding="utf-8")
     (folder / "run" / "page.html").write_text(
         page + '<script>onload = () => document.querySelectorAll("#numbers button")[2].click()</script>',
@@ -76,7 +76,7 @@ def _benchmark(name: str) -> Maker:
 
 
 def _study(words: str, made: str, picture: str) -> Maker:
-    """A study with its folder; `made` is what it calls the picture."""
+    """Run a study in its folder; `made` is the name of the picture in the study."""
 
     def make(folder: Path) -> None:
         _python(folder, *words.split(), "--out", "study")
@@ -121,7 +121,7 @@ def pictures(
     names: Annotated[list[str] | None, typer.Argument(metavar="[FILE.png ...]", help=", ".join(MADE))] = None,
     into: Annotated[Path, typer.Option(metavar="DIR", help="Where they go.")] = IMAGES,
 ) -> None:
-    """Draw pictures of the documentation anew; without names those that take seconds."""
+    """Draw pictures of the documentation again; without names those that take seconds."""
     if unknown := sorted(set(names or []) - set(MADE)):
         raise UsageError(f"no picture is called {', '.join(unknown)}; there are {', '.join(MADE)}")
     chosen = dict.fromkeys(MADE[name] for name in names) if names else QUICK
@@ -139,14 +139,14 @@ def _wanted(made: Sequence[str], names: Sequence[str] | None) -> list[str]:
     return [picture for picture in made if not names or picture in names]
 
 
-@cache  # asked before the first picture is written, which changes the tree
+@cache  # read before the first picture is written, which changes the tree
 def _commit() -> str:
     words = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
     return subprocess.run(words, capture_output=True, text=True).stdout.strip() or "unknown"
 
 
 def _keep(picture: Path, folder: Path) -> None:
-    """Write a picture with the commit that drew it as its comment."""
+    """Write a picture with its commit as a comment."""
     commit = _commit()
     info = PngInfo()
     info.add_text("Comment", f"scan-cell {commit}")
