@@ -1,4 +1,4 @@
-"""Collision-free paths on seeded scenes: success of RRT-Connect, beside ompl over the same certified edges.
+"""Collision-free paths on seeded scenes: success of RRT-Connect compared with ompl over the same certified edges.
 
 In each scene two pairs of reachable set-points with a blocked straight move are drawn: any two, and two of the twelve
 (more if that is too few) closest to an obstacle. `planner.path.path.connect` searches with its default budget, then, if

@@ -1,7 +1,7 @@
-"""The main job as whole processes: seconds, memory and the error of the predicted coverage, on every part.
+"""The main job in separate processes: seconds, memory and the error of the predicted coverage, on every part.
 
-The parts of benchmarks/parts.py. The first row is the cold process: no cache of parts or matrices. Set SCAN_CELL_PLACE
-to plan somewhere else.
+The parts of benchmarks/parts.py. The first row is the cold process: no cache of parts or matrices. SCAN_CELL_PLACE sets
+another place of the part.
 """
 
 import tempfile
@@ -15,7 +15,7 @@ from cell.errors import CellError
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per part."""
+    """Return one row for each part."""
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)

@@ -1,4 +1,4 @@
-"""From cloud to mesh, and registration: seconds beside error, on the built-in Mseke.
+"""From cloud to mesh, and registration: seconds and error, on the built-in Mseke.
 
 The cloud is eight virtual scans from 300 mm, fine enough for 300,000 points. Rows `mesh` vary the grid and the range
 noise; `seconds` is normals, merging and reconstruction together (`processor s` adds up both cores and does not count
@@ -37,7 +37,7 @@ DEPTH = 8
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per grid and noise, one per noise by Poisson where Open3D is installed, then one per pose error."""
+    """Return one row per grid and noise, one per noise by Poisson if Open3D is installed, then one per pose error."""
     part = load("mseke")
     nearest = ClosestPointQuery(part.reference)
     return _mesh_rows(part, nearest) + _registration_rows(part, nearest)
@@ -76,7 +76,7 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
 
 
 def _draw_registration(axis: Any, line: list[dict[str, Any]]) -> None:
-    """Error before and after over the pose error, and where not all scans converge any more."""
+    """Draw error before and after over the pose error, and the errors at which scans no longer converge."""
     sigma = [row["pose mm"] for row in line]
     axis.loglog(sigma, [row["before um"] for row in line], "o-", color="0.55", label="reported poses")
     axis.loglog(sigma, [row["after um"] for row in line], "o-", color=_COLOURS[0], label="registered")
@@ -111,7 +111,7 @@ def _mesh_rows(part: Workpiece, nearest: ClosestPointQuery) -> list[dict[str, An
             start, busy = time.perf_counter(), time.process_time()
             result = reconstruct(merge(scans), grid=factor * spacing)
             took = {"seconds": time.perf_counter() - start, "processor s": time.process_time() - busy}
-            assert result.mesh is not None  # eight whole views of a part
+            assert result.mesh is not None  # eight full views of a part
             grid = {"what": "mesh", "grid mm": result.grid * 1e3}
             rows.append(grid | common | took | _errors(result.mesh, nearest))
         if find_spec("open3d"):
@@ -133,7 +133,7 @@ def _errors(mesh: TriangleMesh, nearest: ClosestPointQuery) -> dict[str, Any]:
 
 
 def _poisson(scans: list[ScanCloud], cut: float) -> tuple[TriangleMesh, float]:
-    """Open3D's surface, cut where it is farther than `cut` [m] from any datum, and the edge of its cells [m]."""
+    """Return Open3D's surface, cut beyond `cut` [m] from all points, and the edge of its cells [m]."""
     import open3d
 
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.concatenate([s.points for s in scans])))
@@ -180,7 +180,7 @@ def _registration_rows(part: Workpiece, nearest: ClosestPointQuery) -> list[dict
 
 
 def _disturbed(cloud: ScanCloud, shift: Floats, turn_deg: Floats) -> ScanCloud:
-    """The cloud as a scanner that is shifted [m] and turned about itself [deg] reports it."""
+    """Return the cloud as a scanner with a shift [m] and a rotation about itself [deg] reports it."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(turn_deg, degrees=True).as_matrix()
     T[:3, 3] = cloud.sensor + shift - T[:3, :3] @ cloud.sensor
@@ -188,6 +188,6 @@ def _disturbed(cloud: ScanCloud, shift: Floats, turn_deg: Floats) -> ScanCloud:
 
 
 def _rms(scans: list[ScanCloud], nearest: ClosestPointQuery) -> float:
-    """Root mean square distance of all points to the reference [m]."""
+    """Return the root mean square distance of all points to the reference [m]."""
     distance = nearest.closest(np.concatenate([cloud.points for cloud in scans])).distance
     return float(np.sqrt(np.mean(distance**2)))

@@ -1,13 +1,14 @@
-"""`cell scan` as whole processes: seconds, memory, coverage achieved beside predicted, and what a pose error leaves.
+"""`cell scan` in separate processes: seconds, memory, achieved and predicted coverage, and the effect of a pose error.
 
 Rows `execution` are the default plan of the built-in Mseke scanned at 0.25 degree, without errors, and with a pose
 error of 0.5 mm and 0.1 degree and range noise of 0.03 mm (one sigma each): time and memory of the whole process (`peak
 MB` is its own), the clock of the simulated controller over the wall time of the execution (scans and files included),
-the merged cloud's rms distance to the reference as reported and registered, and how far the surface runs on from the
-nearest datum. The row `controller` drives the same legs without scanning, best of 5: what the simulation itself takes.
-The row `virtual scan` is one scan of 57,600 rays in this process, best of 20. Rows `coverage` are all parts of
-benchmarks/parts.py, planned at their defaults and scanned at 2 degrees, which visible coverage does not depend on:
-predicted by the plan, achieved by the report, and measured again from the files on other samples by other code.
+the merged cloud's rms distance to the reference as reported and registered, and the largest distance of the surface
+from the nearest point of the cloud. The row `controller` drives the same segments without scanning, best of 5: the time
+of the simulation alone. The row `virtual scan` is one scan of 57,600 rays in this process, best of 20. Rows `coverage`
+are all parts of benchmarks/parts.py, planned at their defaults and scanned at 2 degrees, which visible coverage does
+not depend on: predicted by the plan, achieved by the report, and measured again from the files on other samples by
+other code.
 """
 
 import json
@@ -42,7 +43,7 @@ _SAMPLES = 200_000
 
 
 def run() -> list[dict[str, Any]]:
-    """Two executions, the virtual scan, then one row per part."""
+    """Return two executions, the virtual scan, then one row per part."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         plan = folder / "default"
@@ -80,7 +81,7 @@ def _execution(folder: Path, plan: Path, options: tuple[str, ...]) -> dict[str, 
 
 
 def _farthest(execution: Path) -> float:
-    """Largest distance from the mesh (vertices and samples of its area) to the nearest point of the cloud [mm]."""
+    """Return the largest distance of the mesh (vertices and area samples) to the nearest point of the cloud [mm]."""
     mesh = trimesh.load(execution / "mesh.ply", process=False)
     samples, _ = trimesh.sample.sample_surface(mesh, _SAMPLES, seed=1)
     tree = cKDTree(trimesh.load(execution / "cloud.ply", process=False).vertices)

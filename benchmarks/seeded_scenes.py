@@ -54,7 +54,7 @@ class SeededCell:
 
     @property
     def reachable(self) -> NDArray[np.int64]:
-        """(n,) reachable candidates."""
+        """Return (n,) reachable candidates."""
         return np.flatnonzero(self.reach.reachable)
 
 

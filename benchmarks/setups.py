@@ -1,11 +1,11 @@
-"""Several set-ups of every part: as one cover, beside one after the other and beside what any pose could measure.
+"""Several set-ups of every part: one joint cover, one set-up after the other, and the ceiling of any pose.
 
-The parts of benchmarks/parts.py, each with `cell setups` as it is (24 poses offered). *One after the other* takes the
-set-up that measures most, then the one that adds most, until as much is measured, each covered by itself for what is
-open: of the same candidates, those that views were moved to included, and of the same samples. *Views first* takes the
-fewest of all poses that some set-up reaches, then the fewest set-ups in which these poses measure as much. The
-*ceiling* is what any scanner pose could measure of the part without supports, the arm's reach aside. SCAN_CELL_PART
-runs parts of one name only.
+The parts of benchmarks/parts.py, each with `cell setups` at its defaults (24 poses offered). *One after the other*
+selects the set-up that measures most, then the one that adds most, until the same area is measured; each is covered by
+itself for the remaining area. It uses the same candidates, including those to which views were moved, and the same
+samples. *Views first* selects the fewest of all poses that some set-up reaches, then the fewest set-ups in which these
+poses measure the same area. The *ceiling* is the share that any scanner pose could measure of the part without
+supports, regardless of the reach of the arm. SCAN_CELL_PART runs parts of one name only.
 """
 
 import os
@@ -34,7 +34,7 @@ from planner.viewpoints.lines_of_sight import RayTargets
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per part."""
+    """Return one row for each part."""
     with tempfile.TemporaryDirectory() as scratch:
         only = os.environ.get("SCAN_CELL_PART", "")
         return [_row(name, words, Path(scratch)) for name, words in parts(Path(scratch)) if only in name]
@@ -89,10 +89,13 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
 
 
 def _after_another(wish: CoverProblem, joint: GroupedCover) -> tuple[int, int]:
-    """Set-ups and views where each set-up in turn is the one that adds most, covered by itself."""
+    """Return numbers of set-ups and views, one set-up after the other.
+
+    Each set-up is the one that adds most, and is covered by itself.
+    """
     rows, group, areas = GroupLoads(wish, joint.targets), np.asarray(wish.group), np.asarray(wish.areas)
     left, setups, views = rows.demand > 0, 0, 0
-    missing = float(areas[left].sum() - rows.wanted[0])  # area that may stay open
+    missing = float(areas[left].sum() - rows.wanted[0])  # area that may remain uncovered
     while float(areas[left].sum()) > missing * (1 + 1e-9) and left.any():
         adds = (rows.loads > 0) @ (areas * left)
         best = int(np.argmax(adds))
@@ -106,7 +109,10 @@ def _after_another(wish: CoverProblem, joint: GroupedCover) -> tuple[int, int]:
 
 
 def _views_first(wish: CoverProblem, joint: GroupedCover, poses: Floats) -> tuple[int, int]:
-    """Set-ups and views where the (V, 4, 4) poses are chosen first, of all that some set-up reaches."""
+    """Return numbers of set-ups and views with the (V, 4, 4) poses selected first.
+
+    The poses are selected among all that some set-up reaches.
+    """
     _, pose = np.unique(poses.reshape(-1, 16).round(9), axis=0, return_inverse=True)
     some = np.flatnonzero(np.asarray(wish.allowed))
     alone = CoverProblem(wish.matrix[:, some], wish.areas, coverage=float(joint.targets[0]))
@@ -118,7 +124,7 @@ def _views_first(wish: CoverProblem, joint: GroupedCover, poses: Floats) -> tupl
 
 
 def _ceiling(folder: Path) -> tuple[float, float]:
-    """Share of the surface that some scanner pose measures past the part alone, and its standard error."""
+    """Return the share of the surface that some scanner pose measures past the part alone, and its standard error."""
     record = api.open_run(folder)
     cell = read_cell(record)
     samples = held_out_samples(cell.reference, cell.planning, record.seed)

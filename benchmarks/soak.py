@@ -1,7 +1,7 @@
 """Thousands of moves over a disturbed wire, and their comparison with the controller's journal.
 
-An emulated controller runs in a process of its own with 1 % of every fault. A client commands random moves and recovers
-like a careful program: it stops if the state is unknown, resets a latched fault, and continues from the arm's position.
+An emulated controller runs in a separate process with 1 % of every fault. A client commands random moves and recovers
+from failures: it stops if the state is unknown, resets a latched fault, and continues from the arm's position.
 Afterwards the commanded moves are compared with the journal:
 
 - no move began twice, out of order, or without a command; a move that returned was completed, a refused one never
@@ -10,7 +10,7 @@ Afterwards the commanded moves are compared with the journal:
 - every latched fault was reported to the client under its own code.
 
 `SOAK_MOVES` and `SOAK_BACKENDS` in the environment change the 2,000 moves and the three back ends; `SOAK_RUN` names a
-run folder whose axes are moved, seven where it has a rotary table.
+run folder whose axes are moved, seven if it has a rotary table.
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ class Verdict:
 
     @property
     def clean(self) -> bool:
-        """True if no move is twice, lost, foreign, out of order or off the path, and every fault was reported."""
+        """Return whether no move is twice, lost, foreign, out of order or off the path, and every fault was reported."""
         return not (self.twice or self.lost or self.foreign or self.out_of_order or self.unreported) and (
             self.off_path <= 2.0
         )

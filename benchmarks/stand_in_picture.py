@@ -10,7 +10,7 @@ from benchmarks.part_models.build import PART_MODELS
 from cell.part import builtin
 from cell.world.embree import EmbreeRayCaster
 
-# Where the viewer stands (object frame), what is up, and the pixels' share of the diagonal.
+# Direction to the viewer (object frame), up direction, and size of a pixel as a share of the diagonal.
 VIEWS = {
     "mseke": ((-0.55, -1.0, 0.25), (0, 0, 1)),
     "mug": ((0.6, -1.0, 0.75), (0, 0, 1)),
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 
 def shade(name: str) -> Floats:
-    """(PIXELS, PIXELS, 3) picture of a part: parallel view, one light with shadows, a little light from the viewer."""
+    """Return a (PIXELS, PIXELS, 3) picture of a part: parallel view, one light with shadows, weak frontal light."""
     mesh = builtin.load(name)
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
     towards, up = (np.array(v, float) for v in VIEWS[name])
@@ -37,7 +37,7 @@ def shade(name: str) -> Floats:
     middle, half = (flat.min(axis=0) + flat.max(axis=0)) / 2, np.ptp(flat, axis=0).max() * 0.53
     size = 2 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
 
-    n = 2 * PIXELS  # four rays a pixel
+    n = 2 * PIXELS  # four rays per pixel
     grid = (np.arange(n) + 0.5) / n * 2 - 1
     u, v = (axis.ravel() * half for axis in np.meshgrid(grid, -grid))
     origins = centre + (middle[0] + u)[:, None] * right + (middle[1] + v)[:, None] * up + size * towards

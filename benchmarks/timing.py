@@ -1,4 +1,4 @@
-"""Time of joint moves: pairs per second, with and without jerk limits, beside the error compared with ruckig.
+"""Time of joint moves: pairs per second with and without jerk limits, and the error compared with ruckig.
 
 Pairs are drawn in the KR 16's range with the limits of models/kr16.xml, and with limits whose ratios differ by axis,
 which need three maxima over the axes instead of one.
@@ -62,7 +62,7 @@ def _best(work: Any) -> float:
 def _error(a: Floats, b: Floats, limits: JointLimits) -> float:
     """Return the largest relative difference to ruckig's time along the straight segment; our margin is 1e-8.
 
-    Ruckig's own synchronisation leaves the straight line where limits differ, so it gets the segment as one axis.
+    Ruckig's own synchronisation leaves the straight line if limits differ, so it gets the segment as one axis.
     """
     rng, worst = np.random.default_rng(1), 0.0
     for _ in range(_COMPARED):

@@ -13,7 +13,10 @@ _RADIUS_M = 0.1
 
 @lru_cache(maxsize=2)
 def body(subdivisions: int = 6) -> Workpiece:
-    """The body, some 0.25 m long, its middle near the origin; each subdivision has four times the faces (6: 81,920)."""
+    """Return the body, about 0.25 m long, its middle near the origin.
+
+    Each subdivision has four times the faces (6: 81,920).
+    """
     ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
     x, y, z = np.asarray(ball.vertices).T
     radius = 1.0 + 0.12 * np.sin(3 * x + 1) * np.cos(4 * y) + 0.08 * np.sin(5 * z)

@@ -1,7 +1,7 @@
-"""Where the methods of view planning break: rays of tiny, huge and far-off parts, grazing rays, coarse meshes, covers.
+"""Limits of view planning: rays on tiny, huge and distant parts, grazing rays, coarse meshes, covers.
 
-Truths: every leg against every triangle in float64; a plate, of which all is in sight; what a fine planning mesh's plan
-measures; the bound of the selection itself. Object frame, metres.
+Truths: every line of sight against every triangle in float64; a plate that is visible everywhere; the measured share of
+the plan of a fine planning mesh; the bound of the selection. Object frame, metres.
 """
 
 from functools import lru_cache
@@ -31,21 +31,21 @@ from planner.values import Floats
 from planner.viewpoints.lines_of_sight import RayTargets, in_view
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
 
-_FACES, _VIEWS = 400, 40  # of the part that is asked about in float64, and about as many views
-_AWAY = np.array([0.8, -0.5, 0.33])  # direction of an offset
-_ON_ITS_FACE = 1e-9  # of a leg: nearer to its end, a triangle is the one that the end lies on, or its neighbour
+_FACES, _VIEWS = 400, 40  # faces of the part that is evaluated in float64, and about as many views
+_AWAY = np.array([0.8, -0.5, 0.33])  # direction of the offset
+_ON_ITS_FACE = 1e-9  # share of a line of sight: a triangle this near to its end contains the end
 
 
 @lru_cache(maxsize=1)
 def _part() -> TriangleMesh:
-    """The body, coarse, 1 m long, its middle at the origin."""
+    """Return the coarse body, 1 m long, its middle at the origin."""
     mesh = decimate(body(4).reference, _FACES)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     return TriangleMesh((mesh.vertices - (low + high) / 2) / float((high - low).max()), mesh.faces)
 
 
 def _question(size: float, count: int) -> tuple[LaserArea, SurfaceSamples, Viewpoints]:
-    """Scanner, samples and views for the part at a size [m]: all lengths in proportion."""
+    """Return scanner, samples and views for the part at a size [m]: all lengths in proportion."""
     part = _part()
     mesh = TriangleMesh(part.vertices * size, part.faces)
     scanner = LaserArea(range_mm=(200 * size, 3000 * size), baseline_mm=250 * size)
@@ -56,7 +56,10 @@ def _question(size: float, count: int) -> tuple[LaserArea, SurfaceSamples, Viewp
 def _by_brute_force(
     mesh: TriangleMesh, features: SurfaceSamples, views: Viewpoints, scanner: LaserArea
 ) -> NDArray[np.bool_]:
-    """(S, V) what is measured, every leg against every triangle in float64 (Moeller and Trumbore 1997)."""
+    """Return (S, V) visibility of samples in views.
+
+    Every line of sight is tested against every triangle in float64 (Moeller and Trumbore 1997).
+    """
     targets = RayTargets.of(features.points, features.normals)
     seen = np.zeros((len(features), len(views)), dtype=np.bool_)
     corner = mesh.vertices[mesh.faces[:, 0]]
@@ -89,12 +92,12 @@ def _truth(count: int) -> NDArray[np.bool_]:
 
 
 def _agreeing(M: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
-    """Share of the pairs that either calls measured on which both agree."""
+    """Return the share of pairs on which both matrices agree, among the pairs that either has as measured."""
     return float((M & truth).sum() / (M | truth).sum())
 
 
 def size(line: str, metres: float, count: int) -> MapPoint:
-    """The fill for parts of any size: the same matrix as in float64?"""
+    """Test the fill for parts of any size: agreement with the matrix in float64."""
     part = _part()
     loaded = workpiece.from_mesh("part", part.vertices * metres, part.faces.astype(np.int64), "m", "")
     scanner, features, views = _question(metres, count)
@@ -105,7 +108,7 @@ def size(line: str, metres: float, count: int) -> MapPoint:
 
 
 def offset(line: str, sizes: float, count: int) -> MapPoint:
-    """The fill for a part that lies far from its file's origin, as the file's precision leaves it."""
+    """Test the fill for a part far from the origin of its file, at the precision of the file."""
     part, shift = _part(), sizes * _AWAY / np.linalg.norm(_AWAY)
     moved = part.vertices + shift
     if line == _SINGLE:
@@ -117,7 +120,7 @@ def offset(line: str, sizes: float, count: int) -> MapPoint:
         return MapPoint(0.0, off, str(error))
     says = " ".join(f.sentence for f in loaded.findings if f.kind is workpiece.Kind.FAR)
     mesh = loaded.reference
-    if len(mesh.faces) != len(part.faces):  # faces have collapsed
+    if len(mesh.faces) != len(part.faces):  # degenerate faces were removed
         return MapPoint(0.0, off, says)
     scanner, features, views = _question(1.0, count)
     there = _carried(features, part, mesh)
@@ -129,7 +132,7 @@ def offset(line: str, sizes: float, count: int) -> MapPoint:
 
 
 def _carried(features: SurfaceSamples, part: TriangleMesh, mesh: TriangleMesh) -> SurfaceSamples:
-    """The same places of the same faces of a mesh whose vertices have moved."""
+    """Return the samples at the same places of the same faces on a mesh with moved vertices."""
     a, b, c = (part.vertices[part.faces[features.face, k]] for k in range(3))
     n = np.cross(b - a, c - a)
     v = np.einsum("nj,nj->n", np.cross(features.points - a, c - a), n) / (n * n).sum(axis=1)
@@ -139,11 +142,11 @@ def _carried(features: SurfaceSamples, part: TriangleMesh, mesh: TriangleMesh) -
     return SurfaceSamples(points, mesh.normals[features.face], features.areas, features.face, features.face)
 
 
-_PLATE_M, _AT_M, _PART_M = 0.05, 0.3, 0.4  # a plate before the scanner; the diagonal of the part that it belongs to
+_PLATE_M, _AT_M, _PART_M = 0.05, 0.3, 0.4  # a plate in front of the scanner; the diagonal of its part
 
 
 def grazing(line: str, angle_deg: float, count: int) -> MapPoint:
-    """A plate at a grazing angle: all of it is in sight; what is predicted of it, and what does a scan find?"""
+    """Test a visible plate at a grazing angle: the predicted share, and the share that a scan finds."""
     tilt, half = np.radians(angle_deg), _PLATE_M / 2
     across, along = np.array([1.0, 0, 0]), np.array([0.0, np.cos(tilt), np.sin(tilt)])
     corners = [
@@ -172,7 +175,7 @@ _STANDOFF_M, _ROLLS = 0.3, (0.0, np.pi / 2)
 
 @lru_cache(maxsize=1)
 def _asked(line: str, samples: int) -> tuple[TriangleMesh, EmbreeRayCaster, SurfaceSamples]:
-    """A part, rays on it, and samples to judge with."""
+    """Return a part, its ray caster, and samples for the evaluation."""
     mesh = body(5).reference if line == _BUMPY else builtin.load(line)
     judged = draw_samples(mesh, mesh, samples, np.random.default_rng(1))
     return mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), judged
@@ -194,7 +197,7 @@ def _measured_by(line: str, faces: int, samples: int) -> tuple[float, int, int, 
 
 
 def decimation(line: str, faces: float, samples: int) -> MapPoint:
-    """A plan from a coarse planning mesh: how much of the part does it measure?"""
+    """Test a plan from a coarse planning mesh: the share of the part that it measures."""
     fine, *_ = _measured_by(line, _FINE, samples)
     visible, views, came_out, off = _measured_by(line, round(faces), samples)
     return MapPoint(
@@ -204,7 +207,7 @@ def decimation(line: str, faces: float, samples: int) -> MapPoint:
 
 
 def selection(line: str, percent: float, count: int) -> MapPoint:
-    """Selection over the density of the matrix: how far may the plan be from the fewest?"""
+    """Test the selection over the density of the matrix: the gap between the plan and its bound."""
     rng = np.random.default_rng(0)
     if line == _CAPS:  # each view measures a cap of the sphere that has this share of its area
         rows, columns = (_on_sphere(rng, count) for _ in range(2))

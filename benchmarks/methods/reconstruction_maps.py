@@ -1,7 +1,7 @@
-"""Where the reconstruction breaks: clouds that are ever sparser, and ever noisier.
+"""Limits of the reconstruction: clouds of decreasing density, and of increasing noise.
 
-Eight virtual scans around a part; the truth is the part itself. Success is how much of what the scans could see has
-surface near it. Object frame, metres.
+Eight virtual scans around a part; the truth is the part itself. Success is the share of the visible samples that have
+reconstructed surface near them. Object frame, metres.
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ from planner.registration.surface import measure_deviation
 from planner.values import Floats
 
 _FINEST_DEG = 1.0
-_NEAR = 0.01  # of the diagonal: surface so near to a place counts as found there
+_NEAR = 0.01  # of the diagonal: largest distance of a sample from its reconstructed surface
 
 
 @lru_cache(maxsize=1)
@@ -46,7 +46,7 @@ def _diagonal() -> float:
 
 @lru_cache(maxsize=2)
 def _in_sight(count: int) -> Floats:
-    """(n, 3) samples of the part that a source of the eight scans sees."""
+    """Return (n, 3) samples of the part that a source of the eight scans sees."""
     reference = _part().reference
     samples = draw_samples(reference, reference, count, np.random.default_rng(0))
     caster = EmbreeRayCaster(reference.vertices, reference.faces)
@@ -75,12 +75,12 @@ def _judged(result: Reconstruction, count: int) -> MapPoint:
 
 
 def sparse(line: str, step_deg: float, count: int) -> MapPoint:
-    """The surface of scans with ever larger angles between rays."""
+    """Evaluate the surface of scans with a larger angle between rays."""
     return _judged(reconstruct(merge(list(_scans(step_deg)))), count)
 
 
 def noise(line: str, spacings: float, count: int) -> MapPoint:
-    """The surface of scans with ever more noise along the rays, in point spacings."""
+    """Evaluate the surface of scans with noise along the rays, in point spacings."""
     step = float(line.split()[0])
     spacing = _spacing(step)
     point = _judged(reconstruct(merge(noisy(list(_scans(step)), spacings * spacing))), count)
@@ -91,7 +91,7 @@ def noise(line: str, spacings: float, count: int) -> MapPoint:
 
 @lru_cache(maxsize=4)
 def _spacing(step_deg: float) -> float:
-    """Point spacing of the exact scans [m]."""
+    """Return the point spacing of the exact scans [m]."""
     scans = _scans(step_deg)
     points = np.concatenate([scan.points for scan in scans])
     return point_spacing(points, np.repeat(np.arange(len(scans)), [len(scan) for scan in scans]))

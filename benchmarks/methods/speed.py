@@ -1,7 +1,7 @@
-"""`python -m benchmarks speed`: seconds against error of the numbers that trade one for the other.
+"""`python -m benchmarks speed`: seconds and error of the numbers that trade speed for accuracy.
 
-A row holds the seconds that its trial took where and when it was computed: rows of one run on one machine compare,
-rows of two do not. Errors and views are the same everywhere.
+A row has the seconds of its trial on the machine of the trial: compare rows of one run on one machine, not rows of
+different runs. Errors and views are the same on all machines.
 """
 
 import math
@@ -63,15 +63,15 @@ def speed(
     given = None if values is None else KNOBS[wanted[0]].parsed(values)
     base = scene_maker(part, scene, {})({})
     study = speed_study([(name, base) for name in wanted], values=given, repeats=repeats)
-    alone = run.model_copy(update={"processes": run.processes or 1})  # more than one disturb each other's timing
+    alone = run.model_copy(update={"processes": run.processes or 1})  # several processes would disturb the timing
     run_and_print(lambda: study, alone, as_json=False)
 
 
 def chosen(names: Sequence[str]) -> list[str]:
-    """Knobs that were asked for; none: all.
+    """Return the requested knobs; without names all of them.
 
     Raises:
-        UsageError: if one is none of ours; it says which benchmark measures it.
+        UsageError: if a name is not a knob; the message names the benchmark that measures it.
     """
     known = [*KNOBS]
     for name in names:
@@ -85,12 +85,12 @@ def chosen(names: Sequence[str]) -> list[str]:
 def speed_study(
     turns: Sequence[tuple[str, Scene]], *, values: Sequence[Value] | None = None, repeats: int = 3
 ) -> Study:
-    """The study of some knobs.
+    """Return the study of the requested knobs.
 
     Args:
-        turns: name of each knob and the scene that it is turned on.
-        values: in place of a knob's range, where there is one knob.
-        repeats: runs of each work, of which the best counts.
+        turns: name and scene of each knob.
+        values: values in place of the range of a knob, if there is only one knob.
+        repeats: runs of each work, the best of which counts.
     """
     turned = [
         (name, scene, value, Trial.of(turn, {**own, "knob": name, "value": value, "repeats": repeats}))
@@ -124,7 +124,7 @@ def _row(name: str, scene: Scene, value: Value, outcome: Outcome) -> Row:
 
 
 def sentences(rows: Sequence[Row]) -> list[str]:
-    """For each knob what a step from the default to either side costs and brings."""
+    """Return for each knob the cost and the benefit of a step from the default to either side."""
     return [
         _sentence(name, KNOBS[name], line)
         for name, line in by_knob(rows).items()

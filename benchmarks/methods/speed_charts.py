@@ -1,4 +1,4 @@
-"""The pictures of `speed`: error over processor time, a panel a knob."""
+"""Charts of `speed`: error over processor time, a panel for each knob."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,11 +14,11 @@ from benchmarks.methods.knobs import KNOBS, Knob
 from cell.study.study import Row
 
 _LINE, _DEFAULT = "#2471a3", {"marker": "*", "color": "#1e8449", "markersize": 14}
-_BESIDE = 0.4  # points whose seconds and errors differ by less than this (of e): the second's label goes below
+_BESIDE = 0.4  # points whose log seconds and log errors differ by less than this: the label of the second goes below
 
 
 def by_knob(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The rows of each knob."""
+    """Return the rows of each knob."""
     found: dict[str, list[Row]] = {}
     for row in rows:
         found.setdefault(row["knob"], []).append(row)
@@ -26,12 +26,12 @@ def by_knob(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def label(knob: Knob, row: Mapping[str, Any]) -> str:
-    """A row's value with its unit."""
+    """Return the value of a row with its unit."""
     return f"{row['value']:g} {knob.unit}".rstrip()
 
 
 def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
-    """All fronts on one page."""
+    """Yield all fronts on one page."""
     if lines := by_knob(rows):
         yield "speed_fronts", _fronts(lines)
 
@@ -47,7 +47,7 @@ def _fronts(lines: Mapping[str, Sequence[Row]]) -> Figure:
 
 
 def _front(axes: Axes, name: str, line: Sequence[Row]) -> None:
-    """One knob: points labelled with its value, and with views in brackets where it chooses views."""
+    """Draw one knob: points with their values as labels, and numbers of views in brackets."""
     knob = KNOBS[name]
     height = _with_floor(axes, [row["error"] for row in line])
     seconds = [max(row["processor s"], 1e-4) for row in line]
@@ -78,7 +78,10 @@ def _front(axes: Axes, name: str, line: Sequence[Row]) -> None:
 
 
 def _with_floor(axes: Axes, errors: Sequence[float]) -> Callable[[float], float]:
-    """A logarithmic axis on which an error of zero has a place, at its lower edge; returns where an error is drawn."""
+    """Set up a logarithmic axis with an error of zero at its lower edge.
+
+    Returns the function from an error to its place on the axis.
+    """
     positive = [error for error in errors if error > 0]
     axes.set_yscale("log")
     _decimal(axes.yaxis)
@@ -98,7 +101,7 @@ def _with_floor(axes: Axes, errors: Sequence[float]) -> Callable[[float], float]
 
 
 def _decimal(axis: Axis, between: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
-    """Plain numbers at multiples of the powers of ten."""
+    """Set plain numbers as labels at multiples of the powers of ten."""
     axis.set_major_locator(LogLocator(subs=between))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())

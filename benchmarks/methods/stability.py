@@ -1,10 +1,9 @@
-"""`python -m benchmarks stability`: success and error of each method over the number that breaks it; its safe region.
+"""`python -m benchmarks stability`: success and error of each method over the number that limits it; its safe region.
 
-A map asks a method at values of one number, some of them far beyond what anybody needs, and judges it by a truth that
-the method has no part in. At each value the program is asked as well what it would tell its user there: nothing, a
-note, a warning or a refusal. The safe region of a map is where it tells nothing; where its end is a number, the number
-is the one that the program itself compares with. A map keeps its promise when the method is good wherever the program
-is silent.
+A map runs a method at values of one number, some of them far beyond practical use, and evaluates it with a truth that
+is independent of the method. At each value it records the message of the program to its user: none, a note, a warning
+or a refusal. The safe region of a map is the region without a message; if its end is a number, it is the number that
+the program itself compares with. A map is correct if the method is good wherever the program has no message.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -41,12 +40,12 @@ def stability(
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few values, small problems: whether it still works.")] = False,
 ) -> None:
-    """Map where each method breaks: success and error over what breaks it, and what the program says there."""
+    """Map the limits of each method: success and error over the varied number, and the messages of the program."""
     run_and_print(lambda: stability_study(names or [], quick=quick), run, as_json=False)
 
 
 def at(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """One method at one value: the trial.
+    """Run one method at one value: the trial.
 
     Args:
         settings: map, line, value and size.
@@ -56,11 +55,11 @@ def at(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def stability_study(names: Sequence[str], *, quick: bool = False) -> Study:
-    """The study of some maps.
+    """Return the study of the requested maps.
 
     Args:
-        names: of `MAPS`; empty: all.
-        quick: few values and small problems: a look at whether all of it still works.
+        names: names in `MAPS`; empty: all.
+        quick: few values and small problems, as a check that all maps work.
 
     Raises:
         UsageError: if a name is unknown.
@@ -107,7 +106,7 @@ def _row(name: str, line: str, value: float, values: Mapping[str, Any]) -> Row:
 
 
 def by_map(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The rows of each map, maps in the order of the rows."""
+    """Return the rows of each map, maps in the order of the rows."""
     found: dict[str, list[Row]] = {}
     for row in rows:
         found.setdefault(row["map"], []).append(row)
@@ -115,12 +114,12 @@ def by_map(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def broken_promises(rows: Sequence[Row]) -> list[Row]:
-    """Rows at which a method of the program's is not good and the program says nothing."""
+    """Return the rows at which a method of the program is not good and the program has no message."""
     return [row for row in rows if not (row["good"] or row["says"] or row["line"] in MAPS[row["map"]].compared)]
 
 
 def sentences(rows: Sequence[Row]) -> list[str]:
-    """For each map where the method is good, where the program speaks, and what it says."""
+    """Return for each map the values at which the method is good, and the messages of the program."""
     said = []
     for name, drawn in by_map(rows).items():
         each = MAPS[name]
@@ -145,7 +144,7 @@ def _listed(values: Sequence[float]) -> str:
 
 
 def pictures(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
-    """One picture a map: success above, error below, the safe region shaded."""
+    """Yield one picture for each map: success above, error below, the safe region shaded."""
     for name, points in by_map(rows).items():
         yield f"stability_{name}", _picture(MAPS[name], points)
 
@@ -204,7 +203,7 @@ def _picture(each: Map, rows: Sequence[Row]) -> Figure:
 
 
 def _nearest_to_safe(each: Map, rows: Sequence[Row], spoken: Sequence[Row]) -> Row:
-    """The row that speaks nearest to one that does not, in the order of the values."""
+    """Return the row with a message that is nearest to one without, in the order of the values."""
     values = sorted({row["value"] for row in rows})
     silent = [values.index(row["value"]) for row in rows if not row["says"]]
     if not silent:
@@ -213,7 +212,7 @@ def _nearest_to_safe(each: Map, rows: Sequence[Row], spoken: Sequence[Row]) -> R
 
 
 def _safe(each: Map, rows: Sequence[Row]) -> list[tuple[float, float]]:
-    """Intervals that are shaded: between the program's numbers, else where it said nothing at any line."""
+    """Return the shaded intervals: between the program's numbers, else between values without a message."""
     values = sorted({row["value"] for row in rows})
     silent = [not any(row["says"] for row in rows if row["value"] == value) for value in values]
     low, high = each.borders

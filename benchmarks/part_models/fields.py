@@ -16,7 +16,7 @@ Vector = Sequence[float]
 
 
 def ellipsoid(centre: Vector, semi_axes: Vector, turn: NDArray[np.float32] | None = None) -> Field:
-    """An ellipsoid; the distance is of first order (exact on the surface).
+    """Return an ellipsoid; the distance is of first order (exact on the surface).
 
     Args:
         centre: [mm].
@@ -41,7 +41,7 @@ def ellipsoid(centre: Vector, semi_axes: Vector, turn: NDArray[np.float32] | Non
 
 
 def capsule(a: Vector, b: Vector, radius_a: float, radius_b: float | None = None) -> Field:
-    """A round rod from a to b whose radius changes linearly [mm]."""
+    """Return a round rod from a to b with a linearly changing radius [mm]."""
     start = np.array(a, np.float32)[:, None]
     axis = np.array(b, np.float32)[:, None] - start
     squared = np.float32((axis**2).sum())
@@ -59,13 +59,13 @@ def capsule(a: Vector, b: Vector, radius_a: float, radius_b: float | None = None
 
 
 def tube(points: Sequence[Vector], radii: Sequence[float], blend: float = 0.0) -> Field:
-    """Round rods through a chain of points, one radius [mm] per point."""
+    """Return round rods through a chain of points, one radius [mm] per point."""
     rods = [capsule(points[i], points[i + 1], radii[i], radii[i + 1]) for i in range(len(points) - 1)]
     return union(blend, *rods)
 
 
 def cylinder(a: Vector, b: Vector, radius: float, rounding: float = 0.0) -> Field:
-    """A cylinder from a to b with flat ends and rounded rims [mm]."""
+    """Return a cylinder from a to b with flat ends and rounded rims [mm]."""
     start = np.array(a, np.float32)[:, None]
     axis = np.array(b, np.float32)[:, None] - start
     length = np.float32(np.sqrt((axis**2).sum()))
@@ -84,7 +84,7 @@ def cylinder(a: Vector, b: Vector, radius: float, rounding: float = 0.0) -> Fiel
 
 
 def box(centre: Vector, half_sides: Vector, rounding: float = 0.0, turn: NDArray[np.float32] | None = None) -> Field:
-    """A box with rounded edges [mm]; `turn` as for `ellipsoid`."""
+    """Return a box with rounded edges [mm]; `turn` as for `ellipsoid`."""
     c = np.array(centre, np.float32)[:, None]
     half = np.array(half_sides, np.float32)[:, None] - np.float32(rounding)
     round_ = np.float32(rounding)
@@ -100,7 +100,7 @@ def box(centre: Vector, half_sides: Vector, rounding: float = 0.0, turn: NDArray
 
 
 def torus(centre: Vector, axis: int, radius: float, thickness: float, squash: float = 1.0) -> Field:
-    """A ring about a coordinate axis; `thickness` is its section's radius [mm], `squash` widens it along the axis."""
+    """Return a ring about a coordinate axis; `thickness` is the radius of its section [mm], `squash` widens it axially."""
     c = np.array(centre, np.float32)[:, None]
     i, j = (k for k in range(3) if k != axis)
 
@@ -114,9 +114,9 @@ def torus(centre: Vector, axis: int, radius: float, thickness: float, squash: fl
 
 
 def revolve(axis: int, along: Sequence[float], radii: Sequence[float]) -> Field:
-    """A solid of revolution about a coordinate axis through the origin: a polyline of radii [mm], flat ends.
+    """Return a solid of revolution about a coordinate axis through the origin: a polyline of radii [mm], flat ends.
 
-    The distance is divided by the profile's slope, so that it never overestimates.
+    The distance is divided by the slope of the profile, so that it never overestimates.
     """
     s = np.array(along, np.float32)
     r = np.array(radii, np.float32)
@@ -133,7 +133,7 @@ def revolve(axis: int, along: Sequence[float], radii: Sequence[float]) -> Field:
 
 
 def union(blend: float, *fields: Field) -> Field:
-    """All shapes together; where two are nearer than `blend` [mm] the crease between them is filled."""
+    """Return the union of the shapes; creases where two are nearer than `blend` [mm] are filled."""
     if blend <= 0:
         return lambda p: _fold(np.minimum, fields, p)
     k = np.float32(blend)
@@ -141,7 +141,7 @@ def union(blend: float, *fields: Field) -> Field:
 
 
 def without(blend: float, body: Field, *holes: Field) -> Field:
-    """The body less the holes; edges rounded over `blend` [mm]."""
+    """Return the body minus the holes; edges are rounded over `blend` [mm]."""
     k = np.float32(max(blend, 1e-6))
 
     def field(p: Points) -> Values:
@@ -154,7 +154,7 @@ def without(blend: float, body: Field, *holes: Field) -> Field:
 
 
 def displaced(body: Field, height: Field) -> Field:
-    """The surface pushed outward by a height that depends on the place [mm]."""
+    """Return the shape with its surface moved outward by a height that depends on the place [mm]."""
 
     def field(p: Points) -> Values:
         value: Values = body(p) - height(p)
@@ -164,7 +164,7 @@ def displaced(body: Field, height: Field) -> Field:
 
 
 def ripples(rng: np.random.Generator, amplitude: float, wavelength: float, waves: int = 6) -> Field:
-    """A natural unevenness: plane waves of random direction and phase, about one wavelength [mm], seeded."""
+    """Return random ripples: seeded plane waves of random direction and phase, about one wavelength [mm]."""
     direction = rng.normal(size=(waves, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     k = (2 * np.pi / wavelength * rng.uniform(0.6, 1.4, (waves, 1)) * direction).astype(np.float32)
@@ -174,7 +174,7 @@ def ripples(rng: np.random.Generator, amplitude: float, wavelength: float, waves
 
 
 def mirrored(axis: int, field: Field) -> Field:
-    """The shape on the positive side of a coordinate plane and its mirror image."""
+    """Return the shape on the positive side of a coordinate plane and its mirror image."""
 
     def both(p: Points) -> Values:
         q = p.copy()
@@ -185,7 +185,7 @@ def mirrored(axis: int, field: Field) -> Field:
 
 
 def rotation(axis: int, degrees: float) -> NDArray[np.float32]:
-    """(3, 3) turn about a coordinate axis, right handed."""
+    """Return the (3, 3) rotation about a coordinate axis, right handed."""
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     i, j = (axis + 1) % 3, (axis + 2) % 3
     turn = np.eye(3, dtype=np.float32)
@@ -202,20 +202,20 @@ def _fold(combine: Callable[[Values, Values], Values], fields: Sequence[Field], 
 
 
 def _smooth_minimum(a: Values, b: Values, k: np.float32) -> Values:
-    """Quadratic smooth minimum: equal to the minimum where |a - b| >= k, lower by k / 4 where a = b."""
+    """Return the quadratic smooth minimum: the minimum where |a - b| >= k, lower by k / 4 where a = b."""
     h = np.maximum(k - np.abs(a - b), 0) / k
     value: Values = np.minimum(a, b) - h * h * (k / np.float32(4))
     return value
 
 
 def _corner(side: Values, end: Values) -> Values:
-    """Distance to the intersection of two half spaces at right angles."""
+    """Return the distance to the intersection of two half spaces at right angles."""
     value: Values = np.minimum(np.maximum(side, end), 0) + np.sqrt(np.maximum(side, 0) ** 2 + np.maximum(end, 0) ** 2)
     return value
 
 
 def _about(p: Points, centre: Points, turn: NDArray[np.float32] | None) -> Points:
-    """The points in a shape's own frame: from its centre, along its axes."""
+    """Return the points in the frame of a shape: from its centre, along its axes."""
     q: Points = np.subtract(p, centre)
     if turn is not None:
         q = np.matmul(turn, q).astype(np.float32, copy=False)

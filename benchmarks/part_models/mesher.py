@@ -50,7 +50,7 @@ def collapsed_to(mesh: TriangleMesh, face_count: int) -> tuple[Floats, Ints32]:
         The vertices in shares of the diagonal of `mesh`, and the faces.
 
     Raises:
-        ArithmeticError: if the count is missed, which is a mistake in the shape's cell size.
+        ArithmeticError: if the count is missed because of the cell size of the shape.
     """
     vertices, faces = collapse_edges(mesh.vertices / mesh.diagonal, mesh.faces, face_count, 7)
     if len(faces) != face_count:

@@ -1,4 +1,4 @@
-"""The fixtures of the product's tests serve the tests of the benchmarks too."""
+"""Fixtures of the product's tests for the tests of the benchmarks."""
 
 import contextlib
 import io
@@ -43,13 +43,13 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="session")
 def environment(cache: Path) -> dict[str, str]:  # noqa: F811 -- the fixture above
-    """The environment of a benchmark in a process of its own."""
+    """Return the environment of a benchmark in a separate process."""
     return {**os.environ, "XDG_CACHE_HOME": str(cache), "COLUMNS": "120", "NO_COLOR": "1", "PYTHONPATH": str(ROOT)}
 
 
 @pytest.fixture(scope="session")
 def run_benchmarks(environment: dict[str, str]) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Run `python -m benchmarks NAME ...` in a directory `cwd`, in this process; the result is that of a process."""
+    """Run `python -m benchmarks NAME ...` in this process in a directory `cwd`; return the result of a process."""
 
     def run(name: str, *words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
         out, errors = io.StringIO(), io.StringIO()

@@ -1,4 +1,4 @@
-"""Set-cover files: what is written in any of their formats is read back."""
+"""Set-cover files: files written in each format are read with the same content."""
 
 import gzip
 from contextlib import suppress
@@ -15,7 +15,7 @@ from cell.errors import CellError
 
 
 def rows(M, costs):
-    """Text of the row format."""
+    """Return the text of the row format."""
     lines = [f"{len(M)} {M.shape[1]}", " ".join(map(str, costs))]
     for row in M:
         lines += [str(row.sum()), " ".join(str(j + 1) for j in np.flatnonzero(row))]
@@ -23,7 +23,7 @@ def rows(M, costs):
 
 
 def rail(M, costs):
-    """Text of the rail format."""
+    """Return the text of the rail format."""
     lines = [f"{len(M)} {M.shape[1]}"]
     for column, cost in zip(M.T, costs, strict=True):
         lines.append(" ".join(map(str, [cost, column.sum(), *(np.flatnonzero(column) + 1)])))
@@ -32,7 +32,7 @@ def rail(M, costs):
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 12), st.booleans(), st.sampled_from([rows, rail]))
 def test_what_is_written_is_read(seed, n_rows, n_columns, packed, form):
-    """Matrix and costs come back, plain and packed."""
+    """A written file, plain or packed, is read with the same matrix and costs."""
     rng = np.random.default_rng(seed)
     M, costs = rng.random((n_rows, n_columns)) < 0.4, rng.integers(1, 100, n_columns)
     text = form(M, costs).encode()
@@ -46,7 +46,7 @@ def test_what_is_written_is_read(seed, n_rows, n_columns, packed, form):
 
 @given(st.integers(0, 2**32 - 1), st.data())
 def test_a_damaged_file_is_refused_or_is_another_file(seed, data):
-    """A file that lacks a number never gives the matrix that was written; it is refused, or is another one."""
+    """A file that lacks a number is refused or gives another problem."""
     rng = np.random.default_rng(seed)
     M, costs = rng.random((6, 5)) < 0.5, rng.integers(1, 9, 5)
     numbers = rows(M, costs).split()
@@ -60,7 +60,7 @@ def test_a_damaged_file_is_refused_or_is_another_file(seed, data):
 
 
 def test_truncated_gzip_is_a_file_error(tmp_path):
-    """A download that broke off is named, not a traceback."""
+    """A truncated gzip file is refused with a message that names the cause."""
     packed = gzip.compress(rows(np.ones((50, 50), bool), np.arange(1, 51)).encode())
     (tmp_path / "half.gz").write_bytes(packed[: len(packed) // 2])
     with pytest.raises(CellError, match="cannot be read"):

@@ -25,7 +25,7 @@ FANO = "7 7\n1 2 3\n1 4 5\n1 6 7\n2 4 6\n2 5 7\n3 4 7\n3 5 6\n"
 
 
 def solved(run_benchmarks: Run, path: Path, *options: str) -> dict[str, object]:
-    """The JSON of a run that must succeed."""
+    """Return the JSON of a successful run."""
     done = run_benchmarks("cover", "solve", path.name, "--json", *options, cwd=path.parent)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
@@ -38,7 +38,10 @@ def solved(run_benchmarks: Run, path: Path, *options: str) -> dict[str, object]:
 def test_both_library_formats_are_recognised_and_solved(
     run_benchmarks: Run, tmp_path: Path, name: str, content: str, packed: bool
 ) -> None:
-    """Plain or gzip, the three cheap columns are the proven cheapest; numbered as in the file."""
+    """A plain or gzip file of either format is solved to the proven cheapest cover.
+
+    Columns are numbered as in the file.
+    """
     path = tmp_path / "problem"
     path.write_bytes(gzip.compress(content.encode()) if packed else content.encode())
     answer = solved(run_benchmarks, path)
@@ -48,7 +51,7 @@ def test_both_library_formats_are_recognised_and_solved(
 
 
 def test_steiner_triples_are_covered(run_benchmarks: Run, tmp_path: Path) -> None:
-    """The seven lines of the Fano plane need three points, a line; proven."""
+    """The seven lines of the Fano plane are covered by three points, and this is proven."""
     path = tmp_path / "data.7"
     path.write_text(FANO)
     answer = solved(run_benchmarks, path)
@@ -59,7 +62,10 @@ def test_steiner_triples_are_covered(run_benchmarks: Run, tmp_path: Path) -> Non
 
 
 def test_unicost_ignores_the_costs_and_a_multiplicity_demands_more(run_benchmarks: Run, tmp_path: Path) -> None:
-    """Three columns either way at cost 1; covered twice, all six."""
+    """With unit costs the ring costs 3.
+
+    With a multiplicity of two all six columns are selected.
+    """
     path = tmp_path / "ring"
     path.write_text(ROWS)
     assert solved(run_benchmarks, path, "--unicost")["cost"] == 3
@@ -67,7 +73,7 @@ def test_unicost_ignores_the_costs_and_a_multiplicity_demands_more(run_benchmark
 
 
 def test_the_table_says_cover_bound_and_status(run_benchmarks: Run, tmp_path: Path) -> None:
-    """A person reads the same numbers."""
+    """The table states the problem, the status and the lower bound."""
     (tmp_path / "ring.txt").write_text(ROWS)
     done = run_benchmarks("cover", "solve", "ring.txt", "--unicost", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -99,7 +105,7 @@ def test_the_table_says_cover_bound_and_status(run_benchmarks: Run, tmp_path: Pa
 def test_wrong_uses_end_with_one_sentence(
     run_benchmarks: Run, tmp_path: Path, content: str | None, options: tuple[str, ...], code: int, sentence: str
 ) -> None:
-    """Exit code and sentence name what is wrong and what would be valid."""
+    """The exit code is that of the error, and the message names the fault and the valid values."""
     if content is not None:
         (tmp_path / "file").write_text(content)
     done = run_benchmarks("cover", "solve", "file", *options, cwd=tmp_path)
@@ -110,7 +116,7 @@ def test_wrong_uses_end_with_one_sentence(
 
 
 def hard(path: Path) -> None:
-    """A random problem that no solver ends within a test."""
+    """Return a random problem that no solver proves within a test."""
     rng = np.random.default_rng(0)
     M = rng.random((200, 900)) < 0.02
     M[:, 0] |= ~M.any(axis=1)
@@ -119,16 +125,16 @@ def hard(path: Path) -> None:
 
 
 def test_the_clock_ends_the_search_and_the_answer_says_so(run_benchmarks: Run, tmp_path: Path) -> None:
-    """A guard alone gives an unlimited budget: it fires, in time, and is named."""
+    """A time limit without a budget ends the search in time, and the answer names the limit."""
     hard(tmp_path / "hard")
     answer = solved(run_benchmarks, tmp_path / "hard", "--time-limit", "1")
     assert answer["status"] == "time_limited"
     assert "the time limit stopped the search" in str(answer["sentence"])
-    assert float(str(answer["seconds"])) >= 0.9  # how near it is kept: benchmarks cover steady
+    assert float(str(answer["seconds"])) >= 0.9  # the accuracy of the limit: benchmarks cover steady
 
 
 def test_the_same_budget_gives_the_same_answer(run_benchmarks: Run, tmp_path: Path) -> None:
-    """Work is counted, so two runs agree in all but their seconds."""
+    """Two runs with the same budget of counted work agree in everything but their seconds."""
     hard(tmp_path / "hard")
     first, second = (solved(run_benchmarks, tmp_path / "hard", "--budget", "0.5", "--seed", "4") for _ in range(2))
     assert first.pop("seconds") is not None
@@ -137,7 +143,7 @@ def test_the_same_budget_gives_the_same_answer(run_benchmarks: Run, tmp_path: Pa
     assert first["status"] == "bounded"
 
 
-_INTO_THE_SEARCH = 3.0  # seconds of processor time: imports and reading take two, whatever else the machine does
+_INTO_THE_SEARCH = 3.0  # seconds of processor time: imports and reading take two
 
 
 def _processor_seconds(pid: int) -> float:
@@ -146,9 +152,9 @@ def _processor_seconds(pid: int) -> float:
 
 
 def test_ctrl_c_gives_the_best_cover_so_far(tmp_path: Path, run_benchmarks: Run, environment: dict[str, str]) -> None:
-    """An interrupted search prints its cover, and its status says that it was interrupted."""
+    """An interrupted search prints its cover, and the status is interrupted."""
     hard(tmp_path / "hard")
-    # Once before, so that what is interrupted is the search and not the first compilation of its loops.
+    # One run before compiles the loops, so that the interrupt hits the search.
     solved(run_benchmarks, tmp_path / "hard", "--budget", "0.1")
     command = [sys.executable, "-m", "benchmarks", "cover", "solve", "hard", "--json", "--time-limit", "300"]
     with subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True) as process:
@@ -168,5 +174,5 @@ def test_ctrl_c_gives_the_best_cover_so_far(tmp_path: Path, run_benchmarks: Run,
 
 
 def test_the_ring_is_what_it_claims() -> None:
-    """The oracle of these tests: no two columns of the ring cover it."""
+    """No two columns of the ring cover it."""
     assert not any(all(set(row) & set(pair) for row in RING) for pair in combinations(range(1, 7), 2))

@@ -42,7 +42,7 @@ def _most(sees: Bools, areas: Floats, count: int) -> float:
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_the_fewest_views_for_a_coverage_are_those_of_brute_force(count: int, planned: Path) -> None:
-    """The largest coverage of n views needs n views, and a little more needs more than n."""
+    """The largest coverage of n views needs n views, and a slightly larger coverage needs more than n."""
     run = open_finished(planned)
     M, (sees, areas, _) = run.measurability, _columns(planned)
     most = _most(sees, areas, count)
@@ -76,7 +76,7 @@ def test_the_curve_is_tightened_by_the_fewest_views_for_a_coverage() -> None:
 
 
 def test_an_exploration_is_evaluated_on_the_true_part(part_file: Path, tmp_path: Path) -> None:
-    """Coverage grows with the views and stays below the bound; nothing came near the true part."""
+    """Coverage grows with the views and stays below the bound. The arm keeps clear of the true part."""
     wishes = {"place": (1100, 400, 100), "units": "mm", "faces": 120, "samples": 2, "standoff": 250, "seed": 3}
     scene = scene_from_options(None, {**wishes, "candidates": "optimal-scanning-zone", "max_views": 5}, part_file)
     options, scanning = parse_options(ExploreOptions, {"ring": 3, "batch": 2}), ScanOptions(resolution_deg=0.5)

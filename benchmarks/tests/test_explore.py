@@ -1,4 +1,4 @@
-"""Benchmark of next views: its rivals against closed forms, bounds of their publications and brute force."""
+"""Benchmark of next views: its rivals compared with closed forms, published bounds and brute force."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,10 @@ def test_random_views_of_a_ball_cover_what_random_caps_do(ball: Lab) -> None:
 
 
 def test_farthest_first_views_cover_the_sphere_as_gonzalez_promises(ball: Lab) -> None:
-    """No direction is farther from 12 views than twice the covering radius of 12 caps, 37.377 degrees (icosahedron)."""
+    """Every direction is within twice the covering radius of 12 caps from one of 12 views.
+
+    The covering radius is 37.377 degrees (icosahedron).
+    """
     next_view = rivals.uniform("sphere, middle")(ball, np.random.default_rng(0))
     known = Known(ball.unknown, (ball.first_view(np.random.default_rng(0)),))
     while len(known.poses) < 12:
@@ -51,7 +54,7 @@ def test_farthest_first_views_cover_the_sphere_as_gonzalez_promises(ball: Lab) -
 
 
 def test_unknown_voxels_along_rays_are_those_of_brute_force() -> None:
-    """A ray looks at the voxel under each of its steps, until one is occupied."""
+    """A ray counts the voxel under each of its steps until one is occupied."""
     rng = np.random.default_rng(3)
     state = rng.choice([UNKNOWN, FREE, OCCUPIED], size=(9, 8, 7), p=[0.5, 0.48, 0.02]).astype(np.uint8)
     low, edge, source = np.array([-0.9, -0.8, -0.7]), 0.2, np.array([-2.0, 0.13, 0.07])
@@ -87,7 +90,7 @@ def test_the_frontier_of_a_patch_is_its_border(ball: Lab) -> None:
 
 @pytest.mark.parametrize("name", ["stepwise", *RIVALS])
 def test_every_policy_sees_more_of_a_ball_with_each_view(name: str, ball: Lab) -> None:
-    """Equal seeds give equal views, from free space, and coverage grows."""
+    """Equal seeds give equal views from free space, and coverage grows."""
     policy = stepwise if name == "stepwise" else RIVALS[name][0](TUNED[name])
     known, by_views = explored(ball, policy, 1, 3)
     again, _ = explored(ball, policy, 1, 2)
@@ -97,7 +100,7 @@ def test_every_policy_sees_more_of_a_ball_with_each_view(name: str, ball: Lab) -
 
 
 def test_an_explored_ball_is_judged_as_it_was_seen(ball: Lab) -> None:
-    """A view from far above sees no more than the cap in which its rays meet the ball at the incidence limit."""
+    """A view from far above measures at most the cap in which its rays meet the ball at the incidence limit."""
     T = ball.first_view(np.random.default_rng(0))
     assert len(ball.look(Known(ball.unknown), T).space.between) > 100  # towards the ball's edge
     away = np.linalg.norm(T[:3, 3])

@@ -1,4 +1,4 @@
-"""The benchmark's reader of generalised travelling salesman files, against distances known by hand."""
+"""Reader of generalised travelling salesman files, compared with distances computed by hand."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ SETS = "GTSP_SET_SECTION\n1 1 -1\n2 3\n2 -1\nEOF\n"
 
 
 def written(tmp_path: Path, kind: str, body: str = COORDINATES, sets: str = SETS, extra: str = "") -> Path:
-    """A file of three nodes in two sets; the second set's members stand on two lines."""
+    """Write a file of three nodes in two sets; the members of the second set are on two lines."""
     path = tmp_path / "2toy3.gtsp"
     path.write_text(
         f"NAME : 2toy3\nTYPE : GTSP\nDIMENSION : 3\nGTSP_SETS : 2\nEDGE_WEIGHT_TYPE : {kind}\n{extra}{body}{sets}"
@@ -31,7 +31,7 @@ def written(tmp_path: Path, kind: str, body: str = COORDINATES, sets: str = SETS
     ],
 )
 def test_distances_are_rounded_as_tsplib_says(tmp_path: Path, kind: str, expected: list[int]) -> None:
-    """Each kind of distance, by hand, whole-numbered and symmetric."""
+    """Distances of each kind are the integers computed by hand, and symmetric."""
     found = gtsplib.read(written(tmp_path, kind))
     np.testing.assert_array_equal(found.cost[[0, 0, 1], [1, 2, 2]], expected)
     np.testing.assert_array_equal(found.cost, found.cost.T)
@@ -39,7 +39,10 @@ def test_distances_are_rounded_as_tsplib_says(tmp_path: Path, kind: str, expecte
 
 
 def test_geographical_distances() -> None:
-    """One degree along the equator, and 1 degree 30 minutes written as 1.30: 111.3 and 167.0 km, cut upwards."""
+    """Geographical distances are rounded up from 111.3 and 167.0 km.
+
+    The angles are one degree along the equator, and 1 degree 30 minutes, written as 1.30.
+    """
     cost = gtsplib._distances(np.array([[0.0, 0.0], [0.0, 1.0], [0.0, 1.30]]), "GEO")
     np.testing.assert_array_equal(cost[0, 1:], [112, 167])
 
@@ -55,20 +58,20 @@ def test_geographical_distances() -> None:
     ],
 )
 def test_every_layout_of_a_matrix_gives_the_same_costs(tmp_path: Path, layout: str, weights: str) -> None:
-    """Node pairs (1, 2), (1, 3) and (2, 3) cost 1, 2 and 3."""
+    """In every layout, the node pairs (1, 2), (1, 3) and (2, 3) cost 1, 2 and 3."""
     body = f"EDGE_WEIGHT_SECTION\n{weights}\n"
     found = gtsplib.read(written(tmp_path, "EXPLICIT", body, extra=f"EDGE_WEIGHT_FORMAT : {layout}\n"))
     np.testing.assert_array_equal(found.cost, [[0, 1, 2], [1, 0, 3], [2, 3, 0]])
 
 
 def test_sets_that_miss_a_node_are_refused(tmp_path: Path) -> None:
-    """The message says what the sets must hold."""
+    """Sets without one of the nodes are refused, and the message states the requirement."""
     with pytest.raises(ValueError, match="must hold each of the 3 nodes once"):
         gtsplib.read(written(tmp_path, "EUC_2D", sets="GTSP_SET_SECTION\n1 1 -1\n2 3 -1\n"))
 
 
 def test_nodes_are_sorted_by_cluster(tmp_path: Path) -> None:
-    """The costs of renumbered nodes are those of the file's nodes."""
+    """The costs of renumbered nodes are those of the nodes in the file."""
     found = gtsplib.read(written(tmp_path, "EUC_2D"))
     cost, first = found.sorted_by_cluster()
     np.testing.assert_array_equal(first, [0, 1, 3])

@@ -21,7 +21,7 @@ _TABLE = ("table2", "--part", "mug", "--faces-share", "0.05", "--processes", "1"
 def table(
     run_benchmarks: Run, made_once: Callable[..., Path], drawn: Callable[[], AbstractContextManager[None]]
 ) -> Path:
-    """A reduced table of one part."""
+    """Return the folder of a reduced table of one part."""
 
     def make(folder: Path) -> None:
         with drawn(), pytest.MonkeyPatch.context() as patch:
@@ -34,7 +34,10 @@ def table(
 
 
 def test_a_table_leaves_tidy_rows_and_pictures(table: Path, run_cell: Run) -> None:
-    """Paper, its method and ours in one row; the page, which cell view shows, has what plans each."""
+    """A row has the values of the paper, its method and ours.
+
+    The page has the command that plans each row. Report, tables and pictures are written.
+    """
     done = run_cell("view", table, "--no-open", cwd=table)
     assert (done.returncode, done.stdout) == (0, f"{table / 'view.html'}\n"), done.stderr
     wish = "--sensor=paper --roll=0 --candidates=optimal-scanning-zone --faces=37 --samples=80 --standoff=300"
@@ -50,9 +53,9 @@ def test_a_table_leaves_tidy_rows_and_pictures(table: Path, run_cell: Run) -> No
 
 
 def test_the_paper_s_trend_and_that_ours_needs_no_more_views(table: Path) -> None:
-    """There is a best standoff inside; at the coverage of the paper's method ours has no more views. All tables: slow.
+    """The best standoff lies inside the range.
 
-    test_paper_trends.py has that form.
+    At equal coverage ours has no more views than the method of the paper. test_paper_trends.py has all tables (slow).
     """
     rows = list(csv.DictReader((table / "rows.csv").read_text().splitlines()))
     views = [int(row["views rays"]) for row in rows]
@@ -67,7 +70,7 @@ def test_the_paper_s_trend_and_that_ours_needs_no_more_views(table: Path) -> Non
 def test_the_same_study_again_computes_nothing_and_leaves_the_same_bytes(
     table: Path, tmp_path: Path, run_benchmarks: Run
 ) -> None:
-    """Rows, report and pictures."""
+    """A repeated study computes nothing and writes the same rows, report and pictures."""
     done = run_benchmarks("paper", *_TABLE, "--out", "again", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["computed"] == 0
@@ -87,7 +90,7 @@ def test_the_same_study_again_computes_nothing_and_leaves_the_same_bytes(
 def test_wrong_options_end_with_one_sentence(
     words: tuple[str, ...], sentence: str, run_benchmarks: Run, tmp_path: Path
 ) -> None:
-    """Exit code 2, nothing on stdout, no folder."""
+    """Wrong options end with exit code 2 and one sentence on stderr, without a folder."""
     done = run_benchmarks("paper", *words, cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert sentence in done.stderr

@@ -1,4 +1,4 @@
-"""The paper's tables: our plan on the terms of another method, and the rows and trials of the tables."""
+"""Comparison of our plan with the methods of the paper's tables, and the rows and trials of the tables."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,7 +20,7 @@ _COVERED = 0.86
 
 
 class _Bench:
-    """Five views cover 86 % of the matrix and measure 84 %, six cover and measure 95 %."""
+    """Bench with two plans: five views cover 86 % of the matrix and measure 84 %, six cover and measure 95 %."""
 
     is_denser = False
 
@@ -42,12 +42,12 @@ def test_a_plan_that_comes_back_unchanged_is_left_behind() -> None:
     """
     full: Any = SimpleNamespace(cover=SimpleNamespace(views=np.arange(9)), visible=1.0)
     bench: Any = _Bench()
-    assert len(fewest_for(bench, None, None, 0.841, full)[0].cover.views) == 6  # type: ignore[arg-type]  # not looked at
+    assert len(fewest_for(bench, None, None, 0.841, full)[0].cover.views) == 6  # type: ignore[arg-type]  # unused
 
 
 @pytest.fixture(scope="module")
 def bench(part_file: Path) -> PaperBench:
-    """A small, coarse part with 4,000 held-out samples."""
+    """Return a small, coarse part with 4,000 held-out samples."""
     tables: dict[str, Any] = {
         "part": {"path": str(part_file), "units": "mm"},
         "plan": {"faces": 60, "samples_per_face": 3, "candidates": "optimal-scanning-zone"},
@@ -57,7 +57,10 @@ def bench(part_file: Path) -> PaperBench:
 
 
 def test_fewest_views_for_a_coverage_keep_it_and_no_fewer_were_needed_by_more(bench: PaperBench) -> None:
-    """On the held-out samples; less coverage never takes more views."""
+    """The plans reach their coverage on the held-out samples.
+
+    A smaller coverage never takes more views.
+    """
     full = bench.select("aimed", bench.candidates, None, solver="auto")
     found = [fewest_for(bench, bench.candidates, None, share * full.visible, full)[0] for share in (0.5, 0.8, 0.95)]
     for plan, share in zip(found, (0.5, 0.8, 0.95), strict=True):
@@ -67,7 +70,10 @@ def test_fewest_views_for_a_coverage_keep_it_and_no_fewer_were_needed_by_more(be
 
 
 def test_more_than_all_usual_samples_need_is_looked_for_among_denser_ones(bench: PaperBench) -> None:
-    """Asked for all that every candidate together measures: nearer to it, or the plan of the usual samples."""
+    """For the coverage of all candidates the plan is selected on denser samples.
+
+    If it measures no more, the plan of the regular samples is returned.
+    """
     full = bench.select("aimed", bench.candidates, None, solver="auto")
     everything = bench.visible_coverage(bench.candidates.T_object_scanner)
     assert full.visible < everything
@@ -78,7 +84,10 @@ def test_more_than_all_usual_samples_need_is_looked_for_among_denser_ones(bench:
 
 
 def test_most_coverage_with_more_views_than_the_full_plan_is_never_less(bench: PaperBench) -> None:
-    """The spare views serve denser samples; with fewer views than are needed it is less."""
+    """Additional views measure more, on denser samples.
+
+    With one view fewer than a proven minimum the coverage is smaller.
+    """
     full = bench.select("aimed", bench.candidates, None, solver="auto")
     n = len(full.cover.views)
     results = [most_with(bench, bench.candidates, None, views, full) for views in (n - 1, n, n + 3)]
@@ -102,7 +111,7 @@ def test_most_coverage_with_more_views_than_the_full_plan_is_never_less(bench: P
     ],
 )
 def test_a_row_is_lost_by_a_view_or_by_more_than_the_tolerance(change: dict[str, float], lost: bool) -> None:
-    """Both comparisons count."""
+    """A row is lost by one more view, or by a coverage below the tolerance."""
     row = {
         "views rays": 7, "visible rays %": 99.0, "views ours at visible rays": 7,
         "visible ours at visible rays %": 99.0, "visible ours at views rays %": 99.0,
@@ -111,7 +120,7 @@ def test_a_row_is_lost_by_a_view_or_by_more_than_the_tolerance(change: dict[str,
 
 
 def test_rows_of_the_paper_that_say_the_same_are_one_trial() -> None:
-    """86 rows are 68 trials; what a row has where its table varies something else is the part's own, by its device."""
+    """The 86 rows are 68 trials. Each row has the standoff of its part unless its table varies it."""
     trials = table_study("all").trials
     assert (len(trials), len(set(trials))) == (86, 68)
     for part, standoff in STANDOFF_MM.items():

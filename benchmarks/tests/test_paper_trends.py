@@ -1,7 +1,7 @@
 """The paper's Tables 1 to 4 on the built-in parts, reduced to three tenths of the faces: trends, and both methods.
 
-The full tables are `python -m benchmarks paper all`; docs/internals/paper_tables.md has them. Table 5 has a test of its
-own (tests/golden), and one part of Table 2 is in test_paper_command.py.
+The full tables are `python -m benchmarks paper all`; docs/internals/paper_tables.md has them. Table 5 has a separate
+test (tests/golden), and test_paper_command.py tests one part of Table 2.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ _ASKED = (("table1", "mseke"), ("table2", "mug"), ("table3", "humerus"), ("table
 
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Row]]:
-    """The rows of one part of each table, in the paper's order."""
+    """Return the rows of one part of each table, in the order of the paper."""
     folder: Path = tmp_path_factory.mktemp("trials")
     found = {}
     with Processes(2) as workers:
@@ -37,7 +37,10 @@ def _column(rows: Sequence[Row], name: str) -> list[float]:
 
 @pytest.mark.slow
 def test_the_paper_s_method_shows_the_paper_s_trends(rows: dict[str, list[Row]]) -> None:
-    """More faces, more views at about equal coverage; a best standoff inside; a wider or finer view, fewer views."""
+    """More faces give more views at about equal coverage.
+
+    The best standoff lies inside the range. A wider field of view and a finer resolution give fewer views.
+    """
     faces = rows["table1"]
     views = _column(faces, "views rays")
     assert views == sorted(set(views))
@@ -53,7 +56,10 @@ def test_the_paper_s_method_shows_the_paper_s_trends(rows: dict[str, list[Row]])
 
 @pytest.mark.slow
 def test_ours_needs_no_more_views_than_the_paper_s_method_at_its_coverage(rows: dict[str, list[Row]]) -> None:
-    """And measures no less with as many, to the 0.2 points that count as equal."""
+    """At equal coverage ours needs no more views.
+
+    With equal views it measures at least the same share, within the tolerance of 0.2 points.
+    """
     for row in (row for table in rows.values() for row in table):
         assert row["views ours at visible rays"] <= row["views rays"], row
         assert row["visible ours at views rays %"] >= row["visible rays %"] - TOLERANCE_POINTS, row

@@ -11,7 +11,10 @@ from cell.part import builtin
 
 @pytest.mark.parametrize("name", builtin.NAMES)
 def test_the_shipped_part_is_the_built_one(name: str) -> None:
-    """To the last bit, with the versions of numpy, scikit-image and fast-simplification of the shipped files."""
+    """A built part equals the shipped part in every bit.
+
+    This holds for the versions of numpy, scikit-image and fast-simplification of the shipped files.
+    """
     built, shipped = build(name), builtin.load(name)
     assert built.vertices.tobytes() == shipped.vertices.tobytes()
     assert built.faces.tobytes() == shipped.faces.tobytes()
@@ -19,7 +22,7 @@ def test_the_shipped_part_is_the_built_one(name: str) -> None:
 
 
 def test_packing_again_gives_the_shipped_file() -> None:
-    """Equal parts give equal bytes; every part is shipped."""
+    """A part packed again equals its shipped file, and every part is shipped."""
     assert packed("mug") == model_file("parts/mug.npz").read_bytes()
     assert tuple(PART_MODELS) == builtin.NAMES
 
@@ -43,7 +46,7 @@ def test_packing_again_gives_the_shipped_file() -> None:
     ids=["ellipsoid", "capsule", "cylinder", "box", "turned box", "torus", "revolved", "drilled box"],
 )
 def test_a_shape_has_its_closed_forms_volume(field: fields.Field, inside: object, volume: float) -> None:
-    """Sign, size and place of each shape: the mesh cut from it has the volume of the textbook formula within 1 %."""
+    """The mesh of each shape has the volume of the textbook formula within 1 %, at the right place."""
     assert field(np.array([inside], np.float32).T)[0] < 0
     mesh = mesher.mesh_of(field, (-6.5, -6.5, -6.5), (6.5, 6.5, 6.5), 0.1)
     corners = mesh.vertices[mesh.faces]
@@ -52,7 +55,7 @@ def test_a_shape_has_its_closed_forms_volume(field: fields.Field, inside: object
 
 
 def test_sparse_evaluation_is_the_dense_one() -> None:
-    """On a lumpy shape, the surface from blocks near it is that from every grid point."""
+    """The surface from blocks near a bumpy shape equals the surface from every grid point."""
     field = fields.displaced(
         fields.union(0.5, fields.ellipsoid((0, 0, 0), (5, 1, 4)), fields.torus((0, 0, 0), 0, 4, 0.7)),
         fields.ripples(np.random.default_rng(3), 0.1, 2.0),
@@ -68,7 +71,7 @@ def test_sparse_evaluation_is_the_dense_one() -> None:
 
 
 def test_a_count_that_cannot_be_met_is_an_error() -> None:
-    """An odd count cannot be reached by closing pairs of faces: it is said, not rounded."""
+    """An odd number of faces, which pairwise removal cannot reach, is an error."""
     ball = mesher.mesh_of(fields.ellipsoid((0, 0, 0), (3, 3, 3)), (-4, -4, -4), (4, 4, 4), 0.5)
     with pytest.raises(ArithmeticError, match="not to 301"):
         mesher.collapsed_to(ball, 301)

@@ -1,4 +1,4 @@
-"""Speed fronts: the table of knobs, the rows, sentences and pictures, the measures beneath them."""
+"""Speed fronts: the table of knobs, rows, sentences and pictures, and the measures."""
 
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.parametrize("name", list(KNOBS))
 def test_the_default_is_on_its_front(name: str) -> None:
-    """So that the mark of the picture is measured, between others."""
+    """The default of each knob lies between measured values."""
     knob = KNOBS[name]
     assert knob.default in knob.values[1:-1]
     assert len(set(knob.values)) == len(knob.values) >= 3
@@ -30,7 +30,7 @@ def test_the_default_is_on_its_front(name: str) -> None:
 
 
 def test_the_page_has_the_same_table() -> None:
-    """Knob, range, default, truth and error measure, in the order of the code."""
+    """The page has knob, range, default, truth and error measure as in the code."""
     page = (ROOT / "docs" / "internals" / "speed_accuracy.md").read_text(encoding="utf-8")
     for name, knob in KNOBS.items():
         text = ", ".join(f"{value:g}" for value in knob.values)
@@ -40,7 +40,10 @@ def test_the_page_has_the_same_table() -> None:
 
 
 def test_what_is_no_knob_is_refused_with_where_it_is_measured() -> None:
-    """No words are all knobs."""
+    """An unknown knob is refused with the benchmark that measures it.
+
+    Without names all knobs are selected.
+    """
     assert chosen([]) == [*KNOBS]
     with pytest.raises(UsageError, match="there is no knob sampels; there are decimation, samples"):
         chosen(["samples", "sampels"])
@@ -79,7 +82,7 @@ def _outcome(trial: Trial) -> Outcome:
 
 
 def test_rows_sentences_and_pictures_of_knobs() -> None:
-    """One row a value; an error of zero has a place on a logarithmic axis."""
+    """The study has one row per value, and one picture is drawn, also for an error of zero."""
     scene = load_scene(None, {"part": {"name": "mug"}})
     study = speed_study([("samples", scene), ("scan", scene)])
     rows = study.rows([_outcome(trial) for trial in study.trials])
@@ -95,14 +98,14 @@ def test_rows_sentences_and_pictures_of_knobs() -> None:
 
 
 def test_more_samples_bring_the_claim_closer() -> None:
-    """The front falls from its first to its last value."""
+    """The error with 32 samples per face is smaller than with one."""
     bench = Bench(load_scene(None, {"part": {"name": "mug"}, "plan": {"faces": 80}}), samples=20_000)
     errors = [samples(bench, count, 1).error for count in (1, 32)]
     assert errors[1] < errors[0]
 
 
 def test_the_best_of_a_few_runs_counts() -> None:
-    """And the work is done as often as asked."""
+    """The function is called the requested number of times, and the best time is returned."""
     runs: list[int] = []
     result, seconds = best_of(lambda: runs.append(1) or len(runs), 3)
     assert result == 3
@@ -112,7 +115,7 @@ def test_the_best_of_a_few_runs_counts() -> None:
 
 @pytest.mark.slow
 def test_fronts_of_a_small_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reduced: two values of each knob by a worker."""
+    """The reduced study of two values of each knob runs in a worker."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     scene = load_scene(None, {"part": {"name": "petanque"}, "plan": {"faces": 60}})
     study = speed_study([(name, scene) for name in KNOBS], values=(1, 2), repeats=1)

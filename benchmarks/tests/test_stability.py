@@ -1,4 +1,4 @@
-"""Stability maps: map and program speak of one border, and no method fails in silence."""
+"""Stability maps: map and program have the same border, and no method fails without a message."""
 
 import json
 from pathlib import Path
@@ -30,7 +30,10 @@ _NUMBERS = [
 def test_the_program_begins_to_speak_at_the_border_that_the_map_shades(
     name: str, line: str, border: float, outward: int
 ) -> None:
-    """A hair inside it says nothing and is good, a hair beyond it says a sentence."""
+    """Slightly inside the border there is no message and the result is good.
+
+    Slightly beyond it there is a message.
+    """
     each = MAPS[name]
     hair = max(1e-2 * abs(border), 1e-12)
     inside, beyond = (each.look(line, border + sign * outward * hair, each.sizes[1]) for sign in (-1, 1))
@@ -41,7 +44,10 @@ def test_the_program_begins_to_speak_at_the_border_that_the_map_shades(
 
 
 def test_inverse_kinematics_is_held_against_joint_angles_that_are_known() -> None:
-    """The map would see a branch that is lost: poses from a longer arm are not found again."""
+    """Inverse kinematics finds the known joint angles near the stretched arm.
+
+    A pose out of reach has a large residual.
+    """
     point = MAPS["ik"].look("arm stretched", 1e-6, 50)
     assert (point.success, point.says) == (1.0, "")
     assert point.more["own joint angles off rad"] < 1e-8
@@ -67,7 +73,7 @@ def _rows(said_beyond: str) -> list[dict[str, Any]]:
 
 
 def test_a_promise_is_broken_where_a_method_fails_in_silence() -> None:
-    """And only there; the sentence of the study says so."""
+    """A value with a bad result and without a message is a broken promise, and the sentence states it."""
     assert broken_promises(_rows("too steep")) == []
     assert "silent" not in sentences(_rows("too steep"))[0]
     silent = _rows("")
@@ -76,7 +82,7 @@ def test_a_promise_is_broken_where_a_method_fails_in_silence() -> None:
 
 
 def test_each_map_is_drawn_and_shaded() -> None:
-    """Two panels, the safe region in both."""
+    """A map has two panels with the safe region in both."""
     ((stem, figure),) = stability_study(["grazing"], quick=True).pictures(_rows("too steep"))
     assert stem == "stability_grazing"
     assert len(figure.axes) == 2
@@ -84,14 +90,14 @@ def test_each_map_is_drawn_and_shaded() -> None:
 
 
 def test_an_unknown_map_is_named_with_those_that_there_are() -> None:
-    """One sentence."""
+    """An unknown map is refused with the list of maps."""
     with pytest.raises(UsageError, match="there is no stability map teapot; there are ik, limits"):
         stability_study(["teapot"])
 
 
 @pytest.mark.parametrize("integrator", ["implicitfast", "Euler"])
 def test_the_dynamic_arm_is_good_up_to_the_time_step_that_it_warns_of(integrator: str) -> None:
-    """The hard move settles, and is nowhere farther than 0.15 mm from its reference."""
+    """The hard move settles within 0.15 mm of its reference at the largest time step without a warning."""
     settings = PlantSettings(time_step=MAX_ACCURATE_STEP, integrator=integrator)
     move = one_move(settings)
     assert settings.warning == ""
@@ -101,12 +107,12 @@ def test_the_dynamic_arm_is_good_up_to_the_time_step_that_it_warns_of(integrator
 
 @pytest.mark.slow
 def test_no_method_fails_in_silence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The reduced study: every map is asked and drawn, and is silent only where its method is good."""
+    """In the reduced study every map is run and drawn, and has no broken promise."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     with Processes(1) as workers:
         result = run_study(stability_study([], quick=True), workers, out=tmp_path / "maps", reporter=LoggedProgress())
     assert result.failed == []
     assert broken_promises(result.rows) == []
-    # Inverse kinematics, and the selection on so small matrices, are good at every value.
+    # Inverse kinematics, and the selection on small matrices, are good at every value.
     assert {row["map"] for row in result.rows if row["says"]} == set(MAPS) - {"ik", "cover"}
     assert all((result.folder / f"stability_{name}.svg").stat().st_size > 1000 for name in MAPS)
