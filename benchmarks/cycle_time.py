@@ -1,12 +1,12 @@
 """Cycle time of plans: an earlier version, RoboTSP, and the current ordering with exchanged views.
 
 Each seeded scene (part, placement, fixtures; `benchmarks.seeded_scenes`) is covered once, in full. Two methods order
-and connect the same cover, with certified paths and jerk-limited moves, beside the measurements of a third:
+and connect the same cover, with certified paths and jerk-limited moves, and are compared with measurements of a third:
 
 - before: the order before generalised tours were searched by ruin and recreate and views were exchanged: a Christofides
   tour in task space improved by 2-opt, or-opt and double bridges with 10,000 evaluations (exact for few views), one
   tour inspected in each of 60 rounds. Its numbers are frozen in `BEFORE_S`; they are comparable as long as the cover of
-  the scene has the same number of views, which is listed beside them;
+  the scene has the same number of views, which is listed with them;
 - RoboTSP: a tour through the scanner's positions, best configurations along it by dynamic programming (Suarez-Ruiz,
   Lembono and Pham 2018, doi:10.1109/ICRA.2018.8460581). Its tour gets 10,000 steps of our own search;
 - now: the current ordering after the exchange of views (`planner.tour.equivalent_views`), as `cell plan` does it.

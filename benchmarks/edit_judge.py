@@ -32,7 +32,7 @@ VISIBLE = 0.006
 _REFUSAL = re.compile(
     r"(view \d+|candidate \d+|added pose \d+) cannot be (taken|part of a motion): (.*); (move it|give another)"
 )
-_TURNED = 1e-4  # of the entries of rotations
+_TURNED = 1e-4  # tolerance of the entries of rotations
 _STEP_S, _DISTANCES = 1e-3, 40
 _ARM = Robot(
     KinematicModel(
@@ -88,7 +88,7 @@ class EditJudge:
         q = q[~np.isnan(q).any(axis=1)]
         turns = np.stack(np.meshgrid(*[2 * np.pi * np.arange(-2, 3)] * 3), axis=-1).reshape(-1, 3)
         full = np.zeros((len(turns), 6))
-        full[:, [0, 3, 5]] = turns  # of A2, A3 and A5 no turn fits
+        full[:, [0, 3, 5]] = turns  # full turns of A2, A3 and A5 do not fit into the limits
         base = (q + np.pi) % (2 * np.pi) - np.pi
         all_turns = (base[:, None] + full).reshape(-1, 6)
         inside = (all_turns >= self._limits[:, 0] - 1e-6) & (all_turns <= self._limits[:, 1] + 1e-6)

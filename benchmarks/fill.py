@@ -3,10 +3,10 @@
 For every built-in part with its default settings: `rays` at four resolutions and `aimed` with four numbers of samples
 per face. Each matrix selects a plan (greedy cover); the share of area that it predicts for the plan is compared with
 visible coverage by its definition, on 10^5 samples outside the matrix. The first rows are Mseke at the size of the
-paper's largest experiment but one: 1858 planning faces x 1858 viewpoints, one roll.
+paper's second largest experiment: 1858 planning faces x 1858 viewpoints, one roll.
 
 `trimesh s` is the time of the same rays with trimesh's ray interface, viewpoint by viewpoint as in the paper: measured
-on every n-th viewpoint, 40 in all, and multiplied by n. It gives the same matrix, so it has the same error.
+on 40 evenly spaced viewpoints and scaled to all of them. It gives the same matrix, so it has the same error.
 """
 
 import time

@@ -150,7 +150,7 @@ def fuzz(good: list[bytes], accept: Decoder, frames: int, rng: np.random.Generat
         good: valid frames.
         accept: function from bytes to the frames that a receiver accepts.
         frames: number of corrupted frames.
-        rng: of the corruption.
+        rng: random stream of the corruption.
     """
     meanings = [accept(data) for data in good]
     assert all(meanings)

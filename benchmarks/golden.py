@@ -45,7 +45,7 @@ REFERENCE = Path(__file__).with_suffix(".json")
 _DIGITS = 16  # hexadecimal digits of a hash that are kept
 _IGNORED_SUFFIXES = (".png", ".log", ".lock")
 _IGNORED_FOLDERS = ("cache",)
-_DIGEST = re.compile(r"[0-9a-f]{40,64}")  # some cover texts or absolute paths
+_DIGEST = re.compile(r"[0-9a-f]{40,64}")  # some of them cover texts or absolute paths
 _TIME = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?(\.\d+)?(Z|\+00:00)?")
 
 Step: TypeAlias = str | Callable[[Path], None]
@@ -57,7 +57,7 @@ class Case:
     """One run.
 
     Attributes:
-        name: of the run and of its folder.
+        name: name of the run and of its folder.
         steps: commands and functions, executed in order in the folder of the run.
         inputs: local name to path of a result of an earlier run, copied before the first step.
         scene: text of the scene file `in.toml`.

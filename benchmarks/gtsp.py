@@ -1,7 +1,7 @@
 """Generalised travelling salesman instances: gap to the best known tour, time, and lower bound.
 
 The instances are those of GTSPLIB (Fischetti, Salazar and Toth 1997, doi:10.1287/opre.45.3.378), read from the folder
-SCAN_CELL_GTSP with `best_known.json` beside them, and random ones: places in a square, clustered as in GTSPLIB (the
+SCAN_CELL_GTSP with its `best_known.json`, and random ones: places in a square, clustered as in GTSPLIB (the
 farthest places are centres, the others join the nearest one), 50, 80 and 200 clusters of 5 nodes. Their best known cost
 is that of one run of a million steps, so a negative excess is possible. Kernels are compiled before the clock starts.
 

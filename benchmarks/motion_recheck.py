@@ -29,7 +29,7 @@ from planner.values import Floats
 
 _STEP = 1e-3  # s
 _VIEWS = 10
-_DISTANCES = 40  # of a motion, for the column "nearest": distances of triangles are dear
+_DISTANCES = 40  # samples of a motion for the column "nearest": distances of triangles are slow
 
 
 def run() -> list[dict[str, Any]]:

@@ -45,7 +45,7 @@ BANDWIDTHS_HZ = (3.0, 6.0, 12.0, 24.0, 48.0)
 INTEGRATORS = ("Euler", "implicitfast")
 AT_SPEED = 0.1
 
-_FINE_STEP = 5e-5  # of the reference simulation of `off mm` [s]
+_FINE_STEP = 5e-5  # time step of the reference simulation of `off mm` [s]
 
 
 def run() -> list[dict[str, Any]]:

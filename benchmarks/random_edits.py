@@ -13,8 +13,8 @@ from cell.runs.run import Run
 from planner.kinematics.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from planner.values import Floats
 
-_WRONG = 0.08  # share of edits that name what is not there
-_NEAR, _FAR = (20.0, 5.0), (150.0, 25.0)  # mm and deg, one sigma each: most are taken, many are not
+_WRONG = 0.08  # share of invalid edits
+_NEAR, _FAR = (20.0, 5.0), (150.0, 25.0)  # mm and deg, one sigma each: most edits are accepted, many are refused
 _SHARE_FAR, _SHARE_REACHABLE = 0.2, 0.8
 
 
@@ -74,7 +74,7 @@ def random_edit(rng: np.random.Generator, run: Run) -> RandomEdit:
 
 
 def _beside(rng: np.random.Generator, T: Floats) -> list[float]:
-    """Return x, y, z [mm] and A, B, C [deg] of a pose near another pose, some of them about 100 mm away."""
+    """Return x, y, z [mm] and A, B, C [deg] of a pose near another pose, some of them about 150 mm away."""
     mm, degrees = _FAR if rng.random() < _SHARE_FAR else _NEAR
     position, abc = kuka_abc_from_pose(T)
     moved = [*(position * 1000 + rng.normal(0, mm, 3)), *(np.degrees(abc) + rng.normal(0, degrees, 3))]

@@ -1,12 +1,13 @@
-"""Rays: Embree's answers compared with float64 brute force, and the matrix at its design sizes.
+"""Rays: results of Embree compared with float64 brute force, and the matrix at its design sizes.
 
 `hits` and `legs` are 10^6 rays each on a closed mesh with hollows, a tenth of them through its edges, every ray against
-every triangle in float64 (`$SCAN_CELL_RAYS` sets another number). An answer is wrong if it differs although no edge of
-the triangles in question lies within 1e-6 of the part's size of the ray. Rays through exact vertices are counted
+every triangle in float64 (`$SCAN_CELL_RAYS` sets another number). A result is wrong if it differs although no edge of
+the triangles in question lies within 1e-6 of the size of the part from the ray. Rays through exact vertices are counted
 separately: Embree may let one pass between the faces there.
 
-`fill` rows are separate processes, so that their memory is their own: Mseke at 1858 x 1858 with 4 samples per face, and
-10,000 faces x 10,000 viewpoints, with Embree's share of the time, and the time per pair that passes the culling.
+`fill` rows are separate processes, so that their memory is measured separately: Mseke at 1858 x 1858 with 4 samples per
+face, and 10,000 faces x 10,000 viewpoints, with the share of Embree in the time, and the time per pair that passes the
+culling.
 """
 
 import json
@@ -25,7 +26,7 @@ from planner.values import Floats
 
 RAYS = int(os.environ.get("SCAN_CELL_RAYS", "1000000"))
 _BLOCK = 4000
-_MARGIN = 1e-6  # of the part's size
+_MARGIN = 1e-6  # share of the size of the part
 
 _FILL = """
 import json, resource, sys, time

@@ -1,9 +1,9 @@
 """From cloud to mesh, and registration: seconds and error, on the built-in Mseke.
 
 The cloud is eight virtual scans from 300 mm, fine enough for 300,000 points. Rows `mesh` vary the grid and the range
-noise; `seconds` is normals, merging and reconstruction together (`processor s` adds up both cores and does not count
-what else the machine did), the errors are the mesh's deviation from the reference. A row `poisson` is Open3D's screened
-Poisson reconstruction of the same points, where Open3D is installed: its normals, its surface of depth 8, and the same
+noise; `seconds` is normals, merging and reconstruction together (`processor s` adds up both cores and excludes other
+programs), the errors are the mesh's deviation from the reference. A row `poisson` is Open3D's screened
+Poisson reconstruction of the same points, if Open3D is installed: its normals, its surface of depth 8, and the same
 cut at two spacings, without which it closes the part. Rows `registration` vary the pose error (one sigma, translation
 and rotation together) on scans of 0.5 degree with 30 micrometres of noise; the errors are the merged cloud's rms
 distance to the reference before and after.

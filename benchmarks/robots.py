@@ -102,7 +102,7 @@ def _share_of_limits(motion: dict[str, Any]) -> float:
     for name, limit in (("qd", "limit_velocity"), ("qdd", "limit_acceleration")):
         if name in motion:
             shares.append((np.abs(motion[name]) / motion[limit]).max())
-    jerk = np.diff(motion["qdd"], axis=0) / np.diff(motion["t"])[:, None]  # of a sampled acceleration, at most its own
+    jerk = np.diff(motion["qdd"], axis=0) / np.diff(motion["t"])[:, None]  # mean jerk between samples
     shares.append((np.abs(jerk) / motion["limit_jerk"]).max())
     return float(max(shares))
 

@@ -37,7 +37,7 @@ class SeededCell:
     """A compiled scene with candidates.
 
     Attributes:
-        number: of the scene.
+        number: number of the scene.
         world: the compiled cell.
         checker: its collision checker.
         part: the part's faces, object frame [m].
@@ -62,7 +62,7 @@ def usable(number: int, least: int = 2, *, table: str = "") -> SeededCell:
     """Return the first feasible draw of a scene with enough reachable candidates.
 
     Args:
-        number: of the scene.
+        number: number of the scene.
         least: required number of reachable candidates.
         table: mode of a rotary table, or "tilted": synchronised, with a tilted axis; "": no table.
     """
@@ -86,7 +86,7 @@ def usable(number: int, least: int = 2, *, table: str = "") -> SeededCell:
 
 
 def _table(number: int, draw: int, moves: str) -> dict[str, Any]:
-    """Return a rotary table: every second one has limits, and the part beside its axis."""
+    """Return a rotary table: every second one has limits, and the part off its axis."""
     rng = np.random.default_rng([number, draw, 1])
     keys: dict[str, Any] = {
         "diameter_mm": round(float(rng.uniform(200, 500)), 1),

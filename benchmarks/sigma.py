@@ -29,9 +29,9 @@ from planner.viewpoints.viewpoints import optimal_scanning_zone
 
 PARTS = ("mseke", "mug", "humerus")
 VIEWS = 5
-POINTS = 120  # of each view
+POINTS = 120  # points of each view
 SCANS = 400
-PHOTONS = 400  # of a spot on a surface that faces both: enough that their number never comes out as 0
+PHOTONS = 400  # photons of a spot on a surface that faces both: enough that their number is never 0
 
 _COLOURS = {"mseke": "#2a6f97", "mug": "#c4622d", "humerus": "#4f7f3b"}
 

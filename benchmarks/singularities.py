@@ -17,7 +17,7 @@ from planner.values import Floats
 
 _TOOL, _SPEED = 0.12, 0.1  # m, m/s
 _DISTANCES = 10.0 ** np.arange(-5.0, 0.01, 0.25)  # at smaller distances the differences lose digits
-_STEP = 1e-6  # rad, of the central differences: their error is 1e-10
+_STEP = 1e-6  # step of the central differences [rad]: their error is 1e-10
 
 
 def run() -> list[dict[str, Any]]:

@@ -85,7 +85,7 @@ def drive(driver: Driver, moves: int, rng: np.random.Generator, wait: Callable[[
     Args:
         driver: not yet connected.
         moves: number of moves.
-        rng: of the moves.
+        rng: random stream of the moves.
         wait: function that lets seconds pass before another attempt to recover.
 
     Raises:
@@ -185,7 +185,7 @@ class Verdict:
 
     @property
     def clean(self) -> bool:
-        """Return whether no move is twice, lost, foreign, out of order or off the path, and every fault was reported."""
+        """Return True if no move is twice, lost, foreign, out of order or off the path, and all faults were reported."""
         return not (self.twice or self.lost or self.foreign or self.out_of_order or self.unreported) and (
             self.off_path <= 2.0
         )
@@ -275,7 +275,7 @@ def soak_backend(
         backend: protocol of `cell emulate`.
         moves: number of moves.
         faults: list of faults.
-        seed: of faults and moves.
+        seed: seed of faults and moves.
         folder: a run whose axes are moved; None: those of the built-in arm.
 
     Returns:

@@ -60,7 +60,7 @@ class TriangleCell:
             turns = world.table is not None and model.body(model.geom_bodyid[geom]).name in ("object", "post")
             tool = 6 if name in ("housing", "bracket") else 0
             self._link.append(int(name[5:]) if name.startswith("link_") else 7 if turns else tool)
-        if world.table is not None:  # a seventh axis, of everything on the table
+        if world.table is not None:  # a seventh axis of all bodies on the table
             self._axes = np.concatenate([self._axes, world.table.T_base_table[None, :3, 2]])
             self._anchors = np.concatenate([self._anchors, world.table.T_base_table[None, :3, 3]])
         self._names = world.entities

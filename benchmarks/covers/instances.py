@@ -51,7 +51,7 @@ class Task:
             the name of a generated instance.
         solver: a name in `benchmarks.covers.one_run.SOLVERS`.
         seconds: processor seconds; for our solver counted effort of this many seconds, None: its default.
-        seed: of the solver.
+        seed: seed of the solver.
         weighted: whether columns have the costs of the file, or 1.
         coverage: share of the coverable area that must be covered.
         max_views: in place of `coverage`, the largest number of columns, whose area is maximised.
@@ -83,7 +83,7 @@ def load(name: str, weighted: bool) -> Instance:
     if name.endswith(".npz"):
         with np.load(name, allow_pickle=False) as file:
             ones = np.ones(len(file["indices"]), dtype=bool)
-            indices, indptr = (file[name].astype(np.int32) for name in ("indices", "indptr"))  # as the planner has them
+            indices, indptr = (file[name].astype(np.int32) for name in ("indices", "indptr"))  # as in the planner
             M = sp.csr_array((ones, indices, indptr), shape=tuple(file["shape"]))
             return Instance(M, np.ones(M.shape[1], np.int64), file["area"], file["reachable"])
     made = generate(name)
@@ -97,7 +97,7 @@ def load(name: str, weighted: bool) -> Instance:
 
 
 def best_known(name: str) -> int | None:
-    """Return the fewest known columns from `best_known.json` beside a file; None without such a list."""
+    """Return the fewest known columns from the `best_known.json` of the folder of a file; None without such a list."""
     path = Path(name)
     beside = path.parent / "best_known.json"
     stem = path.name.removesuffix(".gz").removesuffix(".txt")

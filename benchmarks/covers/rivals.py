@@ -23,7 +23,7 @@ from benchmarks.covers.instances import Instance, Task, required_units
 
 _MANY = 2**40  # no upper limit
 _CHECK_S = 0.02  # between checks of the clock
-_WORKERS = 8  # of CP-SAT: with one it has no neighbourhood search, and finds worse covers
+_WORKERS = 8  # searches of CP-SAT: with one it has no neighbourhood search, and finds worse covers
 
 
 @dataclass

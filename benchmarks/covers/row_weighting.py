@@ -13,10 +13,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-_STEPS = 500  # between checks of the clock
+_STEPS = 500  # steps between checks of the clock
 _OPEN, _INSIDE, _COST, _TIME, _TABU = range(
     5
-)  # of `numbers`: uncovered rows, selected columns, their cost, flips, last in
+)  # indices of `numbers`: uncovered rows, selected columns, their cost, flips, last in
 
 _Ints = NDArray[np.int64]
 
@@ -28,8 +28,8 @@ def row_weighting_search(
 
     Args:
         M: (m, n) csr_array of bool, each row covered by some column.
-        costs: (n,) of each column, above zero.
-        seed: of the draws.
+        costs: (n,) cost of each column, above zero.
+        seed: seed of the draws.
         seconds: time limit.
         clock: processor seconds, for example.
 

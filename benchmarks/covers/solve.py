@@ -112,7 +112,7 @@ def solve_file(path: Path, options: CoverOptions, *, unicost: bool) -> SolvedFil
 
     Args:
         path: the file, see `benchmarks.covers.files`.
-        options: of reader and solver.
+        options: options of reader and solver.
         unicost: whether every column costs 1 in place of the cost in the file.
 
     Raises:

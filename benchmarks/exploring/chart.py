@@ -19,7 +19,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     """Draw the picture.
 
     Args:
-        rows: of the benchmark.
+        rows: rows of the benchmark.
         path: the PNG to write.
     """
     names = list(dict.fromkeys(row["part"] for row in rows))

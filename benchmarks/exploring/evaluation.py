@@ -1,6 +1,6 @@
 """Evaluate an exploration in simulation against the true part, which its planning does not know.
 
-`plan_known_model` is `cell plan --curve` on the true model, in a run folder of its own. Its curve bounds the coverage
+`plan_known_model` is `cell plan --curve` on the true model, in a separate run folder. Its curve bounds the coverage
 of any n of its candidates. For the coverage that the exploration reached, a set cover with branch and bound on the same
 matrix gives a stronger lower bound on the number of views. Coverage is visible coverage on the held-out samples.
 """

@@ -13,7 +13,7 @@ from planner.viewpoints.viewpoints import Viewpoints
 DENSER = 4
 """Factor on the samples per face if a plan that covers all regular samples does not suffice."""
 
-_MAX_RAISES = 6  # of the target; one or two close the gap on the held-out samples
+_MAX_RAISES = 6  # raises of the target; one or two close the gap on the held-out samples
 _MARGIN = 0.0005  # added to the gap [share], since a target without it can be missed by a rounding
 
 

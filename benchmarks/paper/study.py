@@ -198,7 +198,7 @@ def _settings(table: str, row: PaperRow, faces_share: float) -> dict[str, object
     settings: dict[str, object] = {
         "part": row.part,
         "faces": max(8, round(faces_share * (930 if table == "table5" else row.viewpoints))),
-        # A reduced study has fewer candidates, but as many samples of the surface as the full one.
+        # A reduced study has fewer candidates, but the same number of samples of the surface.
         "samples_per_face": round(PlanSettings().samples_per_face / faces_share),
     }
     key = _KEYS.get(table)

@@ -1,6 +1,6 @@
 """The paper's Tables 1 to 5 as printed (tables.csv): 86 rows of parameter, viewpoints, views and coverage.
 
-Table 5 gives the robot's position with respect to the object; docs/frames.md says how it is read. The contradictions of
+Table 5 gives the robot's position with respect to the object; docs/frames.md explains it. The contradictions of
 the paper (docs/internals/paper_tables.md) are not corrected.
 """
 

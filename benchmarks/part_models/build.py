@@ -1,6 +1,6 @@
 """Build the built-in parts, and write their files, which `cell.part.builtin` reads.
 
-`python -m benchmarks.part_models.build` writes `models/parts` anew.
+`python -m benchmarks.part_models.build` writes `models/parts` again.
 """
 
 import io
@@ -16,7 +16,7 @@ from cell.part.builtin import fit_bounds
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats, Ints32
 
-_SEED = 7  # of the ripples
+_SEED = 7  # seed of the ripples
 _DATE = (1980, 1, 1, 0, 0, 0)  # in the files, so that equal parts give equal bytes
 
 

@@ -23,7 +23,7 @@ from benchmarks.part_models.fields import (
 
 
 def mseke(rng: np.random.Generator) -> Field:
-    """A carved head without deep cavities (genus 0), 188 x 223 x 183 mm; z is up, the face looks along -y."""
+    """Return a carved head without deep cavities (genus 0), 188 x 223 x 183 mm; z is up, the face looks along -y."""
     skull = ellipsoid((0, 16, 16), (80, 92, 76))
     bun = ellipsoid((0, 84, 30), (44, 26, 38))
     jaw = ellipsoid((0, -34, -40), (56, 52, 50))
@@ -66,7 +66,7 @@ def mseke(rng: np.random.Generator) -> Field:
 
 
 def _braids(p: Points) -> Values:
-    """Rows of plaited hair, 2.4 mm high, above a hairline that rises towards the face."""
+    """Return rows of plaited hair, 2.4 mm high, above a hairline that rises towards the face."""
     x, y, z = p
     above = z - (38 - np.float32(0.45) * (y + 20))
     hair = np.clip(above / 8, 0, 1) * np.clip((y + 66) / 6, 0, 1)
@@ -76,7 +76,7 @@ def _braids(p: Points) -> Values:
 
 
 def mug(rng: np.random.Generator) -> Field:
-    """A mug: deep cavity and handle (genus 1), 60 x 50 x 47 mm; its axis is z, the handle points to +x."""
+    """Return a mug: deep cavity and handle (genus 1), 60 x 50 x 47 mm; its axis is z, the handle points to +x."""
     along = [0.0, 1.0, 4.0, 12.0, 24.0, 38.0, 47.0]
     outside = revolve(2, along, [21.0, 22.6, 23.8, 24.6, 25.0, 24.6, 24.2])
     angle = np.linspace(-np.pi / 2, np.pi / 2, 15)
@@ -90,7 +90,7 @@ def mug(rng: np.random.Generator) -> Field:
 
 
 def robinet(rng: np.random.Generator) -> Field:
-    """A tap (genus 5: a bore with three mouths, a wheel with three spokes), 228 x 120 x 108 mm.
+    """Return a tap (genus 5: a bore with three mouths, a wheel with three spokes), 228 x 120 x 108 mm.
 
     z is up; inlet at -x, spout at +x, side inlet at +y, wheel on top.
     """
@@ -153,7 +153,7 @@ def _ring(n: int) -> list[float]:
 
 
 def _wheel(x: float) -> Field:
-    """The wheel with its spokes, hub and stem."""
+    """Return the wheel with its spokes, hub and stem."""
     return union(
         3,
         torus((x, 0, 47), 2, 54.3, 5.5),
@@ -167,7 +167,7 @@ def _wheel(x: float) -> Field:
 
 
 def _knurl(p: Points, x: float) -> Values:
-    """Grip scallops around the wheel's rim, 1.2 mm deep."""
+    """Return the height of grip scallops around the rim of the wheel, 1.2 mm deep."""
     angle = np.arctan2(p[1], p[0] - np.float32(x))
     radius = np.sqrt(p[1] ** 2 + (p[0] - np.float32(x)) ** 2)
     value: Values = (0.6 * np.cos(angle * 18) * np.clip((radius - 46) / 4, 0, 1) - 0.3).astype(np.float32)
@@ -175,7 +175,7 @@ def _knurl(p: Points, x: float) -> Values:
 
 
 def _hexagon(centre: tuple[float, float, float], across: float, half_length: float) -> Field:
-    """A nut about the x axis: three boxes' intersection."""
+    """Return a nut about the x axis: the intersection of three boxes."""
     faces = [box(centre, (half_length, across, 200), 0.5, rotation(0, angle)) for angle in (0, 60, 120)]
 
     def field(p: Points) -> Values:
@@ -188,7 +188,7 @@ def _hexagon(centre: tuple[float, float, float], across: float, half_length: flo
 
 
 def petanque(rng: np.random.Generator) -> Field:
-    """A player in a long step who swings a boule (genus 0), 207 x 179 x 74 mm; y is up, he throws towards +x."""
+    """Return a player in a long step who swings a boule (genus 0), 207 x 179 x 74 mm; y is up, he throws towards +x."""
     chest, head = (6, 42, 0), (24, 73, 0)
     trunk = union(
         14,
@@ -243,7 +243,7 @@ def _fingers() -> list[Field]:
 
 
 def humerus(rng: np.random.Generator) -> Field:
-    """An upper arm bone (genus 0), 60 x 11 x 9 mm; x runs from the shoulder's head to the elbow's condyles."""
+    """Return an upper arm bone (genus 0), 60 x 11 x 9 mm; x runs from the shoulder's head to the elbow's condyles."""
     shaft = tube(
         [(-25, 0.2, 0.2), (-20, 0.0, 0.0), (-12, -0.2, -0.2), (0, 0.1, 0.1), (12, 0.1, 0.3), (20, 0, 0.1), (25, 0, 0)],
         [2.9, 2.4, 1.95, 1.7, 1.6, 1.75, 2.0],
@@ -329,7 +329,7 @@ def st_jean(rng: np.random.Generator) -> Field:
 
 
 def _folds(p: Points) -> Values:
-    """Hanging folds of the robe: deeper towards the hem, wandering with the height."""
+    """Return hanging folds of the robe: deeper towards the hem, wandering with the height."""
     x, y, z = p
     angle = np.arctan2(x, z)
     depth = np.clip((120 - y) / 70, 0, 1) * np.clip((y - 8) / 6, 0, 1)

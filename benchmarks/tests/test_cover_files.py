@@ -116,7 +116,7 @@ def test_wrong_uses_end_with_one_sentence(
 
 
 def hard(path: Path) -> None:
-    """Return a random problem that no solver proves within a test."""
+    """Write a random problem that no solver proves within a test."""
     rng = np.random.default_rng(0)
     M = rng.random((200, 900)) < 0.02
     M[:, 0] |= ~M.any(axis=1)

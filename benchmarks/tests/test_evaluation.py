@@ -99,7 +99,10 @@ def test_an_exploration_is_evaluated_on_the_true_part(part_file: Path, tmp_path:
 @pytest.mark.parametrize("name", ["mug", "petanque"])
 @pytest.mark.parametrize("policy", ["stepwise", "two-stage"])
 def test_explorations_of_built_in_parts_measure_most_and_touch_nothing(name: str, policy: str, tmp_path: Path) -> None:
-    """The views measure most of what reachable candidates do; contacts are those of triangles in python-fcl."""
+    """The views measure at least 85 % of the coverable surface.
+
+    The motions have no contacts of triangles in python-fcl.
+    """
     scene = scene_from_options(None, {"place": (1200, 500, 0), "max_views": 16}, name)
     options, out, known_model = (
         parse_options(ExploreOptions, {"policy": policy}),
