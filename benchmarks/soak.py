@@ -185,7 +185,7 @@ class Verdict:
 
     @property
     def clean(self) -> bool:
-        """Return True if no move is twice, lost, foreign, out of order or off the path, and all faults were reported."""
+        """Return True if no move is twice, lost, foreign, out of order or off the path, and all faults are reported."""
         return not (self.twice or self.lost or self.foreign or self.out_of_order or self.unreported) and (
             self.off_path <= 2.0
         )

@@ -100,7 +100,10 @@ def box(centre: Vector, half_sides: Vector, rounding: float = 0.0, turn: NDArray
 
 
 def torus(centre: Vector, axis: int, radius: float, thickness: float, squash: float = 1.0) -> Field:
-    """Return a ring about a coordinate axis; `thickness` is the radius of its section [mm], `squash` its axial factor."""
+    """Return a ring about a coordinate axis.
+
+    `thickness` is the radius of its section [mm], `squash` widens it along the axis.
+    """
     c = np.array(centre, np.float32)[:, None]
     i, j = (k for k in range(3) if k != axis)
 
