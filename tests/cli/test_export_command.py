@@ -93,7 +93,7 @@ def test_default_speed_is_low_and_never_above_the_plan(planned: Path, run_cell: 
     source = (tmp_path / "x" / "A1.src").read_bytes()
     assert b"BAS(#VEL_PTP,20)\r\nBAS(#ACC_PTP,30)\r\n" in source
     assert [export.percent(None, default, 0.079) for default in (20, 30)] == [7, 7]
-    assert export.percent(50, 20, 0.079) == 50
+    assert export.percent(0.5, 20, 0.079) == 50
 
 
 def test_a_folder_name_that_is_invalid_in_krl_is_replaced_by_the_digest(
@@ -122,7 +122,7 @@ def test_a_folder_name_that_is_invalid_in_krl_is_replaced_by_the_digest(
         (("--name", "SC_TOOL"), "is reserved in KRL, in $CONFIG.DAT or in the exported program"),
         (("--speed", "0"), "--speed is 0.0; it must be above 0"),
         (("--speed", "20"), "--speed is 20; it is a share of the speed, at most 1: give 0.2 for 20 %"),
-        (("--acceleration", "0"), "--acceleration is 0; it must be at least 1"),
+        (("--acceleration", "0"), "--acceleration is 0.0; it must be above 0"),
         (("--trigger-output", "0"), "--trigger-output is 0; it must be at least 1"),
         (("--done-input", "4097"), "--done-input is 4097; it must be at most 4096"),
         (("--timer", "0"), "--timer is 0; it must be at least 1"),

@@ -415,7 +415,7 @@ def test_plans_that_cannot_have_a_table_refuse_it(run_cell: RunCell, part_file: 
     for command in (("explore", *part), ("plan", *part, "--scene", "line.toml")):
         done = run_cell(*command, cwd=tmp_path)
         assert done.returncode == 2, (command, done.stderr)
-        assert "cannot have a rotary table yet" in done.stderr
+        assert "does not support a rotary table yet" in done.stderr
 
 
 def test_an_indexed_table_is_planned_verified_and_resumed(
