@@ -75,7 +75,7 @@ def test_sparse_and_dense_matrices_agree(solver: str) -> None:
 
 
 def test_equal_costs_select_like_no_costs(solver: str) -> None:
-    """12.5 s for each view is only another unit: the same views at 12.5 times the cost."""
+    """A cost of 12.5 s for each view selects the same views, at 12.5 times the cost."""
     M, areas = instance(9)
     plain, priced = run(M, areas, solver), run(M, areas, solver, costs=np.full(M.shape[1], 12.5))
     np.testing.assert_array_equal(plain.views, priced.views)
@@ -108,7 +108,7 @@ def test_a_time_limit_stops_the_search_and_is_reported(solver: str, options: dic
 
 
 def test_one_time_limit_holds_for_both_searches_of_connected_views() -> None:
-    """The cover without the constraint takes a share of the clock, not a clock of its own."""
+    """The cover without the constraint uses a share of the same time limit."""
     rng = np.random.default_rng(5)
     M = rng.random((150, 300)) < 0.05
     M[:, 0] |= ~M.any(axis=1)
@@ -135,7 +135,7 @@ def interrupt_after(n_calls: int, monkeypatch: pytest.MonkeyPatch) -> Callable[[
 
 @pytest.mark.parametrize("solver", ["meta-raps", "local-search", "auto"])
 def test_ctrl_c_returns_the_best_cover_so_far(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a bound and a status that says that it was interrupted."""
+    """The interrupted search returns a cover with a bound and the status INTERRUPTED."""
     interrupt_after(40, monkeypatch)
     M, areas = instance(4, 300, 200, 0.05)
     cover = run(M, areas, solver, effort_budget=10**12)
@@ -149,7 +149,7 @@ def test_ctrl_c_returns_the_best_cover_so_far(solver: str, monkeypatch: pytest.M
 def test_ctrl_c_returns_a_valid_answer_to_every_kind_of_problem(
     kind: str, after: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whenever it comes, the constraints and the bound hold."""
+    """An interrupt at any time leaves the constraints and the bound valid."""
     rng = np.random.default_rng(5)
     M = rng.random((150, 300)) < 0.05
     M[:, 0] |= ~M.any(axis=1)
@@ -174,7 +174,7 @@ def test_ctrl_c_returns_a_valid_answer_to_every_kind_of_problem(
 
 
 def test_ctrl_c_before_the_bound_still_gives_a_cost(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The greedy cover and the cost of one column are all that is known."""
+    """The result has the greedy cover and the cost of one column as its bound."""
 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""Executions that end in the middle and go on: every view is scanned exactly once, to the bit, whatever killed them.
+"""Resumed executions scan every view exactly once with equal bytes, after any interruption.
 
 The full form, 50 kills of client and emulator each, is `python -m benchmarks kills`.
 """
@@ -39,19 +39,19 @@ def _events(execution: Path) -> list[dict[str, Any]]:
 
 @pytest.fixture
 def run_folder(planned: Path, tmp_path: Path) -> Path:
-    """A finished plan of its own, without executions."""
+    """Return a new finished plan without executions."""
     return Path(shutil.copytree(planned, tmp_path / "run"))
 
 
 @pytest.fixture
 def executed_folder(executed: Path, tmp_path: Path) -> Path:
-    """A plan of its own with a finished execution."""
+    """Return a new plan with a finished execution."""
     return Path(shutil.copytree(executed, tmp_path / "run"))
 
 
 @pytest.fixture(scope="module")
 def undisturbed(executed: Path) -> dict[str, bytes]:
-    """The scans of an execution that nothing happens to."""
+    """Return the scans of an undisturbed execution."""
     scans = _scans(executed / "executions" / "0001")
     assert len(scans) >= 3
     return scans
@@ -62,12 +62,12 @@ _BEGIN = ("--resolution", "1", "--speed", "1")
 
 
 def _word(run: Path) -> tuple[str, str]:
-    """The word for the plan's motion."""
+    """Return the confirmation of the plan's motion."""
     return "--confirm-motion", open_finished(run).digest
 
 
 def _own_way(done: "subprocess.CompletedProcess[str]") -> tuple[str, str]:
-    """The word for a way of its own, which the refusal of the plan's digest names; nothing had moved."""
+    """Return the confirmation of a new path, which the refusal of the plan's digest names. The arm has not moved."""
     assert done.returncode == 2, done.stderr
     named = re.search(r"which is ([0-9a-f]{8})", done.stderr)
     assert named, done.stderr
@@ -91,7 +91,7 @@ def test_a_killed_client_goes_on_and_scans_every_view_once(
     run_cell: Run,
     start_cell: Start,
 ) -> None:
-    """Kill -9 after the first scan: the controller stops by itself; the resumed scans are those of a quiet day."""
+    """After SIGKILL the controller stops by itself; the resumed scans equal those of an undisturbed execution."""
     emulated = emulate(protocol, *_FAST)
     process = start_cell("scan", run_folder, *_BEGIN, *_SCALE, *_word(run_folder), "--driver", emulated.url)
     _wait_for_scans(run_folder, 1, process)
@@ -124,7 +124,7 @@ def test_a_killed_client_goes_on_and_scans_every_view_once(
 def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
     run_folder: Path, undisturbed: dict[str, bytes], emulate: Callable[..., Any], run_cell: Run, start_cell: Start
 ) -> None:
-    """Kill -9 of the emulator in the middle: exit code 5; after its restart the arm stands where it stood."""
+    """A killed emulator gives exit code 5; after its restart the arm is at the same position."""
     emulated = emulate("modbus", *_FAST)
     process = start_cell("scan", run_folder, *_BEGIN, *_SCALE, *_word(run_folder), "--driver", emulated.url)
     _wait_for_scans(run_folder, 1, process)
@@ -143,7 +143,7 @@ def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
 def test_an_arm_that_stands_elsewhere_goes_on_a_new_free_way(
     executed_folder: Path, undisturbed: dict[str, bytes], run_cell: Run
 ) -> None:
-    """After a failure the simulated arm stands at home again; the way to the first missing view is planned anew."""
+    """After a failure the simulated arm is at home again. A new path to the first missing view is planned."""
     execution = executed_folder / "executions" / "0001"
     manifest = json.loads((execution / "manifest.json").read_text())
     missing = [name for name in sorted(undisturbed) if name != "0001.npz"]
@@ -158,12 +158,12 @@ def test_an_arm_that_stands_elsewhere_goes_on_a_new_free_way(
 
 @pytest.fixture(scope="module")
 def standing(emulate_for_all: Callable[..., Any]) -> Any:
-    """A controller whose arm no test moves."""
+    """Yield a controller whose arm the tests do not move."""
     return emulate_for_all("modbus", *_FAST)
 
 
 class _Told:
-    """A reporter that keeps what it is told."""
+    """A reporter that keeps its notes."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
@@ -173,7 +173,7 @@ class _Told:
 
 
 def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, standing: Any) -> None:
-    """Who is asked has read where the arm will go; without a yes nothing moves and the execution stays as it is."""
+    """The new path is reported before the question. Without a yes, no motion starts and the files are unchanged."""
     execution = executed_folder / "executions" / "0001"
     for name in list(_scans(execution))[1:]:
         (execution / "scans" / name).unlink()
@@ -201,7 +201,7 @@ def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, 
 def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
     status: str, torn: bool, executed_folder: Path, undisturbed: dict[str, bytes], run_cell: Run
 ) -> None:
-    """The arm drives through the views that are confirmed without scanning them, however the execution had ended."""
+    """The arm passes the views with valid scans without scanning them, for every status of the execution."""
     execution = executed_folder / "executions" / "0001"
     (execution / "scans" / "0002.npz").write_bytes(b"torn")
     if not torn:
@@ -238,7 +238,7 @@ def test_every_wire_gives_the_same_scans_to_the_bit(
 def test_what_moves_steel_is_refused_without_a_word_and_leaves_nothing(
     run_folder: Path, standing: Any, run_cell: Run
 ) -> None:
-    """No terminal and no --confirm-motion: exit code 2, no execution, no move."""
+    """Without a terminal and --confirm-motion the command exits with 2, without execution or move."""
     done = run_cell("scan", str(run_folder), "--driver", standing.url, cwd=run_folder.parent)
     assert done.returncode == 2, done.stderr
     assert f"--confirm-motion {_word(run_folder)[1][:8]}" in done.stderr
@@ -250,7 +250,7 @@ def test_what_moves_steel_is_refused_without_a_word_and_leaves_nothing(
 def test_an_arm_that_does_not_stand_at_the_plan_s_start_is_not_moved(
     run_folder: Path, emulate: Callable[..., Any], run_cell: Run
 ) -> None:
-    """No path between them was checked."""
+    """The arm is not moved, because no path from its position to the start is checked."""
     emulated = emulate("modbus", *_FAST, "--start", "5,-90,90,0,90,0")
     done = run_cell(
         "scan", str(run_folder), "--driver", emulated.url, *_word(run_folder), *_SCALE, cwd=run_folder.parent
@@ -271,7 +271,7 @@ def test_an_arm_that_does_not_stand_at_the_plan_s_start_is_not_moved(
 def test_what_cannot_be_resumed_says_why(
     change: dict[str, Any], code: int, words: str, run_folder: Path, run_cell: Run
 ) -> None:
-    """One sentence and the exit code; the execution is left as it is."""
+    """The command reports one sentence and its exit code, and the execution is unchanged."""
     execution = run_folder / "executions" / "0001"
     (execution / "scans").mkdir(parents=True)
     digest = open_finished(run_folder).digest
@@ -285,7 +285,7 @@ def test_what_cannot_be_resumed_says_why(
 
 
 def test_options_of_a_new_scan_are_refused_beside_resume(run_folder: Path, run_cell: Run) -> None:
-    """An execution goes on as it was begun."""
+    """Options of a new scan are refused with --resume."""
     done = run_cell("scan", str(run_folder), "--resume", "latest", "--resolution", "1", cwd=run_folder.parent)
     assert done.returncode == 2
     assert "--resume keeps the options" in done.stderr
@@ -293,7 +293,7 @@ def test_options_of_a_new_scan_are_refused_beside_resume(run_folder: Path, run_c
 
 
 def test_a_finished_execution_of_one_view_is_taken_up_where_that_view_is_lost(run_folder: Path, run_cell: Run) -> None:
-    """All scans lost; and what a report had made of them is not left beside an execution that runs."""
+    """With all scans missing the execution is resumed, and results of an earlier report are removed."""
     run_cell("scan", str(run_folder), "--resolution", "2", "--view", "2", cwd=run_folder.parent)
     execution = run_folder / "executions" / "0001"
     (kept,) = _scans(execution).values()

@@ -1,4 +1,4 @@
-"""Ctrl-C, a polite kill and a closed terminal at random moments of an execution: told by name, resumed to the byte."""
+"""SIGINT, SIGTERM and SIGHUP at random moments of an execution: the signal is named, and a resume completes it."""
 
 import os
 import re
@@ -23,7 +23,7 @@ _FAST = ("--speed", "1", "--accept-time-scale", "20")
 
 @pytest.fixture
 def run_folder(planned: Path, tmp_path: Path) -> Path:
-    """A finished plan of its own, without executions."""
+    """Return a new finished plan without executions."""
     return Path(shutil.copytree(planned, tmp_path / "run"))
 
 
@@ -43,7 +43,7 @@ def test_a_signal_ends_an_execution_that_goes_on_later(
     start_cell: Callable[..., "subprocess.Popen[str]"],
     run_cell: Callable[..., "subprocess.CompletedProcess[str]"],
 ) -> None:
-    """The arm stands, the process is gone with its code and the signal's name, and the rest gives the same bytes."""
+    """The arm stops, the process exits with the code of its signal, and the resumed scans have equal bytes."""
     rng = np.random.default_rng([moment, list(SIGNALS).index(name)])
     emulated = emulate(protocol, "--time-scale", "20")
     word = ("--confirm-motion", open_finished(run_folder).digest)
@@ -57,7 +57,7 @@ def test_a_signal_ends_an_execution_that_goes_on_later(
     os.kill(process.pid, getattr(signal, name))
     sent = time.monotonic()
     _, said = process.communicate(timeout=60)
-    if process.returncode == 130:  # else it was faster
+    if process.returncode == 130:  # otherwise the process ended before the signal
         assert time.monotonic() - sent < 4.0  # 2 s, and a machine with other work
         assert f"stopped by {SIGNALS[name]}" in said
     again = ("scan", str(run_folder), "--resume", "latest", *_FAST, "--reset")
@@ -73,7 +73,7 @@ def test_a_signal_ends_an_execution_that_goes_on_later(
 def test_two_processes_cannot_work_on_one_execution(
     executed: Path, tmp_path: Path, run_cell: Any, start_cell: Any
 ) -> None:
-    """Whatever drives, `sim://` too: the second is told so at once, and the first ends in order."""
+    """With every driver, the second process is refused at once and the first one finishes normally."""
     run_folder = Path(shutil.copytree(executed, tmp_path / "run"))
     (run_folder / "executions" / "0001" / "scans" / "0002.npz").unlink()
     with safety.exclusive(run_folder / "executions" / "0001"):
@@ -84,14 +84,14 @@ def test_two_processes_cannot_work_on_one_execution(
     said = [each.communicate(timeout=120)[1] for each in both]
     codes = [each.returncode for each in both]
     assert sorted(codes)[0] == 0, said
-    assert sorted(codes)[1] in (2, 6), said  # nothing left to resume, where it came after the first
+    assert sorted(codes)[1] in (2, 6), said  # 2: nothing remains to be resumed after the first
 
 
 @pytest.mark.parametrize("resolution", ["1e-9", "1e-3"])
 def test_what_does_not_fit_is_refused_before_the_first_move(
     resolution: str, run_folder: Path, run_cell: Any, emulate: Callable[..., Any]
 ) -> None:
-    """More rays than memory: exit code 2 and no move, on a wire."""
+    """A resolution with more rays than memory ends with exit code 2 before the first move."""
     emulated = emulate("modbus", "--time-scale", "20")
     done = run_cell(
         "scan", str(run_folder), "--resolution", resolution, *_FAST, "--driver", emulated.url, cwd=run_folder.parent

@@ -1,4 +1,4 @@
-"""A run folder in which one field was changed, hashes and digest made anew: refused, or a field that changes nothing.
+"""Run folders with one changed field and renewed hashes and digest: the field is refused, or has no effect.
 
 Every field of plan.json, scene.resolved.json, manifest.json and motion.npz is found by walking over the files, so a new
 one is looked at without a word here. docs/internals/run_folder_free_fields.csv lists those that may be changed.
@@ -46,12 +46,12 @@ class Change:
 
     @property
     def file(self) -> str:
-        """The file that was changed."""
+        """Return the name of the changed file."""
         return self.field.partition(":")[0]
 
 
 def free_fields() -> list[re.Pattern[str]]:
-    """The fields that the docs list, with all that is below where they end in `.*`."""
+    """Return patterns of the fields that the docs list, with all fields below them if they end in `.*`."""
     with FREE.open(encoding="utf-8", newline="") as file:
         names = [row["field"] for row in csv.DictReader(file)]
     assert len(names) > 20
@@ -63,7 +63,7 @@ def free_fields() -> list[re.Pattern[str]]:
 
 
 def _others(value: Any) -> list[tuple[str, Any]]:
-    """What a leaf may be changed to."""
+    """Return changed values of a leaf, each with its description."""
     if isinstance(value, bool):
         return [("turned", not value)]
     if isinstance(value, int):
@@ -76,7 +76,7 @@ def _others(value: Any) -> list[tuple[str, Any]]:
 
 
 def _walk(name: str, tree: Any) -> Iterator[tuple[str, list[Any], str, Callable[[Any], Any]]]:
-    """Field, place in the tree, and a function that changes the parent's entry; None takes it away."""
+    """Yield field, place in the tree, description, and a function that changes the value in its parent."""
     todo: list[tuple[Any, str, list[Any]]] = [(tree, f"{name}:", [])]
     while todo:
         here, field, place = todo.pop()
@@ -106,7 +106,7 @@ _GONE = object()
 
 
 def json_changes(run: Path, name: str, below: str = "") -> list[Callable[[], Change]]:
-    """Every change of every field of a JSON file (whose name holds `below`), made when it is asked for."""
+    """Return the changes of every field of a JSON file whose name contains `below`."""
     tree = json.loads((run / name).read_text())
 
     def made(field: str, place: list[Any], what: str, change: Callable[[Any], Any]) -> Change:
@@ -125,7 +125,7 @@ def json_changes(run: Path, name: str, below: str = "") -> list[Callable[[], Cha
 
 
 def array_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> list[Callable[[], Change]]:
-    """Changes of every array of an .npz: some entries, rows, the array itself."""
+    """Return changes of every array of an .npz: some entries, rows, the array itself."""
     with np.load(run / name) as stored:
         arrays = dict(stored)
 
@@ -160,7 +160,7 @@ def array_changes(run: Path, name: str, rng: np.random.Generator, each: int) -> 
 
 
 def judged(run: Path, changes: list[Callable[[], Change]], resealed: Reseal) -> list[str]:
-    """Changes that are neither refused nor of a field that the docs list; the folder is as it was afterwards."""
+    """Return the changes that are not refused and whose field is not in the docs. The folder is restored."""
     free, open_ = free_fields(), []
     for make in changes:
         change = make()
@@ -185,7 +185,7 @@ def judged(run: Path, changes: list[Callable[[], Change]], resealed: Reseal) -> 
 
 
 def _digest_anew(path: Path) -> None:
-    """The digest that a changed manifest would have, unless the change was of the digest itself."""
+    """Renew the digest of a changed manifest, unless the digest itself was changed."""
     from cell.runs import digest
 
     manifest = json.loads(path.read_text())
@@ -203,13 +203,13 @@ def _digest_anew(path: Path) -> None:
 
 
 def all_changes(run: Path, rng: np.random.Generator, each: int) -> list[Callable[[], Change]]:
-    """Of all four files."""
+    """Return the changes of all four files."""
     of_json = [change for name in JSON for change in json_changes(run, name)]
     return [*of_json, *array_changes(run, "motion.npz", rng, each)]
 
 
 def test_a_field_changed_alone_is_refused_or_changes_nothing(planned: Path, tmp_path: Path, resealed: Reseal) -> None:
-    """A seeded handful of all changes; the long form below makes them all."""
+    """A seeded sample of all changes is tested; the slow test below makes all changes."""
     run = tmp_path / "run"
     shutil.copytree(planned, run)
     rng = np.random.default_rng(11)
@@ -219,7 +219,7 @@ def test_a_field_changed_alone_is_refused_or_changes_nothing(planned: Path, tmp_
 
 
 def test_a_field_of_a_sweep_changed_alone_is_refused(swept: Path, tmp_path: Path, resealed: Reseal) -> None:
-    """What is said of a sweep, and the via points, times and samples of its line: a seeded handful."""
+    """A seeded sample of changes of the fields of sweeps, of fixtures, and of the arrays of the motion is refused."""
     run = tmp_path / "run"
     shutil.copytree(swept, run)
     rng = np.random.default_rng(13)
@@ -237,14 +237,14 @@ def test_a_field_of_a_sweep_changed_alone_is_refused(swept: Path, tmp_path: Path
 def test_every_field_changed_alone_is_refused_or_changes_nothing(
     plan: str, request: pytest.FixtureRequest, tmp_path: Path, resealed: Reseal
 ) -> None:
-    """Every field of the four files, in every way, of views at rest and of sweeps."""
+    """Every change of every field of the four files is tested, for plans with views at rest and with sweeps."""
     run = tmp_path / "run"
     shutil.copytree(request.getfixturevalue(plan), run)
     assert judged(run, all_changes(run, np.random.default_rng(12), 12), resealed) == []
 
 
 def _with_via(run: Path, q: np.ndarray, row: int) -> None:
-    """The motion with a via point put in, timed anew, so that everything but the certificate agrees."""
+    """Insert a via point into the motion and renew its times, so that only the certificate disagrees."""
     from cell.runs.run import open_finished
     from planner.timing.motion import retime
 
@@ -267,7 +267,7 @@ def _with_via(run: Path, q: np.ndarray, row: int) -> None:
 def test_a_via_point_inside_the_part_is_refused_by_the_certificate(
     planned: Path, tmp_path: Path, resealed: Reseal, run_cell: Run
 ) -> None:
-    """Times, samples and hashes made anew, the new digest confirmed; a free one passes, under another digest."""
+    """With renewed times, hashes and digest, a colliding via point is refused and a free one is accepted."""
     from cell.robot.arm import kr16_kinematics
     from planner.kinematics.setpoints import from_steps, to_steps
 
@@ -298,7 +298,7 @@ def test_a_via_point_inside_the_part_is_refused_by_the_certificate(
 
 
 def test_limits_are_the_model_s_even_where_both_files_agree(planned: Path, tmp_path: Path, resealed: Reseal) -> None:
-    """Wider ranges, or faster axes, in scene.resolved.json and motion.npz alike."""
+    """Wider ranges or faster axes are refused although scene.resolved.json and motion.npz agree."""
     for key, name, factor, words in (
         ("joint_limits_deg", "limit_upper", 1.1, "contradicts itself, or the part, at joint_limits_deg"),
         ("joint_velocity_limits_deg_s", "limit_velocity", 2.0, "above those of the robot model"),
@@ -319,7 +319,7 @@ def test_limits_are_the_model_s_even_where_both_files_agree(planned: Path, tmp_p
 def test_a_plan_without_a_digest_is_read_and_replayed_and_never_driven(
     planned: Path, tmp_path: Path, run_cell: Run
 ) -> None:
-    """As earlier versions made them; and one whose manifest lacks the hash of a file that drives."""
+    """A plan without a digest or without the hash of a required file is readable, but not executed."""
     from cell.api import open_run
 
     run = tmp_path / "run"
@@ -340,7 +340,7 @@ def test_a_plan_without_a_digest_is_read_and_replayed_and_never_driven(
 
 
 def test_the_digest_is_that_of_sha256sum(planned: Path) -> None:
-    """The command that docs/internals/run_folder.md gives."""
+    """The command of docs/internals/run_folder.md gives the digest of the plan."""
     names = ["cell.xml", "motion.npz", "plan.json", "reference.ply", "scene.resolved.json", "viewpoints.npz"]
     lines = subprocess.run(["sha256sum", *names], cwd=planned, capture_output=True, check=True).stdout
     digest = subprocess.run(["sha256sum"], input=lines, capture_output=True, check=True).stdout.split()[0].decode()

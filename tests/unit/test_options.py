@@ -87,7 +87,7 @@ def test_every_option_shows_its_unit_limits_and_choices(model: type[BaseModel]) 
 
 
 def test_the_help_imports_nothing_heavy() -> None:
-    """All commands with all options are created without arrays, engines and pictures."""
+    """Creating all commands with all options imports no array, engine or plot library."""
     code = (
         "import sys; from typer.main import get_command; from cell.cli import app; get_command(app); "
         "assert not {'numpy', 'scipy', 'mujoco', 'trimesh', 'matplotlib', 'numba'} & set(sys.modules)"
@@ -107,7 +107,7 @@ def test_every_example_of_the_help_parses(line: str, tmp_path: Path, monkeypatch
 
 
 def test_values_and_texts_are_equivalent() -> None:
-    """Both forms of each kind give the same tables; NumPy's numbers are numbers."""
+    """Both forms of each kind give the same tables, and numbers of NumPy are accepted as numbers."""
     texts = {
         "place": "1200,500,0,90,0,0", "standoff": "300", "roll": "0,90", "pin": "1,2", "overlap": "20%", "curve": True,
         "pose_sd": "0.5mm,0.1deg", "seed": "7", "coverage": "0.9", "cost": "time", "speed": "0.5", "faces": None,
@@ -142,7 +142,7 @@ def test_values_and_texts_are_equivalent() -> None:
     ],
 )
 def test_an_invalid_option_is_named_as_it_was_written(wishes: dict[str, Any], words: str) -> None:
-    """The keyword of Python, or the option of the command line."""
+    """The message has the keyword of Python or the option of the command line."""
     with pytest.raises(UsageError) as caught:
         option_tables(wishes)
     assert words in str(caught.value)
@@ -151,7 +151,7 @@ def test_an_invalid_option_is_named_as_it_was_written(wishes: dict[str, Any], wo
 
 
 def test_a_contradiction_names_options_and_keys_as_they_were_written(tmp_path: Path) -> None:
-    """Every key of a contradiction by the name that its author used."""
+    """The message names every key of a contradiction in the form in which the user wrote it."""
     path = tmp_path / "scene.toml"
     path.write_text("[plan]\ncoverage = 0.9\n", encoding="utf-8")
     with pytest.raises(SceneError, match=r"  max_views and plan\.coverage both limit"):
@@ -163,7 +163,7 @@ def test_a_contradiction_names_options_and_keys_as_they_were_written(tmp_path: P
 
 
 def test_options_of_a_scan_are_those_given_and_checked() -> None:
-    """Which were given is known; what cannot be is said in one sentence; a manifest brings them back."""
+    """Given options are recorded, invalid ones are refused in one sentence, and a manifest restores them."""
     asked = parse_options(ScanOptions, {"pose_error": "0.5mm,0.1deg", "register": False}, flag)
     assert asked.model_fields_set == {"pose_error_mm", "pose_error_deg", "registration"}
     assert (asked.pose_error_mm, asked.pose_error_deg, asked.registers) == (0.5, 0.1, False)
@@ -175,7 +175,7 @@ def test_options_of_a_scan_are_those_given_and_checked() -> None:
 
 
 def test_a_resumed_scan_keeps_what_it_was_begun_with() -> None:
-    """Speed and the like are said anew, the driver only where it is given."""
+    """A resumed scan takes speed and similar options from the new command, and the driver only if it is given."""
     begun = ScanOptions(driver="serial:///dev/x", range_noise_mm=0.1, speed=0.5, reset=True)
     now = begun.resumed(ScanOptions(speed=0.05))
     assert (now.driver, now.range_noise_mm, now.speed, now.reset) == ("serial:///dev/x", 0.1, 0.05, False)

@@ -1,4 +1,4 @@
-"""A housing in its scanner's own field of view is found; the default one is not in it."""
+"""A housing in the field of view of its own scanner is reported; the default housing is outside it."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def share(**housing: object) -> float:
 
 
 def test_the_default_housing_hides_nothing() -> None:
-    """Its front face is in the plane of source and sensor."""
+    """The front face of the default housing is in the plane of source and sensor, so it occludes no ray."""
     assert share() == 0
 
 
@@ -27,12 +27,12 @@ def test_a_housing_in_the_field_of_view_hides_its_share() -> None:
     hidden = share(position_mm=[0, 0, 100], size_mm=[60, 60, 60])
     half = np.tan(np.radians(30))
     from_source = (30 / 70 / half) ** 2
-    assert from_source < hidden < 1  # the sensor loses more beside it
+    assert from_source < hidden < 1  # the sensor loses further rays next to the box
     assert hidden == pytest.approx(from_source, abs=0.35)
 
 
 def test_a_scene_with_such_a_housing_is_refused() -> None:
-    """The sentence says what to change."""
+    """The message names the change that corrects the scene."""
     world = compile_world(Scene.model_validate({"housing": {"position_mm": [0, 0, 100]}}), PART, baseline_mm=75.0)
     with pytest.raises(SceneError, match=r"own field of view.*housing\.position_mm"):
         require_feasible(world)

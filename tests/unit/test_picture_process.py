@@ -1,4 +1,4 @@
-"""The process that draws beside the work."""
+"""The process that draws plots in parallel to the command."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ COVER = {"marginal_area": np.array([0.5, 0.3]), "coverable": 0.9, "total": 1.0, 
 
 @pytest.mark.usefixtures("drawn_pictures")
 def test_pictures_drawn_at_a_time_are_those_drawn_alone(tmp_path: Path) -> None:
-    """Every picture that was sent is there when `finish` returns, with the bytes that a call in this process gives."""
+    """All requested plots exist when `finish` returns, with the same bytes as plots drawn in this process."""
     shares = (0.5, 0.7, 0.9)
     with plot_process() as drawing:
         for share in shares:
@@ -26,7 +26,7 @@ def test_pictures_drawn_at_a_time_are_those_drawn_alone(tmp_path: Path) -> None:
 
 
 def test_picture_that_cannot_be_drawn_is_told(tmp_path: Path) -> None:
-    """One picture without a place to go fails the whole, in the words of the process; the one beside it is drawn."""
+    """A plot with an invalid path raises an error with the message of the process; the other plot is drawn."""
     with plot_process() as drawing:
         drawing.send("cover_curve", tmp_path / "missing" / "cover.png", **COVER)
         drawing.send("cover_curve", tmp_path / "cover.png", **COVER)

@@ -1,4 +1,4 @@
-"""Noise and pose error: their statistics, and that switched off they change nothing at all."""
+"""Noise and pose error: their statistics, and no effect when they are switched off."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_rotation_is_scipys(length: float) -> None:
 
 
 def test_switched_off_nothing_changes_bit_for_bit() -> None:
-    """No noise, no pose error: the very same pose and points come back, and no random number is drawn."""
+    """Without noise and pose error, pose and points are returned unchanged and no random number is drawn."""
     off, T, points = Disturbance(), _pose(), np.random.default_rng(0).normal(size=(9, 3))
     rng = np.random.default_rng(4)
     assert off.true_pose(T, rng) is T
@@ -34,7 +34,7 @@ def test_switched_off_nothing_changes_bit_for_bit() -> None:
 
 
 def test_the_pose_error_has_the_sigma_asked_for_on_every_axis() -> None:
-    """Position and rotation vector of the error, in the scanner's own frame, have zero mean and the given sigma."""
+    """Position and rotation vector of the error, in the scanner's frame, have zero mean and the given sigma."""
     asked, T = Disturbance(position=0.5e-3, rotation=np.radians(0.1)), _pose()
     rng = np.random.default_rng(7)
     errors = [np.linalg.inv(T) @ asked.true_pose(T, rng) for _ in range(3000)]
@@ -46,7 +46,7 @@ def test_the_pose_error_has_the_sigma_asked_for_on_every_axis() -> None:
 
 
 def test_range_noise_lies_along_the_ray_only() -> None:
-    """Seen from the source, each point keeps its direction; distances scatter with the given sigma."""
+    """Each point keeps its direction from the source, and the distances scatter with the given sigma."""
     T, source = _pose(), np.array([0.02, 0.0, 0.01])
     rng = np.random.default_rng(3)
     points = T[:3, 3] + rng.normal(size=(5000, 3)) + 5.0
@@ -60,7 +60,7 @@ def test_range_noise_lies_along_the_ray_only() -> None:
 
 
 def test_a_pose_error_moves_the_scan_as_one_piece() -> None:
-    """Points are told as the scanner saw them, from where it thinks that it is: equal in scanner coordinates."""
+    """Points are stored relative to the reported pose, so they are unchanged in scanner coordinates."""
     asked, T = Disturbance(position=1e-2, rotation=0.05), _pose()
     rng = np.random.default_rng(5)
     true = asked.true_pose(T, rng)
@@ -74,7 +74,7 @@ def test_a_pose_error_moves_the_scan_as_one_piece() -> None:
 
 
 def test_difference_of_poses_is_the_distance_and_the_angle() -> None:
-    """Against SciPy; small angles keep their digits, and a pose differs from itself by nothing."""
+    """The result agrees with SciPy, small angles are exact, and equal poses have the difference 0."""
     T = _pose()
     for angle in (1e-8, 1e-3, 1.0, 3.1):
         moved = T.copy()

@@ -70,7 +70,7 @@ def test_nothing_is_invented_beyond_two_spacings(views: int) -> None:
 
 
 def test_a_surface_goes_on_as_far_as_it_is_asked_to() -> None:
-    """A ball seen from one side is continued to 8 mm from its last points, along the ball to within a fifth of that."""
+    """A ball seen from one side is continued to 8 mm from its last points, within a fifth of that along the ball."""
     scan = merge([_ball_scan(VIEWS[0])])
     short, longer = (_mesh_of(reconstruct(scan, reach=reach)) for reach in (0.0, 0.008))
     away, off = (cKDTree(scan.points).query(longer.vertices)[0], np.linalg.norm(longer.vertices, axis=1) - RADIUS)
@@ -81,7 +81,7 @@ def test_a_surface_goes_on_as_far_as_it_is_asked_to() -> None:
 
 
 def test_what_it_was_made_of_is_told() -> None:
-    """The cloud without the points that lie alone; all that are usable where they are too few."""
+    """The result has the cloud without isolated points, or all usable points if they are too few."""
     ball = [_ball_scan(view) for view in VIEWS]
     result = reconstruct(merge([*ball, ScanCloud(np.array([[0.0, 0.0, 2 * RADIUS]]), VIEWS[4])]))
     assert result.outliers == 1
@@ -92,14 +92,14 @@ def test_what_it_was_made_of_is_told() -> None:
 
 @pytest.mark.parametrize("reach", [-0.001, float("nan")])
 def test_it_does_not_go_on_backwards(reach: float) -> None:
-    """A distance below 0, or none, is refused."""
+    """A distance below 0 and NaN are refused."""
     with pytest.raises(PlannerError, match="must not be negative"):
         reconstruct(merge([_ball_scan(VIEWS[0])]), reach=reach)
 
 
 @pytest.mark.parametrize("noise", [0.0, 50e-6, 300e-6])
 def test_nothing_is_invented_on_a_displaced_ball_with_a_hole_and_noise(noise: float) -> None:
-    """Off the origin, with a cap missing and noisy: all of the mesh is within two spacings of the cloud as given."""
+    """On a displaced, noisy ball with a hole, all of the mesh is within two spacings of the given cloud."""
     whole = merge([_ball_scan(view, 0.3, noise, i) for i, view in enumerate(VIEWS)])
     keep = whole.points[:, 2] < RADIUS * np.cos(np.radians(20))
     aside = np.array([0.71, -0.32, 0.43])
@@ -113,7 +113,7 @@ def test_nothing_is_invented_on_a_displaced_ball_with_a_hole_and_noise(noise: fl
 
 
 def test_a_hole_stays_a_hole_and_closing_it_is_marked() -> None:
-    """A cap of 40 degrees that no ray met stays open; asked for, it is closed by faces that are marked."""
+    """A cap of 40 degrees without points stays open; on request it is closed by marked faces."""
     cloud = merge([_ball_scan(view) for view in VIEWS])
     keep = cloud.points[:, 2] < RADIUS * np.cos(np.radians(20))
     cloud = PointCloud(cloud.points[keep], cloud.normals[keep], cloud.scan[keep])
@@ -131,7 +131,7 @@ def test_a_hole_stays_a_hole_and_closing_it_is_marked() -> None:
     corners = whole.vertices[whole.faces[closed.closed]]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0) / 2
     rim = np.pi * (RADIUS * np.sin(np.radians(20))) ** 2
-    assert 0.7 * rim < area[2] < rim  # the cap looks up, as the faces round it do, and has the area of the hole
+    assert 0.7 * rim < area[2] < rim  # the normals of the cap point up like those around it
     assert np.hypot(area[0], area[1]) < 0.05 * rim
 
 
@@ -159,7 +159,7 @@ def test_resolution_follows_the_spacing_unless_it_is_given() -> None:
 
 
 def test_settings_that_cannot_be_are_refused() -> None:
-    """The grid must be positive."""
+    """Grid settings that are not positive are refused."""
     cloud = merge([_ball_scan(VIEWS[0])])
     with pytest.raises(PlannerError, match="grid is 0"):
         reconstruct(cloud, grid=0)

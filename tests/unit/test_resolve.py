@@ -43,19 +43,19 @@ def test_built_in_parts_have_the_documented_defaults(name: str) -> None:
 
 
 def test_a_standoff_is_the_middle_of_the_range() -> None:
-    """Of the device's range or of the scene's."""
+    """The default standoff is the middle of the range of the device or of the scene."""
     assert settle(own(), ball(400)).settings.standoffs == (0.3,)
     assert settle(own(scanner={"range_mm": [100, 450]}), ball(400)).settings.standoffs == (0.275,)
 
 
 def test_a_standoff_outside_the_range_is_refused() -> None:
-    """The sentence names both numbers."""
+    """The message names the standoff and the range."""
     with pytest.raises(SceneError, match=r"600 mm is outside the scanner's range of 100 to 400 mm"):
         settle(own(scanner={"range_mm": [100, 400]}, plan={"standoffs_mm": [200, 600]}), ball(50))
 
 
 def test_equal_rolls_and_standoffs_count_once() -> None:
-    """0 and 360 degrees are the same viewpoint."""
+    """Rolls of 0 and 360 degrees and repeated standoffs give one viewpoint."""
     settings = settle(own(plan={"rolls_deg": [0, 90, 360, 0], "standoffs_mm": [300, 300, 250]}), ball(60)).settings
     np.testing.assert_allclose(settings.rolls, np.radians([0, 90]))
     assert settings.standoffs == (0.3, 0.25)
@@ -63,7 +63,7 @@ def test_equal_rolls_and_standoffs_count_once() -> None:
 
 @pytest.mark.parametrize("clearance", [0, 0.5])
 def test_a_clearance_too_small_to_plan_with_is_refused(clearance: float) -> None:
-    """Checks are a clearance apart; below 1 mm a motion would need millions of them."""
+    """A clearance below 1 mm is refused, because checks are one clearance apart and a motion would need millions."""
     with pytest.raises(SceneError, match="at least 1"):
         settle(own(clearance_mm=clearance), ball(50))
 

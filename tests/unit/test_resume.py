@@ -1,4 +1,4 @@
-"""What is left of a stopped execution, from wherever the arm stands; new ways are tested with the command."""
+"""Remaining motion of a stopped execution from the present position of the arm."""
 
 from typing import Any
 
@@ -19,11 +19,11 @@ KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 HOME = to_rad(from_rad(np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])))
 LIMITS = JointLimits(to_rad(KR16.lower), to_rad(KR16.upper), KR16.velocity, KR16.acceleration, KR16.jerk)
-CHECKER: Any = None  # nobody asks it
+CHECKER: Any = None  # the tests need no collision check
 
 
 def at(degrees: float) -> np.ndarray:
-    """Home with A1 turned."""
+    """Return the home configuration with A1 turned."""
     return to_rad(from_rad(HOME + np.radians([degrees, 0, 0, 0, 0, 0])))
 
 
@@ -44,7 +44,7 @@ MOTION: Motion = retime(np.stack([HOME, at(10)]), np.array([0, 1]), np.array([-1
 
 
 def rest(done: set[int], q: np.ndarray) -> RemainingMotion:
-    """What is left where the arm stands at q."""
+    """Return the remaining motion of an arm that is at q."""
     return plan_resume(PLAN, done, RobotState(Mode.IDLE, from_rad(q), True), CHECKER, MOTION.limits, 0)
 
 
@@ -62,7 +62,7 @@ def rest(done: set[int], q: np.ndarray) -> RemainingMotion:
 def test_between_a_scan_and_the_next_move_the_plan_goes_on(
     done: set[int], stands: np.ndarray, stops: tuple[int, ...], legs: int
 ) -> None:
-    """The legs that are left are the plan's own, and start where the arm stands."""
+    """The remaining segments are those of the plan, and they start at the position of the arm."""
     left = rest(done, stands)
     assert left.approach_path is None
     assert left.plan.stops == stops
@@ -72,7 +72,7 @@ def test_between_a_scan_and_the_next_move_the_plan_goes_on(
 
 @pytest.mark.parametrize(("done", "goal"), [(set(), at(10)), ({1}, at(30)), ({1, 2}, at(40)), ({1, 2, 3, 4}, HOME)])
 def test_between_the_end_of_a_move_and_its_scan_nothing_is_driven_again(done: set[int], goal: np.ndarray) -> None:
-    """It arrived and the scan was not kept: a move of no length, then the scan; the way home likewise."""
+    """An arm at the goal of a move without its scan makes a move of zero length. The same holds for the way home."""
     left = rest(done, goal)
     assert left.approach_path is None
     assert (left.plan.segments[0].via == goal[None]).all()
@@ -81,7 +81,7 @@ def test_between_the_end_of_a_move_and_its_scan_nothing_is_driven_again(done: se
 
 
 def test_views_behind_a_damaged_scan_are_driven_through() -> None:
-    """View 1 is scanned again; 2 and the sweep are passed without a scan, on the plan's own legs."""
+    """View 1 is scanned again. View 2 and the sweep are passed without a scan, along the segments of the plan."""
     left = rest({2, 3, 4}, HOME)
     assert left.plan.stops == (1,)
     assert [segment.stop for segment in left.plan.segments] == [1, 0, 0, 0, 0, 0, 0]
@@ -89,6 +89,6 @@ def test_views_behind_a_damaged_scan_are_driven_through() -> None:
 
 
 def test_from_outside_the_plan_s_joint_range_no_way_is_driven() -> None:
-    """A controller may let the arm stand where the plan's range ends: the first move would not be the checked one."""
+    """An arm outside the joint range of the plan is refused, because its first move would not be the checked one."""
     with pytest.raises(DriverFailureError, match="outside the joint range of the plan"):
         rest({1}, at(185.5))

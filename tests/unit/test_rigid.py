@@ -1,4 +1,4 @@
-"""Rigid motions and their worth: screws against the matrix logarithm, covariances against many noisy fits."""
+"""Rigid motions and their uncertainty: screws against the matrix logarithm, covariances against noisy fits."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def _random_pose(seed: int) -> Floats:
 
 
 def _by_angles(first: Floats, x: Floats) -> Floats:
-    """A pose by another parametrisation than ours: Euler angles in base, and a shift in base."""
+    """Return a pose by another parametrisation than the program's: Euler angles in base, and a shift in base."""
     T = first.copy()
     T[:3, :3] = Rotation.from_euler("zyx", x[3:]).as_matrix() @ first[:3, :3]
     T[:3, 3] += x[:3]
@@ -47,7 +47,7 @@ def test_screws_are_the_matrix_logarithm(size: float) -> None:
 
 
 def test_a_small_motion_about_another_centre_moves_points_alike() -> None:
-    """`recentring_matrix` by its definition, `skew` by numpy's cross product."""
+    """`recentring_matrix` agrees with its definition, and `skew` with numpy's cross product."""
     rng = np.random.default_rng(0)
     change, offset, points = rng.standard_normal(6), rng.standard_normal(3), rng.standard_normal((20, 3))
     here = change[:3] + np.cross(change[3:], points)
@@ -57,7 +57,7 @@ def test_a_small_motion_about_another_centre_moves_points_alike() -> None:
 
 
 def test_free_motions_are_taken_back_to_the_least() -> None:
-    """Of all motions that differ by a turn about an axis, the one whose screw has nothing of that turn."""
+    """Motions that differ by a turn about a free axis are reduced to the one without a component of that turn."""
     axis, through = np.array([0.0, 0.6, 0.8]), CENTRE + np.array([0.03, 0.0, 0.0])
     free = np.concatenate([np.cross(axis, CENTRE - through), LENGTH * axis])[:, None]
     free /= np.linalg.norm(free)
@@ -92,7 +92,7 @@ def test_pairs_against_least_squares_in_other_coordinates(seed: int) -> None:
 
 
 def test_the_covariance_of_pairs_is_the_scatter_of_fits() -> None:
-    """2,000 fits with noise of 0.1 mm scatter as one of them says, to 10 % of the largest variance."""
+    """The covariance of one fit equals that of 2,000 fits with noise of 0.1 mm, to 10 % of the largest variance."""
     rng = np.random.default_rng(3)
     T, nominal = _random_pose(5), rng.uniform(-0.1, 0.1, (6, 3))
     there = nominal @ T[:3, :3].T + T[:3, 3]
@@ -104,7 +104,7 @@ def test_the_covariance_of_pairs_is_the_scatter_of_fits() -> None:
 
 
 def test_pairs_on_a_line_turn_about_it() -> None:
-    """What points on a line cannot say is told as a turn about that line; the rest is found."""
+    """Points on a line leave the turn about that line undetermined; all other coordinates are found."""
     T, axis = _random_pose(2), np.array([0.6, 0.0, 0.8])
     nominal = CENTRE + np.linspace(-0.1, 0.1, 4)[:, None] * axis
     found = fit_pairs(nominal, nominal @ T[:3, :3].T + T[:3, 3], CENTRE, LENGTH)
@@ -116,7 +116,7 @@ def test_pairs_on_a_line_turn_about_it() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_six_points_meet_their_planes(seed: int) -> None:
-    """Against scipy's root of the six plane conditions by Euler angles; points may lie anywhere on their planes."""
+    """The result agrees with scipy's root of the six plane conditions by Euler angles."""
     rng = np.random.default_rng(seed)
     T, nominal = _random_pose(seed), rng.uniform(-0.1, 0.1, (6, 3))
     first = np.cross(nominal[1] - nominal[0], nominal[2] - nominal[0])
@@ -140,7 +140,7 @@ def test_six_points_meet_their_planes(seed: int) -> None:
 
 
 def test_the_covariance_of_six_points_is_the_scatter_of_fits() -> None:
-    """2,000 fits with noise of 0.1 mm scatter as the rule says for that noise, to 10 % of the largest variance."""
+    """The reported covariance equals that of 2,000 fits with noise of 0.1 mm, to 10 % of the largest variance."""
     rng = np.random.default_rng(3)
     T = _random_pose(7)
     nominal = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.02], [0.1, 0, 0.02], [0, 0.04, 0.02]])
@@ -153,7 +153,7 @@ def test_the_covariance_of_six_points_is_the_scatter_of_fits() -> None:
 
 
 def test_points_that_say_no_placement_are_refused() -> None:
-    """Too few, all one, three on a line, two above each other: a sentence each."""
+    """Too few, identical, collinear and stacked points are refused with one sentence each."""
     some = np.random.default_rng(0).uniform(-0.1, 0.1, (6, 3))
     with pytest.raises(PlannerError, match="at least three"):
         fit_pairs(some[:2], some[:2], CENTRE, LENGTH)

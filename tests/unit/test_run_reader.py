@@ -1,4 +1,4 @@
-"""Reading run folders: what comes back, and the sentence for each kind of folder that cannot be read."""
+"""Reading run folders: the returned values, and the message for each kind of unreadable folder."""
 
 import json
 import shutil
@@ -17,7 +17,7 @@ Blob = Callable[[int], trimesh.Trimesh]
 
 @pytest.fixture
 def copy(planned: Path, tmp_path: Path) -> Path:
-    """A copy of the finished run that a test may break."""
+    """Return a copy of the finished run that a test may damage."""
     return Path(shutil.copytree(planned, tmp_path / "copy"))
 
 
@@ -27,7 +27,7 @@ def _manifest(folder: Path, **changes: object) -> None:
 
 
 def test_the_parts_agree_with_each_other(planned: Path) -> None:
-    """Views, motion, candidates and reach of one run tell of the same poses."""
+    """Views, motion, candidates and reach of one run have the same poses."""
     run = open_run(planned)
     views, motion = run.plan.views, run.motion
     candidates, reached = run.candidates, run.reach
@@ -42,7 +42,7 @@ def test_the_parts_agree_with_each_other(planned: Path) -> None:
 
 
 def test_the_reference_is_the_part_that_was_given(planned: Path, blob: Blob) -> None:
-    """Area and bounds of reference.ply are those of the part, in metres (the part came through float32 STL)."""
+    """Volume and bounds of reference.ply are those of the part, in metres (the part is a float32 STL)."""
     reference, part = open_run(planned).mesh("reference.ply"), blob(4)
     assert len(reference.faces) == len(part.faces)
     np.testing.assert_allclose(reference.vertices.min(axis=0), part.vertices.min(axis=0) / 1000, atol=1e-8)
@@ -51,7 +51,7 @@ def test_the_reference_is_the_part_that_was_given(planned: Path, blob: Blob) -> 
 
 
 def test_wrong_folders_are_told_apart(tmp_path: Path, copy: Path) -> None:
-    """Missing, a file, foreign, of another schema, damaged: each has its own sentence, all exit with 6."""
+    """A missing, foreign or damaged folder, a file and another schema have one message each, with exit code 6."""
     foreign, empty = tmp_path / "foreign", tmp_path / "empty"
     empty.mkdir()
     foreign.mkdir()
@@ -78,7 +78,7 @@ def test_wrong_folders_are_told_apart(tmp_path: Path, copy: Path) -> None:
 
 
 def test_a_changed_artefact_is_refused(copy: Path) -> None:
-    """One flipped bit in the mesh, or an edited plan, is noticed by the manifest's sha256."""
+    """One flipped bit in the mesh or an edited plan is detected by the sha256 of the manifest."""
     run = open_run(copy)
     content = bytearray((copy / "reference.ply").read_bytes())
     content[len(content) // 2] ^= 1
@@ -92,7 +92,7 @@ def test_a_changed_artefact_is_refused(copy: Path) -> None:
 
 @pytest.mark.parametrize("kept", [0.0, 0.3, 0.9])
 def test_a_cut_file_without_a_sha256_is_damaged(copy: Path, kept: float) -> None:
-    """A killed run has no list of artefacts; a cut mesh, array file or JSON file is still told in one sentence."""
+    """A killed run has no list of artefacts. A cut mesh, array or JSON file is still reported as damaged."""
     _manifest(copy, artefacts={}, status="running", stage="reach")
     run = open_run(copy)
     readers = {
@@ -112,7 +112,7 @@ def test_a_cut_file_without_a_sha256_is_damaged(copy: Path, kept: float) -> None
 
 
 def test_what_a_failed_run_lacks_is_told_with_its_stage(copy: Path) -> None:
-    """The sentence names the stage and the reason, not the missing file alone."""
+    """The message for a missing file names the stage and the reason of the failure."""
     (copy / "motion.npz").unlink()
     with pytest.raises(FileError, match="although the run finished"):
         open_run(copy).motion  # noqa: B018
@@ -122,7 +122,7 @@ def test_what_a_failed_run_lacks_is_told_with_its_stage(copy: Path) -> None:
 
 
 def test_executions_are_read_up_to_what_is_whole(copy: Path) -> None:
-    """A cut scan, one with NaN and one without angles are told; the others come back in order."""
+    """Cut scans, scans with NaN and scans without angles are reported; the others are returned in order."""
     run = open_run(copy)
     with pytest.raises(FileError, match="has no execution yet"):
         read_execution(run, "latest")
@@ -153,7 +153,7 @@ def test_executions_are_read_up_to_what_is_whole(copy: Path) -> None:
 
 
 def test_only_simulated_points_have_a_true_pose_and_counts_of_rays(tmp_path: Path) -> None:
-    """Whatever else a source of points keeps in the file; a scan that does not name its source was simulated."""
+    """Scans of another source have no true pose and no counts. A scan without a source counts as simulated."""
     stored = {"stop": 1, "view": 7, "q_commanded": np.zeros(6), "q_reported": np.zeros(6), "points": np.zeros((2, 3)),
               "T_object_scanner": np.eye(4), "T_object_scanner_true": np.eye(4)}  # fmt: skip
     np.savez(tmp_path / "0001.npz", **stored, source="bench")

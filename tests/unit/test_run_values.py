@@ -1,4 +1,4 @@
-"""The values of a plan's JSON files: written, read, of earlier versions, damaged."""
+"""Values of the JSON files of a plan: written, read, from earlier versions, damaged."""
 
 import json
 from pathlib import Path
@@ -15,25 +15,25 @@ FILES = {"plan.json": PlanFile, "report.json": Report, "scene.resolved.json": Re
 
 
 def read(kind: type[JsonTable], content: Any) -> Any:
-    """The value of a changed content."""
+    """Parse a changed content."""
     return parsed(kind, json.dumps(content).encode(), Path("file.json"))
 
 
 def content_of(folder: Path, name: str) -> Any:
-    """JSON of a file."""
+    """Return the JSON of a file."""
     return json.loads((folder / name).read_text())
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_that_is_read_is_written_again_byte_for_byte(name: str, planned: Path) -> None:
-    """Keys, their order and every digit."""
+    """Keys, their order and every digit are unchanged."""
     written = (planned / name).read_bytes()
     value = parsed(FILES[name], written, planned / name)
     assert json_text({"schema": SCHEMA, **value.as_json()}).encode() == written
 
 
 def test_files_of_earlier_versions_are_read(planned: Path) -> None:
-    """What they did not say is None, or what was the only way then."""
+    """Keys that are missing in earlier versions have the value None or the only value of that time."""
     plan, scene, report = (content_of(planned, name) for name in ("plan.json", "scene.resolved.json", "report.json"))
     del plan["clearance"], plan["coverage"]["visible_with_arm"], plan["coverage"]["target_on_features"]
     del scene["joint_jerk_limits_deg_s3"], report["motion"]["jerk_free_bound_s"], report["clearance"]
@@ -65,7 +65,7 @@ def test_files_of_earlier_versions_are_read(planned: Path) -> None:
 def test_a_damaged_value_is_told_in_one_sentence(
     path: tuple[str | int, ...], value: Any, sentence: str, planned: Path
 ) -> None:
-    """Where it is, what is there, what would be valid."""
+    """The message has the key, its value and the valid values."""
     content = content_of(planned, "plan.json")
     table = content
     for step in path[:-1]:
@@ -79,7 +79,7 @@ def test_a_damaged_value_is_told_in_one_sentence(
 
 
 def test_what_is_no_json_object_is_told() -> None:
-    """A list, and a cut file."""
+    """A list and a cut file have one message each."""
     with pytest.raises(FileError, match=r"it must hold one JSON object"):
         read(Report, [1])
     with pytest.raises(FileError, match=r"it is not JSON, or nested too deep"):
@@ -87,7 +87,7 @@ def test_what_is_no_json_object_is_told() -> None:
 
 
 def test_the_keys_of_a_plug_in_are_kept_as_they_are(planned: Path) -> None:
-    """Behind the name of its type, in its own order, whatever they hold; asked for by kind."""
+    """The keys of a plug-in follow its type in their own order, and each is read by its kind."""
     keys = {"zeta_deg": 3, "alpha_of_its_own": {"a": [None, True]}, "range_mm": [1.0, 2.5], "fov_deg": 30.0}
     scanner = ScannerKeys(type="cone", **keys)
     assert list(scanner.as_json()) == ["type", *keys]
@@ -100,7 +100,7 @@ def test_the_keys_of_a_plug_in_are_kept_as_they_are(planned: Path) -> None:
 
 
 def test_values_are_read_only(planned: Path) -> None:
-    """Neither a field nor a transform can be changed."""
+    """Fields and transforms are read-only."""
     plan = read(PlanFile, content_of(planned, "plan.json"))
     with pytest.raises(ValueError, match="frozen"):
         plan.gap = 1.0

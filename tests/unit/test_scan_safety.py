@@ -1,4 +1,4 @@
-"""What has to hold before steel moves: somebody's word, a slow start, no latched fault."""
+"""Conditions of a motion of hardware: confirmation, reduced speed, no latched fault."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ _PATH = ApprovedMotion("the new path", "fedcba9876543210" * 4, is_own_path=True)
 
 
 class _Controller:
-    """A controller of steel in a given state; it remembers what was asked of it."""
+    """A controller of hardware in a given state, which records the requests to stop and to reset."""
 
     def __init__(self, mode: Mode = Mode.IDLE, *, at_rest: bool = True, hardware: bool = True) -> None:
         limits = KR16
@@ -38,7 +38,7 @@ class _Controller:
     require_ready = state
 
     def take(self) -> None:
-        """It is nobody else's."""
+        """Accept the client, because no other one is active."""
 
     def stop(self) -> RobotState:
         self.asked += "stop "
@@ -52,7 +52,7 @@ class _Controller:
 
 
 def test_hardware_moves_at_ten_percent_unless_asked_otherwise() -> None:
-    """Never faster than the plan by default; --speed is of the plan's speed; simulation keeps the plan's."""
+    """Hardware moves at no more than 10 % by default. --speed is a fraction of the plan's speed."""
     assert safety.speed_fraction(None, 1.0, hardware=True) == 0.1
     assert safety.speed_fraction(None, 0.05, hardware=True) == 0.05
     assert safety.speed_fraction(None, 0.7, hardware=False) == 0.7
@@ -61,13 +61,13 @@ def test_hardware_moves_at_ten_percent_unless_asked_otherwise() -> None:
 
 @pytest.mark.parametrize("percent", [0.0, -1.0, 100.1, float("nan")])
 def test_a_speed_that_is_no_percentage_is_refused(percent: float) -> None:
-    """Above 0, at most 100."""
+    """A speed of 0 or less, above 100 or NaN is refused."""
     with pytest.raises(UsageError, match="--speed"):
         parse_options(ScanOptions, {"speed": percent}, flag)
 
 
 def test_steel_does_not_move_without_somebody_s_word() -> None:
-    """Nobody at a terminal: the sentence names the option. Any answer but yes: nothing moves."""
+    """Without a terminal the message names the option. Any answer but yes prevents the motion."""
     with pytest.raises(UsageError, match="--confirm-motion"):
         safety.require_confirmation(_Controller(), 0.1, _PLAN, given=None, confirm=None)
     for answer in ("", "y", "no", "yes please"):
@@ -78,7 +78,7 @@ def test_steel_does_not_move_without_somebody_s_word() -> None:
 
 
 def test_a_word_is_an_option_or_a_typed_yes_and_simulation_needs_none() -> None:
-    """The question says what moves and how fast."""
+    """The question names the plan, the controller and the speed. A simulation asks no question."""
     questions: list[str] = []
 
     def yes(question: str) -> str:
@@ -89,7 +89,7 @@ def test_a_word_is_an_option_or_a_typed_yes_and_simulation_needs_none() -> None:
     safety.require_confirmation(_Controller(), 0.1, _PLAN, given=_PLAN.short_digest, confirm=None)
     safety.require_confirmation(_Controller(), 0.1, _PLAN, given=_PLAN.digest, confirm=None)
     safety.require_confirmation(_Controller(hardware=False), 1.0, _PLAN, given=None, confirm=None)
-    for released in (_PLAN, _PATH):  # a batch, and the way that it is gone on with
+    for released in (_PLAN, _PATH):  # a batch, and the new path of a resumed batch
         safety.require_confirmation(_Controller(), 0.1, released, given=safety.ANY_MOTION, confirm=None)
     assert len(questions) == 1
     assert f"along the plan {_PLAN.short_digest}" in questions[0]
@@ -98,7 +98,7 @@ def test_a_word_is_an_option_or_a_typed_yes_and_simulation_needs_none() -> None:
 
 
 def test_the_digest_of_something_else_is_no_word() -> None:
-    """Not for the plan, and that of the plan not for a way of its own; a person at the terminal is asked about that."""
+    """A digest confirms its own motion only. With the digest of the plan, a new path is confirmed at the terminal."""
     other = "c" * 64
     with pytest.raises(UsageError, match=f"which is {_PLAN.short_digest}; nothing was moved"):
         safety.require_confirmation(_Controller(), 0.1, _PLAN, given=other, confirm=lambda question: "yes")
@@ -111,7 +111,7 @@ def test_the_digest_of_something_else_is_no_word() -> None:
 
 @pytest.mark.parametrize("word", ["yes", "0" * 7, "0" * 65, "0123456z"])
 def test_a_word_that_is_no_digest_is_refused(word: str) -> None:
-    """Eight characters of hexadecimal at least; capitals are the same."""
+    """A digest has 8 to 64 hexadecimal digits, in capitals or not."""
     with pytest.raises(UsageError, match="must be a digest as cell plan prints it"):
         parse_options(ScanOptions, {"confirm_motion": word}, flag)
     assert parse_options(ScanOptions, {"confirm_motion": "ABCDEF01"}, flag).confirm_motion == "abcdef01"
@@ -119,7 +119,7 @@ def test_a_word_that_is_no_digest_is_refused(word: str) -> None:
 
 @pytest.mark.parametrize("mode", [Mode.FAULT, Mode.EMERGENCY_STOP])
 def test_a_latched_fault_is_cleared_only_on_demand(mode: Mode) -> None:
-    """Without --reset the sentence says what is latched and what to give."""
+    """Without --reset the message names the option, and no reset is sent."""
     latched = _Controller(mode)
     with pytest.raises(DriverFailureError, match="--reset"):
         safety.prepare_controller(latched, ScanOptions(reset=False), stop_first=True)
@@ -129,7 +129,7 @@ def test_a_latched_fault_is_cleared_only_on_demand(mode: Mode) -> None:
 
 
 def test_an_arm_that_moves_is_stopped_only_where_an_execution_is_resumed() -> None:
-    """A new execution does not take an arm away from another client."""
+    """A new execution refuses an arm that moves or has queued moves; a resumed execution stops it."""
     with pytest.raises(DriverFailureError, match="another client"):
         safety.prepare_controller(_Controller(Mode.MOVING, at_rest=False), ScanOptions(reset=False), stop_first=False)
     waiting = _Controller()
@@ -143,7 +143,7 @@ def test_an_arm_that_moves_is_stopped_only_where_an_execution_is_resumed() -> No
 
 
 def test_a_clock_that_is_not_real_time_wants_a_word() -> None:
-    """Only an emulator's is not; what is accepted is exactly what it says, and a simulation is not asked."""
+    """Only the exact time scale of an emulator is accepted. A simulation needs no option."""
     emulator = _Controller()
     emulator.capabilities = replace(emulator.capabilities, time_scale=20.0)
     for accepted in (None, 1.0, 19.9):
@@ -158,6 +158,6 @@ def test_a_clock_that_is_not_real_time_wants_a_word() -> None:
 
 
 def test_every_motion_is_released_by_no_option() -> None:
-    """The word of `cell explore` for all of its batches is none that a user, a file or Python gives to an execution."""
+    """The confirmation of all batches of `cell explore` is refused as an option of an execution."""
     with pytest.raises(UsageError, match="--confirm-motion"):
         parse_options(ScanOptions, {"confirm_motion": safety.ANY_MOTION}, flag)

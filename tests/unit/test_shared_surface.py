@@ -1,4 +1,4 @@
-"""What two set-ups share holds their scans together, or leaves them free: shapes whose motions are known."""
+"""Shared surface of set-ups: shapes with known free motions connect their scans or leave them free."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from planner.values import Bools
 
 
 def _box() -> tuple[SurfaceSamples, Bools]:
-    """Samples on the six sides of a box of 60 x 80 x 100 mm, and (S, 6) on which each lies: +x, -x, +y, -y, +z, -z."""
+    """Return samples on a box of 60 x 80 x 100 mm, and (S, 6) their sides: +x, -x, +y, -y, +z, -z."""
     rng = np.random.default_rng(0)
     half, points, normals = np.array([0.03, 0.04, 0.05]), [], []
     for axis in range(3):
@@ -35,14 +35,14 @@ def _ball() -> SurfaceSamples:
 
 @pytest.mark.parametrize(("sides", "free"), [((4,), 3), ((2, 4), 1), ((0, 2, 4), 0), ((0, 1, 2, 3), 1), ((), 6)])
 def test_sides_of_a_box_leave_free_what_slides_along_them(sides: tuple[int, ...], free: int) -> None:
-    """One plane leaves three motions, two one along their edge, three none; four slide; nothing leaves six."""
+    """One plane leaves three motions, two leave one, three none, four parallel to an axis one, and no side six."""
     samples, side = _box()
     seen = side[:, list(sides)].any(axis=1)
     assert len(free_motions_of_surface(samples.points[seen], samples.normals[seen])) == free
 
 
 def test_a_ball_turns_and_nothing_is_lost_by_it() -> None:
-    """A cap of it turns three ways, and so does all of it: what set-ups share of a ball holds them together."""
+    """A ball has three free turns, as has a cap of it. The shared surface of two caps leaves no other freedom."""
     samples = _ball()
     lower, upper = samples.normals[:, 2] < 0.2, samples.normals[:, 2] > -0.2
     assert len(free_motions_of_surface(samples.points, samples.normals)) == 3
@@ -50,7 +50,7 @@ def test_a_ball_turns_and_nothing_is_lost_by_it() -> None:
 
 
 def test_set_ups_are_apart_where_their_common_side_slides() -> None:
-    """Two that share a plane, three in a chain, one that shares nothing."""
+    """Set-ups whose shared sides leave a free motion are unconnected."""
     samples, side = _box()
     seen = {
         1: side[:, [0, 2, 4]].any(axis=1),
@@ -66,7 +66,7 @@ def test_set_ups_are_apart_where_their_common_side_slides() -> None:
 
 
 def test_the_view_that_joins_is_the_one_that_ends_the_freedom() -> None:
-    """Of a side more, an edge more and both, only both do; a column that may not be chosen is not."""
+    """Only the view that adds both a side and an edge connects the set-ups, if it is usable."""
     samples, side = _box()
 
     def columns(*sides: tuple[int, ...]) -> Measurability:

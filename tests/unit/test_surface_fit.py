@@ -1,4 +1,4 @@
-"""Best fit of one scan: a part that stands elsewhere, and parts that one scan does not place."""
+"""Best fit of one scan: displaced parts, and parts whose position one scan does not determine."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ NOISE = 3e-5
 
 
 def _blob() -> TriangleMesh:
-    """A lopsided body of some 100 mm."""
+    """Return an asymmetric body of about 100 mm."""
     ball = trimesh.creation.icosphere(4, 1.0)
     x, y, z = ball.vertices.T
     radius = 0.05 + 0.006 * np.sin(3 * x + 1) * np.cos(2 * y) + 0.004 * np.sin(4 * z)
@@ -32,7 +32,7 @@ def _of(mesh: trimesh.Trimesh) -> TriangleMesh:
 
 
 def _scan(mesh: TriangleMesh, T_moved: Floats, seed: int = 0, step: float = 0.5) -> ScanCloud:
-    """The part after a motion (4, 4), seen from the sensor, with noise along the rays."""
+    """Return the part after a motion (4, 4), seen from the sensor, with noise along the rays."""
     back = np.linalg.inv(T_moved)
     sensor = back[:3, :3] @ SENSOR + back[:3, 3]
     z = -SENSOR / np.linalg.norm(SENSOR)
@@ -56,7 +56,7 @@ def _moved(seed: int, mm: float = 20.0, deg: float = 5.0) -> Floats:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_part_is_found_20_mm_and_5_deg_away(seed: int) -> None:
-    """Every point of it to 0.05 mm and to five of its standard deviations; nothing is open."""
+    """Every point is found to 0.05 mm and to five standard deviations, without an undetermined motion."""
     mesh, T_moved = _blob(), _moved(seed)
     found = fit_surface(
         [_scan(mesh, T_moved, seed)], ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0)
@@ -67,11 +67,11 @@ def test_a_part_is_found_20_mm_and_5_deg_away(seed: int) -> None:
     assert off < 5 * found.worst_point_sd(mesh.vertices)  # type: ignore[operator]
     assert found.undetermined_motions(1e-4) == ()
     assert found.alternatives == found.doubts == ()
-    assert found.rms == pytest.approx(NOISE, rel=0.35)  # along the normals, on which the rays stand askew
+    assert found.rms == pytest.approx(NOISE, rel=0.35)  # along the normals, to which the rays are inclined
 
 
 def test_the_standard_deviations_are_the_scatter_of_fits() -> None:
-    """Of 12 noisy scans of one placement, each coordinate scatters by what is said of it, to a factor of two."""
+    """The standard deviations of 12 noisy scans agree with the scatter of their fits within a factor of two."""
     mesh, T_moved = _blob(), _moved(0, mm=1.0, deg=0.3)
     nearest, search = ClosestPointQuery(mesh), SearchRange(0.002, 0.01)
     fits = [
@@ -85,7 +85,7 @@ def test_the_standard_deviations_are_the_scatter_of_fits() -> None:
 
 
 def test_a_ball_turns_every_way() -> None:
-    """Three turns are open, its centre is found, and it is not turned from how it was planned."""
+    """Three turns are undetermined, the centre is found, and the fit keeps the planned orientation."""
     mesh, T_moved = _of(trimesh.creation.icosphere(5, 0.04)), _moved(1)
     found = fit_surface(
         [_scan(mesh, T_moved)], ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0)
@@ -96,7 +96,7 @@ def test_a_ball_turns_every_way() -> None:
 
 
 def test_a_cylinder_seen_from_the_side_turns_and_slides() -> None:
-    """The ends are out of sight: one turn and one translation along the axis are open, and told."""
+    """The ends are not visible: one turn and one translation along the axis are reported as undetermined."""
     mesh, T_moved = _of(trimesh.creation.cylinder(0.03, 1.0, sections=720)), _moved(2, mm=5.0, deg=2.0)
     T = np.eye(4)
     T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
@@ -112,7 +112,7 @@ def test_a_cylinder_seen_from_the_side_turns_and_slides() -> None:
 
 
 def test_a_plate_slides_on_itself() -> None:
-    """Its edges are out of sight: a plane, and the height is found."""
+    """The edges are not visible: the free motions of a plane are reported, and the height is found."""
     mesh = _of(trimesh.creation.box((1.0, 1.0, 0.02)))
     T_moved = _moved(3, mm=5.0, deg=2.0)
     found = fit_surface(
@@ -127,7 +127,7 @@ def test_a_plate_slides_on_itself() -> None:
 
 
 def test_a_row_of_pins_has_a_rival() -> None:
-    """Pins every 8 mm fit as well one further: the other placement is told."""
+    """Pins every 8 mm fit as well one pitch further, and this alternative is reported."""
     pins = [
         trimesh.creation.icosphere(2, 0.003).apply_translation([0.008 * k, 0.008 * j, 0])
         for k in range(-9, 10)
@@ -144,7 +144,7 @@ def test_a_row_of_pins_has_a_rival() -> None:
 
 
 def test_points_of_something_else_are_refused_or_doubted() -> None:
-    """None near the part is an error; a fit that leaves much is doubted."""
+    """No point near the part is an error; a fit with many unmatched points is reported as doubtful."""
     mesh = _blob()
     far = ScanCloud(np.random.default_rng(0).uniform(1, 2, (100, 3)), SENSOR)
     with pytest.raises(PlannerError, match="only 0 points lie within"):
