@@ -1,4 +1,4 @@
-"""`cell explore` on a wire: each batch is released by its own digest, or all by one word; nothing moves before."""
+"""`cell explore` on a wire: each batch is confirmed by its own digest, or all by one option, before any motion."""
 
 import re
 import subprocess
@@ -21,7 +21,10 @@ def test_every_batch_waits_for_a_word(
     emulate: Callable[..., Any],
     run_cell: Callable[..., subprocess.CompletedProcess[str]],
 ) -> None:
-    """Without a word nothing moves; a digest releases its batch alone; `explore` releases the rest."""
+    """Without confirmation nothing moves. A digest confirms its batch only; `explore` confirms the remaining batches.
+
+    A digest confirms its batch only; `explore` confirms the remaining batches.
+    """
     emulated, out = emulate("modbus", "--time-scale", "20"), tmp_path / "out"
     command = ("explore", part_file, "--units", "mm", *OPTIONS, "--driver", emulated.url, "--out", out)
     refused = run_cell(*command, cwd=tmp_path)

@@ -1,4 +1,4 @@
-"""Mangled input files in a reduced form, and crafted ones by name; `python -m benchmarks fuzz_inputs` has more."""
+"""Mangled and crafted input files in a reduced form; `python -m benchmarks fuzz_inputs` is the full form."""
 
 import io
 import json
@@ -24,7 +24,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def _clean(rows: list[dict[str, Any]]) -> None:
-    """Nothing foreign, nothing slow; and the mangling leaves some files whole and breaks most."""
+    """Require no foreign exception, at most 10 s per file, and more than a third of the mangled files refused."""
     for row in rows:
         assert row["foreign"] == 0, row
         assert row["slowest_s"] < 10, row
@@ -32,14 +32,14 @@ def _clean(rows: list[dict[str, Any]]) -> None:
 
 
 def test_mangled_files_are_read_or_refused_in_our_words(executed: Path) -> None:
-    """Meshes, scenes, JSON and npz of a run folder: no error of another's, a gigabyte and ten seconds at most."""
+    """Mangled meshes, scenes, JSON and npz are read or refused by an error of the program, within 10 s."""
     scan = executed / "executions/0001/scans/0001.npz"
     _clean(fuzz_inputs.fuzzed(executed, scan, 400, seed=3))
 
 
 @pytest.mark.slow
 def test_ten_thousand_mangled_files(executed: Path) -> None:
-    """The long form."""
+    """The same holds for 10,000 mangled files."""
     _clean(fuzz_inputs.fuzzed(executed, executed / "executions/0001/scans/0001.npz", 10_000, seed=4))
 
 
@@ -54,7 +54,7 @@ def _glb(described: bytes | dict[str, Any], data: bytes = b"") -> bytes:
 
 
 def _scene(**changes: Any) -> dict[str, Any]:
-    """A GLB's description with one triangle of 36 bytes."""
+    """Return the description of a GLB with one triangle of 36 bytes."""
     return {
         "asset": {"version": "2.0"},
         "scene": 0,
@@ -107,7 +107,7 @@ MESHES: dict[str, tuple[str, bytes, str]] = {
 
 @pytest.mark.parametrize("case", MESHES)
 def test_a_crafted_mesh_is_refused_in_one_sentence(case: str, tmp_path: Path) -> None:
-    """At once, without what it announces being allocated."""
+    """A crafted mesh is refused within 2 s and without allocating its announced size."""
     name, content, words = MESHES[case]
     (tmp_path / name).write_bytes(content)
     began, before = process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -119,7 +119,7 @@ def test_a_crafted_mesh_is_refused_in_one_sentence(case: str, tmp_path: Path) ->
 
 
 def test_pictures_and_normals_are_not_looked_at(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """A GLB with a picture that is none; an ASCII STL whose normals are words: the triangles are what counts."""
+    """An invalid picture in a GLB and invalid normals in an ASCII STL are ignored."""
     described = _scene(
         images=[{"bufferView": 1, "mimeType": "image/png"}], textures=[{"source": 0}],
         bufferViews=[{"buffer": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": 400_000}],
@@ -142,7 +142,7 @@ SCENES = {
 
 @pytest.mark.parametrize("case", SCENES)
 def test_a_crafted_scene_is_refused_in_one_sentence(case: str, tmp_path: Path) -> None:
-    """Thousands of brackets or digits are an error of the scene."""
+    """Thousands of brackets or digits are reported as an error of the scene."""
     (tmp_path / "x.toml").write_text(SCENES[case])
     with pytest.raises(SceneError, match=r"x\.toml") as refusal:
         load_scene(tmp_path / "x.toml")
@@ -159,14 +159,14 @@ def test_a_crafted_scene_is_refused_in_one_sentence(case: str, tmp_path: Path) -
     ("check", "--scene", "{long}.toml"),
 ])  # fmt: skip
 def test_a_name_that_no_file_can_have_is_no_bug(arguments: tuple[str, ...], tmp_path: Path, run_cell: Run) -> None:
-    """More than 255 bytes: a sentence and the code of files, or of the scene."""
+    """A name of more than 255 bytes ends with the exit code of files or of the scene."""
     done = run_cell(*(word.format(long="n" * 300) for word in arguments), cwd=tmp_path)
     assert done.returncode in (2, 6), done.stderr
     assert "bug" not in done.stderr
 
 
 def test_a_fixture_s_name_and_path_are_looked_at(tmp_path: Path) -> None:
-    """Its name becomes that of a file; its path may be one that cannot be."""
+    """A fixture with a name that is too long or an invalid path is refused."""
     for line, words in (
         (f'name = "{"n" * 101}"\nshape = "box"\nsize_mm = [1, 1, 1]', "101 characters; it must have at most 100"),
         (f'name = "a"\nshape = "mesh"\nunits = "mm"\npath = "{"n" * 300}.stl"', "no valid file name"),
@@ -178,7 +178,7 @@ def test_a_fixture_s_name_and_path_are_looked_at(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["plan.json", "scene.resolved.json", "manifest.json"])
 def test_a_deep_file_of_a_run_is_damaged(name: str, planned: Path, tmp_path: Path, run_cell: Run) -> None:
-    """Nested a hundred thousand times: refused by every command that reads it."""
+    """A file nested 100,000 times is refused by every command that reads it."""
     import shutil
 
     shutil.copytree(planned, tmp_path / "run")
@@ -194,7 +194,7 @@ def test_a_deep_file_of_a_run_is_damaged(name: str, planned: Path, tmp_path: Pat
 
 
 def _bomb(unfolded: int) -> bytes:
-    """An npz of one array of zeros, a thousandth of what it unfolds to."""
+    """Return an npz of one array of zeros, compressed about a thousand times."""
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (unfolded // 8,)})
     buffer = io.BytesIO()
@@ -206,7 +206,7 @@ def _bomb(unfolded: int) -> bytes:
 
 
 def _liar() -> bytes:
-    """An npz whose array says that it is a terabyte long."""
+    """Return an npz whose array announces a size of one terabyte."""
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (1 << 37,)})
     buffer = io.BytesIO()
@@ -217,7 +217,7 @@ def _liar() -> bytes:
 
 @pytest.mark.parametrize("made", [lambda: _bomb(1 << 28), _liar], ids=["bomb", "liar"])
 def test_what_a_file_holds_bounds_what_is_allocated(made: Callable[[], bytes]) -> None:
-    """An npz that unfolds to a thousand times its size, or announces a terabyte: refused at once."""
+    """An npz that expands a thousand times or announces a terabyte is refused without allocating that size."""
     content = made()
     began, before = process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(CellError, match="is damaged or cut short"):

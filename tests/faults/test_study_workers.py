@@ -21,7 +21,7 @@ from cell.study.trials import OnOutcome, Outcome, Trial, compute, open_workers, 
 
 @pytest.fixture(scope="module")
 def trials(part_file: Path) -> list[Trial]:
-    """Four quick ones with different results."""
+    """Return four quick trials with different results."""
     scene = load_scene(
         None, {"part": {"path": str(part_file), "units": "mm"}, "plan": {"faces": 40, "samples_per_face": 2}}
     )
@@ -40,14 +40,14 @@ def run(
     cluster: str | None = None,
     on_outcome: OnOutcome | None = None,
 ) -> list[Outcome]:
-    """Run trials on workers of their own."""
+    """Run trials on new workers."""
     with open_workers(processes, cluster) as workers:
         return run_trials(trials, workers, folder=folder, on_outcome=on_outcome)
 
 
 @pytest.fixture(scope="module")
 def local(trials: list[Trial]) -> list[Outcome]:
-    """The outcomes of the trials in this process."""
+    """Return the outcomes of the trials in this process."""
     outcomes = [compute(trial, trial.digest) for trial in trials]
     assert not [outcome.failure for outcome in outcomes if outcome.failure]
     assert len({outcome.values["coverable"] for outcome in outcomes}) == len(trials)
@@ -59,7 +59,7 @@ def _values(outcomes: list[Outcome]) -> list[Any]:
 
 
 def test_a_process_that_dies_costs_no_trial(trials: list[Trial], local: list[Outcome], tmp_path: Path) -> None:
-    """A worker is killed at the first result: the outcomes are those of an undisturbed run."""
+    """A worker is killed at the first result, and the outcomes equal those of an undisturbed run."""
     killed: list[int] = []
 
     def kill_one(done: int, total: int, outcome: Outcome) -> None:
@@ -74,7 +74,7 @@ def test_a_process_that_dies_costs_no_trial(trials: list[Trial], local: list[Out
 
 
 def test_a_stopped_study_resumes(trials: list[Trial], local: list[Outcome], tmp_path: Path) -> None:
-    """Ctrl-C after the first result: the next run computes only the others."""
+    """After Ctrl-C at the first result, the next run computes only the remaining trials."""
 
     def stop(done: int, total: int, outcome: Outcome) -> None:
         raise KeyboardInterrupt
@@ -87,7 +87,7 @@ def test_a_stopped_study_resumes(trials: list[Trial], local: list[Outcome], tmp_
 
 
 def test_no_processes_is_refused(trials: list[Trial], tmp_path: Path) -> None:
-    """The sentence names the option."""
+    """The message names the option."""
     with pytest.raises(UsageError, match="--processes 0"):
         run(trials[:1], processes=0, folder=tmp_path)
 
@@ -96,7 +96,7 @@ def test_no_processes_is_refused(trials: list[Trial], tmp_path: Path) -> None:
 def test_no_worker_outlives_a_study_that_was_killed(
     tmp_path: Path, start_cell: Callable[..., "subprocess.Popen[str]"]
 ) -> None:
-    """SIGKILL of the command in its first trial: its processes end soon after."""
+    """After SIGKILL of the command in its first trial, its processes end soon."""
     silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     study = start_cell("study", "standoff", "petanque", "--processes", "2", cwd=tmp_path, **silent)
 
@@ -107,7 +107,7 @@ def test_no_worker_outlives_a_study_that_was_killed(
             time.sleep(0.05)
 
     def workers() -> list[int]:
-        # By their command line: the parent of an orphan is another.
+        # Found by their command line, because an orphan has another parent.
         found = []
         for path in Path("/proc").glob("[0-9]*/stat"):
             with contextlib.suppress(OSError):
@@ -124,7 +124,7 @@ def test_no_worker_outlives_a_study_that_was_killed(
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    """A scheduler and two worker processes, on loopback."""
+    """Yield a scheduler and two worker processes on loopback."""
     from distributed import LocalCluster
 
     with LocalCluster(
@@ -137,7 +137,7 @@ def cluster() -> Iterator[Any]:
 def test_a_cluster_gives_the_same_to_the_bit_and_loses_nothing_with_a_worker(
     trials: list[Trial], local: list[Outcome], cluster: Any, tmp_path: Path
 ) -> None:
-    """A worker is killed at the first result; the other one takes over its trials."""
+    """A worker is killed at the first result, and the other worker computes its trials."""
     killed: list[int] = []
 
     def kill_one(done: int, total: int, outcome: Outcome) -> None:
@@ -154,7 +154,7 @@ def test_a_cluster_gives_the_same_to_the_bit_and_loses_nothing_with_a_worker(
 def test_a_cluster_that_does_not_answer_is_one_sentence(
     trials: list[Trial], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With the address, and the command that starts one."""
+    """The message has the address and the command that starts a cluster."""
     monkeypatch.setattr("cell.study.trials._CLUSTER_TIMEOUT_S", 0.5)
     with pytest.raises(UsageError, match="dask scheduler"):
         run(trials[:1], processes=1, cluster="tcp://127.0.0.1:9", folder=tmp_path)

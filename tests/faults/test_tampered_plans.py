@@ -1,7 +1,7 @@
 """Run folders with one changed field and renewed hashes and digest: the field is refused, or has no effect.
 
-Every field of plan.json, scene.resolved.json, manifest.json and motion.npz is found by walking over the files, so a new
-one is looked at without a word here. docs/internals/run_folder_free_fields.csv lists those that may be changed.
+Every field of plan.json, scene.resolved.json, manifest.json and motion.npz is found by walking over the files, so new
+fields are tested without a change here. docs/internals/run_folder_free_fields.csv lists the fields that may be changed.
 """
 
 import copy
@@ -32,7 +32,7 @@ _OPEN = ("artefacts", "inputs", "versions", "seconds", "options")  # maps of the
 
 @dataclass(frozen=True)
 class Change:
-    """One field changed in one way.
+    """One field with one change.
 
     Attributes:
         field: as the docs name it, "plan.json:views[].q_deg".

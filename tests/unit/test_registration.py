@@ -38,7 +38,7 @@ def scans(head: TriangleMesh) -> list[ScanCloud]:
 
 @pytest.fixture(scope="module")
 def nearest(head: TriangleMesh) -> ClosestPointQuery:
-    """Closest points on the head."""
+    """Return the closest-point query of the head."""
     return ClosestPointQuery(head)
 
 
@@ -56,7 +56,7 @@ def _scan(caster: EmbreeRayCaster, sensor: np.ndarray, rng: np.random.Generator)
 
 
 def _moved(scan: ScanCloud, shift: np.ndarray, turn: np.ndarray) -> ScanCloud:
-    """The scan with its scanner shifted [m] and turned about itself [rad]."""
+    """Return the scan with its scanner shifted [m] and turned about itself [rad]."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
     T[:3, 3] = scan.sensor + shift - T[:3, :3] @ scan.sensor
@@ -76,7 +76,7 @@ def _rms(scans: Sequence[ScanCloud], nearest: ClosestPointQuery) -> float:
 def test_pose_error_is_reduced_at_least_four_times(
     scans: list[ScanCloud], head: TriangleMesh, nearest: ClosestPointQuery, seed: int
 ) -> None:
-    """0.5 mm and 0.1 degree (one sigma): the merged cloud's rms against the reference falls 4 times, to its noise."""
+    """With 0.5 mm and 0.1 degree (one sigma), the rms of the merged cloud falls 4 times, to its noise."""
     disturbed = _disturbed(scans, 0.5, 0.1, seed)
     result = register(disturbed, head)
     assert {scan.status for scan in result.scans} == {RegistrationStatus.CONVERGED}
@@ -91,7 +91,7 @@ def test_pose_error_is_reduced_at_least_four_times(
 
 
 def test_the_correction_undoes_the_error(scans: list[ScanCloud], head: TriangleMesh) -> None:
-    """Every point comes back to where it was, to about the noise of one point, not only onto the surface."""
+    """Every point returns to its true place within the noise of one point, not only onto the surface."""
     disturbed = _disturbed(scans, 0.5, 0.1, 4)
     for true, wrong, result in zip(scans, disturbed, register(disturbed, head).scans, strict=True):
         back = wrong.transformed(result.T_correction).points
@@ -100,7 +100,7 @@ def test_the_correction_undoes_the_error(scans: list[ScanCloud], head: TriangleM
 
 
 def test_without_a_model_the_scans_come_together(scans: list[ScanCloud], nearest: ClosestPointQuery) -> None:
-    """Scans matched only to each other are right but for one motion of all together, whose mean is kept small."""
+    """Scans matched to each other are correct except for one common motion, and their mean is kept."""
     disturbed = _disturbed(scans, 0.5, 0.1, 5)
     result = register(disturbed, None)
     assert len(result.overlaps) >= 6
@@ -132,7 +132,7 @@ def test_registered_scans_give_a_better_mesh(
 
 
 def test_scans_that_fit_are_left_where_they_are(scans: list[ScanCloud], head: TriangleMesh) -> None:
-    """Without pose error no point moves by more than a fifth of the noise."""
+    """Without pose error no point moves by more than half of the noise."""
     for scan, result in zip(scans, register(scans, head).scans, strict=True):
         assert np.linalg.norm(scan.transformed(result.T_correction).points - scan.points, axis=1).max() < 10e-6
 
@@ -152,7 +152,7 @@ def test_corrections_are_rigid_and_repeat(scans: list[ScanCloud], head: Triangle
 def test_a_huge_pose_error_is_never_made_larger(
     scans: list[ScanCloud], head: TriangleMesh, mm: float, deg: float, seed: int
 ) -> None:
-    """Far beyond the reach of matches: a scan comes nearer to its true place, or it stays where it was reported."""
+    """Beyond the reach of matches, a scan moves towards its true place or keeps its reported pose."""
     disturbed = _disturbed(scans, mm, deg, seed)
     result = register(disturbed, head)
     kept = [scan for scan in result.scans if not scan.is_corrected]
@@ -168,7 +168,7 @@ def test_a_huge_pose_error_is_never_made_larger(
 
 
 def test_arguments_must_be_positive(scans: list[ScanCloud], head: TriangleMesh) -> None:
-    """No samples, no iterations, no reach: refused by name."""
+    """No samples, no iterations and no reach are refused."""
     for wrong in ({"samples": 0}, {"iterations": 0}, {"reach": 0.0}):
         with pytest.raises(PlannerError, match="must be positive"):
             register(scans, head, **wrong)

@@ -147,7 +147,7 @@ def test_shapes_are_hardly_larger_than_the_hulls(model):
 
 @pytest.mark.parametrize("name", FREE)
 def test_named_poses_are_free(model, data, name):
-    """No links touch in usual poses."""
+    """No links are in contact in usual poses."""
     assert touching(model, data, np.deg2rad(FREE[name])) == set()
 
 
@@ -261,7 +261,7 @@ def test_a_model_without_six_hinges_and_a_flange_is_refused(change, words):
 
 
 def test_missing_limits_are_named():
-    """The message names the missing range, numeric or key, and where to add it."""
+    """The message names the missing range, numeric or key, and the place to add it."""
 
     def without_range(spec):
         spec.joint("A4").limited = mujoco.mjtLimited.mjLIMITED_FALSE

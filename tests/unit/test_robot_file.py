@@ -225,9 +225,9 @@ def test_the_motion_bound_of_the_proof_holds(tmp_path: Path, levers: str) -> Non
 
 
 def test_links_that_are_near_and_can_touch_are_checked_with_a_smaller_clearance(tmp_path: Path) -> None:
-    """Two that are never 20 mm apart and touch: half of the largest distance guards them, between two looks too.
+    """Two links that are always nearer than 20 mm and can touch are checked with half of their largest distance.
 
-    So replay marks them where they are nearer than that, and not where they are nearer than the clearance.
+    This clearance also holds between two checked configurations. Replay marks a pair below this clearance only.
     """
     world = compile_world(Scene.model_validate({"robot": {"model": str(forked(tmp_path, 0.032))}}), CUBE)
     pair = tuple(world.model.geom(f"link_{number}_0").id for number in (4, 6))
@@ -250,7 +250,7 @@ def test_links_that_are_near_and_can_touch_are_checked_with_a_smaller_clearance(
     assert [touch for touch in find_violations(replay_model, data) if touch.names == "link_6 with link_4"]  # type: ignore[arg-type]
     checker, q_to = MujocoCollisionChecker(world), Q + np.array([0, 0, 0, 0, 0, 2.0])
     looks = subdivide(Q, q_to, checker)
-    moved = TravelBound(world.model)(looks[:-1], looks[1:]) / 2  # to the nearest look, either of the two
+    moved = TravelBound(world.model)(looks[:-1], looks[1:]) / 2  # travel to the nearer of the two checks
     assert 2 * moved.max() < keep
 
 
@@ -262,14 +262,14 @@ BEYOND = """<geometry><box size="0.05 0.05 0.05"/></geometry></collision><collis
     ("x", "y", "excluded"),
     [
         (0.1, 0.0, "bolted_bracket_link_5"),  # a finger of the hand that sticks in the bracket's end
-        (0.13, 0.05, None),  # one that a bracket which leads to the side meets at some angles alone
+        (0.13, 0.05, None),  # an offset finger that meets the bracket at some angles only
         (0.0, 0.045, "apart_bracket_link_5"),
     ],
 )
 def test_the_bracket_is_excluded_from_link_5_only_if_justified(
     tmp_path: Path, x: float, y: float, excluded: str | None
 ) -> None:
-    """They touch at all wrist angles, or provably at none; else the pair is checked."""
+    """The pair is excluded if it touches at all wrist angles or provably at none; otherwise it is checked."""
     path = written(tmp_path, urdf(l5=BEYOND.format(x=x, y=y)))
     mount = {"position_mm": (100.0, 0.0, 120.0)}
     world = compile_world(Scene.model_validate({"robot": {"model": str(path)}, "mount": mount}), CUBE)
@@ -289,7 +289,7 @@ def test_links_that_always_touch_are_excluded_and_reported(tmp_path: Path) -> No
     excluded = [model.exclude(i).name for i in range(model.nexclude)]
     assert "joined_link_2_block" in excluded
     assert sum(name.startswith("joined_") for name in excluded) == 1
-    # What the cache knows stands by names: with another one it is another arm.
+    # The cache identifies links by name: another name is another arm.
     renamed = written(tmp_path, urdf((block + joint).replace('"block"', '"stop"'), l2=long))
     assert "joined_link_2_stop" in {each.name for each in robot_spec.load_robot(renamed, stamp=(1,)).excludes}
 
@@ -373,7 +373,7 @@ def test_a_pair_that_touched_once_is_not_excluded(tmp_path: Path, monkeypatch: p
 
 
 def no_mesh(text: str) -> str:
-    """Return the text with a mesh in a package that does not exist."""
+    """Return the text with a mesh of a missing package."""
     return text.replace('<box size="0.05 0.05 0.05"/>', '<mesh filename="package://acme/hand.stl"/>')
 
 
@@ -439,7 +439,7 @@ FALLS = "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbo
 def test_warnings_about_a_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """A hinge without a range and MuJoCo's warnings give one sentence each for arm and cell; no other output."""
+    """A hinge without a range and warnings of MuJoCo give one sentence each. No other output is printed."""
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "arm.xml"
     text = CAPSULES.replace('axis="1 0 0" range="-170 170"', 'axis="1 0 0"')

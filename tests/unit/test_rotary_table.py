@@ -38,7 +38,7 @@ def _world(**tables: object) -> World:
 
 @pytest.fixture(scope="module")
 def off_axis() -> World:
-    """A block 300 mm beside the axis with a clamp, and a pillar in its swing."""
+    """Return the world of a block 300 mm off the axis with a clamp, and a pillar within its swing."""
     clamp = {
         "name": "clamp",
         "shape": "box",
@@ -56,7 +56,7 @@ def off_axis() -> World:
 
 @pytest.fixture(scope="module")
 def tilted() -> World:
-    """A block beside an axis that is tilted by 40 deg, its post to the face, and an upright pillar."""
+    """Return the world of a block off an axis tilted by 40 deg, its post to the face, and an upright pillar."""
     pillar = {"name": "pillar", "shape": "cylinder", "size_mm": [100, 800], "position_mm": [1560, 440, 0]}
     clamp = {"name": "clamp", "shape": "box", "size_mm": [20, 20, 20], "position_mm": [0, 0, 170]}
     return _world(
@@ -68,7 +68,7 @@ def tilted() -> World:
 
 @pytest.fixture(params=["off_axis", "tilted"])
 def either(request: pytest.FixtureRequest) -> World:
-    """An upright and a tilted axis."""
+    """Return the world of an upright and of a tilted axis."""
     world: World = request.getfixturevalue(request.param)
     return world
 
@@ -119,7 +119,7 @@ def test_one_pose_at_given_angles() -> None:
 
 
 def test_limits_narrower_than_a_step_have_one_angle() -> None:
-    """24 angles have steps of 15 deg; a range of 4 deg between them has its middle."""
+    """A range of 4 deg between two of the 24 angles (15 deg steps) has one angle, its middle."""
     np.testing.assert_allclose(np.degrees(_table(0, 0, 2.0, 6.0).angles(24)), [4.0], atol=1e-9)
     assert len(_table().angles(36)) == 36
 
@@ -161,7 +161,7 @@ def test_no_distance_of_arm_and_part_changes_by_more_than_the_travel(either: Wor
     assert either.table is not None
     axis, face = either.table.T_base_table[:3, 2:].T
     middle = np.linalg.norm(np.cross(axis, either.T_base_object[:3, 3] - face))
-    assert (travel[:100] > middle * np.abs(q_to - q_from)[:100, 6]).all()  # the block's middle alone goes so far
+    assert (travel[:100] > middle * np.abs(q_to - q_from)[:100, 6]).all()  # the travel of the block's middle
 
 
 def test_the_radius_of_the_table_is_that_of_the_farthest_corner(either: World) -> None:
@@ -223,7 +223,7 @@ def test_a_tilted_axis_carries_its_post_without_collision(tilted: World) -> None
 def test_half_a_turn_about_a_tilted_axis_collides_on_the_other_side(
     table: tuple[tuple[float, float, float], tuple[float, float, float]], of_part: tuple[float, ...], met: str
 ) -> None:
-    """A cube beside the axis meets floor, post's foot and a box of 60 mm."""
+    """A cube off the axis collides with floor, post or a box of 60 mm after half a turn."""
     small, T = trimesh.creation.box((0.1, 0.1, 0.1)), pose(*table)
     place, across = (1000 * (T @ [sign * of_part[0], *of_part[1:], 1.0])[:3] for sign in (1, -1))
     box = {"name": "stop", "shape": "box", "size_mm": [60, 60, 60], "position_mm": across.tolist()}
@@ -241,7 +241,7 @@ def test_half_a_turn_about_a_tilted_axis_collides_on_the_other_side(
 
 
 def test_a_part_that_turns_into_a_pillar_is_not_free(off_axis: World) -> None:
-    """The pillar is where the block is at -90 deg: found there, by name, and not at 0 and 90 deg."""
+    """The block meets the pillar at -90 deg, reported by name, and is free at 0 and 90 deg."""
     checker = MujocoCollisionChecker(off_axis)
     q = np.repeat(off_axis.home[None], 4, axis=0)
     q[:, 6] = np.radians([0.0, 90.0, -90.0, -60.0])
@@ -251,11 +251,11 @@ def test_a_part_that_turns_into_a_pillar_is_not_free(off_axis: World) -> None:
 
 
 def test_a_post_that_swings_into_a_stud_is_not_free() -> None:
-    """A small part high above the face, beside the axis: at -90 deg its post meets a stud, the part does not."""
+    """Off the axis, the post of a small part meets a stud at -90 deg. On the axis every angle is free."""
     small = trimesh.creation.box((0.05, 0.05, 0.05))
     stud = {"name": "stud", "shape": "cylinder", "size_mm": [60, 200], "position_mm": [1200, 350, -300]}
     scene = {"table": {"position_mm": [1200.0, 500.0, -400.0]}, "fixtures": [stud]}
-    for x, free in ((1350.0, [True, False, True]), (1200.0, [True, True, True])):  # beside the axis, and on it
+    for x, free in ((1350.0, [True, False, True]), (1200.0, [True, True, True])):  # off the axis, and on it
         tables = scene | {"placement": {"position_mm": [x, 500.0, 0.0]}}
         world = compile_world(Scene.model_validate(tables), small.vertices, part_faces=small.faces, baseline_mm=75.0)
         checker, q = MujocoCollisionChecker(world), np.repeat(world.home[None], 3, axis=0)
@@ -267,7 +267,7 @@ def test_a_post_that_swings_into_a_stud_is_not_free() -> None:
 
 
 def test_a_table_without_a_position_moves_with_the_part(off_axis: World) -> None:
-    """Elsewhere and upside down it is below the part again, its post as long; one with a position refuses."""
+    """A default table stays below the lowest point of a moved part. A table with a position refuses the move."""
     world, T = _world(), pose((900.0, -300.0, 200.0), (30.0, 0.0, 180.0))
     there = world.with_placement(T)
     assert world.table is not None
@@ -280,7 +280,7 @@ def test_a_table_without_a_position_moves_with_the_part(off_axis: World) -> None
 
 
 def test_a_table_turns_as_far_as_its_part_keeps_clear() -> None:
-    """Every angle up to a pillar is clear, and by brute force the next is not.
+    """Every angle up to a pillar is clear, and the next angle beyond it collides.
 
     Blocked on one side, an endless axis turns to the other; between two pillars it has the range between them.
     """
@@ -331,13 +331,13 @@ def test_the_option_and_the_table_of_a_scene_are_equivalent() -> None:
     ],
 )
 def test_an_invalid_table_is_refused(tables: dict[str, object], said: str) -> None:
-    """Too narrow, too high, its name taken."""
+    """A table that is too small, too high or too low, or whose name is used by a fixture, is refused."""
     with pytest.raises(SceneError, match=said):
         _world(**tables)
 
 
 def test_a_table_inside_the_robot_is_a_problem_with_a_remedy() -> None:
-    """It reaches into the pedestal's corner or the robot's base; the sentence says what to type."""
+    """A table inside the pedestal or the robot's base is reported with the key to change."""
     found = find_problems(
         _world(table={"position_mm": [100.0, 450.0, 100.0]}, placement={"position_mm": [300.0, 700.0, 600.0]})
     )
@@ -345,13 +345,13 @@ def test_a_table_inside_the_robot_is_a_problem_with_a_remedy() -> None:
 
 
 def test_limits_must_contain_home() -> None:
-    """Every motion begins and ends at 0."""
+    """Limits without 0 are refused, because every motion begins and ends at 0."""
     with pytest.raises(ValueError, match="around 0, where motions begin and end"):
         Scene.model_validate({"table": {"limits_deg": [10.0, 90.0]}})
 
 
 def test_limits_of_a_scene_are_never_extended() -> None:
-    """A pillar at 100 deg ends the range there; on the other side it stays the scene's, to the degree."""
+    """A pillar at 100 deg ends the range on one side, and the limit of the scene ends it on the other."""
     x, y = 1200 + 250 * np.cos(np.radians(100)), 500 + 250 * np.sin(np.radians(100))
     pillar = {"name": "pillar", "shape": "cylinder", "size_mm": [40, 300], "position_mm": [x, y, 0]}
     table = {"position_mm": [1200.0, 500.0, -400.0], "limits_deg": [-90.5, 150.0]}

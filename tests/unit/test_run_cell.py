@@ -1,4 +1,4 @@
-"""The scene of a run folder read back: what stands between scanner and part is what stood there in the plan."""
+"""The scene of a run folder read back: occluders, scanner and poses equal those of the plan."""
 
 import json
 import shutil
@@ -65,7 +65,7 @@ abc_deg = [0, 90, 0]
 def written(
     tmp_path_factory: pytest.TempPathFactory, part_file: Path, blob: Callable[[int], trimesh.Trimesh]
 ) -> tuple[Run, World]:
-    """A run folder that holds what an execution reads of the cell, with every kind of fixture; and the plan's world."""
+    """Return a run folder with the cell files of an execution and fixtures of every kind, and the plan's world."""
     return _written(tmp_path_factory.mktemp("scene"), part_file, {})
 
 
@@ -84,7 +84,10 @@ def _written(home: Path, part_file: Path, plan: dict[str, object]) -> tuple[Run,
 
 
 def test_what_occludes_is_what_occluded_the_plan(written: tuple[Run, World]) -> None:
-    """Bit for bit: post, pedestal, floor, box on the part, mast; a mesh to the last bit; not what is of glass."""
+    """The occluders equal those of the plan bit for bit, and a mesh to rounding.
+
+    Transparent fixtures are not among them.
+    """
     run, world = written
     planned, found = fixed_occluders(world), read_cell(run).occluders
     assert [piece.name for piece in found] == [piece.name for piece in planned]
@@ -96,7 +99,7 @@ def test_what_occludes_is_what_occluded_the_plan(written: tuple[Run, World]) -> 
 
 
 def test_scanner_and_poses_are_the_plans(written: tuple[Run, World]) -> None:
-    """Same law, and the pose at a configuration is forward kinematics through mount and placement."""
+    """The scanner has the plan's parameters, and its pose follows from forward kinematics, mount and placement."""
     run, world = written
     scene = read_cell(run)
     assert scene.scanner.parameters() == scene.scanner_keys.as_json()
@@ -112,7 +115,7 @@ def test_scanner_and_poses_are_the_plans(written: tuple[Run, World]) -> None:
 
 
 def test_the_resolution_can_be_another(written: tuple[Run, World]) -> None:
-    """The grid follows; a resolution that leaves no ray is refused by the option's name."""
+    """The grid follows the given resolution; a resolution without any ray is refused with the name of the option."""
     run, _ = written
     assert read_cell(run, 3.0).scanner.grid_shape == (20, 20)
     with pytest.raises(UsageError, match="--resolution 150"):
@@ -120,14 +123,14 @@ def test_the_resolution_can_be_another(written: tuple[Run, World]) -> None:
 
 
 def test_a_plan_of_at_most_so_many_views_is_read_back(tmp_path: Path, part_file: Path) -> None:
-    """Beside `max_views` a scene has no coverage, though the settled plan says one."""
+    """The scene of a plan with `max_views` is valid and has the coverage of the settled plan."""
     run, _ = _written(tmp_path, part_file, {"max_views": 3})
     plan = scene_of_run(run).plan
     assert (plan.max_views, plan.coverage) == (3, run.scene.plan.coverage)
 
 
 def test_a_changed_cell_is_refused(written: tuple[Run, World], tmp_path: Path) -> None:
-    """An edited cell.xml is not what was checked."""
+    """An edited cell.xml is reported as changed."""
     copy = tmp_path / "run"
     shutil.copytree(written[0].folder, copy)
     text = (copy / "cell.xml").read_text()
@@ -137,7 +140,7 @@ def test_a_changed_cell_is_refused(written: tuple[Run, World], tmp_path: Path) -
 
 
 def _as_earlier(run: Run, to: Path, collision: str) -> Run:
-    """A copy as written by a version that took mesh fixtures as their hulls."""
+    """Return a copy as written by a version that used the hulls of mesh fixtures."""
     copy = Path(shutil.copytree(run.folder, to))
     resolved = json.loads((copy / "scene.resolved.json").read_text())
     resolved["plan"]["collision"] = collision
@@ -161,7 +164,7 @@ def _as_earlier(run: Run, to: Path, collision: str) -> Run:
 def test_a_run_of_an_earlier_version_is_compiled_with_triangles_and_that_is_said(
     written: tuple[Run, World], tmp_path: Path, collision: str, triangles: set[str], said: str | None
 ) -> None:
-    """Convex pieces and hulls of mesh fixtures are gone; a run by hulls stays one. Replay judges as it was checked."""
+    """Convex pieces and hulls of an earlier run become triangles, with a note. Replay checks as the run did."""
     earlier = _as_earlier(written[0], tmp_path / "run", collision)
     part, scene = earlier.mesh("reference.ply"), earlier.scene
     again = world_of(earlier, part)
@@ -176,7 +179,7 @@ def test_a_run_of_an_earlier_version_is_compiled_with_triangles_and_that_is_said
 
 
 def test_a_mesh_fixture_is_compiled_again_and_shown_as_its_triangles(written: tuple[Run, World]) -> None:
-    """And judged by these, in the frame of the body that it is attached to."""
+    """Replay shows and checks the triangles of a mesh fixture in the frame of its body."""
     run, world = written
     part, scene = run.mesh("reference.ply"), run.scene
     again = world_of(run, part)
@@ -192,7 +195,7 @@ def test_a_mesh_fixture_is_compiled_again_and_shown_as_its_triangles(written: tu
 
 
 def _extent(model: mujoco.MjModel, name: str) -> np.ndarray:
-    """Lowest and highest corner of a geom's mesh in the frame of its body."""
+    """Return the lowest and highest corner of a geom's mesh in the frame of its body."""
     geom = model.geom(name)
     mesh = model.mesh(geom.dataid[0])
     vertices = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
@@ -203,7 +206,7 @@ def _extent(model: mujoco.MjModel, name: str) -> np.ndarray:
 
 
 def test_how_far_an_arm_is_off_is_that_of_the_cell_that_was_checked(written: tuple[Run, World]) -> None:
-    """Bit for bit, although cell.xml opens with the robot at home."""
+    """The travel bound equals that of the planned world bit for bit, although cell.xml starts at home."""
     run, world = written
     rng = np.random.default_rng(0)
     begin = rng.uniform(-1.0, 1.0, (20, 6))

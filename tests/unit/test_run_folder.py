@@ -1,4 +1,4 @@
-"""The run folder's promises: nothing overwritten, nothing finished lost, no clock value in an artefact."""
+"""Guarantees of the run folder: no overwriting, no loss of finished files, no clock value in an artefact."""
 
 import errno
 import json
@@ -16,12 +16,12 @@ NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
 
 def make(out: Path | None) -> RunFolder:
-    """A folder of a run that has just begun."""
+    """Return the folder of a new run."""
     return RunFolder.create(out, ["plan"], 7, {"part": "abc"}, NOW)
 
 
 def test_it_is_a_part_folder_until_it_is_finished(tmp_path: Path) -> None:
-    """`.part` first, the final name after `finish`, and the manifest says which."""
+    """The folder is named `.part` until `finish`, and the manifest has the status."""
     folder = make(tmp_path / "run")
     assert json.loads((tmp_path / "run.part" / "manifest.json").read_text())["status"] == "running"
     folder.finish(0)
@@ -30,7 +30,7 @@ def test_it_is_a_part_folder_until_it_is_finished(tmp_path: Path) -> None:
 
 
 def test_a_finished_run_is_never_overwritten(tmp_path: Path) -> None:
-    """The same --out again is refused, and the first run stays as it was."""
+    """The same --out is refused, and the first run is unchanged."""
     make(tmp_path / "run").finish(0)
     before = (tmp_path / "run" / "manifest.json").read_bytes()
     with pytest.raises(FileError, match="never overwritten"):
@@ -39,7 +39,7 @@ def test_a_finished_run_is_never_overwritten(tmp_path: Path) -> None:
 
 
 def test_a_failed_run_makes_way_and_is_kept(tmp_path: Path) -> None:
-    """After a failure the same --out works; the failed folder stands beside it with what it had."""
+    """After a failure the same --out is accepted; the failed folder is kept under a numbered name."""
     for number in (1, 2):
         folder = make(tmp_path / "run")
         folder.write_text("kept.txt", f"attempt {number}")
@@ -51,7 +51,7 @@ def test_a_failed_run_makes_way_and_is_kept(tmp_path: Path) -> None:
 
 
 def test_a_run_that_may_still_be_going_on_is_left_alone(tmp_path: Path) -> None:
-    """A `.part` folder whose manifest says running is not moved."""
+    """A `.part` folder with the status running is not moved."""
     make(tmp_path / "run")
     with pytest.raises(FileError, match="exists already"):
         make(tmp_path / "run")
@@ -59,13 +59,13 @@ def test_a_run_that_may_still_be_going_on_is_left_alone(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("out", [".", "/"])
 def test_a_folder_without_a_name_is_refused(out: str) -> None:
-    """`--out .` gets a sentence."""
+    """`--out .` and `--out /` are refused with one sentence."""
     with pytest.raises(FileError, match="has no name"):
         make(Path(out))
 
 
 def test_a_stage_that_fails_is_named_and_timed(tmp_path: Path) -> None:
-    """The manifest tells where a run ended."""
+    """The manifest has the stage, the status and the seconds of a failed run."""
     folder = make(tmp_path / "run")
 
     def fails() -> None:
@@ -81,7 +81,7 @@ def test_a_stage_that_fails_is_named_and_timed(tmp_path: Path) -> None:
 
 
 def test_equal_arrays_give_equal_bytes(tmp_path: Path) -> None:
-    """An .npz holds no clock value: two runs at different times are the same file."""
+    """An .npz holds no clock value: equal arrays written at different times give equal bytes."""
     files = []
     for name in ("one", "two"):
         folder = make(tmp_path / name)
@@ -93,7 +93,7 @@ def test_equal_arrays_give_equal_bytes(tmp_path: Path) -> None:
 def test_a_full_disk_in_the_last_manifest_does_not_hide_the_first_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`fail` never raises; the last good manifest stays in place."""
+    """`fail` raises no error on a full disk, and the last complete manifest is kept."""
     folder = make(tmp_path / "run")
 
     def full(*_: Any, **__: Any) -> None:
@@ -106,6 +106,6 @@ def test_a_full_disk_in_the_last_manifest_does_not_hide_the_first_error(
 
 
 def test_nan_never_reaches_a_json_file() -> None:
-    """JSON has no NaN; a value that is none is a bug and raised."""
+    """NaN is refused with an error, because JSON has no NaN."""
     with pytest.raises(ValueError, match="JSON"):
         json_text({"x": float("nan")})

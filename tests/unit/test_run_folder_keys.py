@@ -1,6 +1,6 @@
-"""docs/internals/run_folder_keys.csv lists the keys of the JSON files as their definitions say them.
+"""docs/internals/run_folder_keys.csv lists the keys of the JSON files with the meanings of their definitions.
 
-Written anew by `python tests/unit/test_run_folder_keys.py`.
+`python tests/unit/test_run_folder_keys.py` writes the file.
 """
 
 import csv
@@ -38,7 +38,7 @@ FILES = {
 
 
 def table_in(annotation: Any) -> tuple[type[BaseModel] | None, str]:
-    """The table that an annotation names, and what its keys are called behind: "." for one, "[]." for a list."""
+    """Return the table that an annotation names, and the separator of its keys: "." for one, "[]." for a list."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation, "."
     found = [table_in(inner) for inner in get_args(annotation)]
@@ -47,7 +47,7 @@ def table_in(annotation: Any) -> tuple[type[BaseModel] | None, str]:
 
 
 def rows(model: type[BaseModel], before: str, known: dict[type[BaseModel], str]) -> list[tuple[str, str]]:
-    """Key and meaning of a table's keys, of those inside it too; `known` are tables that were listed, and where."""
+    """Return key and meaning of a table's keys and of nested ones; `known` maps listed tables to their places."""
     found = []
     of_scene = [name for name in PlanKeys.model_fields if name not in model.__annotations__]
     if issubclass(model, PlanKeys):
@@ -69,7 +69,7 @@ def rows(model: type[BaseModel], before: str, known: dict[type[BaseModel], str])
 
 
 def keys() -> str:
-    """The table."""
+    """Return the CSV text of the table."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(["file", "key", "meaning"])
@@ -81,7 +81,7 @@ def keys() -> str:
 
 
 def test_the_table_lists_the_keys_as_they_are_defined() -> None:
-    """Every key is there with its meaning, and no other."""
+    """The file has exactly the defined keys with their meanings."""
     assert TABLE.read_text(encoding="utf-8") == keys(), "python tests/unit/test_run_folder_keys.py writes it anew"
 
 

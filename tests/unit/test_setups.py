@@ -29,7 +29,7 @@ def _samples(points: Any, normals: Any) -> SurfaceSamples:
 
 
 def _table(low: float, high: float) -> Occluder:
-    """A plate of 400 x 400 mm between two heights [m]."""
+    """Return a plate of 400 x 400 mm between two heights [m]."""
     box = trimesh.creation.box(bounds=[[-0.2, -0.2, low], [0.2, 0.2, high]])
     return Occluder("table", box.vertices, box.faces)
 
@@ -40,7 +40,7 @@ def _table(low: float, high: float) -> Occluder:
         (0.0, (0, 0, -1), True),
         (0.99, (0, 0, -1), True),
         (1.01, (0, 0, -1), False),
-        (-0.05, (0, 0, -1), True),  # as deep as scenes may have it
+        (-0.05, (0, 0, -1), True),  # the largest depth that a scene may have
         (0.3, (0, 0, 1), False),  # the upper side of a sheet
         (0.0, (1, 0, 0), False),  # a wall that rises from the table
         (0.5, (np.sin(1.2), 0, -np.cos(1.2)), False),  # 1.38 mm along its normal
@@ -50,7 +50,7 @@ def _table(low: float, high: float) -> Occluder:
 def test_a_sample_touches_where_its_normal_meets_the_support_within_a_millimetre(
     height_mm: float, normal: tuple[float, float, float], touched: bool
 ) -> None:
-    """Above a plate, by height and direction; the plate ends beside it."""
+    """Contact above a plate depends on height and normal; a sample outside the plate has no contact."""
     samples = _samples([[0.01, 0.02, height_mm / 1000], [0.3, 0, height_mm / 1000]], [normal, normal])
     assert in_contact(samples, [_table(-0.05, 0.0)]).tolist() == [touched, False]
 
@@ -75,7 +75,7 @@ def test_a_ball_touches_with_the_cap_that_is_near() -> None:
 
 
 def test_a_box_is_offered_on_its_six_sides() -> None:
-    """At four turns each, as placed first; centre and height of the lowest point stay, and no two are the same."""
+    """Each side is proposed at four turns, all different. Centre and height of the lowest point are kept."""
     box = trimesh.creation.box(extents=[0.06, 0.1, 0.16])
     scene = Scene.model_validate({"placement": {"position_mm": [1200, 500, 30]}})
     world = compile_world(scene, box.vertices, part_faces=box.faces, baseline_mm=75.0)
@@ -99,18 +99,18 @@ def test_a_box_is_offered_on_its_six_sides() -> None:
     [
         ({"enabled": True}, 0),  # under the part's centre, endless
         ({"enabled": True, "limits_deg": [-90, 90]}, 3),
-        ({"position_mm": [1200, 480, -350]}, 3),  # beside the axis a turn is another circle
+        ({"position_mm": [1200, 480, -350]}, 3),  # off the axis the table moves the part along a circle
     ],
 )
 def test_a_turn_that_the_table_makes_is_not_proposed(table: dict[str, object], turned: int) -> None:
-    """One pose a side where the table turns it all round its centre; else turns by hand, as without a table."""
+    """A table that fully turns the part about its centre gives one pose per side. Other tables give four."""
     box = trimesh.creation.box(extents=[0.06, 0.1, 0.16])
     scene = Scene.model_validate({"placement": {"position_mm": [1200, 500, 30]}, "table": table})
     world = compile_world(scene, box.vertices, part_faces=box.faces, baseline_mm=75.0)
     offers = proposed_candidates(world, TriangleMesh(box.vertices, box.faces.astype(np.int32)), 4)
     assert sum("turned" in offer.name for offer in offers) == turned
     kept = with_fixed_table(scene, world)
-    for offer in offers:  # the table stands where it stood
+    for offer in offers:  # the table keeps its pose
         again = compile_world(offer.scene(kept), box.vertices, part_faces=box.faces, baseline_mm=75.0)
         assert again.table is not None
         assert world.table is not None
@@ -119,7 +119,7 @@ def test_a_turn_that_the_table_makes_is_not_proposed(table: dict[str, object], t
 
 
 def test_no_set_up_is_proposed_on_a_tilted_table() -> None:
-    """Nothing lies stable there: a sentence says what to give."""
+    """No pose is stable on a tilted table, and the message names the required option."""
     box = trimesh.creation.box(extents=[0.06, 0.1, 0.16])
     scene = Scene.model_validate({"table": {"abc_deg": [0, 30, 0]}})
     world = compile_world(scene, box.vertices, part_faces=box.faces, baseline_mm=75.0)
@@ -130,7 +130,7 @@ def test_no_set_up_is_proposed_on_a_tilted_table() -> None:
 
 
 def test_advice_is_a_command_that_can_be_pasted(tmp_path: Path) -> None:
-    """The run becomes the fixed first set-up of its own command; another placement takes the command of the run."""
+    """The run is the fixed first set-up of a command for set-ups. A new placement gives the command of the run."""
     T = np.eye(4)
     T[:3, 3] = 1.2, 0.5, 0
     run = Run(tmp_path / "run", Manifest(argv=("plan", "mug", "--place", "1,2,3", "--faces", "60", "--out", "run")))
@@ -142,7 +142,7 @@ def test_advice_is_a_command_that_can_be_pasted(tmp_path: Path) -> None:
 
 
 def test_a_set_up_that_the_table_cannot_carry_leaves_the_others() -> None:
-    """The cell is that of the first set-up that can be compiled; if there is none, the error is that of the last."""
+    """The cell of the first set-up that compiles is returned; if none compiles, an error is raised."""
     part = workpiece.load("mug", None)
     table = {"position_mm": [1200, 500, -350], "diameter_mm": 300.0}
 

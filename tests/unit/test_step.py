@@ -1,4 +1,4 @@
-"""STEP files: unit, solids alone, faces with their kinds and parameters, each triangle on its own face."""
+"""STEP files: units, solids, faces with kind and parameters, and the face of each triangle."""
 
 import importlib.util
 import math
@@ -22,14 +22,14 @@ needs_cascadio = pytest.mark.skipif(
 
 
 def written(folder: Path, text: str, name: str = "part.stp") -> Path:
-    """The text as a file."""
+    """Write the text to a file and return its path."""
     path = folder / name
     path.write_text(text)
     return path
 
 
 def distances(face: CadFace, points: np.ndarray) -> np.ndarray:
-    """(N,) how far points are from the surface that a face is said to be a piece of [m]."""
+    """Return the distances (N,) of points from the surface of a face [m]."""
     off = points - face.point
     if face.kind is SurfaceKind.SPHERE:
         return np.abs(np.linalg.norm(off, axis=1) - face.radius)
@@ -45,7 +45,7 @@ def distances(face: CadFace, points: np.ndarray) -> np.ndarray:
 
 
 def check_faces(part: Workpiece) -> None:
-    """Every corner of every triangle lies on the surface of its face, to the float32 of the file in between."""
+    """Require every corner of every triangle to be on the surface of its face, within float32 of the file."""
     for index, face in enumerate(part.cad.faces):
         corners = part.reference.vertices[part.reference.faces[part.cad.of_triangle == index]].reshape(-1, 3)
         assert len(corners)
@@ -56,7 +56,7 @@ def check_faces(part: Workpiece) -> None:
 @needs_cascadio
 @pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("in", 25.4e-3)])
 def test_a_bored_block_has_its_size_volume_and_seven_faces(tmp_path: Path, unit: str, metres: float) -> None:
-    """Six planes and a cylinder, in metres whatever the unit, closed, the volume to the tessellation's deviation."""
+    """Six planes and a cylinder in metres, in any unit; the volume is exact within the tessellation's deviation."""
     part = load(written(tmp_path, bored_block(unit), f"part.{'STEP' if unit == 'in' else 'stp'}"))
     assert part.bounds == pytest.approx(np.array([[0, 0, 0], [60, 40, 30]]) * metres, abs=1e-7)
     wall = 2 * math.pi * 8 * 30 * metres**2
@@ -73,7 +73,7 @@ def test_a_bored_block_has_its_size_volume_and_seven_faces(tmp_path: Path, unit:
 
 @needs_cascadio
 def test_triangles_of_a_bore_look_at_its_axis(tmp_path: Path) -> None:
-    """The surface is outward: the normals of the bore point away from the material, to its axis."""
+    """The normals of a bore point away from the material, towards its axis."""
     part = load(written(tmp_path, bored_block()))
     index = next(k for k, face in enumerate(part.cad.faces) if face.kind is SurfaceKind.CYLINDER)
     own = part.cad.of_triangle == index
@@ -86,7 +86,7 @@ def test_triangles_of_a_bore_look_at_its_axis(tmp_path: Path) -> None:
 
 @needs_cascadio
 def test_what_bounds_no_solid_is_left_out_and_told(tmp_path: Path) -> None:
-    """A datum target far away changes neither box nor faces; two solids are numbered through."""
+    """A sheet outside the solids is left out and reported. The faces of two solids are numbered consecutively."""
     made = StepFile()
     made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
     made.block((80, 0, 0), (100, 20, 20), None)
@@ -102,7 +102,7 @@ def test_what_bounds_no_solid_is_left_out_and_told(tmp_path: Path) -> None:
 
 @needs_cascadio
 def test_surfaces_alone_are_taken_and_said_to_be_open(tmp_path: Path) -> None:
-    """Without any solid the surfaces are the part, as for an open mesh."""
+    """A file without solids gives its surfaces, which are reported as open."""
     made = StepFile()
     made.open_sheet((0, 0, 0), 50)
     part = load(written(tmp_path, made.text()))
@@ -137,7 +137,7 @@ def test_without_cascadio_a_sentence_says_what_to_install(tmp_path: Path, monkey
 
 
 def test_units_are_the_files(tmp_path: Path) -> None:
-    """Units for a STEP file are refused by the part and by the scene; the scene knows metres of itself."""
+    """Units for a STEP file are refused by the part and by the scene. The scene sets metres by itself."""
     path = written(tmp_path, bored_block())
     with pytest.raises(UsageError, match="states its own unit"):
         load(path, "mm")
@@ -147,7 +147,7 @@ def test_units_are_the_files(tmp_path: Path) -> None:
 
 
 def test_faces_are_placed_by_their_node() -> None:
-    """Parameters go where the node puts the triangles: points are moved, directions turned; splines have none."""
+    """Points and axes of a face are transformed by its node; a spline has no parameters."""
     T = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
     torus = {"type": "torus", "center": [1, 0, 0], "axis": [1, 0, 0], "major_radius": 0.2, "minor_radius": 0.05}
     face = cad_face(7, torus, T)

@@ -31,7 +31,7 @@ class _Workers:
         self.computed = 0
 
     def compute(self, trials: Sequence[Trial]) -> Iterator[Outcome]:
-        for trial in reversed(trials):  # in another order than that of the trials
+        for trial in reversed(trials):  # not in the order of the trials
             self.computed += 1
             faces = json.loads(trial.settings)["faces"]
             failed = "too few faces" if faces == 9 else ""
@@ -61,7 +61,7 @@ def _study() -> Study:
 
 @pytest.fixture
 def conducted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drawn_pictures: None) -> Path:
-    """A study of three trials, one of which fails."""
+    """Return the folder of a study of three trials, one of which fails."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     result = run_study(_study(), _Workers(), out=tmp_path / "out", reporter=Terminal(quiet_stdout=True))
     assert result.computed == 3
@@ -81,7 +81,7 @@ def test_rows_are_in_the_order_of_the_trials_without_failures(conducted: Path) -
 
 
 def test_the_page_has_pictures_and_a_command_for_each_row(conducted: Path, tmp_path: Path) -> None:
-    """The command of the best row is repeated above; a study of an earlier version without commands has a page too."""
+    """The page repeats the command of the best row at the top. Studies of earlier versions have a page too."""
     page = (conducted / "view.html").read_text(encoding="utf-8")
     (picture,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', page)
     assert base64.b64decode(picture) == (conducted / "views.svg").read_bytes()
@@ -102,7 +102,7 @@ def test_the_page_has_pictures_and_a_command_for_each_row(conducted: Path, tmp_p
 
 @pytest.mark.parametrize(("knob", "value"), [("standoff", 250.0), ("baseline", 30.0), ("sensors", "gocator-2340")])
 def test_the_options_of_a_row_are_the_settings_of_its_trial(knob: str, value: object) -> None:
-    """Parsed by the command line, they give the keys that the study set."""
+    """The options of a row, parsed by the command line, give the keys of the study."""
     _, given = PARAMETERS[knob]
     keys = given(value)
     words = (word.removeprefix("--").partition("=") for word in shlex.split(plan_options(keys)))
@@ -114,7 +114,7 @@ def test_the_options_of_a_row_are_the_settings_of_its_trial(knob: str, value: ob
 def test_a_repeated_study_gives_equal_bytes_and_computes_only_failures(
     conducted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Rows, report, PNG and SVG pictures; a failed trial is computed again."""
+    """All files of a repeated study are equal, and only the failed trial is computed again."""
     workers = _Workers()
     result = run_study(_study(), workers, out=tmp_path / "again", reporter=Terminal(quiet_stdout=True))
     assert workers.computed == 1
@@ -124,7 +124,7 @@ def test_a_repeated_study_gives_equal_bytes_and_computes_only_failures(
 
 
 def test_a_foreign_folder_is_not_written_into(tmp_path: Path) -> None:
-    """A folder with something else in it, or a file, is refused before anything is computed."""
+    """A folder with foreign files and a file are refused before anything is computed."""
     (tmp_path / "notes.txt").write_text("mine")
     for out in (tmp_path, tmp_path / "notes.txt"):
         with pytest.raises(FileError, match="not the folder of a study"):
@@ -132,7 +132,7 @@ def test_a_foreign_folder_is_not_written_into(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The disk is full while the rows are written."""
+    """A full disk gives one sentence."""
 
     def full(path: Path, content: str) -> None:
         raise OSError(28, "No space left on device")
@@ -144,7 +144,7 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path, monkeypatc
 
 
 def test_a_table_shows_numbers_shortly_and_nothing_as_nothing() -> None:
-    """Four digits; a missing value is an empty field; no rows, no table."""
+    """Numbers have four digits, a missing value is an empty field, and no rows give no table."""
     assert [format_value(value) for value in (3, 1 / 3, None, "x", True)] == ["3", "0.3333", "", "x", "True"]
     assert markdown_table([{"a": 1, "b": None}, {"a": 2.5}]) == ["| a | b |", "|---|---|", "| 1 |  |", "| 2.5 |  |"]
     assert markdown_table([]) == []

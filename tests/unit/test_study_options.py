@@ -16,7 +16,7 @@ def test_a_range_holds_its_first_and_last_value() -> None:
 
 
 def test_numbers_with_commas_are_used_once() -> None:
-    """In the given order."""
+    """Repeated numbers are dropped, and the given order is kept."""
     assert parse_range("--z", "5,-3,5") == (5.0, -3.0)
 
 
@@ -30,7 +30,7 @@ def test_an_invalid_range_is_refused_with_the_name_of_the_option(text: str) -> N
 
 
 def test_a_span_is_two_values_or_one_twice() -> None:
-    """Also negative ones; an axis that is not given is complete."""
+    """A span may be negative; an axis without a span has its full range."""
     where = parse_options(PlaceRange, {"y": "-600:600", "z": "5"})
     assert (where.y_mm, where.z_mm) == ((-600.0, 600.0), (5.0, 5.0))
     assert where.x_mm == (700.0, 1600.0)
@@ -38,18 +38,18 @@ def test_a_span_is_two_values_or_one_twice() -> None:
 
 @pytest.mark.parametrize("text", ["2:1", "a:1", "1:2:3", "", "nan", "0:inf"])
 def test_an_invalid_span_is_refused(text: str) -> None:
-    """With the name of the option."""
+    """The message has the name of the option."""
     with pytest.raises(UsageError, match="--y"):
         parse_options(PlaceRange, {"y": text}, flag)
 
 
 def test_pairs_are_near_and_far_limits() -> None:
-    """In the order given."""
+    """Pairs keep the given order."""
     assert parse_pairs("--range", "50-150,100-300") == [(50.0, 150.0), (100.0, 300.0)]
 
 
 @pytest.mark.parametrize("text", ["", "50", "150-50", "0-10", "a-b", "10-inf"])
 def test_an_invalid_pair_is_refused(text: str) -> None:
-    """With the name of the option and an example."""
+    """The message has the name of the option and an example."""
     with pytest.raises(UsageError, match="--range"):
         parse_pairs("--range", text)

@@ -24,7 +24,7 @@ def _save(folder: Path, **change: Any) -> Outcome:
 
 
 def test_equal_settings_in_any_order_are_one_trial() -> None:
-    """The key depends on the content."""
+    """The key depends on the content and not on the order."""
     one = Trial.of(select_views, {"part": "mug", "faces": 40})
     assert one == Trial.of(select_views, {"faces": 40, "part": "mug"})
     assert one.key != Trial.of(select_views, {"faces": 41, "part": "mug"}).key
@@ -43,13 +43,13 @@ def test_a_benchmark_trial_depends_on_the_sources_of_the_benchmarks_too() -> Non
 
 
 def test_settings_that_json_cannot_hold_exactly_are_refused() -> None:
-    """NaN equals nothing, so a key could not find it again."""
+    """NaN is refused, because it does not equal itself and its key would not be found again."""
     with pytest.raises(ValueError, match="JSON"):
         Trial.of(select_views, {"faces": float("nan")})
 
 
 def test_a_cached_result_is_returned_and_marked(tmp_path: Path) -> None:
-    """With values and seconds; nothing is computed."""
+    """The cached outcome has its values and seconds, and nothing is computed."""
     outcome = _save(tmp_path)
     calls: list[tuple[int, int, Outcome]] = []
     (found,) = run_trials([outcome.trial], Processes(1), folder=tmp_path, on_outcome=lambda *each: calls.append(each))
@@ -63,13 +63,13 @@ def test_a_cached_result_is_returned_and_marked(tmp_path: Path) -> None:
     ids=lambda change: next(iter(change)),
 )
 def test_only_a_finished_result_of_the_trial_is_used(change: dict[str, Any], tmp_path: Path) -> None:
-    """Another version, other settings, a failure or a damaged file: the trial is computed again."""
+    """A file of another version, with other settings, with a failure or damaged is not used."""
     outcome = _save(tmp_path, **change)
     assert load(outcome.trial, tmp_path) is None
 
 
 def test_a_cut_file_is_not_used(tmp_path: Path) -> None:
-    """Half a file counts as missing."""
+    """A cut file counts as missing."""
     outcome = _save(tmp_path)
     (path,) = tmp_path.rglob("*.json")
     path.write_text(path.read_text()[:40])
@@ -77,7 +77,7 @@ def test_a_cut_file_is_not_used(tmp_path: Path) -> None:
 
 
 def test_an_unwritable_folder_is_one_sentence(tmp_path: Path) -> None:
-    """It names the folder and the cure."""
+    """The message names the environment variable that moves the folder."""
     (tmp_path / "file").write_text("")
     outcome = Outcome(Trial.of(select_views, _SMALL), {}, "", {})
     with pytest.raises(FileError, match="XDG_CACHE_HOME"):
@@ -85,7 +85,7 @@ def test_an_unwritable_folder_is_one_sentence(tmp_path: Path) -> None:
 
 
 def test_a_failed_trial_has_its_reason_and_is_not_cached(tmp_path: Path) -> None:
-    """A missing file is one sentence; the failure is not kept as a result."""
+    """A missing file is the reason of the failure, and the failure is not cached."""
     bad = Trial.of(select_views, {"scene": {}, "files": {"gone.stl": "0"}, "robot": False})
     outcome = compute(bad, bad.digest)
     assert outcome.failure.startswith("gone.stl cannot be read")
@@ -95,6 +95,6 @@ def test_a_failed_trial_has_its_reason_and_is_not_cached(tmp_path: Path) -> None
 
 
 def test_a_worker_of_another_version_refuses() -> None:
-    """Its result would be cached under the key of this version."""
+    """A worker of another version fails, because its result would be cached under the key of this version."""
     outcome = compute(Trial.of(select_views, _SMALL), "another program")
     assert "version" in outcome.failure

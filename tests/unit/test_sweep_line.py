@@ -1,4 +1,4 @@
-"""The line of a sweep: through its poses, half a step beyond them, constant in its twist."""
+"""The line of a sweep: through its poses, half a step beyond them, with a constant twist."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_pos
 
 
 def _somewhere(seed: int) -> Floats:
-    """(4, 4) a random pose."""
+    """Return a random pose (4, 4)."""
     rng = np.random.default_rng(seed)
     T = np.eye(4)
     T[:3, :3] = rotation_matrices(rng.uniform(-2, 2, (1, 3)))[0]
@@ -21,7 +21,7 @@ def _somewhere(seed: int) -> Floats:
 @pytest.mark.parametrize("count", [2, 3, 8, 40])
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_poses_are_in_the_middles_of_the_cells_of_the_line(count: int, turned: bool) -> None:
-    """At u = (k + 0.5) / K; the line is as long as the sweep."""
+    """Pose k is at u = (k + 0.5) / K, and the line has the length of the sweep."""
     poses = _somewhere(count) @ (
         turned_sweep_poses(0.4, count) if turned else straight_sweep_poses(0.15, count, (1, 2, 0.5))
     )
@@ -33,7 +33,7 @@ def test_the_poses_are_in_the_middles_of_the_cells_of_the_line(count: int, turne
 
 
 def test_a_screw_is_a_line_too() -> None:
-    """Straight and turning at once, each in proportion."""
+    """Translation and rotation at the same time are accepted if they are proportional."""
     T = _somewhere(5)
     u = np.linspace(0, 1, 6)
     poses = np.tile(T, (6, 1, 1))
@@ -45,7 +45,7 @@ def test_a_screw_is_a_line_too() -> None:
 
 
 def test_poses_without_a_line_give_none() -> None:
-    """A bend, unequal steps, a single pose, more than half a turn."""
+    """A bend, unequal steps, a single pose and more than half a turn give no line."""
     straight = straight_sweep_poses(0.1, 5)
     bent = straight.copy()
     bent[3, 1, 3] += 1e-4
@@ -58,7 +58,7 @@ def test_poses_without_a_line_give_none() -> None:
 
 
 def test_a_sweep_without_length_is_stationary() -> None:
-    """All poses equal: it needs no speed."""
+    """A sweep of equal poses needs no speed."""
     line = line_through(np.tile(_somewhere(2), (4, 1, 1)))
     assert line is not None
     assert line.is_stationary

@@ -1,4 +1,4 @@
-"""Executing sweeps: a leg for each pose, lines between the poses, one scan for each view, whole or not at all."""
+"""Execution of sweeps: a segment for each pose, lines between the poses, and one complete scan for each view."""
 
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -42,14 +42,14 @@ SCANNER = LaserLine(sweep_mm=80.0, sweep_steps=4, line_points=50)
 
 @pytest.fixture(scope="module")
 def path() -> SweepPath:
-    """A sweep of four poses around home."""
+    """Return a sweep of four poses around home."""
     T = KINEMATICS.forward(HOME[None])[0]
     return find_sweeps(T @ SCANNER.T_view_scanner, np.eye(4), KINEMATICS, KINEMATICS.limits).paths[0]
 
 
 @pytest.fixture(scope="module")
 def scene() -> RunCell:
-    """A ball of 60 mm in the middle of the scanner's range below home."""
+    """Return a ball of 60 mm in the middle of the scanner's range below home."""
     import trimesh
 
     T_base_object = np.eye(4)
@@ -65,7 +65,7 @@ def scene() -> RunCell:
 
 
 def _motion(path: SweepPath) -> Motion:
-    """Home, the sweep as view 70, backwards as view 71, home."""
+    """Return the motion home, sweep as view 70, backwards as view 71, home."""
     back = path.reversed()
     via = np.concatenate([HOME[None], path.q, back.q, HOME[None]])
     pose = np.concatenate([[-1], path.pose, back.pose, [-1]])
@@ -76,7 +76,7 @@ def _motion(path: SweepPath) -> Motion:
 
 
 class _Driver:
-    """At once where it is told; fails at a move."""
+    """A driver that is at its goal at once, and fails at a given move."""
 
     def __init__(self, fails_at: int = -1) -> None:
         self.axes, self.moves, self.fails_at = from_rad(HOME), 0, fails_at
@@ -104,7 +104,7 @@ def _folder(tmp_path: Path) -> ExecutionFolder:
 
 
 def test_legs_end_at_each_pose_and_drive_every_vertex_once(path: SweepPath) -> None:
-    """Two views of four poses, the second backwards: eight scanning legs and the way home."""
+    """Two views of four poses, the second backwards, give eight scanning segments and the way home."""
     motion = _motion(path)
     plan = plan_execution(motion)
     assert [(segment.stop, segment.view, segment.pose) for segment in plan.segments] == [
@@ -117,7 +117,7 @@ def test_legs_end_at_each_pose_and_drive_every_vertex_once(path: SweepPath) -> N
 
 @pytest.mark.parametrize("stop", [1, 2])
 def test_one_view_alone_is_driven_along_checked_paths_only(path: SweepPath, stop: int) -> None:
-    """There, through its poses, and back: every move is one of the plan's, one way or the other."""
+    """Every move to the view, through its poses and back is a move of the plan in either direction."""
     motion = _motion(path)
     plan = plan_execution(motion, stop)
     assert [segment.stop for segment in plan.segments] == [stop] * 4 + [0]
@@ -135,7 +135,7 @@ def test_one_view_alone_is_driven_along_checked_paths_only(path: SweepPath, stop
 def test_a_view_is_one_scan_of_all_lines_whichever_way_it_was_driven(
     path: SweepPath, scene: RunCell, tmp_path: Path
 ) -> None:
-    """Poses in the column's order, points on the ball, forwards and backwards the same lines."""
+    """Both directions give the same poses in the order of the column, and the same points on the ball."""
     folder = _folder(tmp_path)
     execution.drive(
         plan_execution(_motion(path)), _Driver(), scene, Simulated(scene, Disturbance(), 5), folder, speed=1.0,
@@ -154,7 +154,7 @@ def test_a_view_is_one_scan_of_all_lines_whichever_way_it_was_driven(
 
 
 def test_a_sweep_that_breaks_off_leaves_no_scan(path: SweepPath, scene: RunCell, tmp_path: Path) -> None:
-    """The driver fails on the way to the third pose of the second view: the first is on disk, the second is not."""
+    """If the driver fails at the third pose of the second view, only the scan of the first view is saved."""
     folder = _folder(tmp_path)
     with pytest.raises(FaultError):
         execution.drive(
@@ -168,7 +168,7 @@ def test_a_sweep_that_breaks_off_leaves_no_scan(path: SweepPath, scene: RunCell,
     "column", [straight_sweep_poses(0.15, 8), turned_sweep_poses(0.4, 5), straight_sweep_poses(0.02, 2)]
 )
 def test_lines_stand_between_the_poses_and_half_a_step_beyond(column: Floats) -> None:
-    """As close as wanted, equally far apart, symmetric; a cell's middle lines mean its pose."""
+    """Lines are evenly spaced by at most 1 mm, and the lines of a cell are symmetric about its pose."""
     each = lines_per_step(column)
     lines = line_poses(column, each)
     assert len(lines) == each * len(column)
@@ -183,5 +183,5 @@ def test_lines_stand_between_the_poses_and_half_a_step_beyond(column: Floats) ->
 
 
 def test_a_single_pose_is_one_line() -> None:
-    """A view at rest is scanned as ever."""
+    """A view at rest has one line."""
     assert lines_per_step(np.eye(4)[None]) == 1

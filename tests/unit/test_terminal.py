@@ -1,4 +1,4 @@
-"""Tables of the command line: nothing is cut, however narrow the terminal is."""
+"""Tables of the command line are printed completely at any width of the terminal."""
 
 import re
 
@@ -17,7 +17,7 @@ _ROWS = [["1200,500,0,90,0,0", *(f"{k * 1000.25 + i:.2f}" for i in range(9))] fo
 
 @pytest.mark.parametrize("width", [40, 80, 200])
 def test_every_word_is_there(width: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every heading and value is printed whole, the places beside each part of the table, within the width."""
+    """Every heading and value is printed within the width, and each part of a table repeats the placements."""
     monkeypatch.setenv("COLUMNS", str(width))
     terminal = Terminal()
     terminal._results = Console(width=width, highlight=False)
@@ -37,7 +37,7 @@ def test_every_word_is_there(width: int, capsys: pytest.CaptureFixture[str], mon
 def test_borders_are_whole_at_any_width(
     seed: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Random tables in terminals of random widths: each line ends with its border, each word is there."""
+    """Random tables at random widths have all words, and each line ends with its border."""
     rng = np.random.default_rng(seed)
     width, n_columns = int(rng.integers(50, 120)), int(rng.integers(2, 10))
     monkeypatch.setenv("COLUMNS", str(width))
@@ -57,7 +57,7 @@ def test_borders_are_whole_at_any_width(
 
 
 def test_a_long_stage_tells_each_tenth_where_no_bar_is_seen(capsys: pytest.CaptureFixture[str]) -> None:
-    """Into a file or a pipe: ten lines at most, the last of them the end; other stages say nothing there."""
+    """A long stage writes at most ten lines into a file or a pipe; a short stage writes none."""
     with Terminal().stage("short") as progress:
         progress(1, 1)
     assert capsys.readouterr().err == ""

@@ -1,4 +1,4 @@
-"""Sweeps in a timed motion: rest to rest with their own timing, between joint moves."""
+"""Sweeps in a timed motion: each sweep keeps its own timing between joint moves and starts and ends at rest."""
 
 import numpy as np
 import pytest
@@ -20,13 +20,13 @@ HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 
 @pytest.fixture(scope="module")
 def path() -> SweepPath:
-    """A sweep along the baseline."""
+    """Return a sweep along the baseline."""
     T = KINEMATICS.forward(np.radians([[12, -75, 110, 35, -60, 140]]))[0] @ MOUNT
     return find_sweeps(T @ straight_sweep_poses(0.15, 8), MOUNT, KINEMATICS, LIMITS).paths[0]
 
 
 def _motion(path: SweepPath) -> Motion:
-    """Home, a sweep, a stop, the sweep backwards, home."""
+    """Return the motion home, sweep, stop, sweep backwards, home."""
     back = path.reversed()
     m = len(path.q)
     via: Floats = np.concatenate([HOME[None], path.q, path.q[-1:] + 0.1, back.q, HOME[None]])
@@ -39,7 +39,7 @@ def _motion(path: SweepPath) -> Motion:
 
 
 def test_a_sweep_takes_its_own_time_and_the_moves_theirs(path: SweepPath) -> None:
-    """The parts add up; via points of lines are numbered; every via point is a sample."""
+    """The durations add up, via points of lines are numbered, and every via point is a sample."""
     motion, m = _motion(path), len(path.q)
     moves = [(0, 1), (m, m + 1), (m + 1, m + 2), (2 * m + 1, 2 * m + 2)]
     joint = sum(float(move_time(motion.via_q[a], motion.via_q[b], LIMITS)) for a, b in moves)
@@ -57,7 +57,7 @@ def test_a_sweep_takes_its_own_time_and_the_moves_theirs(path: SweepPath) -> Non
 
 
 def test_no_sample_exceeds_a_limit_and_none_is_far_from_its_neighbour(path: SweepPath) -> None:
-    """Also where moves and lines meet; differences agree with the returned speeds."""
+    """The limits hold, also between moves and lines, and differences agree with the returned speeds."""
     motion = _motion(path)
     assert (np.diff(motion.t) > 0).all()
     assert np.diff(motion.t).max() <= 0.012 + 1e-9
@@ -69,7 +69,7 @@ def test_no_sample_exceeds_a_limit_and_none_is_far_from_its_neighbour(path: Swee
 
 
 def test_a_view_stops_once_a_sweep_at_its_middle_pose(path: SweepPath) -> None:
-    """`stops` has one row for each view in driving order."""
+    """`stops` has one row for each view in the order of the motion."""
     motion = _motion(path)
     assert motion.view[motion.stops].tolist() == [5, 7, 9]
     assert motion.pose[motion.stops].tolist() == [4, 0, 4]

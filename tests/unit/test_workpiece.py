@@ -1,4 +1,4 @@
-"""Loading, checking and scaling a part: every format, every problem, each with its one sentence."""
+"""Loading, checking and scaling of a part: every format, and one sentence for every problem."""
 
 import contextlib
 import hashlib
@@ -17,14 +17,14 @@ from cell.scene.model import Scene
 
 
 def body() -> trimesh.Trimesh:
-    """A closed, lopsided shape off the origin, in millimetres."""
+    """Return a closed, asymmetric shape off the origin, in millimetres."""
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=50.0)
     mesh.vertices = mesh.vertices * [1.0, 0.6, 0.8] + [100.0, -20.0, 30.0]
     return mesh
 
 
 def write(folder: Path, mesh: trimesh.Trimesh, name: str = "part.stl") -> Path:
-    """The mesh as a file of the name's kind."""
+    """Write the mesh to a file of the format of its name."""
     path = folder / name
     content = mesh.export(file_type=path.suffix[1:].lower())
     path.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -32,24 +32,24 @@ def write(folder: Path, mesh: trimesh.Trimesh, name: str = "part.stl") -> Path:
 
 
 def volume(part: Workpiece) -> float:
-    """Signed volume [m^3]."""
+    """Return the signed volume [m^3]."""
     corners = part.reference.vertices[part.reference.faces]
     return float(np.einsum("fj,fj->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
 
 
 def kinds(part: Workpiece) -> list[Kind]:
-    """Kinds of the findings."""
+    """Return the kinds of the findings."""
     return [finding.kind for finding in part.findings]
 
 
 def checked(mesh: trimesh.Trimesh) -> Workpiece:
-    """The mesh (millimetres) through the checks."""
+    """Return the part of a mesh in millimetres."""
     return from_mesh("part", np.array(mesh.vertices), np.array(mesh.faces), "mm", "")
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".off", ".glb", ".STL"])
 def test_every_format_gives_the_same_part(tmp_path: Path, suffix: str) -> None:
-    """Faces, closedness, volume and bounds survive each format; nothing is found wrong with a good mesh."""
+    """Faces, closedness, volume and bounds are equal in each format, and a valid mesh has no finding."""
     mesh = body()
     part = load(write(tmp_path, mesh, f"part{suffix}"), "mm")
     assert part.findings == ()
@@ -76,7 +76,7 @@ def _ascii(folder: Path) -> Path:
 
 
 def test_a_binary_stl_that_starts_with_solid_is_binary(tmp_path: Path) -> None:
-    """Many writers put the ASCII keyword into the binary header; the size tells the truth."""
+    """Many programs write the ASCII keyword into the binary header; the size decides."""
     path = write(tmp_path, body())
     path.write_bytes(b"solid facet vertex".ljust(80) + path.read_bytes()[80:])
     assert len(load(path, "mm").reference.faces) == len(body().faces)
@@ -95,7 +95,7 @@ def test_the_object_frame_is_the_files_own(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("units", list(UNITS))
 def test_units_scale_exactly(tmp_path: Path, units: str) -> None:
-    """A file's number times the unit's metres, in every unit."""
+    """Each length is multiplied by the unit in metres."""
     part = load(write(tmp_path, body(), "part.ply"), units)
     assert np.ptp(part.bounds, axis=0) == pytest.approx(np.ptp(body().bounds, axis=0) * UNITS[units], rel=1e-6)
 
@@ -117,7 +117,7 @@ def test_a_glb_scene_is_flattened(tmp_path: Path) -> None:
 
 
 def test_a_built_in_part_needs_no_units(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Its name is enough; giving units is refused, because they would change nothing."""
+    """A built-in part is loaded by its name, and units are refused."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     part = load("mug")
     assert part.name == "mug"
@@ -129,20 +129,20 @@ def test_a_built_in_part_needs_no_units(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
 
 def test_missing_units_are_asked_for(tmp_path: Path) -> None:
-    """Units are never guessed; the sentence says what to pass."""
+    """Units are not guessed; the message names the option and the valid units."""
     with pytest.raises(UsageError, match="give --units with one of m, cm, mm, um, in"):
         load(write(tmp_path, body()))
 
 
 @pytest.mark.parametrize(("units", "hint"), [("MM", "did you mean 'mm'"), ("furlong", "unknown; Valid are m, cm")])
 def test_unknown_units_are_refused_with_the_known(tmp_path: Path, units: str, hint: str) -> None:
-    """The valid ones are listed, the nearest is offered."""
+    """The message lists the valid units and suggests the nearest."""
     with pytest.raises(UsageError, match=hint):
         load(write(tmp_path, body()), units)
 
 
 def _break(folder: Path, case: str) -> Path:
-    """A path that cannot be loaded."""
+    """Write a file that cannot be loaded and return its path."""
     good = write(folder, body())
     content = good.read_bytes()
     text = _ascii(folder).read_text()
@@ -207,7 +207,7 @@ def _break(folder: Path, case: str) -> Path:
     ],
 )
 def test_a_broken_file_is_refused_in_one_sentence(tmp_path: Path, case: str, sentence: str) -> None:
-    """Each broken file raises FileError (exit code 6): one line that names the file and says what to do."""
+    """Each broken file raises FileError (exit code 6) with one line that names the file and the remedy."""
     with pytest.raises(FileError, match=sentence) as caught:
         load(_break(tmp_path, case), "mm")
     message = str(caught.value)
@@ -218,7 +218,7 @@ def test_a_broken_file_is_refused_in_one_sentence(tmp_path: Path, case: str, sen
 
 
 def test_what_is_not_there_is_said(tmp_path: Path) -> None:
-    """A missing file, a folder, and a misspelt built-in name each have their own sentence."""
+    """A missing file, a folder and a misspelt built-in name have one message each."""
     with pytest.raises(FileError, match="does not exist"):
         load(tmp_path / "none.stl", "mm")
     with pytest.raises(FileError, match="is a folder"):
@@ -231,7 +231,7 @@ def test_what_is_not_there_is_said(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may read everything")
 def test_a_file_without_permission_is_said(tmp_path: Path) -> None:
-    """The operating system's refusal becomes a sentence."""
+    """A file without read permission is reported in one sentence."""
     path = write(tmp_path, body())
     path.chmod(0)
     with pytest.raises(FileError, match="permission denied"):
@@ -239,7 +239,7 @@ def test_a_file_without_permission_is_said(tmp_path: Path) -> None:
 
 
 def test_a_refusal_of_the_system_becomes_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Permission and disk errors while reading, whoever runs the test."""
+    """Permission and disk errors during reading are reported in one sentence, for any user of the test."""
     path = write(tmp_path, body())
 
     def refuse(error: OSError) -> None:
@@ -257,7 +257,7 @@ def test_a_refusal_of_the_system_becomes_a_sentence(tmp_path: Path, monkeypatch:
 
 
 def test_every_error_is_the_users(tmp_path: Path) -> None:
-    """Random damage to a good file of each kind either loads or raises a CellError; never anything else."""
+    """A randomly damaged file of each format is loaded or raises a CellError."""
     rng = np.random.default_rng(11)
     small = trimesh.creation.icosphere(subdivisions=1, radius=30.0)
     for suffix, _ in itertools.product((".stl", ".obj", ".ply", ".off", ".glb"), range(25)):
@@ -271,7 +271,7 @@ def test_every_error_is_the_users(tmp_path: Path) -> None:
 
 
 def test_an_inverted_body_is_turned_round() -> None:
-    """Negative volume becomes the same positive volume, and it is said."""
+    """A body with negative volume is flipped, and the change is reported."""
     mesh = body()
     mesh.invert()
     part = checked(mesh)
@@ -281,7 +281,7 @@ def test_an_inverted_body_is_turned_round() -> None:
 
 
 def test_mixed_winding_is_made_consistent() -> None:
-    """A random third of the faces turned round: the sentence has their number and the volume is whole again."""
+    """With a third of the faces flipped, the message has their number and the volume is restored."""
     mesh = body()
     faces = np.array(mesh.faces)
     turned = np.random.default_rng(0).random(len(faces)) < 0.33
@@ -293,7 +293,7 @@ def test_mixed_winding_is_made_consistent() -> None:
 
 
 def test_mixed_winding_with_most_faces_inward_ends_outward() -> None:
-    """Two thirds turned: made consistent the majority's way, then turned round as a whole."""
+    """With two thirds flipped, the winding follows the majority, and then the body is flipped."""
     faces = np.array(body().faces)
     turned = np.random.default_rng(0).random(len(faces)) < 0.67
     faces[turned] = faces[turned][:, ::-1]
@@ -303,7 +303,7 @@ def test_mixed_winding_with_most_faces_inward_ends_outward() -> None:
 
 
 def test_an_open_surface_keeps_its_winding_and_is_said() -> None:
-    """Half a sphere: a warning with the number of border edges; no face is turned."""
+    """Half a sphere gives a warning with the number of border edges, and no face is flipped."""
     mesh = body()
     kept = mesh.triangles_center[:, 2] > 30.0
     faces = np.array(mesh.faces)[kept]
@@ -316,7 +316,7 @@ def test_an_open_surface_keeps_its_winding_and_is_said() -> None:
 
 
 def test_an_open_surface_that_is_inside_out_is_doubted_not_changed() -> None:
-    """A sphere with one face missing, turned inside out: nothing is guessed, the doubt is said."""
+    """An inverted sphere with one missing face is not changed, and a warning is reported."""
     faces = np.array(body().faces)[1:, ::-1]
     part = from_mesh("part", np.array(body().vertices), faces, "mm", "")
     assert kinds(part) == [Kind.OPEN, Kind.INVERTED]
@@ -325,7 +325,7 @@ def test_an_open_surface_that_is_inside_out_is_doubted_not_changed() -> None:
 
 
 def test_zero_area_and_duplicate_faces_are_dropped_and_counted() -> None:
-    """Both leave the area as it was."""
+    """Dropped faces are counted, and the area is unchanged."""
     mesh = body()
     faces = np.array(mesh.faces)
     dirty = np.vstack([faces, [[0, 0, 1], [5, 5, 5]], faces[:3, [1, 2, 0]], faces[7:8, ::-1]])
@@ -347,7 +347,7 @@ def test_a_sliver_that_joins_its_neighbours_does_not_open_the_surface() -> None:
 
 
 def test_a_void_inside_a_body_stays_a_void() -> None:
-    """A hollow ball: the inner shell rightly has negative volume; turned as a whole, both shells are turned back."""
+    """The inner shell of a hollow ball keeps its negative volume; an inverted hollow ball is flipped completely."""
     outer, inner = trimesh.creation.icosphere(subdivisions=2, radius=50.0), trimesh.creation.icosphere(radius=20.0)
     inner.invert()
     hollow = trimesh.util.concatenate([outer, inner])
@@ -361,7 +361,7 @@ def test_a_void_inside_a_body_stays_a_void() -> None:
 
 
 def test_several_bodies_are_counted_and_each_is_turned_outward() -> None:
-    """Three balls side by side, one inside out."""
+    """One of three balls is inverted; it is flipped and the bodies are counted."""
     balls = [trimesh.creation.icosphere(subdivisions=2, radius=20.0) for _ in range(3)]
     for i, ball in enumerate(balls):
         ball.apply_translation([60.0 * i, 0, 0])
@@ -375,7 +375,7 @@ def test_several_bodies_are_counted_and_each_is_turned_outward() -> None:
 
 
 def test_a_one_sided_surface_is_said() -> None:
-    """A Moebius strip has no outside; the part is still usable."""
+    """A Moebius strip is reported as one-sided and is still usable."""
     n = 40
     angle = np.arange(n) * 2 * np.pi / n
     rim = []
@@ -392,7 +392,7 @@ def test_a_one_sided_surface_is_said() -> None:
 
 
 def test_edges_of_more_than_two_faces_are_said() -> None:
-    """Two tetrahedra that share an edge."""
+    """Two tetrahedra with a common edge are reported as non-manifold."""
     vertices = np.array([[0, 0, 0], [30, 0, 0], [0, 30, 0], [0, 0, 30], [0, -30, 0], [0, 0, -30]], float)
     one = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
     two = [[0, 4, 1], [0, 1, 5], [1, 4, 5], [0, 5, 4]]
@@ -409,7 +409,7 @@ def test_edges_of_more_than_two_faces_are_said() -> None:
     ],
 )
 def test_implausible_units_are_doubted(size_mm: float, units: str, sentence: str) -> None:
-    """A warning that names the length and what it would be in a unit that fits the cell; the part stays as told."""
+    """The warning names the length and a plausible unit, and the part keeps the given unit."""
     ball = trimesh.creation.box(extents=(size_mm,) * 3)
     part = from_mesh("part", np.array(ball.vertices), np.array(ball.faces), units, "")
     assert [(finding.kind, finding.severity) for finding in part.findings] == [(Kind.UNITS, Severity.WARNING)]
@@ -419,19 +419,19 @@ def test_implausible_units_are_doubted(size_mm: float, units: str, sentence: str
 
 @pytest.mark.parametrize("size_mm", [20, 60, 223, 1500])
 def test_plausible_sizes_are_not_doubted(size_mm: float) -> None:
-    """Parts that such a cell scans raise no doubt."""
+    """Parts of usual sizes give no warning."""
     assert checked(trimesh.creation.box(extents=(size_mm,) * 3)).findings == ()
 
 
 def test_a_flat_part_is_said() -> None:
-    """A sheet without thickness."""
+    """A sheet without thickness is reported as open and flat."""
     vertices = np.array([[0, 0, 0], [50, 0, 0], [50, 50, 0], [0, 50, 0]], float)
     part = from_mesh("sheet", vertices, np.array([[0, 1, 2], [0, 2, 3]]), "mm", "")
     assert kinds(part) == [Kind.OPEN, Kind.FLAT]
 
 
 def test_values_are_read_only(tmp_path: Path) -> None:
-    """Nobody can change a loaded part."""
+    """The arrays of a loaded part are read-only."""
     part = load(write(tmp_path, body()), "mm")
     for array in (part.reference.vertices, part.reference.faces, part.bounds, part.centre, part.T_object_centre):
         with pytest.raises(ValueError, match="read-only"):
@@ -439,7 +439,7 @@ def test_values_are_read_only(tmp_path: Path) -> None:
 
 
 def test_a_glb_has_metres_where_nothing_else_is_said(tmp_path: Path) -> None:
-    """By glTF's definition: as part, in a scene, as a fixture; a unit that is given goes before it."""
+    """A GLB without units is in metres, as glTF defines, as a part and as a fixture. Given units take precedence."""
     path = tmp_path / "cube.glb"
     trimesh.creation.box((0.1, 0.1, 0.1)).export(path)
     assert load(path).size == pytest.approx(0.1)
