@@ -20,7 +20,7 @@ COVERAGES = (0.3, 0.9, 1.0)
 
 
 def instance(seed: int, n_rows: int = 60, n_columns: int = 40, density: float = 0.1) -> tuple[Any, Any]:
-    """A random matrix and log-normal areas."""
+    """Return a random matrix and log-normal areas."""
     rng = np.random.default_rng(seed)
     return rng.random((n_rows, n_columns)) < density, rng.lognormal(0, 1, n_rows)
 
@@ -36,7 +36,7 @@ def run(M: Any, areas: Any, solver: str, coverage: float = 1.0, **options: Any) 
 
 @pytest.fixture(params=list(SOLVERS))
 def solver(request: pytest.FixtureRequest) -> str:
-    """Each solver by name."""
+    """Return each solver by name."""
     return str(request.param)
 
 

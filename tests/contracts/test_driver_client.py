@@ -74,13 +74,13 @@ class ScriptedLink:
 
 @pytest.fixture
 def link() -> ScriptedLink:
-    """A link without faults."""
+    """Return a link without faults."""
     return ScriptedLink()
 
 
 @pytest.fixture
 def client(link: ScriptedLink) -> ControllerClient:
-    """A connected client."""
+    """Return a connected client."""
     client = ControllerClient(link, link.clock, KR16)
     client.connect()
     return client

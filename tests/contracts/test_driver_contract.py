@@ -28,7 +28,7 @@ SPEED = 0.1
 
 @pytest.fixture(scope="module")
 def url_of(request: pytest.FixtureRequest) -> Callable[[str], str]:
-    """Function from an entry of URLS to its URL; an emulated controller runs for each protocol."""
+    """Return a function from an entry of URLS to its URL; each protocol starts an emulated controller."""
     protocols = [entry for entry in URLS if "://" not in entry]
     emulate: Callable[..., Any] | None = request.getfixturevalue("emulate_for_all") if protocols else None
     running = {entry: emulate(entry, "--time-scale", "1000") for entry in protocols if emulate}
@@ -37,7 +37,7 @@ def url_of(request: pytest.FixtureRequest) -> Callable[[str], str]:
 
 @pytest.fixture(params=URLS)
 def driver(request: pytest.FixtureRequest, url_of: Callable[[str], str]) -> Iterator[Driver]:
-    """A connected driver without a fault."""
+    """Yield a connected driver without a fault."""
     with open_driver(url_of(request.param), Context(KR16)) as driver:
         driver.reset()
         yield driver
@@ -98,7 +98,7 @@ def test_invalid_moves_are_refused_and_nothing_moves(driver: Driver) -> None:
 
 
 def test_stop_and_reset_at_rest_change_nothing(driver: Driver) -> None:
-    """Both are always allowed; the next move works."""
+    """Stop and reset are always allowed, and the next move works."""
     driver.move(near(driver, 0.5), SPEED)
     before = driver.state()
     assert driver.stop().axes.tolist() == before.axes.tolist()
@@ -123,7 +123,7 @@ def test_a_closed_driver_can_be_connected_again(driver: Driver) -> None:
 
 
 def test_capabilities(driver: Driver) -> None:
-    """Read-only int32 limits that contain the axes, positive steps, a speed fraction."""
+    """The capabilities have read-only int32 limits around the axes, positive steps and a speed fraction."""
     capabilities, axes = driver.capabilities, driver.state().axes
     assert ((capabilities.lower <= axes) & (axes <= capabilities.upper)).all()
     assert (capabilities.max_step > 0).all()
@@ -136,7 +136,7 @@ def test_capabilities(driver: Driver) -> None:
 
 @pytest.mark.parametrize("entry", URLS)
 def test_an_unknown_option_is_refused(entry: str, url_of: Callable[[str], str]) -> None:
-    """By its name."""
+    """The message names the unknown option."""
     url = url_of(entry)
     with pytest.raises(DriverUrlError, match="no option 'no_such_option'"):
         open_driver(url + ("&" if "?" in url else "?") + "no_such_option=1", Context(KR16))

@@ -50,7 +50,7 @@ def test_an_order_is_a_permutation_with_its_own_times(sizes: list[int]) -> None:
 
 
 def test_equal_seeds_give_equal_orders() -> None:
-    """Same input and seed, same bytes."""
+    """Equal inputs and seeds give equal bytes."""
     configurations, poses = make(5, [4] * 14)
     problem = TourProblem.straight(configurations, HOME, LIMITS)
     one, two = (order_views(problem, poses, np.random.default_rng(3), budget=800) for _ in range(2))
@@ -88,7 +88,7 @@ def test_two_views_with_one_pose_follow_each_other_at_no_cost() -> None:
 
 
 def test_a_view_without_configuration_is_refused_by_number() -> None:
-    """The message names the view and what to do."""
+    """The message names the view and the required change."""
     with pytest.raises(PlannerError, match="view 1 has no configuration; drop it"):
         TourProblem.straight(make(9, [2, 0, 1])[0], HOME, LIMITS)
 
@@ -137,7 +137,7 @@ def test_a_warm_tour_of_many_views_is_as_good_as_one_from_scratch() -> None:
 
 @pytest.mark.parametrize("start", [[0, 0, 1], [0, 4], [-1, 2]])
 def test_a_start_that_is_no_order_is_refused(start: list[int]) -> None:
-    """A repeated view, or an unknown one."""
+    """A repeated or unknown view in the start is refused."""
     configurations, poses = make(1, [2] * 4)
     with pytest.raises(PlannerError, match="each at most once"):
         order_views(

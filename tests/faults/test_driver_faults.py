@@ -33,7 +33,7 @@ def test_a_fault_is_recovered_or_reported(name: str, backend: str) -> None:
 
 
 def test_every_fault_at_once(backend: str) -> None:
-    """The list of the soak at twice its rates."""
+    """The faults of the soak at twice their rates are recovered or reported."""
     bench = make_bench(backend, EVERY_FAULT.replace("=0.01", "=0.02"), seed=11, time_scale=20.0)
     soak = drive(bench.driver, 3 * MOVES, np.random.default_rng(12), bench.clock.wait)
     verdict = judge(soak, bench.journal.entries)
@@ -42,7 +42,7 @@ def test_every_fault_at_once(backend: str) -> None:
 
 
 def test_the_judge_detects_errors() -> None:
-    """A journal with a doubled, missing, swapped or foreign move, a start off the path, an unreported fault."""
+    """The judge detects a doubled, missing, swapped or foreign move, a start off the path and an unreported fault."""
     bench = make_bench("serial", time_scale=20.0)
     soak = drive(bench.driver, 5, np.random.default_rng(1), bench.clock.wait)
     good = bench.journal.entries
@@ -113,7 +113,7 @@ def test_a_line_that_is_mute_for_a_while(backend: str) -> None:
 
 @pytest.mark.parametrize("frames", [12_000, pytest.param(120_000, marks=pytest.mark.slow)])
 def test_corrupted_frames_neither_crash_a_codec_nor_are_accepted(frames: int) -> None:
-    """Flipped bits, replaced bytes, bursts, cuts and joins."""
+    """Flipped bits, replaced bytes, bursts, cuts and joins are refused without an exception."""
     for row in fuzz.run(frames, seed=4):
         assert row["crashes"] == 0, row
         assert row["false accepts"] == 0, row
@@ -121,7 +121,7 @@ def test_corrupted_frames_neither_crash_a_codec_nor_are_accepted(frames: int) ->
 
 
 def test_the_fuzz_detects_faulty_codecs() -> None:
-    """A receiver that ignores the CRC, and one that relies on the length."""
+    """A receiver that ignores the CRC and one that relies on the length are detected."""
     rng = np.random.default_rng(0)
     frames = fuzz.serial_frames(rng)
 

@@ -120,7 +120,7 @@ def test_a_wrong_baud_rate(emulate: Callable[..., Any]) -> None:
 
 
 def test_unusable_ports(tmp_path: Path) -> None:
-    """Missing, a file, read-only, a closed port, a mute one: each a driver error."""
+    """A missing port, a file, a read-only, a closed and a mute port each give a driver error."""
     read_only = tmp_path / "read_only"
     read_only.write_bytes(b"")
     read_only.chmod(0o444)
@@ -141,7 +141,7 @@ def test_unusable_ports(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
 def test_a_vanished_port_is_a_lost_line() -> None:
-    """The other end of a pseudo-terminal is closed."""
+    """Closing the other end of a pseudo-terminal is reported as a lost line."""
     controller, peer = os.openpty()
     port = SerialPort(os.ttyname(peer), 115200)
     port.open()
@@ -160,7 +160,7 @@ def test_a_vanished_port_is_a_lost_line() -> None:
 
 
 def test_another_protocol_at_the_port_is_a_link_error() -> None:
-    """A web server: no exception of the library is raised."""
+    """A web server at the port gives a link error and no exception of the library."""
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         listener.listen()

@@ -249,7 +249,7 @@ def test_an_active_owner_is_waited_for_and_named(name: str, backend: str) -> Non
 
 
 def test_monitoring_disturbs_nobody(wire: Bench) -> None:
-    """Reads as session 0 during the owner's move do not affect it."""
+    """Reads of session 0 during the owner's move do not affect it."""
     states = []
 
     def read() -> None:
@@ -279,7 +279,7 @@ def test_the_arm_is_given_back(wire: Bench) -> None:
 
 
 def test_every_wire_reports_the_same_status() -> None:
-    """All fields of a moving arm agree."""
+    """All fields of the status of a moving arm agree on every wire."""
     reported = []
     for backend in WIRES:
         bench = make_bench(backend)
@@ -313,7 +313,7 @@ def test_an_arm_with_seven_axes(backend: str) -> None:
 
 
 def test_a_client_of_version_1_is_refused() -> None:
-    """Its HELLO gets an ERROR with both versions; its commands are not understood."""
+    """The HELLO of version 1 gets an ERROR with both versions, and its commands are refused."""
     bench = make_bench("serial")
     frame = decode_frame(bench.server._station.answer(encode_frame(Frame(">", 7, "HELLO,1"))))
     assert frame is not None
@@ -424,7 +424,7 @@ def test_the_controller_refuses_what_a_client_did_not(wire: Bench) -> None:
 
 
 def test_a_step_too_large_is_refused_at_both_ends(wire: Bench) -> None:
-    """By the controller, and by the client that knows the limit."""
+    """The controller refuses a step that is too large, and so does the client with the reported limit."""
     wire.endpoint.controller.limits = replace(wire.endpoint.limits, max_step=np.full(6, 50_000, np.int32))
     assert wire.link.send(1, Move(turned(5.0001), 1.0)).result == Result.STEP
     wire.endpoint.limits = wire.endpoint.controller.limits
@@ -640,7 +640,7 @@ def with_one_bit_flipped(address: int, values: list[int]) -> list[int]:
     ids=["words swapped", "another device", "zeros", "version 1", "shifted by one", "one bit"],
 )
 def test_a_wrong_map_is_refused(rewrite: Callable[[int, list[int]], list[int]], cause: str) -> None:
-    """At connecting and later, with the cause."""
+    """A wrong map of registers is refused at connecting and later, with the cause."""
     link, port = rewritten("modbus")
     port.rewrite = rewrite
     with pytest.raises(ProtocolError, match=cause):

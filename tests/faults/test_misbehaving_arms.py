@@ -201,7 +201,7 @@ def test_an_emulator_must_report_its_time_scale(factor: float, wire: str) -> Non
 
 @pytest.mark.parametrize("wire", WIRES)
 def test_impossible_capabilities_are_refused_at_connecting(wire: str) -> None:
-    """Empty ranges, steps, speeds and time scales, each with its cause."""
+    """Invalid ranges, steps, speeds and time scales are refused, each with its cause."""
     for changes, cause in (
         ({"lower": KR16.upper + np.int32(1)}, "lower limit of an axis is above"),
         ({"max_step": KR16.max_step * 0}, "largest step"),

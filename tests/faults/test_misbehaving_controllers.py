@@ -171,7 +171,7 @@ class Rig:
 
 @pytest.fixture
 def rig(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Rig]:
-    """Function that makes a rig."""
+    """Return a function that makes a rig."""
 
     def make(wire: str) -> Rig:
         made = Rig(make_bench(wire))
@@ -252,7 +252,7 @@ def _cases(cases: list[Any], sample: int) -> Any:
 
 @_cases(list(itertools.product(FIELDS, FAULTS, PHASES, WIRES)), 45)
 def test_a_wrong_field(rig: Callable[[str], Rig], name: str, fault: str, phase: str, wire: str) -> None:
-    """Every field, fault and phase on every wire."""
+    """Every field, fault and phase is tested on every wire."""
     made = rig(wire)
     disturb_field(made, name, fault, phase)
     made.drive()
@@ -262,7 +262,7 @@ def test_a_wrong_field(rig: Callable[[str], Rig], name: str, fault: str, phase: 
 
 @_cases(list(itertools.product(MODBUS_FIELDS, ("zero", "one", "all bits", "stuck", "stale"), PHASES, WIRES[1:])), 15)
 def test_a_wrong_register(rig: Callable[[str], Rig], name: str, fault: str, phase: str, wire: str) -> None:
-    """Fields that the serial frames do not have."""
+    """Fields that only the registers have are tested with every fault and phase."""
     made = rig(wire)
     disturb_register(made, name, fault, phase)
     made.drive()
@@ -283,7 +283,7 @@ LINES: dict[str, Callable[[bytes], list[bytes]]] = {
 
 @_cases(list(itertools.product([*LINES, "late", "refusing"], ["answers"], PHASES, WIRES)), 21)
 def test_wrong_answers(rig: Callable[[str], Rig], name: str, fault: str, phase: str, wire: str) -> None:
-    """The answers are disturbed from the beginning of a phase on."""
+    """All answers from the beginning of a phase on are disturbed."""
     made = rig(wire)
     station: Any = made.bench.server._station
     send, clock, answer, later = made.bench.line.send, made.bench.clock, station.answer, []

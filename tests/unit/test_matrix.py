@@ -20,7 +20,7 @@ from planner.viewpoints.viewpoints import optimal_scanning_zone, pick_viewpoints
 
 @pytest.fixture(scope="module")
 def part(part_file):
-    """The small part and its planning mesh."""
+    """Return the small part and its planning mesh."""
     part = load(str(part_file), "mm")
     return part, decimate(part.reference, 60)
 
@@ -75,7 +75,7 @@ def test_only_new_columns_are_computed(measured, method):
 
 
 def test_a_file_does_not_grow_without_end(measured, monkeypatch):
-    """Beyond a multiple of one run's columns the file is written with these columns only."""
+    """Beyond a multiple of the columns of one run, the file is rewritten with the columns of this run."""
     monkeypatch.setattr(measurability, "_MAX_COLUMN_RATIO", 2)
     for start in (0, 10, 20, 30):
         measured(pick_viewpoints(measured.views, np.arange(start, start + 10)))
@@ -92,7 +92,7 @@ def test_without_the_cache_nothing_is_stored(measured):
 
 
 def test_the_cache_deletes_its_oldest_files(tmp_path: Path) -> None:
-    """One by one until the limit; the newest stays even if it alone is too large."""
+    """The oldest files are deleted until the limit holds. The newest file is kept even if it alone is too large."""
     for age, name in enumerate(("new", "middle", "old")):
         path = tmp_path / f"{name}.npz"
         path.write_bytes(b"x" * 100)

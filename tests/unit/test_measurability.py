@@ -35,7 +35,7 @@ def _views(poses):
 
 @pytest.fixture(scope="module")
 def cube():
-    """A cube of 100 mm with 600 samples and a viewpoint above each of its 12 triangles, twice (two rolls)."""
+    """Return a cube of 100 mm with 600 samples and a viewpoint above each of its 12 triangles, twice (two rolls)."""
     mesh = _box(0.1)
     samples = draw_samples(mesh, mesh, 600, np.random.default_rng(0))
     return mesh, _caster(mesh), samples, optimal_scanning_zone(mesh, [0.3], [0.0, np.pi / 2])
@@ -96,7 +96,7 @@ def test_prediction_equals_the_matrix_for_all_views_and_for_each(cube):
 
 
 def test_an_occluder_removes_the_hidden_entries_only(cube):
-    """A wall in front of one side empties that side's rows and nothing else; for one and for two poses per column."""
+    """A wall in front of one side empties only the rows of that side, for one and for two poses per column."""
     _, caster, samples, views = cube
     wall = _caster(_box((0.01, 0.5, 0.5), (0.15, 0, 0)))
     part_only = fill_matrix(views, samples, SCANNER, caster)
@@ -113,7 +113,7 @@ def test_an_occluder_removes_the_hidden_entries_only(cube):
 
 
 def test_progress_ends_at_all_poses(cube):
-    """The numbers rise to (all, all)."""
+    """The reported numbers increase up to (all, all)."""
     _, caster, samples, views = cube
     calls = []
     fill_matrix(views, samples, SCANNER, caster, progress=lambda done, total: calls.append((done, total)))
@@ -122,7 +122,7 @@ def test_progress_ends_at_all_poses(cube):
 
 
 def test_no_viewpoint_and_a_view_of_nothing_give_empty_matrices(cube):
-    """Zero columns, and one column that looks away."""
+    """No viewpoints give zero columns, and a view away from the part gives an empty column."""
     _, caster, samples, views = cube
     assert fill_matrix(_views(np.zeros((0, 1, 4, 4))), samples, SCANNER, caster).shape == (600, 0)
     away = np.array(views.T_object_scanner[:1])
@@ -162,7 +162,7 @@ def test_wrong_arguments_are_named(cube):
     ],
 )
 def test_a_broken_matrix_is_refused(indptr, indices, words):
-    """The constructor finds layout errors."""
+    """The constructor refuses errors of the layout."""
     two = SurfaceSamples(np.zeros((2, 3)), np.zeros((2, 3)), np.ones(2), np.zeros(2), np.zeros(2))
     assert Measurability([0, 1, 2], [2, 0], two, 3).matrix().toarray().tolist() == [[0, 0, 1], [1, 0, 0]]
     with pytest.raises(PlannerError, match=words):
@@ -220,7 +220,7 @@ def test_two_regions_on_a_face_keep_their_areas():
 
 
 def test_sigma_is_kept_or_refused():
-    """Both matrices have the layer or neither; different columns are refused."""
+    """Both matrices must have the layer of sigma or neither, and their columns must be equal."""
     M, more = _matrix([[1, 1]], [0], 1.0), _matrix([[0, 1]], [0], 1.0)
     layered = [replace(m, sigma=np.full(len(m.indices), s, dtype=np.float32)) for m, s in ((M, 1.0), (more, 2.0))]
     np.testing.assert_array_equal(

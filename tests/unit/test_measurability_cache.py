@@ -16,7 +16,7 @@ from planner.viewpoints.viewpoints import Viewpoints
 
 @pytest.fixture
 def parts():
-    """Everything that a matrix depends on, small."""
+    """Return all inputs of a small matrix."""
     rng = np.random.default_rng(0)
     mesh = TriangleMesh(rng.random((4, 3)), [[0, 1, 2], [0, 2, 3]])
     features = SurfaceSamples(rng.random((3, 3)), rng.random((3, 3)), rng.random(3), [0, 1, 1], [0, 0, 1])
@@ -26,11 +26,11 @@ def parts():
 
 @pytest.fixture
 def matrix(parts):
-    """3 samples x 5 viewpoints."""
+    """Return a matrix of 3 samples x 5 viewpoints."""
     return Measurability([0, 2, 2, 3], [0, 4, 1], parts[1], 5)
 
 
-# What the features' regions ask for is applied to M afterwards.
+# Requirements of the regions are applied to M afterwards.
 _FEATURES = [name for name in SurfaceSamples.__dataclass_fields__ if name != "region"]
 
 
@@ -53,7 +53,7 @@ def _nudged(value, name):
 
 
 def test_a_saved_matrix_is_read_back(tmp_path, parts, matrix):
-    """Every array and the shape, from a folder that did not exist."""
+    """Every array and the shape are equal after saving to a new folder."""
     path, key = tmp_path / "new" / "m.npz", _key(parts)
     save(path, matrix, key, column_hashes(parts[2]))
     found = load(path, key)
@@ -112,7 +112,7 @@ def test_the_hash_of_a_column_depends_on_its_poses_alone(parts):
 
 
 def test_columns_are_found_in_any_order(tmp_path, parts, matrix):
-    """Stored hashes are found, others are not."""
+    """Stored hashes are found in any order, and unknown hashes are not found."""
     views = _distinct(7)
     hashes = column_hashes(views)
     save(tmp_path / "m.npz", matrix, "0" * 64, hashes[:5])
@@ -122,7 +122,7 @@ def test_columns_are_found_in_any_order(tmp_path, parts, matrix):
 
 
 def test_unsuitable_files_are_rejected_with_the_reason(tmp_path, parts, matrix):
-    """Missing, of other inputs, of another version, truncated, damaged, text, and another npz."""
+    """A missing, foreign, outdated, truncated or damaged file, a text and another npz are rejected with a reason."""
     key, path = _key(parts), tmp_path / "m.npz"
     assert "does not exist" in load(path, key).reason
     save(path, matrix, key, column_hashes(parts[2]))
@@ -154,7 +154,7 @@ def test_unsuitable_files_are_rejected_with_the_reason(tmp_path, parts, matrix):
 
 
 def test_every_flipped_byte_is_harmless_or_found(tmp_path, parts, matrix):
-    """The result is the same matrix or a reason; never an error or other numbers."""
+    """A file with a flipped byte gives the same matrix or a reason, and raises no error."""
     key, path = _key(parts), tmp_path / "m.npz"
     save(path, matrix, key, column_hashes(parts[2]))
     good = path.read_bytes()
@@ -171,7 +171,7 @@ def test_every_flipped_byte_is_harmless_or_found(tmp_path, parts, matrix):
 
 
 def test_a_folder_that_cannot_be_written_has_one_message(tmp_path, parts, matrix):
-    """The path is below a file; nothing is left behind."""
+    """A path below a file gives one message and no temporary file."""
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match=r"cannot be written to .*choose a folder"):
         save(tmp_path / "file" / "m.npz", matrix, _key(parts), column_hashes(parts[2]))

@@ -102,7 +102,7 @@ def test_the_two_sides_of_a_thin_wall_are_kept_apart() -> None:
 
 
 def test_samples_at_face_centres_are_the_planning_faces() -> None:
-    """One row per planning face: its centre, its normal, its area; the reference face is the one beneath."""
+    """Each planning face gives one row: its centre, its normal, its area and the reference face below it."""
     fine = sphere()
     coarse = decimate(fine, 500)
     samples = samples_at_face_centres(fine, coarse)
@@ -127,13 +127,13 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 
 @pytest.mark.parametrize("count", [0, -3])
 def test_no_samples_is_refused(count: int) -> None:
-    """A count below 1 is an error."""
+    """A count below 1 is refused."""
     with pytest.raises(PlannerError, match="at least 1 sample"):
         draw_samples(box(), box(), count, np.random.default_rng(0))
 
 
 def test_a_surface_without_area_is_refused() -> None:
-    """Only degenerate faces: there is nothing to sample."""
+    """A mesh of degenerate faces only is refused, because it has no area to sample."""
     flat = TriangleMesh(np.zeros((3, 3)), [[0, 1, 2]])  # type: ignore[arg-type]
     with pytest.raises(PlannerError, match="no area"):
         draw_samples(flat, flat, 10, np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""The meshes of a robot file are found, and a run records them, so that a change is detected."""
+"""The meshes of a robot file are found and recorded in a run, so that a change is detected."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ MJCF = """<mujoco><compiler meshdir="parts"/><asset><mesh name="m" file="c.stl"/
 
 @pytest.fixture
 def urdf(tmp_path: Path) -> Path:
-    """A robot file with two collision meshes, one of them in a package."""
+    """Return a robot file with two collision meshes, one of them in a package."""
     for name in ("acme/meshes/a.stl", "here/b.stl", "here/parts/c.stl"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(name.encode())
@@ -31,7 +31,7 @@ def urdf(tmp_path: Path) -> Path:
 
 
 def test_collision_meshes_are_found_once_each(urdf: Path, tmp_path: Path) -> None:
-    """No visuals; an MJCF has a mesh folder; a missing mesh is an error."""
+    """Visual meshes are skipped, the mesh folder of an MJCF is used, and a missing mesh is an error."""
     assert mesh_files(urdf, {"acme": tmp_path / "acme"}) == [tmp_path / "acme/meshes/a.stl", tmp_path / "here/b.stl"]
     mjcf = urdf.with_name("r.xml")
     mjcf.write_text(MJCF)
@@ -42,7 +42,7 @@ def test_collision_meshes_are_found_once_each(urdf: Path, tmp_path: Path) -> Non
 
 
 def test_a_run_records_the_hashes_of_the_meshes(urdf: Path) -> None:
-    """A changed mesh has another hash, which a scan compares; the built-in robot has none."""
+    """A changed mesh has another hash, which a scan compares. The built-in robot has no meshes."""
     scene = load_scene(None, {"robot": {"model": str(urdf)}})
     before = named_files(scene, None)
     assert [each.what for each in before] == ["robot"] * 3

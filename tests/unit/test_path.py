@@ -51,7 +51,7 @@ class Boxes:
 
 
 BIG = 10.0
-WALL = ([-0.2] + [-BIG] * 5, [0.2, 0.5] + [BIG] * 4)  # blocks axis 1 from -0.2 to 0.2 wherever axis 2 is below 0.5
+WALL = ([-0.2] + [-BIG] * 5, [0.2, 0.5] + [BIG] * 4)  # blocks axis 1 from -0.2 to 0.2 if axis 2 is below 0.5
 LEFT, RIGHT = quantise([-1.0, 0, 0, 0, 0, 0]), quantise([1.0, 0, 0, 0, 0, 0])
 
 
@@ -157,7 +157,7 @@ def test_shortening_never_slows_and_keeps_the_ends() -> None:
 
 
 def test_a_checker_without_clearance_is_refused() -> None:
-    """Without clearance nothing is known between two checks, so no segment can be certified."""
+    """Without clearance no segment can be certified, because the space between two checks is unknown."""
     checker = Boxes()
     checker.clearance = 0.0
     with pytest.raises(PlannerError, match=r"clearance is 0\.0 m; it must be above 0"):

@@ -1,4 +1,4 @@
-"""`cell place`: which placements are evaluated again, and with which candidates."""
+"""`cell place`: selection of the placements that are evaluated again, and of their candidates."""
 
 import numpy as np
 
@@ -12,19 +12,19 @@ _FAR = [(500.0, 0.0, 5.0, 0.0), (0.0, 0.0, 5.0, 180.0), (510.0, 10.0, 5.0, 0.0)]
 
 
 def test_placements_within_a_tenth_of_the_range_are_one_basin():
-    """Rotations count as well as positions; a fixed axis does not."""
+    """Positions and rotations both count for the distance; a fixed axis does not count."""
     basins = _basins([*_NEAR, *_FAR], _EXTENT)
     assert basins == [_NEAR, [_FAR[0], _FAR[2]], [_FAR[1]]]
 
 
 def test_the_best_half_is_kept_and_every_basin_follows_in_turn():
-    """Four of seven: the best two, then the first of both other basins."""
+    """Four of seven placements are selected: the best two, then the first of both other basins."""
     assert _best_of_all_basins([*_NEAR, *_FAR], 4, _EXTENT) == [*_NEAR[:2], _FAR[0], _FAR[1]]
     assert sorted(_best_of_all_basins([*_NEAR, *_FAR], 99, _EXTENT)) == sorted([*_NEAR, *_FAR])
 
 
 def test_a_larger_subset_contains_the_candidates_of_a_smaller_one():
-    """Otherwise a placement reached in the coarse round could be unreached in the fine one."""
+    """A placement reached with the coarse subset is also reached with the fine one."""
     bench = Bench(load_scene(None, {"part": {"name": "mug"}, "plan": {"faces": 60}}), samples=1000)
     few, more = (bench.candidate_subset(count)[0].T_object_scanner for count in (20, 45))
     assert len(few) == 20

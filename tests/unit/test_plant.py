@@ -120,7 +120,7 @@ def test_a_stop_brakes_on_the_path_and_settles() -> None:
 
 
 def test_it_starts_at_rest_and_stays_there() -> None:
-    """At the start the integral compensates the light model: nothing sags."""
+    """At the start the integral compensates the error of the light model, and the arm does not sag."""
     for start in (HOME, np.zeros(6), np.radians([30.0, -20, 40, 10, 50, 0])):
         plant = MujocoPlant(start, Tool())
         assert plant.settled
@@ -130,7 +130,7 @@ def test_it_starts_at_rest_and_stays_there() -> None:
 
 
 def test_a_move_of_no_length_is_settled_at_once() -> None:
-    """With any remaining fraction of a step."""
+    """A move of zero length is settled at once, with any remaining fraction of a step."""
     plant = MujocoPlant(HOME)
     for seconds in (0.0, 0.0004, 0.0123, 7.0):
         plant.advance(seconds)

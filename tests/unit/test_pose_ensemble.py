@@ -56,7 +56,7 @@ def scene(offsets_deg):
 
 
 def test_a_drawn_error_moves_a_pose_as_an_execution_does() -> None:
-    """The same normal numbers give the pose from which `cell scan` would trace its rays."""
+    """The same normal numbers give the pose from which `cell scan` traces its rays."""
     T = np.eye(4)
     T[:3, 3] = 0.3, -0.2, 0.9
     T[:3, :3] = rotation_matrices(np.array([[0.4, -1.1, 0.6]]))[0]
@@ -91,13 +91,13 @@ def test_the_layer_is_the_share_of_a_normal_distribution() -> None:
     members = 4000
     errors = PoseError(0.0, np.radians(sd)).draw(members, np.random.default_rng(0))
     layer = probability_layer(M, views, Cone(), (Nothing(),), errors)
-    assert M.matrix().toarray()[:, 0].tolist() == [True, True, True, False]  # the last has no entry to have hits
+    assert M.matrix().toarray()[:, 0].tolist() == [True, True, True, False]  # the last sample has no entry
     share = layer.hits / members
     np.testing.assert_allclose(share, [0.5, 0.8413, 1.0], atol=4 * 0.5 / np.sqrt(members))
 
 
 def test_only_asked_columns_are_looked_at() -> None:
-    """Entries of excluded columns get no hit; no errors mean exact poses."""
+    """Entries of excluded columns have no hit, and an ensemble without errors has exact poses."""
     samples, views = scene([0.0, 5.0])
     M = fill_matrix(views, samples, Cone(), Nothing())
     errors = PoseError(0.0, 0.001).draw(3, np.random.default_rng(0))
@@ -109,7 +109,7 @@ def test_only_asked_columns_are_looked_at() -> None:
 
 
 def test_a_sweep_measures_from_any_of_its_poses() -> None:
-    """A column of two poses that look 8 degrees apart: the ensemble of the union, not of the first pose."""
+    """A column of two poses, turned by 8 degrees, has the ensemble of their union."""
     samples, _ = scene([12.0])
     turned = np.eye(4)
     turned[:3, :3] = rotation_matrices(np.array([[0.0, np.radians(8.0), 0.0]]))[0]
@@ -120,7 +120,7 @@ def test_a_sweep_measures_from_any_of_its_poses() -> None:
 
 
 def test_simulated_executions_find_the_probability_again() -> None:
-    """Two views at the same place, errors of their own: 1 - (1 - p)^2 of the executions measure the edge."""
+    """Two equal views with independent errors measure the edge in 1 - (1 - p)^2 of the executions."""
     samples, _ = scene([10.0, 0.0, 60.0])
     executions = 2000
     errors = PoseError(0.0, np.radians(0.5)).draw(2 * executions, np.random.default_rng(1))
@@ -151,6 +151,6 @@ def test_a_layer_follows_a_matrix_that_lost_entries() -> None:
 
 @pytest.mark.parametrize(("position", "orientation"), [(-1.0, 0.0), (0.0, np.nan), (np.inf, 0.0)])
 def test_what_is_no_standard_deviation_is_refused(position: float, orientation: float) -> None:
-    """Negative, NaN or infinite."""
+    """Negative, infinite and NaN standard deviations are refused."""
     with pytest.raises(PlannerError, match="standard deviation"):
         PoseError(position, orientation)

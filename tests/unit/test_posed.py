@@ -43,7 +43,7 @@ def _rows(digits: int) -> str:
     ids=["quaternion", "its opposite", "matrix", "a matrix of four decimals"],
 )
 def test_equivalent_mounts(text: str, near: float, tmp_path: Path) -> None:
-    """The transform of position and ABC; a rounded rotation is made exact."""
+    """Matrix and quaternion give the transform of position and ABC, and a rounded rotation is made exact."""
     T = _scene(tmp_path, f"[mount]\n{text}").mount.T
     np.testing.assert_allclose(T, T_MOUNT, atol=near)
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)

@@ -43,7 +43,7 @@ def lines(session: str) -> list[str]:
 
 
 def test_a_controller_reproduces_the_serial_session() -> None:
-    """Every frame, in order, byte for byte."""
+    """A controller answers with every frame of the page, in order and byte for byte."""
     controller, clock = endpoint()
     station, answer, answered = SerialStation(controller), "", 0
     for line in lines(SERIAL):
@@ -58,7 +58,7 @@ def test_a_controller_reproduces_the_serial_session() -> None:
 
 
 def test_a_controller_reproduces_the_modbus_session() -> None:
-    """Every telegram, in order, byte for byte."""
+    """A controller answers with every telegram of the page, in order and byte for byte."""
     controller, clock = endpoint()
     station, answer, answered = ModbusStation(controller, rtu=True), b"", 0
     for line in lines(MODBUS):
@@ -117,7 +117,7 @@ def rows() -> list[list[str]]:
 
 
 def test_the_tables_match_the_code() -> None:
-    """The table of registers and the command codes."""
+    """The table of registers and the command codes equal those of the code."""
     with (INTERNALS / "protocol_registers.csv").open(encoding="utf-8", newline="") as file:
         assert list(csv.reader(file)) == [["block", "kind", "register", "name", "type", "meaning"], *rows()]
     codes = "\n".join(f"| {code} | {meaning} |" for code, meaning in registers.COMMANDS.items())
@@ -125,7 +125,7 @@ def test_the_tables_match_the_code() -> None:
 
 
 def test_the_numbers_in_the_text_match_the_code() -> None:
-    """Sizes, check values and result codes."""
+    """Sizes, check values and result codes equal those of the code."""
     page = " ".join(PAGE.split())
     assert f"{zlib.crc32(b'123456789'):08X}" in page
     assert f"at most {MAX_FRAME} bytes" in page

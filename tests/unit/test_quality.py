@@ -20,7 +20,7 @@ SCANNER = LaserArea(range_mm=(50, 400), baseline_mm=40)
 
 @pytest.fixture(scope="module")
 def part() -> TriangleMesh:
-    """A ball beside a box, so that rays are blocked."""
+    """Return a ball beside a box, so that rays are blocked."""
     box = trimesh.creation.box((0.03, 0.03, 0.12)).apply_translation([0.09, 0, 0])
     mesh = trimesh.util.concatenate([trimesh.creation.icosphere(2, 0.05), box])
     return TriangleMesh(mesh.vertices, mesh.faces)
@@ -28,7 +28,7 @@ def part() -> TriangleMesh:
 
 @pytest.fixture(scope="module")
 def caster(part: TriangleMesh) -> EmbreeRayCaster:
-    """Ray caster of the part."""
+    """Return the ray caster of the part."""
     return EmbreeRayCaster(part.vertices, part.faces)
 
 

@@ -147,7 +147,7 @@ def test_a_column_of_several_poses_needs_them_all():
 
 @pytest.mark.parametrize("poses", [1, 3])
 def test_are_reachable_agrees_with_solve_reach(poses):
-    """For single poses and for columns of poses."""
+    """Both functions agree for single poses and for columns of poses."""
     viewpoints = viewpoints_of(random_flanges(1200 * poses, seed=8).reshape(1200, poses, 4, 4))
     expected = solved(viewpoints, Wall(0.1)).reachable
     assert 0 < expected.sum() < 1200
@@ -176,7 +176,7 @@ def test_chunks_and_progress_change_nothing():
 
 
 def test_no_viewpoint_is_no_error():
-    """Without viewpoints nothing is reachable."""
+    """Without viewpoints the result is empty."""
     reach = solved(viewpoints_of(np.empty((0, 1, 4, 4))), Wall())
     assert len(reach) == 0
     assert reach.q.shape == (0, 6)

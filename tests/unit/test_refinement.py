@@ -23,7 +23,7 @@ STANDOFF = 0.1
 
 @pytest.fixture(scope="module")
 def case():
-    """A ball of 60 mm, 300 samples, 40 candidates aimed at its centre, and a cover of 98 % of it."""
+    """Return a ball of 60 mm, 300 samples, 40 candidates aimed at its centre, and a cover of 98 % of it."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.03)
     mesh = TriangleMesh(ball.vertices, ball.faces)
     samples = draw_samples(mesh, mesh, 300, np.random.default_rng(1))
@@ -70,7 +70,7 @@ def test_reduced_views_measure_as_much(case):
 
 
 def test_equal_input_gives_equal_views(case):
-    """To the bit."""
+    """Equal inputs give equal views to the bit."""
     (_, one), (_, other) = _reduce(case), _reduce(case)
     np.testing.assert_array_equal(one.T_object_scanner, other.T_object_scanner)
 
@@ -170,7 +170,7 @@ def test_views_above_the_threshold_are_evaluated_in_full(case):
 
 
 def test_poses_evaluated_together_give_the_result_of_each_alone(case, monkeypatch):
-    """For any batch size; also if each point has the limits of its region."""
+    """The result is independent of the batch size, also with limits of the regions."""
     samples, scanner, caster, views = case
     region = (np.arange(len(samples.points)) % 3).astype(np.int32)
     targets, rows = RayTargets.of(samples.points, samples.normals, region), np.arange(1, 300, 2)

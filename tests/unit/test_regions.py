@@ -53,7 +53,7 @@ def area(part: Workpiece, number: int) -> float:
 
 @pytest.fixture
 def box(tmp_path: Path) -> Path:
-    """A box of 20 x 30 x 40 mm, twelve triangles, about the origin."""
+    """Return a box of 20 x 30 x 40 mm, twelve triangles, about the origin."""
     path = tmp_path / "box.ply"
     trimesh.creation.box((20.0, 30.0, 40.0)).export(path)
     return path
@@ -71,7 +71,7 @@ def box(tmp_path: Path) -> Path:
     ids=["kind", "kind and diameter", "diameter", "kind and box"],
 )
 def test_faces_are_selected_by_all_selectors(tmp_path: Path, selects: dict, wanted: float) -> None:
-    """All selectors of a region hold; its area is that of the drawing."""
+    """A face must satisfy all selectors of a region, and the area is that of the drawing."""
     path = tmp_path / "block.stp"
     path.write_text(bored_block())
     part = tagged(path, [{"name": "it", **selects}, NO])
@@ -81,7 +81,7 @@ def test_faces_are_selected_by_all_selectors(tmp_path: Path, selects: dict, want
 
 @needs_cascadio
 def test_a_face_belongs_to_the_first_region_that_selects_it(tmp_path: Path) -> None:
-    """The bore by its number, then all faces: the second region does not have the bore again."""
+    """The bore belongs to the first region, and the second region has all other faces."""
     path = tmp_path / "block.stp"
     path.write_text(bored_block())
     number = next(face.number for face in load(path).cad.faces if face.kind == "cylinder")
@@ -91,7 +91,7 @@ def test_a_face_belongs_to_the_first_region_that_selects_it(tmp_path: Path) -> N
 
 
 def test_a_box_cuts_triangles(box: Path) -> None:
-    """A slab through the box has its closed-form area, and the rest all others."""
+    """A slab through the box has its closed-form area, and the remaining surface has the other triangles."""
     part = tagged(box, [{"name": "slab", "box_mm": [-50, -50, 2, 50, 50, 5]}], "mm")
     assert area(part, 0) == pytest.approx(3 * 2 * (20 + 30))
     assert area(part, 1) == pytest.approx(2 * (20 * 30 + 20 * 40 + 30 * 40) - 300)
@@ -141,7 +141,7 @@ def test_samples_lie_in_measured_regions(box: Path) -> None:
 
 
 def test_a_part_without_regions_is_itself(box: Path) -> None:
-    """Nothing is tagged, cut or copied."""
+    """A part without regions is neither tagged, cut nor copied."""
     part = load(box, "mm")
     assert with_regions(part, scene_with(box, [], "mm")) is part
     assert draw_samples(part.reference, part.reference, 10, np.random.default_rng(0)).region is None
@@ -179,7 +179,7 @@ def test_colours_of_a_step_file_select_its_faces(tmp_path: Path) -> None:
     ids=["faces of a mesh", "empty", "taken", "no paint"],
 )
 def test_a_property_that_the_part_does_not_have_is_refused(box: Path, regions: list[dict], said: str) -> None:
-    """With the region's name and a remedy."""
+    """The message has the name of the region and a remedy."""
     with pytest.raises(CellError, match=said):
         tagged(box, regions, "mm")
 
@@ -207,7 +207,7 @@ def test_a_property_that_the_part_does_not_have_is_refused(box: Path, regions: l
     ],
 )
 def test_a_scene_that_contradicts_itself_is_refused(tmp_path: Path, regions: list[dict], plan: dict, said: str) -> None:
-    """Each in one line with the key."""
+    """Each contradiction gives one line with the key."""
     lines = ["[plan]", *(f"{key} = {value!r}" for key, value in plan.items())]
     for region in regions:
         lines += ["[[region]]", *(f"{key} = {json.dumps(value)}" for key, value in region.items())]
@@ -279,14 +279,14 @@ def test_regions_become_demands_weights_and_targets(box: Path) -> None:
 
 
 def test_studies_refuse_targets_of_regions(box: Path) -> None:
-    """Only the key care is supported."""
+    """Studies accept only the key care of a region."""
     require_no_region_targets(scene_with(box, [{"name": "a", "kind": "plane"}, NO], "mm").region)
     with pytest.raises(SceneError, match="'a' has the target views, and studies"):
         require_no_region_targets(scene_with(box, [{"name": "a", "kind": "plane", "views": 2}, NO], "mm").region)
 
 
 def test_a_mesh_without_a_measured_face_is_refused() -> None:
-    """It could not be sampled."""
+    """A mesh without a measured face is refused, because it cannot be sampled."""
     mesh = trimesh.creation.box((1, 1, 1))
     with pytest.raises(ValueError, match="must belong to a region"):
         TriangleMesh(mesh.vertices, mesh.faces, np.full(12, -1))

@@ -100,7 +100,7 @@ def test_the_correction_undoes_the_error(scans: list[ScanCloud], head: TriangleM
 
 
 def test_without_a_model_the_scans_come_together(scans: list[ScanCloud], nearest: ClosestPointQuery) -> None:
-    """Scans matched to each other are correct except for one common motion, and their mean is kept."""
+    """Scans matched to each other without a model are correct except for one common motion."""
     disturbed = _disturbed(scans, 0.5, 0.1, 5)
     result = register(disturbed, None)
     assert len(result.overlaps) >= 6

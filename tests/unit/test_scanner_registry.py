@@ -22,7 +22,7 @@ def _offer(monkeypatch, *points):
 
 
 def test_the_installed_project_offers_laser_area():
-    """The entry point of this distribution leads to the class."""
+    """The entry point of this distribution loads the class."""
     assert "laser-area" in cell.scanners.names()
     assert cell.scanners.load("laser-area") is LaserArea
 
@@ -40,14 +40,14 @@ def test_names_does_not_import(monkeypatch):
 
 
 def test_a_broken_plug_in_names_its_distribution(monkeypatch):
-    """The user learns what to uninstall."""
+    """The message names the distribution to uninstall."""
     _offer(monkeypatch, ("a", "does_not_exist:A"))
     with pytest.raises(SceneError, match=r"foreign-scanners 1\.2 cannot be imported from does_not_exist:A"):
         cell.scanners.load("a")
 
 
 def test_two_distributions_with_one_name_are_refused(monkeypatch):
-    """The choice is not left to chance."""
+    """Two distributions with the same name of a scanner are refused."""
     _offer(monkeypatch, ("a", "json:JSONDecoder"), ("a", "json:JSONEncoder"))
     with pytest.raises(SceneError, match=r"offered by .*JSONDecoder.* and .*JSONEncoder"):
         cell.scanners.load("a")

@@ -1,4 +1,4 @@
-"""Thirty-one mistakes in scenes: found with both objects, and gone if the remedy is followed."""
+"""Thirty-one mistakes in scenes: each is reported with both objects and corrected by its remedy."""
 
 import re
 from collections.abc import Callable
@@ -136,7 +136,7 @@ def world(tmp_path: Path) -> Callable[[Mesh, dict[str, Any]], World]:
 
 
 def followed(tables: dict[str, Any], sentence: str) -> dict[str, Any] | None:
-    """Return the tables changed as a sentence says; None if it names no position."""
+    """Return the tables after the change that a message proposes; None if it has no position."""
     found = re.search(r"move (?:(\w+)|fixtures\[(\d)\])\.position_mm by \(.*?\) mm, to \((.*?)\)", sentence)
     if found is None:
         return {**tables, **NO_POST} if "set post.enabled" in sentence else None
@@ -152,7 +152,7 @@ def followed(tables: dict[str, Any], sentence: str) -> dict[str, Any] | None:
 
 @pytest.mark.parametrize("name", ERRORS)
 def test_a_problem_is_found_and_its_remedy_removes_it(name: str, world: Callable[..., World]) -> None:
-    """The sentence names both objects; after the change they are no problem any more."""
+    """The message names both objects, and after the proposed change the problem is gone."""
     mesh, tables, words = ERRORS[name]
     said = [each for each in find_problems(world(mesh, tables)) if all(word in each for word in words)]
     assert len(said) == 1, find_problems(world(mesh, tables))
@@ -169,7 +169,7 @@ def test_a_problem_is_found_and_its_remedy_removes_it(name: str, world: Callable
 
 @pytest.mark.parametrize("name", WARNINGS)
 def test_a_warning_is_found_and_its_remedy_removes_it(name: str, world: Callable[..., World]) -> None:
-    """A probable mistake is no problem, and is reported."""
+    """A probable mistake is reported as a warning and not as a problem."""
     mesh, tables, words = WARNINGS[name]
     cell = world(mesh, tables)
     assert not find_problems(cell)
@@ -194,7 +194,7 @@ def test_a_warning_is_found_and_its_remedy_removes_it(name: str, world: Callable
     ],
 )
 def test_flush_objects_are_neither(tables: dict[str, Any], world: Callable[..., World]) -> None:
-    """Part on table, stop on table beside the part, clamp on the part, part on a stand of the user's."""
+    """Objects in contact without overlap give neither a problem nor a warning."""
     cell = world(block, tables)
     assert find_problems(cell) == []
     assert find_warnings(cell) == []

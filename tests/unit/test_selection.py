@@ -23,7 +23,7 @@ from planner.viewpoints.viewpoints import Viewpoints
 
 
 class HeldOut:
-    """Held-out samples of which each view measures a share of its own; the interface of `Prediction`."""
+    """Held-out samples of which each view measures a separate share; the interface of `Prediction`."""
 
     def __init__(self, share_of_view: list[float]) -> None:
         self._shares = np.array(share_of_view)

@@ -73,7 +73,7 @@ def _hidden(world: World, T: np.ndarray, q: np.ndarray, points: np.ndarray) -> n
 
 
 def test_the_default_mount_is_never_occluded():
-    """One check finds nothing, and the matrix is the same object."""
+    """The check finds no occlusion and returns the same matrix object."""
     world = _world()
     M, reached, views = _cell(world)
     arm = SelfOcclusion(M, reached, views, world, SCANNER)
@@ -138,7 +138,7 @@ def test_other_configurations_are_used_before_samples_are_removed(monkeypatch: p
 
 
 def test_occlusion_of_samples_of_another_view_is_no_loss(monkeypatch: pytest.MonkeyPatch):
-    """Two views of the same samples: an arm in front of one costs nothing, in front of both it does."""
+    """An arm in front of one of two equal views loses no sample; in front of both it does."""
     world = _world()
     M, reached, views = _cell(world)
     twice = Viewpoints(*(
@@ -156,7 +156,7 @@ def test_occlusion_of_samples_of_another_view_is_no_loss(monkeypatch: pytest.Mon
         lambda _w, at, _e=None: [Occluder("link_5", wall + (0.0 if at.tobytes() in shaded else 50.0), faces)],
     )  # fmt: skip
     arm = SelfOcclusion(M, both, twice, world, SCANNER)
-    # The second view keeps everything, so nothing that the first measures is lost to the plan.
+    # The second view keeps all samples, so the plan loses none of the first view.
     assert arm.update(np.array([0, 1]), q) is OcclusionUpdate.CLEAR
     shaded.add(q[1].tobytes())
     assert arm.update(np.array([0, 1]), q) is OcclusionUpdate.LESS_MEASURED
@@ -166,7 +166,7 @@ def test_occlusion_of_samples_of_another_view_is_no_loss(monkeypatch: pytest.Mon
 
 
 def test_coverage_with_the_arm_is_never_larger(monkeypatch: pytest.MonkeyPatch):
-    """It is equal if the arm is far away."""
+    """The coverage with the arm is at most that without, and equal if the arm is far away."""
     from cell.world.prediction import Prediction
 
     world = _world(mount=SIDEWAYS, housing={"bracket_diameter_mm": 0.0, "size_mm": [100.0, 60.0, 40.0]})

@@ -84,6 +84,6 @@ def test_depth_is_along_z_and_inclusive():
     ],
 )
 def test_invalid_values_are_refused(keys, words):
-    """One sentence with the key and the rule."""
+    """Each invalid value gives one sentence with the key and the rule."""
     with pytest.raises(SceneError, match=words):
         LaserArea(**keys)

@@ -30,7 +30,7 @@ def test_the_library_holds_real_sensors_generic_devices_and_the_papers_scanner()
 
 @pytest.mark.parametrize("name", sensors.names())
 def test_every_figure_has_its_source(name: str) -> None:
-    """Each figure and nothing else; the derived keys are those of the type."""
+    """Each figure of the file has a source, and no other figure has one. Derived keys are keys of the type."""
     sensor = sensors.load(name)
     assert set(sensor.source) == sensor.figures.model_fields_set
     assert all(sensor.source.values())
@@ -136,7 +136,7 @@ def test_all_problems_of_the_scanner_table_are_reported_at_once(scanner: dict, l
 
 
 def test_laser_area_has_no_keys_of_the_line_sensor() -> None:
-    """The default table passes none of them to the plug-in."""
+    """The default table passes no key of the line sensor to the plug-in."""
     settings = settle(Scene(), load_part("mseke", None)).settings
     assert "fan_deg" not in settings.scanner
     assert "sweep_steps" not in settings.scanner
@@ -158,7 +158,7 @@ def test_laser_area_has_no_keys_of_the_line_sensor() -> None:
     ],
 )
 def test_a_damaged_sensor_file_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
-    """With file, key and rule."""
+    """The message has the file, the key and the rule."""
     from cell.files import model_file
 
     text = model_file("sensors/gocator-2350.toml").read_text(encoding="utf-8")

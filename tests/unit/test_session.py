@@ -21,7 +21,7 @@ _ALONE = {
 
 
 def test_streams_that_meet_in_one_run_have_numbers_of_their_own() -> None:
-    """A plan or a batch of an exploration, and a scan; only commands without a plan share a number."""
+    """A plan, a batch of an exploration and a scan have different stream numbers. Commands without a plan share one."""
     members = Stream.__members__
     for names in (_PLAN, _SCAN):
         assert len({members[name].value for name in names}) == len(names)
@@ -40,7 +40,7 @@ def test_a_stream_is_seeded_by_the_run_and_its_number() -> None:
 
 
 def test_the_default_effort_is_that_of_the_block() -> None:
-    """Sessions take it when they are made."""
+    """A session takes the default effort at its creation."""
     before = default_effort()
     with effort_of(Effort(held_out_samples=10)):
         assert Session(None).effort.held_out_samples == 10
@@ -59,7 +59,7 @@ class _Folder:
 
 
 def test_a_stage_is_reported_and_recorded() -> None:
-    """The reporter hears of it with its progress, the folder keeps its name."""
+    """The reporter receives the stage with its progress, and the folder records its name."""
     heard: list[tuple[str, int, int]] = []
     session = Session(None, LoggedProgress(lambda *told: heard.append(told)))
     with session.stage("reach") as progress:

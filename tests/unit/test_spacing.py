@@ -89,7 +89,7 @@ def test_the_spacing_of_a_line_sensor_is_along_its_line_and_to_the_next_one(swee
 
 @pytest.mark.parametrize("limit_mm", [0.2, 0.5, 2.0])
 def test_the_limit_rejects_exactly_the_sparser_points(limit_mm: float) -> None:
-    """Among points that pass all other conditions."""
+    """The limit rejects exactly the sparser points among those that satisfy all other conditions."""
     points, normals = _planes(np.random.default_rng(3), 2000)
     for free, limited in (
         (AREA, LaserArea(**_keys(AREA), max_spacing_mm=limit_mm)),
@@ -112,7 +112,7 @@ def _keys(scanner: LaserArea | LaserLine) -> dict[str, object]:
 
 
 def test_a_surface_that_does_not_face_the_source_has_no_spacing() -> None:
-    """Behind the scanner, seen from behind, at a right angle."""
+    """Points behind the scanner, on a back face or at a right angle have no spacing."""
     points = np.array([[0, 0, -0.3], [0, 0, 0.3], [0, 0, 0.3]])
     normals = np.array([[0, 0, 1.0], [0, 0, 1.0], [1.0, 0, 0]])
     assert np.isinf(AREA.spacing(points, normals)).all()

@@ -30,13 +30,13 @@ _EVIL = "<script>alert(1)</script>"
 
 @pytest.fixture(scope="module")
 def run(planned: Path) -> Run:
-    """The finished plan."""
+    """Return the finished plan."""
     return open_run(planned)
 
 
 @pytest.fixture(scope="module")
 def page(planned: Path) -> str:
-    """The page of the plan."""
+    """Return the page of the plan."""
     return (planned / "view.html").read_text(encoding="utf-8")
 
 
@@ -108,7 +108,7 @@ def test_the_chain_of_the_page_agrees_with_the_kinematics(run: Run) -> None:
 
 
 def test_a_page_has_reproducible_bytes(run: Run) -> None:
-    """Two pages of one run are equal."""
+    """Two pages of one run have equal bytes."""
     assert contents.run_page(run) == contents.run_page(run)
 
 

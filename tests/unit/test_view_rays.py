@@ -48,7 +48,7 @@ def test_a_line_behind_a_surface_is_hidden() -> None:
     camera = rays.fit_camera(around, np.array([1.0, 0.0, 0.0]), (200, 200), parallel=True)
     drawn, seen = rays.render(
         camera, lambda o, d: (np.ones((len(o), 3)), caster.first_hit(o, d).distance)
-    )  # everything white
+    )  # all pixels are white
     stroke = np.array([[[0.0, -0.25, 0.0], [0.0, 0.25, 0.0]]])
     rays.draw_lines(drawn, seen, stroke, "#ff0000", width=3, hidden="#0000ff")
     row = np.asarray(drawn)[100].astype(int)
@@ -74,7 +74,7 @@ def test_labels_do_not_overlap() -> None:
 
 @pytest.fixture(scope="module")
 def shown(planned: Path) -> tuple[CellGeometry, TriangleMesh, np.ndarray, np.ndarray]:
-    """The planned cell, its part, the joint angles at a view, all views."""
+    """Return the planned cell, its part, the joint angles at a view, and all views."""
     run = open_run(planned)
     cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
     views = run.plan.views

@@ -85,7 +85,7 @@ def test_roll_turns_the_baseline_right_handed_about_the_view() -> None:
 
 
 def test_a_nearly_flat_top_does_not_scatter_its_baselines() -> None:
-    """Normals that miss z by float32 rounding all give a baseline along x, not one each by chance."""
+    """Normals that deviate from z by float32 rounding all give a baseline along x."""
     rng = np.random.default_rng(0)
     triangles = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]]) + rng.random((50, 1, 3))
     triangles[..., 2] += rng.normal(size=(50, 3)) * 1e-6

@@ -51,7 +51,7 @@ def test_counts_add_up_to_the_grid():
 
 
 def test_an_occluder_blocks_only_in_front():
-    """A small screen in front of the plate blocks the active ray; behind it changes nothing."""
+    """A small screen in front of the plate blocks the active ray; behind the plate it has no effect."""
     plate = _plate()
     free = scan(SCANNER, DOWN, _caster(plate), plate)
     behind = scan(SCANNER, DOWN, _caster(plate), plate, _caster(_plate(0.02, -0.1)))
@@ -67,7 +67,7 @@ def test_an_occluder_blocks_only_in_front():
 
 
 def test_range_and_back_faces_are_rejected_with_their_reason():
-    """A plate beyond the range, and a plate seen from behind."""
+    """A plate beyond the range and a plate seen from behind have their own codes."""
     for plate, reason in (
         (_plate(z=-0.2), Rejection.OUT_OF_RANGE),
         (TriangleMesh(_plate().vertices, _plate().faces[:, ::-1]), Rejection.GRAZING_SOURCE),
@@ -94,7 +94,7 @@ def test_with_no_baseline_the_sensor_sees_whatever_the_source_hits():
 
 
 def test_a_pose_that_is_no_rigid_motion_is_refused():
-    """A scaled pose would change distances unnoticed."""
+    """A scaled pose is refused, because it would change distances without notice."""
     plate = _plate()
     with pytest.raises(PlannerError, match="not a rigid motion"):
         scan(SCANNER, 2 * DOWN, _caster(plate), plate)

@@ -146,7 +146,7 @@ def test_the_grazing_angle_is_exact_and_the_smallest_sufficient_limit_is_that_an
 
 
 def test_the_verdict_of_the_robot_counts_only_if_the_scanner_would_measure() -> None:
-    """Other points have a reason of the scanner."""
+    """A point that the scanner cannot measure has a reason of the scanner, not of the robot."""
     x = np.array([0.0, 0.04])
     scanner = LaserArea(range_mm=(50, 900), fov_deg=(10, 10), baseline_mm=0)
     for fails in (Reason.OUT_OF_REACH, Reason.JOINT_LIMIT, Reason.COLLISION, Reason.NO_PATH):
@@ -180,7 +180,7 @@ def test_new_views_are_aimed_at_the_point_at_the_tilt_and_the_standoff() -> None
 
 
 def test_the_smaller_of_two_equally_good_changes_is_selected_first() -> None:
-    """From 90 % of the largest gain the kind decides, then the size; a change below 1 % is not selected."""
+    """Among changes above 90 % of the largest gain, kind and then size decide. A gain below 1 % is not selected."""
     kinds = [ChangeKind.GRAZING, ChangeKind.STANDOFF, ChangeKind.STANDOFF, ChangeKind.FOV]
     assert select_changes(np.array([1.0, 0.92, 0.95, 0.005]), kinds, [3, 0.1, 0.2, 10]) == [1, 0]
     assert select_changes(np.array([1.0, 0.5, 0.6, 0.3]), kinds, [3, 0.1, 0.2, 10]) == [0, 2, 3]

@@ -37,7 +37,7 @@ def test_a_list_of_faults_is_parsed() -> None:
              "drop=0.1,drop=0.2", "estop@-1", "estop@inf", "truncate=0.1:2", "delay=0.1:inf"],
 )  # fmt: skip
 def test_an_invalid_list_is_refused(text: str) -> None:
-    """With a message in one line."""
+    """An invalid list gives a message of one line."""
     with pytest.raises(DriverError, match=r"fault") as error:
         parse_faults(text)
     assert "\n" not in str(error.value)
@@ -45,7 +45,7 @@ def test_an_invalid_list_is_refused(text: str) -> None:
 
 @pytest.mark.parametrize("name", WIRE_FAULTS)
 def test_the_effect_of_each_fault_on_a_telegram(name: str) -> None:
-    """Lost, late, twice, after the next, changed, or shorter; without faults unchanged at once."""
+    """A telegram is lost, late, repeated, reordered, changed or cut. Without faults it is unchanged and immediate."""
     assert injector("").transmit("request", TELEGRAM) == [(0.0, TELEGRAM)]
     wire = injector(f"{name}=1")
     first = wire.transmit("request", TELEGRAM)
@@ -77,7 +77,7 @@ def test_a_held_telegram_is_released_once_if_none_follows() -> None:
 
 
 def test_equal_seeds_disturb_equal_telegrams() -> None:
-    """Another seed disturbs others."""
+    """Equal seeds disturb the same telegrams, and another seed disturbs others."""
     text = ",".join(f"{name}=0.2" for name in WIRE_FAULTS)
     runs = [[injector_.transmit("request", TELEGRAM) for _ in range(200)]
             for injector_ in (injector(text, 1), injector(text, 1), injector(text, 2))]  # fmt: skip
@@ -86,7 +86,7 @@ def test_equal_seeds_disturb_equal_telegrams() -> None:
 
 
 def test_a_fault_occurs_at_its_rate() -> None:
-    """Within five standard deviations over 20,000 telegrams."""
+    """The number of faults in 20,000 telegrams is within five standard deviations of its expectation."""
     wire = injector("drop=0.05")
     lost = Counter(not wire.transmit("request", TELEGRAM) for _ in range(20_000))[True]
     assert abs(lost - 1000) < 5 * np.sqrt(20_000 * 0.05 * 0.95)

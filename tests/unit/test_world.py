@@ -27,7 +27,7 @@ def _scene(**tables: object) -> Scene:
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> World:
-    """The built-in cell with one fixture of every kind and a turned part."""
+    """Return the built-in cell with one fixture of every kind and a turned part."""
     ring = tmp_path_factory.mktemp("fixtures") / "ring.stl"
     trimesh.creation.torus(100.0, 30.0).export(ring)
     fixtures = [
@@ -264,7 +264,7 @@ def test_the_arm_s_triangles_are_its_shapes_without_the_housing(world: World) ->
     ],
 )  # fmt: skip
 def test_an_impossible_scene_is_refused(tables: dict, words: list[str]) -> None:
-    """One sentence says what is wrong and what to change."""
+    """The message names the error and the required change."""
     world = compile_world(_scene(**tables), PART, baseline_mm=75.0)
     with pytest.raises(SceneError) as caught:
         require_feasible(world)
