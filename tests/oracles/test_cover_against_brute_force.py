@@ -23,12 +23,12 @@ from tests.support.cover_oracle import Selections, assert_bounded, assert_consis
 
 
 def subsets(columns: np.ndarray) -> list[np.ndarray]:
-    """All subsets of some columns."""
+    """Return all subsets of some columns."""
     return [columns[(k >> np.arange(len(columns))) & 1 > 0] for k in range(2 ** len(columns))]
 
 
 def reaches_optimum(problem: CoverProblem) -> bool:
-    """Whether `auto` and `exact` must prove the optimum."""
+    """Return whether `auto` and `exact` must prove the optimum."""
     several_targets = sum(share < 1 for share in problem.region_coverage) > 1
     hard_area = problem.max_views is not None and np.max(problem.demand, initial=1) > 1
     return problem.overlap is None and not several_targets and not hard_area
@@ -40,7 +40,7 @@ def reaches_optimum(problem: CoverProblem) -> bool:
 def test_no_selection_is_better_than_a_bound_and_no_cover_is_better_than_the_best(
     solver: str, problem: CoverProblem, effort: int, seed: int
 ) -> None:
-    """For every kind of problem, solver and budget; `auto` and `exact` find and prove the best with enough effort."""
+    """The bounds hold for every problem, solver and budget. `auto` and `exact` prove the optimum with enough effort."""
     effort = min(effort, 1_000_000) if solver == "meta-raps" else effort
     cover = solve(problem, rng=np.random.default_rng(seed), solver=solver, effort_budget=effort)
     assert_consistent(problem, cover)
@@ -51,7 +51,7 @@ def test_no_selection_is_better_than_a_bound_and_no_cover_is_better_than_the_bes
 @settings(max_examples=150)
 @given(problem=cover_problems(("overlap",), max_rows=16, max_columns=9), seed=st.integers(0, 9))
 def test_the_search_finds_the_fewest_connected_views(problem: CoverProblem, seed: int) -> None:
-    """The optimum is reached, and the graph is that of plain sums; otherwise no selection is connected."""
+    """The cover has the fewest connected views, or no selection is connected. The graph has the summed areas."""
     problem = replace(problem, costs=None)
     cover = solve(problem, rng=np.random.default_rng(seed), effort_budget=3_000_000)
     graph, selections = overlap_graph(problem, cover), Selections(problem)
@@ -76,7 +76,7 @@ def test_the_search_finds_the_fewest_connected_views(problem: CoverProblem, seed
 def test_the_curve_lies_between_a_selection_and_the_bound(
     problem: CoverProblem, effort: int, seed: int, with_known: bool
 ) -> None:
-    """At every number of views: the area of a selection, at most the largest area, at most the bound."""
+    """At every number of views: area of the selection <= largest area <= bound."""
     problem = replace(problem, demand=1, max_views=None, weights=None, matrix=np.asarray(problem.matrix) > 0)
     full = Selections(problem)
     known = solve(problem, rng=np.random.default_rng(0), effort_budget=10**6)
@@ -114,7 +114,7 @@ def test_the_curve_lies_between_a_selection_and_the_bound(
 
 @given(cover_problems(("cost", "area", "regions"), max_rows=25, max_columns=12), st.integers(0, 9))
 def test_a_start_that_meets_the_target_is_not_lost(problem: CoverProblem, seed: int) -> None:
-    """Without effort for a search the answer is no worse than the start, and its bounds hold."""
+    """Without effort the cover is no worse than the start, and its bounds hold."""
     rng = np.random.default_rng(seed)
     start = solve(problem, rng=rng, effort_budget=2_000_000).views
     cover = solve(problem, rng=rng, effort_budget=1, start=start)
@@ -151,7 +151,7 @@ def test_any_multipliers_give_a_bound(problem: CoverProblem, data: st.DataObject
 @settings(max_examples=100)
 @given(cover_problems(("cost",)))
 def test_reductions_keep_the_optimum(problem: CoverProblem) -> None:
-    """The cheapest cover of the reduced problem, lifted, is a cheapest cover; so is that of the solver."""
+    """The cheapest cover of the reduced problem, lifted, is a cheapest cover of the original."""
     instance = canonical_form(problem).residual
     reduction = reduce(instance, Budget(10**9))
     rest = reduction.instance
@@ -187,7 +187,7 @@ def test_the_tree_answers_each_number_of_views(problem: CoverProblem, seed: int)
 
 
 def ensembles(seed: int, members: int = 32) -> tuple[csr_array, ProbabilityLayer, np.ndarray]:
-    """A random matrix with hits of its entries, and areas."""
+    """Return a random matrix with hits of its entries, and areas."""
     rng = np.random.default_rng(seed)
     M = csr_array(rng.random((int(rng.integers(1, 12)), int(rng.integers(2, 10)))) < 0.5)
     hits = np.where(rng.random(M.nnz) < 0.4, members, rng.integers(0, members + 1, M.nnz))
@@ -197,7 +197,7 @@ def ensembles(seed: int, members: int = 32) -> tuple[csr_array, ProbabilityLayer
 @settings(max_examples=100)
 @given(st.integers(0, 10**6), st.sampled_from([0.2, 0.05, 0.001]), st.sampled_from([0.7, 1.0]), st.integers(0, 1))
 def test_the_fewest_views_at_a_confidence_are_found(seed: int, alpha: float, coverage: float, n_pinned: int) -> None:
-    """Against plain products of the probabilities that each view misses a sample."""
+    """The cover agrees with the products of the probabilities that each view misses a sample."""
     M, layer, areas = ensembles(seed)
     n_columns = M.shape[1]
     p = np.zeros(M.shape)
@@ -223,7 +223,7 @@ def test_the_fewest_views_at_a_confidence_are_found(seed: int, alpha: float, cov
 @settings(max_examples=100)
 @given(st.integers(0, 10**6), st.floats(0.001, 0.5), st.sampled_from([0, 300_000]))
 def test_the_confidence_holds_exactly_at_any_budget(seed: int, alpha: float, effort: int) -> None:
-    """A sample counts only if it is missed with at most alpha; loads are rounded down, never up."""
+    """A sample counts only if its miss probability is at most alpha, and loads are never rounded up."""
     M, layer, areas = ensembles(seed, 8)
     found = robust_cover(CoverProblem(M, areas), layer, alpha=alpha, rng=np.random.default_rng(0), effort_budget=effort)
     integer_loads = loads(layer, alpha, M.shape).toarray()

@@ -18,7 +18,7 @@ from planner.cover.tree import close_gap, search_by_number
 
 
 def medium(seed: int, n_rows: int = 120, n_columns: int = 90, density: float = 0.08) -> tuple[np.ndarray, np.ndarray]:
-    """A random instance that is easy for an integer programme; everything is coverable."""
+    """Return a random instance that is easy for an integer programme; everything is coverable."""
     rng = np.random.default_rng(seed)
     M = rng.random((n_rows, n_columns)) < density
     M[np.arange(n_rows), rng.integers(0, n_columns, n_rows)] = True
@@ -26,7 +26,7 @@ def medium(seed: int, n_rows: int = 120, n_columns: int = 90, density: float = 0
 
 
 def relaxed(M: np.ndarray, areas: np.ndarray, coverage: float) -> float:
-    """Optimum of the linear relaxation; rows larger than the slack must be covered."""
+    """Return the optimum of the linear relaxation; rows larger than the slack must be covered."""
     n_rows, n_columns = M.shape
     A = np.block([[-M.astype(float), -np.eye(n_rows)], [np.zeros(n_columns), areas]])
     costs = np.r_[np.ones(n_columns), np.zeros(n_rows)]
@@ -37,7 +37,7 @@ def relaxed(M: np.ndarray, areas: np.ndarray, coverage: float) -> float:
 
 @pytest.mark.parametrize("coverage", [0.8, 0.99, 1.0])
 def test_the_bound_is_the_linear_relaxation(coverage: float) -> None:
-    """Row generation reaches it within 1e-5, and never exceeds it."""
+    """Row generation reaches the relaxation within 1e-5 and never exceeds it."""
     for seed in range(2):
         M, areas = medium(seed)
         instance = canonical_form(CoverProblem(M, areas, coverage=coverage)).reduced
@@ -85,7 +85,7 @@ def test_the_fewest_views_are_those_of_an_integer_programme(solver: str) -> None
 
 
 def least(instance: CoverInstance) -> float:
-    """The smallest objective by an integer programme: number of columns, or uncovered units."""
+    """Return the smallest objective by an integer programme: number of columns, or uncovered units."""
     A = sp.hstack((instance.matrix(), sp.eye_array(instance.n_rows)))
     n, units = instance.n_columns, instance.units / instance.total_units
     columns, uncovered = np.repeat((1.0, 0.0), (n, instance.n_rows)), np.concatenate((np.zeros(n), units))
@@ -123,7 +123,7 @@ def test_the_tree_proves_that_nothing_is_below_the_optimum(seed: int, options: d
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_bound_on_areas_is_not_above_the_optimum(seed: int) -> None:
-    """Although better selections are found on the way; from the empty selection, with areas of 1e-12 to 1e6."""
+    """The bound holds from the empty selection and after improvements, with areas of 1e-12 to 1e6."""
     rng = np.random.default_rng(seed)
     M = rng.random((30, 9)) < rng.uniform(0.1, 0.3)
     areas = rng.uniform(0.5, 2.0, 30) if seed % 2 else 10.0 ** rng.uniform(-12, 6, 30)
@@ -138,7 +138,7 @@ def test_a_bound_on_areas_is_not_above_the_optimum(seed: int) -> None:
 
 
 def test_the_effort_of_a_tree_is_charged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Including that of the chunk in which it ends."""
+    """The effort includes that of the chunk in which the tree ends."""
     grow, efforts = tree.grow, []
 
     def counted(grown: tree.Tree, limit: int) -> int:

@@ -19,7 +19,7 @@ SEEDS = st.integers(0, 10**6)
 
 
 def draw(seed: int, n_groups: int, n_columns: int) -> CoverProblem:
-    """Columns of groups that each measure other rows; nine of ten are usable."""
+    """Return columns of groups that each measure different rows; nine of ten are usable."""
     rng = np.random.default_rng(seed)
     dense = [(rng.random((ROWS, n_columns)) < 0.3) & (rng.random(ROWS) < 0.6)[:, None] for _ in range(n_groups)]
     return CoverProblem(
@@ -31,7 +31,7 @@ def draw(seed: int, n_groups: int, n_columns: int) -> CoverProblem:
 
 
 def columns_of(problem: CoverProblem, cover: GroupedCover) -> Ints:
-    """The selected columns of all groups."""
+    """Return the selected columns of all groups."""
     group = np.asarray(problem.group)
     selected = [np.flatnonzero(group == number)[views] for number, views in cover.views.items()]
     return np.concatenate([np.zeros(0, np.int64), *selected])
@@ -40,7 +40,7 @@ def columns_of(problem: CoverProblem, cover: GroupedCover) -> Ints:
 def solved(
     problem: CoverProblem, targets: list[float], seed: int, **options: float | int | None
 ) -> tuple[GroupedCover, Selections]:
-    """The cover, checked against its own columns, and all selections with these targets."""
+    """Return the cover, checked against its own columns, and all selections with these targets."""
     cover = solve_grouped(problem, np.array(targets), np.random.default_rng(seed), **options)  # type: ignore[arg-type]
     stated = replace(problem, group_costs=None)
     if problem.max_views is None:
@@ -58,7 +58,7 @@ def solved(
 
 
 def best(selections: Selections, *values: np.ndarray) -> tuple[float, ...]:
-    """The lexicographically smallest values of a feasible selection."""
+    """Return the lexicographically smallest values of a feasible selection."""
     return min(tuple(float(value[k]) for value in values) for k in np.flatnonzero(selections.is_feasible))
 
 
@@ -67,7 +67,10 @@ def best(selections: Selections, *values: np.ndarray) -> tuple[float, ...]:
 def test_the_fewest_groups_and_then_the_fewest_views_are_proven(
     seed: int, target: float, demand: int, n_pinned: int
 ) -> None:
-    """Pinned views are selected; a row may need two views of any groups; and the fewest views with free groups."""
+    """The optimum is proven with pinned views and with a demand of two views.
+
+    The fewest views in any groups are found too.
+    """
     problem = replace(draw(seed, 3, 4), demand=demand)
     problem = replace(problem, pinned=np.flatnonzero(problem.allowed)[[1, -1][:n_pinned]].tolist())
     cover, selections = solved(problem, [target], 0)
@@ -83,7 +86,7 @@ def test_the_fewest_groups_and_then_the_fewest_views_are_proven(
 @settings(max_examples=25)
 @given(SEEDS)
 def test_costs_follow_groups_or_are_summed_with_theirs(seed: int) -> None:
-    """The cheapest views in the fewest groups; with a cost of groups the cheapest sum; no bound is above it."""
+    """The views are the cheapest in the fewest groups, or have the cheapest sum with a cost of groups. Bounds hold."""
     rng = np.random.default_rng(seed)
     problem = replace(draw(seed, 3, 4), costs=rng.integers(1, 9, 12).astype(float))
     for group_cost in (None, 6.0):
@@ -100,14 +103,14 @@ def test_costs_follow_groups_or_are_summed_with_theirs(seed: int) -> None:
     found, alone = covers.best_of(choices, np.empty(0, np.int64), is_complete=is_complete, fast=False)
     assert (
         alone.cost <= best(selections, selections.n_groups, selections.cost)[1] + 1e-9
-    )  # not limited to what was found
+    )  # not limited by the found cost
     assert covers.with_group_costs(found, 6.0, fewest, 1.0)[1].cost <= best(selections, total)[0] + 1e-9
 
 
 @settings(max_examples=25)
 @given(SEEDS)
 def test_the_most_area_of_a_number_of_views(seed: int) -> None:
-    """In as few groups as could meet the target with all their views; the bound is not lower."""
+    """The area is the largest in as few groups as could meet the target, and the bound equals it."""
     problem = replace(draw(seed, 4, 3), max_views=3)
     cover, selections = solved(problem, [0.8], 0)
     count, choices, _ = fewest_groups(GroupLoads(problem, np.array([0.8])), (), None)
@@ -122,7 +125,7 @@ def test_the_most_area_of_a_number_of_views(seed: int) -> None:
 @settings(max_examples=25)
 @given(SEEDS)
 def test_regions_have_targets_of_their_own(seed: int) -> None:
-    """All of one region and half of the other, in the fewest groups."""
+    """All of one region and half of the other are covered in the fewest groups."""
     problem = replace(draw(seed, 3, 4), region=np.arange(ROWS) % 2)
     cover, selections = solved(problem, [1.0, 0.5], 0)
     n_groups, n_views = best(selections, selections.n_groups, selections.size)
@@ -132,7 +135,7 @@ def test_regions_have_targets_of_their_own(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_views_of_all_groups_are_connected(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The overlap graph may connect views of different groups; no bound is above the best."""
+    """The overlap graph may connect views of different groups, and no bound is above the optimum."""
     monkeypatch.setattr(grouped, "DEFAULT_EFFORT", grouped.DEFAULT_EFFORT // 10)  # for twelve columns
     monkeypatch.setattr(grouped, "N_THOROUGH", 1)  # so that all choices are bounded together
     problem = replace(draw(160 + seed, 3, 4), overlap=Overlap(area=0.5))
@@ -147,7 +150,10 @@ def test_views_of_all_groups_are_connected(seed: int, monkeypatch: pytest.Monkey
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("n_covered", [1, 100])
 def test_many_choices_are_bounded_together(seed: int, n_covered: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The number of groups stays exact and the bound on views valid; with all choices covered, views are the fewest."""
+    """The number of groups is exact and the bound on views is valid.
+
+    With all choices covered, the views are the fewest.
+    """
     monkeypatch.setattr(grouped, "N_COVERED", 1)
     monkeypatch.setattr(grouped, "N_COVERED_MORE", n_covered)
     cover, selections = solved(draw(100 + seed, 4, 3), [0.75], 0)
@@ -173,7 +179,7 @@ def test_more_choices_than_can_be_enumerated(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_share_counts_weights(seed: int) -> None:
-    """If rows have weights in place of their areas."""
+    """The share is that of the weights if rows have weights in place of their areas."""
     problem = draw(seed, 3, 4)
     weights = np.asarray(problem.areas) * np.where(np.arange(ROWS) % 2, 5.0, 1.0)
     cover, selections = solved(replace(problem, weights=weights), [0.8], 0)
@@ -182,7 +188,7 @@ def test_the_share_counts_weights(seed: int) -> None:
 
 
 def test_one_group_covers_what_it_can() -> None:
-    """If the target needs more groups than are allowed, the one that can measure most is covered."""
+    """If the target needs more groups than allowed, the group with the largest area is covered."""
     cover, selections = solved(draw(1, 3, 4), [1.0], 0, max_groups=1)
     alone = selections.n_groups == 1
     assert len(cover.views) == 1
@@ -192,7 +198,7 @@ def test_one_group_covers_what_it_can() -> None:
 
 @pytest.mark.parametrize("required", [(), (3,)])
 def test_the_choices_of_groups_are_complete(required: tuple[int, ...]) -> None:
-    """All subsets of the smallest size that reach the area and contain the required groups, and only those."""
+    """The choices are exactly the smallest subsets that reach the area and contain the required groups."""
     rng = np.random.default_rng(5)
     measurable, areas = rng.random((7, 60)) < 0.45, rng.random(60)
     problem = CoverProblem(csc_array(measurable.T), areas, allowed=np.ones(7, dtype=bool), group=np.arange(7))

@@ -47,7 +47,7 @@ def _looking_down(world: World, depth: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def buckets() -> dict[str, World]:
-    """A deep bucket as hull and as triangles."""
+    """Return a deep bucket as hull and as triangles."""
     return {collision: _world(_bucket(), collision) for collision in FIDELITIES}
 
 
@@ -81,7 +81,7 @@ def test_distances_grow_from_hull_to_triangles(buckets: dict[str, World]) -> Non
 
 
 def test_free_contacts_and_distance_agree_with_triangles(buckets: dict[str, World]) -> None:
-    """As with hulls; the order of queries changes nothing."""
+    """The three results agree as with hulls, and the order of queries has no effect."""
     world = buckets["exact"]
     checker = MujocoCollisionChecker(world)
     rng = np.random.default_rng(1)
@@ -184,7 +184,7 @@ def test_vertices_alone_are_taken_as_their_hull() -> None:
 
 
 def test_a_fidelity_that_does_not_exist_is_named() -> None:
-    """With the valid ones; a part without a finite vertex is refused before its triangles are used."""
+    """The message has the valid ones. A part without a finite vertex is refused before its triangles are used."""
     with pytest.raises(ValueError, match="'hull' or 'exact'"):
         Scene.model_validate({"plan": {"collision": "convex"}})
     with pytest.raises(SceneError, match="no finite vertices"):

@@ -20,7 +20,7 @@ from tests.support.cover_oracle import assert_consistent
 
 @pytest.fixture(params=list(SOLVERS))
 def solver(request: pytest.FixtureRequest) -> str:
-    """Each solver by name."""
+    """Return each solver by name."""
     return str(request.param)
 
 
@@ -35,19 +35,19 @@ def run(
 
 
 def draw(M: Any, areas: Any, *, known: Any = (), effort: int = 20_000_000, **options: Any) -> CoverageCurve:
-    """The curve with a fresh generator and the tests' budget."""
+    """Return the curve with a fresh generator and the tests' budget."""
     problem, rng = CoverProblem(M, areas, **options), np.random.default_rng(0)
     return coverage_curve(problem, rng=rng, known_selections=known, effort_budget=effort)
 
 
 def connected(M: Any, areas: Any, overlap: Overlap, **options: Any) -> tuple[Cover, OverlapGraph]:
-    """A connected cover and its graph."""
+    """Return a connected cover and its graph."""
     cover = run(M, areas, overlap=overlap, effort=2_000_000, **options)
     return cover, overlap_graph(CoverProblem(M, areas, overlap=overlap, **options), cover)
 
 
 def robust(M: Any, hits: Any, *, alpha: float = 0.05, effort: int = 2_000_000, **options: Any) -> RobustCover:
-    """A robust cover of a dense matrix with hits of 32 of its entries."""
+    """Return a robust cover of a dense matrix whose entries have hits out of 32."""
     matrix = csr_array(np.asarray(M, dtype=bool))
     layer = ProbabilityLayer(matrix.indptr, matrix.indices, np.broadcast_to(hits, matrix.nnz), 32)
     problem = CoverProblem(matrix, np.ones(len(M)), **options)
@@ -62,7 +62,7 @@ def robust(M: Any, hits: Any, *, alpha: float = 0.05, effort: int = 2_000_000, *
     "options", [{}, {"max_views": 3}, {"overlap": Overlap(area=1.0)}], ids=["full", "area", "overlap"]
 )
 def test_an_empty_matrix_is_answered_by_no_view(solver: str, shape: tuple[int, int], options: dict[str, Any]) -> None:
-    """No rows, no columns or no entries: a status, all area uncoverable; no exception."""
+    """Without rows, columns or entries the status is NOTHING_COVERABLE, and no exception is raised."""
     M = sp.csr_array(shape, dtype=bool)
     cover = run(M, np.ones(shape[0]), solver, **options)
     assert cover.status is CoverStatus.NOTHING_COVERABLE
@@ -77,21 +77,21 @@ def test_an_empty_matrix_is_answered_by_no_view(solver: str, shape: tuple[int, i
 
 
 def test_without_an_allowed_column_nothing_is_coverable(solver: str) -> None:
-    """Nothing is reachable."""
+    """Without an allowed column the status is NOTHING_COVERABLE."""
     cover = run(np.ones((4, 3), dtype=bool), np.ones(4), solver, allowed=np.zeros(3, dtype=bool))
     assert cover.status is CoverStatus.NOTHING_COVERABLE
 
 
 @pytest.mark.parametrize(("coverage", "n_views"), [(0.0, 0), (5e-324, 1), (float(np.nextafter(1.0, 0.0)), 10)])
 def test_extreme_targets(solver: str, coverage: float, n_views: int) -> None:
-    """No view for 0, one for the smallest positive target, every row of weight for one ulp below full coverage."""
+    """A target of 0 needs no view, the smallest positive target one, and one ulp below full coverage every row."""
     is_minimal = coverage != 5e-324  # below the tolerance of the check
     cover = run(np.eye(10, dtype=bool), np.full(10, 0.1), solver, coverage=coverage, is_minimal=is_minimal)
     assert (len(cover.views), cover.lower_bound, cover.status) == (n_views, n_views, CoverStatus.PROVEN)
 
 
 def test_a_share_of_equal_areas_is_exact() -> None:
-    """P % of 100 equal rows are p rows, whichever way the float p / 100 is rounded; a bit more is one row more."""
+    """P % of 100 equal rows are p rows for any rounding of p / 100. A slightly larger share is one row more."""
     for percent in range(1, 100):
         M, areas = np.eye(100, dtype=bool), np.full(100, 0.1)
         assert len(run(M, areas, "greedy", coverage=percent / 100, effort=0).views) == percent
@@ -125,7 +125,7 @@ def test_areas_near_the_largest_float_do_not_overflow() -> None:
 
 
 def test_costs_over_eighteen_decades(solver: str) -> None:
-    """The cheapest columns cover, and the bound holds."""
+    """The cheapest columns are selected, and the bound holds."""
     M = np.vstack((np.eye(12, dtype=bool), np.ones((1, 12), dtype=bool)))
     M = np.hstack((M, M))
     costs = np.concatenate((np.geomspace(1e-12, 1e6, 12), np.geomspace(2e-12, 2e6, 12)))
@@ -144,7 +144,7 @@ def test_costs_far_below_their_rounding_give_no_false_bound(solver: str) -> None
 
 
 def test_columns_whose_areas_sum_beyond_an_int64() -> None:
-    """Nine thousand columns that each cover half of all: two are enough, and no bound says more."""
+    """Of 9,000 columns that each cover half, two suffice, and the bound is 2."""
     rng = np.random.default_rng(0)
     M = np.argsort(rng.random((80, 9000)), axis=0) < 40
     M[:, 4001] = ~M[:, 17]
@@ -153,7 +153,7 @@ def test_columns_whose_areas_sum_beyond_an_int64() -> None:
 
 
 def test_as_many_views_as_rows_are_ordered_quickly() -> None:
-    """Each row has its own column: nothing to search, and the order of many views takes no seconds."""
+    """Each row has its own column, and the order of 4,000 views is found within 5 s."""
     start = time.process_time()
     problem = CoverProblem(sp.eye_array(4000, format="csc").astype(bool), np.arange(4000.0))
     cover = solve(problem, rng=np.random.default_rng(0))
@@ -163,7 +163,7 @@ def test_as_many_views_as_rows_are_ordered_quickly() -> None:
 
 
 def test_identical_columns_give_the_first_and_identical_rows_change_only_areas(solver: str) -> None:
-    """Also if there are a thousand copies of each row."""
+    """Of identical columns the first is selected. A thousand copies of each row change only the areas."""
     block = np.eye(4, dtype=bool)
     assert sorted(run(np.hstack((block, block, block)), np.ones(4), solver).views) == [0, 1, 2, 3]
     M = np.random.default_rng(5).random((8, 6)) < 0.4
@@ -174,7 +174,7 @@ def test_identical_columns_give_the_first_and_identical_rows_change_only_areas(s
 
 
 def test_a_demand_beyond_all_columns_takes_every_useful_column(solver: str) -> None:
-    """It is reported, not refused."""
+    """The unsatisfiable rows are reported, and every useful column is selected."""
     M = np.random.default_rng(2).random((20, 8)) < 0.4
     M[:, 7] = False
     cover = run(M, np.ones(20), solver, demand=2**70)
@@ -185,7 +185,7 @@ def test_a_demand_beyond_all_columns_takes_every_useful_column(solver: str) -> N
 
 @pytest.mark.parametrize("demand", [1, 2])
 def test_any_numbering_of_a_ring_gives_as_many_views(solver: str, demand: int) -> None:
-    """A ring in which every column looks like every other."""
+    """The number of views of a symmetric ring is independent of its numbering, except for greedy solvers."""
     n = 12
     ring = sum(np.roll(np.eye(n, dtype=int), k, axis=1) for k in range(3)).astype(bool)
     sizes = set()
@@ -196,7 +196,7 @@ def test_any_numbering_of_a_ring_gives_as_many_views(solver: str, demand: int) -
 
 
 def steiner_triples(points: int) -> np.ndarray:
-    """Bose's construction of a Steiner triple system on 6n + 3 points."""
+    """Return a Steiner triple system on 6n + 3 points by Bose's construction."""
     n = points // 3
     half = (n + 1) // 2
     triples = [(x, n + x, 2 * n + x) for x in range(n)]
@@ -239,7 +239,7 @@ def test_search_beats_greedy_where_greedy_fails() -> None:
 
 
 def test_meta_raps_improves_on_greedy() -> None:
-    """It finds shorter covers than greedy on most of ten random instances."""
+    """Meta-RaPS finds smaller covers than greedy on at least seven of ten random instances."""
     better = 0
     for seed in range(10):
         M = np.random.default_rng(seed).random((100, 100)) < 0.08
@@ -249,7 +249,7 @@ def test_meta_raps_improves_on_greedy() -> None:
 
 
 def test_a_last_column_that_loses_all_its_rows(solver: str) -> None:
-    """Rows that contain others are dropped, and with them all rows of the last column."""
+    """Dominated rows are dropped, including all rows of the last column, and the bound holds."""
     rows = ["010110", "100111", "010100", "111001", "000101", "110011"]
     M = np.array([[int(digit) for digit in row] for row in rows], dtype=bool)
     cover = run(sp.csr_array(M), np.ones(6), solver)
@@ -260,7 +260,7 @@ def test_a_last_column_that_loses_all_its_rows(solver: str) -> None:
 
 
 def test_pinned_views_that_measure_nothing_stay(solver: str) -> None:
-    """At the end of the views; they count in the bound, and take one of the `max_views` places."""
+    """Such views are the last ones, count in the bound and use one of the `max_views` places."""
     cover = run(np.eye(3, 4, dtype=bool), np.ones(3), solver, pinned=[3])
     assert (cover.views[-1], len(cover.views), cover.lower_bound) == (3, 4, 4)
     M = np.array([[0, 1, 0], [0, 0, 1]], dtype=bool)
@@ -282,14 +282,14 @@ def test_pinned_views_that_measure_nothing_stay(solver: str) -> None:
     ids=["none", "more than columns", "one too few", "identical columns", "only pinned", "no view is enough alone"],
 )
 def test_maximum_coverage_of_simple_matrices(M: Any, areas: Any, options: dict[str, Any], views: list[int]) -> None:
-    """Proven, without a view that adds nothing."""
+    """The optimum is proven without a view that adds no area."""
     cover = run(np.array(M, dtype=bool), np.array(areas), **options)
     assert sorted(cover.views.tolist()) == views
     assert cover.status is CoverStatus.PROVEN
 
 
 def test_a_known_plan_is_on_the_curve_and_ends_it() -> None:
-    """Without effort little is found; the known plan is a point all the same."""
+    """Without effort the known plan is the last point of the curve."""
     M = np.random.default_rng(1).random((80, 30)) < 0.15
     M = M[M.any(axis=1)]
     full = draw(M, np.ones(len(M))).views[-1]
@@ -306,14 +306,14 @@ def test_a_known_plan_is_on_the_curve_and_ends_it() -> None:
 
 
 def islands() -> np.ndarray:
-    """Two pairs of columns that overlap; the pairs share nothing."""
+    """Return two pairs of overlapping columns; the pairs have no common row."""
     M = np.zeros((10, 4), dtype=bool)
     M[:4, 0] = M[3:7, 1] = M[7:9, 2] = M[8:, 3] = True
     return M
 
 
 def test_two_islands_cannot_be_connected() -> None:
-    """The answer covers everything; each component is connected, and the sentence names the largest."""
+    """The cover is complete, each component is connected, and the message names the largest."""
     cover, graph = connected(islands(), np.ones(10), Overlap(area=1.0))
     assert not graph.is_connected
     assert sorted(cover.views.tolist()) == [0, 1, 2, 3]
@@ -329,7 +329,7 @@ def test_two_islands_cannot_be_connected() -> None:
 
 
 def test_a_view_is_exchanged_where_adding_alone_would_cost_more() -> None:
-    """Two far views cover all; connected by a chain they need three more. Two others cover as much and overlap."""
+    """Connecting two distant views needs three more, and two other views cover as much and overlap."""
     M = np.zeros((12, 7), dtype=bool)
     M[:6, 0] = M[6:, 1] = M[:7, 2] = M[6:, 3] = True
     M[3:5, 4] = M[4:8, 5] = M[7:9, 6] = True
@@ -346,8 +346,8 @@ def test_no_view_and_one_view_are_connected(coverage: float) -> None:
 
 
 def test_a_pinned_view_that_measures_nothing_does_not_end_the_search_early() -> None:
-    """It counts in the bound, but not among the columns that are searched."""
-    for seed in (48, 98, 117):  # where the last view less must be searched for
+    """The pinned view counts in the bound and not in the number of searched columns."""
+    for seed in (48, 98, 117):  # instances that need a search to save the last view
         M = np.random.default_rng(seed).random((30, 16)) < 0.25
         M[:, 15] = False
         without, _ = connected(M, np.ones(30), Overlap(area=2.0))
@@ -359,7 +359,7 @@ def test_a_pinned_view_that_measures_nothing_does_not_end_the_search_early() -> 
 
 
 def test_simple_robust_covers() -> None:
-    """One view of 32 hits in 32 gives 98.5 %: enough for 95 %, not for 99 %; two are. Pins and bans hold."""
+    """One view with 32 hits of 32 gives 98.5 %, so 99 % needs two views. Pinned and banned views are obeyed."""
     assert len(robust(np.ones((1, 1)), 32).cover.views) == 1
     assert robust(np.ones((1, 1)), 32, alpha=0.01).robust_coverable_area == 0.0
     assert len(robust(np.ones((1, 2)), 32, alpha=0.01).cover.views) == 2
@@ -374,7 +374,7 @@ def test_simple_robust_covers() -> None:
 
 
 def test_exact_poses_are_the_plain_cover() -> None:
-    """A layer without ensemble gives the cover of `solve`, to the bit."""
+    """A layer without ensemble gives exactly the cover of `solve`."""
     M = np.random.default_rng(3).random((40, 20)) < 0.2
     matrix = csr_array(M)
     layer = ProbabilityLayer(matrix.indptr, matrix.indices, np.zeros(matrix.nnz, dtype=int), 0)
@@ -402,7 +402,7 @@ def test_the_confidence_holds_in_a_simulation() -> None:
 
 
 def test_loads_are_rounded_down_and_limited_to_the_demand() -> None:
-    """None is above its logarithm, and p = 1 - alpha alone is enough."""
+    """No load is above its logarithm, and p = 1 - alpha gives the full demand."""
     M = csr_array(np.ones((1, 33), dtype=bool))
     layer = ProbabilityLayer(M.indptr, M.indices, np.arange(33), 32)
     integers = loads(layer, 0.05, (1, 33)).toarray()[0]
@@ -416,7 +416,7 @@ def test_loads_are_rounded_down_and_limited_to_the_demand() -> None:
 
 
 def test_weights_decide_and_areas_are_reported() -> None:
-    """The bound on the cost is that of the weighted problem; the areas of the answer are the rows' own."""
+    """The optimum of the weighted problem is proven, and the result has the areas of the rows."""
     rng = np.random.default_rng(5)
     M, areas, costs = rng.random((14, 8)) < 0.35, rng.uniform(0.5, 2.0, 14), rng.uniform(1.0, 5.0, 8)
     cover = run(M, areas, weights=areas**2, costs=costs, coverage=0.9)
@@ -425,7 +425,7 @@ def test_weights_decide_and_areas_are_reported() -> None:
 
 
 def test_a_start_that_is_not_usable_is_not_taken_for_regions() -> None:
-    """With a banned view, with one that is not allowed, without a pinned one: each would be cheaper."""
+    """A start with a banned view, with a view that is not allowed or without a pinned view is not used."""
     M = np.ones((4, 3), dtype=bool)
     M[:2, 1] = M[2:, 2] = False
     options: dict[str, Any]
@@ -473,7 +473,7 @@ def test_a_start_that_is_not_usable_is_not_taken_for_regions() -> None:
     ],
 )  # fmt: skip
 def test_invalid_input_is_refused(options: dict[str, Any], words: str) -> None:
-    """Each message names the value and what is valid."""
+    """Each message names the value and the valid values."""
     of_solve = {key: options[key] for key in ("solver", "effort_budget", "time_limit_s") if key in options}
     fields = {"matrix": np.eye(2, dtype=bool), "areas": np.ones(2)} | options
     problem = CoverProblem(**{key: value for key, value in fields.items() if key not in of_solve})
@@ -485,13 +485,13 @@ def test_invalid_input_is_refused(options: dict[str, Any], words: str) -> None:
     "options", [{}, {"area": 1.0, "share": 0.5}, {"area": 0.0}, {"area": np.inf}, {"share": 0.0}, {"share": 1.1}]
 )
 def test_invalid_overlaps_are_refused(options: dict[str, float]) -> None:
-    """Neither or both, none, infinite, more than all."""
+    """An overlap needs either a finite positive area or a share above 0 and up to 1."""
     with pytest.raises(PlannerError, match="overlap"):
         Overlap(**options)
 
 
 @pytest.mark.parametrize("alpha", [0.0, 1.0, -0.1, 2.0, np.nan])
 def test_invalid_confidences_are_refused(alpha: float) -> None:
-    """With pose errors nothing is certain, and a miss that is always allowed is no requirement."""
+    """Alpha must be above 0 and below 1."""
     with pytest.raises(PlannerError, match="alpha"):
         robust(np.eye(3, dtype=bool), 32, alpha=alpha)

@@ -117,7 +117,7 @@ def test_a_clock_that_jumps_a_year_ahead_ends_the_move() -> None:
 
 @pytest.mark.parametrize("now", [float("nan"), float("inf")])
 def test_a_clock_without_a_finite_time_is_refused(now: float) -> None:
-    """NaN and infinity."""
+    """NaN and infinity are refused."""
     clock = SetClock()
     arm = make_controller(clock)
     clock.set(now)
@@ -139,7 +139,7 @@ def test_the_sequence_wraps_without_zero() -> None:
 
 @pytest.mark.parametrize("number", [0, 1, 40_000, LAST_SEQUENCE, LAST_SEQUENCE + 1, -3])
 def test_a_stop_with_any_number_stops_the_arm(number: int) -> None:
-    """Used, stale or invalid numbers; the answer may still be a refusal."""
+    """A stop with a used, stale or invalid number stops the arm; its answer may still be a refusal."""
     clock = SimulatedClock()
     arm = make_controller(clock)
     arm.command(1, Move(turned(90.0), 1.0))
@@ -294,7 +294,7 @@ def test_a_plant_that_stays_broken_stays_a_fault() -> None:
 
 
 def test_an_arm_outside_the_limits_is_refused() -> None:
-    """By one count, at the start."""
+    """A start one count outside the limits is refused."""
     outside = HOME.copy()
     outside[1] = KR16.upper[1] + 1
     with pytest.raises(DriverError, match="outside the controller's limits"):

@@ -22,7 +22,7 @@ OFFSETS = (0.0, 1e-16, 1e-14, 1e-12, 1e-10, 1e-9, 1e-8, 1e-7)
 
 @pytest.fixture(scope="module")
 def kinematics():
-    """Kinematics of models/kr16.xml."""
+    """Return the kinematics of models/kr16.xml."""
     return kr16_kinematics()
 
 

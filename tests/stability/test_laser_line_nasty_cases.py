@@ -47,7 +47,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_measured_share_of_a_ball(case: str) -> None:
-    """No crash, no NaN, and the share that geometry allows."""
+    """The measured share is within its geometric limits, without NaN or an error."""
     keys, least, most = CASES[case]
     scanner = LaserLine(**{"fan_deg": 30, "baseline_mm": 75, "range_mm": (150, 450), **keys})
     samples, caster = _ball()
@@ -67,7 +67,7 @@ def test_sensor_inside_the_part_measures_nothing() -> None:
 
 
 def test_no_points_have_no_codes() -> None:
-    """An empty batch is valid."""
+    """An empty batch gives no codes."""
     for keys in ({"sweep_mm": 10}, {"sweep_deg": 10}):
         scanner = LaserLine(**keys)
         assert scanner.reject(np.empty((0, 3)), np.empty((0, 3))).shape == (0,)
@@ -98,7 +98,7 @@ def test_a_part_ten_metres_from_the_origin_is_measured_alike() -> None:
 
 
 def test_a_sweep_of_a_sweep_is_refused() -> None:
-    """Columns cannot be swept once more."""
+    """Columns of a sweep cannot be swept again."""
     scanner = LaserLine(sweep_mm=10)
     with pytest.raises(PlannerError, match="8 poses each"):
         sweep_columns(scanner, sweep_columns(scanner, _views()))

@@ -73,7 +73,7 @@ def at(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
 
 
 def motion_over(views: list[np.ndarray], checker: Boxes, **arguments: object) -> Tour:
-    """Plan over views given by their configurations."""
+    """Plan a motion over views given by their configurations."""
     poses = np.tile(np.eye(4), (len(views), 1, 1))
     for pose, q in zip(poses, views, strict=True):
         pose[:3, 3] = q[0, :3] if len(q) else 0.0
@@ -81,7 +81,7 @@ def motion_over(views: list[np.ndarray], checker: Boxes, **arguments: object) ->
 
 
 def test_both_ends_equal() -> None:
-    """A path from a configuration to itself is that configuration twice and takes no time."""
+    """A path from a configuration to itself has this configuration twice and takes no time."""
     found = connect(at(1), at(1), Boxes(), LIMITS, rng())
     assert found.status is PathStatus.STRAIGHT
     assert found.via.shape == (2, 6)
@@ -174,7 +174,7 @@ def test_no_view() -> None:
 
 
 def test_one_view() -> None:
-    """There and back."""
+    """The motion goes from home to the view and back."""
     tour = motion_over([at(1)[None]], Boxes())
     np.testing.assert_array_equal(tour.via, [HOME, at(1), HOME])
     np.testing.assert_array_equal(tour.view, [-1, 0, -1])
@@ -192,7 +192,7 @@ def test_a_view_at_home_and_duplicates() -> None:
 
 
 def test_home_in_collision() -> None:
-    """There is no motion; the status says so, with the blocker of home, and every view is reported."""
+    """The motion is empty, the status names the blocker of home, and every view is reported."""
     tour = motion_over([at(1)[None], at(2)[None]], Boxes(box(x=(-0.1, 0.1))))
     assert tour.status is TourStatus.HOME_IN_COLLISION
     assert tour.home_blocker == "tool with box 0"
@@ -201,7 +201,10 @@ def test_home_in_collision() -> None:
 
 
 def test_views_that_cannot_be_visited_are_dropped_with_their_reasons() -> None:
-    """No configuration, all in collision, all behind a wall: three reasons; the tour over the others is complete."""
+    """Views without configuration, in collision or behind a wall have their own reasons.
+
+    The tour over the others is complete.
+    """
     wall = Boxes(box(x=(1.5, 1.6)))
     views = [
         np.zeros((0, 6)),
@@ -222,7 +225,7 @@ def test_views_that_cannot_be_visited_are_dropped_with_their_reasons() -> None:
 
 
 def test_another_branch_is_taken_where_one_is_walled_off() -> None:
-    """A view with one configuration behind the wall and one before it is visited with the latter."""
+    """A view with one configuration behind the wall and one in front of it is visited with the second."""
     tour = motion_over([np.array([at(2.0), at(-1.4)])], Boxes(box(x=(1.5, 1.6))), budget=MotionBudget(path_checks=3000))
     assert tour.status is TourStatus.COMPLETE
     assert tour.choice.tolist() == [1]

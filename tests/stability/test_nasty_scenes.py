@@ -81,14 +81,14 @@ def test_a_part_of_five_metres_at_the_default_place_is_refused() -> None:
     "vertices", [np.zeros((0, 3)), np.full((4, 3), np.nan), np.full((4, 3), np.inf), np.zeros((4, 2))]
 )
 def test_invalid_vertices_are_refused(vertices: np.ndarray) -> None:
-    """No vertices, or vertices that are not finite."""
+    """A part without vertices and vertices that are not finite are refused."""
     with pytest.raises(SceneError, match="no finite vertices"):
         collision_hull(vertices, "part")
 
 
 @pytest.mark.parametrize("depth_mm", [-0.001, 0.0, 0.001, 30.0])
 def test_a_fixture_may_touch_or_enter_the_part(depth_mm: float) -> None:
-    """Clamps touch parts: such a scene compiles, and only the robot has to keep clear."""
+    """Clamps may touch parts: such a scene compiles, and only the robot has a clearance."""
     fixture = {"name": "clamp", "shape": "box", "size_mm": [50, 50, 50], "attached_to": "object",
                "position_mm": [0, 0, 125 - depth_mm]}  # fmt: skip
     table = {"name": "table", "shape": "box", "size_mm": [300, 300, 20], "position_mm": [1200, 500, -110 + depth_mm]}
@@ -157,7 +157,7 @@ def test_an_invalid_fixture_mesh_is_refused(tmp_path: Path, name: str, content: 
 
 
 def test_a_flat_fixture_mesh_collides(tmp_path: Path) -> None:
-    """A sheet of metal as a mesh without thickness is an obstacle all the same."""
+    """A mesh without thickness is still an obstacle."""
     sheet = trimesh.Trimesh([[0, -500, -500], [0, 500, -500], [0, 500, 500], [0, -500, 500]], [[0, 1, 2], [0, 2, 3]])
     path = tmp_path / "sheet.ply"
     sheet.export(path)

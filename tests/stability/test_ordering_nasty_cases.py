@@ -111,7 +111,7 @@ def test_views_all_in_one_place_cost_nothing_more(n: int) -> None:
 
 @pytest.mark.parametrize("n", [5, 40])
 def test_views_all_at_home_cost_nothing(n: int) -> None:
-    """Every cost is 0; so are duration and bound."""
+    """All costs, the duration and the bound are 0."""
     found = ordered([HOME[None]] * n)
     assert (found.duration, found.lower_bound, found.status) == (0.0, 0.0, OrderStatus.OPTIMAL)
 
@@ -180,7 +180,7 @@ def test_every_move_but_one_tour_forbidden(n: int) -> None:
 
 @pytest.mark.parametrize("n", [0, 1])
 def test_no_view_and_one_view(n: int) -> None:
-    """Nothing to order: home and back."""
+    """The order goes from home to home, over the view if there is one."""
     found = ordered([degrees(10, 0, 0, 0, 0, 0)] * n)
     assert len(found.order) == n
     assert found.lower_bound == found.duration == n * found.duration

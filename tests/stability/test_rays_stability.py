@@ -169,7 +169,7 @@ def test_a_scanner_of_one_ray_measures_the_point_ahead():
 
 
 def test_a_source_inside_the_part_measures_nothing():
-    """Seen from within, every face is seen from behind."""
+    """From inside, every face is seen from behind."""
     part = _box((0.4, 0.4, 0.4))
     features = draw_samples(part, part, 500, np.random.default_rng(0))
     T = _pose([0.01, 0, -0.1], [0, 0, 0.2])

@@ -25,7 +25,7 @@ NO_SURFACE = {
 
 @pytest.mark.parametrize("name", NO_SURFACE)
 def test_too_little_is_said(name: str) -> None:
-    """No mesh, a status that says why, nothing raised."""
+    """Too few points give the status TOO_FEW_POINTS and no mesh."""
     result = reconstruct(merge(NO_SURFACE[name]))
     assert result.mesh is None
     assert result.status is ReconstructionStatus.TOO_FEW_POINTS
@@ -33,7 +33,7 @@ def test_too_little_is_said(name: str) -> None:
 
 
 def test_a_line_of_points_makes_a_ribbon_no_wider_than_the_cut() -> None:
-    """Points on a line carry a strip that faces the scanner, within two spacings to either side, and nothing more."""
+    """Points on a line give only a strip that faces the scanner, up to two spacings wide on either side."""
     line = np.stack([np.arange(200) * 1e-3, np.zeros(200), np.zeros(200)], axis=1)
     result = reconstruct(merge([ScanCloud(line, SENSOR)]))
     assert result.mesh is not None
@@ -42,21 +42,21 @@ def test_a_line_of_points_makes_a_ribbon_no_wider_than_the_cut() -> None:
 
 
 def test_outliers_of_one_percent_do_not_show() -> None:
-    """One point in a hundred up to 20 mm off: no vertex farther from the plane than a tenth of the pitch, none lost."""
+    """With 1 % of the points up to 20 mm off, every vertex is within a tenth of the pitch of the plane."""
     points = _plane(100)
     rng = np.random.default_rng(0)
     bad = rng.choice(len(points), len(points) // 100, replace=False)
     points[bad, 2] += rng.uniform(-0.02, 0.02, len(bad))
     result = reconstruct(merge([ScanCloud(points, SENSOR)]))
     assert result.mesh is not None
-    near = np.abs(points[bad, 2]) < 0.3e-3  # those are within a third of a pitch of the surface: noise, not outliers
+    near = np.abs(points[bad, 2]) < 0.3e-3  # within a third of a pitch: noise, not outliers
     assert result.outliers >= (~near).sum()
     assert np.abs(result.mesh.vertices[:, 2]).max() < 0.1e-3
     assert result.holes == 1
 
 
 def test_two_blobs_without_overlap_stay_apart() -> None:
-    """Two patches a metre from each other give two surfaces and nothing between."""
+    """Two patches a metre apart give two surfaces and no vertex between them."""
     points, aside = _plane(30), np.array([1.0, 0.0, 0.0])
     result = reconstruct(merge([ScanCloud(points, SENSOR), ScanCloud(points + aside, SENSOR + aside)]))
     assert result.mesh is not None
@@ -65,7 +65,7 @@ def test_two_blobs_without_overlap_stay_apart() -> None:
 
 
 def test_a_sharp_edge_is_rounded_by_less_than_a_spacing() -> None:
-    """Two planes that meet at 90 degrees: no vertex farther than half a pitch from both, most within a micrometre."""
+    """At a 90 degree edge all vertices are within 0.6 pitches of a plane, most of them within 2 micrometres."""
     flat = _plane(40)
     wall = np.stack(
         [np.full(len(flat), flat[:, 0].max() + 0.5e-3), flat[:, 1], flat[:, 0] - flat[:, 0].max() - 0.5e-3], 1
@@ -80,7 +80,7 @@ def test_a_sharp_edge_is_rounded_by_less_than_a_spacing() -> None:
 
 
 def test_a_huge_box_is_coarsened_not_filled() -> None:
-    """Patches ten metres apart would need a grid of billions of nodes: it is coarsened, says so, and both are there."""
+    """Patches ten metres apart would need billions of nodes. The grid is coarsened, and both patches remain."""
     points = _plane(100)
     scans = [ScanCloud(points + shift, SENSOR + shift) for shift in (np.zeros(3), np.array([10.0, 10.0, 10.0]))]
     result = reconstruct(merge(scans))
@@ -91,7 +91,7 @@ def test_a_huge_box_is_coarsened_not_filled() -> None:
 
 
 def test_normals_of_the_wrong_sign_give_no_doubled_surface() -> None:
-    """One wrong normal in a hundred leaves one surface, near the plane."""
+    """With 1 % wrong normals the result is one surface near the plane."""
     cloud = merge([ScanCloud(_plane(60), SENSOR)])
     normals = cloud.normals.copy()
     normals[np.random.default_rng(1).choice(len(normals), len(normals) // 100, replace=False)] *= -1

@@ -15,7 +15,7 @@ SENSOR = np.array([0.0, 0.0, 0.3])
 
 
 def _patch(shape: str, side: int = 60) -> np.ndarray:
-    """Points 0.8 mm apart on the upper side of a surface that has its top or middle at the origin."""
+    """Return points 0.8 mm apart on the upper side of a surface with its top or middle at the origin."""
     x, y = np.meshgrid((np.arange(side) - side / 2 + 0.5) * 0.8e-3, (np.arange(side) - side / 2 + 0.5) * 0.8e-3)
     x, y = x.ravel(), y.ravel()
     inside = x**2 + y**2 < 0.024**2
@@ -32,7 +32,7 @@ def _patch(shape: str, side: int = 60) -> np.ndarray:
 
 
 def _model(shape: str) -> TriangleMesh:
-    """The same surface, larger than the patch and finely tessellated."""
+    """Return the same surface, larger than the patch and finely tessellated."""
     n = 161
     x, y = np.meshgrid(np.linspace(-0.0295, 0.0295, n), np.linspace(-0.0295, 0.0295, n))
     if shape == "sphere":
@@ -67,7 +67,7 @@ FREE = {
 @pytest.mark.parametrize("shape", FREE)
 @pytest.mark.parametrize("noise", [0.0, 10e-6])
 def test_what_the_surface_does_not_show_is_said_and_not_corrected(shape: str, noise: float) -> None:
-    """Rank, names and sentence are right; the seen part of the error is taken out, nothing along the free one."""
+    """Rank, names and message are correct. The visible part of the error is corrected, the free motions are not."""
     true = _patch(shape)
     true[:, 2] += np.random.default_rng(0).normal(0, noise, len(true)) if noise else 0.0
     error = np.eye(4)
@@ -81,7 +81,7 @@ def test_what_the_surface_does_not_show_is_said_and_not_corrected(shape: str, no
     assert result.sentence.startswith(result.status.value)
     assert name in result.sentence
     assert result.rms_after < max(result.rms_before / 20, 1.2 * noise)
-    # The correction has no part along a free motion: its velocity field is at right angles to the motion's.
+    # The correction is orthogonal to each free motion.
     moved = ScanCloud(true, SENSOR).transformed(error).points
     field = ScanCloud(moved, SENSOR).transformed(result.T_correction).points - moved
     for motion in result.free:
@@ -90,13 +90,13 @@ def test_what_the_surface_does_not_show_is_said_and_not_corrected(shape: str, no
             assert abs(np.mean(np.einsum("nj,nj->n", field, slide))) < 30e-6
     if shape == "plane":
         turn = Rotation.from_matrix(result.T_correction[:3, :3]).as_rotvec()
-        assert abs(turn[2]) < 0.0003  # of 0.003 that were put in
+        assert abs(turn[2]) < 0.0003  # of the applied 0.003
     if not kinds:
         np.testing.assert_allclose(result.T_correction @ error, np.eye(4), atol=2e-4)
 
 
 def test_a_cylinder_turns_about_its_own_axis() -> None:
-    """The axis is named: along x, through the middle 30 mm below the top."""
+    """The message names the axis along x, 30 mm below the top."""
     result = register([ScanCloud(_patch("cylinder"), SENSOR)], _model("cylinder")).scans[0]
     slide, turn = result.free
     np.testing.assert_allclose(np.abs(slide.direction), [1, 0, 0], atol=0.01)
@@ -123,7 +123,7 @@ NOTHING = {
 
 @pytest.mark.parametrize("name", NOTHING)
 def test_scans_that_cannot_be_registered_keep_their_pose(name: str) -> None:
-    """The status says why, the correction is the identity, and a good scan beside it is still registered."""
+    """The status has the reason, the correction is the identity, and a valid second scan is registered."""
     points, status = NOTHING[name]
     good = ScanCloud(_patch("saddle and ripples") + np.array([0, 0, 3e-4]), SENSOR)
     bad, other = register([ScanCloud(points, SENSOR), good], _model("saddle and ripples")).scans
@@ -135,21 +135,21 @@ def test_scans_that_cannot_be_registered_keep_their_pose(name: str) -> None:
 
 
 def test_no_scans() -> None:
-    """Nothing in, nothing out."""
+    """Without scans the result is empty."""
     result = register([], _model("plane"))
     assert result.scans == ()
     assert np.isnan(result.rms_before)
 
 
 def test_one_view_without_a_model_stays() -> None:
-    """There is nothing to match it to, and that is said."""
+    """A single scan without a model has the status NO_OVERLAP and keeps its pose."""
     result = register([ScanCloud(_patch("saddle and ripples"), SENSOR)], None).scans[0]
     assert result.status is RegistrationStatus.NO_OVERLAP
     assert result.T_correction.tobytes() == np.eye(4).tobytes()
 
 
 def test_two_views_without_overlap_are_registered_to_the_model_alone() -> None:
-    """Two corners of the surface: no pair is formed, both come right; without a model both stay."""
+    """Two separate corners form no pair and converge on the model; without a model both keep their pose."""
     patch = _patch("saddle and ripples")
     left, right = patch[patch[:, 0] < -0.006] + [0, 0, 3e-4], patch[patch[:, 0] > 0.006] - [0, 0, 2e-4]
     scans = [ScanCloud(left, SENSOR), ScanCloud(right, SENSOR)]
@@ -162,7 +162,7 @@ def test_two_views_without_overlap_are_registered_to_the_model_alone() -> None:
 
 
 def test_outliers_of_one_percent_do_not_pull() -> None:
-    """One point in a hundred up to 5 mm off changes the correction by less than 5 micrometres."""
+    """With 1 % of the points up to 5 mm off, the corrected points change by less than 5 micrometres."""
     clean = _patch("saddle and ripples") + np.array([2e-4, -1e-4, 3e-4])
     dirty = clean.copy()
     rng = np.random.default_rng(0)
@@ -179,7 +179,7 @@ def test_outliers_of_one_percent_do_not_pull() -> None:
 
 
 def test_a_large_error_on_a_surface_with_features_is_found() -> None:
-    """8 mm aside on a model of 60 mm: kept as reported by the usual reach; with 10 mm of it, 2 micrometres are left."""
+    """An error of 8 mm is refused at the usual reach, and corrected to 2 micrometres at a reach of 10 mm."""
     scan = ScanCloud(_patch("saddle and ripples") + np.array([0.008, 0.004, 0.0]), SENSOR)
     doubted = register([scan], _model("saddle and ripples"), samples=500).scans[0]
     assert doubted.status is RegistrationStatus.TOO_FAR
@@ -190,7 +190,7 @@ def test_a_large_error_on_a_surface_with_features_is_found() -> None:
 
 
 def test_too_few_steps_are_said() -> None:
-    """Stopped after one step of several, the scan is reported as still moving."""
+    """After one of several steps the scan has the status NOT_CONVERGED."""
     scan = ScanCloud(_patch("saddle and ripples") + np.array([0.008, 0.004, 0.0]), SENSOR)
     result = register([scan], _model("saddle and ripples"), samples=500, iterations=1)
     assert result.scans[0].status is RegistrationStatus.NOT_CONVERGED
@@ -198,7 +198,7 @@ def test_too_few_steps_are_said() -> None:
 
 
 def test_nan_is_refused_by_name() -> None:
-    """A scan with NaN never gets as far as registration."""
+    """A scan with NaN is refused before registration."""
     points = _patch("plane")
     points[5] = np.nan
     with pytest.raises(PlannerError, match=r"points of the scan: 1 of .* NaN"):

@@ -19,7 +19,7 @@ PLATE = TriangleMesh(
 
 
 def _aslant(angle_deg: float) -> Scan:
-    """The plate seen from 300 mm so that its middle is met at this angle to its normal; the baseline lies along y."""
+    """Return a scan of the plate from 300 mm at this angle to its normal, with the baseline along y."""
     angle = np.radians(angle_deg)
     out = np.array([np.sin(angle), 0.0, np.cos(angle)])
     x = np.array([0.0, 1.0, 0.0])
@@ -31,7 +31,7 @@ def _aslant(angle_deg: float) -> Scan:
 
 
 def test_a_scan_of_which_all_rays_graze_is_empty_and_stays_harmless() -> None:
-    """At 87 degrees every ray that meets the plate is rejected as grazing; registration and surface say why not."""
+    """At 87 degrees all rays are rejected as grazing, and registration and reconstruction report too few points."""
     seen = _aslant(87.0)
     met = seen.hit_face >= 0
     assert met.sum() > 50
@@ -44,7 +44,7 @@ def test_a_scan_of_which_all_rays_graze_is_empty_and_stays_harmless() -> None:
 
 @pytest.mark.parametrize("angle_deg", [60.0, 72.0])
 def test_a_surface_from_nearly_grazing_rays_is_flat_and_its_normals_face_the_scanner(angle_deg: float) -> None:
-    """Rows that lie several times as far apart as their points: no vertex off the plate, no normal off by a degree."""
+    """With rows several spacings apart, all vertices are on the plate and all normals are within one degree."""
     seen = _aslant(angle_deg)
     cloud = merge([ScanCloud(seen.points, seen.T_object_scanner[:3, 3])])
     assert len(cloud) > 200
@@ -55,7 +55,7 @@ def test_a_surface_from_nearly_grazing_rays_is_flat_and_its_normals_face_the_sca
 
 
 def _sheet(side: float) -> ScanCloud:
-    """One face of a rippled sheet of 0.3 mm, seen from its own side (+1 or -1); points 0.8 mm apart."""
+    """Return one face of a rippled sheet of 0.3 mm, seen from its side (+1 or -1); points 0.8 mm apart."""
     steps = (np.arange(50) - 24.5) * 0.8e-3
     x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
     middle = 0.002 * np.sin(x / 0.004) * np.cos(y / 0.005)
@@ -63,7 +63,7 @@ def _sheet(side: float) -> ScanCloud:
 
 
 def test_the_two_faces_of_a_thin_sheet_are_not_matched_to_each_other() -> None:
-    """Scans from both sides, 0.3 mm apart, have nothing in common: no pair is formed and both keep their pose."""
+    """Scans of both sides, 0.3 mm apart, form no pair and keep their pose."""
     result = register([_sheet(1.0), _sheet(-1.0)], None)
     assert result.overlaps == ()
     assert all(one.status is RegistrationStatus.NO_OVERLAP for one in result.scans)
@@ -74,9 +74,9 @@ def test_the_two_faces_of_a_thin_sheet_are_not_matched_to_each_other() -> None:
     ("off_mm", "status"), [(0.1, RegistrationStatus.CONVERGED), (0.25, RegistrationStatus.NO_OVERLAP)]
 )
 def test_a_thin_sheet_is_registered_up_to_half_its_thickness(off_mm: float, status: RegistrationStatus) -> None:
-    """Nearer to its own face each scan comes back to 10 micrometres; nearer to the other, it is kept, and that is said.
+    """A scan nearer to its own face is corrected to 10 micrometres, and one nearer to the other face keeps its pose.
 
-    Closest points on the other face look away, so they are no matches: a scan is never pulled onto the wrong side.
+    Points of the other face have opposite normals, so they are no matches.
     """
     n = 161
     steps = np.linspace(-0.025, 0.025, n)

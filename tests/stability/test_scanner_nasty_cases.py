@@ -84,7 +84,7 @@ def test_grazing_limit_0_accepts_only_a_surface_that_faces_the_source():
 
 
 def test_grazing_limit_90_accepts_an_edge_on_surface():
-    """Inclusive; its sigma is infinite, so a limit on sigma rejects it."""
+    """The limit is inclusive; sigma is infinite there, so a limit on sigma rejects the point."""
     edge_on = np.array([[0.0, 1.0, 0.0]])
     scanner = LaserArea(grazing_max_deg=90)
     assert scanner.reject(AHEAD, edge_on)[0] == Rejection.MEASURED
@@ -92,7 +92,7 @@ def test_grazing_limit_90_accepts_an_edge_on_surface():
 
 
 def test_fov_of_179_degrees_for_source_and_sensor():
-    """Points almost beside the scanner are measured; behind it they are not."""
+    """Points almost at the side of the scanner are measured, and points behind it are not."""
     scanner = LaserArea(fov_deg=(179, 179), sensor_fov_deg=(179, 179), sensor_tilt_deg=0, resolution_deg=(179, 179))
     beside = np.array([[0.29, 0.0, 0.003], [0.29, 0.0, -0.003], [0.29, 0.0, 0.002]])
     towards = np.tile([-1.0, 0, 0], (3, 1))
@@ -110,7 +110,7 @@ def test_one_ray():
 
 
 def test_no_point_has_no_sigma():
-    """A scan that met nothing has an empty sigma, not an error."""
+    """A scan without points has an empty sigma and raises no error."""
     scanner = LaserArea(fov_deg=(1, 1), resolution_deg=(1, 1))
     away = _in_front(0.9) @ np.diag([1, -1, -1, 1.0])
     scan = virtual_scan.scan(scanner, away, EmbreeRayCaster(PART.vertices, PART.faces), PART)

@@ -15,12 +15,12 @@ _SAMPLES = 300
 
 
 def sliver_cylinder() -> trimesh.Trimesh:
-    """A CAD cylinder: 400 faces from end to end, each 500 times longer than wide."""
+    """Return a CAD cylinder of 400 faces from end to end, each 500 times longer than wide."""
     return trimesh.creation.cylinder(radius=0.03, height=0.25, sections=400)
 
 
 def thin_plate() -> trimesh.Trimesh:
-    """0.3 m square, 0.2 mm thick, finely meshed."""
+    """Return a plate 0.3 m square and 0.2 mm thick, finely meshed."""
     plate = trimesh.creation.box(extents=(0.3, 0.3, 0.0002))
     for _ in range(5):
         plate = plate.subdivide()
@@ -28,28 +28,28 @@ def thin_plate() -> trimesh.Trimesh:
 
 
 def needle() -> trimesh.Trimesh:
-    """0.3 m long, 0.4 mm thick."""
+    """Return a needle 0.3 m long and 0.4 mm thick."""
     return trimesh.creation.capsule(height=0.3, radius=0.0002, count=(32, 32))
 
 
 def far_away() -> trimesh.Trimesh:
-    """A part drawn 50 m from its file's origin."""
+    """Return a part drawn 50 m from its file's origin."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
     return ball.apply_translation([50.0, -50.0, 20.0])
 
 
 def microscopic() -> trimesh.Trimesh:
-    """A part of 20 um, as with confused units."""
+    """Return a part of 20 um, as with confused units."""
     return trimesh.creation.icosphere(subdivisions=4, radius=1e-5)
 
 
 def enormous() -> trimesh.Trimesh:
-    """A part of 200 m."""
+    """Return a part of 200 m."""
     return trimesh.creation.icosphere(subdivisions=4, radius=100.0)
 
 
 def dust() -> trimesh.Trimesh:
-    """A ball among 60 crumbs of 80 faces each."""
+    """Return a ball among 60 crumbs of 80 faces each."""
     rng = np.random.default_rng(0)
     crumbs = [trimesh.creation.icosphere(subdivisions=1, radius=0.002) for _ in range(60)]
     for crumb in crumbs:
@@ -58,13 +58,13 @@ def dust() -> trimesh.Trimesh:
 
 
 def open_bowl() -> trimesh.Trimesh:
-    """Half a sphere without thickness."""
+    """Return half a sphere without thickness."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
     return trimesh.Trimesh(ball.vertices, ball.faces[ball.triangles_center[:, 2] < 0], process=False)
 
 
 def touching_cubes() -> trimesh.Trimesh:
-    """Two cubes that share an edge, so that four faces meet there."""
+    """Return two cubes that share an edge of four faces."""
     cubes = [trimesh.creation.box(extents=(0.1, 0.1, 0.1)) for _ in range(2)]
     cubes[1].apply_translation([0.1, 0.1, 0.0])
     both = trimesh.util.concatenate(cubes)
@@ -75,12 +75,12 @@ def touching_cubes() -> trimesh.Trimesh:
 
 
 def one_triangle() -> trimesh.Trimesh:
-    """The smallest surface."""
+    """Return the smallest surface."""
     return trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], [[0, 1, 2]], process=False)
 
 
 def huge_beside_tiny() -> trimesh.Trimesh:
-    """Two triangles of 1 m beside 5120 of 0.1 mm."""
+    """Return two triangles of 1 m and 5120 of 0.1 mm."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.002).apply_translation([0.5, 0.5, 0.1])
     floor = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
     return trimesh.util.concatenate([floor, ball])
@@ -102,7 +102,7 @@ CASES: list[Callable[[], trimesh.Trimesh]] = [
 
 
 def _distance(points: np.ndarray, triangles: np.ndarray, extent: float) -> np.ndarray:
-    """Distance of each point to one triangle; trimesh has absolute tolerances, so the part is brought to size 1000."""
+    """Return the distance of each point to one triangle, at size 1000 because trimesh has absolute tolerances."""
     scale = 1000 / extent
     return np.linalg.norm(trimesh.triangles.closest_point(scale * triangles, scale * points) / scale - points, axis=1)
 
@@ -162,7 +162,7 @@ def test_place_and_size_do_not_change_the_decimation(case: Callable[[], trimesh.
 def test_meshes_that_resist_the_collapse_come_near_the_count(
     case: Callable[[], trimesh.Trimesh], face_count: int
 ) -> None:
-    """At most twice the faces, and the area of the part to a fifth."""
+    """The result has at most twice the faces, and the area of the part to a fifth."""
     body = case()
     planning = decimate(TriangleMesh(body.vertices, body.faces), face_count)
     assert len(planning.faces) <= 2 * face_count

@@ -19,7 +19,7 @@ MOUNT[2, 3] = 0.12
 
 
 def _pose(*angles_deg: float) -> Floats:
-    """(4, 4) T_base_scanner."""
+    """Return T_base_scanner (4, 4)."""
     T: Floats = KINEMATICS.forward(np.radians([angles_deg]))[0] @ MOUNT
     return T
 
@@ -64,7 +64,7 @@ def test_through_the_wrist_singularity_the_axes_are_named() -> None:
 
 @pytest.mark.parametrize("elbow", [-2.990345, -2.990345 + 1e-7])
 def test_through_the_stretched_elbow(elbow: float) -> None:
-    """The line crosses the boundary of the reach: no branch follows it."""
+    """The line crosses the boundary of the reach, and no branch follows it."""
     paths, reasons = _reasons(_pose(0, -45, elbow, 0, 40, 0) @ straight_sweep_poses(0.1, 5, (0, 0, 1)))
     assert paths == 0
     assert set(reasons.values()) == {SweepRefusal.OUT_OF_REACH}

@@ -43,7 +43,7 @@ def test_neither_acceleration_nor_jerk_limited_is_refused() -> None:
 
 
 def test_only_jerk_limited() -> None:
-    """No limit of speed and acceleration: four phases of (d / 2j)^(1/3) each."""
+    """Without limits of speed and acceleration a move has four phases of (d / 2j)^(1/3) each."""
     limits = replace(LIMITS, velocity=ENDLESS, acceleration=ENDLESS)
     time = 4 * np.cbrt(2.5 / (2 * limits.jerk[1]))
     assert float(move_time(REST, turned(1, 2.5), limits)) == pytest.approx(time, rel=1e-7)
@@ -139,5 +139,5 @@ def test_limits_decades_apart() -> None:
 
 
 def test_a_profile_without_length_has_no_duration() -> None:
-    """All three widths 0."""
+    """All three widths are 0."""
     assert Profile(np.zeros(2), np.zeros(2), np.zeros(2)).duration.tolist() == [0.0, 0.0]

@@ -61,7 +61,7 @@ def _same(a, b):
 
 @pytest.mark.parametrize("method", ["aimed", "rays"])
 def test_only_new_columns_are_computed(measured, method):
-    """Candidates are added, removed and reordered: only new ones are computed, all equal the uncached."""
+    """After candidates are added, removed or reordered, only new columns are computed. All equal uncached ones."""
     rng = np.random.default_rng(1)
     total = len(measured.views)
     seen: set[int] = set()

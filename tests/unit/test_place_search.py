@@ -24,7 +24,7 @@ def test_the_best_half_is_kept_and_every_basin_follows_in_turn():
 
 
 def test_a_larger_subset_contains_the_candidates_of_a_smaller_one():
-    """A placement reached with the coarse subset is also reached with the fine one."""
+    """A placement reached in the coarse round is also reached in the fine one, because the subsets are nested."""
     bench = Bench(load_scene(None, {"part": {"name": "mug"}, "plan": {"faces": 60}}), samples=1000)
     few, more = (bench.candidate_subset(count)[0].T_object_scanner for count in (20, 45))
     assert len(few) == 20

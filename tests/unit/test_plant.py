@@ -139,7 +139,7 @@ def test_a_move_of_no_length_is_settled_at_once() -> None:
 
 
 def test_the_tool_has_the_masses_of_its_shapes() -> None:
-    """Housing at the density of sensors, bracket of aluminium, at their places in the cell's model."""
+    """The housing has the density of sensors and the bracket that of aluminium, at their places in the cell."""
     plant = built_in_plants()["mujoco"](HOME)
     assert isinstance(plant, MujocoPlant)
     masses = {plant.model.body(name).name: float(plant.model.body(name).mass[0]) for name in ("housing", "bracket")}

@@ -67,7 +67,7 @@ def test_a_drawn_error_moves_a_pose_as_an_execution_does() -> None:
 
 
 def test_rotations_are_rotations_also_at_zero() -> None:
-    """Orthonormal, determinant 1, angle of the vector; the identity for the zero vector."""
+    """The matrices are orthonormal, with determinant 1 and the angle of the vector; zero gives the identity."""
     vectors = np.concatenate([np.zeros((1, 3)), np.random.default_rng(0).normal(size=(20, 3))])
     R = rotation_matrices(vectors)
     np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-14)

@@ -280,7 +280,7 @@ def test_a_link_of_another_shape_than_box_cylinder_and_mesh_is_named() -> None:
 
 
 def test_the_baseline_of_the_scene_takes_precedence() -> None:
-    """The given one is second, the device's third; the housing is centred over it."""
+    """The baseline of the scene precedes the given one and the device's, and the housing is centred over it."""
     world = compile_world(_scene(scanner={"baseline_mm": 50}), PART, baseline_mm=70.0)
     assert world.T_flange_housing[0, 3] == pytest.approx(0.025)
     assert compile_world(Scene(), PART, baseline_mm=70.0).T_flange_housing[0, 3] == pytest.approx(0.035)
