@@ -120,7 +120,7 @@ def test_an_answer_lost_after_execution_is_found_in_the_state(link: ScriptedLink
 
 
 def test_a_command_lost_on_the_way_is_sent_again_under_its_number(link: ScriptedLink, client: ControllerClient) -> None:
-    """The state shows that it never arrived; the same number executes once."""
+    """The state shows that the command did not arrive, and the same number executes once."""
     client.move(turned(5), 0.5)
     client.reset()
     link.before = times(1, AnswerTimeoutError("lost"))

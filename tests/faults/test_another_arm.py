@@ -36,7 +36,7 @@ def via(**degrees: float) -> np.ndarray:
 
 @pytest.mark.parametrize("backend", ["sim", *WIRES])
 def test_the_limits_hold_at_both_ends(backend: str) -> None:
-    """The driver reports them to the count; a move beyond the KR 16 takes the planner's time; A3 at 121 is refused."""
+    """The driver reports the exact limits, a fast move takes the planned time, and A3 at 121 deg is refused."""
     driver: Any
     if backend == "sim":
         driver = open_driver("sim://", Context(LIMITS))

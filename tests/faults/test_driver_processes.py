@@ -81,7 +81,7 @@ def test_the_watchdog_stops_the_arm_of_a_lost_client(emulate: Callable[..., Any]
 
 
 def test_two_clients_are_one_owner_at_a_time(emulate: Callable[..., Any]) -> None:
-    """The second takes the arm from a silent first, which sends nothing before a stop; both may stop."""
+    """The second client takes the arm from a silent first one, which must stop before its next move. Both may stop."""
     emulated = emulate("modbus", "--time-scale", "200")
     url = emulated.url + "&watchdog_ms=900&timeout_ms=300"
     with open_driver(url, ARM) as one, open_driver(url, ARM) as two:

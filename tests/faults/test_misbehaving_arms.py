@@ -126,7 +126,7 @@ ARMS: dict[str, tuple[Callable[[RobotState, float], RobotState], type[DriverErro
 
 @pytest.mark.parametrize(("name", "wire"), on_one_wire(ARMS))
 def test_an_arm_that_moves_otherwise(name: str, wire: str) -> None:
-    """The wait ends within its limit with the cause, and the arm was stopped."""
+    """The wait ends within its limit with the cause, and the arm is stopped."""
     change, kind, cause, limit = ARMS[name]
     bench = connected(wire)
     began = bench.clock.now()

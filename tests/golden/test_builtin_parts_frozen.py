@@ -28,13 +28,13 @@ FROZEN = {
 
 @cache
 def shipped(name: str) -> TriangleMesh:
-    """The part, read once in a session."""
+    """Return the part, read once in a session."""
     return builtin.load(name)
 
 
 @pytest.mark.parametrize("name", builtin.NAMES)
 def test_the_part_is_the_one_that_was_frozen(name: str) -> None:
-    """Area, volume and centre of the surface are those of the first build, and so is every byte."""
+    """Area, volume, centre of the surface and every byte equal those of the first build."""
     mesh = shipped(name)
     areas = mesh.areas
     corners = mesh.vertices[mesh.faces]
@@ -72,12 +72,12 @@ PRINTED_VERTICES = {
 
 @pytest.mark.parametrize("name", builtin.NAMES)
 def test_the_genus_is_the_one_that_the_printed_counts_imply(name: str) -> None:
-    """Our table's genus reproduces the number of vertices that the paper prints."""
+    """The genus of the table gives the number of vertices that the paper prints."""
     assert PART_MODELS[name].vertices == PRINTED_VERTICES[name]
 
 
 def test_an_unknown_name_is_refused_with_the_names_that_exist() -> None:
-    """The sentence lists all six."""
+    """The message lists all six names."""
     with pytest.raises(UsageError, match="mseke, mug, robinet, petanque, humerus, st-jean"):
         builtin.load("teapot")
 
@@ -95,7 +95,7 @@ def test_an_unknown_name_is_refused_with_the_names_that_exist() -> None:
 def test_a_damaged_file_is_one_sentence(
     spoil: Callable[[bytes], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It names the file and the cure."""
+    """The message names the file and the remedy."""
     path = tmp_path / "mug.npz"
     path.write_bytes(spoil(model_file("parts/mug.npz").read_bytes()))
     monkeypatch.setattr(builtin, "model_file", lambda name: path)

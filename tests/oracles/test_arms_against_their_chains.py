@@ -171,7 +171,7 @@ def test_rounded_axes_are_refined(name):
     np.testing.assert_allclose(chain.forward(found[pose, branch]), T[pose], rtol=0, atol=1e-9)
     assert (
         np.mean(np.nan_to_num(apart(found, q[:, None]), nan=np.inf).min(axis=1) < 1e-6) > 0.97
-    )  # but at the border of reach
+    )  # except at the border of the reach
 
 
 def test_an_arm_of_neither_family_is_refused():

@@ -43,7 +43,7 @@ def check_stop(driven: Reference, t: float, jerk: np.ndarray, acceleration: np.n
             assert (np.abs(np.diff(rate, axis=0)) <= jerk * step + 1e-8).all()
             assert (np.abs(rate[-1]) <= jerk * step + 1e-8).all()
         assert (np.abs(rate) <= acceleration + 1e-8).all()
-        # At rest in the end: the integral of the speed is the way.
+        # At rest at the end: the integral of the speed is the distance.
         assert (np.abs(speed[-1]) <= acceleration * times[1] + 1e-12).all()
     return braked
 
@@ -74,7 +74,7 @@ def test_a_stop_is_smooth_within_the_limits_and_before_the_segments_end(
 
 @pytest.mark.parametrize("override", [0.05, 0.3, 1.0])
 def test_no_stop_is_faster_or_shorter(override: float) -> None:
-    """Against ruckig's time-optimal stop from the same speed and acceleration, at full limits with any override."""
+    """Ruckig's time-optimal stop from the same speed and acceleration is neither faster nor shorter."""
     rng = np.random.default_rng(0)
     for _ in range(100):
         v, a, j = 10.0 ** rng.uniform(-1, 1, 3)

@@ -22,7 +22,7 @@ def _cup() -> trimesh.Trimesh:
 
 @pytest.fixture(scope="module", params=["hull", "exact", "base", "object"])
 def world(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> World:
-    """A cup beside the robot as hull or triangles, or as a mesh fixture with a cube as part in it."""
+    """Return a cup beside the robot as hull or triangles, or as a mesh fixture with a cube as part in it."""
     cup, tables = _cup(), {"placement": {"position_mm": [1100, 300, 0]}, "plan": {"collision": "exact"}}
     if request.param in ("base", "object"):
         path = tmp_path_factory.mktemp("cup") / "cup.stl"
@@ -46,7 +46,7 @@ def _via() -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.usefixtures("full_effort")
 def test_samples_lie_between_lower_bound_and_distance(world: World) -> None:
-    """The distance is measured on the motion, an upper bound; the proven one is a lower bound within 5 %."""
+    """The reported distance is an upper bound on the motion, and the proven one is a lower bound within 5 %."""
     checker = MujocoCollisionChecker(world)
     via, segment = _via()
     found = motion_clearance(checker, via, segment, 3)

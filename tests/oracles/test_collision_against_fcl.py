@@ -21,7 +21,7 @@ SIDES = 64
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    """The built-in cell with fixtures, a hull as part and the part turned."""
+    """Return the built-in cell with fixtures, a hull as part and the part turned."""
     fixtures = [
         {"name": "pillar", "shape": "cylinder", "size_mm": [120, 900], "position_mm": [700, -600, 0],
          "abc_deg": [0, 20, 0]},
@@ -118,12 +118,12 @@ class FclCell:
 
 @pytest.fixture(scope="module")
 def fcl_cell(world: World) -> FclCell:
-    """The same cell in fcl."""
+    """Return the same cell in fcl."""
     return FclCell(world)
 
 
 def test_distances_lie_between_those_of_inner_and_outer_prisms(world: World, fcl_cell: FclCell) -> None:
-    """Random configurations and many near the limit: fcl brackets every distance, and overlap is overlap."""
+    """fcl brackets every distance of random configurations and of many near contact, and agrees on overlaps."""
     checker = MujocoCollisionChecker(world)
     q = np.random.default_rng(0).uniform(world.limits.lower, world.limits.upper, (6000, 6))
     distance, _ = checker.distance(q)
@@ -142,7 +142,7 @@ def test_distances_lie_between_those_of_inner_and_outer_prisms(world: World, fcl
 
 
 def test_verdicts_agree_wherever_the_prisms_agree(world: World, fcl_cell: FclCell) -> None:
-    """Free or not at the clearance, on configurations half of which are within 15 mm of it."""
+    """Verdicts at the clearance agree with fcl, with half of the configurations within 15 mm of it."""
     checker = MujocoCollisionChecker(world)
     q = np.random.default_rng(1).uniform(world.limits.lower, world.limits.upper, (6000, 6))
     distance, _ = checker.distance(q)
@@ -160,7 +160,7 @@ def test_verdicts_agree_wherever_the_prisms_agree(world: World, fcl_cell: FclCel
 
 
 def test_collisions_agree_with_fcl_on_thousands() -> None:
-    """Overlap without clearance, for 2500 random configurations."""
+    """Without clearance, overlaps of 2500 random configurations agree with fcl."""
     world = compile_world(Scene.model_validate({"clearance_mm": 0}), PART, baseline_mm=75.0)
     cell = FclCell(world)
     q = np.random.default_rng(2).uniform(world.limits.lower, world.limits.upper, (2500, 6))

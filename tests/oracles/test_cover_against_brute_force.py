@@ -166,7 +166,7 @@ def test_reductions_keep_the_optimum(problem: CoverProblem) -> None:
 @settings(max_examples=100)
 @given(cover_problems(("cost", "area"), max_rows=25, max_columns=12), st.integers(0, 99))
 def test_the_tree_answers_each_number_of_views(problem: CoverProblem, seed: int) -> None:
-    """A selection at each possible objective, and a proof below; also with rows to begin with and columns left out."""
+    """At each objective the tree returns a selection or proves that none exists, for random rows and columns."""
     problem = replace(problem, matrix=np.asarray(problem.matrix) > 0, demand=1, costs=None, group=None, weights=None)
     instance = canonical_form(replace(problem, group_costs=None)).residual
     rng = np.random.default_rng(seed)

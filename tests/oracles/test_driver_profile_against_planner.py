@@ -1,4 +1,4 @@
-"""Two independent implementations: the controller's interpolator and the planner's timing."""
+"""The controller's interpolator compared with the planner's timing, two independent implementations."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def by_controller(via: np.ndarray, speed: float) -> Reference:
 @pytest.mark.parametrize("spread_deg", [1e-4, 0.01, 5.0, 170.0])
 @pytest.mark.parametrize("speed", [1e-3, 0.1, 1.0])
 def test_durations_agree(spread_deg: float, speed: float) -> None:
-    """In total and for each segment, up to the margins that both keep from the limits."""
+    """The total and each segment agree, up to the margins of both to the limits."""
     via = tour(np.random.default_rng(1), 200, spread_deg)
     expected = move_time(via[:-1], via[1:], limits(speed))
     assert by_controller(via, speed).duration == pytest.approx(expected.sum(), rel=3e-8)

@@ -1,4 +1,4 @@
-"""Random edits of the small plan: what is accepted passes the judge, what is refused is refused truly."""
+"""Random edits of the small plan: accepted edits pass the judge, and refusals have a true reason."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,19 +23,19 @@ def _own_cache(monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
 
 @pytest.fixture(scope="module")
 def run(planned: Path) -> EditableRun:
-    """The plan of the small part."""
+    """Return the plan of the small part."""
     return open_run(planned)
 
 
 @pytest.fixture(scope="module")
 def judge(run: EditableRun) -> EditJudge:
-    """Judges edits of it."""
+    """Return a judge of edits of the plan."""
     return EditJudge(run)
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 60))])
 def test_random_edits(seed: int, run: EditableRun, judge: EditJudge, tmp_path: Path) -> None:
-    """No finding; and the difference from the plan before has the areas that its artefacts have."""
+    """The judge has no finding, and the reported differences from the earlier plan agree with the files."""
     asked = random_edit(np.random.default_rng(seed), run)
     made, refusal = None, None
     try:
@@ -53,7 +53,7 @@ def test_random_edits(seed: int, run: EditableRun, judge: EditJudge, tmp_path: P
 
 
 def test_the_judge_finds_what_is_wrong(run: EditableRun, judge: EditJudge, tmp_path: Path) -> None:
-    """An edit told otherwise than it was made, and refusals with a reason that is not the true one."""
+    """The judge reports an edit that differs from its request, and refusals with a false reason."""
     made = run.edited(out=tmp_path / "edited", drop=[1])
     kept, away = RandomEdit({}), np.eye(4)
     assert any("lost" in each for each in judge.accepted(run, kept, made))

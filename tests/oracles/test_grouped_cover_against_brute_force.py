@@ -140,7 +140,7 @@ def test_views_of_all_groups_are_connected(seed: int, monkeypatch: pytest.Monkey
     monkeypatch.setattr(grouped, "N_THOROUGH", 1)  # so that all choices are bounded together
     problem = replace(draw(160 + seed, 3, 4), overlap=Overlap(area=0.5))
     cover, selections = solved(problem, [0.7], 0)
-    if Selections(problem, [columns_of(problem, cover).tolist()]).is_connected[0]:  # else no choice of groups is
+    if Selections(problem, [columns_of(problem, cover).tolist()]).is_connected[0]:  # otherwise no choice of groups is
         n_groups, n_views = best(selections, selections.n_groups, selections.size)
         assert (cover.group_bound, cover.view_bound) <= (n_groups, n_views)
         assert len(cover.views) == n_groups

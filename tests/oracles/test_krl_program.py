@@ -24,7 +24,7 @@ class _Return(Exception):  # noqa: N818 - control flow of the interpreter, not a
 
 @dataclass
 class Robot:
-    """A controller with a clock [s], signals and axes [deg]; `scanner` answers when time passes."""
+    """A controller with a clock [s], signals and axes [deg]; `scanner` reacts as time passes."""
 
     axes: list[float]
     scanner: Callable[["Robot"], None]
@@ -241,7 +241,7 @@ def _prompt(output: int = 1, done: int = 1, delay: float = 0.3) -> Callable[[Rob
 
 @pytest.fixture(scope="module")
 def exported(planned: Path, run_cell: Run, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, bytes]:
-    """`.src` and `.dat` of the small plan with signals 7 and 8."""
+    """Return `.src` and `.dat` of the small plan with signals 7 and 8."""
     folder = tmp_path_factory.mktemp("krl")
     signals = ("--trigger-output", "7", "--done-input", "8", "--timer", "3", "--timeout", "2.5", "--speed", "0.2")
     done = run_cell("export", str(planned), "--name", "PART_07", "--out", "out", *signals, cwd=folder)

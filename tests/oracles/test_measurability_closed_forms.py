@@ -15,7 +15,7 @@ RADIUS = 0.1
 
 
 def _convex(points):
-    """The convex hull of points, turned outward."""
+    """Return the convex hull of points, turned outward."""
     hull = ConvexHull(points)
     corners = points[hull.simplices]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -26,7 +26,7 @@ def _convex(points):
 
 
 def _sphere(count):
-    """A sphere from points on a golden spiral."""
+    """Return a sphere from points on a golden spiral."""
     z = 1 - (2 * np.arange(count) + 1) / count
     angle = np.pi * (3 - np.sqrt(5)) * np.arange(count)
     ring = np.sqrt(1 - z**2)
@@ -35,7 +35,7 @@ def _sphere(count):
 
 @pytest.fixture(scope="module")
 def sphere():
-    """8000 vertices, its caster and 40,000 samples."""
+    """Return a sphere of 8000 vertices, its caster and 40,000 samples."""
     mesh = _sphere(8000)
     return mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), draw_samples(mesh, mesh, 40_000, np.random.default_rng(0))
 
@@ -84,7 +84,7 @@ def test_no_leg_to_a_convex_body_is_blocked_by_it(sphere):
 
 
 def _plate_and_wall():
-    """A plate at z = 0 and a thin wall, 40 mm high, that faces -x at x = 30 mm."""
+    """Return a plate at z = 0 and a thin wall, 40 mm high, that faces -x at x = 30 mm."""
     plate = [[-0.2, -0.2, 0], [0.2, -0.2, 0], [0.2, 0.2, 0], [-0.2, 0.2, 0]]
     wall = [[0.03, -0.2, 0], [0.03, 0.2, 0], [0.03, 0.2, 0.04], [0.03, -0.2, 0.04]]
     return TriangleMesh(np.array(plate + wall), [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])

@@ -60,7 +60,7 @@ def _world(path: Path, attached_to: str | None, collision: str) -> World:
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The bracket's file."""
+    """Return the bracket's file."""
     file = tmp_path_factory.mktemp("fixture") / "bracket.stl"
     _bracket().export(file)
     return file
@@ -68,7 +68,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module", params=["base", "object"])
 def worlds(request: pytest.FixtureRequest, path: Path) -> dict[str, World]:
-    """The bracket attached to base or to the part, as hull and as triangles."""
+    """Return the cells with the bracket attached to base or to the part, as hull and as triangles."""
     return {name: _world(path, request.param, name) for name in ("hull", "exact")}
 
 

@@ -53,7 +53,7 @@ class Arm:
         self.weights = reach()
 
     def centres(self, q: np.ndarray) -> np.ndarray:
-        """(N, balls, 3) centres of the balls [m], by the product of the joints' rotations."""
+        """Return (N, balls, 3) centres of the balls [m], by the product of the joints' rotations."""
         rotation, position = np.tile(np.eye(3), (len(q), 1, 1)), np.zeros((len(q), 3))
         out = np.zeros((len(q), len(BALLS), 3))
         for joint in range(6):
@@ -178,7 +178,7 @@ def test_the_fields_of_the_tour_are_consistent(seed: int) -> None:
 
 
 def test_equal_seeds_give_equal_motions() -> None:
-    """Same input and seed, same bytes; progress reports end with every edge of the tour real."""
+    """Equal inputs and seeds give equal bytes, and the progress ends with every edge of the tour certified."""
     arm, configurations, poses = cell_with_part(1, 6)
     reports: list[tuple[int, int]] = []
     visits = Visits(configurations, HOME, poses)
@@ -191,7 +191,7 @@ def test_equal_seeds_give_equal_motions() -> None:
 
 
 def test_few_rounds_still_end_with_a_certified_tour() -> None:
-    """With a single ordering its edges are made real: complete and certified."""
+    """With a single ordering its edges are certified, and the tour is complete."""
     arm, configurations, poses = cell_with_part(2, 5)
     tour = plan_tour(
         Visits(configurations, HOME, poses),

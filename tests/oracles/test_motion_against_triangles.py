@@ -18,10 +18,10 @@ SLOW = [
 @pytest.mark.usefixtures("full_effort")
 @pytest.mark.parametrize(("number", "table"), [*SCENES, *SLOW])
 def test_no_triangles_meet_and_no_limit_is_exceeded(number: int, table: str) -> None:
-    """Every millisecond of the motion; the clearance that the plan says is what the triangles show, within 1 mm.
+    """No triangles meet at any millisecond of the motion, and the reported clearance is right within 1 mm.
 
-    With a rotary table the triangles of part, post and the part's fixtures are turned by a rotation of the judge's own;
-    an indexed one never moves with the arm, and meets nothing at any angle while the arm waits.
+    With a rotary table the judge turns the triangles of part, post and the part's fixtures by its own rotation. An
+    indexed table never moves with the arm, and has no contact at any angle while the arm waits.
     """
     row = judged(number, table=table)
     assert row["moves"] > row["views"] == 10 - row["dropped"] > 0
@@ -29,11 +29,11 @@ def test_no_triangles_meet_and_no_limit_is_exceeded(number: int, table: str) -> 
     assert row["checked"] > 1000 * row["motion s"]
     assert row["contacts"] == row["at once"] == 0
     assert row["over limits"] <= 1e-9
-    assert row["nearest mm"] >= min(row["said mm"], 50.0) - 1.0  # 50 mm: as far as the judge measures
+    assert row["nearest mm"] >= min(row["said mm"], 50.0) - 1.0  # the judge measures up to 50 mm
 
 
 def test_the_judge_sees_contact() -> None:
-    """Precondition of this file: configurations in contact are found, by pair, and free ones are not."""
+    """Precondition of this file: configurations in contact are found, and free ones are not reported."""
     cell = usable(7)
     q = np.random.default_rng(0).uniform(cell.world.limits.lower, cell.world.limits.upper, (400, 6))
     distance, _ = cell.checker.distance(q)
@@ -41,5 +41,5 @@ def test_the_judge_sees_contact() -> None:
     assert judge.contacts(q[distance > 0.002]) == {}
     touching = q[distance < -0.02]
     deep = [bool(judge.contacts(one[None])) for one in touching]
-    # Triangles have no inside, and the part's hull is more than the part: not all that touches meets.
+    # Triangles have no inside and the hull is larger than the part, so some contacts of the hull are none of triangles.
     assert np.mean(deep) > 0.9

@@ -16,7 +16,7 @@ def _mesh(mesh: trimesh.Trimesh) -> TriangleMesh:
 
 
 def _slivers() -> trimesh.Trimesh:
-    """A box of 1000 : 1 : 1 next to a fine ball: long thin faces beside small ones."""
+    """Return a box of 1000 : 1 : 1 next to a fine ball: long thin faces beside small ones."""
     return trimesh.util.concatenate(
         [
             trimesh.creation.box((1.0, 0.001, 0.001)),
@@ -44,7 +44,7 @@ def _segment(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _brute(points: np.ndarray, mesh: TriangleMesh) -> np.ndarray:
-    """Distance to each triangle in turn: the plane where the foot is inside (signs of three areas), else the edges."""
+    """Return the distance to the nearest triangle: to its plane if the foot is inside, else to its edges."""
     best = np.full(len(points), np.inf)
     for a, b, c in mesh.vertices[mesh.faces]:
         normal = np.cross(b - a, c - a)
@@ -85,7 +85,7 @@ def test_distance_equals_brute_force(name: str) -> None:
 
 
 def test_where_thousands_of_faces_are_about_as_near_the_distance_is_exact() -> None:
-    """On the medial axis, at the very middle, far away, on corners and on edges: exact, and without huge arrays."""
+    """On the medial axis, in the middle, far away, on corners and on edges the distance is exact."""
     ball, torus = trimesh.creation.icosphere(4, 0.1), trimesh.creation.torus(0.1, 0.03, 48, 48)
     turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     ring = 0.1 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
@@ -102,7 +102,7 @@ def test_where_thousands_of_faces_are_about_as_near_the_distance_is_exact() -> N
 
 
 def test_distance_equals_fcl() -> None:
-    """python-fcl finds the same distance from outside a torus."""
+    """Outside a torus the distance equals that of python-fcl."""
     torus = MESHES["torus"]
     model = fcl.BVHModel()
     model.beginModel(len(torus.vertices), len(torus.faces))
@@ -124,7 +124,7 @@ def test_distance_equals_fcl() -> None:
 
 
 def test_sign_on_a_closed_mesh_is_inside_or_outside() -> None:
-    """Also where an edge or a corner of a box is closest, the sign tells inside from outside (closed form)."""
+    """The signed distance of a box equals its closed form, also near edges and corners."""
     half = np.array([0.05, 0.1, 0.025])
     nearest = ClosestPointQuery(_mesh(MESHES["box of 12 faces"]))
     points = np.random.default_rng(3).uniform(-2, 2, (3000, 3)) * half
@@ -134,7 +134,7 @@ def test_sign_on_a_closed_mesh_is_inside_or_outside() -> None:
 
 
 def test_faces_without_area_change_no_sign() -> None:
-    """With faces that repeat a corner or lie in an edge, points just beside every corner keep the side they are on."""
+    """With degenerate faces, points close to every corner keep their sign."""
     ball = MESHES["ball"]
     first, second, _ = ball.faces[:300].T
     lines, dots = np.stack([first, second, first], axis=1), np.stack([second] * 3, axis=1)
@@ -148,7 +148,7 @@ def test_faces_without_area_change_no_sign() -> None:
 
 
 def test_normals_are_smooth_but_for_creases() -> None:
-    """On a fine ball the normal is the radius' direction to a quarter of a facet's turn; on a box its face's."""
+    """On a fine ball the normal is radial to one degree, and on a box it is that of the face."""
     ball, box = _mesh(trimesh.creation.icosphere(4, 0.1)), _mesh(MESHES["box of 12 faces"])
     rng = np.random.default_rng(5)
     for mesh, tolerance in ((ball, np.radians(1.0)), (box, 1e-12)):
@@ -160,7 +160,7 @@ def test_normals_are_smooth_but_for_creases() -> None:
 
 
 def test_what_has_no_distance_is_refused() -> None:
-    """A point that is not finite, and a mesh without area, are named."""
+    """A point that is not finite and a mesh without area are refused."""
     with pytest.raises(PlannerError, match="points contains infinity or NaN"):
         ClosestPointQuery(_mesh(MESHES["ball"])).closest(np.array([[0.0, np.nan, 0.0]]))
     with pytest.raises(PlannerError, match="no face of the mesh has an area"):
@@ -168,7 +168,7 @@ def test_what_has_no_distance_is_refused() -> None:
 
 
 def test_deviation_of_a_grown_ball_is_its_growth() -> None:
-    """A fine ball 0.3 mm too large deviates by +0.3 mm all over; one too small by -0.3 mm; facets explain the rest."""
+    """A ball 0.3 mm too large or too small deviates by +0.3 or -0.3 mm everywhere, up to its facets."""
     reference = _mesh(trimesh.creation.icosphere(5, 0.05))
     rng = np.random.default_rng(4)
     sagitta = 0.05 * (0.05 / 0.05 / 2**5) ** 2  # generous: facets of an edge of about R / 2^5

@@ -57,7 +57,7 @@ def cheapest(configurations: list[np.ndarray], edge_time: dict[tuple[int, int], 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_small_orders_are_the_true_optimum(seed: int) -> None:
-    """Up to six views, no order and no choice is faster, with changed prices too."""
+    """For up to six views no order and no choice is faster, also with changed prices."""
     n = seed % 6 + 1
     configurations, poses = views(seed, n, 3)
     rng = np.random.default_rng(seed)
@@ -295,7 +295,7 @@ def test_overlapping_orders_are_valid_and_mostly_optimal() -> None:
         optimal += found.duration <= best * (1 + 1e-9)
         bound += found.duration > found.lower_bound * (1 + 1e-6)
     assert optimal >= 15
-    assert bound > 5  # the condition costs time in some of them
+    assert bound > 5  # the condition costs time in some instances
 
 
 def test_a_free_order_with_overlap_stays() -> None:

@@ -1,4 +1,4 @@
-"""A finished run folder judged from its files alone: own kinematics, python-fcl on true triangles, brute-force rays."""
+"""A finished run folder judged from its files alone by separate kinematics, python-fcl and brute-force rays."""
 
 import json
 import xml.etree.ElementTree as ET
@@ -15,7 +15,7 @@ HOME = np.array([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 
 
 def turn(axis: str, degrees: float) -> np.ndarray:
-    """4x4 rotation about a coordinate axis."""
+    """Return a rotation (4, 4) about a coordinate axis."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
     T = np.eye(4)
@@ -25,14 +25,14 @@ def turn(axis: str, degrees: float) -> np.ndarray:
 
 
 def shift(x: float, y: float, z: float) -> np.ndarray:
-    """4x4 translation, given in millimetres."""
+    """Return a translation (4, 4), given in millimetres."""
     T = np.eye(4)
     T[:3, 3] = np.array([x, y, z]) / 1000
     return T
 
 
 def links(q_deg: np.ndarray) -> list[np.ndarray]:
-    """Frames of base, link_1..link_6 and flange from the data sheet's lengths: a chain written for this test."""
+    """Return the frames of base, link_1..link_6 and flange from the data sheet's lengths, by a separate chain."""
     a1, a2, a3, a4, a5, a6 = q_deg
     frames = [np.eye(4)]
     for step in (
@@ -44,7 +44,7 @@ def links(q_deg: np.ndarray) -> list[np.ndarray]:
 
 
 def files_of(folder: Path) -> dict[str, Any]:
-    """Everything that the judge reads of a run folder."""
+    """Return all files of a run folder that the judge reads."""
     found: dict[str, Any] = {
         name: json.loads((folder / f"{name}.json").read_text()) for name in ("plan", "scene.resolved", "report")
     }
@@ -58,7 +58,7 @@ def files_of(folder: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def run(planned: Path) -> dict[str, Any]:
-    """The plan of the small part."""
+    """Return the plan of the small part."""
     return files_of(planned)
 
 
@@ -96,7 +96,7 @@ def test_the_motion_visits_every_view_from_home_and_back(run: dict[str, Any]) ->
 
 
 def test_the_motion_keeps_every_limit(run: dict[str, Any]) -> None:
-    """Samples and their finite differences stay inside the data sheet's speeds, and twice them per second."""
+    """Speeds, accelerations (2 / s of the speed) and differences of the samples are within the data sheet's limits."""
     motion = run["motion"]
     speed = np.radians([156, 156, 156, 330, 330, 615])
     assert (np.abs(motion["qd"]) <= speed).all()
@@ -109,7 +109,7 @@ def test_the_motion_keeps_every_limit(run: dict[str, Any]) -> None:
 
 
 def fcl_shapes(folder: Path) -> dict[str, list[tuple[str, Any, np.ndarray]]]:
-    """Primitives of cell.xml per body with their pose in the body: read as text, no MuJoCo."""
+    """Return the primitives of cell.xml per body with their pose in the body, parsed without MuJoCo."""
     tree = ET.parse(folder / "cell.xml").getroot()
     type_of = {}
     for default in tree.iter("default"):  # a class without a type of its own has its parent's; the shapes' is a box
@@ -245,7 +245,7 @@ def test_predicted_coverage_is_true_by_brute_force(run: dict[str, Any]) -> None:
 
 
 def blocked(origin: np.ndarray, target: np.ndarray, triangles: np.ndarray) -> bool:
-    """Whether a triangle crosses the segment before the last micrometre."""
+    """Return whether a triangle crosses the segment before the last micrometre."""
     direction = target - origin
     e1, e2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     p = np.cross(direction, e2)
@@ -261,7 +261,7 @@ def blocked(origin: np.ndarray, target: np.ndarray, triangles: np.ndarray) -> bo
 
 
 def behind_post(origin: np.ndarray, target: np.ndarray, T_post_object: np.ndarray, post: dict[str, Any]) -> bool:
-    """Whether the segment passes through the post: points along it, half a millimetre apart."""
+    """Return whether the segment passes through the post, by points half a millimetre apart."""
     radius, half = post["size_mm"][0] / 2000, post["size_mm"][1] / 2000
     a, b = (T_post_object @ np.append(p, 1.0) for p in (origin, target))
     along = a[:3] + np.linspace(0, 0.999, 800)[:, None] * (b[:3] - a[:3])

@@ -125,7 +125,7 @@ def _numbers(text: str | None) -> Floats:
 
 
 def _turn(axis: Floats, angle: float) -> Floats:
-    """Rodrigues' formula."""
+    """Return the rotation by Rodrigues' formula."""
     K = _cross(axis)
     return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K
 
@@ -136,7 +136,7 @@ def _cross(a: Floats) -> Floats:
 
 @pytest.fixture(scope="module")
 def chain() -> Chain:
-    """The oracle's arm."""
+    """Return the oracle's arm."""
     return Chain(TOOL)
 
 
@@ -164,13 +164,13 @@ def test_two_gravity_torques_by_hand() -> None:
     assert data.qfrc_bias[0] == pytest.approx(0.0, abs=1e-12)
     data.qpos[1] = -np.pi / 2
     mujoco.mj_forward(model, data)
-    # Upright, what lay below the A2 axis by -z lies in front of it by -z.
+    # Upright, a mass below the A2 axis by -z is in front of it by -z.
     above = 24.2 * 0.0 + 29.1 * (-0.02) + (6.9 + 3.2 + 0.1) * (-0.035)
     assert data.qfrc_bias[1] == pytest.approx(9.81 * above, rel=1e-9)
 
 
 def test_the_mass_matrix_equals_that_of_the_jacobians(chain: Chain) -> None:
-    """In every named pose, with a tool beside the axis."""
+    """The mass matrices agree in every named pose, with a tool off the axis."""
     model = dynamics.compile_dynamic_arm(TOOL)
     for q in POSES.values():
         np.testing.assert_allclose(dynamics.mass_matrix(model, q), chain.mass_matrix(q), atol=1e-9)

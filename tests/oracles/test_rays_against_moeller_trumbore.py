@@ -51,7 +51,7 @@ def _all_hits(vertices, faces, origins, directions):
 
 @pytest.fixture(scope="module")
 def scene():
-    """Vertices, faces and caster of a closed mesh with hollows."""
+    """Return vertices, faces and caster of a closed mesh with hollows."""
     vertices, faces = _bumpy_sphere()
     return vertices, faces, EmbreeRayCaster(vertices, faces)
 

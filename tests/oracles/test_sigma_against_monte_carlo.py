@@ -14,7 +14,7 @@ def _unit(v):
 
 
 def _halfway(points, scanner):
-    """Normals that make equal angles with both legs, and that angle's cosine."""
+    """Return normals at equal angles to both legs, and the cosine of that angle."""
     normals = _unit(_unit(-points) + _unit(scanner.sensor - points))
     return normals, np.einsum("ij,ij->i", normals, _unit(-points))
 

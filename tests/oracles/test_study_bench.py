@@ -21,7 +21,7 @@ from planner.measurability.visibility import apply_occluders
 
 @pytest.fixture(scope="module")
 def tables(part_file: Path) -> dict[str, Any]:
-    """Tables of a small, coarse scene."""
+    """Return tables of a small, coarse scene."""
     return {
         "part": {"path": str(part_file), "units": "mm"},
         "plan": {"faces": 60, "samples_per_face": 3, "candidates": "optimal-scanning-zone"},
@@ -31,12 +31,12 @@ def tables(part_file: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def bench(tables: dict[str, Any]) -> Bench:
-    """The small scene with 4,000 held-out samples."""
+    """Return the bench of the small scene with 4,000 held-out samples."""
     return Bench(load_scene(None, tables), samples=4000)
 
 
 def test_sampled_coverage_view_by_view_is_that_of_the_merged_cloud(bench: Bench) -> None:
-    """Skipping the samples of earlier views changes nothing."""
+    """The coverage is unchanged if the samples of earlier views are skipped."""
     views = bench.candidates.T_object_scanner[[0, 17, 40, 63]]
     points = [virtual_scan.scan(bench.scanner, T, bench.caster, bench.part.reference).points for T in views[:, 0]]
     merged = coverage.sampled_coverage(
@@ -47,7 +47,7 @@ def test_sampled_coverage_view_by_view_is_that_of_the_merged_cloud(bench: Bench)
 
 
 def test_a_scene_survives_the_settings_of_a_trial(tables: dict[str, Any], tmp_path: Path) -> None:
-    """With a fixture and its own field of view."""
+    """A scene with a fixture and its own field of view equals the scene from its settings."""
     path = tmp_path / "cell.toml"
     path.write_text(
         '[scanner]\nfov_deg = [40.0, 30.0]\n[[fixtures]]\nname = "clamp"\nshape = "box"\nsize_mm = [50, 40, 6]\n'
@@ -58,7 +58,7 @@ def test_a_scene_survives_the_settings_of_a_trial(tables: dict[str, Any], tmp_pa
 
 
 def test_a_file_that_changed_under_a_study_is_refused(tmp_path: Path) -> None:
-    """The keys of its trials would belong to another part."""
+    """A changed file is refused, because the keys of the trials would belong to another part."""
     path = tmp_path / "part.stl"
     trimesh.creation.box((0.1, 0.1, 0.1)).export(path)
     settings = scene_settings(load_scene(None, {"part": {"path": str(path), "units": "m"}}))

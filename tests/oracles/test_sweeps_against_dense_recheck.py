@@ -79,7 +79,7 @@ def test_a_sweep_keeps_its_line_its_speed_its_branch_and_every_limit(name: str) 
         assert (off[:, path.branch] < 1e-6).all()
         assert (q >= LIMITS.lower).all()
         assert (q <= LIMITS.upper).all()
-        # Speed, acceleration, jerk: by differences of positions alone, and as told.
+        # Speed, acceleration and jerk: from differences of positions, and as returned.
         v, a = np.gradient(q, t, axis=0), np.gradient(qd, t, axis=0)
         np.testing.assert_allclose(qd[2:-2], v[2:-2], atol=1e-4)
         np.testing.assert_allclose(qdd[2:-2], a[2:-2], atol=2e-3 + 0.01 * np.abs(qdd).max())
@@ -127,7 +127,7 @@ def test_the_reverse_is_the_same_path_backwards() -> None:
 
 
 def test_the_arm_is_at_each_vertex_at_its_time() -> None:
-    """Up to the rounding of set-points."""
+    """The arm is at each vertex at its time, up to the rounding of set-points."""
     for path in _paths(COLUMNS["turned"], np.random.default_rng(9), 4):
         q, _, _ = _driven(path).at(_driven(path).times)
         assert np.degrees(np.abs(q - path.q)).max() < 1.1e-4

@@ -18,7 +18,7 @@ from planner.why.why import Reason
 
 
 def test_every_reason_is_that_of_the_closest_candidate(blob: Callable[[int], trimesh.Trimesh]) -> None:
-    """Each sample with each candidate alone: conditions in order, one ray after the other; the last one decides."""
+    """The reason of each sample equals that of single pairs: conditions in order, one ray after the other."""
     mesh = blob(3)
     part = TriangleMesh(mesh.vertices / 1000, mesh.faces.astype(np.int32))
     planning = decimate(part, 24)

@@ -18,7 +18,7 @@ PLACE = st.tuples(st.floats(-1500, 1500), st.floats(-1500, 1500), st.floats(-300
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    """The built-in cell."""
+    """Return the built-in cell."""
     return compile_world(Scene(), PART, baseline_mm=75.0)
 
 
@@ -73,7 +73,7 @@ def test_a_fixture_never_frees_a_configuration(
 
 
 def test_a_larger_clearance_never_frees(world: World) -> None:
-    """Free at 30 mm is free at 10 mm is free at 0 mm, and each step forbids something."""
+    """A configuration free at 30 mm is free at 10 mm and at 0 mm, and each step excludes some."""
     q = np.random.default_rng(5).uniform(world.limits.lower, world.limits.upper, (6000, 6))
     free = [
         MujocoCollisionChecker(
@@ -157,7 +157,7 @@ def test_travel_bounds_the_motion_of_every_point(world: World, scale: float) -> 
         bound = checker.travel(q_from[None], q_to[None])[0]
         assert bound >= moved
         length = np.linalg.norm(np.diff(places, axis=0), axis=2).sum(axis=0).max()
-        assert bound >= length  # it bounds the way, not only the displacement
+        assert bound >= length  # it bounds the length of the path, not only the displacement
         if moved > 0:
             ratios.append(bound / length)
     assert np.median(ratios) < (1.6 if scale <= 0.02 else 2.5)
@@ -168,7 +168,7 @@ def test_travel_bounds_the_motion_of_every_point(world: World, scale: float) -> 
     q_to=st.lists(ANGLE, min_size=6, max_size=6),
 )
 def test_travel_is_symmetric_and_zero_at_rest(world: World, q_from: list, q_to: list) -> None:
-    """Forwards and backwards are equal; no motion is none."""
+    """Both directions have equal travel, and no motion has none."""
     checker = MujocoCollisionChecker(world)
     a, b = np.deg2rad([q_from]), np.deg2rad([q_to])
     assert checker.travel(a, b)[0] == pytest.approx(checker.travel(b, a)[0], rel=1e-12, abs=1e-15)
@@ -176,7 +176,7 @@ def test_travel_is_symmetric_and_zero_at_rest(world: World, q_from: list, q_to: 
 
 
 def test_travel_in_one_batch_is_travel_one_by_one(world: World) -> None:
-    """Batches change only the speed."""
+    """A batch gives the results of single calls."""
     rng = np.random.default_rng(8)
     q = rng.uniform(world.limits.lower, world.limits.upper, (1100, 6))
     checker = MujocoCollisionChecker(world)

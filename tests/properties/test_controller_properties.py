@@ -112,7 +112,7 @@ class ControllerMachine(RuleBasedStateMachine):
 
     @rule()
     def stop(self) -> None:
-        """Stop: always OK, and the queue is empty."""
+        """Stop: the answer is OK and the queue is empty."""
         assert self.send(Stop()) is Result.OK
         assert self.controller.state().queue_depth == 0
 
@@ -135,7 +135,7 @@ class ControllerMachine(RuleBasedStateMachine):
     @precondition(lambda self: self.last is not None)
     @rule()
     def repeat(self) -> None:
-        """Repeat the last command under its number: the old answer, and no other effect."""
+        """Repeat the last command under its number: the old answer, without another effect."""
         assert self.last is not None
         before, queued = self.controller.state(), self.controller.time_to_wait()
         answer = self.controller.command(self.sequence, self.last)

@@ -85,7 +85,7 @@ def test_slices_are_gathered_and_reduced_like_lists(slices: list[list[int]], dat
 
 @given(st.lists(st.integers(0, 10**6), unique=True, max_size=20), st.randoms())
 def test_set_hash_ignores_order_and_sees_members(members: list[int], random: Random) -> None:
-    """Equal sets have equal hashes; another member changes the hash."""
+    """Equal sets have equal hashes, and another member changes the hash."""
     shuffled = members.copy()
     random.shuffle(shuffled)
     extended = [*members, 10**6 + 1]
@@ -96,7 +96,7 @@ def test_set_hash_ignores_order_and_sees_members(members: list[int], random: Ran
 
 @st.composite
 def moves(draw: st.DrawFn) -> tuple[CoverInstance, Ints]:
-    """A problem with loads or demands, costs, groups and areas, and columns to be moved in or out in turn."""
+    """Return a problem with loads or demands, costs, groups and areas, and columns to move in or out in turn."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     M = rng.random((draw(st.integers(1, 25)), draw(st.integers(1, 15)))) < draw(st.floats(0.1, 0.6))
     M[0, 0] = True

@@ -70,7 +70,7 @@ def test_exchanges_shorten_the_motion() -> None:
 
 
 def test_equal_seeds_give_equal_exchanges() -> None:
-    """Same input and seed, same views and groups."""
+    """Equal inputs and seeds give equal views and groups."""
     one, two = Case(3).exchanged(), Case(3).exchanged()
     np.testing.assert_array_equal(one.views, two.views)
     for a, b in zip(one.groups, two.groups, strict=True):
@@ -118,7 +118,7 @@ def test_the_slack_bounds_the_lost_area(seed: int) -> None:
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_no_view_and_one_view(count: int) -> None:
-    """No view stays no view; one view may be picked among all that measure as much."""
+    """No view gives no view, and one view may be exchanged for any that measures as much."""
     case = Case(0)
     case.views = case.views[:count]
     found = case.exchanged()

@@ -22,7 +22,7 @@ def _above(T):
 
 @pytest.fixture(scope="module")
 def mug():
-    """The Mug, coarse, with 1,500 scouts."""
+    """Return the mug, coarse, with 1,500 scouts."""
     part = load("mug")
     planning = decimate(part.reference, 120)
     scouts = draw_samples(part.reference, planning, 1500, np.random.default_rng(0))

@@ -20,7 +20,7 @@ from planner.viewpoints.viewpoints import Viewpoints
 seeds = st.integers(0, 2**32 - 1)
 few = settings(
     max_examples=settings.default.max_examples // 4, derandomize=True
-)  # knife-edge pairs exist: the same examples every time
+)  # some pairs are exactly on a limit: the same examples every time
 
 
 def _hull(rng, centre, size):
@@ -219,7 +219,7 @@ def test_the_ray_grid_sets_exactly_the_rows_that_its_scans_hit(seed):
 @few
 @given(seeds, st.integers(1, 1000))
 def test_the_size_of_bundles_does_not_matter(seed, bundle):
-    """Bundles of any number of rays give the same bytes."""
+    """Bundles of any number of rays give equal bytes."""
     _, part, caster, features, views = _scene(seed)
     scanner = _scanner()
     keys = {"method": "rays", "part": part, "row_of_face": np.arange(len(part.faces)) % len(features)}

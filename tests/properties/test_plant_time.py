@@ -54,7 +54,7 @@ fractions = st.lists(st.floats(0.0, 1.0), max_size=12)
 @example([0.1] * 5, [k / 40 for k in range(40)], 0.123456789)
 @example([1e-9, 1.0], [1.0 - 1e-9], 0.05)
 def test_the_division_of_time_does_not_matter(first: list[float], second: list[float], cut: float) -> None:
-    """One advance or any division of it, also with a new reference within a step."""
+    """One advance and any division of it give the same state, also with a new reference within a step."""
     cut = round(cut, 6) + 0.4e-9  # not within rounding of the edge between two nanoseconds
     assert driven(cuts(cut, first), cuts(0.4, second), cut) == driven([cut], [0.4], cut)
 
@@ -62,7 +62,7 @@ def test_the_division_of_time_does_not_matter(first: list[float], second: list[f
 @settings(max_examples=settings.default.max_examples // 4)
 @given(st.lists(st.floats(0.0, 0.02), max_size=20))
 def test_the_same_commands_and_times_give_the_same_bytes(times: list[float]) -> None:
-    """Two plants with equal inputs are equal."""
+    """Two plants with equal inputs have equal states."""
     assert driven(times, times, 0.1) == driven(times, times, 0.1)
 
 

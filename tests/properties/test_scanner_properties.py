@@ -41,7 +41,7 @@ def _measured(limits: dict, cloud: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 @given(_LIMITS, st.floats(0, 1), st.integers(0, 5))
 def test_widening_any_limit_never_loses_a_point(limits, share, seed):
-    """Each of FOV, range, grazing, sensor's FOV and depth of field alone, or removed if optional."""
+    """Wider or removed limits of FOV, range, grazing, sensor's FOV and depth of field keep every point."""
     cloud = _cloud(seed)
     before = _measured(limits, cloud)
     front, back = limits["depth_of_field_mm"]

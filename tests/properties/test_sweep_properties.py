@@ -15,7 +15,7 @@ def _in_pose(points: np.ndarray, normals: np.ndarray, T: np.ndarray) -> tuple[np
 
 
 def _by_pose(scanner: LaserLine, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return (K, N) whether each pose has each point in view; viewpoint at the identity."""
+    """Return (K, N) whether each pose has each point in view; the viewpoint is the identity."""
     return np.array([scanner.reject(*_in_pose(points, normals, T)) == MEASURED for T in scanner.T_view_scanner])
 
 
@@ -98,7 +98,7 @@ def test_refining_a_sweep_changes_only_what_is_undecided_within_half_a_step(
     seed=st.integers(0, 2**32 - 1),
 )
 def test_a_wider_limit_never_loses_a_sample(key: str, sweep: dict, seed: int) -> None:
-    """Fan, range, grazing limits and (at the same step, about the same middle) the sweep."""
+    """Wider fan, range, grazing limits and (with the same step and middle) sweep keep every sample."""
     keys = {"fan_deg": 25.0, "range_mm": (250, 380), "grazing_max_deg": 50, "sensor_grazing_max_deg": 60, **sweep}
     wider: dict = {"fan_deg": 32.0, "range_mm": (240, 400), "grazing_max_deg": 65, "sensor_grazing_max_deg": 75}
     steps = 5

@@ -44,7 +44,7 @@ _SAMPLES = 6000
 
 @pytest.fixture(scope="module")
 def run_folder(tmp_path_factory: pytest.TempPathFactory, run_cell: Callable) -> Path:
-    """A plan of 60 % of the coverable area of a plate (100 x 80 x 40 mm) with a closed void (40 x 30 x 12 mm)."""
+    """Return a plan of 60 % of the coverable area of a plate (100 x 80 x 40 mm) with a void (40 x 30 x 12 mm)."""
     home = tmp_path_factory.mktemp("why")
     outer = trimesh.creation.box((100, 80, 40)).subdivide().subdivide()
     void = trimesh.creation.box((40, 30, 12)).subdivide()
@@ -62,13 +62,13 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory, run_cell: Callable) -> 
 
 @pytest.fixture(scope="module")
 def run(run_folder: Path) -> Run:
-    """The opened run."""
+    """Return the opened run."""
     return open_run(run_folder)
 
 
 @pytest.fixture(scope="module")
 def answer(run: Run) -> Analysis:
-    """The analysis of the run."""
+    """Return the analysis of the run."""
     return why.analyse(run, Terminal(quiet_stdout=True), _SAMPLES)
 
 
@@ -218,7 +218,7 @@ def test_the_files_repeat_and_the_plan_is_unchanged(
 
 
 def test_points_have_reason_group_and_gain(run_folder: Path) -> None:
-    """Another program reads why.ply: each sample in mm, and the counts of why.json."""
+    """Another program can read why.ply: each sample in mm, and the counts of why.json."""
     outcome = why.explain(run_folder, Terminal(quiet_stdout=True), samples=1500)
     cloud = trimesh.load(outcome.folder / "why.ply", process=False)
     assert len(cloud.vertices) == 1500

@@ -96,7 +96,7 @@ def test_a_request_survives_its_frame(number: int, session: int, request: messag
 
 @given(numbers, states)
 def test_a_state_survives_its_frame(number: int, state: RobotState) -> None:
-    """All fields, text included."""
+    """All fields, including the text, are unchanged by encoding and decoding."""
     frame = messages.status_frame(number, state)
     parsed = messages.parse_status(frame)
     assert parsed is not None
@@ -107,7 +107,7 @@ def test_a_state_survives_its_frame(number: int, state: RobotState) -> None:
 
 @given(st.sampled_from([TO_CONTROLLER, FROM_CONTROLLER]), numbers, st.text("ASTOPEMVHLR,0123456789-AF ", max_size=60))
 def test_each_message_has_one_spelling(start: str, number: int, body: str) -> None:
-    """No two bodies are the same request or answer."""
+    """No two bodies encode the same request or answer."""
     frame = Frame(start, number, body)
     request = messages.parse_request(frame)
     if request is not None:
@@ -119,14 +119,14 @@ def test_each_message_has_one_spelling(start: str, number: int, body: str) -> No
 
 @given(st.binary(max_size=80))
 def test_any_bytes_are_no_frame_or_the_only_spelling_of_one(data: bytes) -> None:
-    """Decoding never fails."""
+    """Decoding any bytes raises no error, and a decoded frame has exactly one encoding."""
     frame = decode_frame(data)
     assert frame is None or encode_frame(frame) == data
 
 
 @given(frames, st.data())
 def test_a_corrupted_frame_is_no_frame(frame: Frame, data: st.DataObject) -> None:
-    """Flipped bits, cuts, joined frames, lower case."""
+    """Frames with flipped bits, cuts, joins or lower case are refused."""
     good = encode_frame(frame)
     how = data.draw(st.sampled_from(["flip", "cut", "join", "case"]))
     if how == "flip":
@@ -163,7 +163,7 @@ def test_frames_are_found_in_any_stream(sent: list[Frame], noise: list[bytes], d
 
 @pytest.mark.parametrize("body", ["", "move", "MOVE*", "MOVE,<", "MOVE,\n", "MOVE,\u00e4", "M" * 2000, ",MOVE"])
 def test_a_body_that_no_frame_can_hold_is_refused(body: str) -> None:
-    """Empty, lower case, reserved or other characters, too long, without kind."""
+    """A body that is empty, too long, without kind or with invalid characters is refused."""
     with pytest.raises(ProtocolError, match="cannot carry"):
         encode_frame(Frame(">", 1, body))
 
@@ -196,7 +196,7 @@ def test_a_staged_move_is_assembled(via: np.ndarray, speed: float, size: int, se
 
 
 def test_the_crc_of_points_is_zlibs_over_big_endian_counts() -> None:
-    """Point by point, A1 to A6."""
+    """The CRC is that of zlib, point by point from A1 to A6."""
     via = np.array([[1, -2, 3, -4, 5, -6], [7, 8, 9, 10, 11, 12]], dtype=np.int32)
     assert points_crc(via) == zlib.crc32(struct.pack(">12i", 1, -2, 3, -4, 5, -6, *range(7, 13)))
 
@@ -211,7 +211,7 @@ def test_a_speed_is_never_rounded_up(speed: float) -> None:
 
 
 def test_every_speed_on_the_wire_is_exact() -> None:
-    """All multiples of 1e-4."""
+    """All multiples of 1e-4 are unchanged on the wire."""
     assert all(speed_to_wire(speed_from_wire(k)) == k for k in range(FULL_SPEED + 1))
 
 
@@ -274,7 +274,7 @@ def test_a_block_survives_and_a_corrupted_one_is_refused(
 
 @given(numbers, st.integers(0, 255), st.one_of(st.none(), numbers), st.lists(numbers, min_size=1, max_size=123))
 def test_modbus_telegrams_survive(address: int, unit: int, transaction: int | None, values: list[int]) -> None:
-    """FC16, TCP and RTU."""
+    """FC16 telegrams are unchanged over TCP and RTU."""
     header = stations.Header(unit, transaction)
     pdu = struct.pack(f">BHHB{len(values)}H", 16, address, len(values), 2 * len(values), *values)
     packet = stations.pack(header, pdu)
@@ -287,7 +287,7 @@ def test_modbus_telegrams_survive(address: int, unit: int, transaction: int | No
 
 @given(st.binary(max_size=300))
 def test_any_bytes_are_split_and_parsed_without_error(data: bytes) -> None:
-    """The kept rest is the end of the stream."""
+    """Any bytes are parsed without error, and the kept part is the end of the stream."""
     stations.parse_pdu(data)
     stations.parse_tcp(data)
     stations.parse_rtu(data)
@@ -302,7 +302,7 @@ def test_crc16_has_its_published_check_value() -> None:
 
 
 def test_the_lengths_of_rtu_telegrams() -> None:
-    """From a function code alone to 256 bytes."""
+    """The length is found from a single function code up to 256 bytes."""
     header = stations.Header(17, None)
     for size in (1, 253):
         pdu = bytes(range(7, 7 + size % 200)) + bytes(size - size % 200)
@@ -312,7 +312,7 @@ def test_the_lengths_of_rtu_telegrams() -> None:
 
 
 def test_capabilities_survive_their_frame() -> None:
-    """Limits, speed, unlimited via points and name."""
+    """Limits, speed, unlimited via points and name are unchanged by encoding and decoding."""
     sent = replace(KR16.capabilities("emulator", hardware=True, simulated_time=False), max_speed=0.5)
     parsed = messages.parse_hello(messages.hello_frame(3, sent))
     assert parsed is not None

@@ -241,7 +241,7 @@ def test_all_branches_of_all_views_walled_off() -> None:
 
 
 def test_a_detour_between_views_is_part_of_the_tour() -> None:
-    """Two views on both sides of a bar: the segment between them goes around and is tagged."""
+    """Home and a view are on opposite sides of a bar: both moves go around it and are tagged as detours."""
     bar = Boxes(box(x=(0.4, 0.6), y=(-BIG, 0.5)))
     tour = motion_over([at(1)[None]], bar)
     assert tour.detour.tolist() == [True, True]
