@@ -198,7 +198,7 @@ def test_an_accepted_move_may_begin_later(link: ScriptedLink, client: Controller
 
 
 def test_another_client_on_the_line_is_detected(link: ScriptedLink, client: ControllerClient) -> None:
-    """After a lost answer the state has another client's number: nothing is sent again."""
+    """After a lost answer the state has the number of another client, and no command is sent again."""
 
     def intrude(command: Command) -> None:
         link.before = lambda command: None
@@ -212,7 +212,7 @@ def test_another_client_on_the_line_is_detected(link: ScriptedLink, client: Cont
 
 
 def test_moves_outside_the_capabilities_are_not_sent(link: ScriptedLink, client: ControllerClient) -> None:
-    """The client refuses with the controller's own codes."""
+    """The client refuses such moves with the codes of the controller."""
     outside = turned(0)
     outside[0, 1] = KR16.upper[1] + 1
     for points, speed, result in ((outside, 0.5, Result.LIMIT), (turned(1), 2.0, Result.SPEED)):
@@ -275,7 +275,7 @@ def test_a_fault_ends_the_move_until_reset(interrupted: Interrupted) -> None:
 
 
 def test_an_emergency_stop_ends_the_move_until_release_and_reset(interrupted: Interrupted) -> None:
-    """A reset is refused while it is pressed."""
+    """A reset is refused while the emergency stop is pressed."""
     link, client, clock = interrupted
     clock.action = link.controller.emergency_stop
     with pytest.raises(EmergencyStopError, match="emergency stop"):
@@ -330,7 +330,7 @@ def test_closing_drops_a_move_that_has_not_begun(link: ScriptedLink, client: Con
 
 
 def test_a_lost_line_is_released(link: ScriptedLink, client: ControllerClient) -> None:
-    """close() succeeds after a link failure; a failed connect() leaves nothing open."""
+    """close() succeeds after a link failure, and a failed connect() releases the wire."""
     link.on_state = raising(LinkLostError("nobody there"))
     client.close()
     assert link.closed == 1

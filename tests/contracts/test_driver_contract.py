@@ -52,7 +52,7 @@ def near(driver: Driver, *degrees: float) -> SetPoints:
 
 
 def test_a_move_ends_exactly_at_its_last_set_point(driver: Driver) -> None:
-    """To the count, in position and at rest; the next state says the same. Each move has its own number."""
+    """The driver is in position, at rest and exactly at the last set-point. Each move has a separate number."""
     numbers = set()
     for points in (near(driver, 1.0, 0.5, 2.0001), near(driver, 0.1), driver.state().axes[None].copy()):
         for state in (driver.move(points, SPEED), driver.state()):

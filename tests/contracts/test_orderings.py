@@ -59,7 +59,7 @@ def test_equal_seeds_give_equal_orders() -> None:
 
 
 def test_a_forbidden_edge_is_avoided() -> None:
-    """With all moves home except one per view forbidden, in either direction, these are used."""
+    """With all moves home except one per direction forbidden, the allowed ones are used."""
     configurations, poses = make(6, [3, 3])
     problem = forbidding(configurations, (0, 1), (2, 0), (0, 4), (0, 5))
     found = order_views(problem, poses, np.random.default_rng(0))
@@ -67,7 +67,7 @@ def test_a_forbidden_edge_is_avoided() -> None:
 
 
 def test_a_missing_tour_is_reported() -> None:
-    """If every move to a view is forbidden, the status says so and the duration is infinite."""
+    """If every move to a view is forbidden, the status reports it and the duration is infinite."""
     configurations, poses = make(6, [1, 1])
     found = order_views(forbidding(configurations, (0, 1), (1, 2)), poses, np.random.default_rng(0))
     assert found.status is OrderStatus.NO_TOUR

@@ -1,4 +1,4 @@
-"""Faults of wire, controller and cell in simulated time: nothing executed twice, lost, out of order or off the path.
+"""Faults of wire, controller and cell in simulated time: no move is repeated, lost, reordered or off the path.
 
 The full forms of the soak and the fuzz are `python -m benchmarks soak` and `python -m benchmarks fuzz`.
 """

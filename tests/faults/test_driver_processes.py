@@ -192,7 +192,7 @@ def test_another_protocol_at_the_port_is_a_link_error() -> None:
 def test_a_soak_over_real_processes(
     moves: int, axes: int, emulate: Callable[..., Any], request: pytest.FixtureRequest
 ) -> None:
-    """Moves with 2 % of every fault over all wires at once, of the arm, and of arm and rotary table."""
+    """Moves of the arm, and of arm and rotary table, with 2 % of every fault over all wires in parallel."""
     run = () if axes == 6 else ("--run", str(request.getfixturevalue("turned")))
     limits = KR16 if axes == 6 else Limits.from_rad(open_run(Path(run[1])).motion.limits)
     faults = EVERY_FAULT.replace("=0.01", "=0.02")

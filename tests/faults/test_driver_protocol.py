@@ -114,7 +114,7 @@ def test_another_session_does_not_feed_the_watchdog(wire: Bench) -> None:
 
 @pytest.mark.parametrize(("watchdog", "backend"), on_one_wire([0.1, 5.0, 0.099, 5.001, 0.0, 65.535]))
 def test_the_client_sets_its_watchdog(watchdog: float, backend: str) -> None:
-    """The controller accepts 100 ms to 5 s; outside, nobody owns the arm."""
+    """The controller accepts 100 ms to 5 s; with other values no client owns the arm."""
     bench = make_bench(backend)
     bench.link._timeouts = Timeouts(answer=0.05, watchdog=watchdog)
     bench.driver.connect()
@@ -194,7 +194,10 @@ def test_another_session_moves_nothing(wire: Bench) -> None:
 
 
 def test_a_stop_by_another_client_ends_the_session(wire: Bench) -> None:
-    """The owner's move ends with the reason; a stop between two moves has the same effect; its own stop recovers."""
+    """The owner's move ends with the reason.
+
+    A stop between two moves has the same effect, and a stop by the owner recovers.
+    """
     during(wire, lambda: wire.endpoint.command(0, 77, Stop()) and None)
     with pytest.raises(StoppedError, match="another client"):
         wire.driver.move(turned(90.0), 0.5)
@@ -211,7 +214,7 @@ def test_a_stop_by_another_client_ends_the_session(wire: Bench) -> None:
 
 
 def test_a_silent_owner_is_replaced_and_an_active_one_is_not(wire: Bench) -> None:
-    """Only with the arm at rest and after the watchdog's time; the former owner sends nothing more."""
+    """The owner is replaced only at rest and after the watchdog's time. The former owner then sends no move."""
     wire.driver.move(turned(1.0), 1.0)
     assert wire.endpoint.take(9, 1000).result == Result.NOT_OWNER
     wire.clock.wait(0.6)
@@ -265,7 +268,7 @@ def test_monitoring_disturbs_nobody(wire: Bench) -> None:
 
 
 def test_the_arm_is_given_back(wire: Bench) -> None:
-    """After close() the next client does not wait."""
+    """After close() the next client need not wait."""
     wire.driver.move(turned(1.0), 1.0)
     wire.driver.close()
     assert wire.endpoint.owner == 0
@@ -400,7 +403,7 @@ def test_missing_stages_are_sent_again(wire: Bench) -> None:
 
 
 def test_the_controller_refuses_what_a_client_did_not(wire: Bench) -> None:
-    """Moves sent past the client's check: nothing moves, the number is used up."""
+    """Moves that bypass the client's check are refused: the arm does not move, and the number is used."""
     for sequence, (points, speed, result) in enumerate(
         (
             (turned(185.0001), 0.5, Result.LIMIT),
@@ -440,7 +443,7 @@ def test_a_step_too_large_is_refused_at_both_ends(wire: Bench) -> None:
 
 
 def test_a_restart_between_moves_is_detected(wire: Bench) -> None:
-    """Even if the controller had answered nothing before: sequence 0 again, but another boot number."""
+    """A restart is detected by the boot number, also if the sequence was 0 before."""
     wire.endpoint.restart()
     with pytest.raises(StateUnknownError, match="restarted"):
         wire.driver.move(turned(10.0), 1.0)
@@ -475,7 +478,7 @@ def test_a_first_move_cut_by_a_restart_is_not_sent_again(wire: Bench) -> None:
 
 
 def test_a_copy_of_this_client_is_detected(wire: Bench) -> None:
-    """Its command changed the last number; nothing is sent before a stop."""
+    """A command of a copy changes the last number, and the client sends no move before a stop."""
     wire.driver.move(turned(1.0), 1.0)
     wire.endpoint.command(wire.endpoint.owner, 500, Move(turned(2.0), 1.0))
     wire.clock.wait(0.4)
@@ -653,7 +656,7 @@ def test_a_wrong_map_is_refused(rewrite: Callable[[int, list[int]], list[int]], 
 
 
 def test_words_swapped_on_the_way_to_the_controller_execute_nothing() -> None:
-    """The block's own CRC is wrong: an exception telegram."""
+    """The CRC of the block is wrong, and the controller answers with an exception telegram."""
     bench = make_bench("modbus")
     bench.driver.connect()
     write = bench.port.write
@@ -669,7 +672,7 @@ def test_words_swapped_on_the_way_to_the_controller_execute_nothing() -> None:
 
 
 def test_a_status_from_before_the_write_is_read_again() -> None:
-    """It echoes an older heartbeat; if it stays so, the client gives up."""
+    """A status with an older heartbeat is read again, and the client gives up if it stays old."""
     link, port = rewritten("modbus-rtu")
     link.open()
     link.state()

@@ -101,7 +101,7 @@ def test_a_killed_client_goes_on_and_scans_every_view_once(
     assert 1 <= left < len(undisturbed)
     again = ("scan", str(run_folder), "--resume", "latest", "--speed", "1", *_SCALE)
     done = run_cell(*again, *_word(run_folder), "--reset", cwd=run_folder.parent)
-    word = _own_way(done) if done.returncode else _word(run_folder)  # where it stood is where it was killed
+    word = _own_way(done) if done.returncode else _word(run_folder)  # the arm stopped at the point of the kill
     if done.returncode:
         done = run_cell(*again, *word, "--reset", cwd=run_folder.parent)
     assert done.returncode == 0, done.stderr
@@ -205,7 +205,7 @@ def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
     execution = executed_folder / "executions" / "0001"
     (execution / "scans" / "0002.npz").write_bytes(b"torn")
     if not torn:
-        (execution / "scans" / "0002.npz").rename(execution / "scans" / "0099.npz")  # none of its own
+        (execution / "scans" / "0002.npz").rename(execution / "scans" / "0099.npz")  # the name of no view
     manifest = json.loads((execution / "manifest.json").read_text())
     (execution / "manifest.json").write_text(json.dumps({**manifest, "status": status}))
     before = len(_events(execution))

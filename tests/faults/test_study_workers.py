@@ -133,7 +133,7 @@ def cluster() -> Iterator[Any]:
         yield made
 
 
-@pytest.mark.filterwarnings("default")  # Dask's own, about the worker that the test kills
+@pytest.mark.filterwarnings("default")  # warnings of Dask about the killed worker
 def test_a_cluster_gives_the_same_to_the_bit_and_loses_nothing_with_a_worker(
     trials: list[Trial], local: list[Outcome], cluster: Any, tmp_path: Path
 ) -> None:

@@ -65,7 +65,7 @@ def _parsed(line: str) -> tuple[Any, dict[str, object]]:
 
 
 def test_every_key_of_the_plan_is_offered_or_file_only_with_a_reason() -> None:
-    """No key is missing, none is both."""
+    """Each key is either an option or file-only, and never both."""
     offered = {key.removeprefix("plan.") for offer in option_specs(Scene).values() for key in offer.fields}
     assert set(PlanSettings.model_fields) - offered == set(FILE_ONLY)
 
@@ -97,7 +97,7 @@ def test_the_help_imports_nothing_heavy() -> None:
 
 @pytest.mark.parametrize("line", _examples(ROOT))
 def test_every_example_of_the_help_parses(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its options exist and their texts are valid; a named scene is valid."""
+    """The options of each example exist, their texts are valid, and a named scene is valid."""
     monkeypatch.chdir(tmp_path)
     for name in ("part.stl", "my_cell.toml"):
         (tmp_path / name).touch()

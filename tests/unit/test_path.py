@@ -125,7 +125,7 @@ def test_a_free_straight_move_is_taken() -> None:
 
 
 def test_a_detour_goes_around_the_wall() -> None:
-    """Via points are set-points with the given ends; sampled ten times denser than certified, nothing is in contact."""
+    """The via points are set-points with the given ends, and a check ten times denser finds no contact."""
     checker = Boxes(WALL)
     found = connect(LEFT, RIGHT, checker, LIMITS, rng())
     assert found.status is PathStatus.DETOUR

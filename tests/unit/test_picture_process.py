@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cell.report import figures
-from cell.report.plots import plot_process  # before the fixture that has other tests draw in their own process
+from cell.report.plots import plot_process  # import before the fixture that disables the process for other tests
 
 COVER = {"marginal_area": np.array([0.5, 0.3]), "coverable": 0.9, "total": 1.0, "lower_bound": 1}
 

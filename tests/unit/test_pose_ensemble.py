@@ -84,7 +84,7 @@ def test_credit_is_capped_and_nothing_counts_for_no_hit() -> None:
 
 
 def test_the_layer_is_the_share_of_a_normal_distribution() -> None:
-    """At the edge of a cone half of the turned poses measure the sample; 1 sigma inside 84 %; far inside all."""
+    """At the edge of a cone half of the poses measure the sample, 1 sigma inside 84 %, and far inside all."""
     sd = 0.5
     samples, views = scene([10.0, 10.0 - sd, 5.0, 14.0])
     M = fill_matrix(views, samples, Cone(), Nothing())

@@ -30,7 +30,7 @@ def _codes(scanner, T, points, normals):
 
 @pytest.mark.parametrize(("fov", "near", "far", "limit"), [((60, 60), 50, 150, 75), ((12, 40), 150, 450, 60)])
 def test_the_frustum_is_that_of_the_conditions(fov, near, far, limit):
-    """Every place is inside the closed form of the frustum, and they come close to its limits."""
+    """Every place is inside the closed form of the frustum, and the places reach close to its limits."""
     scanner = LaserArea(
         fov_deg=fov, range_mm=(near, far), baseline_mm=10, grazing_max_deg=limit, sensor_grazing_max_deg=90
     )
@@ -100,7 +100,7 @@ def test_draws_fill_the_allowed_ranges():
 
 
 def test_poses_are_transferred_to_neighbours():
-    """From the pose of one point its neighbours get accepted poses, all different."""
+    """The pose of one point gives accepted and distinct poses of its neighbours."""
     scanner = LaserArea(range_mm=(50, 150), baseline_mm=25, sensor_grazing_max_deg=75)
     targets = _sphere(300)
     known = draw_poses(targets, np.array([7]), (0, 8), find_frustum(scanner), scanner)

@@ -120,7 +120,7 @@ def test_verdicts():
 
 
 def test_the_blocker_is_the_closest_pair_in_most_configurations():
-    """With A1 = -40 and, overhead, A1 = 140 deg in the way, the sign of A1 that has more branches gives the name."""
+    """With A1 = -40 deg and (overhead) 140 deg blocked, the sign of A1 with more branches gives the name."""
     T = KINEMATICS.forward(np.deg2rad([[-40.0, -60.0, 90.0, 0.0, 45.0, 0.0]]))
     names = []
     checker = Wall(9.0)
@@ -184,7 +184,7 @@ def test_no_viewpoint_is_no_error():
 
 
 def test_broken_input_is_named():
-    """A transform that is not rigid, and a checker that contradicts itself, raise and say so."""
+    """A transform that is not rigid and a checker with contradictory answers are refused with a message."""
     viewpoints = viewpoints_of(random_flanges(3)[:, None])
     with pytest.raises(PlannerError, match="T_base_object is not a rigid transform"):
         solve_reach(viewpoints, 2 * np.eye(4), T_FLANGE_SCANNER, KINEMATICS, Wall())
@@ -207,7 +207,7 @@ def test_reach_refuses_contradictions():
 
 
 def test_picked_and_joined_reach_keeps_the_configurations():
-    """In any order, with viewpoints that have none; joining the parts gives the original."""
+    """Viewpoints can be picked in any order, also without configurations. Joined parts give the original."""
     reach = solved(viewpoints_of(random_flanges(60)[:, None]), Wall(0.1))
     which = np.random.default_rng(0).permutation(60)[:40]
     some = pick_reach(reach, which)
@@ -220,7 +220,7 @@ def test_picked_and_joined_reach_keeps_the_configurations():
 
 
 def test_an_added_configuration_follows_those_of_its_viewpoint():
-    """Compared with a list of lists; a known one is not added again, and other viewpoints stay unchanged."""
+    """The result equals a list of lists: a known configuration is not added, and other viewpoints are unchanged."""
     q = np.arange(30.0).reshape(5, 6)
     reach = Reach(np.array([0, 1, 0, 0], dtype=np.uint8), q, [0, 2, 2, 4, 5], ("", "", "", ""))
     more = np.array([q[3], np.full(6, 7.0), np.full(6, 9.0)])

@@ -76,7 +76,7 @@ def test_equal_input_gives_equal_views(case):
 
 
 def test_unreachable_poses_are_not_taken(case):
-    """With an arm that reaches half of space, no view leaves it; with one that reaches nothing, none moves."""
+    """With half of space reachable no view leaves it, and with nothing reachable no view moves."""
     _, _, _, views = case
     _, after = _reduce(case, are_reachable=lambda T: T[:, 0, 2, 3] > 0)
     assert (after.T_object_scanner[after.moved, 2, 3] > 0).all()
@@ -100,7 +100,7 @@ def _improve(case, wanted, are_reachable=lambda T: np.ones(len(T), dtype=bool), 
 
 
 def test_each_improved_view_measures_more_by_itself(case):
-    """By the rays of each pose alone; a view that did not move is unchanged to the bit."""
+    """Each moved view measures more by its own rays, and a view that did not move is unchanged to the bit."""
     samples, scanner, caster, views = case
     wanted = samples.areas * (samples.points[:, 0] > 0)
     T, moved_ = _improve(case, wanted)
@@ -114,7 +114,7 @@ def test_each_improved_view_measures_more_by_itself(case):
 
 
 def test_each_round_measures_more(case, monkeypatch):
-    """Smaller steps after large ones improve further; no view goes farther than the steps allow."""
+    """Smaller steps after large ones improve further, and no view moves beyond the steps."""
     samples, _, _, views = case
     rounds = []
     for count in (1, 2, 3):
@@ -131,7 +131,7 @@ def test_each_round_measures_more(case, monkeypatch):
 
 
 def test_unreachable_poses_do_not_improve_a_view(case):
-    """Views stay if nothing else is reachable; with an arm that reaches half of space, none leaves it."""
+    """With half of space reachable no view leaves it, and with nothing else reachable all views stay."""
     samples, _, _, views = case
     T, moved_ = _improve(case, samples.areas, lambda T: np.zeros(len(T), dtype=bool))
     assert not moved_.any()
@@ -142,7 +142,7 @@ def test_unreachable_poses_do_not_improve_a_view(case):
 
 
 def test_perturbed_poses_stay_near_their_aim():
-    """Turned about the point, then shifted by at most the share; a share of 0 moves nothing."""
+    """Poses are turned about the point and then shifted by at most the share. A share of 0 has no effect."""
     view = aim_viewpoints(np.zeros((1, 3)), np.array([[0.6, 0.0, 0.8]]), np.array([-1]), [0.2], [0.3])
     T = view.T_object_scanner[0, 0]
     for share in (0.0, 0.5, 1.0):
@@ -188,7 +188,7 @@ def test_poses_evaluated_together_give_the_result_of_each_alone(case, monkeypatc
 
 
 class _RegionalScanner:
-    """A scanner that measures nothing in region 1."""
+    """A scanner that measures no point of region 1."""
 
     def __init__(self, scanner):
         self._scanner = scanner

@@ -26,7 +26,7 @@ def ball(radius_mm: float, name: str = "ball") -> Workpiece:
 
 
 def own(**tables: dict) -> Scene:
-    """Return a scene of a user's file, without the file."""
+    """Return a scene with a part from a file that is not read."""
     scene = Scene.model_validate(tables)
     return scene.model_copy(update={"part": scene.part.model_copy(update={"path": "ball.stl", "units": "mm"})})
 

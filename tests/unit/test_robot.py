@@ -201,7 +201,7 @@ def test_each_exclusion_has_its_reason():
 
 
 def test_the_file_is_found_in_an_installed_package_and_in_a_tree(tmp_path, monkeypatch):
-    """cell/models comes first, models beside cell second; the error of a missing file names both."""
+    """cell/models has priority over models beside cell, and the error of a missing file names both."""
     package = tmp_path / "cell"
     package.mkdir()
     monkeypatch.setattr(files.resources, "files", lambda name: package)
@@ -242,7 +242,7 @@ def changed_model(change):
     ],
 )
 def test_another_arm_has_no_dimensions_of_a_kr_16(change):
-    """Arms with other signs, offsets or zeros have none."""
+    """Arms with other signs, offsets or zeros have no dimensions of a KR 16."""
     assert robot.dimensions(changed_model(change)) is None
 
 

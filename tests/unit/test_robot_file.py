@@ -499,7 +499,7 @@ def test_round_shapes_of_an_mjcf_are_enclosed(tmp_path: Path) -> None:
 def test_an_arm_from_a_file_is_planned_verified_and_driven(
     tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    """From the file to a scan and an exploration; a plan keeps its robot, and a changed file is detected."""
+    """The arm of a file is planned, scanned and explored. The plan keeps its robot, and a changed file is detected."""
     written(tmp_path, urdf(LEVER))
     trimesh.creation.box((50, 50, 40)).export(tmp_path / "block.stl")
     scene = """[robot]

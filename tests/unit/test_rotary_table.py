@@ -80,7 +80,7 @@ def test_a_quarter_turn_moves_a_point_about_the_axis() -> None:
 
 
 def test_a_table_about_the_first_axis_of_the_arm_is_that_axis() -> None:
-    """By symmetry: with the table's axis on that of A1, which turns the other way, both do the same to a view."""
+    """With the table's axis on that of A1, a turn of either (with opposite sign) has the same effect on a view."""
     arm = kinematics_of(robot.load())
     chain = ArmOnTable(arm, _table(), np.zeros(7), 36)
     q = np.radians([[10, -80, 100, 20, 60, 30, 25], [-40, -70, 80, -30, -50, 10, -110]])
@@ -150,7 +150,7 @@ def test_no_distance_of_arm_and_part_changes_by_more_than_the_travel(either: Wor
     low, high = either.limits.lower, either.limits.upper
     q_from = rng.uniform(low, high, (400, 7))
     q_to = np.clip(q_from + rng.uniform(-0.3, 0.3, (400, 7)), low, high)
-    q_to[:100, :6] = q_from[:100, :6]  # the table alone
+    q_to[:100, :6] = q_from[:100, :6]  # only the table moves
     travel = checker.travel(q_from, q_to)
     for corner in BLOCK.vertices:
         at = [(either.T_base_part(q) @ [*corner, 1.0])[:, :3] for q in (q_from, q_to)]
@@ -165,7 +165,7 @@ def test_no_distance_of_arm_and_part_changes_by_more_than_the_travel(either: Wor
 
 
 def test_the_radius_of_the_table_is_that_of_the_farthest_corner(either: World) -> None:
-    """It bounds the travel per radian: not smaller, or motions would touch between two checks, and not larger."""
+    """The radius is exactly the travel per radian. A smaller one would miss contacts between two checks."""
     assert either.table is not None
     corners = (either.T_base_object @ np.c_[BLOCK.vertices, np.ones(8)].T)[:3].T
     axis, face = either.table.T_base_table[:3, 2:].T
@@ -363,7 +363,7 @@ def test_limits_of_a_scene_are_never_extended() -> None:
 
 
 def test_a_run_stores_the_range_of_its_table() -> None:
-    """Obstacles limit the axis before the scene does; runs without a stored range have the scene's limits, or none."""
+    """The stored range has priority over the limits of the scene. Without both the table is endless."""
     T = np.eye(4)
     T[:3, 3] = 1.2, 0.5, -0.4
     said = ResolvedTable.model_construct(

@@ -1,4 +1,4 @@
-"""The scene file: defaults, every problem at once, hints, overrides."""
+"""The scene file: defaults, all problems in one report, hints, overrides."""
 
 import re
 import tomllib
@@ -161,7 +161,7 @@ def test_a_misspelt_word_gets_a_hint(tmp_path: Path, text: str, start: str, hint
     ],
 )
 def test_a_wrong_value_is_named_with_the_valid_ones(tmp_path: Path, text: str, start: str) -> None:
-    """Every kind of mistake has its own sentence."""
+    """Every kind of mistake has a separate message."""
     (problem,) = _problems(tmp_path, text)
     assert problem.startswith(start)
 

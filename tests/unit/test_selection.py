@@ -68,7 +68,7 @@ def test_the_target_is_raised_until_the_held_out_share_is_reached() -> None:
 
 
 def test_a_target_that_cannot_hold_ends_at_full_coverage() -> None:
-    """Views that measure almost nothing of the held-out samples: all of them are selected, and the target is 1."""
+    """If all views measure almost no held-out sample, all are selected and the target is 1."""
     assert _selected(0.5, [0.001] * 10) == (10, pytest.approx(1.0))
 
 

@@ -85,7 +85,7 @@ def test_the_default_mount_is_never_occluded():
 
 
 def test_exactly_the_hidden_samples_are_removed():
-    """With a mount that looks over the wrist a view loses the samples that brute force finds hidden, and no others."""
+    """With a mount aimed over the wrist, exactly the samples hidden by brute force are removed from a view."""
     world = _world(mount=SIDEWAYS, housing={"bracket_diameter_mm": 0.0, "size_mm": [100.0, 60.0, 40.0]})
     M, reached, views = _cell(world)
     arm = SelfOcclusion(M, reached, views, world, SCANNER)
@@ -189,7 +189,7 @@ def test_coverage_with_the_arm_is_never_larger(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_the_housing_occludes_only_away_from_source_and_sensor():
-    """With its front face in the plane of the source it has a window; moved aside it occludes as other shapes."""
+    """A front face in the plane of the source has a window; a shifted housing occludes like other shapes."""
     q = np.deg2rad([10, -80, 90, 5, 20, 30])
     names = {piece.name for piece in arm_occluders(_world(), q, ENDS)}
     assert "housing" not in names

@@ -64,7 +64,7 @@ def test_by_default_the_axes_cross_in_the_middle_of_the_working_range():
 
 
 def test_depth_is_along_z_and_inclusive():
-    """A limit of z, not of the distance; the range has its own code and is tested first."""
+    """The limit applies to z and not to the distance. The range has a separate code and is tested first."""
     scanner = LaserArea(**BASE, depth_of_field_mm=(200, 400))
     assert _codes(
         scanner, [0, 0, 0.2], [0.1, 0.1, 0.4], [0, 0, 0.1999999], [0.15, 0, 0.19], [0, 0, 0.4000001], [0, 0, 0.6]

@@ -41,7 +41,7 @@ def test_every_figure_has_its_source(name: str) -> None:
     ("name", "near", "far"), [("small", 15.0, 45.0), ("medium", 50.0, 150.0), ("large", 150.0, 450.0)]
 )
 def test_the_generic_devices_are_scaled_copies(name: str, near: float, far: float) -> None:
-    """Baseline and body scale with the range, to 0.1 mm; nothing is open."""
+    """Baseline and body scale with the range, to 0.1 mm, and no figure is missing."""
     device, large = sensors.load(f"generic-area-{name}"), sensors.load("generic-area-large")
     assert device.figures.range_mm == (near, far)
     assert device.figures.baseline_mm == (near + far) / 8

@@ -86,6 +86,6 @@ def test_limits_between_two_steps_are_kept():
 
 
 def test_steps_survive_the_conversion_to_radians():
-    """To radians and back, over two turns."""
+    """Steps are unchanged by the conversion to radians and back, over two turns."""
     steps = np.arange(-3_600_000, 3_600_001, 7)
     np.testing.assert_array_equal(to_steps(from_steps(steps)), steps)

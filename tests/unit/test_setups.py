@@ -142,7 +142,7 @@ def test_advice_is_a_command_that_can_be_pasted(tmp_path: Path) -> None:
 
 
 def test_a_set_up_that_the_table_cannot_carry_leaves_the_others() -> None:
-    """The cell of the first set-up that compiles is returned; if none compiles, an error is raised."""
+    """The first set-up that compiles gives the cell. Without any, an error is raised."""
     part = workpiece.load("mug", None)
     table = {"position_mm": [1200, 500, -350], "diameter_mm": 300.0}
 

@@ -33,7 +33,7 @@ def _met(direction: np.ndarray, origin: np.ndarray, point: np.ndarray, normal: n
 
 
 def test_the_spacing_of_an_area_scanner_is_that_of_its_neighbouring_rays() -> None:
-    """Compared with intersections of rays half a step to either side, at 500 positions and inclinations."""
+    """The spacing equals that of rays half a step to either side, at 500 positions and inclinations."""
     points, normals = _planes(np.random.default_rng(1), 500)
     for point, normal, told in zip(points, normals, AREA.spacing(points, normals), strict=True):
         gaps = []
@@ -62,7 +62,7 @@ def test_the_ray_grid_has_the_computed_spacing() -> None:
 
 @pytest.mark.parametrize("sweep", [{"sweep_mm": 120.0}, {"sweep_deg": 30.0}])
 def test_the_spacing_of_a_line_sensor_is_along_its_line_and_to_the_next_one(sweep: dict[str, float]) -> None:
-    """Compared with planes: a neighbouring ray of the sheet, and the same ray of the next line at full speed."""
+    """The spacing equals that of a neighbouring ray of the sheet, and of the next line at full speed, on planes."""
     line = LaserLine(fan_deg=30, line_points=4000, range_mm=(50, 800), profile_rate_hz=500.0, **sweep)
     points, normals = _planes(np.random.default_rng(2), 300)
     points[:, 0] = 0.0
@@ -165,7 +165,7 @@ def test_the_densest_view_that_measures_a_point_counts() -> None:
 
 
 def test_dense_coverage_against_all_pairs() -> None:
-    """A sample counts with a point within 1.5 times its own spacing, and never without a spacing."""
+    """A sample with a point within 1.5 times the spacing counts, and a sample without a spacing never does."""
     rng = np.random.default_rng(5)
     square = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]])
     plate = TriangleMesh(square, np.array([[0, 1, 2], [0, 2, 3]]))

@@ -84,6 +84,6 @@ def test_the_ramps_end_before_the_first_pose_and_keep_the_acceleration(count: in
 
 
 def test_rotation_vectors_and_rotations_are_inverse() -> None:
-    """Also for zero and tiny rotations."""
+    """The conversion and its inverse agree, also for zero and tiny rotations."""
     vectors = np.array([[0, 0, 0], [1e-9, 0, 0], [0.3, -0.4, 0.5], [0, 0, 3.0], [-1.2, 0.1, 2.0]], dtype=float)
     np.testing.assert_allclose(rotation_vectors(rotation_matrices(vectors)), vectors, atol=1e-12)

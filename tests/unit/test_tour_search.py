@@ -26,7 +26,7 @@ class Open:
 
 
 class AlwaysNew(TourSearch):
-    """A search that finds new collisions beside every tour, whose own edges are free."""
+    """A search that reports new collisions near every tour whose edges are free."""
 
     def inspect_around(self, nodes: list[int]) -> tuple[list[int], bool]:
         self.roadmap.inspect(self.edges(nodes))
@@ -53,7 +53,7 @@ def test_a_real_tour_of_very_many_views_ends_the_search() -> None:
 
 @pytest.mark.parametrize("views", [3 * gtsp.MANY_CLUSTERS, 5 * gtsp.MANY_CLUSTERS])
 def test_more_edges_are_inspected_for_more_views(views: int) -> None:
-    """Above a hundred views, so that the number of orderings does not grow with the number of views."""
+    """Above a hundred views more edges are inspected per ordering, so the number of orderings does not grow."""
     search = search_of(TourSearch, views)
     edges: list[Edge] = search.through([np.array([0]), *map(search.roadmap.nodes_of, range(views)), np.array([0])])[1]
     assert len(edges) == MotionBudget().neighbours * (5 if views > _VERY_MANY else 1)

@@ -64,7 +64,7 @@ def _visits(paths: list[tuple[SweepPath, ...]], poses: Floats) -> Visits:
 
 
 def test_the_tour_contains_every_sweep_and_is_the_shortest() -> None:
-    """Compared with all orders and directions; timed with its lines it has the duration of the tour."""
+    """The tour is the shortest of all orders and directions, and its timed motion has the same duration."""
     paths, poses = _views(4)
     tour = plan_tour(_visits(paths, poses), _FreeSpace(), LIMITS, np.random.default_rng(0))
     assert tour.status is TourStatus.COMPLETE

@@ -106,7 +106,7 @@ def test_rotations_are_proper_near_the_z_axis(x: float, y: float, z: float) -> N
 
 
 def test_a_face_without_area_gives_no_viewpoint() -> None:
-    """A degenerate face has no normal to look against; the others keep their own number."""
+    """A degenerate face has no normal and no viewpoint, and the other faces keep their numbers."""
     mesh = ball(1)
     with_sliver = TriangleMesh(mesh.vertices, np.vstack([[[0, 0, 1]], mesh.faces]))
     viewpoints = optimal_scanning_zone(with_sliver, [0.3], [0.0])
@@ -223,6 +223,6 @@ def test_a_turned_sweep_turns_about_the_line_through_the_source(count: int) -> N
     ],
 )
 def test_impossible_sweeps_are_refused(make, words: str) -> None:
-    """The message says which argument is valid."""
+    """The message names the argument and its valid values."""
     with pytest.raises(PlannerError, match=words):
         make()

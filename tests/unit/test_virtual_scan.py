@@ -63,7 +63,7 @@ def test_an_occluder_blocks_only_in_front():
     assert (front.codes[screened] == Rejection.SOURCE_BLOCKED).all()
     assert (front.codes[~screened] != Rejection.SOURCE_BLOCKED).all()
     assert (front.hit_face[screened] == -1).all()
-    assert front.counts()[Rejection.SENSOR_BLOCKED] > 0  # the screen also stands between the plate and the sensor
+    assert front.counts()[Rejection.SENSOR_BLOCKED] > 0  # the screen is also between the plate and the sensor
 
 
 def test_range_and_back_faces_are_rejected_with_their_reason():
@@ -78,7 +78,7 @@ def test_range_and_back_faces_are_rejected_with_their_reason():
 
 
 def test_with_no_baseline_the_sensor_sees_whatever_the_source_hits():
-    """On a bumpy surface at every angle up to 90 degrees no reflected ray is blocked."""
+    """Without baseline no reflected ray is blocked on a bumpy surface, at every angle up to 90 degrees."""
     u, v = np.meshgrid(np.linspace(-0.1, 0.1, 41), np.linspace(-0.1, 0.1, 41), indexing="ij")
     height = 0.03 * np.sin(80 * u) * np.cos(70 * v)
     number = np.arange(41 * 41).reshape(41, 41)

@@ -48,7 +48,7 @@ def _reasons(targets: RayTargets, views: Viewpoints, scanner: LaserArea, part, o
 
 
 def test_the_laser_shadow_of_a_wall_follows_from_similar_triangles() -> None:
-    """Behind a wall of 20 mm, from 40 mm in front of it and 200 mm above, it is 40 * 20 / 180 mm long."""
+    """A wall of 20 mm, seen from 40 mm before it and 200 mm above, has a shadow of 40 * 20 / 180 mm."""
     x = np.linspace(0.0005, 0.03, 400)
     scanner = LaserArea(range_mm=(50, 900), baseline_mm=0, grazing_max_deg=90)
     found = _reasons(_on_plate(x), _down(-0.04, 0.2), scanner, _caster(_PLATE, _WALL))
@@ -60,7 +60,7 @@ def test_the_laser_shadow_of_a_wall_follows_from_similar_triangles() -> None:
 
 
 def test_another_standoff_gains_the_difference_of_the_shadows() -> None:
-    """From twice the height the shadow is 40 * 20 / 380 mm long: the change gains the points between both ends."""
+    """At twice the height the shadow is 40 * 20 / 380 mm long. The change gains the points between both ends."""
     x = np.linspace(0.0005, 0.03, 400)
     targets, part = _on_plate(x), _caster(_PLATE, _WALL)
     scanner = LaserArea(range_mm=(50, 900), baseline_mm=0, grazing_max_deg=90)
@@ -81,7 +81,7 @@ def test_a_shorter_baseline_shortens_the_sensor_shadow_of_a_wall() -> None:
     views = _down(-0.03, 0.2)
     wide, narrow = LaserArea(**limits, baseline_mm=100), LaserArea(**limits, baseline_mm=65)
     found = _reasons(targets, views, wide, part)
-    shaded = -x < 0.07 * 0.02 / 0.18  # the sensor stands 70 mm beyond the wall
+    shaded = -x < 0.07 * 0.02 / 0.18  # the sensor is 70 mm beyond the wall
     np.testing.assert_array_equal(found.reason == Reason.SENSOR_SHADED_BY_PART, shaded)
     gained = PlanChange(ChangeKind.BASELINE, 0.35, "", "", views.T_object_scanner, narrow, (part, _FAR)).measures(
         targets, np.flatnonzero(shaded)
@@ -122,7 +122,7 @@ def test_the_occluder_is_named() -> None:
 
 @pytest.mark.parametrize("angle_deg", [76.0, 80.0, 88.0])
 def test_the_grazing_angle_is_exact_and_the_smallest_sufficient_limit_is_that_angle(angle_deg: float) -> None:
-    """One candidate at a known angle: its reason, its angle, and the first whole degree at which it measures."""
+    """One candidate at a known angle has the grazing reason, its angle, and the first integer degree that suffices."""
     targets = _on_plate(np.array([0.0, 0.01]))  # lines of sight need an extent to end slightly above the plate
     outward = np.array([[np.sin(np.radians(angle_deg)), 0, np.cos(np.radians(angle_deg))]])
     views = aim_viewpoints(np.array([[0.0, 0.003, 0.0]]), outward, np.array([0]), [0.2], [0.0])
@@ -155,7 +155,7 @@ def test_the_verdict_of_the_robot_counts_only_if_the_scanner_would_measure() -> 
 
 
 def test_the_range_is_missed_by_the_logarithm_of_the_distance() -> None:
-    """Over the standoff: 500 of 450 mm is closer than 900."""
+    """The miss is the logarithm of distance over standoff: 500 of 450 mm is closer than 900."""
     T = np.concatenate([_down(0.0, height).T_object_scanner for height in (0.9, 0.5)])
     views = Viewpoints(T, np.zeros(2, np.int32), np.full(2, 0.3), np.zeros(2))
     found = _reasons(_on_plate(np.array([0.0, 0.01])), views, LaserArea(baseline_mm=0), _caster(_PLATE))

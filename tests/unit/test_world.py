@@ -48,7 +48,7 @@ def test_every_shape_has_a_name_for_reports(world: World) -> None:
 
 
 def test_the_checked_pairs_are_those_of_the_table(world: World) -> None:
-    """Every moving shape is checked with everything that it can touch, and nothing else."""
+    """Every moving shape is checked with exactly those shapes that it can touch."""
     names = {frozenset(world.entities[geom] for geom in pair) for pair in world.pairs}
     standing = ("part", "post", "ring", "clamp", "pillar", "glass")
     arm = robot.LINKS[1:]
@@ -111,7 +111,7 @@ def test_the_part_s_hull_is_at_its_vertices(world: World) -> None:
 
 
 def test_the_post_reaches_from_below_the_floor_to_the_lowest_point(world: World) -> None:
-    """It is below the centre and ends at the height of the lowest vertex, for a turned part too."""
+    """The post is below the centre and ends at the height of the lowest vertex, also for a turned part."""
     placed = PART @ world.T_base_object[:3, :3].T + world.T_base_object[:3, 3]
     data, post = world.data(), world.model.geom("post").id
     half = world.model.geom_size[post, 1]
@@ -288,7 +288,7 @@ def test_the_baseline_of_the_scene_takes_precedence() -> None:
 
 
 def test_a_scanner_without_a_baseline_must_be_given_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without one the housing has no position."""
+    """A scanner without a baseline is refused, because the housing would have no position."""
     monkeypatch.setattr("cell.scanners.keys", lambda name: ("fov_deg", "range_mm"))
     with pytest.raises(SceneError, match=r"scanner\.baseline_mm"):
         compile_world(Scene(), PART)
