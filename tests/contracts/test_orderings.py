@@ -37,7 +37,10 @@ def forbidding(configurations: list[np.ndarray], *pairs: tuple[int, int]) -> Tou
 
 @pytest.mark.parametrize("sizes", [[], [1], [4], [2, 3], [1, 1, 1], [3] * 7, [2] * 13, [1, 6, 2, 5, 3] * 3])
 def test_an_order_is_a_permutation_with_its_own_times(sizes: list[int]) -> None:
-    """Each view once, each q one of its configurations; the duration is the sum of its moves, in its bounds."""
+    """Each view is visited once with one of its configurations.
+
+    The duration is the sum of the moves, within the bounds.
+    """
     configurations, poses = make(len(sizes), sizes)
     found = order_views(TourProblem.straight(configurations, HOME, LIMITS), poses, np.random.default_rng(0), budget=500)
     assert sorted(found.order) == list(range(len(sizes)))
@@ -59,7 +62,7 @@ def test_equal_seeds_give_equal_orders() -> None:
 
 
 def test_a_forbidden_edge_is_avoided() -> None:
-    """With all moves home except one per direction forbidden, the allowed ones are used."""
+    """All moves home except one per view are forbidden in both directions, and the allowed moves are used."""
     configurations, poses = make(6, [3, 3])
     problem = forbidding(configurations, (0, 1), (2, 0), (0, 4), (0, 5))
     found = order_views(problem, poses, np.random.default_rng(0))
@@ -95,7 +98,7 @@ def test_a_view_without_configuration_is_refused_by_number() -> None:
 
 @pytest.mark.parametrize("leave", [[0, 1, 2, 1], [0, 1, 2, 4], [0, 1, 2, -1], [1, 1, 2, 3]])
 def test_leaving_from_another_view_is_refused(leave: list[int]) -> None:
-    """The arm leaves the view at which it arrives, and home too; numbers of no node are refused."""
+    """The arm must leave each view and home at which it arrives. Unknown numbers of nodes are refused."""
     with pytest.raises(PlannerError, match="leave must name a node of the same view"):
         replace(TourProblem.straight(make(9, [2, 1])[0], HOME, LIMITS), leave=leave)
 

@@ -101,7 +101,7 @@ def test_a_killed_client_goes_on_and_scans_every_view_once(
     assert 1 <= left < len(undisturbed)
     again = ("scan", str(run_folder), "--resume", "latest", "--speed", "1", *_SCALE)
     done = run_cell(*again, *_word(run_folder), "--reset", cwd=run_folder.parent)
-    word = _own_way(done) if done.returncode else _word(run_folder)  # the arm stopped at the point of the kill
+    word = _own_way(done) if done.returncode else _word(run_folder)  # depends on the position at which the arm stopped
     if done.returncode:
         done = run_cell(*again, *word, "--reset", cwd=run_folder.parent)
     assert done.returncode == 0, done.stderr

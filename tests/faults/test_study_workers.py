@@ -107,7 +107,7 @@ def test_no_worker_outlives_a_study_that_was_killed(
             time.sleep(0.05)
 
     def workers() -> list[int]:
-        # Found by their command line, because an orphan has another parent.
+        # Children by the id of their parent, which changes when they are orphans.
         found = []
         for path in Path("/proc").glob("[0-9]*/stat"):
             with contextlib.suppress(OSError):

@@ -58,7 +58,7 @@ def arm(name, rng, tilt=0.0):
     moved = Chain(directions, points, T)
     q = rng.uniform(-np.pi, np.pi, (6, 6))
     at_zero, signs = np.diag(q), rng.choice([-1.0, 1.0], 6)
-    # The axes where the chain stands at its new zero, then the base elsewhere.
+    # The axes at the new zero of the chain, then a moved base.
     base = np.eye(4)
     base[:3, :3], base[:3, 3] = rotation(rng) if name != "sideways" else np.eye(3), rng.uniform(-1, 1, 3)
     placed = [base @ frame for frame in frames(moved, at_zero)]

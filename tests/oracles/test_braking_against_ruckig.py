@@ -55,7 +55,7 @@ def check_stop(driven: Reference, t: float, jerk: np.ndarray, acceleration: np.n
 def test_a_stop_is_smooth_within_the_limits_and_before_the_segments_end(
     points: np.ndarray, v: np.ndarray, a: np.ndarray, j: np.ndarray, share: float, later: float, endless: bool
 ) -> None:
-    """From any phase, also during a stop; the arm comes to rest between its position and the via point."""
+    """A stop from any phase, also from another stop, ends between the position and the via point."""
     jerk = np.full(6, np.inf) if endless else j
     start, end = np.round(points, 6)
     driven = interpolate(start, end[None], v, a, jerk)

@@ -67,7 +67,7 @@ def test_samples_lie_between_lower_bound_and_distance(world: World) -> None:
 
 
 def test_the_tightest_moment_is_on_the_motion(world: World) -> None:
-    """Its configuration has its distance; its points are on the named shapes."""
+    """The configuration has the reported distance, and its points are on the named shapes."""
     checker = MujocoCollisionChecker(world)
     via, segment = _via()
     found = motion_clearance(checker, via, segment, 3)

@@ -48,7 +48,7 @@ def test_the_bound_is_the_linear_relaxation(coverage: float) -> None:
 
 
 def test_the_curve_is_between_selections_and_the_linear_relaxation() -> None:
-    """At each number of views, on a random visibility-like matrix."""
+    """The bounds hold at each number of views, on a random visibility-like matrix."""
     M, areas = medium(5, 150, 70, 0.12)
     curve = coverage_curve(CoverProblem(M, areas), rng=np.random.default_rng(0), effort_budget=10**9)
     A = np.block([[-M.astype(float), np.eye(150)], [np.ones(70), np.zeros(150)]])
@@ -101,7 +101,7 @@ def least(instance: CoverInstance) -> float:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("options", [{}, {"coverage": 0.9}, {"max_views": 5}], ids=["full", "share", "area"])
 def test_the_tree_proves_that_nothing_is_below_the_optimum(seed: int, options: dict[str, float]) -> None:
-    """It starts with all rows or with few, and with columns that the first node cannot exclude."""
+    """The proof holds with all or few initial rows, and with columns that the first node cannot exclude."""
     M, areas = medium(seed, 90, 60, 0.06 + 0.03 * (seed % 4))
     instance = canonical_form(CoverProblem(M, areas, **options)).residual  # type: ignore[arg-type]
     optimum = least(instance)

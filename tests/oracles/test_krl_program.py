@@ -295,7 +295,7 @@ def test_the_program_follows_the_planned_via_points_and_poses(exported: tuple[by
 
 
 def test_it_settles_triggers_once_per_view_and_resets_the_trigger(exported: tuple[bytes, bytes]) -> None:
-    """Between two motions: settle, trigger up, answer, trigger down; no motion during the trigger."""
+    """Between two motions the order is settle, trigger up, answer, trigger down, without motion during the trigger."""
     robot = Robot(list(HOME), _prompt(7, 8))
     _driven(exported, robot)
     up = False

@@ -59,7 +59,7 @@ def test_a_straight_sweep_measures_a_rectangle(fan: float, length: float, steps:
 
 @pytest.mark.parametrize("steps", [1, 4, 31])
 def test_a_turned_sweep_measures_a_bow_tie_cut_by_the_range(steps: int) -> None:
-    """In the wedge the line is as long as the depth of its own pose gives; nothing is measured beyond the range."""
+    """In the wedge the length of the line follows from the depth at its pose, up to the end of the range."""
     angle, fan, far = 60.0, 28.0, 0.33
     scanner = LaserLine(
         fan_deg=fan, sweep_deg=angle, sweep_steps=steps, baseline_mm=80, range_mm=(200, far * 1000), grazing_max_deg=89
@@ -101,7 +101,7 @@ def test_a_wall_along_the_line_casts_its_shadow_away_from_the_sensor_only() -> N
     inside = (np.abs(x) <= length / 2) & (np.abs(y) <= HEIGHT * np.tan(np.radians(15)))
     beyond = -0.001 - x  # how far a sample lies from the wall, on the side away from the sensor (scanner x is plate x)
     shadow = baseline * wall / HEIGHT
-    blur = length / steps / 2 * wall / HEIGHT + 1e-9  # a pose stands up to half a step beside its sample
+    blur = length / steps / 2 * wall / HEIGHT + 1e-9  # a pose is up to half a step off its sample
     row = _row(M)
     hidden = (beyond >= 0) & (beyond <= shadow - blur)
     lit = (beyond >= shadow + blur) | (x >= 0.001 + blur)

@@ -74,7 +74,7 @@ def _is_measured(T, point, normal, triangle_sets):
 
 @pytest.mark.parametrize("occluded", [False, True])
 def test_every_entry_equals_the_single_pair(occluded):
-    """Three boxes that occlude each other, 150 samples x 72 viewpoints, with and without a bar beside them."""
+    """Every entry is equal for 150 samples x 72 viewpoints of three boxes, with and without a bar as occluder."""
     part = _joined(
         _box((0.1, 0.08, 0.03), (0, 0, 0)),
         _box((0.03, 0.08, 0.07), (0.03, 0, 0.06)),

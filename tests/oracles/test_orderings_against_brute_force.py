@@ -168,7 +168,7 @@ def test_large_instances_are_searched_and_bounded() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_bounds_of_whole_numbers_are_whole_and_never_above_the_optimum(seed: int) -> None:
-    """Places on a grid at whole distances: the bound of a search is a whole number, and at most the exact cost."""
+    """For integer distances on a grid, the bound is an integer and at most the exact cost."""
     rng = np.random.default_rng(seed)
     places = rng.integers(0, 50, (28, 2)).astype(float)
     first = np.arange(0, 29, 4)
@@ -275,7 +275,7 @@ def order_with_overlap(configurations, overlap, seed=0):
 
 
 def test_overlapping_orders_are_valid_and_mostly_optimal() -> None:
-    """On 25 instances: always valid, never faster than the best valid order, mostly as fast."""
+    """On 25 instances the order is valid, never faster than the best valid one, and mostly as fast."""
     optimal = bound = 0
     for seed in range(25):
         configurations, overlap = overlapping_views(seed)

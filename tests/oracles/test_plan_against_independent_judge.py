@@ -112,7 +112,7 @@ def fcl_shapes(folder: Path) -> dict[str, list[tuple[str, Any, np.ndarray]]]:
     """Return the primitives of cell.xml per body with their pose in the body, parsed without MuJoCo."""
     tree = ET.parse(folder / "cell.xml").getroot()
     type_of = {}
-    for default in tree.iter("default"):  # a class without a type of its own has its parent's; the shapes' is a box
+    for default in tree.iter("default"):  # a class without a type inherits it; the default of shapes is a box
         geom = default.find("geom")
         if default.get("class") and geom is not None:
             type_of[default.get("class")] = geom.get("type", "box")
@@ -196,7 +196,7 @@ def test_the_motion_touches_nothing_when_checked_ten_times_finer(run: dict[str, 
 
 
 def test_predicted_coverage_is_true_by_brute_force(run: dict[str, Any]) -> None:
-    """Visible coverage re-measured with float64 Moeller-Trumbore over every triangle, own samples, own conditions."""
+    """The visible coverage agrees with float64 Moeller-Trumbore over every triangle, with separate samples."""
     rng = np.random.default_rng(99)
     mesh, scene = run["reference"], run["scene.resolved"]
     triangles = mesh.vertices[mesh.faces] / 1000

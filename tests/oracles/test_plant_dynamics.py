@@ -1,7 +1,7 @@
-"""The dynamic arm against mechanics written down independently: point masses, Lagrange, a pendulum, a spring.
+"""The dynamic arm against independent mechanics: point masses, Lagrange, a pendulum, a spring.
 
-The chain of this file is its own: dimensions and masses are read from the XML's text, rotations are written out, and
-nothing of MuJoCo is used on the oracle's side.
+The chain of this file is separate: dimensions and masses are read from the XML's text, rotations are written out, and
+the oracle does not use MuJoCo.
 """
 
 from itertools import pairwise
@@ -154,7 +154,7 @@ def test_gravity_is_lever_times_weight(pose: str, chain: Chain) -> None:
 
 
 def test_two_gravity_torques_by_hand() -> None:
-    """Stretched horizontally A2 has the moments of all masses and A1 none; upright there is almost none."""
+    """Stretched horizontally, A2 has the moments of all masses and A1 none. Upright, A2 has almost none."""
     model = dynamics.compile_dynamic_arm(Tool())
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

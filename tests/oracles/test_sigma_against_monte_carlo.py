@@ -73,7 +73,7 @@ def test_the_model_applies_that_factor():
 
 
 def test_on_the_axis_it_is_the_textbook_s_depth_error():
-    """It is sigma_z = z^2 / (f b) sigma_image of a camera that looks parallel to z.
+    """Sigma equals z^2 / (f b) sigma_image of a camera with an axis parallel to z.
 
     A position error in its image is an error sigma_image / f cos^2 of the direction.
     """

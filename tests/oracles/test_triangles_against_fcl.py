@@ -1,4 +1,4 @@
-"""Distances from true triangles against python-fcl's own tree, and against the plain definition of a distance.
+"""Distances from true triangles against the tree of python-fcl, and against the definition of a distance.
 
 fcl measures boxes against triangles to 1e-6 m or better. Its cylinders are up to a millimetre off, so those are judged
 by a search over every triangle.
@@ -117,7 +117,7 @@ def test_distances_of_boxes_are_those_of_fcl(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["an open, wavy sheet", "triangles that cross each other", "one triangle"])
 def test_distances_of_cylinders_are_those_of_the_nearest_point(name: str) -> None:
-    """Against a search over every triangle with the closed form for points."""
+    """The distances equal a search over every triangle with the closed form for points."""
     mesh = MESHES[name]()
     tree, radius, half = _tree(mesh), 0.039, 0.06
     for position, R in _poses(25, 0.02, 0.3, 2):
@@ -187,7 +187,7 @@ def test_the_pose_of_the_part_is_that_of_its_vertices() -> None:
 
 
 def test_a_motion_down_into_a_bucket_touches_no_triangle() -> None:
-    """From home to a pose below the rim, planned on triangles: fcl on the same triangles, at 300 configurations."""
+    """A motion below the rim, planned on triangles, has no contact in fcl at 300 configurations."""
     outline = [(0.0, 0.0), (0.24, 0.0), (0.24, 0.36), (0.228, 0.36), (0.228, 0.012), (0.0, 0.012)]
     bucket = trimesh.creation.revolve(np.array(outline), sections=64)
     scene = Scene.model_validate({"placement": {"position_mm": [1100, 0, -100]}, "post": {"enabled": False}})

@@ -97,7 +97,7 @@ def test_turning_part_and_arm_together_changes_no_distance(
     data = world.data()
     data.qpos[:] = q
     mujoco.mj_kinematics(world.model, data)
-    T = pose((0, 0, 0), abc)  # beside or inside the housing, so that there is something to compare
+    T = pose((0, 0, 0), abc)  # near or inside the housing, so that distances are comparable
     T[:3, 3] = data.geom("housing").xpos + offset * data.geom("housing").xmat.reshape(3, 3)[:, 2]
     here = MujocoCollisionChecker(world, world.T_base_object_at(T))
     there = MujocoCollisionChecker(world, world.T_base_object_at(pose((0, 0, 0), (turn, 0, 0)) @ T))

@@ -152,7 +152,7 @@ class ControllerMachine(RuleBasedStateMachine):
     @precondition(lambda self: self.sequence > 1)
     @rule(points=good, back=st.integers(1, 5))
     def stale_or_reused(self, points: SetPoints, back: int) -> None:
-        """Send an old number, or the last one with other content: nothing moves."""
+        """Send an old number, or the last one with other content: no motion starts."""
         before = self.controller.state()
         old = self.controller.command(max(self.sequence - back, 1), Move(points, 0.987654))
         reused = self.controller.command(self.sequence, Move(points, 0.987654))
@@ -169,7 +169,7 @@ class ControllerMachine(RuleBasedStateMachine):
 
     @rule(pressed=st.booleans())
     def emergency_stop(self, pressed: bool) -> None:
-        """Press or release: pressing latches, releasing alone clears nothing."""
+        """Press or release: pressing latches, and releasing alone clears no fault."""
         before = self.controller.state().mode
         self.controller.emergency_stop(pressed)
         self.estop = pressed

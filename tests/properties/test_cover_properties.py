@@ -155,7 +155,7 @@ def test_running_numbers_of_a_search_are_those_computed_from_scratch(
 
 
 def test_draws_are_even_and_in_range() -> None:
-    """Ten thousand draws of seven numbers: none outside, each about as often as the others."""
+    """In ten thousand draws of seven numbers none is out of range, and all are about equally frequent."""
     instance = canonical_form(CoverProblem(np.eye(2, dtype=bool), np.ones(2))).reduced
     state = LocalSearch(instance, np.zeros(0, dtype=np.int64), np.random.default_rng(0))._state
     drawn = np.bincount([search.draw(state.random, 7) for _ in range(10_000)], minlength=7)
@@ -165,7 +165,7 @@ def test_draws_are_even_and_in_range() -> None:
 
 @pytest.mark.parametrize("seed", [11, 113])
 def test_a_core_that_starts_at_the_optimum_ends_its_search(seed: int) -> None:
-    """The columns that a better selection may contain, completed, meet the bound at times: nothing to search."""
+    """A core whose completed columns meet the bound needs no search."""
     rng = np.random.default_rng(seed)
     M = rng.random((40, 50)) < 0.08
     M[np.arange(40), rng.integers(0, 50, 40)] = True

@@ -1,4 +1,4 @@
-"""Exchange of views for alternatives: never longer, nothing lost, for every combination."""
+"""Exchange of views for alternatives: the motion is never longer and no sample is lost, for every combination."""
 
 import itertools
 
@@ -142,7 +142,7 @@ def test_a_candidate_without_configurations_replaces_no_view() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_alternatives_are_ranked_by_their_detours_from_the_given_tour(seed: int) -> None:
-    """By the smallest time from the previous stop to the next, regardless of later orderings."""
+    """The rank is the smallest time from the previous stop to the next, for the given tour."""
     case = Case(seed)
     tours = equivalent_views._Tours(lambda view: case.q[view], HOME, LIMITS, np.random.default_rng(seed))
     alone = [case.views[k : k + 1] for k in range(len(case.views))]

@@ -139,7 +139,7 @@ def test_an_added_occluder_never_adds_an_entry(seed, K):
 @few
 @given(seeds)
 def test_an_occluder_never_adds_a_point_to_a_scan(seed):
-    """Every ray that gives a point with an occluder gives the same one without it; a far occluder changes nothing."""
+    """Every point with an occluder is also measured without it, and a far occluder has no effect."""
     rng, part, caster, _, views = _scene(seed)
     near, far = (EmbreeRayCaster(*_hull(rng, place, 0.03)) for place in (rng.normal(size=3) * 0.1, np.full(3, 9.0)))
     for T in views.T_object_scanner[:, 0]:
@@ -203,7 +203,7 @@ def test_without_a_baseline_the_sensor_leg_blocks_nothing(seed):
 @few
 @given(seeds)
 def test_the_ray_grid_sets_exactly_the_rows_that_its_scans_hit(seed):
-    """`rays` equals one scan after the other: culling of rays that miss the part changes nothing."""
+    """`rays` equals single scans, so the culling of rays that miss the part has no effect."""
     rng, part, caster, _, views = _scene(seed)
     scanner = _scanner()
     row_of_face = rng.integers(-1, 9, len(part.faces))

@@ -30,7 +30,7 @@ def widths(v: float, a: float, j: float) -> Profile:
 @settings(max_examples=4 * settings.default.max_examples)
 @given(inverse, inverse, inverse)
 def test_the_peaks_keep_every_limit_and_some_limit_is_reached(v: float, a: float, j: float) -> None:
-    """Also without limits of speed, acceleration or jerk; the widths are ordered and finite."""
+    """The widths are ordered and finite, also without limits of speed, acceleration or jerk."""
     if a == 0.0 and j == 0.0:
         v = 0.0  # a move of length 0; limits of speed alone are refused by `check_limits`
     cruise, ramp, ease = widths(v, a, j)

@@ -69,7 +69,7 @@ def test_refining_a_sweep_changes_only_what_is_undecided_within_half_a_step(
     if not other.any():
         return
     points, normals = points[other], normals[other]
-    # The same law with one thick sheet, asked at poses all over the half step to either side of each sample's own.
+    # The same law with one thick sheet, at poses within half a step to either side of each sample's pose.
     offsets = np.linspace(-0.5, 0.5, 81)
     step = next(iter(sweep.values())) / steps
     verdicts = []

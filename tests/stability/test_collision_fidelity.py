@@ -34,7 +34,7 @@ def _bucket() -> trimesh.Trimesh:
 
 
 def _looking_down(world: World, depth: float) -> np.ndarray:
-    """Return configurations (N, 6) with the scanner on the part's axis, looking down, `depth` below its top [m]."""
+    """Return configurations (N, 6) with the scanner on the part's axis, aimed down, `depth` below its top [m]."""
     T = np.eye(4)
     T[:3, :3] = np.diag([1.0, -1.0, -1.0])
     centre = (world.T_base_object @ world.T_object_centre)[:3, 3]
@@ -52,7 +52,7 @@ def buckets() -> dict[str, World]:
 
 
 def test_a_deep_cavity_is_closed_to_the_hull_and_open_to_the_triangles(buckets: dict[str, World]) -> None:
-    """The scanner looks from 120 mm below the rim; 60 mm beside the wall both reject it."""
+    """With triangles the scanner is free 120 mm below the rim. Both reject it 60 mm off the axis."""
     verdicts = {}
     for collision, world in buckets.items():
         q = _looking_down(world, 0.12)
@@ -68,7 +68,7 @@ def test_a_deep_cavity_is_closed_to_the_hull_and_open_to_the_triangles(buckets: 
 
 
 def test_distances_grow_from_hull_to_triangles(buckets: dict[str, World]) -> None:
-    """The hull contains the triangles, so it is nowhere farther; configurations in and around the bucket."""
+    """The hull contains the triangles, so no distance to it is larger, in and around the bucket."""
     rng = np.random.default_rng(0)
     base = np.concatenate([_looking_down(buckets["hull"], depth) for depth in (-0.1, 0.0, 0.1, 0.2)])
     q = np.clip(
@@ -97,7 +97,7 @@ def test_free_contacts_and_distance_agree_with_triangles(buckets: dict[str, Worl
 
 
 def test_replay_shows_no_contact_with_a_hull_that_was_not_the_part(buckets: dict[str, World]) -> None:
-    """In the bucket the model has the hull, and the triangles say that nothing is near."""
+    """In the bucket the hull of the model is in contact, and the check with triangles reports no contact."""
     world = buckets["exact"]
     q = next(q for q in _looking_down(world, 0.12) if MujocoCollisionChecker(world).free(q[None])[0])
     data = world.data()
@@ -169,7 +169,7 @@ def test_nasty_parts_compile_and_are_found_in_every_fidelity(name: str) -> None:
 
 @pytest.mark.parametrize("collision", FIDELITIES)
 def test_a_part_that_cuts_into_the_pedestal_is_refused_and_one_that_stands_on_it_is_not(collision: str) -> None:
-    """A surface has no depth: 5 mm deep differs from flush."""
+    """A part 5 mm deep in the pedestal is refused, and a flush one is accepted."""
     box = trimesh.creation.box((0.1, 0.1, 0.1))
     for depth_mm, refused in ((5.0, True), (0.0, False), (-5.0, False)):
         place = {"position_mm": [-450.0, 450.0, 50.0 - depth_mm]}

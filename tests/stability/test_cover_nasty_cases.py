@@ -135,7 +135,7 @@ def test_costs_over_eighteen_decades(solver: str) -> None:
 
 
 def test_costs_far_below_their_rounding_give_no_false_bound(solver: str) -> None:
-    """Columns of a millionth beside one of a million: the cost is exact, and no bound is above it."""
+    """With costs of 1e-6 beside one of 1e6, the cost is exact and the bound does not exceed it."""
     M = np.hstack((np.repeat(np.eye(3, dtype=bool), 2, axis=1), np.ones((3, 1), dtype=bool)))
     cover = run(M, np.ones(3), solver, costs=np.array([2e-6, 1e-6, 2e-6, 1e-6, 2e-6, 1e-6, 1e6]))
     assert sorted(cover.views.tolist()) == [1, 3, 5]
@@ -213,7 +213,7 @@ def steiner_triples(points: int) -> np.ndarray:
 
 @pytest.mark.parametrize(("points", "fewest"), [(9, 5), (15, 9)])
 def test_steiner_triples(solver: str, points: int, fewest: int) -> None:
-    """Highly symmetric covers with a weak relaxation (points / 3): solved by the exact solvers, never undercut."""
+    """The exact solvers solve these symmetric covers with a weak relaxation (points / 3), and no bound is too high."""
     M = steiner_triples(points)
     effort = 400_000_000 if solver in ("auto", "exact") else 30_000_000
     cover = run(M, np.ones(len(M)), solver, effort=effort)
@@ -224,7 +224,10 @@ def test_steiner_triples(solver: str, points: int, fewest: int) -> None:
 
 
 def test_search_beats_greedy_where_greedy_fails() -> None:
-    """Two halves against blocks of doubling size: greedy takes 6 columns, 2 suffice; likewise for the area."""
+    """On two halves against blocks of doubling size greedy takes 6 columns, and the search 2.
+
+    The same holds for areas.
+    """
     blocks = [2**i for i in range(6)]
     n = sum(blocks)
     M = np.zeros((2 * n, 2 + len(blocks)), dtype=bool)
@@ -388,7 +391,7 @@ def test_exact_poses_are_the_plain_cover() -> None:
 
 
 def test_the_confidence_holds_in_a_simulation() -> None:
-    """Entries drawn with the credited probabilities 4,000 times: misses are at most alpha, within 4 sigma."""
+    """In 4,000 draws with the credited probabilities, the share of misses is at most alpha within 4 sigma."""
     alpha, M = 0.1, np.random.default_rng(11).random((9, 8)) < 0.5
     hits = np.random.default_rng(12).integers(20, 33, int(M.sum()))
     found = robust(M, hits, alpha=alpha)

@@ -35,7 +35,7 @@ def simulated(plant: type | None = None, clock: SimulatedClock | None = None) ->
 
 
 def test_a_move_of_one_count_ends_one_count_further() -> None:
-    """The smallest step, on the axis with the widest range."""
+    """A move of the smallest step ends exactly, on the axis with the widest range."""
     with simulated() as driver:
         points = HOME[None] + np.array([0, 0, 0, 0, 0, 1], dtype=np.int32)
         assert driver.move(points, 1.0).axes.tolist() == points[0].tolist()
@@ -88,7 +88,7 @@ def test_a_clock_may_begin_anywhere(zero: float) -> None:
 
 
 def test_a_clock_that_jumps_back_stands_still() -> None:
-    """Nothing moves backwards, and the move continues from the new time."""
+    """No axis moves backwards, and the move continues from the new time."""
     clock = SetClock(1000.0)
     arm = make_controller(clock)
     arm.command(1, Move(turned(90.0), 1.0))
@@ -104,7 +104,7 @@ def test_a_clock_that_jumps_back_stands_still() -> None:
 
 
 def test_a_clock_that_jumps_a_year_ahead_ends_the_move() -> None:
-    """The move is done at its last set-point; another move was refused before, without effect."""
+    """The move is done at its last set-point. An earlier second move was refused without effect."""
     clock = SetClock()
     arm = make_controller(clock)
     assert arm.command(1, Move(turned(10.0, -20.0, 30.0), 0.01)).result == Result.OK
@@ -154,7 +154,7 @@ def test_a_stop_with_any_number_stops_the_arm(number: int) -> None:
 
 @pytest.mark.parametrize("share", [0.0, 1e-9, 0.1, 0.5, 0.9, 1 - 1e-9, 1.0])
 def test_a_stop_at_any_phase_brakes_on_the_path_as_fast_as_the_limits_allow(share: float) -> None:
-    """Without a jerk limit; in the ramp, the cruise and the last ramp: never beyond the segment's end."""
+    """Without a jerk limit, a stop in any phase ends before the segment's end."""
     limits = KR16
     reference = interpolate(HOME_Q, to_rad(turned(120.0)), limits.velocity, limits.acceleration)
     t = share * reference.duration
@@ -171,7 +171,7 @@ def test_a_stop_at_any_phase_brakes_on_the_path_as_fast_as_the_limits_allow(shar
 
 
 def test_a_fault_while_braking_does_not_prolong_it_and_the_first_fault_is_kept() -> None:
-    """A stop, then two faults: one braking, the first fault's code; only the emergency stop outranks it."""
+    """A stop and two faults give one braking and the code of the first fault. Only the emergency stop outranks it."""
     clock = SimulatedClock()
     arm = make_controller(clock)
     arm.command(1, Move(turned(90.0), 1.0))
@@ -244,7 +244,7 @@ def test_a_plant_that_settles_late_is_waited_for() -> None:
 
 
 def test_a_plant_that_never_settles_is_a_fault() -> None:
-    """After SETTLE_LIMIT; the controller does not hang."""
+    """The fault is latched after SETTLE_LIMIT, and the controller does not hang."""
     with simulated(Sticky) as driver:
         with pytest.raises(FaultError, match="did not come to rest") as fault:
             driver.move(turned(20.0), 1.0)
@@ -281,7 +281,7 @@ class Tripped(IdealPlant):
 
 
 def test_a_plant_that_stays_broken_stays_a_fault() -> None:
-    """The plant's own message is reported; a reset without recovery is refused and changes nothing."""
+    """The message of the plant is reported. A reset without recovery is refused without effect."""
     with simulated(Tripped) as driver:
         with pytest.raises(FaultError, match="drive 3 tripped"):
             driver.move(turned(90.0), 1.0)

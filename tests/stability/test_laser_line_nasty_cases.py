@@ -1,4 +1,4 @@
-"""Difficult line sensors; each case has its name."""
+"""Difficult line sensors; each case has a name."""
 
 import numpy as np
 import pytest
@@ -83,7 +83,7 @@ def test_points_at_and_behind_the_source_and_at_infinity() -> None:
 
 
 def test_a_part_ten_metres_from_the_origin_is_measured_alike() -> None:
-    """Part and views moved together: at most a few samples on a limit change."""
+    """With part and views moved together, at most a few samples on a limit change."""
     scanner = LaserLine(fan_deg=30, baseline_mm=75, range_mm=(150, 450), sweep_mm=120)
     samples, caster = _ball()
     here = fill_matrix(sweep_columns(scanner, _views()), samples, scanner, caster).matrix().toarray()

@@ -93,13 +93,13 @@ def test_both_ends_equal() -> None:
     [(0.0, 1.0, PathStatus.START_IN_COLLISION), (1.0, 0.0, PathStatus.GOAL_IN_COLLISION)],
 )
 def test_an_end_in_collision_is_reported(x_from: float, x_to: float, status: PathStatus) -> None:
-    """The status names the end, and nothing is searched."""
+    """The status names the end, and no search is started."""
     found = connect(at(x_from), at(x_to), Boxes(box(x=(-0.1, 0.1))), LIMITS, rng())
     assert (found.status, found.via, found.checks) == (status, None, 2)
 
 
 def test_a_wall_across_the_whole_range_has_no_path() -> None:
-    """The search ends at its budget, exceeded by at most one step, and the status says what this proves."""
+    """The search ends at its budget, exceeded by at most one step, and the status has the reason."""
     found = connect(at(-1), at(1), Boxes(box(x=(-0.1, 0.1))), LIMITS, rng(), 5000)
     assert found.status is PathStatus.NO_PATH_FOUND
     assert 5000 <= found.checks < 8000
@@ -107,7 +107,7 @@ def test_a_wall_across_the_whole_range_has_no_path() -> None:
 
 
 def test_a_narrow_gap_is_found() -> None:
-    """A door 5 mm wider on each side than the clearance needs, in a wall 20 mm thick: entered and left again."""
+    """A path enters and leaves a door 5 mm wider on each side than the clearance, in a wall 20 mm thick."""
     door = Boxes(box(x=(-0.01, 0.01), y=(-BIG, 0.285)), box(x=(-0.01, 0.01), y=(0.315, BIG)))
     found = connect(at(-0.5, 0.0), at(0.5, 0.1), door, LIMITS, rng(), 40_000)
     assert found.status is PathStatus.DETOUR
@@ -152,7 +152,7 @@ def test_a_limit_that_allows_no_motion_is_refused_by_name(which: str, value: flo
 
 
 def test_an_infinite_speed_is_limited_by_acceleration_alone() -> None:
-    """Every move is then a triangle of speed."""
+    """With an infinite speed limit every move is a triangle of speed."""
     limits = JointLimits(LIMITS.lower, LIMITS.upper, np.full(6, np.inf), LIMITS.acceleration)
     motion = retime(np.array([HOME, at(2.5)]), [0, 0], [-1, -1], limits)
     assert motion.duration == pytest.approx(2 * np.sqrt(at(2.5)[0] / LIMITS.acceleration[0]), rel=1e-7)
@@ -160,7 +160,7 @@ def test_an_infinite_speed_is_limited_by_acceleration_alone() -> None:
 
 
 def test_an_infinite_acceleration_is_refused_by_name() -> None:
-    """A motion that jumps in speed cannot be sampled."""
+    """An infinite acceleration is refused, because a motion that jumps in speed cannot be sampled."""
     limits = JointLimits(LIMITS.lower, LIMITS.upper, LIMITS.velocity, np.full(6, np.inf))
     with pytest.raises(PlannerError, match="acceleration limit of A1 is inf"):
         retime(np.array([HOME, at(1)]), [0, 0], [-1, -1], limits)
@@ -232,7 +232,7 @@ def test_another_branch_is_taken_where_one_is_walled_off() -> None:
 
 
 def test_all_branches_of_all_views_walled_off() -> None:
-    """Every view is dropped; the motion stays at home."""
+    """Every view is dropped, and the motion stays at home."""
     views = [at(2.0)[None], at(2.3)[None]]
     tour = motion_over(views, Boxes(box(x=(1.5, 1.6))), budget=MotionBudget(path_checks=2000))
     assert tour.status is TourStatus.VIEWS_DROPPED
@@ -251,7 +251,7 @@ def test_a_detour_between_views_is_part_of_the_tour() -> None:
 
 @pytest.mark.parametrize("after", [0, 50, 2000])
 def test_an_interrupt_passes_through(after: int) -> None:
-    """Ctrl-C during a check reaches the caller at once."""
+    """Ctrl-C during a check reaches the caller immediately."""
     checker = Boxes(box(x=(0.4, 0.6), y=(-BIG, 0.5)))
     checker.interrupt_after = after
     with pytest.raises(KeyboardInterrupt):
@@ -275,7 +275,7 @@ def test_broken_input_is_refused_in_one_sentence(change: Callable[[dict], None],
 
 
 def test_more_effort_never_makes_the_motion_longer() -> None:
-    """Among bars: inspected neighbours, a second guess and polish each give a motion that is no longer."""
+    """Among bars, inspected neighbours, a second guess and polish never make the motion longer."""
     bars = Boxes(box(x=(0.4, 0.6), y=(-BIG, 0.5)), box(x=(-0.9, -0.7), y=(-0.3, BIG)))
     views = [np.array([at(x), at(x + 0.1)]) for x in (1.0, -1.3, 0.2)]
     high, low = (1.1, 1.2), (1.1, 0.35)

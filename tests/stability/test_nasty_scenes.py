@@ -68,7 +68,7 @@ def test_every_part_compiles_and_collides(name: str) -> None:
 
 
 def test_a_part_of_five_metres_at_the_default_place_is_refused() -> None:
-    """It would be inside the robot, the pedestal and the floor: each has its line."""
+    """The overlaps with robot, pedestal and floor are reported in one line each."""
     world = compile_world(Scene(), PARTS["5 m, far away"], baseline_mm=75.0)
     with pytest.raises(SceneError) as caught:
         require_feasible(world)
@@ -101,7 +101,7 @@ def test_zero_clearance_allows_touch_but_no_overlap() -> None:
     scene = Scene.model_validate({"clearance_mm": 0, "post": {"enabled": False}})
     box = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)])
     world = compile_world(scene, box, baseline_mm=75.0)
-    front = world.data().geom("housing").xpos + np.array([0.0, 0.0, -0.03])  # the housing looks down at home
+    front = world.data().geom("housing").xpos + np.array([0.0, 0.0, -0.03])  # the scanner is aimed down at home
     for gap, free in ((1e-6, True), (-1e-6, False)):
         T = np.eye(4)
         T[:3, 3] = front - [0.0, 0.0, 0.1 + gap]
@@ -121,7 +121,7 @@ def test_the_clearance_is_kept_to_a_micrometre(clearance_mm: float) -> None:
 
 
 def test_no_pedestal_no_post_no_bracket() -> None:
-    """All optional objects left out: the floor is at the robot's foot."""
+    """Without all optional objects the floor is at the robot's foot."""
     scene = Scene.model_validate(
         {"robot": {"pedestal_height_mm": 0}, "post": {"enabled": False}, "housing": {"bracket_diameter_mm": 0},
          "placement": {"position_mm": [1200, 500, 100]}}
@@ -168,7 +168,7 @@ def test_a_flat_fixture_mesh_collides(tmp_path: Path) -> None:
 
 
 def test_many_fixtures_compile_and_keep_their_names() -> None:
-    """A hundred boxes: each is found by its own name."""
+    """Each of a hundred boxes is reported by name."""
     fixtures = [
         {"name": f"box {i}", "shape": "box", "size_mm": [40, 40, 40],
          "position_mm": [2000 * np.cos(i / 16), 2000 * np.sin(i / 16), 100 * (i % 7)]}

@@ -56,7 +56,7 @@ def exactly_ordered(views: Sequence[np.ndarray]) -> bool:
 
 @pytest.mark.parametrize("n", [2, 18])
 def test_views_reachable_only_beyond_half_a_turn(n: int) -> None:
-    """A4 or A6 beyond 180 deg is driven to as given: none is wrapped, the move from home is the long one."""
+    """Angles of A4 or A6 beyond 180 deg are not wrapped, and the move from home is the long one."""
     views = [degrees(5.0 * k, -20, 30, 200 + k, 10, -300 + 2 * k) for k in range(n)]
     found = ordered(views)
     assert exactly_ordered(views) == (n == 2)
@@ -101,7 +101,7 @@ def test_moves_of_a_billionth_and_of_seven_hundred_degrees(n: int) -> None:
 
 @pytest.mark.parametrize("n", [5, 40])
 def test_views_all_in_one_place_cost_nothing_more(n: int) -> None:
-    """With all costs between views 0 the tour goes there and back, and is proven."""
+    """With all costs between views 0, the tour consists of two moves and is proven."""
     at = degrees(30, -20, 10, 40, 20, 60)
     found = ordered([at] * n)
     assert sorted(found.order) == list(range(n))
@@ -118,7 +118,7 @@ def test_views_all_at_home_cost_nothing(n: int) -> None:
 
 @pytest.mark.parametrize("n", [6, 24])
 def test_two_views_with_the_same_pose_follow_each_other(n: int) -> None:
-    """The second of two equal views costs nothing, so the tour over both is that over one."""
+    """The second of two equal views adds no time, so both tours have the same duration."""
     rng = np.random.default_rng(n)
     views = [rng.uniform(-1, 1, (2, 6)) for _ in range(n)]
     found = ordered([*views, views[2]])
@@ -129,7 +129,7 @@ def test_two_views_with_the_same_pose_follow_each_other(n: int) -> None:
 
 @pytest.mark.parametrize("n", [6, 24])
 def test_clusters_with_one_node_are_a_plain_salesman(n: int) -> None:
-    """Views along A1, one configuration each: the tour goes out and back, each view once, and no move has length 0."""
+    """For views along A1 with one configuration each, the tour visits each once without a move of length 0."""
     rng = np.random.default_rng(n)
     views = [degrees(float(angle), 0, 0, 0, 0, 0) for angle in rng.permutation(np.linspace(5, 150, n))]
     found = ordered(views)
@@ -139,7 +139,7 @@ def test_clusters_with_one_node_are_a_plain_salesman(n: int) -> None:
 
 
 def test_one_view_with_very_many_configurations_among_views_with_one() -> None:
-    """One of three hundred configurations of a view is between the others, and it is taken."""
+    """Of three hundred configurations of a view, the one between the other views is selected."""
     rng = np.random.default_rng(0)
     many = np.concatenate([rng.uniform(-2, 2, (299, 6)), degrees(50, 0, 0, 0, 0, 0)])
     others = [degrees(float(angle), 0, 0, 0, 0, 0) for angle in np.linspace(10, 150, 15)]
@@ -149,7 +149,7 @@ def test_one_view_with_very_many_configurations_among_views_with_one() -> None:
 
 @pytest.mark.parametrize("n", [3, 20])
 def test_a_view_that_no_move_reaches(n: int) -> None:
-    """Infinite times of all moves of one view: the status says so, and the duration is infinite.
+    """With infinite times of all moves of one view, the status reports it and the duration is infinite.
 
     The other views are still in a tour with no more forbidden moves than needed.
     """
@@ -167,7 +167,7 @@ def test_a_view_that_no_move_reaches(n: int) -> None:
 
 @pytest.mark.parametrize("n", [4, 18])
 def test_every_move_but_one_tour_forbidden(n: int) -> None:
-    """Only the moves of one tour have a finite time: this tour is found."""
+    """If only the moves of one tour have a finite time, this tour is found."""
     rng = np.random.default_rng(n)
     cycle = np.concatenate(([0], 1 + rng.permutation(n)))
     price = {(a, b): np.inf for a in range(n + 1) for b in range(a)}
@@ -187,7 +187,7 @@ def test_no_view_and_one_view(n: int) -> None:
 
 
 def test_a_budget_of_nothing_gives_the_baseline_and_a_bound() -> None:
-    """Without steps and effort: the baseline with its best configurations, above a valid bound."""
+    """Without steps and effort the result is the baseline with its best configurations, above a valid bound."""
     rng = np.random.default_rng(5)
     found = ordered([rng.uniform(-2, 2, (4, 6)) for _ in range(20)], budget=0, bound_effort=0)
     assert found.duration == found.baseline_duration
@@ -196,7 +196,7 @@ def test_a_budget_of_nothing_gives_the_baseline_and_a_bound() -> None:
 
 @pytest.mark.parametrize("clusters", [1, 2, 3])
 def test_fewer_clusters_than_a_tour_has_corners(clusters: int) -> None:
-    """One, two and three clusters of two nodes each: exact search, search and bounds agree."""
+    """Exact search, search and bounds agree for one, two and three clusters of two nodes each."""
     rng = np.random.default_rng(clusters)
     places = rng.uniform(0, 1, (2 * clusters, 2))
     problem = gtsp.make_instance(np.linalg.norm(places[:, None] - places, axis=2), np.arange(0, 2 * clusters + 1, 2))

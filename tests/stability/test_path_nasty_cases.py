@@ -16,7 +16,7 @@ from planner.tour.tour import DropReason, plan_tour
 from planner.tour.visits import Visits
 
 BALL = 0.02 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])  # a part that is out of the way
-FORWARD = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0.0]])  # the flange looks along the base's x
+FORWARD = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0.0]])  # the flange points along the base's x
 FLANGE, ASIDE = np.array([1.1, 0.0, 0.8]), np.array([-0.2, 0.35, 0.1])
 
 
@@ -50,7 +50,7 @@ def at(kinematics: KukaKinematics, checker: MujocoCollisionChecker, position: np
 
 @pytest.mark.parametrize("seed", range(2))
 def test_the_housing_enters_a_gap_5_mm_beyond_the_clearance(seed: int) -> None:
-    """From beside the plates, turned by 60 deg: a detour leads in, and the tool keeps the certified clearance."""
+    """A detour leads into the gap from a turned pose outside, and the tool keeps the certified clearance."""
     world, checker, kinematics = cell(5.0)
     inside = at(kinematics, checker, FLANGE, 0.0)
     outside = at(kinematics, checker, FLANGE + ASIDE, np.radians(60))
@@ -78,7 +78,7 @@ def test_a_gap_narrower_than_the_clearance_has_no_place_inside() -> None:
 
 
 def test_a_part_that_fills_the_workspace() -> None:
-    """A block as high and wide as the arm's reach: no path past it and no view near it, and both are reported."""
+    """With a block as high and wide as the reach, no path passes it and no view near it is reachable."""
     corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3) * [1.2, 1.4, 1.5]
     scene = Scene.model_validate(
         {

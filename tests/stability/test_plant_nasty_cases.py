@@ -165,7 +165,7 @@ def test_a_failure_stays_if_the_reset_is_elsewhere() -> None:
 
 @pytest.mark.parametrize("seconds", [86_400.0, 3e7, 1e12])
 def test_a_clock_that_jumps_ahead_costs_nothing(seconds: float) -> None:
-    """With closed brakes a day, a year and more pass at once; then the arm moves normally."""
+    """With closed brakes a jump of a day or a year needs no computation, and the arm then moves normally."""
     clock = SimulatedClock()
     controller = Controller(MujocoPlant(HOME), KR16, clock)
     start = perf_counter()

@@ -26,7 +26,7 @@ def _caster(mesh):
 
 
 def _pose(position, towards):
-    """Return a pose at a position that looks towards a point."""
+    """Return a pose at a position, aimed at a point."""
     z = np.asarray(towards, float) - position
     z /= np.linalg.norm(z)
     x = np.cross([0.0, 1, 0.1], z)
@@ -133,7 +133,7 @@ def test_a_part_far_from_the_origin_is_measured_like_one_at_the_origin(distance)
 
 @pytest.mark.parametrize("size", [0.009, 5.0])
 def test_a_part_of_9_mm_and_one_of_5_m_are_measured_alike(size):
-    """Part, scanner and standoff scaled together: the same matrix."""
+    """Part, scanner and standoff at another scale give the same matrix."""
 
     def matrix(scale):
         part = _box(np.array([1.0, 0.8, 0.6]) * scale)
@@ -195,7 +195,7 @@ def test_a_sensor_inside_the_part_measures_nothing():
 
 
 def test_a_grazing_limit_of_0_keeps_head_on_points_only():
-    """The point straight below is measured, one a degree beside it is not."""
+    """The point straight below is measured, and a point one degree off is not."""
     plate = _grid_plate(3, 0.2)
     scanner = LaserArea(baseline_mm=0, grazing_max_deg=0)
     T = _pose([0.01, 0.02, 0.3], [0.01, 0.02, 0])
@@ -206,7 +206,7 @@ def test_a_grazing_limit_of_0_keeps_head_on_points_only():
 
 
 def test_a_grazing_limit_of_90_keeps_everything_in_front_and_nothing_behind():
-    """Slightly above the plane all of it is measured, slightly below nothing."""
+    """Slightly above the plane all of it is measured, and slightly below no point."""
     plate = _grid_plate(10, 0.2)
     features = draw_samples(plate, plate, 500, np.random.default_rng(0))
     for height, seen in ((1e-3, True), (-1e-3, False)):
@@ -217,7 +217,7 @@ def test_a_grazing_limit_of_90_keeps_everything_in_front_and_nothing_behind():
 
 @pytest.mark.parametrize("limit", [0, 1])
 def test_a_plate_exactly_at_the_end_of_the_range_is_in_range(limit):
-    """150 and 450 mm straight ahead, although the distances are not representable."""
+    """Plates at 150 and 450 mm are measured, although these distances are not representable."""
     distance = (0.15, 0.45)[limit]
     features = _feature([0.1, 0.2, 0.7 - distance], [0, 0, 1])
     plate = _grid_plate(3, 0.9)

@@ -20,7 +20,7 @@ PART = TriangleMesh(BALL.vertices, BALL.faces)
 
 
 def _in_front(distance: float) -> np.ndarray:
-    """Return T_object_scanner of a scanner that looks at the ball's middle along +z."""
+    """Return T_object_scanner of a scanner that is aimed at the ball's middle along +z."""
     T = np.eye(4)
     T[2, 3] = -distance
     return T
@@ -31,7 +31,7 @@ def _scan(scanner: LaserArea, distance: float) -> virtual_scan.Scan:
 
 
 def test_baseline_0_has_no_shadow_and_no_sigma():
-    """Source and sensor coincide: no ray is shadowed, nothing is triangulated, and model noise is refused."""
+    """Source and sensor coincide, so no ray is shadowed, no point has a sigma, and model noise is refused."""
     scanner = LaserArea(baseline_mm=0, resolution_deg=(1, 1), sensor_fov_deg=(60, 60))
     scan = _scan(scanner, 0.3)
     assert scan.counts()[Rejection.SENSOR_BLOCKED] == 0
@@ -74,7 +74,7 @@ def test_source_and_sensor_inside_the_part_see_its_inside_as_grazing():
 
 
 def test_grazing_limit_0_accepts_only_a_surface_that_faces_the_source():
-    """With a baseline, a limit of 0 for the sensor too leaves nothing."""
+    """With a baseline and a limit of 0 for the sensor too, no point is measured."""
     facing, tilted = BACK, np.array([[np.sin(0.01), 0.0, -np.cos(0.01)]])
     scanner = LaserArea(grazing_max_deg=0)
     assert scanner.reject(AHEAD, facing)[0] == Rejection.MEASURED
@@ -133,7 +133,7 @@ def test_a_fixture_on_the_part_hides_only_its_contact():
     plate.apply_translation([0, 0, -0.05 - 0.001])
     casters = [EmbreeRayCaster(PART.vertices, PART.faces), EmbreeRayCaster(plate.vertices, plate.faces)]
     directions = np.array([[np.sin(a), 0, -np.cos(a)] for a in np.radians([0, 3, 30, 45])])
-    points = directions * 0.0499  # a hair inside the sphere: on the mesh's side of the plate
+    points = directions * 0.0499  # slightly inside the sphere: on the mesh's side of the plate
     scanner = LaserArea(baseline_mm=20)
     face = np.zeros(4, dtype=np.int32)
     samples = SurfaceSamples(points, directions, np.full(4, 1e-4), face, face)

@@ -55,7 +55,7 @@ def test_axes_without_a_jerk_limit_are_those_of_an_enormous_one(pose: tuple[floa
 
 
 def test_through_the_wrist_singularity_the_axes_are_named() -> None:
-    """A4 and A6 turn against each other there."""
+    """The message names A4 and A6, which turn against each other there."""
     column = _pose(10, -60, 80, 40, 0.0, 30) @ straight_sweep_poses(0.1, 5, (0, 1, 0))
     found = {refused.branch: refused for refused in find_sweeps(column, MOUNT, KINEMATICS, LIMITS).refused}
     assert "A4" in found[0].detail
@@ -71,7 +71,7 @@ def test_through_the_stretched_elbow(elbow: float) -> None:
 
 
 def test_through_the_shoulder_singularity() -> None:
-    """The wrist centre crosses the axis of A1, which would have to turn half round at once."""
+    """The wrist centre crosses the axis of A1, which would need a half turn in no time."""
     column = _pose(0, -120, 33.857864, 0, 60, 0) @ straight_sweep_poses(0.1, 4, (1, 0, 0))
     found = find_sweeps(column, MOUNT, KINEMATICS, LIMITS)
     assert not found.paths
@@ -80,7 +80,7 @@ def test_through_the_shoulder_singularity() -> None:
 
 @pytest.mark.parametrize("count", [2, 7])
 def test_a_sweep_of_zero_length_is_a_stop(count: int) -> None:
-    """All poses equal: one path per free branch, without duration."""
+    """A sweep of equal poses has one path per free branch, without duration."""
     column = np.tile(_pose(12, -75, 110, 35, -60, 140), (count, 1, 1))
     found = find_sweeps(column, MOUNT, KINEMATICS, LIMITS)
     assert found.paths
@@ -94,7 +94,7 @@ def test_a_sweep_of_zero_length_is_a_stop(count: int) -> None:
 
 
 def test_a_sweep_longer_than_the_reach() -> None:
-    """Three metres: out of reach or beyond a limit on every branch."""
+    """A sweep of three metres is out of reach or beyond a limit on every branch."""
     paths, reasons = _reasons(_pose(12, -75, 110, 35, -60, 140) @ straight_sweep_poses(3.0, 8))
     assert paths == 0
     assert SweepRefusal.OUT_OF_REACH in reasons.values()
@@ -111,7 +111,7 @@ def test_a_sweep_with_a_jump_on_every_branch() -> None:
 
 
 def test_a_sweep_that_only_just_keeps_a_joint_limit() -> None:
-    """With limits at the sweep's own range it is driven; a hundredth of a degree tighter, the axis is named."""
+    """With limits equal to the sweep's range it is feasible. A hundredth of a degree tighter, the axis is named."""
     column = _pose(12, -75, 110, 35, -60, 140) @ straight_sweep_poses(0.15, 8)
     path = next(path for path in find_sweeps(column, MOUNT, KINEMATICS, LIMITS).paths if path.branch == 1)
     low, high = path.q.min(axis=0), path.q.max(axis=0)
@@ -142,7 +142,7 @@ def test_slow_axes_slow_the_sweep_down_and_then_refuse_it() -> None:
 
 
 def test_poses_that_are_no_line() -> None:
-    """An arc cannot be driven as a line; the sweep is refused once."""
+    """An arc is refused once, because it is no line."""
     bent = straight_sweep_poses(0.1, 5) @ turned_sweep_poses(0.2, 5)
     bent[2, 1, 3] += 0.001
     found = find_sweeps(_pose(12, -75, 110, 35, -60, 140) @ bent, MOUNT, KINEMATICS, LIMITS)
@@ -171,7 +171,7 @@ class _Wall:
 
 
 def test_a_colliding_line_is_refused_with_the_blocker() -> None:
-    """One vertex too close to the wall is enough."""
+    """A single vertex too close to the wall refuses the line."""
     column = _pose(12, -75, 110, 35, -60, 140) @ straight_sweep_poses(0.15, 8)
     free = find_sweeps(column, MOUNT, KINEMATICS, LIMITS, checker=_Wall(10.0))
     assert free.paths

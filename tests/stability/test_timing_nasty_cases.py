@@ -117,7 +117,7 @@ def test_a_turn_of_700_degrees_reaches_every_limit() -> None:
 
 
 def test_an_override_leaves_acceleration_and_jerk() -> None:
-    """Like $OV_PRO: the speed is a percentage; ramps are shorter, and both bounds follow."""
+    """A percentage reduces the speed only, as $OV_PRO does. Ramps are shorter, and both bounds follow."""
     slow = scale_limits(LIMITS, 0.1)
     np.testing.assert_array_equal(slow.velocity, 0.1 * LIMITS.velocity)
     np.testing.assert_array_equal(slow.jerk, LIMITS.jerk)

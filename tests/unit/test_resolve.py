@@ -33,7 +33,7 @@ def own(**tables: dict) -> Scene:
 
 @pytest.mark.parametrize("name", TABLE)
 def test_built_in_parts_have_the_documented_defaults(name: str) -> None:
-    """Faces, standoff, baseline and range of each built-in part."""
+    """Each built-in part has the documented number of faces, standoff, baseline and range."""
     faces, standoff, baseline = TABLE[name]
     settings = settle(Scene.model_validate({"part": {"name": name}}), ball(30, name)).settings
     assert settings.faces == faces

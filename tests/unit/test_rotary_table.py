@@ -144,7 +144,7 @@ def test_mujoco_has_part_and_post_at_the_transform(either: World) -> None:
 
 
 def test_no_distance_of_arm_and_part_changes_by_more_than_the_travel(either: World) -> None:
-    """Flange to a corner of the part, and that corner to a stationary point, between random ends."""
+    """The travel bounds the change of distance from a corner to the flange, and to a fixed point, at random ends."""
     checker, arm = MujocoCollisionChecker(either), kinematics_of(either.model)
     rng = np.random.default_rng(3)
     low, high = either.limits.lower, either.limits.upper

@@ -23,7 +23,7 @@ BALL = trimesh.creation.icosphere(2, 0.05)
 PART = TriangleMesh(BALL.vertices, BALL.faces)
 SCANNER = LaserArea(baseline_mm=40, range_mm=(200, 700))
 ENDS = np.stack([SCANNER.source, SCANNER.sensor])
-SIDEWAYS = {"position_mm": [250.0, 0.0, 50.0], "abc_deg": [0.0, -98.5, 0.0]}  # looks over the wrist at the part
+SIDEWAYS = {"position_mm": [250.0, 0.0, 50.0], "abc_deg": [0.0, -98.5, 0.0]}  # aimed over the wrist at the part
 
 
 def _world(**tables: object) -> World:

@@ -33,7 +33,7 @@ _WALL = _rectangle([0, -0.05, 0], [0, 0.1, 0], [0, 0, 0.02])  # 20 mm high, in t
 
 
 def _down(x: float, height: float, roll: float = 0.0) -> Viewpoints:
-    """A scanner above the plate at (x, 0, height) that looks straight down; at roll 0 the sensor is towards +x."""
+    """Return a scanner above the plate at (x, 0, height), aimed straight down; at roll 0 the sensor is towards +x."""
     return aim_viewpoints(np.array([[x, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([0]), [height], [roll])
 
 
