@@ -1,7 +1,7 @@
-"""Collision verdicts and distances against python-fcl, which has its own kinematic chain of shapes here.
+"""Collision verdicts and distances against python-fcl with a separate kinematic chain.
 
-fcl measures cylinders up to a millimetre too far, so each stands between two prisms: the one that circumscribes it and
-the one inside. Boxes and hulls it measures to 1e-6 m.
+The distances of cylinders in fcl are up to a millimetre too large, so each cylinder is enclosed between a circumscribed
+and an inscribed prism. Boxes and hulls are exact to 1e-6 m in fcl.
 """
 
 import fcl

@@ -1,7 +1,7 @@
-"""Mesh fixtures collide by their triangles: a U-shaped bracket compared with python-fcl on the same triangles.
+"""Mesh fixtures collide by their triangles, compared with python-fcl on the same triangles.
 
-Boxes are fcl's own; cylinders lie between the prism around and the prism inside them, and what these two decide
-differently, or lies within 10 um of the clearance, is left out.
+The fixture is a U-shaped bracket. Boxes are boxes of fcl, and cylinders are enclosed between an outer and an inner
+prism. Configurations on which these two disagree, or within 10 um of the clearance, are left out.
 """
 
 from pathlib import Path

@@ -142,7 +142,7 @@ def _swept(world: World, q_from: np.ndarray, q_to: np.ndarray, steps: int) -> np
 
 @pytest.mark.parametrize("scale", [1e-3, 0.02, 0.2, 1.0])
 def test_travel_bounds_the_motion_of_every_point(world: World, scale: float) -> None:
-    """By dense sampling: no surface point moves farther between ANY two configurations of the segment."""
+    """No surface point moves farther than the bound between ANY two sampled configurations of the segment."""
     rng = np.random.default_rng(int(1 / scale))
     checker = MujocoCollisionChecker(world)
     lower, upper = world.limits.lower, world.limits.upper

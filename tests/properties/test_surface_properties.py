@@ -14,7 +14,7 @@ from planner.geometry.sampling import draw_samples
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=settings.default.max_examples // 4)
 def test_the_closest_face_is_the_closest_that_looks_the_same_way(seed: int) -> None:
-    """At most 2 of 100 selected faces are not the nearest of all, and those by less than a face's size."""
+    """At most 2 % of the faces are not the nearest with the same facing, and those by less than a face's size."""
     rng = np.random.default_rng(seed)
     ball = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
     radius = 1 + 0.3 * np.sin(ball.vertices @ rng.normal(size=3) * 3 + rng.random())

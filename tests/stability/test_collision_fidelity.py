@@ -52,7 +52,7 @@ def buckets() -> dict[str, World]:
 
 
 def test_a_deep_cavity_is_closed_to_the_hull_and_open_to_the_triangles(buckets: dict[str, World]) -> None:
-    """With triangles the scanner is free 120 mm below the rim. Both reject it 60 mm off the axis."""
+    """With triangles a scanner 120 mm below the rim is free. Both reject it after a shift of the part."""
     verdicts = {}
     for collision, world in buckets.items():
         q = _looking_down(world, 0.12)
@@ -97,7 +97,7 @@ def test_free_contacts_and_distance_agree_with_triangles(buckets: dict[str, Worl
 
 
 def test_replay_shows_no_contact_with_a_hull_that_was_not_the_part(buckets: dict[str, World]) -> None:
-    """In the bucket the hull of the model is in contact, and the check with triangles reports no contact."""
+    """In the bucket replay reports no violation with triangles, and one with the hull."""
     world = buckets["exact"]
     q = next(q for q in _looking_down(world, 0.12) if MujocoCollisionChecker(world).free(q[None])[0])
     data = world.data()

@@ -144,7 +144,7 @@ def test_costs_far_below_their_rounding_give_no_false_bound(solver: str) -> None
 
 
 def test_columns_whose_areas_sum_beyond_an_int64() -> None:
-    """Of 9,000 columns that each cover half, two suffice, and the bound is 2."""
+    """Two of 9,000 columns that each cover half suffice, and the bound is 2."""
     rng = np.random.default_rng(0)
     M = np.argsort(rng.random((80, 9000)), axis=0) < 40
     M[:, 4001] = ~M[:, 17]
@@ -163,7 +163,7 @@ def test_as_many_views_as_rows_are_ordered_quickly() -> None:
 
 
 def test_identical_columns_give_the_first_and_identical_rows_change_only_areas(solver: str) -> None:
-    """Of identical columns the first is selected. A thousand copies of each row change only the areas."""
+    """The first of identical columns is selected. A thousand copies of each row change only the areas."""
     block = np.eye(4, dtype=bool)
     assert sorted(run(np.hstack((block, block, block)), np.ones(4), solver).views) == [0, 1, 2, 3]
     M = np.random.default_rng(5).random((8, 6)) < 0.4

@@ -154,7 +154,7 @@ def test_a_stop_with_any_number_stops_the_arm(number: int) -> None:
 
 @pytest.mark.parametrize("share", [0.0, 1e-9, 0.1, 0.5, 0.9, 1 - 1e-9, 1.0])
 def test_a_stop_at_any_phase_brakes_on_the_path_as_fast_as_the_limits_allow(share: float) -> None:
-    """Without a jerk limit, a stop in any phase ends before the segment's end."""
+    """Without a jerk limit, a stop in any phase takes speed over acceleration and ends within the segment."""
     limits = KR16
     reference = interpolate(HOME_Q, to_rad(turned(120.0)), limits.velocity, limits.acceleration)
     t = share * reference.duration

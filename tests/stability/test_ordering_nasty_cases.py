@@ -139,7 +139,7 @@ def test_clusters_with_one_node_are_a_plain_salesman(n: int) -> None:
 
 
 def test_one_view_with_very_many_configurations_among_views_with_one() -> None:
-    """Of three hundred configurations of a view, the one between the other views is selected."""
+    """A view with three hundred configurations is visited at the one between the other views."""
     rng = np.random.default_rng(0)
     many = np.concatenate([rng.uniform(-2, 2, (299, 6)), degrees(50, 0, 0, 0, 0, 0)])
     others = [degrees(float(angle), 0, 0, 0, 0, 0) for angle in np.linspace(10, 150, 15)]

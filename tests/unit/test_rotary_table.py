@@ -251,7 +251,7 @@ def test_a_part_that_turns_into_a_pillar_is_not_free(off_axis: World) -> None:
 
 
 def test_a_post_that_swings_into_a_stud_is_not_free() -> None:
-    """Off the axis, the post of a small part meets a stud at -90 deg. On the axis every angle is free."""
+    """The post of a small part off the axis meets a stud at -90 deg. On the axis every angle is free."""
     small = trimesh.creation.box((0.05, 0.05, 0.05))
     stud = {"name": "stud", "shape": "cylinder", "size_mm": [60, 200], "position_mm": [1200, 350, -300]}
     scene = {"table": {"position_mm": [1200.0, 500.0, -400.0]}, "fixtures": [stud]}
