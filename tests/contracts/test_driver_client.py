@@ -26,7 +26,7 @@ from tests.support.driver_bench import HOME, HOME_Q, KR16, turned
 class ScriptedLink:
     """A link to a simulated controller whose messages a test can lose or delay.
 
-    `before` and `after` are called with each command before and after it reaches the controller; an exception is the
+    `before` and `after` are called with each command before and after it reaches the controller; an exception is a
     failure of the wire.
     """
 

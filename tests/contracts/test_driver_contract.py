@@ -1,9 +1,9 @@
-"""The contract of every driver, whatever its wire. To test your own driver, set CELL_DRIVER_URLS.
+"""The contract of every driver on every wire. To test another driver, set CELL_DRIVER_URLS.
 
     CELL_DRIVER_URLS="sim:// acme://localhost" pytest tests/contracts/test_driver_contract.py
 
 The moves are small (a few degrees around the present position) and slow; with hardware, clear the cell first. An entry
-that is no URL is a protocol of `cell emulate`, whose controller is started in a process of its own.
+that is no URL is a protocol of `cell emulate`; its controller runs in a separate process.
 """
 
 import os

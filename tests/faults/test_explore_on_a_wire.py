@@ -21,9 +21,9 @@ def test_every_batch_waits_for_a_word(
     emulate: Callable[..., Any],
     run_cell: Callable[..., subprocess.CompletedProcess[str]],
 ) -> None:
-    """Without confirmation nothing moves. A digest confirms its batch only; `explore` confirms the remaining batches.
+    """Without confirmation no motion starts.
 
-    A digest confirms its batch only; `explore` confirms the remaining batches.
+    A digest confirms its batch only, and `explore` confirms the remaining batches.
     """
     emulated, out = emulate("modbus", "--time-scale", "20"), tmp_path / "out"
     command = ("explore", part_file, "--units", "mm", *OPTIONS, "--driver", emulated.url, "--out", out)

@@ -1,6 +1,6 @@
 """Controllers that misbehave: every status field x every fault x every phase x every wire.
 
-The real execution loop of `cell scan` drives; its scan is a pause, and the true arm is checked before and after it.
+The execution loop of `cell scan` is tested with a pause as its scan. The true arm is checked before and after it.
 Every case must satisfy: no scan is kept from another position or a moving arm, no wait exceeds its limit, no exception
 other than those of drivers and cell, and a message that names the cause.
 """

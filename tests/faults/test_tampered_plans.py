@@ -35,9 +35,9 @@ class Change:
     """One field with one change.
 
     Attributes:
-        field: as the docs name it, "plan.json:views[].q_deg".
-        what: of the change, for the failure.
-        content: of the changed file.
+        field: name as in the docs, "plan.json:views[].q_deg".
+        what: description of the change, for the failure.
+        content: content of the changed file.
     """
 
     field: str

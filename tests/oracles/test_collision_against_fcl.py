@@ -123,7 +123,7 @@ def fcl_cell(world: World) -> FclCell:
 
 
 def test_distances_lie_between_those_of_inner_and_outer_prisms(world: World, fcl_cell: FclCell) -> None:
-    """fcl brackets every distance of random configurations and of many near contact, and agrees on overlaps."""
+    """The prisms in fcl bracket every distance of random and of nearly touching configurations."""
     checker = MujocoCollisionChecker(world)
     q = np.random.default_rng(0).uniform(world.limits.lower, world.limits.upper, (6000, 6))
     distance, _ = checker.distance(q)

@@ -98,10 +98,11 @@ def _on_plate(x):
 
 @pytest.mark.parametrize("baseline", [0.0, 0.075, 0.12])
 def test_a_wall_throws_the_shadows_of_source_and_sensor(baseline):
-    """Similar triangles give where each shadow ends on the plate.
+    """Similar triangles give the end of each shadow on the plate.
 
-    The source stands z = 300 mm above x = 0, the wall is h = 40 mm high at w = 30 mm. The source's shadow lies behind
-    the wall up to w z / (z - h); that of a sensor at x = b beyond the wall before it, from (w z - b h) / (z - h).
+    The source is z = 300 mm above x = 0, and the wall is h = 40 mm high at w = 30 mm. The shadow of the source extends
+    behind the wall to w z / (z - h). The shadow of a sensor at x = b beyond the wall is before it, from (w z - b h) /
+    (z - h).
     """
     mesh = _plate_and_wall()
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)

@@ -44,7 +44,7 @@ class Case:
 def test_nothing_is_lost_in_any_combination(seed: int) -> None:
     """Every combination of picks (or 300 random ones) measures each sample that was measured before.
 
-    The views are not more than before and usable, and the motion is not longer.
+    There are no more views than before, all usable, and the motion is not longer.
     """
     case = Case(seed)
     found = case.exchanged()

@@ -70,8 +70,8 @@ def test_views_reachable_only_beyond_half_a_turn(n: int) -> None:
 def test_the_cable_is_not_wound_up_over_the_tour(n: int) -> None:
     """Each view turns the tool by 100 deg from the previous one, at any full turn within the range of A6.
 
-    Followed turn by turn, A6 would be wound up by 100 n deg. Joint angles are absolute: every stop is within the range,
-    the turns of the tour add up to zero, and every stop is at one of the view's own angles.
+    Followed turn by turn, A6 would reach 100 n deg. Joint angles are absolute: every stop is one of the view's angles
+    within the range, and the turns of the tour add up to zero.
     """
     views = []
     for k in range(n):
@@ -151,7 +151,7 @@ def test_one_view_with_very_many_configurations_among_views_with_one() -> None:
 def test_a_view_that_no_move_reaches(n: int) -> None:
     """With infinite times of all moves of one view, the status reports it and the duration is infinite.
 
-    The other views are still in a tour with no more forbidden moves than needed.
+    The other views are in a tour with no more forbidden moves than needed.
     """
     rng = np.random.default_rng(n)
     views = [rng.uniform(-1, 1, (2, 6)) for _ in range(n)]

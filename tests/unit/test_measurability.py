@@ -42,7 +42,10 @@ def cube():
 
 
 def test_a_side_of_a_cube_is_measured_from_in_front_of_it_only(cube):
-    """Row i, column j is set if and only if sample and viewpoint belong to the same side: the other sides graze."""
+    """Row i, column j is set if and only if sample and viewpoint belong to the same side.
+
+    All other sides are grazing.
+    """
     _, caster, samples, views = cube
     result = fill_matrix(views, samples, SCANNER, caster)
     assert result.shape == (600, 24)
@@ -52,7 +55,7 @@ def test_a_side_of_a_cube_is_measured_from_in_front_of_it_only(cube):
 
 
 def test_the_ray_grid_sets_the_rows_of_the_faces_that_it_hits(cube):
-    """Method `rays` on the same cube: each view measures the two faces of its side."""
+    """With the method `rays`, each view of the same cube measures the two faces of its side."""
     mesh, caster, _, views = cube
     result = fill_matrix(views, samples_at_face_centres(mesh, mesh), SCANNER, caster, method="rays", part=mesh)
     side_of_view = -views.T_object_scanner[:, 0, :3, 2]
@@ -191,7 +194,7 @@ def _spread(face_areas, region=None):
 
 
 def test_appended_rows_share_the_area_of_their_face():
-    """Entries equal the dense stack; three samples on a face of 6 have 2 each; the sum stays."""
+    """Entries equal the dense stack, and three samples on a face of area 6 have 2 each, with the same sum."""
     M = _matrix([[1, 0, 1], [0, 0, 0]], [4, 7], 3.0)
     more = _matrix([[0, 1, 0], [1, 1, 1], [0, 0, 1]], [4, 4, 9], 0.5)
     face_areas = np.array([9, 9, 9, 9, 6, 9, 9, 3, 9, 1.0])
@@ -204,9 +207,9 @@ def test_appended_rows_share_the_area_of_their_face():
 
 
 def test_two_regions_on_a_face_keep_their_areas():
-    """Areas 1 and 3 on a face of 4, with five rows on the small region and one on the large.
+    """Areas 1 and 3 on a face of 4 are kept, with five rows on the small region and one on the large.
 
-    By face alone each of the six rows would have 4 / 6, and the small region 3.3 of 4.
+    An equal split over the face would give each row 4 / 6, and the small region 3.3 of 4.
     """
     M, more = _matrix([[1], [0]], [0, 0], 2.0), _matrix([[1], [0], [1], [0]], [0, 0, 0, 0], 0.1)
     M = replace(M, samples=replace(M.samples, areas=np.array([1.0, 3.0]), region=np.array([0, 1], dtype=np.int32)))

@@ -85,7 +85,7 @@ def test_equal_matrices_give_equal_bytes(tmp_path, parts, matrix):
 
 
 def test_every_input_changes_the_key(parts):
-    """One changed number in any input gives another key; equal inputs give the same."""
+    """One changed number in any input gives another key, and equal inputs give the same key."""
     mesh, features, _, scanner, method = parts
     base = row_key(mesh, features, scanner, method)
     assert base == row_key(mesh, features, scanner, method)
@@ -179,7 +179,7 @@ def test_a_folder_that_cannot_be_written_has_one_message(tmp_path, parts, matrix
 
 
 def test_an_interrupted_write_keeps_the_old_file(tmp_path, parts, matrix, monkeypatch):
-    """A full disk while writing: an error, the earlier matrix is intact, no temporary file stays."""
+    """A full disk during writing raises an error. The earlier matrix is intact, and no temporary file remains."""
     key, path = _key(parts), tmp_path / "m.npz"
     save(path, matrix, key, column_hashes(parts[2]))
 

@@ -141,7 +141,7 @@ def test_a_surface_without_area_is_refused() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 2), st.sampled_from([-0.7, -0.2, 0.0, 0.1, 0.85, 2.0])), max_size=4))
 def test_cuts_leave_the_surface_as_it_was(planes: list[tuple[int, float]]) -> None:
-    """Area of each triangle, closedness and winding stay; no triangle crosses a plane; parents are correct."""
+    """Area, closedness and winding are unchanged, no triangle crosses a plane, and the parents are correct."""
     mesh = sphere(2, 1.0)
     parent = np.arange(len(mesh.faces))
     pieces = mesh
@@ -160,7 +160,7 @@ def test_cuts_leave_the_surface_as_it_was(planes: list[tuple[int, float]]) -> No
 
 
 def test_a_box_of_a_cut_block_has_its_exact_area() -> None:
-    """Twelve triangles, cut along a box: the piece of the top that lies in it has its closed-form area."""
+    """The part of the top inside a box has its closed-form area after twelve triangles are cut."""
     made = trimesh.creation.box((2.0, 2.0, 2.0))
     mesh = TriangleMesh(made.vertices, made.faces)
     low, high = np.array([-0.5, -0.25, 0.5]), np.array([0.7, 0.25, 1.5])

@@ -79,7 +79,7 @@ def test_once_at_rest_it_stays_within_the_repeatability() -> None:
 
 @pytest.mark.parametrize("with_jerk", [True, False])
 def test_the_scanner_follows_its_path_faster_than_real_time(with_jerk: bool) -> None:
-    """Via points at full speed of every axis: error below 1 mm, at least 10 times real time on one core."""
+    """At full speed of every axis the error is below 1 mm, at 10 times real time or faster on one core."""
     limits, kinematics = KR16, kinematics_of(robot.load())
     via = np.radians([[60, -60, 60, 40, 60, 100], [-40, -20, 20, -80, 30, -100], [0, -90, 90, 0, 90, 0]])
     move = interpolate(HOME, via, limits.velocity, limits.acceleration, limits.jerk if with_jerk else None)

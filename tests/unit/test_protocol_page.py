@@ -74,7 +74,7 @@ def test_a_controller_reproduces_the_modbus_session() -> None:
 
 @pytest.mark.parametrize("line", [line for line in lines(SERIAL) if line[0] in "<>"])
 def test_the_frames_follow_the_description(line: str) -> None:
-    """Decoded as the page describes: fields by position, the counted length, the CRC of zlib."""
+    """The frames decode as the page describes: fields by position, the counted length, the CRC of zlib."""
     head, crc = line.rsplit("*", 1)
     start, number, length, body = head[0], head[1:6], head[7:11], head[12:]
     assert start in "<>"
@@ -96,7 +96,7 @@ def rows() -> list[list[str]]:
     """Return the rows of the register table for the registers of the code; n axes."""
     table = []
     for block in registers.BLOCKS:
-        at, axes, kind = block.address, 0, [block.name, block.kind]  # an address is `at + axes n`
+        at, axes, kind = block.address, 0, [block.name, block.kind]  # an address has the form `at + axes n`
         for field in block.fields:
             each = field.count == registers.PER_AXIS
             where = f"{at} + {axes}n" if axes else f"{at}"

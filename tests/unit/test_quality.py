@@ -44,7 +44,7 @@ def _views(part: TriangleMesh, poses: int) -> Viewpoints:
 
 @pytest.mark.parametrize("poses", [1, 3])
 def test_every_entry_has_the_sigma_of_its_best_measuring_pose(part, caster, poses):
-    """Entry by entry: the smallest `scanner.sigma` over the poses that measure the sample by `find_measured`."""
+    """Each entry is the smallest `scanner.sigma` over the poses that measure the sample by `find_measured`."""
     views = _views(part, poses)
     samples = draw_samples(part, part, 300, np.random.default_rng(0))
     M = sigma_layer(fill_matrix(views, samples, SCANNER, caster), views, SCANNER, casters=(caster,))

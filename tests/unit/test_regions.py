@@ -103,7 +103,7 @@ def test_a_box_cuts_triangles(box: Path) -> None:
 
 
 def test_paint_selects_by_colour(tmp_path: Path, box: Path) -> None:
-    """A fine mesh with one side red marks that side of a coarse part; colours of the part's own file mark its faces."""
+    """A fine mesh with one red side marks that side of a coarse part. Colours in the part's file mark its faces."""
     fine = trimesh.creation.box((20.0, 30.0, 40.0)).subdivide().subdivide().subdivide()
     red = fine.face_normals[:, 2] > 0.5
     fine.visual.face_colors = np.where(red[:, None], [250, 10, 0, 255], [200, 200, 200, 255])
@@ -118,7 +118,7 @@ def test_paint_selects_by_colour(tmp_path: Path, box: Path) -> None:
 
 
 def test_samples_lie_in_measured_regions(box: Path) -> None:
-    """Held-out samples are on measured faces and know their region; a small region has enough samples."""
+    """Held-out samples are on measured faces with their region, and a small region has enough samples."""
     part = tagged(
         box,
         [
@@ -149,7 +149,7 @@ def test_a_part_without_regions_is_itself(box: Path) -> None:
 
 @needs_cascadio
 def test_colours_of_a_step_file_select_its_faces(tmp_path: Path) -> None:
-    """The bore is red, its block blue; a file without colours has a message."""
+    """The bore is red and its block blue. A file without colours gives a message."""
     made, path = StepFile(), tmp_path / "block.stp"
     made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
     bore = next(k for k, line in enumerate(made.lines, 1) if line.startswith("ADVANCED_FACE") and line.endswith(".F.)"))
@@ -239,7 +239,7 @@ def test_limits_of_regions_apply_to_their_points() -> None:
 
 
 def test_an_unattainable_spacing_has_remedies(box: Path) -> None:
-    """One sentence with spacing, range, resolution and device; its numbers keep the limit."""
+    """The message has spacing, range, resolution and device, and its proposed numbers satisfy the limit."""
     regions = [{"name": "seat", "max_spacing_mm": 0.3, "box_mm": [-50, -50, 2, 50, 50, 5]}, NO]
     scene = scene_with(box, regions, "mm", scanner={"sensor": "generic-area-large"})
     scene = settle_scene(scene, load(box, "mm"))
@@ -254,7 +254,7 @@ def test_an_unattainable_spacing_has_remedies(box: Path) -> None:
 
 
 def test_regions_become_demands_weights_and_targets(box: Path) -> None:
-    """Regions with a coverage have a target each, the others share the plan's; samples follow their region."""
+    """Regions with a coverage have separate targets, and the others share the plan's. Samples follow their region."""
     asked = [
         {"name": "a", "box_mm": [-50, -50, 2, 50, 50, 5], "coverage": 0.9},
         {"name": "b", "box_mm": [-50, -50, 8, 50, 50, 9], "views": 3},

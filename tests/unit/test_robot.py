@@ -106,7 +106,7 @@ def test_dimensions_and_home(model):
 
 
 def test_the_model_contains_only_the_robot(model):
-    """No actuator, mesh or floor; every shape is a named primitive of group 3; the masses have the estimated sum."""
+    """The model has no actuator, mesh or floor, only named primitives of group 3, and the estimated total mass."""
     assert (model.nu, model.nmesh, model.neq, model.nlight) == (0, 0, 0, 0)
     assert [model.body(index).name for index in range(1, model.nbody)] == list(robot.LINKS)
     assert set(model.geom_group.tolist()) == {3}
@@ -175,7 +175,7 @@ def test_excluded_pairs_stay_apart(model, data):
     assert len(apart) == 5
     limits = robot.limits(model)
     for a, b in apart:
-        axes = list(range(a - 1, b - 1))  # body 1 is the base, body 2 turns about axis 0: only axes in between matter
+        axes = list(range(a - 1, b - 1))  # body 1 is the base, body 2 turns about axis 0: only axes in between count
         count = 81 if len(axes) == 2 else 21
         grids = [np.linspace(limits.lower[axis], limits.upper[axis], count) for axis in axes]
         pairs = list(itertools.product(np.flatnonzero(model.geom_bodyid == a), np.flatnonzero(model.geom_bodyid == b)))

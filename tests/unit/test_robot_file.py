@@ -192,7 +192,7 @@ def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
 
 
 def test_sampled_poses_without_contact_are_no_proof(tmp_path: Path) -> None:
-    """The square's corners touch the plates, but not at the sampled poses: the pair is checked."""
+    """The square's corners touch the plates between the sampled poses, so the pair is checked."""
     path = forked(tmp_path, 0.0325)
     own = LinkPairs(normalise(robot_file.read_robot(path)).compile())
     own.q = 0.01 * own.q
@@ -305,7 +305,7 @@ def test_a_mesh_is_replaced_by_its_hull_only_if_convex() -> None:
 
 @pytest.mark.parametrize("base", [None, {"position_mm": (0, 0, 2000), "abc_deg": (0, 0, 180)}])
 def test_a_cell_checks_the_arm_and_bounds_its_travel(tmp_path: Path, base: dict[str, object] | None) -> None:
-    """Standing or hanging: no point moves farther than the bound, and the flange pose equals the kinematics."""
+    """No point of an upright or hanging arm moves beyond the bound, and the flange pose equals the kinematics."""
     path = written(tmp_path, urdf(LEVER))
     scene = Scene.model_validate({"robot": {"model": str(path), "base": base, "pedestal_height_mm": 0}})
     world = compile_world(scene, CUBE)

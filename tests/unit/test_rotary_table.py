@@ -74,7 +74,7 @@ def either(request: pytest.FixtureRequest) -> World:
 
 
 def test_a_quarter_turn_moves_a_point_about_the_axis() -> None:
-    """Right-handed about the upright axis: 100 mm along x becomes 100 mm along y."""
+    """A right-handed turn about the upright axis moves 100 mm along x to 100 mm along y."""
     turned = _table(1.0, 2.0).turn(np.radians([0.0, 90.0])) @ np.array([1.1, 2.0, 0.7, 1.0])
     np.testing.assert_allclose(turned[:, :3], [[1.1, 2.0, 0.7], [1.0, 2.1, 0.7]], atol=1e-12)
 
@@ -282,7 +282,7 @@ def test_a_table_without_a_position_moves_with_the_part(off_axis: World) -> None
 def test_a_table_turns_as_far_as_its_part_keeps_clear() -> None:
     """Every angle up to a pillar is clear, and the next angle beyond it collides.
 
-    Blocked on one side, an endless axis turns to the other; between two pillars it has the range between them.
+    An endless axis blocked on one side turns to the other. Between two pillars it has the range between them.
     """
     place = {"table": {"position_mm": [1200.0, 500.0, -400.0]}, "placement": {"position_mm": [1450.0, 500.0, 0.0]}}
 

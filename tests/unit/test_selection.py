@@ -56,12 +56,12 @@ def _selected(requested: float, share_of_view: list[float]) -> tuple[int, float]
 
 
 def test_a_selection_that_holds_is_not_changed() -> None:
-    """Half of ten equal samples: five views, and the target is the requested coverage."""
+    """Half of ten equal samples needs five views, and the target remains the requested coverage."""
     assert _selected(0.5, [0.1] * 10) == (5, 0.5)
 
 
 def test_the_target_is_raised_until_the_held_out_share_is_reached() -> None:
-    """Each view measures 0.08 of the held-out samples: half of them need seven views, not the five of the matrix."""
+    """With 0.08 of the held-out samples per view, half of them needs seven views and not the five of the matrix."""
     views, target = _selected(0.5, [0.08] * 10)
     assert views == 7
     assert 0.5 < target <= 0.7
@@ -73,7 +73,7 @@ def test_a_target_that_cannot_hold_ends_at_full_coverage() -> None:
 
 
 def test_weighted_views_claim_no_more_than_their_target() -> None:
-    """One view measures nine tenths of the area and half of the weight: half is the claimed coverage."""
+    """A view with nine tenths of the area and half of the weight claims half of the coverage."""
     areas, weights = np.array([9.0, *[0.1] * 10]), np.array([10.0, *[1.0] * 10])
 
     class Weighted(RegionGroups):

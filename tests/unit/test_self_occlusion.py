@@ -32,7 +32,7 @@ def _world(**tables: object) -> World:
 
 
 def _cell(world: World) -> tuple[Measurability, Reach, Viewpoints]:
-    """Candidates all around the ball with all joint configurations, and their measurability."""
+    """Return candidates all around the ball with all joint configurations, and their measurability."""
     views = optimal_scanning_zone(TriangleMesh(PART.vertices, PART.faces[::20]), (0.48,), (0.0, np.pi / 2))
     kinematics = kinematics_of(world.model)
     flange = world.T_base_object @ views.T_object_scanner[:, 0] @ np.linalg.inv(world.T_flange_scanner)

@@ -82,7 +82,7 @@ def test_fan_and_range_give_back_the_data_sheet_s_line(name: str, near: float, f
 
 
 def test_a_sensor_fills_the_scanner_table_and_the_scene_takes_precedence() -> None:
-    """Type, fan and range are the library's, a key of the scene replaces one; standoff in mid-range."""
+    """Type, fan and range are those of the library unless the scene replaces them; the standoff is mid-range."""
     scene = load_scene(None, {"scanner": {"sensor": "gocator-2350", "baseline_mm": 160.0, "fan_deg": 27.0}})
     assert scene.scanner.type == "laser-line"
     assert scene.scanner.fan_deg == 27.0
@@ -128,7 +128,7 @@ def test_a_sensor_fills_the_scanner_table_and_the_scene_takes_precedence() -> No
     ],
 )
 def test_all_problems_of_the_scanner_table_are_reported_at_once(scanner: dict, lines: list[str]) -> None:
-    """One line each: a key of another type, a figure that is not stated, a value out of range."""
+    """A key of another type, a missing figure and a value out of range give one line each."""
     problems = _problems(**scanner)
     assert len(problems) == len(lines), problems
     for problem, start in zip(problems, lines, strict=True):

@@ -49,7 +49,7 @@ def test_a_turn_shares_the_geometry_of_its_branch():
 
 
 def test_a1_has_two_angles_only_behind_the_robot():
-    """A range of +-185 deg overlaps behind the robot: 178 deg is -182 as well, and 170 is only 170."""
+    """A range of +-185 deg overlaps behind the robot: 178 deg is also -182, and 170 has one angle only."""
     both = np.rad2deg(setpoints(degrees((178, -90, 90, 0, 45, 0)), LIMITS).q[:, 0])
     assert sorted(set(both.round(9).tolist())) == [-182.0, 178.0]
     one = np.rad2deg(setpoints(degrees((170, -90, 90, 0, 45, 0)), LIMITS).q[:, 0])

@@ -56,7 +56,7 @@ def test_a_sample_touches_where_its_normal_meets_the_support_within_a_millimetre
 
 
 def test_a_support_does_not_touch_through_a_sheet() -> None:
-    """A sheet of 0.3 mm between two plates: its lower side touches the lower one, its upper side the upper one."""
+    """Of a sheet of 0.3 mm between two plates, each side touches only its plate."""
     samples = _samples([[0, 0, 0], [0, 0, 0.0003]], [[0, 0, -1], [0, 0, 1]])
     below, above = _table(-0.05, 0.0), _table(0.0003, 0.05)
     assert in_contact(samples, [below]).tolist() == [True, False]

@@ -48,7 +48,7 @@ def test_the_spacing_of_an_area_scanner_is_that_of_its_neighbouring_rays() -> No
 
 
 def test_the_ray_grid_has_the_computed_spacing() -> None:
-    """A tilted wall met by `ray_directions`: neighbouring points of the grid itself."""
+    """The spacing equals that of neighbouring points of `ray_directions` on a tilted wall."""
     scanner = LaserArea(fov_deg=(40, 40), resolution_deg=(0.25, 0.25), range_mm=(1, 2000))
     normal = np.array([0.5, 0.2, -1.0]) / np.linalg.norm([0.5, 0.2, -1.0])
     rays = scanner.ray_directions().reshape(*scanner.grid_shape, 3)

@@ -43,7 +43,7 @@ def search_of(kind: type[TourSearch], views: int) -> TourSearch:
 
 
 def test_a_real_tour_of_very_many_views_ends_the_search() -> None:
-    """There is always an uninspected edge: without this rule the search would use all orderings of the budget."""
+    """The search of very many views ends with a feasible tour, although some edges are always uninspected."""
     search = search_of(AlwaysNew, _VERY_MANY + 1)
     nodes = search.run()
     assert sorted(search.view_of(node) for node in nodes[1:-1]) == list(range(_VERY_MANY + 1))

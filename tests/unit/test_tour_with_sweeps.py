@@ -95,7 +95,7 @@ def test_the_tour_contains_every_sweep_and_is_the_shortest() -> None:
 
 
 def test_a_sweep_with_a_blocked_end_is_dropped() -> None:
-    """One end is in a wall: neither direction can be driven, so the view is dropped; the others remain."""
+    """A sweep with one end in a wall is dropped in both directions, and the other sweeps remain."""
     paths, poses = _views(3)
     ends = np.degrees(np.sort([paths[1][0].q[0][0], paths[1][0].q[-1][0]]))
     wall = _FreeSpace((float(ends[0]) - 0.2, float(ends[0]) + 0.2))

@@ -171,7 +171,7 @@ def test_spacing_is_that_of_neighbouring_rays() -> None:
 
 
 def test_large_faces_are_split_for_colours(run: Run) -> None:
-    """A cube of twelve faces whose half is measured: the drawn mesh shows the half."""
+    """The drawn mesh of a half-measured cube of twelve faces shows the half."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * 0.1
     faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
                       [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip

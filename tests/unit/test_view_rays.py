@@ -41,7 +41,7 @@ def test_rays_and_projection_agree(parallel: bool) -> None:
 
 
 def test_a_line_behind_a_surface_is_hidden() -> None:
-    """A line through a box: its ends are visible, its middle has the colour of hidden pieces."""
+    """The ends of a line through a box are visible, and its middle has the colour of hidden pieces."""
     vertices, faces = box_triangles(np.array([0.1, 0.1, 0.1]))
     caster = EmbreeRayCaster(vertices, faces)
     around = np.array([[-0.3, -0.3, -0.3], [0.3, 0.3, 0.3]])
@@ -83,7 +83,7 @@ def shown(planned: Path) -> tuple[CellGeometry, TriangleMesh, np.ndarray, np.nda
 
 
 def test_a_wall_in_front_is_translucent(shown: tuple[CellGeometry, TriangleMesh, np.ndarray, np.ndarray]) -> None:
-    """The robot is visible through the wall; from the other side the wall is solid; it can be hidden."""
+    """The robot is visible through the wall. From the other side the wall is opaque, and it can be hidden."""
     cell, part, q, views = shown
     vertices, faces = box_triangles(np.array([1.2, 0.02, 1.2]))
     wall = Piece("wall", 0, vertices + np.array([0.6, -1.2, 0.4]), faces, np.array([0.2, 0.3, 0.9]))

@@ -174,7 +174,7 @@ def _views() -> Viewpoints:
 
 @pytest.mark.parametrize("count", [1, 2, 7])
 def test_a_straight_sweep_has_poses_in_the_middles_of_equal_cells(count: int) -> None:
-    """Distances between poses are length / K, the mean is the viewpoint, nothing turns."""
+    """The distances between poses are length / K, the mean is the viewpoint, and the orientation is constant."""
     views = _views()
     sweeps = sweep_viewpoints(views, straight_sweep_poses(0.14, count, (0.0, 3.0, 4.0)))
     T = sweeps.T_object_scanner

@@ -92,7 +92,7 @@ def test_a_shorter_baseline_shortens_the_sensor_shadow_of_a_wall() -> None:
 
 
 def test_a_roll_that_turns_the_baseline_along_the_wall_ends_the_sensor_shadow() -> None:
-    """Source and sensor on the same side of the wall: nothing on that side is occluded."""
+    """With source and sensor on the same side of the wall, no point of that side is occluded."""
     x = -np.linspace(0.0005, 0.03, 100)
     targets, part = _on_plate(x), _caster(_PLATE, _WALL)
     scanner = LaserArea(range_mm=(50, 900), grazing_max_deg=90, baseline_mm=100)
@@ -104,7 +104,7 @@ def test_a_roll_that_turns_the_baseline_along_the_wall_ends_the_sensor_shadow() 
 
 
 def test_the_occluder_is_named() -> None:
-    """A plate above the part is an occluder, not the part; without it the points are measured."""
+    """A plate above the part is reported as the occluder, and without it the points are measured."""
     x = np.linspace(-0.02, 0.02, 81)
     targets, part = _on_plate(x), _caster(_PLATE)
     clamp = _caster(_rectangle([-0.01, -0.02, 0.05], [0.02, 0, 0], [0, 0.04, 0]))
@@ -188,7 +188,7 @@ def test_the_smaller_of_two_equally_good_changes_is_selected_first() -> None:
 
 
 def test_few_views_are_selected_greedily_until_nearly_all_rows_are_measured() -> None:
-    """View 2 measures rows 0 to 5, view 0 the other four of ten: both are selected, no third."""
+    """Views 2 and 0 measure all ten rows, so both are selected and no third."""
     pairs = np.array([[row, 2] for row in range(6)] + [[row, 0] for row in range(5, 10)] + [[0, 1], [9, 1]])
     assert what_if.select_views(pairs, 10) == [2, 0]
     assert what_if.select_views(np.empty((0, 2), np.int64), 4) == []

@@ -159,7 +159,7 @@ def test_the_housing_is_checked_with_the_hand_if_the_mount_lets_them_meet() -> N
 
 
 def test_cell_xml_is_the_checked_cell(world: World, tmp_path: Path) -> None:
-    """MuJoCo loads the file alone; every shape has its checked pose, at home and elsewhere."""
+    """MuJoCo loads the file alone, and every shape has its checked pose at home and at other configurations."""
     T = world.T_base_object_at(pose((1000, -300, 100), (70, -20, 5)))
     assert write_mjcf(replace(world, T_base_object=T), tmp_path) == ("cell.xml",)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "cell.xml"))
