@@ -200,7 +200,7 @@ def test_lever_arms_bound_the_motion_by_an_axis() -> None:
 
 
 def test_a_table_is_a_hinge_with_its_load() -> None:
-    """Inertia of a box beside the axis, a post and the faceplate by hand; the arm's mass matrix is unchanged."""
+    """The inertia of a load and the faceplate equals a manual sum, and the arm's mass matrix is unchanged."""
     spec = mujoco.MjSpec()
     part = spec.worldbody.add_body(
         name="object", mocap=True, pos=[1.5, 0.5, 0.4], quat=[np.cos(0.2), 0, 0, np.sin(0.2)]

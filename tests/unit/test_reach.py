@@ -98,7 +98,7 @@ def test_set_points_are_rounded_inside_the_limits_and_checked_as_they_are():
 
 
 def test_verdicts():
-    """Too far: OUT_OF_REACH. Solvable beyond a limit only: JOINT_LIMIT. Behind the wall: COLLISION with its name."""
+    """The verdict is OUT_OF_REACH, JOINT_LIMIT beyond a limit, or COLLISION with a name behind the wall."""
     far = np.eye(4)
     far[0, 3] = 3.0
     # A2 = 80 deg is beyond its 35; the other elbow and the other shoulder exceed a limit as well.
@@ -132,7 +132,7 @@ def test_the_blocker_is_the_closest_pair_in_most_configurations():
 
 
 def test_a_column_of_several_poses_needs_them_all():
-    """Reachable only if each pose is; else the verdict of the first pose that fails; q is of the first pose."""
+    """A column is reachable if all its poses are. Otherwise its verdict is that of the first failing pose."""
     good = KINEMATICS.forward(np.deg2rad([[-40.0, -60, 90, 0, 45, 0], [-41.0, -60, 90, 0, 45, 0]]))
     wall = KINEMATICS.forward(np.deg2rad([[40.0, -60, 90, 0, 45, 0]]))[0]
     far = np.eye(4)

@@ -174,9 +174,10 @@ def test_the_radius_of_the_table_is_that_of_the_farthest_corner(either: World) -
 
 
 def test_a_tilted_axis_carries_its_post_without_collision(tilted: World) -> None:
-    """The post spans the part's lowest point along the axis to the face; free where solids of trimesh are apart.
+    """The post extends along the axis from the part's lowest point to the face.
 
-    The floor looks different from each angle, so it occludes as the pillar does.
+    A configuration is free if the solids are apart in trimesh. The floor has another pose relative to the part at each
+    angle, so it is an occluder like the pillar.
     """
     assert tilted.table is not None
     T_base_table, T_base_post = tilted.table.T_base_table, tilted.T_base_post(tilted.T_base_object)

@@ -115,7 +115,7 @@ def test_exactly_the_hidden_samples_are_removed():
 
 
 def test_other_configurations_are_used_before_samples_are_removed(monkeypatch: pytest.MonkeyPatch):
-    """An arm that occludes only for positive A4: these configurations go, the matrix stays, the next check is clear."""
+    """Only configurations with an occluding A4 are removed. The matrix is unchanged, and the next check is clear."""
     world = _world()
     M, reached, views = _cell(world)
     block, faces = box_triangles(np.array([0.2, 0.2, 0.01]))
