@@ -10,7 +10,7 @@ from cell.robot.arm import kinematics_of
 
 @pytest.fixture(scope="module")
 def model():
-    """The compiled robot alone."""
+    """Return the compiled robot alone."""
     return robot.load()
 
 

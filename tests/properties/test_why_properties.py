@@ -99,7 +99,7 @@ _NO_RUN = _NoRun()
 
 
 def test_the_surface_under_the_clamp_is_gained_without_it(answer: Analysis) -> None:
-    """The group lies under the clamp, on the top; "without fixture clamp" is among the changes and gains all of it."""
+    """The group is under the clamp, on the top. The change "without fixture clamp" gains all of it."""
     for group in answer.groups:
         if group.what != "clamp":
             continue

@@ -128,7 +128,7 @@ def test_points_on_the_scanner_itself():
 
 
 def test_a_fixture_on_the_part_hides_only_its_contact():
-    """A plate on the pole of the ball: the covered pole is lost, the rest stays."""
+    """A plate on the pole of the ball hides the covered pole only."""
     plate = trimesh.creation.box((0.02, 0.02, 0.002))
     plate.apply_translation([0, 0, -0.05 - 0.001])
     casters = [EmbreeRayCaster(PART.vertices, PART.faces), EmbreeRayCaster(plate.vertices, plate.faces)]

@@ -12,7 +12,7 @@ from planner.viewpoints.viewpoints import aim_viewpoints, viewpoints_from_poses
 
 
 def _sphere(count):
-    """Random points of a sphere of 50 mm with their normals."""
+    """Return random points of a sphere of 50 mm with their normals."""
     normals = np.random.default_rng(3).normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return RayTargets.of(0.05 * normals, normals)

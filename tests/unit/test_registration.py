@@ -20,7 +20,7 @@ VIEWS = 0.25 * np.array([[1, 0, 0.2], [-1, 0.1, 0], [0, 1, 0], [0, -1, 0.1], [0.
 
 @pytest.fixture(scope="module")
 def head() -> TriangleMesh:
-    """A ball of 50 mm with a nose, a chin and flattened cheeks, 20,480 faces."""
+    """Return a ball of 50 mm with a nose, a chin and flattened cheeks, 20,480 faces."""
     ball = trimesh.creation.icosphere(5, 1.0)
     x, y, z = ball.vertices.T
     radius = 0.05 * (1 - 0.15 * y**2) + 0.008 * np.exp(-20 * ((x - 1) ** 2 + y**2 + z**2))
@@ -30,7 +30,7 @@ def head() -> TriangleMesh:
 
 @pytest.fixture(scope="module")
 def scans(head: TriangleMesh) -> list[ScanCloud]:
-    """Six exact scans, pitch about 1 mm, with 20 micrometres of range noise."""
+    """Return six exact scans, pitch about 1 mm, with 20 micrometres of range noise."""
     caster = EmbreeRayCaster(head.vertices, head.faces)
     rng = np.random.default_rng(0)
     return [_scan(caster, view, rng) for view in VIEWS]

@@ -44,13 +44,13 @@ MAY_TOUCH = {
 
 @pytest.fixture(scope="module")
 def model():
-    """The compiled robot alone."""
+    """Return the compiled robot alone."""
     return robot.load()
 
 
 @pytest.fixture(scope="module")
 def data(model):
-    """The state of the model."""
+    """Return the state of the model."""
     return mujoco.MjData(model)
 
 

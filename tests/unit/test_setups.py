@@ -56,7 +56,7 @@ def test_a_sample_touches_where_its_normal_meets_the_support_within_a_millimetre
 
 
 def test_a_support_does_not_touch_through_a_sheet() -> None:
-    """Of a sheet of 0.3 mm between two plates, each side touches only its plate."""
+    """Each side of a sheet of 0.3 mm between two plates is in contact with its own plate only."""
     samples = _samples([[0, 0, 0], [0, 0, 0.0003]], [[0, 0, -1], [0, 0, 1]])
     below, above = _table(-0.05, 0.0), _table(0.0003, 0.05)
     assert in_contact(samples, [below]).tolist() == [True, False]
