@@ -15,8 +15,8 @@ from cell.errors import UnreachableError
 from cell.explore import belief
 from cell.explore.belief import UncoveredReport, assign_causes
 from cell.explore.frustum import MinRangeOccluder
-from cell.explore.moved import with_refined_candidates
 from cell.explore.policy import BatchRequest, realised_gain_ratio, select_samples
+from cell.explore.refinement import with_refined_candidates
 from cell.part.workpiece import Workpiece
 from cell.plan import files, pipeline
 from cell.plan.candidates import (

@@ -1,6 +1,6 @@
 """Pages of a plan, of an execution and of `cell why`, read from their folders. Metres, radians.
 
-`cell.plan.drawing` writes the page of a new plan with the same functions.
+`cell.report.figures` writes the page of a new plan with the same functions.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from cell.explore import moved
-from cell.explore.moved import with_refined_candidates
+from cell.explore.refinement import with_refined_candidates
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
