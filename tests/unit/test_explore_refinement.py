@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.explore import moved
+from cell.explore import refinement
 from cell.explore.refinement import with_refined_candidates
 from cell.scanners.laser_area import LaserArea
 from cell.world.embree import EmbreeRayCaster
@@ -31,7 +31,7 @@ def problem(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     candidates = aim_viewpoints(0.03 * outward, outward, np.arange(12), [0.1], [0.0])
     scouts = draw_samples(mesh, mesh, 300, np.random.default_rng(1))
     arm = ViewEvaluator(scanner, casters, lambda T: np.ones(len(T), dtype=bool), np.eye(4)[None])
-    monkeypatch.setattr(moved, "view_evaluator", lambda *_: arm)
+    monkeypatch.setattr(refinement, "view_evaluator", lambda *_: arm)
     prediction = SimpleNamespace(samples=scouts, scanner=scanner, casters=casters)
     return SimpleNamespace(
         candidates=candidates,
