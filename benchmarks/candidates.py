@@ -137,7 +137,9 @@ class Bench:
 
     def arm(self) -> ViewEvaluator:
         """Return the evaluator of views."""
-        return generators.view_evaluator(generators.Cell(self.world, self.checker), self.scanner, self.casters)
+        return generators.view_evaluator(
+            generators.Cell(self.world, self.checker, self.world.kinematics), self.scanner, self.casters
+        )
 
     def views(self, generator: str) -> Viewpoints:
         """Return the candidates of the generator, reachable or not."""

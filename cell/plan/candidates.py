@@ -55,20 +55,22 @@ PlanSession = Session[RunFolder]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cell:
-    """Compiled cell with its collision checker."""
+    """Compiled cell with its collision checker.
+
+    Attributes:
+        world: compiled cell.
+        checker: of collisions in it.
+        kinematics: of the arm, with a rotary table if there is one.
+    """
 
     world: World
     checker: MujocoCollisionChecker
+    kinematics: Kinematics
 
     @classmethod
     def of(cls, world: World) -> "Cell":
-        """Make the checker of a compiled cell."""
-        return cls(world, MujocoCollisionChecker(world))
-
-    @property
-    def kinematics(self) -> Kinematics:
-        """Kinematics of the arm, with a rotary table if there is one."""
-        return self.world.kinematics
+        """Make the checker and the kinematics of a compiled cell."""
+        return cls(world, MujocoCollisionChecker(world), world.kinematics)
 
     def casters(self, surface: PartSurface) -> tuple[RayCaster, RayCaster]:
         """Return the ray casters of the part and of the occluders, object frame."""

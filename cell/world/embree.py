@@ -161,8 +161,10 @@ class EmbreeRayCaster:
         parts = self._workers if count > _SPLIT_ABOVE else 1
         slices = [slice(count * part // parts, count * (part + 1) // parts) for part in range(parts)]
         if parts > 1:
-            with ThreadPoolExecutor(parts) as pool:
-                list(pool.map(trace, slices))
+            with ThreadPoolExecutor(parts - 1) as pool:
+                others = pool.map(trace, slices[1:])
+                trace(slices[0])
+                list(others)
         elif count:
             trace(slices[0])
 
