@@ -144,7 +144,7 @@ def _session(terminal: "Terminal") -> "Session[None]":
 
 
 def _confirm(terminal: "Terminal") -> "Confirm | None":
-    """Return the function that puts questions to the person at the terminal; None if there is nobody."""
+    """Return the function that asks the person at the terminal; None without a terminal."""
     return terminal.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
 
 

@@ -135,7 +135,7 @@ def _surface_at(low: Floats, edge: float, chosen: Bools, level: float, smooth: f
 
 
 CYLINDER_MARGIN = 1.05
-"""How much wider than the simulated part a cylinder is that nobody gives: who clamps a part knows it to so much."""
+"""Margin of the default cylinder about a simulated part, as a person who clamps a part would estimate its size."""
 
 STAND = "stand"
 """The post of the scene, as a fixture: the post of a stage would follow what is believed of the part."""

@@ -81,7 +81,7 @@ def prepare_exploration(
         cylinder = enclosing_cylinder(hidden)
     else:
         raise UsageError(
-            "nobody knows how large the part is; give --cylinder DIAMETER,HEIGHT in mm, about --place, that holds it"
+            "the part has no known size; give --cylinder DIAMETER,HEIGHT in mm, about --place, that contains the part"
         )
     known = _as_workpiece(cylinder) if part is None or cylinder.given else part
     settled = settle(scene, known)
@@ -116,16 +116,14 @@ def _require_supported(scene: Scene) -> None:
         "--pin and --ban": bool(plan.pinned or plan.banned),
         "a region of the part": bool(scene.region),
     }
-    if wish := next((name for name, wished in request.items() if wished), None):
-        raise UsageError(f"{wish} is for a part that is known; leave it away here, and plan with it on model.ply")
+    if option := next((name for name, is_set in request.items() if is_set), None):
+        raise UsageError(f"{option} is for a part that is known; leave it away here, and plan with it on model.ply")
     if scene.setup:
         raise UsageError("set-ups are for a part that is known; leave [[setup]] away, and plan with them on model.ply")
     if scene.placement.origin_mm is not None:
         raise UsageError("--place-origin says where a file's origin stands; give --place, the middle of the cylinder")
     if on := [fixture.name for fixture in scene.fixtures if fixture.attached_to == "object"]:
-        raise UsageError(
-            f"the fixture '{on[0]}' is attached to the part's frame, which nobody knows; attach it to base"
-        )
+        raise UsageError(f"the fixture '{on[0]}' is attached to the part's frame, which is unknown; attach it to base")
 
 
 def _as_workpiece(cylinder: Cylinder) -> Workpiece:

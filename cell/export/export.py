@@ -41,7 +41,7 @@ def export(run_folder: Path, options: ExportOptions, reporter: ProgressReporter 
     Args:
         run_folder: of a finished plan.
         options: format, folder, name, speeds and signals.
-        reporter: is told which files of the plan are missing.
+        reporter: reports which files of the plan are missing.
 
     Raises:
         UsageError: if KRL does not accept the name or cannot express the motion.

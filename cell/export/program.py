@@ -141,7 +141,7 @@ def load_program(
         run_folder: of a finished plan.
         name: of the program; None uses `program_name`.
         current: files that describe the cell today.
-        reporter: is told which of them are missing or accepted although they differ.
+        reporter: reports which of them are missing, or accepted although they differ.
 
     Raises:
         UsageError: if KRL does not accept the name.

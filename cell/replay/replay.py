@@ -82,7 +82,7 @@ def load_playback(run: Run, execution: str | None, reporter: ProgressReporter) -
     Args:
         run: the opened run.
         execution: id of an execution, or "latest"; None for the plan.
-        reporter: is told what is missing.
+        reporter: reports missing files.
 
     Raises:
         FileError: if the run has no checked cell, or a file is damaged.

@@ -44,7 +44,7 @@ def limits_deg(limits: JointLimits) -> LimitsDeg:
 
 
 def resolved_fixtures(scene: Scene, world: World) -> list[StandingFixture]:
-    """All that stands in the cell: the scene's fixtures, then post, pedestal and floor."""
+    """Return the obstacles of the cell: the fixtures of the scene, then post, pedestal and floor."""
     return [*(_fixture(fixture, world) for fixture in scene.fixtures), *_built_in(scene, world)]
 
 

@@ -1048,7 +1048,7 @@ class ScannedSetups(JsonTable):
 EXPLORE_FILE = "explore.json"
 
 UNSEEN = "unseen"
-"""Name of the fixture of a batch that stands for the unseen space: it collides and does not occlude."""
+"""Name of the fixture of a batch that represents the unseen space: it collides and does not occlude."""
 
 SurfaceName = Literal["believed", "measured"]
 BELIEVED: SurfaceName = "believed"
