@@ -25,7 +25,7 @@ import numpy as np
 from benchmarks.seeded_scenes import content
 from cell.errors import SceneError
 from cell.scene.model import Scene
-from cell.study.bench import Bench
+from cell.study.prepared_part import Bench
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.occluders import fixed_occluders, make_caster
 from planner import cover

@@ -33,7 +33,7 @@ from cell.errors import CellError
 from cell.report.diff import compare_runs
 from cell.report.plots import PlotProcess
 from cell.session import LoggedProgress
-from cell.view.contents import PARTIAL_PAGE_FILE
+from cell.view.run_pages import PARTIAL_PAGE_FILE
 
 _FULL_PAIRS, _EXECUTIONS = 30, 4
 _REASONS = {"reach": "out of the arm's reach", "limit": "exceeds a joint limit", "collision": "limits collides"}
@@ -163,6 +163,6 @@ def no_pictures() -> Iterator[None]:
     with (
         mock.patch("cell.report.plots.plot_process", side_effect=lambda: nullcontext(_Blank())),
         mock.patch("cell.scan.results.draw_part_and_views", lambda path, *_: path.write_bytes(b"")),
-        mock.patch("cell.view.contents.execution_page", return_value=""),
+        mock.patch("cell.view.run_pages.execution_page", return_value=""),
     ):
         yield

@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks import gtsplib
 from cell.scene.model import Scene
-from cell.study.bench import Bench, solve_reach
+from cell.study.prepared_part import Bench, solve_reach
 from cell.world.occluders import fixed_occluders, make_caster
 from planner import cover
 from planner.measurability.visibility import apply_occluders

@@ -16,8 +16,8 @@ from cell.robot.arm import kinematics_of
 from cell.robot.model import load
 from cell.robot.plant import PlantSettings
 from cell.scan import plants
-from drivers.controller import SETTLE_LIMIT
 from drivers.profile import Reference, interpolate
+from drivers.simulated_controller import SETTLE_LIMIT
 from planner.kinematics.closed_form import KukaKinematics
 from planner.values import Floats
 

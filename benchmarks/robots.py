@@ -29,7 +29,7 @@ from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
 from cell.robot.model import mesh_of
 from cell.robot.robot_file import RobotFile
-from cell.world.robot_report import report
+from cell.world.robot_check import report
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
 

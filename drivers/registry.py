@@ -17,9 +17,9 @@ from urllib.parse import parse_qsl, urlsplit
 
 from drivers.clock import Clock
 from drivers.contract import Driver
-from drivers.controller import PlantFactory
 from drivers.errors import DriverError, DriverUrlError
 from drivers.limits import Limits
+from drivers.simulated_controller import PlantFactory
 
 GROUP = "cell.drivers"
 

@@ -19,10 +19,10 @@ import numpy as np
 from drivers.client import ControllerClient
 from drivers.clock import Clock, RealTimeClock, SimulatedClock
 from drivers.contract import Answer, Capabilities, Command, Result, RobotState
-from drivers.controller import Controller, IdealPlant
 from drivers.errors import DriverUrlError
 from drivers.registry import Context, DriverUrl
 from drivers.setpoints import from_rad, to_rad
+from drivers.simulated_controller import Controller, IdealPlant
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 """Axes of the arm at the start [deg]."""

@@ -39,7 +39,7 @@ from numba.core.dispatcher import Dispatcher
 from cell.report import plots
 from cell.runs import digest
 from cell.session import Effort, effort_of
-from cell.view.contents import PARTIAL_PAGE_FILE
+from cell.view.run_pages import PARTIAL_PAGE_FILE
 
 # Tests have no deadline, because wall time is not a property. In CI the examples are the same in every execution.
 # `--hypothesis-profile=full` has four times as many examples.
@@ -207,7 +207,7 @@ _PICTURES = (
     "cell.scan.results.draw_part_and_views", "cell.view.pictures.draw_reasons",
 )  # fmt: skip
 _PAGES = (
-    "cell.view.contents.execution_page", "cell.view.contents.why_page", "cell.view.explore_page.explore_page",
+    "cell.view.run_pages.execution_page", "cell.view.run_pages.why_page", "cell.view.explore_page.explore_page",
     "cell.report.diff.difference_page",
 )  # fmt: skip
 _CANVASES = ("cell.scan.results.canvas_of", "cell.why.explain.canvas_of")

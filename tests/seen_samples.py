@@ -6,8 +6,8 @@ import numpy as np
 
 from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
-from cell.world.contact import in_contact
 from cell.world.prediction import held_out_samples
+from cell.world.support_contact import in_contact
 from planner.measurability.visibility import find_measured
 from planner.values import Bools
 

@@ -23,7 +23,7 @@ from cell.world import clearance
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.prediction import held_out_samples
 from planner.cover.problem import CoverProblem
-from planner.cover.selection import solve
+from planner.cover.solve import solve
 from planner.measurability.coverage import marginal_coverage
 from planner.measurability.matrix import Measurability
 from planner.measurability.visibility import find_measured

@@ -18,7 +18,7 @@ from cell.errors import UsageError
 from cell.metrology.reconstruct import Reconstruction, reconstruct
 from cell.plan.candidates import generate_viewpoints
 from cell.scene.model import PlanSettings, Scanner
-from cell.study.bench import Bench, shared_bench
+from cell.study.prepared_part import Bench, shared_bench
 from planner import cover
 from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
@@ -188,7 +188,7 @@ def turn(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Compute one value of one knob: the trial.
 
     Args:
-        settings: scene and files (`cell.study.bench`), knob, value, and repeats, the best of which counts.
+        settings: scene and files (`cell.study.prepared_part`), knob, value, and repeats, the best of which counts.
 
     Returns:
         The error in the unit of the knob, and further columns; under "seconds" the time of the work.

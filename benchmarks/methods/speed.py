@@ -17,8 +17,8 @@ from cell.cli.options import SceneFile, from_fields
 from cell.cli.study import run_and_print, scene_maker
 from cell.errors import UsageError
 from cell.scene.model import Scene
-from cell.study.bench import scene_settings
 from cell.study.options import StudyRun
+from cell.study.prepared_part import scene_settings
 from cell.study.study import Row, Study
 from cell.study.trials import Outcome, Trial
 

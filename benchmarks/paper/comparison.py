@@ -4,7 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cell.study.bench import Bench, EvaluatedCover
+from cell.study.prepared_part import Bench, EvaluatedCover
 from planner import cover
 from planner.cover import CoverProblem
 from planner.values import Bools

@@ -16,7 +16,7 @@ from benchmarks.paper.comparison import DENSER, PaperBench, fewest_for, most_wit
 from cell import scanners
 from cell.plan.candidates import generate_viewpoints
 from cell.scene.file import Tables, load_scene
-from cell.study.bench import solve_reach
+from cell.study.prepared_part import solve_reach
 from cell.study.trials import JsonTable
 from planner.values import Bools
 from planner.viewpoints.viewpoints import Viewpoints

@@ -12,7 +12,7 @@ from benchmarks.methods.speed import ELSEWHERE, chosen, pictures, sentences, spe
 from cell.errors import UsageError
 from cell.scene.file import load_scene
 from cell.session import LoggedProgress
-from cell.study.bench import Bench
+from cell.study.prepared_part import Bench
 from cell.study.study import run_study
 from cell.study.trials import Outcome, Processes, Trial
 

@@ -17,10 +17,10 @@ from cell.cli.options import (
     command,
     print_json,
 )
-from cell.emulate.options import EmulateOptions
 from cell.errors import UsageError
 from cell.explore.options import SCAN_OPTIONS, ExploreOptions
 from cell.metrology.options import HandEyeOptions, LocateOptions
+from cell.scan.emulator_options import EmulateOptions
 from cell.scan.options import REAL_ROBOT, RESUME_OPTIONS, ScanOptions
 from cell.scene.file import scene_from_options
 from cell.scene.options import flag, option_specs, parse_options
@@ -320,7 +320,7 @@ def emulate(
     options: EmulateOptions,
 ) -> None:
     """Put a simulated controller behind a pseudo-terminal or a loopback socket, to be used like hardware."""
-    from cell.emulate import emulator
+    from cell.scan import emulator
 
     if protocol not in emulator.PROTOCOLS:
         raise UsageError(f"cell emulate {protocol}: unknown protocol; valid are: {', '.join(emulator.PROTOCOLS)}")

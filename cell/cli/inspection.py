@@ -11,10 +11,10 @@ import typer
 from cell.cli.options import AsJson, Given, command, print_json
 from cell.errors import UsageError
 from cell.export.options import ExportOptions
-from cell.replay.options import ReplayOptions
 from cell.scene.file import scene_from_options
 from cell.scene.model import PART, Scene
 from cell.scene.options import flag, option_specs
+from cell.view.replay_options import ReplayOptions
 
 
 @command("cell check my_cell.toml", "cell check my_cell.toml --part part.stl --units mm --place 1200,500,0")
@@ -71,8 +71,8 @@ def part(
     """List the faces of a CAD part with their numbers, kinds and sizes, draw them, and check the part."""
     from cell.cli.terminal import Terminal
     from cell.part import description, workpiece
-    from cell.view.looking import write_page
     from cell.view.part_page import faces_picture, part_page
+    from cell.view.view_command import write_page
 
     terminal = Terminal(quiet_stdout=as_json)
     units = given.get("units")
@@ -111,7 +111,7 @@ def robot(
 ) -> None:
     """Report the arm in a robot's file: axes, lengths, limits, missing data, links in contact."""
     from cell.cli.terminal import Terminal
-    from cell.world.robot_report import report
+    from cell.world.robot_check import report
 
     packages = {}
     for text in package or []:
@@ -182,12 +182,12 @@ def view(
 ) -> None:
     """Show a scene, plan, execution, exploration or study in the browser: a file with robot, views and motion."""
     from cell.cli.terminal import Terminal
-    from cell.view import looking
+    from cell.view import view_command
 
     terminal = Terminal()
 
     def open_page(path: Path) -> None:
-        if not no_open and not looking.open_browser(path):
+        if not no_open and not view_command.open_browser(path):
             terminal.note("no browser could be opened; open the file in one")
         terminal.print(str(path))
 
@@ -196,17 +196,17 @@ def view(
             raise UsageError(
                 "--watch draws a scene file again when it is saved; give one: cell view my_cell.toml --watch"
             )
-        looking.watch(what, out, terminal, open_page, time.sleep)
+        view_command.watch(what, out, terminal, open_page, time.sleep)
     elif what is not None and (what / "setups.json").is_file():
         from cell.runs.setups import SetupsRun
 
         if out is not None:
             raise UsageError(f"{what} holds several set-ups with a page each; leave out --out")
         for folder in SetupsRun.opened(what).folders:
-            open_page(looking.make_page(folder, None, terminal))
+            open_page(view_command.make_page(folder, None, terminal))
         Terminal(quiet_stdout=True).suggest(("cell", "scan", what))
     else:
-        open_page(looking.make_page(what, out, terminal))
+        open_page(view_command.make_page(what, out, terminal))
         if following := _after_view(what):
             Terminal(quiet_stdout=True).suggest(*following)
 
@@ -239,7 +239,7 @@ def replay(
 ) -> None:
     """Show a run: the arm on its motion, the scanner's frustum at each stop, the points of an execution."""
     from cell.cli.terminal import Terminal
-    from cell.replay.replay import replay as run_replay
+    from cell.view.replay import replay as run_replay
 
     if text := run_replay(run, options, Terminal()):
         sys.stdout.write(f"{text}\n")

@@ -18,7 +18,7 @@ from cell.runs.schema import ExploreFile
 from cell.scene.model import Scene
 from cell.scene.settle import settle
 from cell.view import coverage_curve, explore_page
-from cell.view.contents import PAGE_FILE as PAGE
+from cell.view.run_pages import PAGE_FILE as PAGE
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples

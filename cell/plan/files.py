@@ -314,8 +314,8 @@ def queue_motion(session: PlanSession, motion: Motion) -> None:
 def finish_page(session: PlanSession, report: Report, plan: PlanFile, motion: Motion, T_base_object: Floats) -> None:
     """Wait for the plots, and complete the page with views, motion and numbers."""
     # The page's modules are kept out of the start-up.
-    from cell.view.contents import PAGE_FILE, PARTIAL_PAGE_FILE, plan_contents
     from cell.view.page import second_half
+    from cell.view.run_pages import PAGE_FILE, PARTIAL_PAGE_FILE, plan_contents
 
     rest = second_half(plan_contents(report, plan.views, motion, T_base_object))
     adopt_plots(session)

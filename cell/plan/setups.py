@@ -70,11 +70,11 @@ from cell.scene.options import Spell
 from cell.scene.settle import SettledScene
 from cell.session import Session, Stream
 from cell.world.checks import find_problems
-from cell.world.contact import in_contact
 from cell.world.measurability import PartSurface, surface_samples
 from cell.world.model import ON_AXIS, World, compile_settled
 from cell.world.occluders import Occluder, fixed_occluders
 from cell.world.prediction import Prediction, held_out_samples
+from cell.world.support_contact import in_contact
 from planner.cover import CoverProblem, CoverStatus
 from planner.cover.curve import coverage_curve
 from planner.cover.grouped import GroupedCover, fewest_views, solve_grouped

@@ -20,12 +20,12 @@ from cell.runs.cell import RunCell, read_cell
 from cell.runs.run import EXECUTIONS, Execution, Run, open_finished, read_execution, reading
 from cell.runs.schema import JsonTable, optional
 from cell.session import ProgressReporter
-from cell.view.contents import execution_contents, named_layer, run_contents
-from cell.view.looking import write_page
 from cell.view.page import PageContents, PageScene, PageSurface, PageView, render_page
 from cell.view.palette import BLUE, GREEN, GREY, MEASURED, VERMILION
 from cell.view.pieces import CellGeometry, cell_of_run, with_ignored_faces
+from cell.view.run_pages import execution_contents, named_layer, run_contents
 from cell.view.surface import canvas_of, viewing_directions
+from cell.view.view_command import write_page
 from cell.world.prediction import held_out_samples
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples

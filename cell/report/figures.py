@@ -18,10 +18,10 @@ from cell.runs.run import open_run
 from cell.runs.schema import ResolvedScene
 from cell.view import pictures, rays
 from cell.view.cell_picture import best_view, draw_cell
-from cell.view.contents import PARTIAL_PAGE_FILE, part_surface
 from cell.view.page import PageScene, first_half, three_js
 from cell.view.palette import AXES, BETWEEN, BLUE, ORANGE, PURPLE, VERMILION
 from cell.view.pieces import CellGeometry, cell_of_run, with_ignored_faces
+from cell.view.run_pages import PARTIAL_PAGE_FILE, part_surface
 from cell.view.surface import Canvas, canvas_of, measure_samples
 from cell.world.prediction import held_out_samples
 from planner.kinematics.reach import Verdict

@@ -170,7 +170,7 @@ class FeedForward:
 
 
 class MujocoPlant:
-    """An arm with masses, motors, friction and a servo; implements `drivers.controller.Plant`.
+    """An arm with masses, motors, friction and a servo; implements `drivers.simulated_controller.Plant`.
 
     Args:
         start: (axes,) axes of the arm at rest at the start [rad].

@@ -29,12 +29,12 @@ from cell.scan.table_turns import TurnOffsetDriver
 from cell.session import Session
 from drivers.clock import Clock, RealTimeClock, SimulatedClock
 from drivers.contract import Driver, Move, Result, RobotState
-from drivers.controller import PlantFactory
 from drivers.errors import DriverError
 from drivers.limits import Limits, check_move
 from drivers.registry import Context, open_driver
 from drivers.setpoints import SetPoints, format_axes, from_rad, to_deg, to_rad
 from drivers.sim import SimDriver
+from drivers.simulated_controller import PlantFactory
 from planner.ports import Progress
 from planner.timing.motion import Motion, retime
 from planner.values import Floats

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from cell.runs.cell import table_of
 from cell.runs.run import Run
-from drivers.controller import Plant, PlantFactory
 from drivers.errors import DriverError
+from drivers.simulated_controller import Plant, PlantFactory
 from planner.values import Floats
 
 if TYPE_CHECKING:

@@ -52,7 +52,7 @@ from cell.scan.execution_folder import ExecutionFolder
 from cell.scan.options import ScanOptions
 from cell.scan.point_checks import find_contradictions
 from cell.session import Session, Stream, random_stream
-from cell.view import contents
+from cell.view import run_pages
 from cell.view.pictures import draw_part_and_views
 from cell.view.surface import MeasuredSamples, canvas_of
 from cell.world.prediction import held_out_samples
@@ -253,7 +253,7 @@ def _draw(
     names = {scan_name(scan.stop) for scan in scans}
     used = replace(recorded, scans=tuple(scan for scan in recorded.scans if scan.name in names))
     done = Execution(folder.path, Manifest(), report)  # its manifest is not written yet
-    folder.write_text(contents.PAGE_FILE, contents.execution_page(run, used, done, (canvas, achieved.surface)))
+    folder.write_text(run_pages.PAGE_FILE, run_pages.execution_page(run, used, done, (canvas, achieved.surface)))
     if not scans:
         folder.remove("views.png")
         folder.remove("cover.png")
@@ -476,12 +476,12 @@ def achieved_coverage(
 ) -> AchievedCoverage:
     """Measure coverage on the held-out samples of the plan, which `plan_seed` reproduces."""
     samples = held_out_samples(cell.reference, cell.planning, plan_seed)
-    surface = contents.measured_by_views(cell, samples, executed_poses(scans, merged))
+    surface = run_pages.measured_by_views(cell, samples, executed_poses(scans, merged))
     measured, points = surface.seen, merged.cloud.points
     predicted, coverable = plan.coverage.visible, plan.coverage.coverable
     poses = [plan.views[scan.stop - 1].T_object_poses for scan in scans]
     if sorted(scan.stop for scan in scans) != list(range(1, len(plan.views) + 1)):
-        predicted = coverage.coverage_of_views(contents.measured_by_views(cell, samples, poses).seen, samples).fraction
+        predicted = coverage.coverage_of_views(run_pages.measured_by_views(cell, samples, poses).seen, samples).fraction
     radius, spacing = coverage.sampling_radius(cell.reference), None
     if poses and len(poses[0]) == 1:
         # The grid of the plan's scanner counts, whatever the resolution of the scan.

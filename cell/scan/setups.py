@@ -45,8 +45,8 @@ from cell.scan.results import (
 )
 from cell.scan.scan import resume, scan
 from cell.session import Session, Stream, random_stream
-from cell.world.contact import in_contact
 from cell.world.prediction import held_out_samples
+from cell.world.support_contact import in_contact
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability import coverage

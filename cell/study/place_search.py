@@ -22,7 +22,6 @@ from scipy.stats import qmc
 
 from cell.errors import UnreachableError
 from cell.scene.model import Scene
-from cell.study.bench import scene_settings
 from cell.study.options import PlaceRange
 from cell.study.placement_study import (
     AXES,
@@ -33,6 +32,7 @@ from cell.study.placement_study import (
     place_option,
     placement_row,
 )
+from cell.study.prepared_part import scene_settings
 from cell.study.study import Row
 from cell.study.trials import JsonTable, Outcome, Trial, Workers, run_trials
 from cell.view.palette import VERMILION

@@ -16,7 +16,7 @@ from cell import scanners
 from cell.errors import SceneError
 from cell.plan.candidates import GROWN, Cell, view_evaluator
 from cell.scene.model import Scene
-from cell.study.bench import Bench, scene_settings, shared_bench, solve_reach
+from cell.study.prepared_part import Bench, scene_settings, shared_bench, solve_reach
 from cell.study.study import Row, Study
 from cell.study.trials import JsonTable, Outcome, Trial
 from cell.view.palette import VERMILION
@@ -55,7 +55,7 @@ def evaluate_placement(settings: JsonTable) -> dict[str, object]:
     """Evaluate a placement: the trial of placement maps and of the placement search.
 
     Args:
-        settings: scene and files (`cell.study.bench`), position_mm (3), abc_deg (3), what (`COVERAGE_ONLY` or
+        settings: scene and files (`cell.study.prepared_part`), position_mm (3), abc_deg (3), what (`COVERAGE_ONLY` or
             `WITH_VIEWS`), solver of the views, and candidates (size of the subset; null: all).
 
     Returns:

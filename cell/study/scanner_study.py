@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from cell.scene import sensors
 from cell.scene.file import Tables
 from cell.scene.model import Scene
-from cell.study.bench import Bench, scene_from_settings, scene_settings, solve_reach
+from cell.study.prepared_part import Bench, scene_from_settings, scene_settings, solve_reach
 from cell.study.study import Row, Study, plan_options
 from cell.study.trials import JsonTable, Outcome, Trial
 from cell.view.palette import BLACK, BLUE, GREEN, GREY, VERMILION
@@ -54,8 +54,8 @@ def select_views(settings: JsonTable) -> dict[str, object]:
     """Select views for a scene's part and scanner, without a motion: the trial of these studies.
 
     Args:
-        settings: scene and files (`cell.study.bench`), and robot: whether the views must be reachable at the scene's
-            placement.
+        settings: scene and files (`cell.study.prepared_part`), and robot: whether the views must be reachable at the
+            scene's placement.
     """
     scene = scene_from_settings(settings)
     bench = Bench(scene)

@@ -25,7 +25,7 @@ from cell.scene.model import Scene
 from cell.scene.options import flag, option_specs
 from cell.session import ProgressReporter
 from cell.study.trials import Outcome, Trial, Workers, run_trials
-from cell.view.contents import PAGE_FILE
+from cell.view.run_pages import PAGE_FILE
 from cell.view.study_page import format_value, study_page
 
 SCHEMA = "scan-cell/study/1"

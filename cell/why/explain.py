@@ -32,9 +32,9 @@ from cell.runs.schema import (
 )
 from cell.scene.model import RegionTargets
 from cell.session import ProgressReporter, default_effort
-from cell.view import contents, pictures
-from cell.view.contents import measured_by_views
+from cell.view import pictures, run_pages
 from cell.view.palette import MEASURED, REASONS, rgb
+from cell.view.run_pages import measured_by_views
 from cell.view.surface import Canvas, MeasuredSamples, canvas_of
 from cell.why.changes import Changes, ladder_masks
 from cell.world.embree import EmbreeRayCaster
@@ -516,8 +516,8 @@ def write_files(run: Run, analysis: Analysis, report: WhyReport) -> Path:
         (part / "why.ply").write_bytes(samples_ply(analysis))
         draw_causes(part / "why.png", analysis)
         reasons = [(group.rows, group.title) for group in analysis.groups]
-        (part / contents.PAGE_FILE).write_text(
-            contents.why_page(run, analysis.canvas, analysis.surface, reasons), encoding="utf-8"
+        (part / run_pages.PAGE_FILE).write_text(
+            run_pages.why_page(run, analysis.canvas, analysis.surface, reasons), encoding="utf-8"
         )
         shutil.rmtree(target, ignore_errors=True)
         part.rename(target)

@@ -28,8 +28,8 @@ from drivers.contract import (
     Stop,
     is_newer,
 )
-from drivers.controller import Controller, Plant
 from drivers.limits import Limits
+from drivers.simulated_controller import Controller, Plant
 from drivers.wire import (
     DEFAULT_WATCHDOG_MS,
     MAX_POINTS,

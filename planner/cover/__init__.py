@@ -25,7 +25,7 @@ grouped       fewest groups of columns (set-ups), then fewest views
 from planner.cover.answer import Cover, CoverStatus
 from planner.cover.budget import DEFAULT_EFFORT, EFFORT_PER_SECOND, scaled_effort
 from planner.cover.problem import CoverProblem, Overlap
-from planner.cover.selection import solve
+from planner.cover.solve import solve
 from planner.cover.solvers import SOLVERS
 
 __all__ = [

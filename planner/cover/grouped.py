@@ -19,7 +19,7 @@ import numpy as np
 from planner.cover.answer import Cover
 from planner.cover.budget import DEFAULT_EFFORT
 from planner.cover.problem import CoverProblem
-from planner.cover.selection import solve
+from planner.cover.solve import solve
 from planner.values import Bools, Floats, Ints
 
 MAX_ENUMERATED = 200_000
@@ -366,7 +366,7 @@ class _GroupCovers:
 
     @property
     def allow_group_costs(self) -> bool:
-        """Whether one problem can hold costs of groups (`planner.cover.selection`, `planner.cover.reductions`)."""
+        """Whether one problem can hold costs of groups (`planner.cover.solve`, `planner.cover.reductions`)."""
         problem = self._problem
         return problem.region is None and problem.weights is None and problem.max_views is None and not problem.overlap
 

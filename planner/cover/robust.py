@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from planner.cover.answer import Cover, reweighted
 from planner.cover.problem import CoverProblem
 from planner.cover.reductions import canonical_form
-from planner.cover.selection import solve
+from planner.cover.solve import solve
 from planner.errors import PlannerError
 from planner.measurability.pose_ensemble import ProbabilityLayer, credited_probability
 from planner.values import Floats, Value

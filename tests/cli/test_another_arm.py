@@ -12,7 +12,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from cell.emulate.emulator import load_arm
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.export import krl, tables
 from cell.export.krl import KrlOptions
@@ -24,6 +23,7 @@ from cell.robot.arm import kr16_kinematics
 from cell.robot.plant import MujocoPlant
 from cell.runs.run import open_run
 from cell.scan import execution, plants
+from cell.scan.emulator import load_arm
 from cell.scan.execution import plan_execution
 from drivers.limits import Limits
 from drivers.registry import Context, open_driver

@@ -30,7 +30,7 @@ from cell.runs.schema import BELIEVED, MEASURED, ExploreFile
 from cell.scan.options import ScanOptions
 from cell.scene.file import scene_from_options
 from cell.session import Session
-from cell.study.bench import Bench
+from cell.study.prepared_part import Bench
 from cell.view.explore_page import explore_page
 from planner.explore.space import FREE
 from planner.geometry.closest import ClosestPointQuery

@@ -18,14 +18,14 @@ from PIL import Image
 
 from cell.cli.terminal import Terminal
 from cell.errors import FileError, UsageError
-from cell.replay import overlays
-from cell.replay.options import ReplayOptions
-from cell.replay.replay import load_playback, replay
-from cell.replay.show import Playback, set_visible_groups
-from cell.replay.viewer import set_camera
 from cell.runs.run import open_run
+from cell.view import overlays
 from cell.view.cell_picture import tour_camera
 from cell.view.pieces import cell_of_run
+from cell.view.playback import Playback, set_visible_groups
+from cell.view.replay import load_playback, replay
+from cell.view.replay_options import ReplayOptions
+from cell.view.viewer import set_camera
 from planner.values import Floats
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -331,8 +331,8 @@ from pathlib import Path
 import numpy as np
 from PIL import ImageGrab
 from cell.cli.terminal import Terminal
-from cell.replay.options import ReplayOptions
-from cell.replay.replay import replay
+from cell.view.replay_options import ReplayOptions
+from cell.view.replay import replay
 
 ticks, oranges, columns, shown = [0.0], [], [], []
 

@@ -12,14 +12,14 @@ from PIL import Image
 
 from cell.cli.terminal import Terminal
 from cell.errors import FileError, UsageError
-from cell.replay.options import ReplayOptions
-from cell.replay.replay import load_playback, replay
-from cell.replay.show import Playback
-from cell.replay.still import PictureInputs, write_picture
-from cell.replay.tightest_moment import closeup_camera
-from cell.replay.viewer import Player
 from cell.runs.run import open_run
 from cell.view.pieces import cell_of_run
+from cell.view.playback import Playback
+from cell.view.replay import load_playback, replay
+from cell.view.replay_options import ReplayOptions
+from cell.view.replay_pictures import PictureInputs, write_picture
+from cell.view.tightest_moment import closeup_camera
+from cell.view.viewer import Player
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

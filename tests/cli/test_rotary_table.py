@@ -15,20 +15,20 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cell.api import locate
-from cell.emulate.emulator import SCHEMA
 from cell.errors import FileError, SceneError
 from cell.metrology.locate import _check_motion
 from cell.plan.edit import EditableRun
-from cell.replay.replay import load_playback
 from cell.runs.cell import read_cell, world_of
 from cell.runs.current_files import CurrentFiles
 from cell.runs.current_scene import require_current_scene
 from cell.runs.run import open_run, read_execution
 from cell.runs.verification import verify_plan
+from cell.scan.emulator import SCHEMA
 from cell.scene.file import scene_from_options
 from cell.session import LoggedProgress
-from cell.study.bench import scene_settings
 from cell.study.placement_study import evaluate_placement
+from cell.study.prepared_part import scene_settings
+from cell.view.replay import load_playback
 from cell.world.model import World
 from drivers.setpoints import from_rad
 from planner import cover

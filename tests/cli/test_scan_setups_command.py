@@ -22,8 +22,8 @@ from cell.scan.options import ScanOptions
 from cell.scan.safety import placement_warning
 from cell.scan.setups import scan_setups
 from cell.session import Session
-from cell.world.contact import in_contact
 from cell.world.prediction import held_out_samples
+from cell.world.support_contact import in_contact
 from planner.measurability.visibility import find_measured
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

@@ -12,10 +12,10 @@ import trimesh
 from PIL import Image
 
 from cell.runs.run import open_run
-from cell.view.contents import part_surface
 from cell.view.packed import quantised_layer
 from cell.view.page import PageContents, PageScene, PageSurface, PageView, render_page
 from cell.view.pieces import cell_of_run
+from cell.view.run_pages import part_surface
 from cell.view.surface import MeasuredSamples, canvas_of
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cell.cli.terminal import Terminal
-from cell.view import looking
+from cell.view import view_command
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -69,7 +69,7 @@ def test_a_watched_scene_is_drawn_again_after_each_save(tmp_path: Path, capsys: 
 
     opened: list[Path] = []
     with pytest.raises(KeyboardInterrupt):
-        looking.watch(scene, page, Terminal(), opened.append, wait)
+        view_command.watch(scene, page, Terminal(), opened.append, wait)
     assert opened == [page]
     stamps = [re.search(r'"watch_stamp":"([^"]+)"', text) for text, _ in seen]
     assert [f"reloadIfNew({stamp[1]!r});\n" if stamp else "" for stamp in stamps] == [script for _, script in seen]

@@ -9,7 +9,6 @@ import pytest
 from drivers.client import ControllerClient
 from drivers.clock import SimulatedClock
 from drivers.contract import Answer, Capabilities, Command, Fault, Mode, Move, Reset, Result, RobotState, Stop
-from drivers.controller import Controller, IdealPlant
 from drivers.errors import (
     AnswerTimeoutError,
     EmergencyStopError,
@@ -20,6 +19,7 @@ from drivers.errors import (
     StateUnknownError,
     StoppedError,
 )
+from drivers.simulated_controller import Controller, IdealPlant
 from tests.support.driver_bench import HOME, HOME_Q, KR16, turned
 
 

@@ -14,8 +14,8 @@ import pytest
 
 from cell.errors import UsageError
 from cell.scene.file import load_scene
-from cell.study.bench import scene_settings
 from cell.study.placement_study import COVERAGE_ONLY, evaluate_placement
+from cell.study.prepared_part import scene_settings
 from cell.study.trials import OnOutcome, Outcome, Trial, compute, open_workers, run_trials
 
 

@@ -9,8 +9,8 @@ import trimesh
 
 from cell.errors import FileError
 from cell.scene.file import load_scene
-from cell.study.bench import Bench, scene_from_settings, scene_settings, shared_bench
 from cell.study.placement_study import evaluate_placement
+from cell.study.prepared_part import Bench, scene_from_settings, scene_settings, shared_bench
 from cell.world import virtual_scan
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.occluders import fixed_occluders, make_caster

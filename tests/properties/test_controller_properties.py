@@ -7,9 +7,9 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from drivers.clock import SimulatedClock
 from drivers.contract import Command, Fault, Mode, Move, Reset, Result, Stop, next_sequence
-from drivers.controller import Controller, IdealPlant
 from drivers.limits import Limits
 from drivers.setpoints import SetPoints, to_rad
+from drivers.simulated_controller import Controller, IdealPlant
 
 RANGE = 200_000  # counts: 20 deg
 MAX_STEP = 300_000

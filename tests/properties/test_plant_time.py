@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from cell.robot import model as robot
 from cell.robot.plant import MujocoPlant, PlantSettings
-from drivers.controller import Plant
 from drivers.limits import Limits
 from drivers.profile import Reference, interpolate
+from drivers.simulated_controller import Plant
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 

@@ -9,9 +9,9 @@ import pytest
 import trimesh
 
 from cell.errors import SceneError
-from cell.replay.overlays import find_violations
 from cell.robot.arm import kinematics_of
 from cell.scene.model import Scene
+from cell.view.overlays import find_violations
 from cell.world.checks import find_problems
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import World, compile_world

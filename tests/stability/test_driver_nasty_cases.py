@@ -7,12 +7,12 @@ import pytest
 
 from drivers.clock import SimulatedClock
 from drivers.contract import LAST_SEQUENCE, Fault, Mode, Move, Reset, Result, Stop
-from drivers.controller import SETTLE_LIMIT, Controller, IdealPlant
 from drivers.errors import DriverError, FaultError, RefusedError
 from drivers.profile import Reference, interpolate
 from drivers.registry import Context, DriverUrl
 from drivers.setpoints import from_rad, to_rad
 from drivers.sim import SimDriver
+from drivers.simulated_controller import SETTLE_LIMIT, Controller, IdealPlant
 from tests.support.driver_bench import HOME, HOME_Q, KR16, turned
 
 

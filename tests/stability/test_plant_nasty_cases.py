@@ -10,13 +10,13 @@ from cell.robot.plant import FOLLOWING_ERROR, MujocoPlant, PlantSettings
 from cell.scan import plants
 from drivers.clock import SimulatedClock
 from drivers.contract import Fault, Mode
-from drivers.controller import Controller, Plant
 from drivers.errors import DriverError, FaultError
 from drivers.limits import Limits
 from drivers.profile import Reference, interpolate, resting
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad
 from drivers.sim import SimDriver
+from drivers.simulated_controller import Controller, Plant
 
 KR16 = Limits.from_rad(robot.limits(robot.load()))
 

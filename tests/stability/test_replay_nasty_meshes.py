@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cell.replay.appearance import MAX_FACES
-from cell.replay.model import MAX_POINTS, build_replay_model
 from cell.runs.run import open_run
+from cell.view.appearance import MAX_FACES
+from cell.view.replay_model import MAX_POINTS, build_replay_model
 from planner.geometry.mesh import TriangleMesh
 
 _SQUARE = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], dtype=np.float64)

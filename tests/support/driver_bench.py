@@ -11,7 +11,6 @@ from cell.robot import model as robot
 from drivers.client import ControllerClient
 from drivers.clock import SimulatedClock
 from drivers.contract import RobotState
-from drivers.controller import IdealPlant
 from drivers.emulated import stations
 from drivers.emulated.endpoint import Endpoint, Event
 from drivers.emulated.faults import Injector, parse_faults
@@ -20,6 +19,7 @@ from drivers.emulated.stations import ModbusStation, SerialStation, Station
 from drivers.errors import AnswerTimeoutError, LinkLostError, ProtocolError
 from drivers.limits import Limits
 from drivers.setpoints import SetPoints, from_rad
+from drivers.simulated_controller import IdealPlant
 from drivers.wire import ReopeningLink, Timeouts
 from drivers.wires.modbus_link import ModbusLink
 from drivers.wires.serial_link import SerialLink

@@ -19,11 +19,11 @@ from drivers.contract import (
     is_same_command,
     next_sequence,
 )
-from drivers.controller import IdealPlant
 from drivers.errors import DriverError, SetPointError
 from drivers.limits import Limits
 from drivers.profile import interpolate
 from drivers.setpoints import from_rad, require_set_points, to_deg, to_rad
+from drivers.simulated_controller import IdealPlant
 from planner.ports import JointLimits
 from tests.support.driver_bench import HOME_Q as HOME
 from tests.support.driver_bench import KR16

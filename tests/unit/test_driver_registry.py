@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from drivers.clock import SimulatedClock
-from drivers.controller import IdealPlant
 from drivers.errors import DriverUrlError
 from drivers.limits import Limits
 from drivers.registry import Context, DriverUrl, open_driver, schemes
 from drivers.setpoints import to_deg
 from drivers.sim import SimDriver
+from drivers.simulated_controller import IdealPlant
 from drivers.wire import Timeouts
 from planner.ports import JointLimits
 from tests.support.driver_bench import KR16

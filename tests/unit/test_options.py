@@ -14,17 +14,17 @@ import typer
 from pydantic import BaseModel
 
 from cell.cli import app, options
-from cell.emulate.options import EmulateOptions
 from cell.errors import SceneError, UsageError
 from cell.explore.options import ExploreOptions
 from cell.export.options import ExportOptions
 from cell.metrology.options import HandEyeOptions, LocateOptions
-from cell.replay.options import ReplayOptions
+from cell.scan.emulator_options import EmulateOptions
 from cell.scan.options import ScanOptions
 from cell.scene.file import option_tables, scene_from_options
 from cell.scene.model import PlanSettings, Scene
 from cell.scene.options import flag, option_specs, parse_options
 from cell.study.options import PlaceRange, StudyRun
+from cell.view.replay_options import ReplayOptions
 
 FILE_ONLY = {
     "view_sphere_step_deg": "of one generator of candidates only",

@@ -3,8 +3,8 @@
 import numpy as np
 
 from cell.scene.file import load_scene
-from cell.study.bench import Bench
 from cell.study.place_search import _basins, _best_of_all_basins
+from cell.study.prepared_part import Bench
 
 _EXTENT = np.array([1000.0, 1000.0, 0.0, 360.0])  # the height is fixed
 _NEAR = [(0.0, 0.0, 5.0, 0.0), (50.0, 0.0, 5.0, 0.0), (90.0, 0.0, 5.0, 10.0), (0.0, 60.0, 5.0, 0.0)]

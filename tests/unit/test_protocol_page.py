@@ -9,9 +9,9 @@ import pytest
 
 from drivers.clock import SimulatedClock
 from drivers.contract import Fault, Result
-from drivers.controller import IdealPlant
 from drivers.emulated.endpoint import Endpoint
 from drivers.emulated.stations import ModbusStation, SerialStation
+from drivers.simulated_controller import IdealPlant
 from drivers.wire import MAX_AXES, MAX_POINTS
 from drivers.wires import modbus_protocol as registers
 from drivers.wires.serial_protocol import (

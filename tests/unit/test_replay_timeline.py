@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cell.replay.still import frame_times
-from cell.replay.viewer import SPEEDS, Player
 from cell.runs import timeline
 from cell.runs.run import ExecutedScan, RecordedExecution
+from cell.view.replay_pictures import frame_times
+from cell.view.viewer import SPEEDS, Player
 from planner.ports import JointLimits
 from planner.timing.motion import Motion, retime
 

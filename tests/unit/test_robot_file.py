@@ -14,7 +14,6 @@ import pytest
 import trimesh
 
 from cell.errors import CellError
-from cell.replay.overlays import find_violations
 from cell.robot import model as robot
 from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
@@ -22,11 +21,12 @@ from cell.robot.model import mesh_of
 from cell.robot.normalise import normalise
 from cell.robot.robot_file import capture_mujoco_warnings
 from cell.scene.model import Scene
+from cell.view.overlays import find_violations
 from cell.world import robot_spec, self_collision
 from cell.world.checks import find_warnings
 from cell.world.collision import MujocoCollisionChecker
 from cell.world.model import compile_world
-from cell.world.robot_report import report
+from cell.world.robot_check import report
 from cell.world.self_collision import LinkPairs, prove_separation
 from cell.world.shapes import ShapeDistances
 from cell.world.travel import TravelBound

@@ -14,12 +14,12 @@ import trimesh
 from cell.errors import FileError, UsageError
 from cell.part import workpiece
 from cell.plan import files as plan_files
-from cell.replay.model import build_replay_model
 from cell.runs.cell import collision_note, read_cell, scene_of_run, world_of
 from cell.runs.folder import RunFolder
 from cell.runs.run import Run, open_run
 from cell.scene.file import load_scene
 from cell.scene.settle import settle
+from cell.view.replay_model import build_replay_model
 from cell.world.model import World, compile_world
 from cell.world.occluders import fixed_occluders
 from cell.world.travel import TravelBound

@@ -15,9 +15,9 @@ from cell.runs.schema import Manifest
 from cell.scene.model import Scene
 from cell.scene.settle import SettledScene, settle
 from cell.why import advise
-from cell.world.contact import in_contact
 from cell.world.model import compile_world
 from cell.world.occluders import Occluder
+from cell.world.support_contact import in_contact
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples
 

@@ -15,7 +15,7 @@ from cell.robot.arm import kinematics_of
 from cell.runs.cell import read_cell
 from cell.runs.run import Run, open_run
 from cell.scanners.laser_area import LaserArea
-from cell.view import contents
+from cell.view import run_pages
 from cell.view.page import Layer, PageContents, PageScene, PageSurface, PageView, render_page
 from cell.view.pieces import Piece, cell_of_run
 from cell.view.surface import canvas_of, measure_samples, viewing_directions
@@ -109,7 +109,7 @@ def test_the_chain_of_the_page_agrees_with_the_kinematics(run: Run) -> None:
 
 def test_a_page_has_reproducible_bytes(run: Run) -> None:
     """Two pages of one run have equal bytes."""
-    assert contents.run_page(run) == contents.run_page(run)
+    assert run_pages.run_page(run) == run_pages.run_page(run)
 
 
 def test_a_name_is_never_markup(run: Run, data_of: DataOf) -> None:
@@ -190,7 +190,7 @@ def test_seen_samples_are_the_visible_coverage(run: Run) -> None:
     """The samples that some view measures equal those of the definition of coverage."""
     cell, plan = read_cell(run), run.plan
     poses = [view.T_object_poses for view in plan.views]
-    _, surface = contents.measure_run(run, cell, poses)
+    _, surface = run_pages.measure_run(run, cell, poses)
     casters = (cell.part_caster, cell.occluder_caster)
     expected = coverage.visible_coverage(np.stack(poses), surface.samples, cell.scanner, casters)
     np.testing.assert_array_equal(surface.seen.any(axis=1), expected.covered)

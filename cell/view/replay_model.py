@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from cell.errors import FileError
-from cell.replay.appearance import add_surface, add_visual_mesh, is_robot_body, part_geoms, set_colours, set_lighting
 from cell.robot import model as robot
 from cell.runs.cell import table_of
 from cell.runs.run import Run
 from cell.runs.schema import ResolvedScene
+from cell.view.appearance import add_surface, add_visual_mesh, is_robot_body, part_geoms, set_colours, set_lighting
 from cell.view.rays import frustum_corners
 from cell.world.shapes import ShapeDistances, meshes_of
 from planner.geometry.hull import is_convex

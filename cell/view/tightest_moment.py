@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from cell.replay import overlays
 from cell.runs.schema import PlanFile
 from cell.runs.timeline import Timeline
-from cell.view import rays
+from cell.view import overlays, rays
 from planner.values import Floats, Value
 
 if TYPE_CHECKING:

@@ -18,10 +18,10 @@ from cell.runs.schema import EXPLORE_FILE, ScannerKeys
 from cell.scene.file import load_scene
 from cell.scene.model import Scene
 from cell.session import ProgressReporter
-from cell.view.contents import PAGE_FILE, execution_page, run_page
 from cell.view.explore_page import explore_page
 from cell.view.page import PageContents, PageScene, PageSurface, render_page, thin_mesh
 from cell.view.pieces import cell_of_world
+from cell.view.run_pages import PAGE_FILE, execution_page, run_page
 from cell.view.study_page import study_page
 from cell.world.checks import check_cell, settle_and_compile
 

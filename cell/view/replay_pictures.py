@@ -10,15 +10,14 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from cell.errors import FileError
-from cell.replay import overlays
-from cell.replay.appearance import MAX_FACES
-from cell.replay.model import point_marks
-from cell.replay.show import Playback
-from cell.replay.tightest_moment import TightestMoment, closeup_camera
-from cell.view import rays
+from cell.view import overlays, rays
+from cell.view.appearance import MAX_FACES
 from cell.view.cell_picture import best_view, draw_cell, tour_camera
 from cell.view.palette import GREEN, VERMILION
 from cell.view.pieces import CellGeometry, Piece
+from cell.view.playback import Playback
+from cell.view.replay_model import point_marks
+from cell.view.tightest_moment import TightestMoment, closeup_camera
 from planner.geometry.decimation import decimate
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import Progress

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.replay.model import GLYPH_SHARE, ReplayModel
+from cell.view.replay_model import GLYPH_SHARE, ReplayModel
 from planner.values import Floats
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cell.errors import UsageError
-from cell.replay.show import Playback, set_visible_groups
 from cell.runs.timeline import Timeline
 from cell.view import rays
+from cell.view.playback import Playback, set_visible_groups
 from planner.values import Floats
 
 if TYPE_CHECKING:

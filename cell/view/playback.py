@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cell.replay import overlays
-from cell.replay.model import ReplayModel
-from cell.replay.tightest_moment import TightestMoment, add_tightest
 from cell.robot import model as robot
 from cell.runs.timeline import Timeline
+from cell.view import overlays
+from cell.view.replay_model import ReplayModel
+from cell.view.tightest_moment import TightestMoment, add_tightest
 from cell.world.table import TablePoses
 from planner.ports import ARM_AXES
 from planner.values import Floats, readonly

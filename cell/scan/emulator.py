@@ -13,16 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from cell.emulate.options import EmulateOptions
 from cell.errors import DriverFailureError, FileError, UsageError
 from cell.files import atomic_write
 from cell.robot import model as robot
 from cell.runs.cell import table_of
 from cell.runs.run import open_run
+from cell.scan.emulator_options import EmulateOptions
 from cell.scan.plants import built_in_plants, plants_of_run
 from drivers.clock import RealTimeClock
 from drivers.contract import Fault, RobotState
-from drivers.controller import IdealPlant, PlantFactory
 from drivers.emulated.endpoint import Endpoint, Event
 from drivers.emulated.faults import Injector, parse_faults
 from drivers.emulated.serve import Line, PtyLine, Server, TcpLine
@@ -30,6 +29,7 @@ from drivers.emulated.stations import ModbusStation, SerialStation, Station
 from drivers.errors import DriverError
 from drivers.limits import Limits
 from drivers.setpoints import AXES, Floats, SetPoints, from_rad, to_rad
+from drivers.simulated_controller import IdealPlant, PlantFactory
 
 PROTOCOLS = ("serial", "modbus", "modbus-rtu")
 SCHEMA = "cell-emulator-state/1"

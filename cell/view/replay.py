@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import FileError, UsageError
-from cell.replay.model import build_replay_model
-from cell.replay.options import ReplayOptions
-from cell.replay.show import Playback
-from cell.replay.still import PictureInputs, require_empty, write_frames, write_picture
-from cell.replay.tightest_moment import tightest_moment
 from cell.runs import timeline as replay_timeline
 from cell.runs.run import Run, open_run, read_execution
 from cell.runs.timeline import Timeline
 from cell.session import ProgressReporter
 from cell.view.cell_picture import tour_camera
 from cell.view.pieces import cell_of_run
+from cell.view.playback import Playback
+from cell.view.replay_model import build_replay_model
+from cell.view.replay_options import ReplayOptions
+from cell.view.replay_pictures import PictureInputs, require_empty, write_frames, write_picture
+from cell.view.tightest_moment import tightest_moment
 
 
 def replay(
@@ -45,7 +45,7 @@ def replay(
     if options.frames is not None:  # checked before loading, which takes seconds
         require_empty(options.frames)
     if not is_drawn:
-        from cell.replay.viewer import play, require_display
+        from cell.view.viewer import play, require_display
 
         require_display()
     with reporter.stage("set up the replay"):

@@ -1,1 +1,0 @@
-"""`cell replay`: a run in the viewer, as frames or as one picture."""
