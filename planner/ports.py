@@ -6,7 +6,7 @@ to sensor), `object` (axes of the mesh file, metres). `T_a_b` maps b-coordinates
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated, Protocol
+from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +79,20 @@ class RayCaster(Protocol):
         ...
 
 
+class DirectionCaster(RayCaster, Protocol):
+    """A ray caster that also casts along directions, faster than `blocked` and in float32."""
+
+    def blocked_along(self, origins: Floats, directions: NDArray[np.float32], length: float) -> Bools:
+        """Return (N,) whether any triangle lies within a length [m] of an origin along a unit direction.
+
+        Args:
+            origins: (N, 3) [m], points on a surface or slightly above it; their own surface does not block.
+            directions: (N, 3) unit vectors.
+            length: of the rays [m].
+        """
+        ...
+
+
 class Scanner(Protocol):
     """Law of a triangulation sensor in its own frame; it knows no part and casts no ray."""
 
@@ -139,6 +153,21 @@ class SigmaScanner(Scanner, Protocol):
 
         Returns:
             (N,) [m]; inf if no measurement is possible.
+        """
+        ...
+
+
+@runtime_checkable
+class AreaLimits(Protocol):
+    """A scanner whose `reject` is fully described by limits of angles and lengths."""
+
+    @property
+    def area_limits(self) -> tuple[float, ...] | None:
+        """The 13 limits; None if `reject` has further conditions.
+
+        Baseline along +x [m]; tangents of half the field of view, and of the sensor's (0: not limited); smallest and
+        largest range and depth [m]; cosines of the grazing limits at source and sensor; cosine and sine of the sensor's
+        tilt.
         """
         ...
 

@@ -181,6 +181,11 @@ class LaserArea:
             codes[passed[~dense]] = Rejection.TOO_SPARSE
         return codes
 
+    @property
+    def area_limits(self) -> tuple[float, ...] | None:
+        """`planner.ports.AreaLimits`; None with a limit on the spacing."""
+        return self._limits if self.max_spacing_mm is None else None
+
     def _constants(self) -> tuple[float, ...]:
         """Return the limits of `cell.scanners.area_law.rejections`, with `TOLERANCE` applied where it is constant."""
         angles = (*self.fov_deg, *(self.sensor_fov_deg or (0.0, 0.0)))

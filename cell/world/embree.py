@@ -132,6 +132,26 @@ class EmbreeRayCaster:
         self._split(trace, len(origins))
         return result
 
+    def blocked_along(
+        self, origins: Floats, directions: NDArray[np.float32], length: float
+    ) -> NDArray[np.bool_]:
+        """Return whether any triangle is near along a direction; see `DirectionCaster.blocked_along`.
+
+        Rays begin `HAIR` x (length + the half diagonal of the triangles) after the origin.
+        """
+        result = np.empty(len(origins), dtype=np.bool_)
+        gap = np.float32(HAIR * (length + self._half_diagonal))
+
+        def trace(part: slice) -> None:
+            along = np.ascontiguousarray(directions[part], dtype=np.float32)
+            start = self._to_float32(origins[part])
+            start += gap * along
+            end = np.full(len(start), length, dtype=np.float32)
+            result[part] = self._scene.run(start, along, dists=end, query="OCCLUDED") == _OCCLUDED
+
+        self._split(trace, len(origins))
+        return result
+
     def _refined(
         self, origins: Floats, directions: Floats, face: NDArray[np.int32], rough: NDArray[np.float32]
     ) -> Floats:

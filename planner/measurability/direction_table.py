@@ -1,0 +1,307 @@
+"""Direction table: free directions of surface samples, so that a pose is evaluated without casting rays.
+
+Seen from a sample, whether a position beyond all occluders is visible depends on its direction only. The table has one
+bit per sample and direction. Directions are the nodes of an octahedral grid of the hemisphere about the normal
+(Cigolle et al. 2014, https://jcgt.org/published/0003/02/01/): a look-up needs two sums and a division. Both lines of
+sight of a pose, of the source and of the sensor, are looked up at the nearest node.
+
+The grid is turned about the normal by another angle for each sample. Otherwise parallel faces would round the same
+direction to the same side, and views along an axis would be wrong on all of them together.
+
+The table is built from coarse to fine: a node is cast only if its coarser neighbours differ, so that an occluder
+between coarse nodes may be missed. A line of sight ends at the largest distance of a measurement. A position in front
+of an occluder counts as hidden, and a position inside the convex hull of the part may be judged wrongly. The table
+therefore proposes poses, and exact rays decide. Object frame, metres.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.compiled import compiled
+from planner.ports import AreaLimits, DirectionCaster, Rejection, Scanner
+from planner.values import Bools, Floats, Ints, Value
+from planner.viewpoints.lines_of_sight import RayTargets, in_view_matrix
+
+N_NODES = 33
+"""Nodes along each axis of the grid: 5.6 degrees between neighbours."""
+
+_COARSEST = 4  # nodes between two nodes of the first level; a power of two
+_GOLDEN = (np.sqrt(5.0) - 1) / 2
+_TOGETHER = 2048  # samples whose nodes are cast together: arrays of 30 MB
+_PAIRS = 200_000  # of a pose and a sample that are evaluated together where the scanner has no compiled limits
+_UNKNOWN = 2
+
+Floats32 = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DirectionTable(Value):
+    """Free directions of S samples, with the scanner whose poses are evaluated.
+
+    Attributes:
+        targets: the S samples.
+        frames: (S, 12) point [m], normal, tangent and bitangent of each sample.
+        bits: (S, B) free nodes, packed.
+        scanner: sensor model.
+        limits: (13,) compiled limits of the scanner; None: its `reject` is called.
+    """
+
+    targets: RayTargets
+    frames: Annotated[Floats32, "S 12"]
+    bits: Annotated[Bytes, "S B"]
+    scanner: Scanner
+    limits: Annotated[Floats32, "13"] | None
+
+    @classmethod
+    def build(
+        cls, targets: RayTargets, scanner: Scanner, casters: Sequence[DirectionCaster], reach: float
+    ) -> "DirectionTable":
+        """Cast the nodes of all samples.
+
+        Args:
+            targets: S samples.
+            scanner: sensor model.
+            casters: of the part and of occluders.
+            reach: largest distance of source and sensor from a measured point [m].
+        """
+        points, normals = targets.points.T, targets.normals.T
+        tangent, bitangent = _tangents(normals, 2 * np.pi * (_GOLDEN * np.arange(len(targets)) % 1.0))
+        frames = np.concatenate([points, normals, tangent, bitangent], axis=1).astype(np.float32)
+        nodes = _node_directions()
+        bits = []
+        for first in range(0, len(targets), _TOGETHER):
+            free = _cast(targets.lifted[first : first + _TOGETHER], frames[first : first + _TOGETHER], nodes,
+                         casters, reach)  # fmt: skip
+            bits.append(np.packbits(free, axis=1, bitorder="little"))
+        packed = np.concatenate(bits) if bits else np.empty((0, (len(nodes) + 7) // 8), dtype=np.uint8)
+        limits = scanner.area_limits if isinstance(scanner, AreaLimits) and targets.region is None else None
+        return cls(targets, frames, packed, scanner, None if limits is None else np.array(limits, dtype=np.float32))
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def weights_measured(
+        self, T_object_scanner: Floats, rows: Ints, weights: Floats, threshold: float = -np.inf
+    ) -> Floats:
+        """Return (n,) the sum of the weights of the rows that each pose measures; a sum below the threshold is partial.
+
+        Args:
+            T_object_scanner: (n, 4, 4) poses [m].
+            rows: (m,) samples.
+            weights: (m,) of them.
+            threshold: smallest sum of interest; it saves time if rows come first that most poses measure.
+        """
+        if self.limits is None:
+            return np.asarray(weights @ self.measured(T_object_scanner, rows))
+        result = np.empty(len(T_object_scanner))
+        poses, nothing = self._packed(T_object_scanner), np.empty((0, 0), dtype=np.uint8)
+        evaluate(self.frames, self.bits, rows, weights, poses, self.limits, threshold, result, nothing)
+        return result
+
+    def measured(self, T_object_scanner: Floats, rows: Ints | None = None) -> Bools:
+        """Return (m, n) whether each of n poses (n, 4, 4) [m] measures each of (m,) rows; None: all samples."""
+        rows = np.arange(len(self)) if rows is None else rows
+        poses, found = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
+        if self.limits is not None:
+            evaluate(
+                self.frames, self.bits, rows, np.zeros(len(rows)), poses, self.limits, -np.inf, np.empty(len(poses)),
+                found,
+            )  # fmt: skip
+            return found.T.astype(np.bool_)
+        together = max(1, _PAIRS // max(len(rows), 1))
+        for first in range(0, len(poses), together):
+            some = slice(first, first + together)
+            found[some] = in_view_matrix(self.targets, T_object_scanner[some], self.scanner, rows)
+        mark_free(self.frames, self.bits, rows, poses, found)
+        return found.T.astype(np.bool_)
+
+    def _packed(self, T_object_scanner: Floats) -> Floats32:
+        """Return (n, 18): rotation by columns, position, source and sensor of each pose."""
+        R, t = T_object_scanner[:, :3, :3], T_object_scanner[:, :3, 3]
+        columns = R.transpose(0, 2, 1).reshape(-1, 9)
+        return np.concatenate(
+            [columns, t, R @ self.scanner.source + t, R @ self.scanner.sensor + t], axis=1, dtype=np.float32,
+            casting="same_kind",
+        )  # fmt: skip
+
+
+def _tangents(normals: Floats, angles: Floats) -> tuple[Floats, Floats]:
+    """Return two unit vectors (S, 3) perpendicular to normals and to each other, turned by angles (S,) [rad]."""
+    sign = np.where(normals[:, 2] >= 0, 1.0, -1.0)
+    x, y, z = normals.T
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    first = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
+    second = np.stack([b, sign + y * y * a, -y], axis=1)
+    cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    return cos * first + sin * second, cos * second - sin * first
+
+
+def _node_directions() -> Floats32:
+    """Return (N * N, 3) unit directions of the nodes in the frame of a sample; those on the rim point a little up."""
+    u, v = np.meshgrid(*(np.linspace(-1.0, 1.0, N_NODES),) * 2, indexing="ij")
+    a, b = (u + v) / 2, (u - v) / 2
+    c = np.maximum(1.0 - np.abs(a) - np.abs(b), 0.02)
+    directions = np.stack([a, b, c], axis=-1).reshape(-1, 3)
+    return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True), dtype=np.float32)
+
+
+def _cast(
+    lifted: Floats, frames: Floats32, nodes: Floats32, casters: Sequence[DirectionCaster], reach: float
+) -> Bytes:
+    """Return (s, N * N) whether each node of s samples is free."""
+    free = np.full((len(lifted), N_NODES, N_NODES), _UNKNOWN, dtype=np.uint8)
+    local = frames[:, [6, 7, 8, 9, 10, 11, 3, 4, 5]].reshape(-1, 3, 3)
+    step = _COARSEST
+    free[:, ::step, ::step] = 3  # cast
+    while True:
+        sample, row, column = np.nonzero(free == 3)
+        directions = np.einsum("ni,nij->nj", nodes[row * N_NODES + column], local[sample])
+        is_free = np.ones(len(sample), dtype=np.bool_)
+        for caster in casters:
+            alive = np.flatnonzero(is_free)
+            is_free[alive] = ~caster.blocked_along(lifted[sample[alive]], directions[alive], reach)
+        free[sample, row, column] = is_free
+        if step == 1:
+            return free.reshape(len(lifted), -1)
+        step //= 2
+        subdivide(free, step)
+
+
+@compiled
+def subdivide(free: Bytes, step: int) -> None:
+    """Set the nodes of the next finer level: the value of their coarser neighbours if these agree, else 3 (cast)."""
+    size = free.shape[1]
+    for s in range(free.shape[0]):
+        for i in range(0, size, step):
+            odd_i = (i // step) % 2
+            for j in range(0, size, step):
+                odd_j = (j // step) % 2
+                if odd_i + odd_j == 0:
+                    continue
+                low_i, high_i = i - step * odd_i, i + step * odd_i
+                low_j, high_j = j - step * odd_j, j + step * odd_j
+                a, b = free[s, low_i, low_j], free[s, high_i, high_j]
+                c, d = free[s, low_i, high_j], free[s, high_i, low_j]
+                free[s, i, j] = a if a == b and c == d and a == c else 3
+
+
+@compiled
+def _is_free(frames: Floats32, bits: Bytes, row: int, x: float, y: float, z: float) -> bool:
+    """Return whether the line of sight from a sample along (x, y, z), of any length, is free."""
+    a = frames[row, 6] * x + frames[row, 7] * y + frames[row, 8] * z
+    b = frames[row, 9] * x + frames[row, 10] * y + frames[row, 11] * z
+    c = frames[row, 3] * x + frames[row, 4] * y + frames[row, 5] * z
+    if not c > 0:
+        return False
+    half = np.float32((N_NODES - 1) // 2)
+    scale = half / (abs(a) + abs(b) + c)
+    i = int((a + b) * scale + half + np.float32(0.5))
+    j = int((a - b) * scale + half + np.float32(0.5))
+    node = i * N_NODES + j
+    return bool((bits[row, node >> 3] >> (node & 7)) & 1)
+
+
+@compiled
+def evaluate(
+    frames: Floats32, bits: Bytes, rows: Ints, weights: Floats, poses: Floats32, limits: Floats32,
+    threshold: float, sums: Floats, found: Bytes,
+) -> None:  # fmt: skip
+    """Evaluate poses by the conditions of `planner.ports.AreaLimits` and the table; written out for speed.
+
+    Args:
+        frames: of the samples.
+        bits: of the samples.
+        rows: (m,) samples.
+        weights: (m,) of them.
+        poses: (n, 18) from `_packed`.
+        limits: (13,) of the scanner.
+        threshold: the rest of a pose is skipped once its sum cannot reach it; -inf evaluates all.
+        sums: (n,), overwritten with the weights of the rows that each pose measures.
+        found: (n, m), set to 1 where a pose measures a row; nothing is set if it has no rows.
+    """
+    baseline, tan_h, tan_v, tan_u, tan_w = limits[0], limits[1], limits[2], limits[3], limits[4]
+    nearest, farthest = limits[5] * limits[5], limits[6] * limits[6]
+    front, back, cos_t, sin_t = limits[7], limits[8], limits[11], limits[12]
+    cos_source, cos_sensor = limits[9] * abs(limits[9]), limits[10] * abs(limits[10])
+    half, rounding = np.float32((N_NODES - 1) // 2), np.float32(0.5)
+    marks, weight_of_all = len(found) > 0, 0.0
+    for m in range(len(rows)):
+        weight_of_all += weights[m]
+    for k in range(len(poses)):
+        x_x, x_y, x_z = poses[k, 0], poses[k, 1], poses[k, 2]
+        y_x, y_y, y_z = poses[k, 3], poses[k, 4], poses[k, 5]
+        z_x, z_y, z_z = poses[k, 6], poses[k, 7], poses[k, 8]
+        o_x, o_y, o_z = poses[k, 9], poses[k, 10], poses[k, 11]
+        s_x, s_y, s_z = poses[k, 12], poses[k, 13], poses[k, 14]
+        q_x, q_y, q_z = poses[k, 15], poses[k, 16], poses[k, 17]
+        total, bound = 0.0, weight_of_all
+        for m in range(len(rows)):
+            bound -= weights[m]  # until the row is found to be measured
+            if total + bound < threshold - weights[m]:
+                break
+            row = rows[m]
+            p_x, p_y, p_z = frames[row, 0], frames[row, 1], frames[row, 2]
+            n_x, n_y, n_z = frames[row, 3], frames[row, 4], frames[row, 5]
+            l_x, l_y, l_z = s_x - p_x, s_y - p_y, s_z - p_z
+            c = n_x * l_x + n_y * l_y + n_z * l_z
+            if not c > 0:
+                continue
+            d_x, d_y, d_z = p_x - o_x, p_y - o_y, p_z - o_z
+            z = z_x * d_x + z_y * d_y + z_z * d_z
+            if not (z > 0 and z >= front and z <= back):
+                continue
+            x = x_x * d_x + x_y * d_y + x_z * d_z
+            if abs(x) > tan_h * z:
+                continue
+            y = y_x * d_x + y_y * d_y + y_z * d_z
+            if abs(y) > tan_v * z:
+                continue
+            across = y * y + z * z
+            squared = x * x + across
+            if squared < nearest or squared > farthest or c * c < cos_source * squared:
+                continue
+            e_x, e_y, e_z = q_x - p_x, q_y - p_y, q_z - p_z
+            g = n_x * e_x + n_y * e_y + n_z * e_z
+            u = x - baseline
+            if not g > 0 or g * g < cos_sensor * (u * u + across):
+                continue
+            if tan_u > 0:
+                along, beside = cos_t * z - sin_t * u, cos_t * u + sin_t * z
+                if not (along > 0 and abs(beside) <= tan_u * along and abs(y) <= tan_w * along):
+                    continue
+            t_x, t_y, t_z = frames[row, 6], frames[row, 7], frames[row, 8]
+            b_x, b_y, b_z = frames[row, 9], frames[row, 10], frames[row, 11]
+            a, b = t_x * l_x + t_y * l_y + t_z * l_z, b_x * l_x + b_y * l_y + b_z * l_z
+            scale = half / (abs(a) + abs(b) + c)
+            node = int((a + b) * scale + half + rounding) * N_NODES + int((a - b) * scale + half + rounding)
+            if (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
+                continue
+            a, b = t_x * e_x + t_y * e_y + t_z * e_z, b_x * e_x + b_y * e_y + b_z * e_z
+            scale = half / (abs(a) + abs(b) + g)
+            node = int((a + b) * scale + half + rounding) * N_NODES + int((a - b) * scale + half + rounding)
+            if (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
+                continue
+            total += weights[m]
+            if marks:
+                found[k, m] = 1
+        sums[k] = total
+
+
+@compiled
+def mark_free(frames: Floats32, bits: Bytes, rows: Ints, poses: Floats32, found: Bytes) -> None:
+    """Clear (n, m) `found` where a line of sight of a pose to a row is not free."""
+    for k in range(len(poses)):
+        pose = poses[k]
+        for m in range(len(rows)):
+            row = rows[m]
+            if found[k, m]:
+                p_x, p_y, p_z = frames[row, 0], frames[row, 1], frames[row, 2]
+                found[k, m] = _is_free(
+                    frames, bits, row, pose[12] - p_x, pose[13] - p_y, pose[14] - p_z
+                ) and _is_free(frames, bits, row, pose[15] - p_x, pose[16] - p_y, pose[17] - p_z)

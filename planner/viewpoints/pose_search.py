@@ -1,0 +1,274 @@
+"""Search fewer views over all reachable poses, starting from the views of a cover.
+
+A cover over candidates is optimal for these candidates only. The search leaves out the views with the smallest area of
+their own and repairs the rest: in each round every view gets proposals, poses around its own and candidates that
+measure much of what no other view measures. They are evaluated on these samples alone, by a direction table; the best
+two of each view are tested for reachability in one call. Moves are applied one after the other, and slightly worse ones
+are sometimes accepted (Kirkpatrick, Gelatt, Vecchi 1983, doi:10.1126/science.220.4598.671, at a constant temperature).
+
+When the table says that the goal is reached, exact rays on other samples decide; a shortfall there raises the goal.
+Views that pass are the new start, with one view less. Effort is counted in evaluated poses. Object frame, metres.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Protocol
+
+import numpy as np
+
+from planner.geometry.rigid import rotation_matrices
+from planner.values import Bools, Floats, Ints, Value
+
+EFFORTS = {"low": 100_000, "normal": 400_000, "high": 4_000_000}
+"""Poses that a search evaluates."""
+
+_PROPOSALS = 64  # of a view in a round
+_FROM_POOL = 4  # rounds between two in which candidates are proposed
+_TESTED = 2  # best proposals of a view that are tested for reachability
+_VIEWS_PER_REMOVAL = 10  # one view of this many is left out at a time
+_MAX_TURN = np.deg2rad(15.0)  # of a proposal about its aim, for each component of the rotation vector
+_MAX_SHIFT = 0.15  # of a proposal along each axis, as a share of the distance
+_MAX_LOSS = 5.0  # loss of a proposal that is tested, in temperatures
+_INTERLEAVED = 8  # the rows of a view are evaluated in this many passes over the surface, so that losses show early
+_SMALLEST = 0.1  # scale of the smallest proposals; scales are log-uniform up to 1
+_TEMPERATURE = 1e-4  # share of the surface
+_PATIENCE = 60  # rounds without a better area after which the search returns to the best views
+
+
+class PoseEvaluator(Protocol):
+    """Fast approximate evaluation of poses on S samples."""
+
+    def weights_measured(
+        self, T_object_scanner: Floats, rows: Ints, weights: Floats, threshold: float = -np.inf
+    ) -> Floats:
+        """Return (n,) the sum of weights (m,) of the rows (m,) that each pose (n, 4, 4) [m] measures.
+
+        A sum below the threshold may be partial.
+        """
+        ...
+
+    def measured(self, T_object_scanner: Floats, rows: Ints | None = None) -> Bools:
+        """Return (m, n) whether each pose (n, 4, 4) [m] measures each row; None: all S."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchPoses(Value):
+    """Poses of n views.
+
+    Attributes:
+        T_object_scanner: (n, 4, 4) [m].
+        distance: (n,) to the point at which each is aimed [m].
+        origin: (n,) number among the initial views and the candidates of the pose from which each was moved.
+        moved: (n,) whether the pose differs from that candidate's.
+    """
+
+    T_object_scanner: Annotated[Floats, "n 4 4"]
+    distance: Annotated[Floats, "n"]
+    origin: Annotated[Ints, "n"]
+    moved: Annotated[Bools, "n"]
+
+    def __len__(self) -> int:
+        return len(self.origin)
+
+    def pick(self, which: Ints) -> "SearchPoses":
+        """Return some of the poses."""
+        return SearchPoses(self.T_object_scanner[which], self.distance[which], self.origin[which], self.moved[which])
+
+    def at(self, view: int, other: "SearchPoses", number: int) -> "SearchPoses":
+        """Return the poses with one of them replaced."""
+        which = np.arange(len(self))
+        which[view] = len(self) + number
+        return join_poses([self, other]).pick(which)
+
+
+def join_poses(parts: Sequence[SearchPoses]) -> SearchPoses:
+    """Concatenate poses."""
+    return SearchPoses(
+        np.concatenate([part.T_object_scanner for part in parts]),
+        np.concatenate([part.distance for part in parts]),
+        np.concatenate([part.origin for part in parts]),
+        np.concatenate([part.moved for part in parts]),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchResult:
+    """Result of a search.
+
+    Attributes:
+        views: the fewest views that passed the exact test; the initial ones if there are none.
+        evaluated: number of evaluated poses.
+    """
+
+    views: SearchPoses
+    evaluated: int
+
+
+def search_poses(
+    initial: Ints,
+    pool: SearchPoses,
+    evaluator: PoseEvaluator,
+    weights: Floats,
+    *,
+    are_reachable: Callable[[Floats], Bools],
+    shortfall: Callable[[SearchPoses], float],
+    effort: int,
+    rng: np.random.Generator,
+    progress: Callable[[int, int], None] | None = None,
+) -> SearchResult:
+    """Search fewer views than the initial ones.
+
+    Args:
+        initial: (n,) candidates, numbers in `pool`.
+        pool: reachable candidates.
+        evaluator: of poses on S samples.
+        weights: (S,) share of the surface of each sample.
+        are_reachable: (m, 4, 4) [m] -> (m,) whether the arm takes up each pose without collision.
+        shortfall: share of the surface by which views miss the requirement, by exact rays; at most 0 if they hold it.
+        effort: poses that are evaluated.
+        rng: of proposals and accepted moves.
+        progress: called with (evaluated poses, effort).
+    """
+    search = _Search(pool, evaluator, weights, are_reachable, effort, rng, progress)
+    best = pool.pick(initial)
+    count = max(1, len(best) // _VIEWS_PER_REMOVAL)
+    while search.evaluated < effort and len(best) > 1:
+        count = min(count, len(best) - 1)
+        found = search.repaired(best, count, shortfall)
+        if found is not None:
+            best = found
+        elif count > 1:
+            count //= 2
+    return SearchResult(best, search.evaluated)
+
+
+class _Search:
+    """State of a search: current views with the samples that they measure."""
+
+    def __init__(
+        self, pool: SearchPoses, evaluator: PoseEvaluator, weights: Floats, are_reachable: Callable[[Floats], Bools],
+        effort: int, rng: np.random.Generator, progress: Callable[[int, int], None] | None,
+    ) -> None:  # fmt: skip
+        self.pool, self.evaluator, self.weights, self.are_reachable = pool, evaluator, weights, are_reachable
+        self.effort, self.rng, self.progress = effort, rng, progress
+        self.evaluated, self.rounds = 0, 0
+        self.pool_measured = evaluator.measured(pool.T_object_scanner).astype(np.float32)
+        self.views, self.measured = pool.pick(np.arange(0)), np.empty((len(weights), 0), dtype=np.bool_)
+        self.count = np.zeros(len(weights), dtype=np.int64)
+
+    def repaired(self, start: SearchPoses, removed: int, shortfall: Callable[[SearchPoses], float]) -> SearchPoses | None:
+        """Return views without `removed` of the start that hold the requirement; None if the effort is exhausted."""
+        measured = self.evaluator.measured(start.T_object_scanner)
+        goal = float(self.weights[measured.any(axis=1)].sum()) + max(0.0, shortfall(start))
+        kept = self._needed_most(measured, removed)
+        self._set(start.pick(kept), measured[:, kept])
+        limit = self.effort if removed == 1 else min(self.effort, self.evaluated + self.effort // 8)
+        best, best_area, since = self.views, self._area(), 0
+        while self.evaluated < limit:
+            self._round()
+            area = self._area()
+            since += 1
+            if area > best_area:
+                best, best_area, since = self.views, area, 0
+                if area >= goal:
+                    missing = shortfall(best)
+                    if missing <= 0:
+                        return best
+                    goal = area + missing
+            elif since > _PATIENCE:
+                self._set(best, self.evaluator.measured(best.T_object_scanner))
+                since = 0
+            if self.progress:
+                self.progress(min(self.evaluated, self.effort), self.effort)
+        return None
+
+    def _set(self, views: SearchPoses, measured: Bools) -> None:
+        self.views, self.measured = views, measured.copy()
+        self.count = measured.sum(axis=1)
+
+    def _area(self) -> float:
+        return float(self.weights[self.count > 0].sum())
+
+    def _needed_most(self, measured: Bools, removed: int) -> Ints:
+        """Return all views but `removed`: repeatedly drop the one with the smallest area that no other measures."""
+        kept, times = np.arange(measured.shape[1]), measured.sum(axis=1)
+        for _ in range(removed):
+            once = np.flatnonzero(times == 1)
+            owner = measured[np.ix_(once, kept)].argmax(axis=1)
+            least = int(np.argmin(np.bincount(owner, self.weights[once], len(kept))))
+            times = times - measured[:, kept[least]]
+            kept = np.delete(kept, least)
+        return kept
+
+    def _round(self) -> None:
+        """Propose moves of all views, and apply the best ones that the arm reaches."""
+        proposed, view = self._best_proposals()
+        self.rounds += 1
+        if not len(view):
+            return
+        reachable = np.flatnonzero(self.are_reachable(proposed.T_object_scanner))
+        measured = self.evaluator.measured(proposed.T_object_scanner[reachable])
+        moved = np.zeros(len(self.views), dtype=np.bool_)
+        for k, number in enumerate(reachable.tolist()):
+            at, new = view[number], measured[:, k]
+            if moved[at]:
+                continue
+            own = self.measured[:, at]
+            changed = np.flatnonzero((own != new) & (self.count == own))
+            gain = float(self.weights[changed] @ np.where(new[changed], 1.0, -1.0))
+            if gain > _TEMPERATURE * np.log(self.rng.random()):
+                self.views = self.views.at(int(at), proposed, number)
+                self.count += new
+                self.count -= own
+                self.measured[:, at] = new
+                moved[at] = True
+
+    def _best_proposals(self) -> tuple[SearchPoses, Ints]:
+        """Return up to `_TESTED` proposals of each view that lose little or nothing, best first, with their views."""
+        n, uses_pool = len(self.views), self.rounds % _FROM_POOL == _FROM_POOL - 1
+        T = self._perturbed()
+        is_open = self.count == 0
+        opened = np.flatnonzero(is_open)
+        parts: list[SearchPoses] = []
+        owner: list[int] = []
+        for view in range(n):
+            only = np.flatnonzero(self.measured[:, view] & (self.count == 1))
+            rows = np.concatenate([only[k::_INTERLEAVED] for k in range(_INTERLEAVED)] + [opened])
+            weights = self.weights[rows]
+            least = float(self.weights[only].sum()) - _MAX_LOSS * _TEMPERATURE
+            area = self.evaluator.weights_measured(T[view], rows, weights, least)
+            if uses_pool:
+                of_pool = weights.astype(np.float32) @ self.pool_measured[rows]
+                best = int(of_pool.argmax())
+                if of_pool[best] >= least:
+                    parts.append(self.pool.pick(np.array([best])))
+                    owner.append(view)
+            best = np.argsort(-area, kind="stable")[:_TESTED]
+            best = best[area[best] >= least]
+            if count := len(best):
+                distance, origin = self.views.distance[view], self.views.origin[view]
+                is_moved = np.ones(count, dtype=np.bool_)
+                parts.append(
+                    SearchPoses(T[view, best], np.full(count, distance), np.full(count, origin), is_moved)
+                )
+                owner += [view] * count
+        self.evaluated += n * _PROPOSALS
+        return join_poses(parts) if parts else self.views.pick(np.arange(0)), np.array(owner, dtype=np.int64)
+
+    def _perturbed(self) -> Floats:
+        """Return (n, _PROPOSALS, 4, 4) poses around those of the views [m]: shifted, and turned about their aim."""
+        n, T = len(self.views), self.views.T_object_scanner
+        u = self.rng.random((n * _PROPOSALS, 7))
+        scale = _SMALLEST ** u[:, 6:]
+        distance = np.repeat(self.views.distance, _PROPOSALS)
+        turn = rotation_matrices((2 * u[:, 3:6] - 1) * (_MAX_TURN * scale))
+        R, t = (np.repeat(each, _PROPOSALS, axis=0) for each in (T[:, :3, :3], T[:, :3, 3]))
+        aim = t + distance[:, None] * R[:, :, 2]
+        found = np.tile(np.eye(4), (n * _PROPOSALS, 1, 1))
+        found[:, :3, :3] = turn @ R
+        found[:, :3, 3] = aim + np.einsum("nij,nj->ni", turn, t - aim)
+        found[:, :3, 3] += (2 * u[:, :3] - 1) * (_MAX_SHIFT * scale * distance[:, None])
+        return found.reshape(n, _PROPOSALS, 4, 4)
+
+
