@@ -47,6 +47,7 @@ class Stream(IntEnum):
     SCOUTS = 7
     ATTAINABLE_SAMPLES = 8
     FRESH_SAMPLES = 9
+    POSE_SEARCH = 15
     # plan of an exploration, in place of the samples of the matrix and the scouts
     BELIEF_SAMPLES = 10
     BELIEF_SCOUTS = 11
@@ -77,6 +78,7 @@ class Effort:
         held_out_samples: samples on which coverage is predicted and measured; the definition of coverage has 100,000.
         deviation_samples: samples on which the deviation of a surface is measured.
         searched_samples: unmeasured samples for each of which a measuring pose is searched.
+        pose_search_share: share of the requested effort of a pose search.
         clearance_share: tolerance of a proven clearance, as a share of the clearance.
         probe_work: search for views that only shows where samples are missing.
         selection_work: search that continues from a probe.
@@ -88,6 +90,7 @@ class Effort:
     held_out_samples: int = N_SAMPLES
     deviation_samples: int = 100_000
     searched_samples: int = N_PROBED_SAMPLES
+    pose_search_share: float = 1.0
     clearance_share: float = 0.05
     probe_work: int = DEFAULT_EFFORT // 25
     selection_work: int = 2 * DEFAULT_EFFORT // 5

@@ -232,7 +232,12 @@ def drawing_is_here() -> Iterator[None]:
 
 
 _LOW_EFFORT = Effort(
-    held_out_samples=10_000, deviation_samples=10_000, searched_samples=100, clearance_share=0.3, curve_work=10_000_000
+    held_out_samples=10_000,
+    deviation_samples=10_000,
+    searched_samples=100,
+    pose_search_share=0.1,
+    clearance_share=0.3,
+    curve_work=10_000_000,
 )
 
 

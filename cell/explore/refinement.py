@@ -6,7 +6,7 @@ evaluated on the scouts, the selection on the rows of the matrix.
 """
 
 from cell.plan.candidates import GROWN, view_evaluator
-from cell.plan.improvement import Append
+from cell.plan.pose_search import Append
 from cell.plan.selection import SelectionProblem
 from planner.values import Ints
 from planner.viewpoints.lines_of_sight import RayTargets

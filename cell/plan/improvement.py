@@ -1,4 +1,4 @@
-"""Improvement of selected views: swaps for equivalent views, swaps of whole covers, and local refinement.
+"""Improvement of selected views: swaps for equivalent views, and swaps of whole covers.
 
 **Swaps.** Between selection and motion, views are swapped for others that measure the same samples
 (`planner.tour.equivalent_views`). The views of the cover go in; groups of candidates come out, one for each view of the
@@ -7,9 +7,6 @@ and its lower bound stay those of the cover. A coverage below 1 must also hold o
 not see: there the swapped views are evaluated on them, with less freedom if they fall short or lose more than a little;
 then the original views that lose most are restored. The samples that the selection had to cover stay covered.
 
-**Refinement.** Local refinement moves selected views so that fewer are needed (`planner.viewpoints.refinement`). The
-result has fewer views and measures no less of the held-out samples; otherwise nothing changes. Refined views are
-appended to the candidates, so that every candidate keeps its number, and the views are selected again among all.
 """
 
 import logging
@@ -19,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.plan.candidates import GROWN, view_evaluator
 from cell.plan.selection import MIN_COST, Search, Selection, SelectionProblem, select_views
 from cell.world.self_occlusion import SelfOcclusion
 from planner.cover import Cover, CoverStatus
@@ -29,8 +25,7 @@ from planner.tour.generalised_tsp import MANY_CLUSTERS
 from planner.tour.tour import Tour
 from planner.tour.view_times import insertion_times
 from planner.values import Bools, Floats, Ints
-from planner.viewpoints.lines_of_sight import RayTargets
-from planner.viewpoints.refinement import ViewState, reduce_views
+from planner.viewpoints.refinement import ViewState
 from planner.viewpoints.viewpoints import Viewpoints, viewpoints_from_poses
 
 log = logging.getLogger(__name__)
@@ -38,7 +33,6 @@ log = logging.getLogger(__name__)
 REFINED_MARGIN = 0.0005
 """Share of the coverable area beyond the requested coverage: plans without refinement have as much on average."""
 
-_KEPT_MARGIN = 0.0002  # beyond the coverage of the unrefined views: as much as a shorter motion may cost
 _MAX_LOSS = 0.0002  # share of the coverable area that a shorter motion may cost, if the requested coverage allows it
 _ROUNDING = 1e-9  # of areas that are summed in another order
 _MAX_COVERS = 8  # covers tried if time is minimised; two to five are usual
@@ -320,75 +314,7 @@ def cover_of_motion(original: Cover, M: Measurability, motion: Tour, picks: Ints
     return cover, replace(motion, order=place[motion.order], view=view)
 
 
-def is_refinable(problem: SelectionProblem) -> bool:
-    """Return whether views may be moved: their number counts, they are at rest and grown, and the user names none."""
-    request, plan = problem.request, problem.request.plan
-    is_free = not (plan.pinned or plan.banned) and plan.candidates == GROWN
-    return is_free and request.allows_swaps and request.regions is None and request.is_probed and problem.is_at_rest
-
-
-def refine_views(
-    problem: SelectionProblem, selection: Selection, append: Append, rng: np.random.Generator
-) -> tuple[SelectionProblem, Selection]:
-    """Find fewer views that measure as much of the held-out samples; return the input if there are none.
-
-    Args:
-        problem: candidates and request.
-        selection: views from which the search begins.
-        append: appends viewpoints to the candidates.
-        rng: randomness of the selection among all candidates.
-    """
-    if not selection.satisfies(problem.request.targets):
-        return problem, selection
-    least = max(problem.request.plan.coverage + REFINED_MARGIN, float(selection.shares[0]) + _KEPT_MARGIN)
-    after = _reduced(problem, selection, least)
-    if len(after) == len(selection.cover.views):
-        return problem, selection
-    more, refined = _append_refined(problem, selection, after, append)
-    # A selection among all candidates may need still fewer views; it must measure no less than the original views.
-    found = select_views(more, rng, start=refined, search=Search.CONTINUED)
-    is_better = len(found.cover.views) < len(after) and found.shares[0] >= least
-    return more, found if is_better else refined.with_bounds_of(found)
-
-
-def _reduced(problem: SelectionProblem, selection: Selection, least: float) -> ViewState:
-    """Return the original views, or fewer that measure `least` of the coverable held-out samples."""
-    candidates, known, views = problem.candidates, problem.prediction, selection.cover.views
-    M, samples = problem.M.matrix().tocsc(), problem.M.samples
-    rows = np.diff(problem.M.indptr) > 0
-    areas = np.where(rows, samples.areas, 0.0) / max(float(samples.areas[rows].sum()), 1e-300)
-    before = ViewState(
-        candidates.T_object_scanner[views, 0], candidates.standoff[views], np.arange(len(views)),
-        np.zeros(len(views), dtype=np.bool_), M[:, views].toarray(),
-    )  # fmt: skip
-    evaluator = view_evaluator(problem.cell, known.scanner, known.casters)
-    return reduce_views(
-        before, RayTargets.of(samples.points, samples.normals), areas, lambda view: evaluator,
-        goal=min(selection.target, float(areas[before.measured.any(axis=1)].sum())),
-        shortfall=lambda state: least - known.share_of_coverable(state.T_object_scanner[:, None]),
-    )  # fmt: skip
-
-
 def viewpoints_of(state: ViewState, moved: Bools, face: NDArray[np.int32]) -> Viewpoints:
     """Return viewpoints at the moved poses of a refinement, with the planning faces of their origins."""
     T = state.T_object_scanner[moved]
     return viewpoints_from_poses(T, T[:, :3, 3] + state.distance[moved, None] * T[:, :3, 2], face)
-
-
-def _append_refined(
-    problem: SelectionProblem, selection: Selection, after: ViewState, append: Append
-) -> tuple[SelectionProblem, Selection]:
-    """Append refined views to the candidates, and return all views as a selection."""
-    candidates, origin = problem.candidates, selection.cover.views[after.origin]
-    more = append(problem, viewpoints_of(after, after.moved, candidates.face[origin[after.moved]]))
-    views = origin.copy()
-    views[after.moved] = len(candidates) + np.arange(int(after.moved.sum()))
-    is_coverable = np.diff(more.M.indptr) > 0
-    unbounded = replace(
-        selection.cover, lower_bound=1, status=CoverStatus.BOUNDED, uncoverable_rows=np.flatnonzero(~is_coverable),
-        coverable_area=float(more.M.samples.areas[is_coverable].sum()),
-    )  # fmt: skip
-    cover, _ = cover_of_views(unbounded, more.M, views)
-    share = more.prediction.share_of_coverable(more.candidates.T_object_scanner[cover.views])
-    refined = replace(selection, cover=cover, shares=np.array([share]), sentence=cover.sentence)
-    return more, replace(refined, targets=np.minimum(selection.targets, refined.claimed_coverage))

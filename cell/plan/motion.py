@@ -76,6 +76,7 @@ class ConnectedPlan(Value):
         visible: visible coverage of the views on these samples.
         visible_with_arm: visible coverage with each view's own arm as an occluder, fraction of the surface; None for
             sweeps: the arm's shadow along a sweep is not evaluated.
+        searched: result of the pose search, a sentence; "" without one.
     """
 
     cover: Cover
@@ -93,6 +94,7 @@ class ConnectedPlan(Value):
     seen: Annotated[Bools, "S n"]
     visible: Coverage
     visible_with_arm: float | None
+    searched: str = ""
 
     @property
     def target(self) -> float:

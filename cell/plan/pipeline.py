@@ -34,8 +34,8 @@ from cell.plan.candidates import (
     with_grown,
 )
 from cell.plan.evaluation import OptionalResults, Verdict, judge_plan
-from cell.plan.improvement import Append, is_refinable, refine_views
 from cell.plan.motion import ConnectedPlan, connect_views
+from cell.plan.pose_search import Append, search_views, skip_reason
 from cell.plan.selection import (
     RegionGroups,
     Request,
@@ -307,17 +307,24 @@ def select_and_connect(
         session: of the plan.
         problem: candidates and request.
         surface: the part, for further rows.
-        append: appends refined views to the candidates; None: views are not refined.
+        append: appends moved views to the candidates; None: poses are not searched.
 
     Returns:
         The problem with added rows and candidates, and the plan.
     """
-    with session.stage("select, order and connect") as progress:
+    with session.stage("select the views"):
         rng, before = session.rng(Stream.SELECTION), problem
         fresh = session.rng(Stream.FRESH_SAMPLES)
         choice = initial = select_with_row_generation(problem.unpriced(), surface, rng, fresh)
-        if append is not None and is_refinable(initial[0]):
-            choice = refine_views(*initial, append, rng)
+    searched, search = "", None
+    if append is not None and (reason := skip_reason(initial[0])):
+        searched = f"Poses are not searched: {reason}"
+    elif append is not None:
+        with session.stage("search fewer views") as progress:
+            draws = session.rng(Stream.POSE_SEARCH)
+            moved_problem, moved, search = search_views(*initial, surface, append, draws, rng, progress)
+            choice = moved_problem, moved
+    with session.stage("order and connect") as progress:
         if before.request.costs is not None:
             choice = initial = select_least_time(*choice, rng)
 
@@ -326,15 +333,18 @@ def select_and_connect(
             return connect_views(problem, selection, selection_rng=rng, motion_rng=motion_rng, progress=progress)
 
         problem, plan = choice[0], connect(*choice)
-        # A refined view that cannot be connected may be replaced by worse ones than the initial views.
+        # A moved view that cannot be connected may be replaced by worse ones than the initial views.
         if choice[1] is not initial[1] and plan.selection is not choice[1]:
             try:
-                unrefined = connect(*initial)
-            except UnreachableError:  # only the refined views can be connected
-                unrefined = plan
-            fewer = len(unrefined.cover.views) < len(plan.cover.views)
-            if fewer or plan.visible.area < unrefined.visible.area:
-                problem, plan = initial[0], unrefined
+                unmoved = connect(*initial)
+            except UnreachableError:  # only the moved views can be connected
+                unmoved = plan
+            fewer = len(unmoved.cover.views) < len(plan.cover.views)
+            if fewer or plan.visible.area < unmoved.visible.area:
+                problem, plan = initial[0], unmoved
+        if search is not None:
+            searched = search.sentence(len(plan.cover.views))
+        plan = replace(plan, searched=searched)
         problem = problem.with_configurations(plan.candidate, plan.tour.q)
         files.write_measured(session.folder, problem, before)
         return problem, plan

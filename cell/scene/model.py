@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import (
+    BeforeValidator,
     ConfigDict,
     Field,
     ModelWrapValidatorHandler,
@@ -434,6 +435,18 @@ class PlanKeys(Table):
         Literal["auto", "greedy", "meta-raps", "local-search", "exact"],
         Option("Selection of the views; auto proves the smallest number if it can.", _VIEWS),
     ] = "auto"
+    effort: Annotated[
+        str,
+        BeforeValidator(lambda value: str(value) if type(value) is int else value),
+        Field(pattern=r"^(low|normal|high|\d+)$"),
+        Option(
+            "Effort of the search for fewer views over all reachable poses: a word, or a number of poses.",
+            _VIEWS,
+            metavar="low|normal|high|POSES",
+            form="a word or a number of poses",
+            examples=("high", "200000"),
+        ),
+    ] = "normal"
     coverage: Annotated[
         Share, Option("Share of the coverable area that the plan must measure.", _VIEWS, metavar="SHARE")
     ] = 0.99

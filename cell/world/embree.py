@@ -132,9 +132,7 @@ class EmbreeRayCaster:
         self._split(trace, len(origins))
         return result
 
-    def blocked_along(
-        self, origins: Floats, directions: NDArray[np.float32], length: float
-    ) -> NDArray[np.bool_]:
+    def blocked_along(self, origins: Floats, directions: NDArray[np.float32], length: float) -> NDArray[np.bool_]:
         """Return whether any triangle is near along a direction; see `DirectionCaster.blocked_along`.
 
         Rays begin `HAIR` x (length + the half diagonal of the triangles) after the origin.

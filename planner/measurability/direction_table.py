@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.compiled import compiled
-from planner.ports import AreaLimits, DirectionCaster, Rejection, Scanner
+from planner.ports import AreaLimits, DirectionCaster, Scanner
 from planner.values import Bools, Floats, Ints, Value
 from planner.viewpoints.lines_of_sight import RayTargets, in_view_matrix
 
@@ -84,6 +84,13 @@ class DirectionTable(Value):
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    def pick(self, rows: Ints) -> "DirectionTable":
+        """Return the table of some of the samples."""
+        targets = self.targets
+        region = None if targets.region is None else targets.region[rows]
+        some = RayTargets(targets.points[:, rows], targets.normals[:, rows], targets.lifted[rows], region)
+        return DirectionTable(some, self.frames[rows], self.bits[rows], self.scanner, self.limits)
 
     def weights_measured(
         self, T_object_scanner: Floats, rows: Ints, weights: Floats, threshold: float = -np.inf
@@ -151,9 +158,7 @@ def _node_directions() -> Floats32:
     return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True), dtype=np.float32)
 
 
-def _cast(
-    lifted: Floats, frames: Floats32, nodes: Floats32, casters: Sequence[DirectionCaster], reach: float
-) -> Bytes:
+def _cast(lifted: Floats, frames: Floats32, nodes: Floats32, casters: Sequence[DirectionCaster], reach: float) -> Bytes:
     """Return (s, N * N) whether each node of s samples is free."""
     free = np.full((len(lifted), N_NODES, N_NODES), _UNKNOWN, dtype=np.uint8)
     local = frames[:, [6, 7, 8, 9, 10, 11, 3, 4, 5]].reshape(-1, 3, 3)
@@ -302,6 +307,6 @@ def mark_free(frames: Floats32, bits: Bytes, rows: Ints, poses: Floats32, found:
             row = rows[m]
             if found[k, m]:
                 p_x, p_y, p_z = frames[row, 0], frames[row, 1], frames[row, 2]
-                found[k, m] = _is_free(
-                    frames, bits, row, pose[12] - p_x, pose[13] - p_y, pose[14] - p_z
-                ) and _is_free(frames, bits, row, pose[15] - p_x, pose[16] - p_y, pose[17] - p_z)
+                found[k, m] = _is_free(frames, bits, row, pose[12] - p_x, pose[13] - p_y, pose[14] - p_z) and _is_free(
+                    frames, bits, row, pose[15] - p_x, pose[16] - p_y, pose[17] - p_z
+                )

@@ -92,6 +92,10 @@ def join_poses(parts: Sequence[SearchPoses]) -> SearchPoses:
     )
 
 
+Shortfall = Callable[[SearchPoses], float]
+"""Return the share of the surface by which views miss the requirement, by exact rays; at most 0 if they hold it."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchResult:
     """Result of a search.
@@ -112,7 +116,7 @@ def search_poses(
     weights: Floats,
     *,
     are_reachable: Callable[[Floats], Bools],
-    shortfall: Callable[[SearchPoses], float],
+    shortfall: Shortfall,
     effort: int,
     rng: np.random.Generator,
     progress: Callable[[int, int], None] | None = None,
@@ -157,7 +161,9 @@ class _Search:
         self.views, self.measured = pool.pick(np.arange(0)), np.empty((len(weights), 0), dtype=np.bool_)
         self.count = np.zeros(len(weights), dtype=np.int64)
 
-    def repaired(self, start: SearchPoses, removed: int, shortfall: Callable[[SearchPoses], float]) -> SearchPoses | None:
+    def repaired(
+        self, start: SearchPoses, removed: int, shortfall: Callable[[SearchPoses], float]
+    ) -> SearchPoses | None:
         """Return views without `removed` of the start that hold the requirement; None if the effort is exhausted."""
         measured = self.evaluator.measured(start.T_object_scanner)
         goal = float(self.weights[measured.any(axis=1)].sum()) + max(0.0, shortfall(start))
@@ -249,9 +255,7 @@ class _Search:
             if count := len(best):
                 distance, origin = self.views.distance[view], self.views.origin[view]
                 is_moved = np.ones(count, dtype=np.bool_)
-                parts.append(
-                    SearchPoses(T[view, best], np.full(count, distance), np.full(count, origin), is_moved)
-                )
+                parts.append(SearchPoses(T[view, best], np.full(count, distance), np.full(count, origin), is_moved))
                 owner += [view] * count
         self.evaluated += n * _PROPOSALS
         return join_poses(parts) if parts else self.views.pick(np.arange(0)), np.array(owner, dtype=np.int64)
@@ -270,5 +274,3 @@ class _Search:
         found[:, :3, 3] = aim + np.einsum("nij,nj->ni", turn, t - aim)
         found[:, :3, 3] += (2 * u[:, :3] - 1) * (_MAX_SHIFT * scale * distance[:, None])
         return found.reshape(n, _PROPOSALS, 4, 4)
-
-

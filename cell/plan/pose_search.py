@@ -1,0 +1,197 @@
+"""Search fewer views over all reachable poses (`planner.viewpoints.pose_search`), after the cover over the candidates.
+
+Moved views are appended to the candidates with exact columns of the matrix, so that selection, bound and motion see
+ordinary candidates. Pinned views stay as they are, and a banned candidate is not used. Requests for which the search
+has no meaning or no method are skipped, with the reason (`skip_reason`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from cell.plan.candidates import GROWN, view_evaluator
+from cell.plan.improvement import cover_of_views
+from cell.plan.selection import Search, Selection, SelectionProblem, select_views
+from cell.world.measurability import PartSurface
+from planner.cover import CoverStatus
+from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
+from planner.measurability.direction_table import DirectionTable
+from planner.ports import DirectionCaster, Progress, Scanner
+from planner.values import Bools, Floats, Ints
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.pose_sampling import find_frustum
+from planner.viewpoints.pose_search import EFFORTS, SearchPoses, join_poses, search_poses
+from planner.viewpoints.viewpoints import Viewpoints, viewpoints_from_poses
+
+Append = Callable[[SelectionProblem, Viewpoints], SelectionProblem]
+"""Append viewpoints to the candidates of a problem."""
+
+MARGIN = 0.0012
+"""Share of the coverable area beyond the requested coverage that moved views measure at least."""
+
+N_SAMPLES = 20_000
+"""Samples on which poses are evaluated, before samples that many candidates measure are thinned out."""
+
+_EASY = 0.12  # share of the reachable candidates that measure a sample, above which it is thinned out
+_THINNED = 8  # one of this many easy samples is evaluated, with this weight
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSearch:
+    """Result of a pose search in numbers.
+
+    Attributes:
+        effort: name or number of the requested effort.
+        evaluated: evaluated poses.
+        n_views: number of views at its end.
+    """
+
+    effort: str
+    evaluated: int
+    n_views: int
+
+    def sentence(self, n_views: int) -> str:
+        """Return the result for a plan of a number of views."""
+        begin = f"Pose search ({self.effort} effort, {self.evaluated:,} poses)"
+        if n_views <= self.n_views:
+            return f"{begin} found no plan with {n_views - 1} views"
+        return f"{begin} found {self.n_views} views, which could not be connected"
+
+
+def skip_reason(problem: SelectionProblem) -> str:
+    """Return why poses are not searched for a request; "" if they are."""
+    request, plan = problem.request, problem.request.plan
+    if plan.candidates != GROWN:
+        return f"the candidates are limited to {plan.candidates}"
+    reasons = {
+        "coverage 1": bool((request.targets >= 1).any()),
+        "overlap": request.overlap is not None,
+        "several views per sample": plan.multiplicity > 1,
+        "a largest number of views": plan.max_views is not None,
+        "pose errors": request.layer is not None,
+        "targets of regions": request.regions is not None and not request.regions.is_plain,
+        "a given order": request.order is not None,
+        f"the solver {plan.solver}": plan.solver != "auto",
+        "the fill method rays": plan.fill != "aimed",
+        "a scanner that sweeps": not problem.is_at_rest,
+    }
+    found = [name for name, is_given in reasons.items() if is_given]
+    return f"it does not support {found[0]}" if found else ""
+
+
+def search_views(
+    problem: SelectionProblem, selection: Selection, surface: PartSurface, append: Append, rng: np.random.Generator,
+    selection_rng: np.random.Generator, progress: Progress,
+) -> tuple[SelectionProblem, Selection, PoseSearch]:  # fmt: skip
+    """Find fewer views that measure as much of the held-out samples, among all reachable poses.
+
+    Args:
+        problem: candidates and request, for which `skip_reason` is "".
+        selection: views from which the search begins.
+        surface: the part.
+        append: appends viewpoints to the candidates.
+        rng: samples and proposals.
+        selection_rng: randomness of the selection among all candidates.
+        progress: called with (evaluated poses, effort).
+
+    Returns:
+        Problem and selection with the moved views; the given ones if there are no fewer views.
+    """
+    plan, known = problem.request.plan, problem.prediction
+    poses = EFFORTS[plan.effort] if plan.effort in EFFORTS else int(plan.effort)
+    effort = round(poses * problem.request.effort.pose_search_share)
+    usable = np.flatnonzero(problem.usable())
+    pool = poses_of(problem.candidates, usable)
+    pinned = np.flatnonzero(np.isin(selection.cover.views, plan.pinned))
+    fixed = poses_of(problem.candidates, selection.cover.views[pinned])
+    initial = np.searchsorted(usable, np.delete(selection.cover.views, pinned))
+    is_holding = selection.satisfies(problem.request.targets)
+    if not (effort and is_holding and len(initial) > 1):
+        return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views))
+    table, weights = _table(problem, surface, pool, fixed, rng)
+    evaluator = view_evaluator(problem.cell, known.scanner, known.casters)
+
+    least = plan.coverage + MARGIN
+
+    def shortfall(views: SearchPoses) -> float:
+        return least - known.share_of_coverable(join_poses([fixed, views]).T_object_scanner[:, None])
+
+    found = search_poses(
+        initial, pool, table, weights,
+        are_reachable=lambda T: evaluator.are_reachable(T[:, None]), shortfall=shortfall, effort=effort, rng=rng,
+        progress=progress,
+    )  # fmt: skip
+    result = PoseSearch(plan.effort, found.evaluated, len(fixed) + len(found.views))
+    if len(found.views) == len(initial):
+        return problem, selection, result
+    more, moved = _appended(problem, selection, join_poses([fixed, found.views]), append)
+    # A selection among all candidates may need still fewer views; it must measure no less than the requested share.
+    among_all = select_views(more, selection_rng, start=moved, search=Search.CONTINUED)
+    is_better = len(among_all.cover.views) < len(moved.cover.views) and bool((among_all.shares >= least).all())
+    return more, among_all if is_better else moved.with_bounds_of(among_all), result
+
+
+def poses_of(candidates: Viewpoints, which: Ints) -> SearchPoses:
+    """Return the poses of some candidates at rest."""
+    return SearchPoses(
+        candidates.T_object_scanner[which, 0], candidates.standoff[which], which, np.zeros(len(which), dtype=np.bool_)
+    )
+
+
+def largest_reach(scanner: Scanner) -> float:
+    """Return the largest distance of source and sensor from a measured point [m]."""
+    places = find_frustum(scanner).points
+    ends = np.stack([scanner.source, scanner.sensor])
+    return float(np.linalg.norm(places[:, None] - ends, axis=2).max(initial=0.0)) * 1.02
+
+
+def _table(
+    problem: SelectionProblem, surface: PartSurface, pool: SearchPoses, fixed: SearchPoses, rng: np.random.Generator
+) -> tuple[DirectionTable, Floats]:
+    """Return the table of the samples that candidates measure and fixed views do not, and the weight of each sample."""
+    known = problem.prediction
+    samples = draw_samples(surface.reference, surface.planning, N_SAMPLES, rng)
+    is_easy = _ease(problem, samples) > _EASY
+    kept = ~is_easy
+    kept[np.flatnonzero(is_easy)[_THINNED // 2 :: _THINNED]] = True
+    weights = np.where(is_easy, float(_THINNED), 1.0)[kept]
+    samples = pick_samples(samples, np.flatnonzero(kept))
+    targets = RayTargets.of(samples.points, samples.normals, samples.region)
+    casters = cast(Sequence[DirectionCaster], known.casters)
+    table = DirectionTable.build(targets, known.scanner, casters, largest_reach(known.scanner))
+    coverable = table.measured(pool.T_object_scanner).any(axis=1)
+    needed = np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=1))
+    # Shares of the coverable area: the shortfall on held-out samples has the same unit.
+    return table.pick(needed), weights[needed] / weights[coverable].sum()
+
+
+def _ease(problem: SelectionProblem, samples: SurfaceSamples) -> Floats:
+    """Return (S,) share of the reachable candidates that measure the rows on the planning face of each sample."""
+    M = problem.M
+    faces = 1 + int(max(M.samples.planning_face.max(), samples.planning_face.max(initial=0)))
+    rows = np.bincount(M.samples.planning_face, minlength=faces)
+    entries = np.bincount(M.samples.planning_face, weights=np.diff(M.indptr), minlength=faces)
+    return (entries / np.maximum(rows, 1) / max(1, int(problem.usable().sum())))[samples.planning_face]
+
+
+def _appended(
+    problem: SelectionProblem, selection: Selection, views: SearchPoses, append: Append
+) -> tuple[SelectionProblem, Selection]:
+    """Append moved views to the candidates, and return all views as a selection."""
+    T, distance = views.T_object_scanner[views.moved], views.distance[views.moved]
+    aim = T[:, :3, 3] + distance[:, None] * T[:, :3, 2]
+    face = problem.candidates.face[views.origin[views.moved]]
+    more = append(problem, viewpoints_from_poses(T, aim, face))
+    numbers = views.origin.copy()
+    numbers[views.moved] = len(problem.candidates) + np.arange(len(T))
+    is_coverable: Bools = np.diff(more.M.indptr) > 0
+    unbounded = replace(
+        selection.cover, lower_bound=1, status=CoverStatus.BOUNDED, uncoverable_rows=np.flatnonzero(~is_coverable),
+        coverable_area=float(more.M.samples.areas[is_coverable].sum()),
+    )  # fmt: skip
+    cover, _ = cover_of_views(unbounded, more.M, numbers)
+    share = more.prediction.share_of_coverable(more.candidates.T_object_scanner[cover.views])
+    moved = replace(selection, cover=cover, shares=np.array([share]), sentence=cover.sentence)
+    return more, replace(moved, targets=np.minimum(selection.targets, moved.claimed_coverage))
