@@ -183,8 +183,9 @@ class LaserArea:
 
     @property
     def area_limits(self) -> tuple[float, ...] | None:
-        """`planner.ports.AreaLimits`; None with a limit on the spacing."""
-        return self._limits if self.max_spacing_mm is None else None
+        """`planner.ports.AreaLimits`; None with a limit on the spacing, and for a subclass with another law."""
+        has_own_law = type(self).reject is not LaserArea.reject
+        return None if has_own_law or self.max_spacing_mm is not None else self._limits
 
     def _constants(self) -> tuple[float, ...]:
         """Return the limits of `cell.scanners.area_law.rejections`, with `TOLERANCE` applied where it is constant."""

@@ -79,7 +79,7 @@ class DirectionTable(Value):
                          casters, reach)  # fmt: skip
             bits.append(np.packbits(free, axis=1, bitorder="little"))
         packed = np.concatenate(bits) if bits else np.empty((0, (len(nodes) + 7) // 8), dtype=np.uint8)
-        limits = scanner.area_limits if isinstance(scanner, AreaLimits) and targets.region is None else None
+        limits = scanner.area_limits if isinstance(scanner, AreaLimits) else None
         return cls(targets, frames, packed, scanner, None if limits is None else np.array(limits, dtype=np.float32))
 
     def __len__(self) -> int:

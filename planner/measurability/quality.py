@@ -87,6 +87,10 @@ class LimitedScanner:
         """(n_v, n_h) rays of one scan."""
         return self.scanner.grid_shape
 
+    @property
+    def area_limits(self) -> None:
+        """None: the quality limits are further conditions (`planner.ports.AreaLimits`)."""
+
     def ray_directions(self) -> Floats:
         """Return (n_v * n_h, 3) unit directions of the rays, scanner frame, row by row."""
         return self.scanner.ray_directions()

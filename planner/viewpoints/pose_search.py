@@ -246,9 +246,9 @@ class _Search:
             area = self.evaluator.weights_measured(T[view], rows, weights, least)
             if uses_pool:
                 of_pool = weights.astype(np.float32) @ self.pool_measured[rows]
-                best = int(of_pool.argmax())
-                if of_pool[best] >= least:
-                    parts.append(self.pool.pick(np.array([best])))
+                most = of_pool.argmax(keepdims=True)
+                if of_pool[most[0]] >= least:
+                    parts.append(self.pool.pick(most))
                     owner.append(view)
             best = np.argsort(-area, kind="stable")[:_TESTED]
             best = best[area[best] >= least]

@@ -1,0 +1,91 @@
+"""Pose search: fewer views of a ball than any selection of its candidates, checked with exact rays."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from cell.scanners.laser_area import LaserArea
+from cell.world.embree import EmbreeRayCaster
+from planner.cover import CoverProblem, solve
+from planner.geometry.mesh import TriangleMesh
+from planner.geometry.sampling import draw_samples
+from planner.measurability.direction_table import DirectionTable
+from planner.measurability.visibility import fill_matrix, find_measured
+from planner.viewpoints.lines_of_sight import RayTargets
+from planner.viewpoints.pose_search import SearchPoses, search_poses
+from planner.viewpoints.viewpoints import aim_viewpoints
+
+N = 40
+
+
+def _everywhere(T):
+    return np.ones(len(T), dtype=bool)
+
+
+@pytest.fixture(scope="module")
+def case():
+    """Return a ball of 60 mm, 600 samples, 40 candidates aimed at its centre, and a cover of 98 % of it."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.03)
+    mesh = TriangleMesh(ball.vertices, ball.faces)
+    samples = draw_samples(mesh, mesh, 600, np.random.default_rng(1))
+    scanner = LaserArea(fov_deg=(40, 40), range_mm=(50, 150), baseline_mm=20, sensor_grazing_max_deg=75)
+    caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
+    outward = np.random.default_rng(2).normal(size=(N, 3))
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    candidates = aim_viewpoints(0.03 * outward, outward, np.full(N, -1), [0.1], [0.0])
+    M = fill_matrix(candidates, samples, scanner, caster)
+    chosen = solve(CoverProblem(M.matrix(), samples.areas, coverage=0.98), rng=np.random.default_rng(0)).views
+    pool = SearchPoses(candidates.T_object_scanner[:, 0], np.full(N, 0.1), np.arange(N), np.zeros(N, dtype=bool))
+    table = DirectionTable.build(RayTargets.of(samples.points, samples.normals), scanner, (caster,), 0.2)
+    return samples, scanner, caster, pool, np.sort(chosen), table
+
+
+def _measured_share(case, views):
+    samples, scanner, caster = case[:3]
+    return float(find_measured(views.T_object_scanner[:, None], samples, scanner, (caster,)).mean())
+
+
+def _search(case, *, are_reachable=_everywhere, required=0.98, effort=60_000, seed=0):
+    pool, chosen, table = case[3:]
+    return search_poses(
+        chosen, pool, table, np.full(len(table), 1 / len(table)), are_reachable=are_reachable,
+        shortfall=lambda views: required - _measured_share(case, views), effort=effort,
+        rng=np.random.default_rng(seed),
+    )  # fmt: skip
+
+
+def test_fewer_views_measure_as_much(case):
+    """The search leaves out views that no selection of candidates can spare; exact rays confirm the coverage."""
+    found = _search(case).views
+    assert len(found) < len(case[4])
+    assert _measured_share(case, found) >= 0.98
+    still = ~found.moved
+    np.testing.assert_array_equal(found.T_object_scanner[still], case[3].T_object_scanner[found.origin[still]])
+    R = found.T_object_scanner[:, :3, :3]
+    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-9)
+
+
+def test_equal_seed_gives_equal_views(case):
+    """Equal inputs give equal views to the bit."""
+    one, other = _search(case, effort=20_000), _search(case, effort=20_000)
+    np.testing.assert_array_equal(one.views.T_object_scanner, other.views.T_object_scanner)
+    assert one.evaluated == other.evaluated
+
+
+def test_moved_views_are_reachable(case):
+    """With half of space reachable no moved view leaves it."""
+    found = _search(case, are_reachable=lambda T: T[:, 2, 3] > 0, effort=20_000).views
+    assert (found.T_object_scanner[found.moved, 2, 3] > 0).all()
+
+
+def test_views_that_fall_short_are_not_taken(case):
+    """With a requirement that nothing meets, or without effort, the initial views are returned."""
+    for found in (_search(case, required=2.0, effort=5_000), _search(case, effort=0)):
+        np.testing.assert_array_equal(np.sort(found.views.origin), case[4])
+        assert not found.views.moved.any()
+
+
+def test_effort_limits_the_evaluated_poses(case):
+    """The search ends with the round in which the effort is exhausted."""
+    found = _search(case, required=2.0, effort=5_000)
+    assert 5_000 <= found.evaluated <= 5_000 + 64 * len(case[4])
