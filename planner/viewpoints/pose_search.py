@@ -1,10 +1,11 @@
 """Search fewer views over all reachable poses, starting from the views of a cover.
 
 A cover over candidates is optimal for these candidates only. The search leaves out the views with the smallest area of
-their own and repairs the rest: in each round every view gets proposals, poses around its own and candidates that
-measure much of what no other view measures. They are evaluated on these samples alone, by a direction table; the best
-two of each view are tested for reachability in one call. Moves are applied one after the other, and slightly worse ones
-are sometimes accepted (Kirkpatrick, Gelatt, Vecchi 1983, doi:10.1126/science.220.4598.671, at a constant temperature).
+their own and repairs the rest: in each round every view gets a few proposals, poses around its own, tested for
+reachability in one call. A direction table evaluates them on the samples that no other view measures. The view moves to
+the best one unless it loses area; small losses are accepted with a probability (Kirkpatrick, Gelatt, Vecchi 1983,
+doi:10.1126/science.220.4598.671, at a constant temperature). Few proposals are better than many: views drift along
+plateaus of equal area, and the next gain is found from there. In some rounds the best candidate is proposed as well.
 
 When the table says that the goal is reached, exact rays on other samples decide; a shortfall there raises the goal.
 Views that pass are the new start, with one view less. Effort is counted in evaluated poses. Object frame, metres.
@@ -19,19 +20,17 @@ import numpy as np
 from planner.geometry.rigid import rotation_matrices
 from planner.values import Bools, Floats, Ints, Value
 
-EFFORTS = {"low": 100_000, "normal": 400_000, "high": 4_000_000}
+EFFORTS = {"low": 20_000, "normal": 60_000, "high": 600_000}
 """Poses that a search evaluates."""
 
-_PROPOSALS = 64  # of a view in a round
+_PROPOSALS = 16  # of a view in a round
 _FROM_POOL = 4  # rounds between two in which candidates are proposed
-_TESTED = 2  # best proposals of a view that are tested for reachability
 _VIEWS_PER_REMOVAL = 10  # one view of this many is left out at a time
 _MAX_TURN = np.deg2rad(15.0)  # of a proposal about its aim, for each component of the rotation vector
 _MAX_SHIFT = 0.15  # of a proposal along each axis, as a share of the distance
-_MAX_LOSS = 5.0  # loss of a proposal that is tested, in temperatures
 _INTERLEAVED = 8  # the rows of a view are evaluated in this many passes over the surface, so that losses show early
-_SMALLEST = 0.1  # scale of the smallest proposals; scales are log-uniform up to 1
-_TEMPERATURE = 1e-4  # share of the surface
+_SMALLEST = 0.03  # scale of the smallest proposals; scales are log-uniform up to 1
+_TEMPERATURE = 3e-5  # share of the surface
 _PATIENCE = 60  # rounds without a better area after which the search returns to the best views
 
 
@@ -75,11 +74,15 @@ class SearchPoses(Value):
         """Return some of the poses."""
         return SearchPoses(self.T_object_scanner[which], self.distance[which], self.origin[which], self.moved[which])
 
-    def at(self, view: int, other: "SearchPoses", number: int) -> "SearchPoses":
-        """Return the poses with one of them replaced."""
-        which = np.arange(len(self))
-        which[view] = len(self) + number
-        return join_poses([self, other]).pick(which)
+    def at(self, view: int, T_object_scanner: Floats, pool: "SearchPoses", candidate: int | None) -> "SearchPoses":
+        """Return the poses with one view moved to a pose (4, 4) [m], which is that of a candidate or near its own."""
+        T, distance, origin, moved = (
+            each.copy() for each in (self.T_object_scanner, self.distance, self.origin, self.moved)
+        )
+        T[view], moved[view] = T_object_scanner, candidate is None
+        if candidate is not None:
+            distance[view], origin[view] = pool.distance[candidate], pool.origin[candidate]
+        return SearchPoses(T, distance, origin, moved)
 
 
 def join_poses(parts: Sequence[SearchPoses]) -> SearchPoses:
@@ -208,57 +211,39 @@ class _Search:
         return kept
 
     def _round(self) -> None:
-        """Propose moves of all views, and apply the best ones that the arm reaches."""
-        proposed, view = self._best_proposals()
-        self.rounds += 1
-        if not len(view):
-            return
-        reachable = np.flatnonzero(self.are_reachable(proposed.T_object_scanner))
-        measured = self.evaluator.measured(proposed.T_object_scanner[reachable])
-        moved = np.zeros(len(self.views), dtype=np.bool_)
-        for k, number in enumerate(reachable.tolist()):
-            at, new = view[number], measured[:, k]
-            if moved[at]:
-                continue
-            own = self.measured[:, at]
-            changed = np.flatnonzero((own != new) & (self.count == own))
-            gain = float(self.weights[changed] @ np.where(new[changed], 1.0, -1.0))
-            if gain > _TEMPERATURE * np.log(self.rng.random()):
-                self.views = self.views.at(int(at), proposed, number)
-                self.count += new
-                self.count -= own
-                self.measured[:, at] = new
-                moved[at] = True
-
-    def _best_proposals(self) -> tuple[SearchPoses, Ints]:
-        """Return up to `_TESTED` proposals of each view that lose little or nothing, best first, with their views."""
-        n, uses_pool = len(self.views), self.rounds % _FROM_POOL == _FROM_POOL - 1
+        """Move each view in turn to its best reachable proposal, if that loses nothing or little."""
+        n = len(self.views)
         T = self._perturbed()
-        is_open = self.count == 0
-        opened = np.flatnonzero(is_open)
-        parts: list[SearchPoses] = []
-        owner: list[int] = []
+        reachable = self.are_reachable(T.reshape(-1, 4, 4)).reshape(n, _PROPOSALS)
+        accepted = _TEMPERATURE * np.log(self.rng.random(n))
         for view in range(n):
             only = np.flatnonzero(self.measured[:, view] & (self.count == 1))
-            rows = np.concatenate([only[k::_INTERLEAVED] for k in range(_INTERLEAVED)] + [opened])
+            rows = np.concatenate(
+                [*(only[k::_INTERLEAVED] for k in range(_INTERLEAVED)), np.flatnonzero(self.count == 0)]
+            )
             weights = self.weights[rows]
-            least = float(self.weights[only].sum()) - _MAX_LOSS * _TEMPERATURE
-            area = self.evaluator.weights_measured(T[view], rows, weights, least)
-            if uses_pool:
+            least = float(self.weights[only].sum()) + float(accepted[view])
+            proposed = T[view, reachable[view]]
+            area = self.evaluator.weights_measured(proposed, rows, weights, least)
+            if len(area) and area.max() >= least:
+                best = int(area.argmax())
+                least = float(area[best])
+                self._move(view, proposed[best], None)
+            if self.rounds % _FROM_POOL == _FROM_POOL - 1:
                 of_pool = weights.astype(np.float32) @ self.pool_measured[rows]
-                most = of_pool.argmax(keepdims=True)
-                if of_pool[most[0]] >= least:
-                    parts.append(self.pool.pick(most))
-                    owner.append(view)
-            best = np.argsort(-area, kind="stable")[:_TESTED]
-            best = best[area[best] >= least]
-            if count := len(best):
-                distance, origin = self.views.distance[view], self.views.origin[view]
-                is_moved = np.ones(count, dtype=np.bool_)
-                parts.append(SearchPoses(T[view, best], np.full(count, distance), np.full(count, origin), is_moved))
-                owner += [view] * count
+                best = int(of_pool.argmax())
+                if of_pool[best] > least:
+                    self._move(view, self.pool.T_object_scanner[best], best)
         self.evaluated += n * _PROPOSALS
-        return join_poses(parts) if parts else self.views.pick(np.arange(0)), np.array(owner, dtype=np.int64)
+        self.rounds += 1
+
+    def _move(self, view: int, T_object_scanner: Floats, candidate: int | None) -> None:
+        """Move a view to a pose (4, 4) [m] near its own, or to that of a candidate."""
+        new = self.evaluator.measured(T_object_scanner[None])[:, 0]
+        self.count += new
+        self.count -= self.measured[:, view]
+        self.measured[:, view] = new
+        self.views = self.views.at(view, T_object_scanner, self.pool, candidate)
 
     def _perturbed(self) -> Floats:
         """Return (n, _PROPOSALS, 4, 4) poses around those of the views [m]: shifted, and turned about their aim."""
