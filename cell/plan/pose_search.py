@@ -28,7 +28,7 @@ from planner.viewpoints.viewpoints import Viewpoints, viewpoints_from_poses
 Append = Callable[[SelectionProblem, Viewpoints], SelectionProblem]
 """Append viewpoints to the candidates of a problem."""
 
-MARGIN = 0.0012
+MARGIN = 0.0014
 """Share of the coverable area beyond the requested coverage that moved views measure at least."""
 
 N_SAMPLES = 20_000

@@ -20,10 +20,10 @@ import numpy as np
 from planner.geometry.rigid import rotation_matrices
 from planner.values import Bools, Floats, Ints, Value
 
-EFFORTS = {"low": 20_000, "normal": 60_000, "high": 600_000}
+EFFORTS = {"low": 25_000, "normal": 80_000, "high": 800_000}
 """Poses that a search evaluates."""
 
-_PROPOSALS = 16  # of a view in a round
+_PROPOSALS = 24  # of a view in a round
 _FROM_POOL = 4  # rounds between two in which candidates are proposed
 _VIEWS_PER_REMOVAL = 10  # one view of this many is left out at a time
 _MAX_TURN = np.deg2rad(15.0)  # of a proposal about its aim, for each component of the rotation vector
@@ -76,9 +76,8 @@ class SearchPoses(Value):
 
     def at(self, view: int, T_object_scanner: Floats, pool: "SearchPoses", candidate: int | None) -> "SearchPoses":
         """Return the poses with one view moved to a pose (4, 4) [m], which is that of a candidate or near its own."""
-        T, distance, origin, moved = (
-            each.copy() for each in (self.T_object_scanner, self.distance, self.origin, self.moved)
-        )
+        T, distance = self.T_object_scanner.copy(), self.distance.copy()
+        origin, moved = self.origin.copy(), self.moved.copy()
         T[view], moved[view] = T_object_scanner, candidate is None
         if candidate is not None:
             distance[view], origin[view] = pool.distance[candidate], pool.origin[candidate]
