@@ -31,8 +31,8 @@ from cell.plan.candidates import (
     with_grown,
 )
 from cell.plan.evaluation import OptionalResults, plan_report
-from cell.plan.pose_search import Append
 from cell.plan.motion import ConnectedPlan, connect_views
+from cell.plan.pose_search import Append
 from cell.plan.selection import SelectionProblem, least_view_times, select_views
 from cell.scene.model import Scene
 from cell.scene.settle import SettledScene

@@ -140,11 +140,11 @@ def poses_of(candidates: Viewpoints, which: Ints) -> SearchPoses:
     )
 
 
-def largest_reach(scanner: Scanner) -> float:
-    """Return the largest distance of source and sensor from a measured point [m]."""
-    places = find_frustum(scanner).points
-    ends = np.stack([scanner.source, scanner.sensor])
-    return float(np.linalg.norm(places[:, None] - ends, axis=2).max(initial=0.0)) * 1.02
+def distances_of(scanner: Scanner) -> tuple[float, float]:
+    """Return the smallest and largest distance of source and sensor from a measured point [m]."""
+    places, ends = find_frustum(scanner).points, np.stack([scanner.source, scanner.sensor])
+    distance = np.linalg.norm(places[:, None] - ends, axis=2)
+    return float(distance.min()), float(distance.max())
 
 
 def _table(
@@ -159,8 +159,8 @@ def _table(
     weights = np.where(is_easy, float(_THINNED), 1.0)[kept]
     samples = pick_samples(samples, np.flatnonzero(kept))
     targets = RayTargets.of(samples.points, samples.normals, samples.region)
-    casters = cast(Sequence[DirectionCaster], known.casters)
-    table = DirectionTable.build(targets, known.scanner, casters, largest_reach(known.scanner))
+    part, *occluders = cast(Sequence[DirectionCaster], known.casters)
+    table = DirectionTable.build(targets, known.scanner, part, occluders, distances_of(known.scanner))
     coverable = table.measured(pool.T_object_scanner).any(axis=1)
     needed = np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=1))
     # Shares of the coverable area: the shortfall on held-out samples has the same unit.

@@ -9,9 +9,9 @@ The grid is turned about the normal by another angle for each sample. Otherwise 
 direction to the same side, and views along an axis would be wrong on all of them together.
 
 The table is built from coarse to fine: a node is cast only if its coarser neighbours differ, so that an occluder
-between coarse nodes may be missed. A line of sight ends at the largest distance of a measurement. A position in front
-of an occluder counts as hidden, and a position inside the convex hull of the part may be judged wrongly. The table
-therefore proposes poses, and exact rays decide. Object frame, metres.
+between coarse nodes may be missed. Sensors are outside the convex hull of the part, but may be between the part and a
+post, floor or fixture. Occluders are therefore cast with the lengths of `N_RANGES` ranges of distance, one table for
+each. The table proposes poses, and exact rays decide. Object frame, metres.
 """
 
 from collections.abc import Sequence
@@ -28,6 +28,9 @@ from planner.viewpoints.lines_of_sight import RayTargets, in_view_matrix
 
 N_NODES = 33
 """Nodes along each axis of the grid: 5.6 degrees between neighbours."""
+
+N_RANGES = 4
+"""Ranges of distance between sample and source or sensor, each with its own table of occluders."""
 
 _COARSEST = 4  # nodes between two nodes of the first level; a power of two
 _GOLDEN = (np.sqrt(5.0) - 1) / 2
@@ -46,41 +49,59 @@ class DirectionTable(Value):
     Attributes:
         targets: the S samples.
         frames: (S, 12) point [m], normal, tangent and bitangent of each sample.
-        bits: (S, B) free nodes, packed.
+        bits: (N_RANGES, S, B) free nodes, packed, for each range of distance.
+        ranges: (2,) beginning [m] of the first range, and number of ranges for each metre.
         scanner: sensor model.
         limits: (13,) compiled limits of the scanner; None: its `reject` is called.
     """
 
     targets: RayTargets
     frames: Annotated[Floats32, "S 12"]
-    bits: Annotated[Bytes, "S B"]
+    bits: Annotated[Bytes, "R S B"]
+    ranges: Annotated[Floats32, "2"]
     scanner: Scanner
     limits: Annotated[Floats32, "13"] | None
 
     @classmethod
     def build(
-        cls, targets: RayTargets, scanner: Scanner, casters: Sequence[DirectionCaster], reach: float
+        cls,
+        targets: RayTargets,
+        scanner: Scanner,
+        part: DirectionCaster,
+        occluders: Sequence[DirectionCaster],
+        distances: tuple[float, float],
     ) -> "DirectionTable":
         """Cast the nodes of all samples.
 
         Args:
             targets: S samples.
             scanner: sensor model.
-            casters: of the part and of occluders.
-            reach: largest distance of source and sensor from a measured point [m].
+            part: caster of the part.
+            occluders: casters of everything else.
+            distances: smallest and largest distance of source and sensor from a measured point [m].
         """
+        near, far = distances
         points, normals = targets.points.T, targets.normals.T
         tangent, bitangent = _tangents(normals, 2 * np.pi * (_GOLDEN * np.arange(len(targets)) % 1.0))
         frames = np.concatenate([points, normals, tangent, bitangent], axis=1).astype(np.float32)
-        nodes = _node_directions()
-        bits = []
+        lengths = near + (far - near) * (np.arange(N_RANGES) + 0.5) / N_RANGES
+        bits = np.empty((N_RANGES, len(targets), (N_NODES * N_NODES + 7) // 8), dtype=np.uint8)
         for first in range(0, len(targets), _TOGETHER):
-            free = _cast(targets.lifted[first : first + _TOGETHER], frames[first : first + _TOGETHER], nodes,
-                         casters, reach)  # fmt: skip
-            bits.append(np.packbits(free, axis=1, bitorder="little"))
-        packed = np.concatenate(bits) if bits else np.empty((0, (len(nodes) + 7) // 8), dtype=np.uint8)
+            some = slice(first, first + _TOGETHER)
+            lifted, local = targets.lifted[some], frames[some]
+            free = _cast(lifted, local, (part,), far)
+            others = np.ones_like(free)
+            near_occluders = np.arange(len(lifted))
+            for number in reversed(range(N_RANGES)):  # a sample that is free at one length is free at shorter ones
+                if len(near_occluders) and occluders:
+                    cast = _cast(lifted[near_occluders], local[near_occluders], occluders, float(lengths[number]))
+                    others[near_occluders] = cast
+                    near_occluders = near_occluders[~cast.all(axis=1)]
+                bits[number, some] = np.packbits(free & others, axis=1, bitorder="little")
         limits = scanner.area_limits if isinstance(scanner, AreaLimits) else None
-        return cls(targets, frames, packed, scanner, None if limits is None else np.array(limits, dtype=np.float32))
+        ranges = np.array([near, N_RANGES / (far - near)], dtype=np.float32)
+        compiled_limits = None if limits is None else np.array(limits, dtype=np.float32)
+        return cls(targets, frames, bits, ranges, scanner, compiled_limits)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -90,7 +111,7 @@ class DirectionTable(Value):
         targets = self.targets
         region = None if targets.region is None else targets.region[rows]
         some = RayTargets(targets.points[:, rows], targets.normals[:, rows], targets.lifted[rows], region)
-        return DirectionTable(some, self.frames[rows], self.bits[rows], self.scanner, self.limits)
+        return DirectionTable(some, self.frames[rows], self.bits[:, rows], self.ranges, self.scanner, self.limits)
 
     def weights_measured(
         self, T_object_scanner: Floats, rows: Ints, weights: Floats, threshold: float = -np.inf
@@ -107,7 +128,7 @@ class DirectionTable(Value):
             return np.asarray(weights @ self.measured(T_object_scanner, rows))
         result = np.empty(len(T_object_scanner))
         poses, nothing = self._packed(T_object_scanner), np.empty((0, 0), dtype=np.uint8)
-        evaluate(self.frames, self.bits, rows, weights, poses, self.limits, threshold, result, nothing)
+        evaluate(self.frames, self.bits, self.ranges, rows, weights, poses, self.limits, threshold, result, nothing)
         return result
 
     def measured(self, T_object_scanner: Floats, rows: Ints | None = None) -> Bools:
@@ -116,15 +137,15 @@ class DirectionTable(Value):
         poses, found = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
         if self.limits is not None:
             evaluate(
-                self.frames, self.bits, rows, np.zeros(len(rows)), poses, self.limits, -np.inf, np.empty(len(poses)),
-                found,
+                self.frames, self.bits, self.ranges, rows, np.zeros(len(rows)), poses, self.limits, -np.inf,
+                np.empty(len(poses)), found,
             )  # fmt: skip
             return found.T.astype(np.bool_)
         together = max(1, _PAIRS // max(len(rows), 1))
         for first in range(0, len(poses), together):
             some = slice(first, first + together)
             found[some] = in_view_matrix(self.targets, T_object_scanner[some], self.scanner, rows)
-        mark_free(self.frames, self.bits, rows, poses, found)
+        mark_free(self.frames, self.bits, self.ranges, rows, poses, found)
         return found.T.astype(np.bool_)
 
     def _packed(self, T_object_scanner: Floats) -> Floats32:
@@ -158,8 +179,9 @@ def _node_directions() -> Floats32:
     return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True), dtype=np.float32)
 
 
-def _cast(lifted: Floats, frames: Floats32, nodes: Floats32, casters: Sequence[DirectionCaster], reach: float) -> Bytes:
-    """Return (s, N * N) whether each node of s samples is free."""
+def _cast(lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], length: float) -> Bytes:
+    """Return (s, N * N) whether each node of s samples is free up to a length [m]."""
+    nodes = _node_directions()
     free = np.full((len(lifted), N_NODES, N_NODES), _UNKNOWN, dtype=np.uint8)
     local = frames[:, [6, 7, 8, 9, 10, 11, 3, 4, 5]].reshape(-1, 3, 3)
     step = _COARSEST
@@ -170,7 +192,7 @@ def _cast(lifted: Floats, frames: Floats32, nodes: Floats32, casters: Sequence[D
         is_free = np.ones(len(sample), dtype=np.bool_)
         for caster in casters:
             alive = np.flatnonzero(is_free)
-            is_free[alive] = ~caster.blocked_along(lifted[sample[alive]], directions[alive], reach)
+            is_free[alive] = ~caster.blocked_along(lifted[sample[alive]], directions[alive], length)
         free[sample, row, column] = is_free
         if step == 1:
             return free.reshape(len(lifted), -1)
@@ -197,8 +219,8 @@ def subdivide(free: Bytes, step: int) -> None:
 
 
 @compiled
-def _is_free(frames: Floats32, bits: Bytes, row: int, x: float, y: float, z: float) -> bool:
-    """Return whether the line of sight from a sample along (x, y, z), of any length, is free."""
+def _is_free(frames: Floats32, bits: Bytes, ranges: Floats32, row: int, x: float, y: float, z: float) -> bool:
+    """Return whether the line of sight from a sample along (x, y, z) [m] is free."""
     a = frames[row, 6] * x + frames[row, 7] * y + frames[row, 8] * z
     b = frames[row, 9] * x + frames[row, 10] * y + frames[row, 11] * z
     c = frames[row, 3] * x + frames[row, 4] * y + frames[row, 5] * z
@@ -209,19 +231,21 @@ def _is_free(frames: Floats32, bits: Bytes, row: int, x: float, y: float, z: flo
     i = int((a + b) * scale + half + np.float32(0.5))
     j = int((a - b) * scale + half + np.float32(0.5))
     node = i * N_NODES + j
-    return bool((bits[row, node >> 3] >> (node & 7)) & 1)
+    level = min(max(int((np.sqrt(x * x + y * y + z * z) - ranges[0]) * ranges[1]), 0), len(bits) - 1)
+    return bool((bits[level, row, node >> 3] >> (node & 7)) & 1)
 
 
 @compiled
 def evaluate(
-    frames: Floats32, bits: Bytes, rows: Ints, weights: Floats, poses: Floats32, limits: Floats32,
-    threshold: float, sums: Floats, found: Bytes,
+    frames: Floats32, bits: Bytes, ranges: Floats32, rows: Ints, weights: Floats, poses: Floats32,
+    limits: Floats32, threshold: float, sums: Floats, found: Bytes,
 ) -> None:  # fmt: skip
     """Evaluate poses by the conditions of `planner.ports.AreaLimits` and the table; written out for speed.
 
     Args:
         frames: of the samples.
         bits: of the samples.
+        ranges: of distance.
         rows: (m,) samples.
         weights: (m,) of them.
         poses: (n, 18) from `_packed`.
@@ -235,6 +259,7 @@ def evaluate(
     front, back, cos_t, sin_t = limits[7], limits[8], limits[11], limits[12]
     cos_source, cos_sensor = limits[9] * abs(limits[9]), limits[10] * abs(limits[10])
     half, rounding = np.float32((N_NODES - 1) // 2), np.float32(0.5)
+    begin, density, last = ranges[0], ranges[1], len(bits) - 1
     marks, weight_of_all = len(found) > 0, 0.0
     for m in range(len(rows)):
         weight_of_all += weights[m]
@@ -285,12 +310,14 @@ def evaluate(
             a, b = t_x * l_x + t_y * l_y + t_z * l_z, b_x * l_x + b_y * l_y + b_z * l_z
             scale = half / (abs(a) + abs(b) + c)
             node = int((a + b) * scale + half + rounding) * N_NODES + int((a - b) * scale + half + rounding)
-            if (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
+            level = min(max(int((np.sqrt(squared) - begin) * density), 0), last)
+            if (bits[level, row, node >> 3] >> (node & 7)) & 1 == 0:
                 continue
             a, b = t_x * e_x + t_y * e_y + t_z * e_z, b_x * e_x + b_y * e_y + b_z * e_z
             scale = half / (abs(a) + abs(b) + g)
             node = int((a + b) * scale + half + rounding) * N_NODES + int((a - b) * scale + half + rounding)
-            if (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
+            level = min(max(int((np.sqrt(u * u + across) - begin) * density), 0), last)
+            if (bits[level, row, node >> 3] >> (node & 7)) & 1 == 0:
                 continue
             total += weights[m]
             if marks:
@@ -299,7 +326,7 @@ def evaluate(
 
 
 @compiled
-def mark_free(frames: Floats32, bits: Bytes, rows: Ints, poses: Floats32, found: Bytes) -> None:
+def mark_free(frames: Floats32, bits: Bytes, ranges: Floats32, rows: Ints, poses: Floats32, found: Bytes) -> None:
     """Clear (n, m) `found` where a line of sight of a pose to a row is not free."""
     for k in range(len(poses)):
         pose = poses[k]
@@ -307,6 +334,6 @@ def mark_free(frames: Floats32, bits: Bytes, rows: Ints, poses: Floats32, found:
             row = rows[m]
             if found[k, m]:
                 p_x, p_y, p_z = frames[row, 0], frames[row, 1], frames[row, 2]
-                found[k, m] = _is_free(frames, bits, row, pose[12] - p_x, pose[13] - p_y, pose[14] - p_z) and _is_free(
-                    frames, bits, row, pose[15] - p_x, pose[16] - p_y, pose[17] - p_z
-                )
+                found[k, m] = _is_free(
+                    frames, bits, ranges, row, pose[12] - p_x, pose[13] - p_y, pose[14] - p_z
+                ) and _is_free(frames, bits, ranges, row, pose[15] - p_x, pose[16] - p_y, pose[17] - p_z)

@@ -16,7 +16,7 @@ from planner.measurability.visibility import find_measured
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import aim_viewpoints
 
-REACH = 0.4
+DISTANCES = (0.1, 0.4)
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def case():
 def _table(case, scanner):
     samples, caster, _ = case
     targets = RayTargets.of(samples.points, samples.normals)
-    return DirectionTable.build(targets, scanner, (caster,), REACH)
+    return DirectionTable.build(targets, scanner, caster, (), DISTANCES)
 
 
 @pytest.mark.parametrize(
@@ -100,10 +100,29 @@ def test_occluders_hide(case):
     plate = trimesh.creation.box((2.0, 2.0, 0.01))
     plate.apply_translation((0, 0, 0.1))
     targets = RayTargets.of(samples.points, samples.normals)
-    casters = (caster, EmbreeRayCaster(plate.vertices, plate.faces))
-    table = DirectionTable.build(targets, LaserArea(), casters, REACH)
+    occluder = EmbreeRayCaster(plate.vertices, plate.faces)
+    table = DirectionTable.build(targets, LaserArea(), caster, (occluder,), DISTANCES)
     outward = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     T = aim_viewpoints(np.zeros((2, 3)), outward, np.full(2, -1), [0.25], [0.0]).T_object_scanner[:, 0]
     above, below = table.measured(T).sum(axis=0)
     assert above == 0
     assert below == _table(case, LaserArea()).measured(T)[:, 1].sum() > 100
+
+
+def test_occluders_behind_the_scanner_do_not_hide(case):
+    """Exact rays agree for a plate behind the source, in front of it and without a plate."""
+    samples, caster, _ = case
+    targets = RayTargets.of(samples.points, samples.normals)
+    outward = np.array([[0.0, 0.0, 1.0]])
+    T = aim_viewpoints(np.zeros((1, 3)), outward, np.full(1, -1), [0.22], [0.0]).T_object_scanner[:, 0]
+    measured = []
+    for height in (0.12, 0.32):
+        plate = trimesh.creation.box((2.0, 2.0, 0.01))
+        plate.apply_translation((0, 0, height))
+        occluder = EmbreeRayCaster(plate.vertices, plate.faces)
+        table = DirectionTable.build(targets, LaserArea(), caster, (occluder,), DISTANCES)
+        exact = find_measured(T[:, None], samples, LaserArea(), (caster, occluder))
+        assert (table.measured(T)[:, 0] != exact).mean() < 0.01
+        measured.append(int(exact.sum()))
+    assert measured[0] == 0
+    assert measured[1] > 100

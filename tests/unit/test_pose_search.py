@@ -36,7 +36,7 @@ def case():
     M = fill_matrix(candidates, samples, scanner, caster)
     chosen = solve(CoverProblem(M.matrix(), samples.areas, coverage=0.98), rng=np.random.default_rng(0)).views
     pool = SearchPoses(candidates.T_object_scanner[:, 0], np.full(N, 0.1), np.arange(N), np.zeros(N, dtype=bool))
-    table = DirectionTable.build(RayTargets.of(samples.points, samples.normals), scanner, (caster,), 0.2)
+    table = DirectionTable.build(RayTargets.of(samples.points, samples.normals), scanner, caster, (), (0.05, 0.16))
     return samples, scanner, caster, pool, np.sort(chosen), table
 
 
