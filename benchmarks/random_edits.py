@@ -89,7 +89,7 @@ def _wrong(rng: np.random.Generator, run: Run) -> RandomEdit:
         ({"drop": [n + 3]}, f"view {n + 3}; the plan has the views 1 to {n}"),
         ({"turn": {n + 1: 90.0}}, f"view {n + 1}; the plan has the views 1 to {n}"),
         ({"add_candidate": [total]}, f"no candidate {total} to add; there are candidates 0 to {total - 1}"),
-        ({"add_candidate": [int(run.candidate[twice])]}, f"view {n + 1} would be the same pose as view {twice + 1}"),
+        ({"add_candidate": [int(run.candidate[twice])]}, f"view {n + 1} would have the same pose as view {twice + 1}"),
         ({"order": list(range(n, 1, -1))}, "the order leaves out 1"),
         ({"drop": list(range(1, n + 1))}, "leaves no view"),
         ({"drop": [2], "turn": {2: 90.0}}, "view 2 twice"),

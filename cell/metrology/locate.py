@@ -223,7 +223,7 @@ def _clouds_of_files(run: Run, options: LocateOptions) -> _Measured:
     """Read the points of a file, or of a folder's files."""
     path, views = Path(str(options.points)).expanduser(), options.view or (1,)
     if not path.is_dir() and len(views) > 1:
-        raise UsageError(f"{path} is one file, and {len(views)} views are named; give one view, or a folder of files")
+        raise UsageError(f"{path} is one file, and {len(views)} views are given; give one view, or a folder of files")
     clouds = []
     for view in views:
         file = point_files.file_of_view(path, view) if path.is_dir() else path
@@ -249,7 +249,7 @@ def _scans_of_execution(run: Run, options: LocateOptions) -> _Measured:
         f"execution {recorded.folder.name} ({'; '.join(sources)})",
         views,
         [ScanCloud(scans[view].points, scans[view].T_reported[:3, 3]) for view in views],
-        ("the points are simulated: they tell the placement in the simulation, not the real one",)
+        ("the points are simulated: the result is the placement in the simulation, not that of a real part",)
         if any(scans[view].T_true is not None for view in views)
         else (),
     )
@@ -259,7 +259,7 @@ def _read_named_points(run: Run, options: LocateOptions, file: str) -> tuple[tup
     """Read names, nominal points (N, 3) in the object frame and measured points (N, 3) in base [m]."""
     path, views = Path(file).expanduser(), options.view or (1,)
     if len(views) > 1:
-        raise UsageError(f"named points are measured from one view, and {len(views)} are named; give one of them")
+        raise UsageError(f"named points are measured from one view, and {len(views)} are given; give one of them")
     names, rows = [], []
     for number, words in enumerate(point_files.words_of_lines(path), 1):
         if not words or words[0].startswith("#"):

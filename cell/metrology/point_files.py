@@ -95,7 +95,7 @@ def _ply(content: bytes) -> Floats:
     header, found, body = content.partition(b"end_header")
     lines = [line.split() for line in header.decode("ascii").splitlines()]
     if not found or lines[0] != ["ply"]:
-        raise ValueError("it is no complete PLY")
+        raise ValueError("it is not a complete PLY")
     kind = {line[0]: line[1] for line in lines if len(line) > 1}["format"]
     elements = [number for number, line in enumerate(lines) if line[:1] == ["element"]]
     if not elements or lines[elements[0]][1] != "vertex":
@@ -113,7 +113,7 @@ def _ply(content: bytes) -> Floats:
 def _pcd(content: bytes) -> Floats:
     header, found, rest = content.partition(b"DATA ")
     if not found:
-        raise ValueError("it is no complete PCD")
+        raise ValueError("it is not a complete PCD")
     keys = {line.split()[0]: line.split()[1:] for line in header.decode("ascii").splitlines() if line[:1] not in "# "}
     kind, _, body = rest.partition(b"\n")
     count = int(keys["POINTS"][0]) if "POINTS" in keys else int(keys["WIDTH"][0]) * int(keys["HEIGHT"][0])

@@ -166,7 +166,7 @@ def _parse_ascii_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
         except ValueError:
             numbers = np.zeros(0)
     if len(numbers) != 3 * len(corners):
-        raise FileError(f"{path} has a vertex that is no three numbers; it is broken, export it again")
+        raise FileError(f"{path} has a vertex without three numbers; it is broken, export it again")
     if len(numbers) % 9:
         raise FileError(f"{path} is cut short: its last facet is not complete; export or copy the mesh again")
     return numbers.reshape(-1, 3), np.arange(len(numbers) // 3).reshape(-1, 3)

@@ -124,10 +124,12 @@ def require_confirmation(
         )
     if confirm is None:
         raise UsageError(
-            f"{danger}; give --confirm-motion {digest} once nobody is within its reach and the emergency stop is at "
-            "hand"
+            f"{danger}; check that no person is within its reach and the emergency stop is at hand, then give "
+            f"--confirm-motion {digest}"
         )
-    question = f"{danger}. Nobody within its reach, emergency stop at hand? Type yes to move: "
+    question = (
+        f"{danger}. Check that no person is within its reach and the emergency stop is at hand. Type yes to move: "
+    )
     if confirm(question).strip().lower() != "yes":
         raise UsageError("not confirmed; nothing was moved")
 
@@ -148,7 +150,7 @@ def require_time_scale(driver: Driver, accepted: float | None) -> None:
         )
     raise UsageError(
         f"{able.controller} reports a clock {able.time_scale:g} times as fast as real time, which only an emulator "
-        f"has; nothing was moved: if it is one, give --accept-time-scale {able.time_scale:g}"
+        f"has; nothing was moved: if it is an emulator, give --accept-time-scale {able.time_scale:g}"
     )
 
 

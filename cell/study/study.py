@@ -213,7 +213,7 @@ def _draw(folder: Path, stem: str, figure: Figure) -> str:
 
 
 def _report(title: str, result: StudyResult, pictures: Sequence[str]) -> str:
-    lines = [f"# {title} ([look at it]({PAGE_FILE}))", ""]
+    lines = [f"# {title} ([view]({PAGE_FILE}))", ""]
     for sentence in result.sentences:
         lines += [sentence, ""]
     lines += [line for name in pictures for line in (f"![{Path(name).stem}]({name})", "")]

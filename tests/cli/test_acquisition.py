@@ -307,7 +307,7 @@ def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, t
     ("name", "content", "words"),
     [
         ("a.stl", b"solid", "'.stl'"),
-        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\n", "no complete PLY"),
+        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\n", "not a complete PLY"),
         ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\nend_header\n12", "ends"),
         ("a.pcd", b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 1\nDATA binary_compressed\n", "binary_compressed"),
         ("a.xyz", b"1 2\n", "fewer than three"),
@@ -333,7 +333,7 @@ def test_a_file_without_points_is_one_sentence(tmp_path: Path, name: str, conten
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"acquire": "files:/nowhere"}, "is no folder"),
+        ({"acquire": "files:/nowhere"}, "is not a folder"),
         ({"acquire": "laser"}, "installed are: command, files, simulated"),
         ({"acquire": "command:"}, "names no command"),
         ({"acquire": "command:true"}, "never guessed"),
