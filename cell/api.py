@@ -139,7 +139,7 @@ def scan(
         options: options as one value. None takes them from the keywords.
         progress: callback or reporter of the progress. None reports nothing.
         argv: command line to record in the manifest.
-        ask: callback that asks a person to confirm the motion of a real robot. None if nobody is present.
+        ask: callback that asks a person to confirm the motion of a real robot. None without a user.
         confirm: digest of the plan (`run.digest`) whose motion is confirmed. A real robot does not move without it or
             a confirmation by `ask`. `sim://` needs neither.
         **keywords: options of `cell scan` by name: `driver="modbus://192.168.1.10"`, `resolution=0.5`, `seed=7`.
@@ -229,7 +229,7 @@ def explore(
             one below sim_runs/.
         progress: callback or reporter of the progress. None reports nothing.
         argv: command line to record in the manifests.
-        ask: callback that asks a person to confirm the motion of a real robot. None if nobody is present.
+        ask: callback that asks a person to confirm the motion of a real robot. None without a user.
         **keywords: options of `cell explore` by name: `place=(1200, 500, 0)`, `policy="two-stage"`, `max_views=12`.
 
     Raises:

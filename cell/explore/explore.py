@@ -120,7 +120,7 @@ def _plan_next(
 
 
 def explain_remaining(work: ExplorationContext, file: ExploreFile, known: Belief) -> UncoveredReport | None:
-    """Return the uncovered surface of all that the part may be, by cause; None if there is none."""
+    """Return the uncovered belief surface by cause; None if all is covered."""
     number, request = len(file.stages) + 1, BatchRequest(known.space, known.record, Batch(0), 0.0)
     work.paths.clear(number)
     whole = known.space.belief_voxels(unlimited=True)
@@ -250,7 +250,7 @@ def _update_belief(
         after = after.with_votes(scan.points, source, sensor, frustum.blank(scan.points, T), frustum.near, frustum.far)
         found |= request.sees[:, view] & frustum.answered(expected.points, scan.points[before.is_new(scan.points)], T)
     taken = (*known.scans, *scans)
-    if request.on == MEASURED:  # what lies between points is no news of what is believed
+    if request.on == MEASURED:  # gains on the measured surface do not change the record of the belief surface
         return Belief(after, known.record, taken)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part

@@ -1,4 +1,4 @@
-"""Options of `cell explore` beside those of the scene and of an execution."""
+"""Options of `cell explore` in addition to those of the scene and of an execution."""
 
 import re
 from typing import Annotated, Literal

@@ -117,7 +117,7 @@ def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints
 def _parse_with_trimesh(path: Path, suffix: str, content: bytes) -> tuple[Floats, Ints]:
     import trimesh  # half a second of start-up that only a mesh file needs
 
-    trimesh.util.log.setLevel(logging.CRITICAL)  # what it logs of broken files, tracebacks among it, is said here
+    trimesh.util.log.setLevel(logging.CRITICAL)  # its log of broken files is replaced by the message below
     try:
         with warnings.catch_warnings(action="ignore"):
             loaded: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], process=False)

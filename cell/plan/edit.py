@@ -2,7 +2,7 @@
 
 Cell, candidates, reach and matrix are read from the files of the run, bit for bit. A candidate keeps its number: a pose
 that is a candidate already is that candidate, another pose is appended behind the last one. Own arm, motion, clearance,
-timing and coverage are computed again. If the part is placed elsewhere, its views move with it. In the part's own frame
+timing and coverage are computed again. If the placement changes, the views move with the part. In the part's own frame
 candidates, samples and lines of sight past the part stay the same; reach and occlusion by the surroundings are computed
 again for every candidate. Object frame, metres, radians.
 """
@@ -46,7 +46,7 @@ from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints, aim_viewpoints, join_viewpoints, pick_viewpoints
 
 SAME_POSE = 1e-9
-"""Poses whose entries differ by no more are one pose [m, and entries of rotations]."""
+"""Largest difference of the entries of equal poses [m, and entries of rotations]."""
 
 _ROUNDING = 1e-9  # of shares that are summed in another order
 _REPAIR = "--repair adds the fewest views that restore it"
@@ -306,7 +306,7 @@ def _problem(
     session: PlanSession, settled: SettledScene, before: Run, wanted: Edit, cell: Cell, measured: MeasuredSet,
     edited: EditedViews, *, is_moved: bool,
 ) -> SelectionProblem:  # fmt: skip
-    """Request these views; with repair, the fewest beside them. Unchanged views keep their order."""
+    """Request these views; with repair, the fewest additional ones. Unchanged views keep their order."""
     options = settled.scene.plan
     if wanted.repair:
         pinned = tuple(dict.fromkeys((*edited.views, *options.pinned)))

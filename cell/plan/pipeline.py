@@ -83,7 +83,7 @@ class OpenRun:
         session: with the open folder.
         settled: scene, part and scanner.
         exit_code: of the finished run.
-        stopped: reason if the run is to be abandoned; "" if it is to be finished.
+        stopped: reason for abandoning the run; "" to finish it.
     """
 
     session: PlanSession

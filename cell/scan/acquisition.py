@@ -135,7 +135,7 @@ class Acquisition(Protocol):
     source: str
 
     def take(self, view: View) -> Acquired | None:
-        """Return the points; None if there are none: the view is then missing, and a later resume takes it."""
+        """Return the points; None if there are none: the view is then missing, and a later resume scans it."""
         ...
 
 

@@ -47,7 +47,7 @@ _REPORT_BYTES = 50e6  # disk for the report, its pictures and the surface
 class ApprovedMotion:
     """A verified motion that may be driven after confirmation.
 
-    A path that differs from the plan's motion has a digest of its own: to one view and back (`--view`), or from the
+    A path that differs from the plan's motion has its own digest: to one view and back (`--view`), or from the
     current position of the arm to the remaining segments (`--resume`). `cell.runs.digest` defines the digest.
 
     Attributes:
@@ -107,10 +107,10 @@ def require_confirmation(
         speed: fraction of the axis speeds.
         motion: to be driven.
         given: digest from an option, or its first characters; or `ANY_MOTION`.
-        confirm: puts the question to a person; None if nobody answers.
+        confirm: asks the user; None without a user.
 
     Raises:
-        UsageError: if nobody confirms, or the confirmation is for another motion.
+        UsageError: without a confirmation, or if it is for another motion.
     """
     able = driver.capabilities
     if not able.hardware or given == ANY_MOTION or (given is not None and motion.digest.startswith(given)):

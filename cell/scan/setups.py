@@ -300,7 +300,7 @@ def _read_body(session: Session[None], number: int, folder: Path, name: str) -> 
     nearest = ClosestPointQuery(cell.reference)
     search = None if options.search_range is None else SearchRange(*options.search_range)
     if search is None and any(scan.T_true is None for scan in scans):
-        search = SearchRange()  # nobody places a part to a tenth of a millimetre
+        search = SearchRange()  # no part is placed to a tenth of a millimetre by hand
     rng = random_stream(recorded.manifest.require_seed(recorded.folder), Stream.REGISTRATION_STARTS)
     merged = merge_scans(scans, nearest, registered=options.registers, search=search, rng=rng)
     doubts = find_contradictions(scans, cell, nearest, options.points_units)

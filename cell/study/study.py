@@ -72,7 +72,7 @@ class StudyResult:
         failed: outcomes of the failed trials.
         computed: number of trials computed now; the others were cached.
         shown: columns for a terminal.
-        commands: command that plans each row; empty: there are none.
+        commands: command that plans each row; empty without commands.
         best: number of the best row, from 0; None: no row is marked.
     """
 

@@ -1,4 +1,4 @@
-"""Checks of a scene before anything moves: what makes it impossible, and what is probably a mistake.
+"""Checks of a scene before anything moves: errors and probable mistakes.
 
 **Problems** (`find_problems`) make a scene impossible: a part inside a table or the robot, a fixture inside the arm at
 home, a scanner that sees its own housing. They are checked for everything stationary (`cell.world.collision` checks
@@ -357,7 +357,7 @@ def _arm_near_cell(world: World) -> list[str]:
 
 
 def _home_in_table_swing(world: World) -> list[str]:
-    """Check the arm at home, where it waits, with what an indexed table turns."""
+    """Check the arm at home against the objects that an indexed table turns."""
     if world.limits.table_turn_q is None:
         return []
     checker, angles = MujocoCollisionChecker(world), np.repeat(world.home[None], 361, axis=0)
@@ -482,7 +482,7 @@ def _connected(contacts: dict[str, set[str]], start: list[str], without: str = "
 
 
 class _Rest:
-    """The contacts of an object with what is vertically below it.
+    """The contacts of an object with the objects vertically below it.
 
     Args:
         solid: the object.
@@ -593,7 +593,7 @@ class CheckResult:
 
     Attributes:
         problems: what makes the scene impossible, one sentence each; empty for a scene that can be planned.
-        warnings: what is probably a mistake, one sentence each.
+        warnings: probable mistakes, one sentence each.
         findings: notes of the checks of the part.
         part: name of the part.
         part_size_mm: sides of its bounding box.

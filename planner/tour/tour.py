@@ -110,7 +110,7 @@ def plan_tour(
     """Plan the motion that visits every view once, from home and back.
 
     Args:
-        visits: views and home; configurations that are not free are left out.
+        visits: views and home; configurations in collision are omitted.
         checker: collision checker with a clearance above 0.
         limits: limits of the axes; scale them (`planner.timing.limits.scale_limits`) to order for a reduced speed.
         rng: source of all randomness.
