@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.api import explore, open_run, plan, scan
+from cell.api import edit, explore, open_run, plan, scan
 from cell.errors import FileError, SceneError, UsageError
-from cell.plan.edit import EditableRun
 from cell.runs.run import Run
 from cell.scene.file import load_scene
 
@@ -28,7 +27,7 @@ def _cache(cache: Path) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def planned(tmp_path_factory: pytest.TempPathFactory) -> EditableRun:
+def planned(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Return a small plan of a ball in memory."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=60.0)
     return plan(ball, units="mm", out=tmp_path_factory.mktemp("api") / "run", **_QUICK)
@@ -64,7 +63,7 @@ def test_a_run_opened_again_is_the_same_value(planned: Run) -> None:
     again = open_run(str(planned.folder))
     assert again.report == planned.report
     assert np.array_equal(again.q, planned.q)
-    assert np.array_equal(again.reference.faces, planned.reference.faces)
+    assert np.array_equal(again.part.faces, planned.part.faces)
 
 
 def test_a_mesh_in_memory_is_planned_as_its_file(
@@ -90,9 +89,9 @@ def test_a_mesh_in_memory_is_planned_as_its_file(
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_plan_of_a_mesh_in_memory_can_be_edited(planned: EditableRun, tmp_path: Path) -> None:
+def test_a_plan_of_a_mesh_in_memory_can_be_edited(planned: Run, tmp_path: Path) -> None:
     """A plan of a mesh in memory can be edited; dropping a view leaves the others unchanged."""
-    edited = planned.edited(drop=1, keep_order=True, out=tmp_path / "edited")
+    edited = edit(planned, drop=1, keep_order=True, out=tmp_path / "edited")
     assert edited.candidate.tolist() == planned.candidate.tolist()[1:]
 
 
