@@ -59,7 +59,7 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     own = planning.SetupSearch
     planning.solve_grouped, planning.SetupSearch = record, Kept  # type: ignore[misc]
     try:
-        made = api.plan_setups(words[0], out=folder / name, **options_of_part)
+        made = api.setups(words[0], out=folder / name, **options_of_part)
     except CellError as error:
         return {"part": name, "error": str(error)[:100]}
     finally:
