@@ -80,7 +80,7 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
     """Load a part from a mesh or STEP file, or a built-in part by its name.
 
     Args:
-        source: a mesh file (.stl, .obj, .ply, .off, .glb), a STEP file (.stp, .step) or the name of a built-in part.
+        source: a mesh file (.stl, .obj, .ply, .off, .glb, .gltf, .3mf), a STEP file (.stp, .step) or the name of a built-in part.
         units: unit of the file: m, cm, mm, um or in. It is never guessed; None for a built-in part and a STEP file, and
             for a GLB in metres.
 

@@ -108,7 +108,9 @@ def _part_table(name_or_path: str) -> dict[str, object]:
             raise UsageError(
                 f"there is no built-in part and no file {name_or_path}; {hint}Built in are {', '.join(BUILT_IN)}"
             )
-        raise FileError(f"there is no file {name_or_path}; give the path of a mesh (STL, OBJ, PLY, OFF or GLB)")
+        raise FileError(
+            f"there is no file {name_or_path}; give the path of a mesh (STL, OBJ, PLY, OFF, GLB, glTF or 3MF)"
+        )
     return {"path": str(path.absolute()), "units": None}
 
 
