@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from cell import files
 from cell.errors import FileError
 from cell.part import cad, glb, three_mf
 from cell.part.formats import STEP
@@ -51,7 +52,7 @@ def read_bytes(path: Path) -> bytes:
         if path.suffix.lower() not in SUFFIXES:
             kind = f"of the kind '{path.suffix}'" if path.suffix else "without a suffix"
             raise FileError(f"{path} is {kind}, which is not supported; supported are {supported}")
-        content = path.read_bytes()
+        content = files.read_bytes(path)
     except PermissionError as error:
         raise FileError(f"{path} cannot be read: permission denied; change its permissions or copy it") from error
     except OSError as error:
