@@ -19,6 +19,7 @@ from typing import Annotated, Self
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from cell.errors import FileError, SceneError
+from cell.files import read_bytes
 from cell.scene.fields import Positive, Table
 from cell.scene.validation import did_you_mean, error_messages
 
