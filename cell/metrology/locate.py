@@ -9,7 +9,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from cell.errors import FileError, SceneError, UsageError
-from cell.metrology import point_files
+from cell.metrology import point_files, point_tables
 from cell.metrology.options import LocateOptions
 from cell.part.workpiece import UNITS
 from cell.runs.cell import world_of
@@ -261,19 +261,15 @@ def _read_named_points(run: Run, options: LocateOptions, file: str) -> tuple[tup
     if len(views) > 1:
         raise UsageError(f"named points are measured from one view, and {len(views)} are given; give one of them")
     names, rows = [], []
-    for number, words in enumerate(point_files.words_of_lines(path), 1):
-        if not words or words[0].startswith("#"):
-            continue
-        try:
-            numbers = [float(word) for word in words[1:]]
-        except ValueError:
-            numbers = []
-        if len(numbers) != 6 or not np.isfinite(numbers).all():
+    for row in point_files.read_rows(path):
+        words = row.words
+        numbers = [point_tables.number_of(word) for word in words[1:]]
+        if len(numbers) != 6 or None in numbers or not np.isfinite(np.array(numbers, np.float64)).all():
             raise FileError(
-                f"{path}, line {number}: it must be a name and six numbers: x y z on the part, x y z measured"
+                f"{path}, line {row.line}: it must be a name and six numbers: x y z on the part, x y z measured"
             )
         if words[0] in names:
-            raise FileError(f"{path}, line {number}: the point '{words[0]}' occurs twice; name each point once")
+            raise FileError(f"{path}, line {row.line}: the point '{words[0]}' occurs twice; name each point once")
         names.append(words[0])
         rows.append(numbers)
     table = np.array(rows, dtype=np.float64).reshape(-1, 6) * _metres(options)
