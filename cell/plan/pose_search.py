@@ -46,17 +46,21 @@ class PoseSearch:
         effort: name or number of the requested effort.
         evaluated: evaluated poses.
         n_views: number of views at its end.
+        required: share of the coverable held-out samples that fewer views had to measure.
     """
 
     effort: str
     evaluated: int
     n_views: int
+    required: float
 
     def sentence(self, n_views: int) -> str:
         """Return the result for a plan of a number of views."""
+        if not self.evaluated:
+            return "Poses were not searched"
         begin = f"Pose search ({self.effort} effort, {self.evaluated:,} poses)"
         if n_views <= self.n_views:
-            return f"{begin} found no plan with {n_views - 1} views"
+            return f"{begin} found no plan with {n_views - 1} views at {100 * self.required:.2f} %"
         return f"{begin} found {self.n_views} views, which could not be connected"
 
 
@@ -108,12 +112,11 @@ def search_views(
     fixed = poses_of(problem.candidates, selection.cover.views[pinned])
     initial = np.searchsorted(usable, np.delete(selection.cover.views, pinned))
     is_holding = selection.satisfies(problem.request.targets)
+    least = min(plan.coverage + MARGIN, 1.0)
     if not (effort and is_holding and len(initial) > 1):
-        return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views))
+        return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views), least)
     table, weights = _table(problem, surface, pool, fixed, rng)
     evaluator = view_evaluator(problem.cell, known.scanner, known.casters)
-
-    least = plan.coverage + MARGIN
 
     def shortfall(views: SearchPoses) -> float:
         return least - known.share_of_coverable(join_poses([fixed, views]).T_object_scanner[:, None])
@@ -123,7 +126,7 @@ def search_views(
         are_reachable=lambda T: evaluator.are_reachable(T[:, None]), shortfall=shortfall, effort=effort, rng=rng,
         progress=progress,
     )  # fmt: skip
-    result = PoseSearch(plan.effort, found.evaluated, len(fixed) + len(found.views))
+    result = PoseSearch(plan.effort, found.evaluated, len(fixed) + len(found.views), least)
     if len(found.views) == len(initial):
         return problem, selection, result
     more, moved = _appended(problem, selection, join_poses([fixed, found.views]), append)
