@@ -45,8 +45,7 @@ def check(M: np.ndarray, configurations: list[np.ndarray], dwell: float) -> None
     assert bound + least_home_time(q, HOME, LIMITS) <= truth * (1 + 1e-12) + 1e-12
 
 
-@pytest.mark.parametrize("dwell", [0.0, 0.3, 2.5])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(("seed", "dwell"), [(0, 0.3), (1, 2.5), (3, 0.0)])
 def test_no_cover_with_its_tour_undercuts_the_bound(seed: int, dwell: float) -> None:
     """Seven candidates with up to two configurations, some unreachable: every cover of four, every tour over it."""
     rng = np.random.default_rng(seed)

@@ -66,7 +66,7 @@ FREE = {
 
 @pytest.mark.parametrize("shape", FREE)
 @pytest.mark.parametrize("noise", [0.0, 10e-6])
-def test_what_the_surface_does_not_show_is_said_and_not_corrected(shape: str, noise: float) -> None:
+def test_undetermined_motions_are_reported_and_not_corrected(shape: str, noise: float) -> None:
     """Rank, names and message are correct. The visible part of the error is corrected, the free motions are not."""
     true = _patch(shape)
     true[:, 2] += np.random.default_rng(0).normal(0, noise, len(true)) if noise else 0.0
@@ -189,7 +189,7 @@ def test_a_large_error_on_a_surface_with_features_is_found() -> None:
     np.testing.assert_allclose(scan.transformed(result.T_correction).points, _patch("saddle and ripples"), atol=2e-6)
 
 
-def test_too_few_steps_are_said() -> None:
+def test_too_few_steps_do_not_converge() -> None:
     """After one of several steps the scan has the status NOT_CONVERGED."""
     scan = ScanCloud(_patch("saddle and ripples") + np.array([0.008, 0.004, 0.0]), SENSOR)
     result = register([scan], _model("saddle and ripples"), samples=500, iterations=1)

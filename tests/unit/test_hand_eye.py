@@ -111,7 +111,7 @@ def test_the_standard_deviations_are_the_scatter_of_mounts(sets: int, factor: fl
     assert 1 / factor < float(np.mean(ratios)) < factor
 
 
-def test_degenerate_sets_are_told() -> None:
+def test_degenerate_sets_have_undetermined_motions() -> None:
     """Without rotation every translation is undetermined, and with rotation about one axis that along the axis.
 
     With rotation about the ball every rotation about it is undetermined.
@@ -165,7 +165,7 @@ def test_a_ball_among_other_points(known: bool) -> None:
     assert ball.used == pytest.approx(len(cap) / len(points), abs=0.05)
 
 
-def test_the_points_that_stand_for_a_plane_have_its_moments() -> None:
+def test_the_points_of_a_fitted_plane_have_its_moments() -> None:
     """The four points of a fitted plane have mean and covariance of the measured points.
 
     The sum of squared distances to any plane is thus the same.
@@ -180,7 +180,7 @@ def test_the_points_that_stand_for_a_plane_have_its_moments() -> None:
 
 
 @pytest.mark.parametrize("points", [np.zeros((5, 3)), np.zeros((100, 3)), np.linspace(0, 1, 300).reshape(100, 3)])
-def test_what_is_no_target_is_told(points: Floats) -> None:
+def test_points_without_a_target_are_refused(points: Floats) -> None:
     """Too few points, coincident points and collinear points are reported as no target."""
     for find in (lambda: hand_eye.fit_spheres([points], None, np.random.default_rng(0)),
                  lambda: hand_eye.fit_planes([points], np.random.default_rng(0))):  # fmt: skip

@@ -93,24 +93,24 @@ def test_views_with_a_shortfall_are_not_taken(case):
         np.testing.assert_array_equal(after.T_object_scanner, views.T_object_scanner)
 
 
-def _improve(case, wanted, are_reachable=lambda T: np.ones(len(T), dtype=bool), which=slice(None)):
+def _improve(case, weights, are_reachable=lambda T: np.ones(len(T), dtype=bool), which=slice(None)):
     samples, scanner, caster, views = case
     targets, evaluator = RayTargets.of(samples.points, samples.normals), _evaluator(scanner, caster, are_reachable)
-    return improve_views(views.T_object_scanner[which], views.distance[which], targets, wanted, evaluator)
+    return improve_views(views.T_object_scanner[which], views.distance[which], targets, weights, evaluator)
 
 
 def test_each_improved_view_measures_more_by_itself(case):
     """Each moved view measures more by its own rays, and a view that did not move is unchanged to the bit."""
     samples, scanner, caster, views = case
-    wanted = samples.areas * (samples.points[:, 0] > 0)
-    T, moved_ = _improve(case, wanted)
-    more = wanted @ find_measured(T[:, None], samples, scanner, (caster,), each=True) > wanted @ views.measured
+    weights = samples.areas * (samples.points[:, 0] > 0)
+    T, moved_ = _improve(case, weights)
+    more = weights @ find_measured(T[:, None], samples, scanner, (caster,), each=True) > weights @ views.measured
     np.testing.assert_array_equal(more, moved_)
     assert more.mean() > 0.5
     np.testing.assert_array_equal(T[~moved_], views.T_object_scanner[~moved_])
-    np.testing.assert_array_equal(_improve(case, wanted)[0], T)
-    np.testing.assert_array_equal(_improve(case, wanted, which=[2])[0][0], T[2])
-    assert [len(each) for each in _improve(case, wanted, which=[])] == [0, 0]
+    np.testing.assert_array_equal(_improve(case, weights)[0], T)
+    np.testing.assert_array_equal(_improve(case, weights, which=[2])[0][0], T[2])
+    assert [len(each) for each in _improve(case, weights, which=[])] == [0, 0]
 
 
 def test_each_round_measures_more(case, monkeypatch):
