@@ -1,10 +1,9 @@
 """Mutation analysis: the share of small seeded faults in product code that given tests detect.
 
-`python -m benchmarks mutation planner/cover --tests tests/unit/test_cover.py --count 30` copies the project to a
-temporary folder, and runs the tests there once for each mutant, up to the first failure. A mutant differs from the
-code in one operator or constant (the operators AOR, ROR, LCR and CRP of DeMillo and Offutt 1991). Equal seeds give
-equal mutants, so two versions of the tests can be compared. Some mutants are equivalent to the code, and no test
-detects those.
+`python -m benchmarks mutation planner/path --tests "tests/unit/test_path.py tests/oracles"` copies the project to a
+temporary folder and runs the tests there for each mutant, up to the first failure. A mutant differs from the code in
+one operator or constant (DeMillo, Lipton, Sayward 1978, "Hints on test data selection"). Equal seeds give equal
+mutants, so two versions of tests can be compared. Some mutants are equivalent to the code, and no test detects those.
 """
 
 import ast

@@ -20,7 +20,7 @@ def make(seed: int, sizes: list[int]) -> tuple[list[np.ndarray], np.ndarray]:
     rng = np.random.default_rng(seed)
     poses = np.tile(np.eye(4), (len(sizes), 1, 1))
     poses[:, :3, 3] = rng.uniform(-1, 1, (len(sizes), 3))
-    return [rng.uniform(-3, 3, (size, 6)) for size in sizes], poses
+    return [rng.uniform(-2.2, 2.2, (size, 6)) for size in sizes], poses
 
 
 @pytest.mark.parametrize("sizes", [[], [1], [2, 3], [1, 1, 1], [3] * 7, [1, 6, 2, 5, 3] * 2])

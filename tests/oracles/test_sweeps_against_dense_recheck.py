@@ -112,10 +112,12 @@ def test_the_vertices_are_set_points_within_the_tube_and_hold_every_pose(name: s
         np.testing.assert_allclose(relative, np.linalg.inv(column[0]) @ column, atol=3e-5)
 
 
-def test_the_reverse_is_the_same_path_backwards() -> None:
-    """Same vertices, same duration, times mirrored; the reverse of the reverse is the path."""
-    (path,) = _paths(COLUMNS["along the baseline"], np.random.default_rng(3), 1)[:1]
+@pytest.mark.parametrize("name", ["along the baseline", "turned"])
+def test_the_reverse_is_the_same_path_backwards(name: str) -> None:
+    """The reverse has the same vertices and line, and mirrored times; the reverse of the reverse is the path."""
+    (path,) = _paths(COLUMNS[name], np.random.default_rng(3), 1)[:1]
     back = path.reversed()
+    np.testing.assert_allclose(back.line.at(back.u), path.line.at(path.u)[::-1], atol=1e-12)
     np.testing.assert_array_equal(back.q, path.q[::-1])
     np.testing.assert_array_equal(back.measured_q, path.measured_q)
     np.testing.assert_allclose(_driven(back).times, path.duration - _driven(path).times[::-1], atol=1e-9)

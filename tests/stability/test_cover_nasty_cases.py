@@ -112,16 +112,6 @@ def test_areas_over_eighteen_decades(solver: str, coverage: float) -> None:
     assert curve.covered_area[-1] == pytest.approx(areas.sum())
 
 
-def test_costs_over_eighteen_decades(solver: str) -> None:
-    """The cheapest columns are selected, and the bound holds."""
-    M = np.vstack((np.eye(12, dtype=bool), np.ones((1, 12), dtype=bool)))
-    M = np.hstack((M, M))
-    costs = np.concatenate((np.geomspace(1e-12, 1e6, 12), np.geomspace(2e-12, 2e6, 12)))
-    cover = run(M, np.ones(len(M)), solver, costs=costs)
-    assert sorted(cover.views.tolist()) == list(range(12))
-    assert cover.cost * (1 - 1e-3) <= cover.cost_bound <= cover.cost
-
-
 def test_costs_far_below_their_rounding_give_no_false_bound(solver: str) -> None:
     """With costs of 1e-6 beside one of 1e6, the cost is exact and the bound does not exceed it."""
     M = np.hstack((np.repeat(np.eye(3, dtype=bool), 2, axis=1), np.ones((3, 1), dtype=bool)))
@@ -171,18 +161,6 @@ def test_a_demand_beyond_all_columns_takes_every_useful_column(solver: str) -> N
     assert cover.status is CoverStatus.PROVEN
 
 
-@pytest.mark.parametrize("demand", [1, 2])
-def test_any_numbering_of_a_ring_gives_as_many_views(solver: str, demand: int) -> None:
-    """The number of views of a symmetric ring is independent of its numbering, except for greedy solvers."""
-    n = 12
-    ring = sum(np.roll(np.eye(n, dtype=int), k, axis=1) for k in range(3)).astype(bool)
-    sizes = set()
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        sizes.add(len(run(ring[rng.permutation(n)][:, rng.permutation(n)], np.ones(n), solver, demand=demand).views))
-    assert sizes == {4 * demand} or solver in ("greedy", "meta-raps")
-
-
 def steiner_triples(points: int) -> np.ndarray:
     """Return a Steiner triple system on 6n + 3 points by Bose's construction."""
     n = points // 3
@@ -211,24 +189,6 @@ def test_steiner_triples(solver: str, points: int, fewest: int) -> None:
     assert solver != "local-search" or len(cover.views) == fewest
 
 
-def test_search_beats_greedy_where_greedy_fails() -> None:
-    """On two halves against blocks of doubling size greedy takes 6 columns, and the search 2.
-
-    The same holds for areas.
-    """
-    blocks = [2**i for i in range(6)]
-    n = sum(blocks)
-    M = np.zeros((2 * n, 2 + len(blocks)), dtype=bool)
-    M[:n, 0] = M[n:, 1] = True
-    for column, (at, size) in enumerate(zip(np.cumsum([0, *blocks]), blocks, strict=False), start=2):
-        M[at : at + size, column] = M[n + at : n + at + size, column] = True
-    assert len(run(M, np.ones(2 * n), "greedy").views) == 6
-    assert len(run(M, np.ones(2 * n), "local-search").views) == 2
-    M = np.zeros((20, 3), dtype=bool)
-    M[:10, 0] = M[10:, 1] = M[4:16, 2] = True
-    assert sorted(run(M, np.ones(20), max_views=2).views) == [0, 1]
-
-
 def test_meta_raps_improves_on_greedy() -> None:
     """Meta-RaPS finds smaller covers than greedy on at least four of six random instances."""
     better = 0
@@ -250,25 +210,7 @@ def test_pinned_views_that_measure_nothing_stay(solver: str) -> None:
     cover = run(M, np.ones(2), solver, max_views=2, pinned=[0])
     assert (cover.views[-1], cover.covered_area) == (0, 1.0)
     assert draw(M, np.ones(2), pinned=[0]).first_n_views == 1
-
-
-@pytest.mark.parametrize(
-    ("M", "areas", "options", "views"),
-    [
-        (np.eye(4), np.ones(4), {"max_views": 0}, []),
-        ([[1, 1, 0], [0, 1, 0], [0, 0, 1]], np.ones(3), {"max_views": 10**12}, [1, 2]),
-        (np.eye(5), [1.0, 2, 3, 4, 5], {"max_views": 4}, [1, 2, 3, 4]),
-        (np.repeat(np.eye(3), 4, axis=1), np.ones(3), {"max_views": 2}, [0, 4]),
-        (np.eye(4), np.ones(4), {"max_views": 2, "pinned": [1, 3]}, [1, 3]),
-        (np.ones((1, 4)), np.ones(1), {"max_views": 2, "demand": 2}, [0, 1]),
-    ],
-    ids=["none", "more than columns", "one too few", "identical columns", "only pinned", "no view is enough alone"],
-)
-def test_maximum_coverage_of_simple_matrices(M: Any, areas: Any, options: dict[str, Any], views: list[int]) -> None:
-    """The optimum is proven without a view that adds no area."""
-    cover = run(np.array(M, dtype=bool), np.array(areas), **options)
-    assert sorted(cover.views.tolist()) == views
-    assert cover.status is CoverStatus.PROVEN
+    assert sorted(run(M, np.ones(2), solver, max_views=10**12).views) == [1, 2]
 
 
 def test_a_known_plan_is_on_the_curve_and_ends_it() -> None:
@@ -309,23 +251,6 @@ def test_two_islands_cannot_be_connected() -> None:
     assert sorted(cover.views.tolist()) == [0, 1]
     cover, graph = connected(islands(), np.ones(10), Overlap(area=1.0), coverage=0.7, pinned=[3])
     assert not graph.is_connected
-
-
-def test_a_view_is_exchanged_where_adding_alone_would_cost_more() -> None:
-    """Connecting two distant views needs three more, and two other views cover as much and overlap."""
-    M = np.zeros((12, 7), dtype=bool)
-    M[:6, 0] = M[6:, 1] = M[:7, 2] = M[6:, 3] = True
-    M[3:5, 4] = M[4:8, 5] = M[7:9, 6] = True
-    cover, graph = connected(M, np.ones(12), Overlap(area=1.0))
-    assert (len(cover.views), cover.n_views_without_overlap, graph.is_connected) == (2, 2, True)
-
-
-@pytest.mark.parametrize("coverage", [0.0, 1.0])
-def test_no_view_and_one_view_are_connected(coverage: float) -> None:
-    """A column that covers all needs no neighbour."""
-    cover, graph = connected(np.ones((5, 3), dtype=bool), np.ones(5), Overlap(share=1.0), coverage=coverage)
-    assert (len(cover.views), graph.is_connected) == (coverage, True)
-    assert cover.sentence.startswith("proven fewest connected views")
 
 
 def test_a_pinned_view_that_measures_nothing_does_not_end_the_search_early() -> None:

@@ -157,14 +157,6 @@ def test_every_move_but_one_tour_forbidden(n: int) -> None:
     assert found.status is OrderStatus.OPTIMAL
 
 
-def test_a_budget_of_nothing_gives_the_baseline_and_a_bound() -> None:
-    """Without steps and effort the result is the baseline with its best configurations, above a valid bound."""
-    rng = np.random.default_rng(5)
-    found = ordered([rng.uniform(-2, 2, (4, 6)) for _ in range(20)], budget=0, bound_effort=0)
-    assert found.duration == found.baseline_duration
-    assert 0 < found.lower_bound < found.duration
-
-
 @pytest.mark.parametrize("clusters", [1, 2, 3])
 def test_fewer_clusters_than_a_tour_has_corners(clusters: int) -> None:
     """Exact search, search and bounds agree for one, two and three clusters of two nodes each."""

@@ -7,7 +7,7 @@ from cell.scanners.laser_area import LaserArea
 from cell.world.prediction import Prediction
 from planner.errors import PlannerError
 from planner.geometry.sampling import SurfaceSamples, draw_samples
-from planner.measurability import coverage, visibility
+from planner.measurability import coverage
 from planner.measurability.visibility import VisibilityMemo, find_measured
 from planner.viewpoints.viewpoints import optimal_scanning_zone
 from tests.support.meshes import block, caster_of
@@ -103,21 +103,3 @@ def test_remembered_results_are_those_of_a_new_evaluation():
             found = remembered.measured(some)
             np.testing.assert_array_equal(found, find_measured(some, samples, SCANNER, [caster]))
             np.testing.assert_array_equal(found, remembered.measured(some[::-1]))
-
-
-def test_forgotten_views_are_evaluated_again(monkeypatch):
-    """With room for two views and small bundles the results are the same. A stored set casts no rays."""
-    monkeypatch.setattr(visibility, "_REMEMBERED", 2)
-    monkeypatch.setattr(visibility, "_OPEN_BUNDLE", 50)
-    part, draws = SLAB, np.random.default_rng(4)
-    samples = draw_samples(part, part, 1500, np.random.default_rng(0))
-    caster = caster_of(part)
-    poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
-    remembered = VisibilityMemo(samples, SCANNER, [caster])
-    for count in (1, 4, 4, 2):
-        some = poses[draws.integers(0, len(poses), count)]
-        np.testing.assert_array_equal(remembered.measured(some), find_measured(some, samples, SCANNER, [caster]))
-        assert len(remembered._known) <= 2
-    known = remembered.measured(poses[:2])
-    remembered._casters = ()  # without casters every line of sight would be free
-    np.testing.assert_array_equal(remembered.measured(poses[:2]), known)

@@ -30,15 +30,6 @@ def test_decimation_hits_the_count_and_keeps_the_shape() -> None:
     assert result.volume == pytest.approx(4 / 3 * np.pi * 0.1**3, rel=0.01)
 
 
-def test_decimation_does_not_depend_on_the_unit() -> None:
-    """The same mesh, 1024 times larger, gives the same faces."""
-    fine = sphere(3)
-    coarse = decimate(fine, 300)
-    larger = decimate(TriangleMesh(fine.vertices * 1024, fine.faces), 300)  # a power of two, so exactly
-    assert (larger.faces == coarse.faces).all()
-    assert larger.vertices == pytest.approx(coarse.vertices * 1024, rel=1e-12, abs=1e-12)
-
-
 def test_decimation_of_a_mesh_that_is_coarse_already_only_cleans_it() -> None:
     """A mesh with fewer faces than requested loses only its degenerate and repeated faces."""
     dirty = with_zero_area_faces(box())

@@ -67,13 +67,6 @@ def test_samples_lie_on_the_mesh_and_follow_its_area() -> None:
     assert np.abs(np.array(sides) - 1000).max() <= 4
 
 
-def test_equal_seeds_give_equal_numbers() -> None:
-    """Equal generator states give bit-equal results."""
-    first, second = (measure_deviation(REFERENCE, REFERENCE, np.random.default_rng(5), count=500) for _ in range(2))
-    assert (first.rms, first.largest) == (second.rms, second.largest)
-    assert first.histogram.tobytes() == second.histogram.tobytes()
-
-
 def test_no_samples_and_no_area_are_refused() -> None:
     """A sample count of zero and a mesh without area are refused."""
     with pytest.raises(PlannerError, match="count is 0"):

@@ -108,21 +108,6 @@ def test_a_cylinder_seen_from_the_side_turns_and_slides() -> None:
     assert np.linalg.norm(turn.point[1:]) < 1e-4
 
 
-def test_a_plate_slides_on_itself() -> None:
-    """The edges are not visible: the free motions of a plane are reported, and the height is found."""
-    mesh = as_triangles(trimesh.creation.box((1.0, 1.0, 0.02)))
-    T_moved = _moved(3, mm=5.0, deg=2.0)
-    found = fit_surface(
-        [_scan(mesh, T_moved)], ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0)
-    )
-    motions = found.undetermined_motions(1e-4)
-    assert surface_type(motions) == "a plane"
-    assert [motion.kind for motion in motions].count(FreeKind.TRANSLATION) == 2
-    seen = _scan(mesh, T_moved).points
-    back = seen @ found.T[:3, :3].T + found.T[:3, 3]
-    assert np.abs(back[:, 2] - 0.01).max() < 6 * NOISE
-
-
 def test_a_row_of_pins_has_a_rival() -> None:
     """Pins every 8 mm fit as well one pitch further, and this alternative is reported."""
     pins = [
