@@ -394,11 +394,11 @@ def _regions(
 def _reason(region: RegionTargets, lost: Ints, share: float, problem: SelectionProblem) -> str:
     """Return the most frequent cause for which no reachable candidate measures a share of a region."""
     known = problem.prediction
-    samples, scanner, casters = known.samples, known.scanner, known.casters
+    samples, scanner = known.samples, known.scanner
     some = lost[np.linspace(0, len(lost) - 1, min(_N_DIAGNOSED, len(lost))).round().astype(np.int64)]
     targets = RayTargets.of(samples.points, samples.normals, samples.region)
-    causes = np.array([REASON_OF_VERDICT[verdict] for verdict in REASON_OF_VERDICT], dtype=np.uint8)
-    why = diagnose(targets, some, problem.candidates, scanner, casters[0], casters[1], causes[problem.reached.verdict])
+    fails = REASON_OF_VERDICT[problem.reached.verdict]
+    why = diagnose(targets, some, problem.candidates, scanner, known.casters, fails)
     number = int(np.argmax(np.bincount(why.reason)))
     sentence = (
         f"no reachable candidate measures {100 * share:.1f} % of it; most frequent cause: {Reason(number).sentence}"
