@@ -5,11 +5,13 @@ other configurations, or measures less than the cover assumed (`cell.world.self_
 views differ in the checks (`ViewsAtRest`, `SweepingViews`), not in the loop. Base frame, metres, radians.
 """
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Annotated, Protocol
+from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 
@@ -133,55 +135,59 @@ class DrivenViews:
     lines: Mapping[int, TimedLine] = field(default_factory=dict)
 
 
-class ViewConnector(Protocol):
-    """Checks of candidates of one kind between selection and motion (`ViewsAtRest`, `SweepingViews`)."""
+class ViewConnector(ABC):
+    """Checks of candidates of one kind between selection and motion (`ViewsAtRest`, `SweepingViews`).
+
+    Attributes:
+        shaded: candidates whose arm hides samples, each with a sentence.
+    """
+
+    shaded: Mapping[int, str] = MappingProxyType({})
+
+    def __init__(self, problem: SelectionProblem) -> None:
+        self._problem = problem
 
     @property
     def M(self) -> Measurability:
         """Current measurability; it shrinks where an arm shades its own view."""
-        ...
+        return self._problem.M
 
-    @property
-    def shaded(self) -> Mapping[int, str]:
-        """Candidates whose arm hides samples, each with a sentence."""
-        ...
-
+    @abstractmethod
     def check(self, views: Ints) -> tuple[NextAction, Mapping[int, str]]:
         """Check (n,) selected candidates before a motion is planned; return the rejected ones with their reasons."""
-        ...
 
     def groups(self, selection: Selection, usable: Bools, rng: np.random.Generator) -> EquivalentViews:
         """Return the candidates that the motion may pick for each view of the cover."""
-        ...
+        return self.alone(selection.cover.views)
 
+    @abstractmethod
     def alone(self, views: Ints) -> EquivalentViews:
         """Return each of (n,) candidates in a group of its own."""
-        ...
 
     def traversals(self, views: Ints) -> list[list[SweepTraversal]] | None:
         """Return the sweeps at each configuration of (n,) candidates; None for views at rest."""
-        ...
+        return None
 
     def check_motion(self, views: Ints, motion: Tour) -> NextAction:
         """Check a motion through all of (n,) candidates."""
-        ...
+        return NextAction.DONE
 
     def between_table_angles(
         self, groups: EquivalentViews, motion: Tour, shares: Sequence[float]
     ) -> EquivalentViews | None:
         """Return the views of a motion with configurations at further table angles; None without a table."""
-        ...
+        return None
 
     def occludes_no_more(self, views: Ints, before: Tour, motion: Tour) -> bool:
         """Return whether the arm hides nothing at (n,) candidates that it showed in another motion through them."""
-        ...
+        return True
 
+    @abstractmethod
     def driven(self, views: Ints, motion: Tour) -> DrivenViews:
         """Return the views as they are driven; the motion's views are indices into (n,) `views`."""
-        ...
 
 
-class ViewsAtRest:
+class ViewsAtRest(ViewConnector):
     """Candidates at which the arm stands still; see `ViewConnector`.
 
     Arm, bracket and housing occlude as well, differently in every configuration. A view that its own arm shades is
@@ -189,7 +195,7 @@ class ViewsAtRest:
     """
 
     def __init__(self, problem: SelectionProblem) -> None:
-        self._problem = problem
+        super().__init__(problem)
         self._arm = SelfOcclusion(
             problem.M, problem.reached, problem.candidates, problem.world, problem.prediction.scanner
         )
@@ -200,7 +206,7 @@ class ViewsAtRest:
         return self._arm.M
 
     @property
-    def shaded(self) -> Mapping[int, str]:
+    def shaded(self) -> Mapping[int, str]:  # type: ignore[override]  # it grows with the attempts
         """Candidates whose arm hides samples, each with a sentence."""
         return self._arm.reasons
 
@@ -219,10 +225,6 @@ class ViewsAtRest:
     def alone(self, views: Ints) -> EquivalentViews:
         """Return each view in a group of its own."""
         return EquivalentViews.of(self._arm, single_views(views))
-
-    def traversals(self, views: Ints) -> None:
-        """Return None: the arm stands still."""
-        return
 
     def check_motion(self, views: Ints, motion: Tour) -> NextAction:
         """Check the arm at the stops of the motion."""
@@ -294,23 +296,18 @@ class ViewsAtRest:
         return DrivenViews(poses, seen, with_arm)
 
 
-class SweepingViews:
+class SweepingViews(ViewConnector):
     """Candidates of several poses, each driven as a line; see `ViewConnector`.
 
     Reach knows whether every pose of a column can be reached. Here the line through all of them must be drivable on one
-    joint branch (`planner.path.sweeps`). The sweeps of each candidate are computed once.
+    joint branch (`planner.path.sweeps`). The sweeps of each candidate are computed once. None is swapped, because a
+    sweep ends at another pose than it begins at. The arm's shadow is not evaluated, and no table turns a swept part.
     """
 
     def __init__(self, problem: SelectionProblem) -> None:
-        self._problem = problem
+        super().__init__(problem)
         self._speed = DEFAULT_SPEED.slowed(problem.limits, problem.world.limits)
         self._found: dict[int, DrivableSweeps] = {}
-        self.shaded: Mapping[int, str] = {}
-
-    @property
-    def M(self) -> Measurability:
-        """Measurability; the arm's shadow along a sweep is not evaluated."""
-        return self._problem.M
 
     def check(self, views: Ints) -> tuple[NextAction, Mapping[int, str]]:
         """Reject candidates whose sweep cannot be driven; the most frequent reasons come first."""
@@ -322,10 +319,6 @@ class SweepingViews:
                 common = "; ".join(reason for reason, _ in reasons.most_common(2))
                 rejected[view] = f"its sweep cannot be driven: {common}"
         return NextAction.SELECT if rejected else NextAction.CONNECT, rejected
-
-    def groups(self, selection: Selection, usable: Bools, rng: np.random.Generator) -> EquivalentViews:
-        """Return each view by itself: a sweep ends at another pose than it begins at, so none is swapped."""
-        return self.alone(selection.cover.views)
 
     def alone(self, views: Ints) -> EquivalentViews:
         """Return each view in a group of its own; its configurations are the beginnings of its sweeps."""
@@ -339,20 +332,6 @@ class SweepingViews:
     def traversals(self, views: Ints) -> list[list[SweepTraversal]]:
         """Return the sweeps of each view as the motion takes them."""
         return [sweep_traversals(self._sweeps(int(view)).paths) for view in views]
-
-    def check_motion(self, views: Ints, motion: Tour) -> NextAction:
-        """Return DONE: sweeps are checked before the motion."""
-        return NextAction.DONE
-
-    def between_table_angles(
-        self, groups: EquivalentViews, motion: Tour, shares: Sequence[float]
-    ) -> EquivalentViews | None:
-        """Return None: a table does not turn a part that is swept."""
-        return None
-
-    def occludes_no_more(self, views: Ints, before: Tour, motion: Tour) -> bool:
-        """Return True: the arms of sweeps are not evaluated."""
-        return True
 
     def driven(self, views: Ints, motion: Tour) -> DrivenViews:
         """Return the sweeps of a motion with their poses and timing."""
