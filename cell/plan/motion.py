@@ -58,6 +58,26 @@ class DroppedView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DrivenViews(Value):
+    """Views of a motion as they are driven, in visiting order.
+
+    Attributes:
+        T_object_poses: (n, K, 4, 4) poses of the rounded joint angles [m].
+        seen: (S, n) whether each view measures each held-out sample.
+        visible_with_arm: visible coverage with each view's own arm as an occluder, fraction of the surface; None for
+            sweeps: the arm's shadow along a sweep is not evaluated.
+        sweeps: sweeps; none for views at rest.
+        lines: timing of the sweeps, by the via point at which each begins.
+    """
+
+    T_object_poses: Annotated[Floats, "n _ 4 4"]
+    seen: Annotated[Bools, "S n"]
+    visible_with_arm: float | None
+    sweeps: tuple[SweepPath, ...] = ()
+    lines: Mapping[int, TimedLine] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ConnectedPlan(Value):
     """Selected views with the motion through them.
 
@@ -70,14 +90,9 @@ class ConnectedPlan(Value):
         T_object_scanner: (n, 4, 4) poses of the rounded joint angles through forward kinematics [m], visiting order.
         T_base_scanner: (n, 4, 4) the same in base [m].
         T_base_flange: (n, 4, 4) the same of the flange [m].
-        T_object_poses: (n, K, 4, 4) all poses of each view; of a sweep `T_object_scanner` is the middle one.
-        sweeps: driven sweeps in visiting order; none for views at rest.
-        lines: their timing, by the via point at which each begins.
+        driven: all poses of each view (of a sweep `T_object_scanner` is the middle one), sweeps, measured samples.
         dropped: candidates that could not be connected, or that the arm shades.
-        seen: (S, n) whether each view measures each held-out sample, visiting order.
-        visible: visible coverage of the views on these samples.
-        visible_with_arm: visible coverage with each view's own arm as an occluder, fraction of the surface; None for
-            sweeps: the arm's shadow along a sweep is not evaluated.
+        visible: visible coverage of the views on the held-out samples.
     """
 
     cover: Cover
@@ -88,13 +103,9 @@ class ConnectedPlan(Value):
     T_object_scanner: Annotated[Floats, "n 4 4"]
     T_base_scanner: Annotated[Floats, "n 4 4"]
     T_base_flange: Annotated[Floats, "n 4 4"]
-    T_object_poses: Annotated[Floats, "n _ 4 4"]
-    sweeps: tuple[SweepPath, ...]
-    lines: Mapping[int, TimedLine]
+    driven: DrivenViews
     dropped: tuple[DroppedView, ...]
-    seen: Annotated[Bools, "S n"]
     visible: Coverage
-    visible_with_arm: float | None
 
     @property
     def target(self) -> float:
@@ -114,25 +125,6 @@ class NextAction(Enum):
     DONE = "every selected view is connected"
     CONNECT = "some views have fewer configurations now: connect them again"
     SELECT = "views were rejected, or measure less now: select again"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DrivenViews:
-    """Views of a motion as they are driven, in visiting order.
-
-    Attributes:
-        T_object_poses: (n, K, 4, 4) poses of the rounded joint angles [m].
-        seen: (S, n) whether each view measures each held-out sample.
-        visible_with_arm: see `ConnectedPlan`.
-        sweeps: sweeps; none for views at rest.
-        lines: timing of the sweeps, by the via point at which each begins.
-    """
-
-    T_object_poses: Floats
-    seen: Bools
-    visible_with_arm: float | None
-    sweeps: tuple[SweepPath, ...] = ()
-    lines: Mapping[int, TimedLine] = field(default_factory=dict)
 
 
 class ViewConnector(ABC):
@@ -537,17 +529,13 @@ def _connected_plan(
         T_object_scanner=np.linalg.inv(world.T_base_object) @ T_part_flange @ world.T_flange_scanner,
         T_base_scanner=T_base_flange @ world.T_flange_scanner,
         T_base_flange=T_base_flange,
-        T_object_poses=driven.T_object_poses,
-        sweeps=driven.sweeps,
-        lines=driven.lines,
+        driven=driven,
         dropped=tuple(
             DroppedView(view, reason)
             for view, reason in {**rejected, **views.shaded}.items()
             if view not in cover.views  # a partly shaded view may be in the plan with the samples that are left of it
         ),
-        seen=driven.seen,
         visible=coverage_of_views(driven.seen, problem.prediction.samples),
-        visible_with_arm=driven.visible_with_arm,
     )
 
 

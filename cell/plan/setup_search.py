@@ -457,7 +457,7 @@ class SetupSearch:
         if isinstance(details, OverlapGraph) and not details.is_connected:
             details = None  # all may be connected through views of other set-ups
         plan = replace(plan, cover=cover, selection=replace(plan.selection, targets=self._targets, details=details))
-        return ConnectedSetup(plan.candidate, plan.matrix, plan.T_object_poses, (problem, plan))
+        return ConnectedSetup(plan.candidate, plan.matrix, plan.driven.T_object_poses, (problem, plan))
 
 
 def _driven(connected: Connected) -> Poses:
