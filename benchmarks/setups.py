@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.parts import parts, place
 from cell import api
 from cell.errors import CellError
+from cell.plan import setup_search
 from cell.plan import setups as planning
 from cell.runs.cell import read_cell
 from cell.world.prediction import held_out_samples
@@ -43,9 +44,9 @@ def run() -> list[dict[str, Any]]:
 def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     options_of_part: dict[str, object] = {"place": place()} | ({"units": words[2]} if len(words) > 1 else {})
     solved: list[tuple[CoverProblem, GroupedCover]] = []
-    searches: list[planning.SetupSearch] = []
+    searches: list[setup_search.SetupSearch] = []
 
-    class Kept(planning.SetupSearch):
+    class Kept(setup_search.SetupSearch):
         def __init__(self, *known: Any) -> None:
             super().__init__(*known)
             searches.append(self)
@@ -56,14 +57,14 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
         return found
 
     start = time.process_time()
-    own = planning.SetupSearch
-    planning.solve_grouped, planning.SetupSearch = record, Kept  # type: ignore[misc]
+    own = setup_search.SetupSearch
+    setup_search.solve_grouped, planning.SetupSearch = record, Kept  # type: ignore[misc]
     try:
         made = api.setups(words[0], out=folder / name, **options_of_part)
     except CellError as error:
         return {"part": name, "error": str(error)[:100]}
     finally:
-        planning.solve_grouped, planning.SetupSearch = solve_grouped, own  # type: ignore[misc]
+        setup_search.solve_grouped, planning.SetupSearch = solve_grouped, own  # type: ignore[misc]
     seconds, file = time.process_time() - start, made.file
     problem, joint = solved[-1]
     poses = [setup.measured.candidates.T_object_scanner[:, 0] for setup in searches[0].setups.values()]

@@ -354,7 +354,6 @@ def closest_causes(
     samples: SurfaceSamples, candidates: Viewpoints, reached: Reach, scanner: Scanner, casters: Sequence[RayCaster]
 ) -> Ints:
     """Return (S,) the `Reason` of the candidate that comes closest to measuring each sample."""
-    fails = np.array([REASON_OF_VERDICT[verdict] for verdict in REASON_OF_VERDICT], dtype=np.uint8)[reached.verdict]
     targets, rows = RayTargets.of(samples.points, samples.normals), np.arange(len(samples))
-    found = why.diagnose(targets, rows, candidates, scanner, casters[0], casters[1], fails)
+    found = why.diagnose(targets, rows, candidates, scanner, casters, REASON_OF_VERDICT[reached.verdict])
     return found.reason.astype(np.int64)

@@ -193,7 +193,7 @@ def _part(part: Workpiece, planning: TriangleMesh) -> schema.ReportPart:
 
 
 def _settings(settled: SettledScene, plan: ConnectedPlan) -> schema.ReportSettings:
-    scene, settings, sweeps = settled.scene, settled.settings, plan.sweeps
+    scene, settings, sweeps = settled.scene, settled.settings, plan.driven.sweeps
     seconds = sorted(path.duration for path in sweeps)
     own = {key: value for key, value in settings.scanner.items() if key not in schema.ReportSettings.model_fields}
     return schema.ReportSettings(
@@ -201,7 +201,7 @@ def _settings(settled: SettledScene, plan: ConnectedPlan) -> schema.ReportSettin
         placement_abc_deg=scene.placement.abc_deg,
         scanner=scene.scanner.type,
         sensor=scene.scanner.sensor,
-        sweep_poses=plan.T_object_poses.shape[1] if sweeps else None,
+        sweep_poses=plan.driven.T_object_poses.shape[1] if sweeps else None,
         sweep_in_motion=True if sweeps else None,
         sweep_s=(round(seconds[0], 6), round(seconds[-1], 6)) if sweeps else None,
         standoffs_mm=[round(standoff * 1000, 9) for standoff in settings.standoffs],
@@ -232,7 +232,7 @@ def _coverage(problem: SelectionProblem, plan: ConnectedPlan) -> schema.Coverage
         visible=visible,
         coverable=coverable,
         visible_of_coverable=visible / coverable if coverable > 0 else 0.0,
-        visible_with_arm=plan.visible_with_arm,
+        visible_with_arm=plan.driven.visible_with_arm,
         target_on_samples=plan.target if len(plan.selection.targets) == 1 else None,
         planned_on_samples=cover.covered_area / cover.total_area,
         coverable_on_samples=cover.coverable_area / cover.total_area,
@@ -240,7 +240,7 @@ def _coverage(problem: SelectionProblem, plan: ConnectedPlan) -> schema.Coverage
 
 
 def _views(problem: SelectionProblem, plan: ConnectedPlan, clearance: MotionClearance) -> list[schema.ReportView]:
-    tour, marginal = plan.tour, coverage.marginal_coverage(plan.seen)
+    tour, marginal = plan.tour, coverage.marginal_coverage(plan.driven.seen)
     return [
         schema.ReportView(
             id=candidate,
@@ -280,8 +280,8 @@ def _sigma(problem: SelectionProblem, plan: ConnectedPlan, limit_mm: float) -> s
 def _spacing(settled: SettledScene, problem: SelectionProblem, plan: ConnectedPlan) -> schema.Spacing | None:
     """Return the spacing of the plan's points; None if the scanner does not know it or nothing is measured."""
     scanner, samples = problem.prediction.scanner, problem.prediction.samples
-    best = best_spacing(plan.T_object_poses, samples, plan.seen, scanner)
-    if best is None or not plan.seen.any():
+    best = best_spacing(plan.driven.T_object_poses, samples, plan.driven.seen, scanner)
+    if best is None or not plan.driven.seen.any():
         return None
     median, most, nearly_all = (1000 * np.nanquantile(best, [0.5, 0.95, 0.99])).round(6).tolist()
     limit_mm = settled.scene.scanner.max_spacing_mm
@@ -361,7 +361,7 @@ def _regions(
     assert samples.region is not None
     assert reference.region is not None
     coverable: Bools = problem.prediction.coverable.covered | plan.visible.covered
-    times = plan.seen.sum(axis=1)
+    times = plan.driven.seen.sum(axis=1)
     found = []
     for number, region in enumerate(regions):
         rows = np.flatnonzero(samples.region == number)
@@ -394,11 +394,11 @@ def _regions(
 def _reason(region: RegionTargets, lost: Ints, share: float, problem: SelectionProblem) -> str:
     """Return the most frequent cause for which no reachable candidate measures a share of a region."""
     known = problem.prediction
-    samples, scanner, casters = known.samples, known.scanner, known.casters
+    samples, scanner = known.samples, known.scanner
     some = lost[np.linspace(0, len(lost) - 1, min(_N_DIAGNOSED, len(lost))).round().astype(np.int64)]
     targets = RayTargets.of(samples.points, samples.normals, samples.region)
-    causes = np.array([REASON_OF_VERDICT[verdict] for verdict in REASON_OF_VERDICT], dtype=np.uint8)
-    why = diagnose(targets, some, problem.candidates, scanner, casters[0], casters[1], causes[problem.reached.verdict])
+    fails = REASON_OF_VERDICT[problem.reached.verdict]
+    why = diagnose(targets, some, problem.candidates, scanner, known.casters, fails)
     number = int(np.argmax(np.bincount(why.reason)))
     sentence = (
         f"no reachable candidate measures {100 * share:.1f} % of it; most frequent cause: {Reason(number).sentence}"

@@ -237,7 +237,9 @@ def write_plan(
             T_base_flange=plan.T_base_flange[stop],
             q_deg=degrees(plan.tour.q[stop][:ARM_AXES]),
             **table_values(world, plan.tour.q[stop]),
-            sweep=sweep_values(plan.T_object_poses[stop], plan.sweeps[stop]) if plan.sweeps else None,
+            sweep=sweep_values(plan.driven.T_object_poses[stop], plan.driven.sweeps[stop])
+            if plan.driven.sweeps
+            else None,
         )
         for stop, candidate in enumerate(plan.candidate.tolist())
     ]
@@ -280,8 +282,8 @@ def queue_views(session: PlanSession, settled: SettledScene, problem: SelectionP
     plots, folder, cover, world = session.plots, session.folder.path, plan.cover, problem.world
     picture = settled.scene.picture
     plots.send(
-        "part_and_views", folder / "views.png", T_object_poses=plan.T_object_poses,
-        T_object_scanner=plan.T_object_scanner, seen=plan.seen,
+        "part_and_views", folder / "views.png", T_object_poses=plan.driven.T_object_poses,
+        T_object_scanner=plan.T_object_scanner, seen=plan.driven.seen,
     )  # fmt: skip
     via, steps = plan.tour.via, np.linspace(0, 1, _PATH_STEPS)[None, :, None]
     q = (via[:-1, None] + steps * np.diff(via, axis=0)[:, None]).reshape(-1, via.shape[1])

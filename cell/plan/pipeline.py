@@ -345,7 +345,9 @@ def time_motion(session: PlanSession, problem: SelectionProblem, plan: Connected
         tour = plan.tour
         measured = clearance.motion_clearance(problem.cell.checker, tour.via, tour.segment, len(tour.detour), progress)
         evaluation.require_no_contact(measured)
-        motion = retime(tour.via, tour.segment, plan.via_candidate, problem.limits, pose=tour.pose, lines=plan.lines)
+        motion = retime(
+            tour.via, tour.segment, plan.via_candidate, problem.limits, pose=tour.pose, lines=plan.driven.lines
+        )
         files.write_motion(session.folder, motion, measured)
         return measured, motion
 
@@ -391,7 +393,7 @@ def _optional_results(session: PlanSession, problem: SelectionProblem, plan: Con
         with session.stage("simulate executions") as progress:
             rng = session.rng(Stream.SIMULATED_EXECUTIONS)
             robust = selection.simulate_pose_errors(
-                options, numbers, plan.T_object_poses, problem.prediction, rng, progress
+                options, numbers, plan.driven.T_object_poses, problem.prediction, rng, progress
             )
     if options.curve:
         with session.stage("coverage over views"):

@@ -200,7 +200,7 @@ def compare_runs(a: Path, b: Path, reporter: ProgressReporter, out: Path | None 
 
 def _measured(side: Side, cell: RunCell, samples: SurfaceSamples) -> Bools:
     """Return (S, n) the samples measured by each view in its own cell."""
-    return find_measured(side.poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
+    return find_measured(side.poses, samples, cell.scanner, cell.casters, each=True)
 
 
 def _coverage_function(cells: Sequence[RunCell], samples: SurfaceSamples) -> Callable[[Side, Bools], Bools]:

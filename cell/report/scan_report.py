@@ -14,7 +14,6 @@ from cell.report.setups_report import shared_surface
 from cell.runs.schema import ExecutedDeviation, ExecutedRegion, ExecutionReport, ScannedSetups
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.surface import Deviation
-from planner.values import Floats
 
 _COARSE = 0.02  # of the part's diagonal: a surface that extends farther from its points is called interpolated
 
@@ -388,20 +387,11 @@ def draw_deviation(path: Path, mesh: TriangleMesh, deviation: Deviation, source:
     limit = max(deviation.quantile_95 * 1000.0, 1e-6) * 1.5
     scale = ScalarMappable(Normalize(-limit, limit), LinearSegmentedColormap.from_list("signed", SIGNED))
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
-    normals = mesh.normals
-    of_face = deviation.at_vertices[mesh.faces].mean(axis=1) * 1000.0
-
-    def colour_of(origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        hits = caster.first_hit(origins, directions)
-        picture, seen = np.ones((len(origins), 3)), np.flatnonzero(hits.face >= 0)
-        facing = -np.einsum("ij,ij->i", normals[hits.face[seen]], directions[seen])
-        picture[seen] = rays.shade(scale.to_rgba(of_face[hits.face[seen]])[:, :3], facing)
-        return picture, hits.distance
-
+    colours = scale.to_rgba(deviation.at_vertices[mesh.faces].mean(axis=1) * 1000.0)[:, :3]
     for axes, (azimuth, title) in zip(panels, _SIDES, strict=False):
         camera = rays.fit_camera(mesh.vertices, rays.direction(azimuth, 22.0), (_PIXELS, _PIXELS), parallel=True)
         width = 2000 * float(camera.half[0])
-        axes.imshow(rays.render(camera, colour_of)[0], extent=(0, width, 0, width))
+        axes.imshow(rays.render_mesh(camera, caster, mesh.normals, colours)[0], extent=(0, width, 0, width))
         axes.set_title(title, fontsize=10)
         axes.set_xlabel("mm", fontsize=8)
         axes.tick_params(labelsize=7)

@@ -66,6 +66,11 @@ class RunCell:
     travel: TravelBound
     table: RotaryTable | None = None
 
+    @property
+    def casters(self) -> tuple[EmbreeRayCaster, EmbreeRayCaster]:
+        """Ray casters of the part and of the occluders."""
+        return self.part_caster, self.occluder_caster
+
     def in_base(self, q: Floats, T_part: Floats) -> Floats:
         """Return (..., 4, 4) poses in base of poses relative to the turned part, at (..., axes) angles [m, rad]."""
         return T_part if self.table is None else self.table.turn(q[..., ARM_AXES]) @ T_part

@@ -261,14 +261,7 @@ def _at_reference(checked: mujoco.MjModel, recompiled: mujoco.MjModel, body: int
 
 def _support(model: mujoco.MjModel, geom: int) -> Floats:
     """Return the extent of a mesh's hull in several directions, in the frame of its body [m]."""
-    import mujoco
-
-    mesh = model.geom(geom).dataid[0]
-    begin, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    R = np.empty(9)
-    mujoco.mju_quat2Mat(R, model.geom_quat[geom])
-    vertices = model.mesh_vert[begin : begin + count] @ R.reshape(3, 3).T + model.geom_pos[geom]
-    return np.asarray((vertices @ _DIRECTIONS.T).max(axis=0))
+    return np.asarray((robot.mesh_of(model, geom).vertices @ _DIRECTIONS.T).max(axis=0))
 
 
 _JSON_TOLERANCE = 1e-7

@@ -410,7 +410,7 @@ def _uncovered_by_cause(planned: SetupsRun, measured: Mapping[int, Bools], sampl
 def _measured_by(cell: RunCell, T_object_poses: Sequence[Floats], samples: SurfaceSamples) -> Bools:
     if not len(T_object_poses):
         return np.zeros(len(samples), dtype=np.bool_)
-    return find_measured(np.stack(T_object_poses), samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
+    return find_measured(np.stack(T_object_poses), samples, cell.scanner, cell.casters)
 
 
 def _doubts(bodies: Sequence[_ScannedBody]) -> list[str]:

@@ -133,7 +133,7 @@ def measure_run(run: Run, cell: RunCell, poses: Sequence[Floats]) -> tuple[Canva
 def measured_by_views(cell: RunCell, samples: SurfaceSamples, poses: Sequence[Floats]) -> MeasuredSamples:
     """Return the samples with the views that measure them; arguments as in `measure_run`."""
     stacked = np.stack(poses) if len(poses) else np.zeros((0, 1, 4, 4))
-    return measure_samples(samples, stacked, cell.scanner, (cell.part_caster, cell.occluder_caster))
+    return measure_samples(samples, stacked, cell.scanner, cell.casters)
 
 
 def part_surface(

@@ -152,11 +152,10 @@ def group_samples(
     members: dict[tuple[int, str], list[int]] = {}
     for i, key in enumerate(zip(diagnosis.reason.tolist(), what, strict=True)):
         members.setdefault(key, []).append(i)
-    adjacency = _adjacent_faces(planning)
     grouped = []
     for (reason, thing), own in members.items():
         inside = rows[np.array(own)]
-        pieces = _patches(inside, samples, adjacency, len(planning.faces))
+        pieces = _patches(inside, samples, planning)
         details = (
             _detail(Reason(reason), diagnosis, np.isin(rows, inside), keys),
             _region_shares(samples, inside, regions),
@@ -166,26 +165,16 @@ def group_samples(
     return sorted(grouped, key=lambda group: (-float(samples.areas[group.rows].sum()), group.reason, group.what))
 
 
-def _adjacent_faces(mesh: TriangleMesh) -> Ints:
-    """Return (E, 2) pairs of faces with a common edge."""
-    edges = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
-    face = np.repeat(np.arange(len(mesh.faces)), 3)
-    order = np.lexsort((edges[:, 1], edges[:, 0]))
-    same = (np.diff(edges[order], axis=0) == 0).all(axis=1)
-    return np.stack([face[order][:-1][same], face[order][1:][same]], axis=1)
-
-
-def _patches(rows: Ints, samples: SurfaceSamples, adjacent: Ints, faces: int) -> list[Ints]:
-    """Return the samples in patches connected over planning faces, largest first."""
-    from scipy.sparse import coo_array
+def _patches(rows: Ints, samples: SurfaceSamples, planning: TriangleMesh) -> list[Ints]:
+    """Return the samples in patches connected over edges of planning faces, largest first."""
+    from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
-    here = np.zeros(faces, dtype=np.bool_)
-    face = samples.planning_face[rows]
-    here[face] = True
-    both = adjacent[here[adjacent].all(axis=1)]
-    graph = coo_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(faces, faces))
-    label = connected_components(graph, directed=False)[1][face]
+    face, of_row = np.unique(samples.planning_face[rows], return_inverse=True)
+    corners = planning.faces[face].ravel(), np.arange(0, 3 * len(face) + 1, 3)
+    touches = csr_array((np.ones(3 * len(face)), *corners), shape=(len(face), len(planning.vertices)))
+    edges = (touches @ touches.T > 1).astype(np.int8)  # faces with two common corners
+    label = connected_components(edges, directed=False)[1][of_row]
     pieces = [rows[label == one] for one in np.unique(label)]
     return sorted(pieces, key=lambda piece: (-float(samples.areas[piece].sum()), int(piece[0])))
 
@@ -425,7 +414,6 @@ def analyse(run: Run, reporter: ProgressReporter, count: int) -> Analysis:
         world = world_of(run, cell.reference)
         for sentence in collision_note(cell.scene):
             reporter.note(sentence)
-        scanner, part_caster, occluder_caster = cell.scanner, cell.part_caster, cell.occluder_caster
     with reporter.stage("uncovered surface"):
         samples = held_out_samples(cell.reference, cell.planning, run.seed, count)
         targets = RayTargets.of(samples.points, samples.normals, samples.region)
@@ -433,11 +421,9 @@ def analyse(run: Run, reporter: ProgressReporter, count: int) -> Analysis:
         surface = measured_by_views(cell, samples, list(views))
         rows = np.flatnonzero(~surface.seen.any(axis=1))
     with reporter.stage("causes") as progress:
-        diagnosis = why.diagnose(
-            targets, rows, candidates, scanner, part_caster, occluder_caster, fails, progress=progress
-        )
+        diagnosis = why.diagnose(targets, rows, candidates, cell.scanner, cell.casters, fails, progress=progress)
         casters = {piece.name: EmbreeRayCaster(piece.vertices, piece.faces) for piece in cell.occluders}
-        what = why.occluders_of(targets, rows, diagnosis, candidates, scanner, casters)
+        what = why.occluders_of(targets, rows, diagnosis, candidates, cell.scanner, casters)
         K = candidates.T_object_scanner.shape[1]
         of_robot = (diagnosis.reason >= Reason.OUT_OF_REACH) & (diagnosis.reason < Reason.NOT_SELECTED)
         for i in np.flatnonzero(of_robot):
@@ -466,8 +452,7 @@ def _with_executed_poses(candidates: Viewpoints, views: Sequence[PlanView]) -> V
 def _failures(run: Run, plan: PlanFile, count: int) -> tuple[NDArray[np.uint8], list[str]]:
     """Return the cause for which each candidate fails on any point, and the object in its way."""
     reached = run.reach
-    fails = np.array([REASON_OF_VERDICT[verdict] for verdict in REASON_OF_VERDICT], dtype=np.uint8)[reached.verdict]
-    blockers = list(reached.blocker)
+    fails, blockers = REASON_OF_VERDICT[reached.verdict], list(reached.blocker)
     with reading(run.folder / "plan.json"):
         if len(fails) != count:
             raise ValueError(f"reach.npz has {len(fails)} verdicts and viewpoints.npz {count} candidates")

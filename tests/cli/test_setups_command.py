@@ -12,7 +12,8 @@ import pytest
 import trimesh
 
 from cell.api import open_run, setups
-from cell.plan.setups import Setup, cause_of_omission
+from cell.plan.setup_candidates import Setup
+from cell.plan.setups import cause_of_omission
 from cell.runs.cell import read_cell
 from tests.seen_samples import seen_samples
 

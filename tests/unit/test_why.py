@@ -44,7 +44,7 @@ def _on_plate(x: np.ndarray) -> RayTargets:
 
 def _reasons(targets: RayTargets, views: Viewpoints, scanner: LaserArea, part, other=_FAR, fails=Reason.NOT_SELECTED):
     rows = np.arange(len(targets))
-    return why.diagnose(targets, rows, views, scanner, part, other, np.full(len(views), fails, np.uint8))
+    return why.diagnose(targets, rows, views, scanner, (part, other), np.full(len(views), fails, np.uint8))
 
 
 def test_the_laser_shadow_of_a_wall_follows_from_similar_triangles() -> None:
@@ -116,7 +116,7 @@ def test_the_grazing_angle_is_exact_and_the_smallest_sufficient_limit_is_that_an
     views = aim_viewpoints(np.array([[0.0, 0.003, 0.0]]), outward, np.array([0]), [0.2], [0.0])
     rows, part = np.array([0]), _caster(_PLATE)
     found = why.diagnose(
-        targets, rows, views, LaserArea(baseline_mm=0), part, _FAR, np.array([Reason.NOT_SELECTED], np.uint8)
+        targets, rows, views, LaserArea(baseline_mm=0), (part, _FAR), np.array([Reason.NOT_SELECTED], np.uint8)
     )
     assert found.reason[0] == Reason.GRAZING_SOURCE
     np.testing.assert_allclose(np.degrees(found.grazing_source[0]), angle_deg, atol=1e-9)
