@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.parts import parts, place
 from cell import api
 from cell.errors import CellError
+from cell.plan import setup_search
 from cell.plan import setups as planning
 from cell.runs.cell import read_cell
 from cell.world.prediction import held_out_samples
@@ -43,9 +44,9 @@ def run() -> list[dict[str, Any]]:
 def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     options_of_part: dict[str, object] = {"place": place()} | ({"units": words[2]} if len(words) > 1 else {})
     solved: list[tuple[CoverProblem, GroupedCover]] = []
-    searches: list[planning.SetupSearch] = []
+    searches: list[setup_search.SetupSearch] = []
 
-    class Kept(planning.SetupSearch):
+    class Kept(setup_search.SetupSearch):
         def __init__(self, *known: Any) -> None:
             super().__init__(*known)
             searches.append(self)
@@ -56,14 +57,14 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
         return found
 
     start = time.process_time()
-    own = planning.SetupSearch
-    planning.solve_grouped, planning.SetupSearch = record, Kept  # type: ignore[misc]
+    own = setup_search.SetupSearch
+    setup_search.solve_grouped, planning.SetupSearch = record, Kept  # type: ignore[misc]
     try:
         made = api.setups(words[0], out=folder / name, **options_of_part)
     except CellError as error:
         return {"part": name, "error": str(error)[:100]}
     finally:
-        planning.solve_grouped, planning.SetupSearch = solve_grouped, own  # type: ignore[misc]
+        setup_search.solve_grouped, planning.SetupSearch = solve_grouped, own  # type: ignore[misc]
     seconds, file = time.process_time() - start, made.file
     problem, joint = solved[-1]
     poses = [setup.measured.candidates.T_object_scanner[:, 0] for setup in searches[0].setups.values()]
@@ -72,15 +73,15 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     ceiling, error = _ceiling(made.folders[0])
     return {
         "part": name,
-        "offered": len(file.offered),
-        "set-ups": len(file.chosen),
+        "candidates": len(file.candidates),
+        "set-ups": len(file.selected),
         "bound": file.setups_bound,
         "views": file.views,
         "views bound": file.views_bound,
         "one cover": f"{len(joint.views)} / {joint.n_views}",
         "one after the other": f"{setups} / {views}",
         "views first": f"{first_setups} / {first_views}",
-        "best single %": round(100 * max(each.coverable for each in file.offered), 2),
+        "best single %": round(100 * max(each.coverable for each in file.candidates), 2),
         "visible %": round(100 * file.coverage.visible, 2),
         "ceiling %": round(100 * ceiling, 2),
         "+-": round(100 * error, 2),

@@ -27,7 +27,7 @@ from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.runs import ply
 from cell.runs.run import ExecutedScan
-from cell.runs.schema import UNSEEN, OpenReason
+from cell.runs.schema import UNSEEN, UncoveredArea
 from cell.scene.model import CylinderFixture, MeshFixture, Scene
 from planner.explore.gain import OpenSamples
 from planner.explore.space import FREE, UNKNOWN, VoxelSpace, first_in_cubes
@@ -310,12 +310,12 @@ class UncoveredReport(Value):
     reason: Annotated[Ints, "N"]
     candidates: Viewpoints
 
-    def by_area(self) -> tuple[OpenReason, ...]:
+    def by_area(self) -> tuple[UncoveredArea, ...]:
         """Return the area by cause, largest first."""
         said = np.array([describe_cause(code) for code in self.reason.tolist()], dtype=object)
         areas = {each: 1e6 * float(self.samples.areas[said == each].sum()) for each in dict.fromkeys(said.tolist())}
         return tuple(
-            OpenReason(reason=each, area_mm2=round(area, 3))
+            UncoveredArea(cause=each, area_mm2=round(area, 3))
             for each, area in sorted(areas.items(), key=lambda item: -item[1])
         )
 
@@ -354,7 +354,6 @@ def closest_causes(
     samples: SurfaceSamples, candidates: Viewpoints, reached: Reach, scanner: Scanner, casters: Sequence[RayCaster]
 ) -> Ints:
     """Return (S,) the `Reason` of the candidate that comes closest to measuring each sample."""
-    fails = np.array([REASON_OF_VERDICT[verdict] for verdict in REASON_OF_VERDICT], dtype=np.uint8)[reached.verdict]
     targets, rows = RayTargets.of(samples.points, samples.normals), np.arange(len(samples))
-    found = why.diagnose(targets, rows, candidates, scanner, casters[0], casters[1], fails)
+    found = why.diagnose(targets, rows, candidates, scanner, casters, REASON_OF_VERDICT[reached.verdict])
     return found.reason.astype(np.int64)

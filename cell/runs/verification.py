@@ -261,14 +261,7 @@ def _at_reference(checked: mujoco.MjModel, recompiled: mujoco.MjModel, body: int
 
 def _support(model: mujoco.MjModel, geom: int) -> Floats:
     """Return the extent of a mesh's hull in several directions, in the frame of its body [m]."""
-    import mujoco
-
-    mesh = model.geom(geom).dataid[0]
-    begin, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    R = np.empty(9)
-    mujoco.mju_quat2Mat(R, model.geom_quat[geom])
-    vertices = model.mesh_vert[begin : begin + count] @ R.reshape(3, 3).T + model.geom_pos[geom]
-    return np.asarray((vertices @ _DIRECTIONS.T).max(axis=0))
+    return np.asarray((robot.mesh_of(model, geom).vertices @ _DIRECTIONS.T).max(axis=0))
 
 
 _JSON_TOLERANCE = 1e-7
@@ -504,13 +497,13 @@ def verify_clearance(
     stated = plan.clearance
     if stated is None:
         refuse(run.folder / "plan.json", "does not state the clearance of the motion")
-    nearest, proven, between = (stored[name] for name in ("minimum_clearance", "clearance_at_least", "between"))
+    nearest, proven, between = (stored[name] for name in ("minimum_clearance", "clearance_lower_bound", "between"))
     expected = Clearance(
         collision=collision,
         segments=[
             {
                 "minimum_mm": round(1000 * float(low), 4),
-                "at_least_mm": round(1000 * float(least), 4),
+                "lower_bound_mm": round(1000 * float(least), 4),
                 "between": str(what),
             }
             for low, least, what in zip(nearest, proven, between, strict=True)

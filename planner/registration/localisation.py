@@ -17,6 +17,7 @@ Metres, radians.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -97,18 +98,18 @@ def fit_surface(
         coarse.descend(_FIRST)
         candidates.append((coarse.cost(), coarse.T))
     promising = []
-    for _, start in sorted(candidates, key=_cost)[:_PROMISING]:
+    for _, start in sorted(candidates, key=itemgetter(0))[:_PROMISING]:
         coarse.set_motion(start)
         coarse.descend(_LATER)
         promising.append((coarse.cost(), coarse.T))
     fine = _BodyFit([MovingScan(cloud, _FINE // len(near)) for cloud in near], nearest, reach, centre, length)
     results: list[tuple[float, Floats]] = []
-    for _, start in sorted(promising, key=_cost):
+    for _, start in sorted(promising, key=itemgetter(0)):
         if all(_distance_between(start, other, near) > _SAME * diagonal for _, other in results):
             fine.set_motion(start)
             fine.descend(_LAST)
             results.append((fine.spread(), fine.T))
-    results.sort(key=_cost)
+    results.sort(key=itemgetter(0))
     fine.set_motion(results[0][1])
     fine.hold_free_motions()
     fine.descend(_LAST)
@@ -221,10 +222,6 @@ class _BodyFit:
         count = self._held.shape[1]
         free = recentre_directions(self._held, own - self._centre, (self._length, own_length))
         return (np.linalg.svd(free)[0][:, count:] if count else np.eye(6)), free
-
-
-def _cost(result: tuple[float, Floats]) -> float:
-    return result[0]
 
 
 def _points_within(cloud: ScanCloud, nearest: ClosestPointQuery, reach: float) -> ScanCloud:
