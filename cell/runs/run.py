@@ -202,6 +202,13 @@ class Run(ArtefactFolder):
             return float(clearance[segment]), str(stored["between"][segment])
 
     @cached_property
+    def proven_clearance(self) -> float:
+        """Smallest proven lower bound on the clearance of the motion [m]; inf if none was measured."""
+        with reading(self.folder / "motion.npz"):
+            proven = np.asarray(self.arrays("motion.npz")["clearance_at_least"], dtype=np.float64)
+            return float(np.min(proven[np.isfinite(proven)], initial=np.inf))
+
+    @cached_property
     def candidates(self) -> Viewpoints:
         """The candidate viewpoints."""
         stored = self.arrays("viewpoints.npz")

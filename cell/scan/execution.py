@@ -32,7 +32,7 @@ from drivers.contract import Driver, Move, Result, RobotState
 from drivers.errors import DriverError
 from drivers.limits import Limits, check_move
 from drivers.registry import Context, open_driver
-from drivers.setpoints import SetPoints, format_axes, from_rad, to_deg, to_rad
+from drivers.setpoints import PER_DEGREE, SetPoints, format_axes, from_rad, to_deg, to_rad
 from drivers.sim import SimDriver
 from drivers.simulated_controller import PlantFactory
 from planner.ports import Progress
@@ -41,6 +41,9 @@ from planner.values import Floats
 
 START_TOLERANCE = 100
 """Largest distance of the arm from the start of a segment, in counts: 0.01 deg."""
+
+_SMALL_REACH = 0.1
+"""Distances of points from an axis below this [m] count as this: a flange needs no tolerance of many degrees."""
 
 _DYNAMIC = ("velocity", "acceleration", "jerk")
 _LIMITS = ("lower", "upper", *_DYNAMIC)
@@ -147,6 +150,7 @@ def make_driver(
     cell: RunCell,
     plants: Mapping[str, PlantFactory] | None = None,
     notify: Callable[[str], None] | None = None,
+    proven_clearance: float = np.inf,
 ) -> tuple[Driver, Clock]:
     """Return the driver, not yet connected, and the clock of its events.
 
@@ -160,6 +164,7 @@ def make_driver(
         cell: of the run, with the arm's limits and the speed scaling of the plan.
         plants: further plants of a simulated controller by name.
         notify: receives messages about long waits.
+        proven_clearance: lower bound on the clearance of the motion [m], for the tolerance of its path.
 
     Raises:
         UsageError: if real time is requested of a controller that is not simulated.
@@ -187,6 +192,9 @@ def make_driver(
     with driver_errors():
         limits = Limits.from_rad(arm)
         limits = limits.with_endless_axis() if cell.scene.table_is_endless else limits
+        reach = cell.travel.reach(len(limits.lower))
+        tolerance = np.degrees(cell.path_tolerance(proven_clearance) / np.maximum(reach, _SMALL_REACH)) * PER_DEGREE
+        limits = dataclasses.replace(limits, path_tolerance=np.maximum(tolerance, 1))
         driver = open_driver(url, Context(limits, clock, plants or {}, notify))
         # A simulated controller has one clock, with its time scale; of another one only real time is known.
         return driver, driver.clock if isinstance(driver, SimDriver) else RealTimeClock()
