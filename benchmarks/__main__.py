@@ -69,6 +69,7 @@ REGISTRY = {
     "soak": "2,000 moves over each wire with 1 % of every fault: what the controller's journal says of them",
     "fuzz": "mangled frames and telegrams against the codecs: crashes and false accepts",
     "fuzz_inputs": "mangled mesh, TOML, JSON and npz files: read, refused, errors that are none of ours, slowest",
+    "path_watch": "arms that leave their path: how far until they are stopped; false alarms with noise, lag and jitter",
     "wire": "round trip of a state and of a command on loopback, beyond wire time: median and p99",
 }
 

@@ -6,9 +6,9 @@ that axis, no point of the arm is then farther from its place on the path than t
 axis is at most its angle times that distance.
 
 Progress is monotone. The watch keeps the interval of path points at which the arm can be: its lower end never falls,
-and between two readings its upper end rises by at most what an arm with these limits can drive.
-Each reading reduces the interval to the points whose deviation is allowed; if none is left, the arm left the path, moved
-back, or skipped a via point. The position on the path is measured in seconds at full axis speed.
+and since any earlier reading its upper end rises by at most what an arm with these limits can drive. Each reading
+reduces the interval to the points whose deviation is allowed; if none is left, the arm left the path, moved back, or
+skipped a via point. The position on the path is measured in seconds at full axis speed.
 """
 
 from typing import Final
@@ -21,7 +21,7 @@ from drivers.limits import Limits
 from drivers.setpoints import PER_DEGREE, Floats, SetPoints, axis_name
 
 LAG_CHANGE: Final = 0.05
-"""Largest change of the age [s] of reported axes between two readings."""
+"""Largest change of the age [s] of reported axes during a move."""
 
 SPEED_MARGIN: Final = 1.05
 """Factor on the axis speeds for controllers whose clock differs from the client's."""
@@ -48,10 +48,11 @@ class PathWatch:
         self._tolerance = limits.path_tolerance.astype(np.float64)
         self._low, self._high = np.maximum(limits.lower, able.lower), np.minimum(limits.upper, able.upper)
         self._low, self._high = np.minimum(self._low, start.axes), np.maximum(self._high, start.axes)
-        self._scale = able.time_scale
+        self._rate, self._lag_change = SPEED_MARGIN * able.time_scale, LAG_CHANGE * able.time_scale
         self._earliest = self._latest = 0.0
-        # A reading is made between the previous update and its own, so two of them are at most this far apart.
-        self._updates = (now, now)
+        # A reading is made between the previous update and its own: the time since an earlier reading is at most that
+        # since the update before it. `_bound` is the smallest `latest - rate * time` of all of them.
+        self._previous, self._bound = now, -self._rate * now
 
     def update(self, axes: SetPoints, now: float) -> None:
         """Process the (n,) reported axes at a time of the client's clock [s].
@@ -60,8 +61,7 @@ class PathWatch:
             PathError: if an axis is outside its limits, or the arm is not on its path.
         """
         self._require_inside(axes)
-        limit = self._latest + ((now - self._updates[0]) * SPEED_MARGIN + LAG_CHANGE) * self._scale
-        self._updates = (self._updates[1], now)
+        limit = self._bound + self._rate * now + self._lag_change
         first = int(np.searchsorted(self._time[1:-1], self._earliest - _ROUNDING))
         last = int(np.searchsorted(self._time[:-1], limit, side="right"))
         s, deviation = self._breakpoints(axes, slice(first, last))
@@ -72,6 +72,8 @@ class PathWatch:
         if not allowed.any():
             raise PathError(self._describe(axes, slice(first, last), limit))
         self._earliest, self._latest = float(enter[allowed].min()), float(leave[allowed].max())
+        self._bound = min(self._bound, self._latest - self._rate * self._previous)
+        self._previous = now
 
     def require_end(self, axes: SetPoints) -> None:
         """Raise PathError unless the arm can have passed the whole path by the last update."""
@@ -124,9 +126,15 @@ class PathWatch:
         nearest: Floats = ratios[segment, point]
         axis = int(nearest.argmax())
         tolerance = self._tolerance[axis] / PER_DEGREE
-        is_ahead = bool((self._breakpoints(axes, slice(segments.stop - 1, None))[1] <= 1.0).any())
-        left = float(max(1.0 - (nearest.sum() - nearest[axis]), 0.0) * tolerance)
-        beside = " beside the deviations of the other axes" if left < 0.999 * tolerance else ""
+        s, deviation = (each[:, ::-1] for each in self._breakpoints(axes, slice(segments.stop - 1, None)))
+        leave = self._time[segments.stop - 1 : -1] + _first_allowed(s, deviation) * np.diff(
+            self._time[segments.stop - 1 :]
+        )
+        is_ahead = bool(((deviation <= 1.0).any(axis=1) & (leave > limit)).any())
+        left, beside = tolerance, ""
+        if nearest[axis] <= 1.0:
+            left = float(max(1.0 - (nearest.sum() - nearest[axis]), 0.0) * tolerance)
+            beside = " beside the deviations of the other axes"
         return (
             f"the arm left the path of its move on the way to via point {segments.start + int(segment) + 1} of "
             f"{len(self._begin)}: {axis_name(axis)} is at {axes[axis] / PER_DEGREE:.4f} deg, "

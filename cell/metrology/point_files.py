@@ -27,6 +27,10 @@ _PLY_TYPE_NAMES = (
 _PLY_TYPES = dict(pair.split("=") for pair in _PLY_TYPE_NAMES.split())
 
 
+class UnreadableError(ValueError):
+    """The content of a file is no list of points; the message names the cause."""
+
+
 def read(path: Path) -> Floats:
     """Read the points (P, 3) of a file, in its own unit and frame.
 
@@ -44,9 +48,16 @@ def read(path: Path) -> Floats:
         points = readers[path.suffix.lower()](content)
     except KeyError as error:
         raise FileError(f"{path} has no readable points: its header lacks {error}, or {error} is unknown") from error
-    except (ValueError, IndexError, TypeError) as error:
+    except UnreadableError as error:
         raise FileError(f"{path} has no readable points: {error}") from error
+    except (ValueError, IndexError, TypeError) as error:
+        raise FileError(
+            f"{path} has no readable points: a value is not a number, or its lines differ in length, or its content is "
+            "not that of its header; write it again"
+        ) from error
     finite: Floats = points[np.isfinite(points).all(axis=1)]
+    if len(points) and not len(finite):
+        raise FileError(f"{path} has {len(points)} points, and the coordinates of none are finite; scan again")
     return finite
 
 
@@ -95,11 +106,11 @@ def _ply(content: bytes) -> Floats:
     header, found, body = content.partition(b"end_header")
     lines = [line.split() for line in header.decode("ascii").splitlines()]
     if not found or lines[0] != ["ply"]:
-        raise ValueError("it is no complete PLY")
+        raise UnreadableError("it is no complete PLY")
     kind = {line[0]: line[1] for line in lines if len(line) > 1}["format"]
     elements = [number for number, line in enumerate(lines) if line[:1] == ["element"]]
     if not elements or lines[elements[0]][1] != "vertex":
-        raise ValueError("its first element is not 'vertex'")
+        raise UnreadableError("its first element is not 'vertex'")
     count = int(lines[elements[0]][2])
     own = lines[elements[0] + 1 : elements[1] if len(elements) > 1 else None]
     fields = [(line[-1], line[1]) for line in own if line[:1] == ["property"]]
@@ -113,7 +124,7 @@ def _ply(content: bytes) -> Floats:
 def _pcd(content: bytes) -> Floats:
     header, found, rest = content.partition(b"DATA ")
     if not found:
-        raise ValueError("it is no complete PCD")
+        raise UnreadableError("it is no complete PCD")
     keys = {line.split()[0]: line.split()[1:] for line in header.decode("ascii").splitlines() if line[:1] not in "# "}
     kind, _, body = rest.partition(b"\n")
     count = int(keys["POINTS"][0]) if "POINTS" in keys else int(keys["WIDTH"][0]) * int(keys["HEIGHT"][0])
@@ -123,7 +134,7 @@ def _pcd(content: bytes) -> Floats:
         wide = [name if k == 0 else f"{name} {k}" for name, n in zip(names, counts, strict=True) for k in range(n)]
         return _from_text(body, wide, count)
     if kind.strip() != b"binary":
-        raise ValueError(f"its data are '{kind.strip().decode('ascii')}'; write them as ascii or binary")
+        raise UnreadableError(f"its data are '{kind.strip().decode('ascii')}'; write them as ascii or binary")
     forms = [kind.lower() + size for kind, size in zip(keys["TYPE"], sizes, strict=True)]
     row = np.dtype([(name, f"<{form}", (n,)) for name, form, n in zip(names, forms, counts, strict=True)])
     return _from_binary(body, row, count)
@@ -132,7 +143,7 @@ def _pcd(content: bytes) -> Floats:
 def _from_text(body: bytes, names: list[str], count: int) -> Floats:
     rows = [[float(word) for word in row.split()] for row in body.decode("ascii").splitlines()[:count]]
     if len(rows) != count:
-        raise ValueError(f"it has {len(rows)} of {count} points")
+        raise UnreadableError(f"it has {len(rows)} of {count} points")
     if not count:
         return np.empty((0, 3))
     return _three(np.array(rows, dtype=np.float64)[:, [names.index(axis) for axis in "xyz"]])
@@ -140,10 +151,10 @@ def _from_text(body: bytes, names: list[str], count: int) -> Floats:
 
 def _from_binary(body: bytes, row: "np.dtype[np.void]", count: int) -> Floats:
     if len(body) < count * row.itemsize:
-        raise ValueError(f"it ends before its {count} points")
+        raise UnreadableError(f"it ends before its {count} points")
     table: NDArray[np.void] = np.frombuffer(body, dtype=row, count=count)
     if any(axis not in (row.names or ()) for axis in "xyz"):
-        raise ValueError("its points have no x, y and z")
+        raise UnreadableError("its points have no x, y and z")
     return _three(np.stack([table[axis].reshape(count).astype(np.float64) for axis in "xyz"], axis=1))
 
 
@@ -151,7 +162,7 @@ def _three(points: Floats) -> Floats:
     if points.size == 0:
         return np.empty((0, 3))
     if points.shape[1] != 3:
-        raise ValueError("its lines have fewer than three numbers")
+        raise UnreadableError("its lines have fewer than three numbers")
     return points
 
 

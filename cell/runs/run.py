@@ -606,7 +606,7 @@ def npz_arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
         return arrays
     except (
         ValueError, OSError, EOFError, TypeError, NotImplementedError, OverflowError, RuntimeError, SyntaxError,
-        KeyError, MemoryError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
+        KeyError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
     ) as error:  # fmt: skip
         raise FileError(f"{path} is damaged or cut short and cannot be read; plan or scan again") from error
 

@@ -311,7 +311,7 @@ def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, t
         ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\nend_header\n12", "ends"),
         ("a.pcd", b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 1\nDATA binary_compressed\n", "binary_compressed"),
         ("a.xyz", b"1 2\n", "fewer than three"),
-        ("a.xyz", b"one two three\n", "could not convert"),
+        ("a.xyz", b"one two three\n", "not a number"),
         ("a.ply", b"ply\nelement vertex 1\nproperty float x\nend_header\n", "lacks 'format'"),
         (
             "a.ply",
