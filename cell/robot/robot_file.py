@@ -142,8 +142,8 @@ def read_robot(
 
 
 _REFUSALS = {
-    "inertia must satisfy": "an inertia is impossible, no principal moment may exceed the sum of the other two; correct "
-    "that <inertial>",
+    "inertia must satisfy": "an inertia is impossible, no principal moment may exceed the sum of the other two; "
+    "correct that <inertial>",
     "mass and inertia of moving bodies": "a moving body has no mass or inertia; give it an <inertial>",
 }
 

@@ -104,7 +104,8 @@ def load_robot(
     try:
         model = spec.compile()
     except ValueError as error:
-        raise FileError(f"{path} has shapes that MuJoCo does not accept: {robot_file.describe_refusal(error)}") from error
+        cause = robot_file.describe_refusal(error)
+        raise FileError(f"{path} has shapes that MuJoCo does not accept: {cause}") from error
     links = LinkPairs(model)
     classes = links.classify()
     for one, other in classes.joined:
