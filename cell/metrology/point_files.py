@@ -99,6 +99,8 @@ def _text(content: bytes) -> Floats:
     """Read the first three numbers of each line."""
     lines = _words(content.decode("utf-8-sig"))
     rows = [[float(word) for word in words[:3]] for words in lines if words and not words[0].startswith(("#", "/"))]
+    if not rows:
+        raise UnreadableError("it has no lines of numbers")
     return _three(np.array(rows, dtype=np.float64).reshape(len(rows), -1))
 
 

@@ -321,9 +321,10 @@ class Command:
 
 def _keep_end(stream: IO[bytes], output: bytearray) -> None:
     """Read a stream to its end, and keep its last `_MAX_OUTPUT` bytes."""
-    while chunk := os.read(stream.fileno(), 65536):
-        output += chunk
-        del output[:-_MAX_OUTPUT]
+    with stream:
+        while chunk := os.read(stream.fileno(), 65536):
+            output += chunk
+            del output[:-_MAX_OUTPUT]
 
 
 def _kill_group(process: subprocess.Popen[bytes]) -> None:

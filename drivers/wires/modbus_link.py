@@ -93,7 +93,7 @@ class _PromptSerialClient(ModbusSerialClient):
         size = int(super().send(request, addr))
         self._sent, self.is_echoing, port = request, False, self.socket
         if self.echo and port is not None and port.read(size) != request:
-            raise OSError("the adapter does not return the sent bytes, as option echo says it does")
+            raise ProtocolError(f"{port.name} does not return the bytes that are sent to it; omit the option echo")
         return size
 
     def recv(self, size: int | None) -> bytes:
@@ -187,6 +187,8 @@ class ModbusPort:
     def _execute(self, request: Any) -> Any:
         try:
             response = request()
+        except ProtocolError:
+            raise
         except ModbusIOException as error:  # no answer, or one for another request
             if self._keeps_late_answers:
                 self.close()
