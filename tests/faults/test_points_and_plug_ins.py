@@ -1,6 +1,7 @@
 """Points that are no scan, commands that do not end, plug-ins that raise, memory that runs out."""
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -86,21 +87,18 @@ def test_points_that_are_a_scan() -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", None),
+        (b"", "it has no lines of numbers"),
         (b"nan nan nan\nnan nan nan\n", "the coordinates of none are finite"),
         (b"1 2 3\n1 2\n", "differ in"),
     ],
 )
-def test_files_of_points(tmp_path: Path, content: bytes, words: str | None) -> None:
-    """A file of NaN is no scan, lines of different length are named, and an empty file has no points."""
+def test_files_of_points(tmp_path: Path, content: bytes, words: str) -> None:
+    """A file of NaN is no scan; lines of different length and empty files are named."""
     path = tmp_path / "1.xyz"
     path.write_bytes(content)
-    if words is None:
-        assert point_files.read(path).shape == (0, 3)
-        return
     with pytest.raises(FileError, match=words) as error:
         point_files.read(path)
-    assert "inhomogeneous" not in str(error.value)
+    assert not re.search("inhomogeneous|reshape", str(error.value))
 
 
 BREAKS = {
