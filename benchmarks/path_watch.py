@@ -1,8 +1,8 @@
 """The watch of the path: arms that leave it, and false alarms of arms that do not.
 
 Deviations are driven through the simulated controller with a plant that reports other axes than its reference, at full
-speed and at a tenth. A row has the time from the moment at which the deviation exceeds the tolerance to the end of the
-move, and the largest deviation of any axis reported by then. The tolerance is that of a clearance of 10 mm.
+speed and at a tenth. A row has the time of the move's end and its message with axis, deviation and limit. The tolerance
+is that of a clearance of 10 mm.
 
 False alarms are counted over moves through random via points with normal noise on every reported axis, a lag, and polls
 of random length. `PATH_WATCH_MOVES` in the environment changes the 2,000 moves.
