@@ -28,7 +28,7 @@ from benchmarks.diff_recount import recounted
 from benchmarks.edit_judge import EditJudge
 from benchmarks.parts import parts, place
 from benchmarks.random_edits import random_edit
-from cell.api import open_run, plan, scan
+from cell.api import edit, open_run, plan, scan
 from cell.errors import CellError
 from cell.report.diff import compare_runs
 from cell.report.plots import PlotProcess
@@ -82,7 +82,7 @@ def _judged(home: Path, judge: EditJudge, number: int, count: int) -> dict[str, 
     for left in (out, out.with_name(f"{out.name}.part")):
         shutil.rmtree(left, ignore_errors=True)  # of a call that was stopped
     try:
-        made = before.edited(out=out, **asked.wishes)
+        made = edit(before, out=out, **asked.wishes)
     except CellError as error:
         findings = judge.refused(asked, error)
         return row | {"refused": str(error), "findings": findings, "s": process_time() - begin}

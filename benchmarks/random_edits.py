@@ -23,7 +23,7 @@ class RandomEdit:
     """An edit and its expected result.
 
     Attributes:
-        wishes: keyword arguments of `EditableRun.edited`.
+        wishes: keyword arguments of `cell.api.edit`.
         poses: (4, 4) T_base_scanner of each changed or added view, by its name in refusals.
         wrong: required text of the refusal; "" if the edit is valid by construction.
     """

@@ -59,7 +59,7 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     own = planning.SetupSearch
     planning.solve_grouped, planning.SetupSearch = told, Kept  # type: ignore[misc]
     try:
-        made = api.plan_setups(words[0], out=folder / name, **wishes)
+        made = api.setups(words[0], out=folder / name, **wishes)
     except CellError as error:
         return {"part": name, "said": str(error)[:100]}
     finally:

@@ -30,10 +30,10 @@ def check(
     as_json: AsJson = False,
 ) -> None:
     """Compile a scene, list contacts at home and the data of the cell, and report its errors."""
+    from cell import api
     from cell.cli.terminal import Terminal
-    from cell.world.checks import check_scene
 
-    result = check_scene(scene_from_options(scene, given, part, flag))
+    result = api.check(scene_from_options(scene, given, part, flag))
     if as_json:
         print_json(result.summary())
     else:
@@ -238,10 +238,10 @@ def replay(
     options: ReplayOptions,
 ) -> None:
     """Show a run: the arm on its motion, the scanner's frustum at each stop, the points of an execution."""
+    from cell import api
     from cell.cli.terminal import Terminal
-    from cell.view.replay import replay as run_replay
 
-    if text := run_replay(run, options, Terminal()):
+    if text := api.replay(run, options, progress=Terminal()):
         sys.stdout.write(f"{text}\n")
     Terminal(quiet_stdout=True).suggest(("cell", "scan" if options.execution is None else "why", run))
 
@@ -260,12 +260,12 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write the motion of a plan as a KUKA program (KRL), or as a table (CSV, JSON)."""
+    from cell import api
     from cell.cli.terminal import Terminal
-    from cell.export import export as exporting
 
     terminal = Terminal(quiet_stdout=as_json)
     has_setups = (run / "setups.json").is_file()
-    outcome = (exporting.export_setups if has_setups else exporting.export)(run, options, terminal)
+    outcome = api.export(run, options, progress=terminal)
     if options.kind == "krl":
         terminal.note(
             "before this program runs on a robot, check tool, base, signals and cell (docs/export.md), and run it in T1"

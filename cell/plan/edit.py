@@ -10,7 +10,6 @@ again for every candidate. Object frame, metres, radians.
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
@@ -33,9 +32,8 @@ from cell.plan.selection import PinnedViewError, SelectionProblem
 from cell.runs.cell import scene_of_run, with_placement
 from cell.runs.run import Run
 from cell.scene.model import PlanSettings, pose
-from cell.scene.options import parse_options
 from cell.scene.settle import SettledScene
-from cell.session import LoggedProgress, Origin, ProgressReporter, Session
+from cell.session import Session
 from cell.world.measurability import PartSurface
 from cell.world.prediction import Prediction, held_out_samples
 from planner.cover import CoverStatus
@@ -50,59 +48,6 @@ SAME_POSE = 1e-9
 
 _ROUNDING = 1e-9  # of shares that are summed in another order
 _REPAIR = "--repair adds the fewest views that restore it"
-
-
-@dataclass(frozen=True, eq=False)  # no slots: values that are read later are kept
-class EditableRun(Run):
-    """A finished plan; `edited` makes a new one of it."""
-
-    @classmethod
-    def opened(cls, folder: Path) -> Self:
-        """Open a run folder of `cell plan`.
-
-        Raises:
-            FileError: if it is missing, damaged, not a run folder, or its plan did not finish.
-        """
-        run = cls.open_finished(folder)
-        run.plan, run.report  # noqa: B018  # damaged files are reported here
-        return run
-
-    def edited(
-        self,
-        edit_options: Edit | None = None,
-        *,
-        out: str | Path | None = None,
-        use_cache: bool = True,
-        progress: ProgressReporter | None = None,
-        argv: Sequence[str] = (),
-        T_base_object: Floats | None = None,
-        **options: object,
-    ) -> "EditableRun":
-        """Plan a new run with views dropped, moved, turned, added or reordered, and check it completely.
-
-        Args:
-            edit_options: changes as one value. None takes them from the keywords.
-            out: run folder to create. None creates one below sim_runs/.
-            use_cache: whether measurability matrices are read from and written to the user's cache.
-            progress: reporter of the progress. None reports nothing.
-            argv: command line to record in the manifest.
-            T_base_object: (4, 4) measured placement of the part [m], as found by `cell.api.locate`. None keeps the
-                planned placement. The views move with the part, and `repair` omits views that are out of reach.
-            **options: of `cell edit` by name: `drop=[4]`, `turn={7: 90}`, `add_candidate=533`, `repair=True`,
-                `move={7: (x, y, z, a, b, c)}` (mm and deg, KUKA ABC, scanner in base).
-
-        Raises:
-            CellError: with one sentence. For an unreachable view it names the condition and the blocking object.
-        """
-        session = Session(
-            None,
-            LoggedProgress() if progress is None else progress,
-            None if out is None else Path(out),
-            use_cache=use_cache,
-            origin=Origin(tuple(argv)),
-        )
-        edit_ = parse_options(Edit, options) if edit_options is None else edit_options
-        return EditableRun.opened(edit(session, self, edit_, T_base_object=T_base_object))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +104,7 @@ class _Numbering:
 
 
 def edit(session: Session[None], run: Run, wanted: Edit, *, T_base_object: Floats | None = None) -> Path:
-    """Make a new run of an edited plan; see `EditableRun.edited`."""
+    """Make a new run of an edited plan; see `cell.api.edit`."""
     if wanted.repair:
         require_repairable(run)
     check_edit(wanted, len(run.candidate), run.report.verdicts.total)

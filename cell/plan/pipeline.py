@@ -414,7 +414,7 @@ def _judge(report: Report) -> Verdict:
 
 
 def read_request(
-    part: "str | Path | trimesh.Trimesh | Scene | None", path: str | Path | None, options: dict[str, object]
+    part: "str | Path | trimesh.Trimesh | Scene | None", path: str | Path | None, options: Mapping[str, object]
 ) -> tuple[Scene, Workpiece | None]:
     """Return the checked scene, and the part unless it comes from a file.
 

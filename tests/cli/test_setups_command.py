@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.api import open_run, plan_setups
+from cell.api import open_run, setups
 from cell.plan.setups import Setup, cause_of_omission
 from cell.runs.cell import read_cell
 from tests.seen_samples import seen_samples
@@ -165,7 +165,7 @@ def test_equal_set_ups_are_refused(part_file: Path, run_cell: Cell, tmp_path: Pa
 
 def test_wishes_are_asked_of_all_set_ups_together(part_file: Path, tmp_path: Path) -> None:
     """A pinned candidate brings its set-up, a banned one is not selected. Two views may be of different set-ups."""
-    made = plan_setups(
+    made = setups(
         part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,
         candidates="optimal-scanning-zone", proposals=3, coverage=0.95,
         multiplicity=2, pin=["2:12"], ban=["0:4", "1:4"],
@@ -188,7 +188,7 @@ def test_the_curve_is_of_the_set_ups_that_are_used_and_each_is_visited_in_order(
     part_file: Path, tmp_path: Path
 ) -> None:
     """Views of the curve are named like pinned ones and measure the stated share. Views overlap earlier ones."""
-    made = plan_setups(
+    made = setups(
         part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,
         candidates="optimal-scanning-zone", proposals=3, coverage=0.95, curve=True, overlap="5%", overlap_in_order=True,
     )  # fmt: skip
