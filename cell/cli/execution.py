@@ -87,7 +87,7 @@ def scan(
     if (run / "setups.json").is_file():
         _scan_setups(run, options, setup, resume, report, terminal)
     if setup is not None:
-        raise UsageError(f"--setup needs a folder of cell setups, and {run} is none; leave it out")
+        raise UsageError(f"--setup needs a folder of cell setups, and {run} is a single run; omit --setup")
     if report is not None:
         outcome = results.make_report(_session(terminal), run, report)
     elif resume is not None:
@@ -170,7 +170,7 @@ def explore(
 ) -> None:
     """Measure a part without a model: a first ring of views, then the uncovered surface, batch by batch.
 
-    PART stands in the cell and is hidden from the planning. --max-views is the budget of views.
+    PART is in the simulated cell; the planning does not use it. --max-views is the budget of views.
     """
     from cell import api
     from cell.cli.terminal import Terminal
@@ -325,6 +325,6 @@ def _announce(url: str, run: Path | None, time_scale: float) -> None:
     scaled = "" if time_scale == 1.0 else f" --accept-time-scale {time_scale:g}"
     plan = "RUN" if run is None else shlex.quote(str(run))
     sys.stderr.write(
-        "cell: an emulated arm, not a real one, answers there until Ctrl-C\n"
+        "cell: an emulated arm (not a real one) is available at this URL until Ctrl-C\n"
         f"next, in another terminal:\n  cell scan {plan} --driver {shlex.quote(url)}{scaled}\n"
     )

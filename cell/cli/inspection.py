@@ -117,7 +117,7 @@ def robot(
     for text in package or []:
         name, is_given, folder = text.partition("=")
         if not is_given:
-            raise UsageError(f"--package is NAME=DIR, and {text} has no =")
+            raise UsageError(f"--package {text} has no =; give NAME=DIR")
         packages[name] = str(Path(folder).absolute())
     terminal = Terminal(quiet_stdout=as_json)
     with terminal.stage("read the arm"):
@@ -188,20 +188,18 @@ def view(
 
     def open_page(path: Path) -> None:
         if not no_open and not view_command.open_browser(path):
-            terminal.note("no browser could be opened; open the file in one")
+            terminal.note("no browser could be started; open the file in a browser")
         terminal.print(str(path))
 
     if watch:
         if what is None or what.is_dir():
-            raise UsageError(
-                "--watch draws a scene file again when it is saved; give one: cell view my_cell.toml --watch"
-            )
+            raise UsageError("--watch needs a scene file; give one: cell view my_cell.toml --watch")
         view_command.watch(what, out, terminal, open_page, time.sleep)
     elif what is not None and (what / "setups.json").is_file():
         from cell.runs.setups import SetupsRun
 
         if out is not None:
-            raise UsageError(f"{what} holds several set-ups with a page each; leave out --out")
+            raise UsageError(f"{what} holds several set-ups with a page each; omit --out")
         for folder in SetupsRun.opened(what).folders:
             open_page(view_command.make_page(folder, None, terminal))
         Terminal(quiet_stdout=True).suggest(("cell", "scan", what))

@@ -227,7 +227,7 @@ class Run(ArtefactFolder):
 
     @cached_property
     def scene(self) -> ResolvedScene:
-        """The settings of the plan and everything that stood in the cell."""
+        """The settings of the plan and all objects of the cell."""
         return parsed(ResolvedScene, self.artefact("scene.resolved.json"), self.folder / "scene.resolved.json")
 
     @cached_property

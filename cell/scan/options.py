@@ -177,7 +177,7 @@ class ScanOptions(CurrentFiles):
                 "--confirm-motion, --reset, --accept-time-scale, --scene, --part and --accept-changed-scene"
             )
         if report is not None and given:
-            raise UsageError("--report uses the existing scans; leave out the options of a new scan")
+            raise UsageError("--report uses the existing scans; omit the options of a new scan")
 
     def as_manifest(self) -> dict[str, JsonValue]:
         """Return the options as the manifest stores them, with resolved defaults, for a later report."""

@@ -77,7 +77,7 @@ class StudyResult(Summary):
         failed: outcomes of the failed trials.
         computed: number of trials computed now; the others were cached.
         shown: columns for a terminal.
-        commands: command that plans each row; empty: there are none.
+        commands: command that plans each row; empty without commands.
         best: number of the best row, from 0; None: no row is marked.
     """
 
@@ -246,7 +246,7 @@ def _draw(folder: Path, stem: str, figure: Figure) -> str:
 
 
 def _report(title: str, result: StudyResult, pictures: Sequence[str]) -> str:
-    lines = [f"# {title} ([look at it]({PAGE_FILE}))", ""]
+    lines = [f"# {title} ([view]({PAGE_FILE}))", ""]
     for sentence in result.sentences:
         lines += [sentence, ""]
     lines += [line for name in pictures for line in (f"![{Path(name).stem}]({name})", "")]

@@ -143,7 +143,7 @@ def test_given_set_ups_are_planned_each_among_its_own_fixtures(part_file: Path, 
     said = json.loads((tmp_path / "made" / "setups.json").read_text())
     assert [each["name"] for each in said["offered"]] == ["upright", "over", "stuck"]
     assert "block" in said["offered"][2]["left_out"]
-    assert "the set-up 'stuck' is left out: " in done.stderr
+    assert "the set-up 'stuck' is omitted: " in done.stderr
     for setup in said["chosen"]:
         run = open_run(tmp_path / "made" / setup["folder"])
         names = [fixture.name for fixture in read_cell(run).scene.fixtures if not fixture.built_in]
@@ -160,7 +160,7 @@ def test_equal_set_ups_are_refused(part_file: Path, run_cell: Cell, tmp_path: Pa
     scene.write_text(text)
     done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
     assert done.returncode == 2
-    assert "'over' and 'again' are equal; leave one of them out" in done.stderr
+    assert "'over' and 'again' are equal; omit one of them" in done.stderr
 
 
 def test_wishes_are_asked_of_all_set_ups_together(part_file: Path, tmp_path: Path) -> None:
@@ -236,7 +236,7 @@ def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: Cell, t
     assert "is one of several set-ups" in done.stderr
     done = run_cell("edit", one, "--drop", "1", "--out", "edited", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "their coverage together is not known now" in " ".join(done.stderr.split())
+    assert "their combined coverage is not known now" in " ".join(done.stderr.split())
     assert "--repair" not in done.stdout + done.stderr
     assert "more than the fewest" not in open_run(tmp_path / "edited").report.status
     done = run_cell("edit", "edited", "--repair", "--out", "repaired", cwd=tmp_path)  # in any folder

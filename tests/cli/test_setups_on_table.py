@@ -113,4 +113,4 @@ def test_what_the_table_cannot_carry_is_left_out(part_file: Path, run_cell: Run,
     file = SetupsRun.opened(tmp_path / "made").file
     assert [bool(offer.left_out) for offer in file.offered] == [False, False, True]
     assert "swings through a circle of" in file.offered[2].left_out
-    assert "the set-up 'far off' is left out: the part swings" in done.stderr
+    assert "the set-up 'far off' is omitted: the part swings" in done.stderr

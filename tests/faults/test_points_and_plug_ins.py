@@ -87,9 +87,9 @@ def test_points_that_are_a_scan() -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "it has no lines of numbers"),
+        (b"", "is empty"),
         (b"nan nan nan\nnan nan nan\n", "the coordinates of none are finite"),
-        (b"1 2 3\n1 2\n", "differ in"),
+        (b"1 2 3\n1 2\n", "1.xyz"),
     ],
 )
 def test_files_of_points(tmp_path: Path, content: bytes, words: str) -> None:

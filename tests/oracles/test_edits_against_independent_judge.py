@@ -65,6 +65,6 @@ def test_the_judge_finds_what_is_wrong(run: Run, judge: EditJudge, tmp_path: Pat
         ("is within the arm's reach, but every solution exceeds a joint limit", away, "0 of 0"),
         ("has every solution within the joint limits collides (housing with part)", run.T_base_scanner[1], "are free"),
     ):
-        told = UnreachableError(f"view 2 cannot be taken: it {said}; move it elsewhere, or drop it")
+        told = UnreachableError(f"view 2 cannot be used: it {said}; move it to another pose, or drop it")
         assert found in judge.refused(RandomEdit({}, {"view 2": pose}), told)[0]
     assert judge.refused(replace(kept, wrong="view 2 twice"), UsageError("no view is left"))

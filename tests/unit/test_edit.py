@@ -111,14 +111,14 @@ def test_a_view_that_collides_is_refused_with_what_it_collides_with(planned: Pat
     assert reached.reachable[run.candidate[0]]
     deeper = run.T_base_scanner[0, :3, 3] + 0.26 * run.T_base_scanner[0, :3, 2]
     a, b, c = np.degrees(kuka_abc_from_pose(run.T_base_scanner[0])[1])
-    with pytest.raises(UnreachableError, match=r"view 1 cannot be taken: .* collides \(\w+ with part\)"):
+    with pytest.raises(UnreachableError, match=r"view 1 cannot be used: .* collides \(\w+ with part\)"):
         make_edit(run, out=tmp_path / "edited", move={1: (*(deeper * 1000), a, b, c)})
 
 
 def test_a_pose_that_is_a_view_already_is_refused(planned: Path, tmp_path: Path) -> None:
     """A pose that is a view of the plan already cannot be added."""
     run = open_run(planned)
-    with pytest.raises(UsageError, match=f"view {len(run.candidate) + 1} would be the same pose as view 3"):
+    with pytest.raises(UsageError, match=f"view {len(run.candidate) + 1} would have the same pose as view 3"):
         make_edit(run, out=tmp_path / "edited", add_candidate=int(run.candidate[2]))
 
 
