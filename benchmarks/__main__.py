@@ -1,7 +1,7 @@
 """The registry of benchmarks: `python -m benchmarks [NAME ...]` runs them and prints time and accuracy in one row.
 
 Every benchmark is a module of this folder with `run() -> list[dict]`; an optional `chart(rows, folder)` draws a
-picture. Six have subcommands and options (`python -m benchmarks speed --help`), five of them in `benchmarks/methods`.
+picture. Seven have subcommands and options (`python -m benchmarks speed --help`), six of them in `benchmarks/methods`.
 Timings are valid for this machine and this run: compare rows of one run, not rows of different runs.
 """
 
@@ -27,6 +27,7 @@ STUDIES = {
     "cover": "view selection at equal processor time beside HiGHS, CP-SAT, a textbook search; solve FILE solves a file",
     "paper": "the paper's tables, its method and ours side by side: views and coverage of 86 rows",
     "golden": "about 45 small runs beside a committed reference of their artefacts: equal, words changed, data changed",
+    "mutation": "seeded small faults in given modules: the share that given tests detect",
     "pictures": "the pictures of docs/images drawn anew; by name also the charts, which take minutes to an hour",
 }
 """Modules with their own `app`, in `benchmarks.methods` or here."""

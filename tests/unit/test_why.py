@@ -91,18 +91,6 @@ def test_a_shorter_baseline_shortens_the_sensor_shadow_of_a_wall() -> None:
     assert not gained.all()
 
 
-def test_a_roll_that_turns_the_baseline_along_the_wall_ends_the_sensor_shadow() -> None:
-    """With source and sensor on the same side of the wall, no point of that side is occluded."""
-    x = -np.linspace(0.0005, 0.03, 100)
-    targets, part = _on_plate(x), _caster(_PLATE, _WALL)
-    scanner = LaserArea(range_mm=(50, 900), grazing_max_deg=90, baseline_mm=100)
-    assert (_reasons(targets, _down(-0.03, 0.2), scanner, part).reason == Reason.SENSOR_SHADED_BY_PART).any()
-    turned = what_if.with_roll(_down(-0.03, 0.2), np.pi / 2)
-    np.testing.assert_allclose(turned.T_object_scanner, _down(-0.03, 0.2, np.pi / 2).T_object_scanner, atol=1e-12)
-    change = PlanChange(ChangeKind.ROLL, 90.0, "", "", turned.T_object_scanner, scanner, (part, _FAR))
-    assert change.measures(targets, np.arange(len(x))).all()
-
-
 def test_the_occluder_is_named() -> None:
     """A plate above the part is reported as the occluder, and without it the points are measured."""
     x = np.linspace(-0.02, 0.02, 81)
