@@ -191,7 +191,7 @@ def _repaired(run: Run, edit: RandomEdit, made: Run) -> Iterator[str]:
     matrix, areas = M.matrix().astype(np.float64), M.samples.areas
     banned = {int(run.candidate[number - 1]) for number in edit.options.get("drop", ())} - {*made.candidate.tolist()}
     open_to_all = matrix @ reached.reachable > 0
-    target = (made.plan.coverage.target_on_features or 1.0) * float(areas[open_to_all].sum())
+    target = (made.plan.coverage.target_on_samples or 1.0) * float(areas[open_to_all].sum())
     has = matrix[:, made.candidate].sum(axis=1) > 0
     if float(areas[has].sum()) < target * (1 - 1e-6):
         yield f"repaired to {100 * areas[has].sum() / areas[open_to_all].sum():.3f} % of coverable, not to the target"
@@ -199,7 +199,7 @@ def _repaired(run: Run, edit: RandomEdit, made: Run) -> Iterator[str]:
     added = [view for view in made.candidate.tolist() if view >= known or view in run.candidate]
     added += [view for view in edit.options.get("add_candidate", ()) if view not in added]
     added = len(made.candidate) - len(added)
-    if added < 1 or run.plan.coverage.target_on_features not in (None, 1.0):
+    if added < 1 or run.plan.coverage.target_on_samples not in (None, 1.0):
         return
     base = matrix[:, added].sum(axis=1) > 0
     rest = np.flatnonzero(open_to_all & ~base)
@@ -210,5 +210,5 @@ def _repaired(run: Run, edit: RandomEdit, made: Run) -> Iterator[str]:
         np.ones(len(columns)), integrality=np.ones(len(columns)), bounds=Bounds(0, 1),
         constraints=LinearConstraint(block[rows], lb=1), options={"time_limit": 20.0},
     )  # fmt: skip
-    if best.status == 0 and round(best.fun) < added and not made.plan.dropped:
+    if best.status == 0 and round(best.fun) < added and not made.plan.exclusions:
         yield f"repaired by {added} views, {round(best.fun)} do"

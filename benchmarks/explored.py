@@ -78,7 +78,7 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
         "part": part,
         "policy": policy,
         "seed": seed,
-        "batches": len(file.stages),
+        "batches": len(file.batches),
         "views": file.views,
         "limit": round(limit, 1),
         "fewest": known.fewest,
@@ -88,11 +88,11 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
         "known views": known.known_model_views,
         "coverable %": round(100 * known.coverable, 2),
         **{f"after {n} %": _share(known.by_views, n) for n in _AFTER},
-        "motion s": round(sum(stage.seconds for stage in file.stages), 1),
+        "motion s": round(sum(stage.seconds for stage in file.batches), 1),
         "checked": checked,
         "contacts": contacts,
         "nearest mm": round(known.nearest_mm, 1),
-        "step s": round(clock.exploring / len(file.stages), 2),
+        "step s": round(clock.exploring / len(file.batches), 2),
         **_count_causes(causes),
         "by views": list(known.by_views),
         "bound": [(point.views, point.found, point.at_most) for point in known.bound],
@@ -134,7 +134,7 @@ def _judged(out: Path, file: ExploreFile, known_model: Path) -> tuple[int, int]:
     known = open_finished(known_model)
     part = known.mesh("reference.ply")
     judge, checked, found = TriangleCell(world_of(known, part), part), 0, 0
-    for stage in file.stages:
+    for stage in file.batches:
         q = open_finished(out / stage.folder).motion.q
         checked += len(q)
         found += sum(judge.contacts(q).values())

@@ -62,7 +62,7 @@ def _execution(folder: Path, plan: Path, options: tuple[str, ...]) -> dict[str, 
     execution = max((plan / "executions").iterdir())
     report = json.loads((execution / "report.json").read_text())
     seconds = json.loads((execution / "manifest.json").read_text())["seconds"]
-    cloud, model = report["cloud"], report["model"]
+    cloud, model = report["cloud"], report["surface"]
     before, after = cloud["rms_to_reference_as_reported_mm"], cloud["rms_to_reference_mm"]
     return {
         "what": "execution",

@@ -72,15 +72,15 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     ceiling, error = _ceiling(made.folders[0])
     return {
         "part": name,
-        "offered": len(file.offered),
-        "set-ups": len(file.chosen),
+        "candidates": len(file.candidates),
+        "set-ups": len(file.selected),
         "bound": file.setups_bound,
         "views": file.views,
         "views bound": file.views_bound,
         "one cover": f"{len(joint.views)} / {joint.n_views}",
         "one after the other": f"{setups} / {views}",
         "views first": f"{first_setups} / {first_views}",
-        "best single %": round(100 * max(each.coverable for each in file.offered), 2),
+        "best single %": round(100 * max(each.coverable for each in file.candidates), 2),
         "visible %": round(100 * file.coverage.visible, 2),
         "ceiling %": round(100 * ceiling, 2),
         "+-": round(100 * error, 2),

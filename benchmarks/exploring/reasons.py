@@ -49,7 +49,7 @@ def judged(work: ExplorationContext, file: ExploreFile, known_model: Path) -> di
         file: its explore.json.
         known_model: run folder of the plan of the true part.
     """
-    reported = explain_remaining(work, file, work.paths.known(len(file.stages), work.unknown))
+    reported = explain_remaining(work, file, work.paths.known(len(file.batches), work.unknown))
     if reported is None:
         return {}
     true = _true(work, file, reported, known_model)
@@ -99,7 +99,7 @@ def _on_part(belief: SurfaceSamples, to_object: Floats, part: TriangleMesh, edge
 
 def _poses(work: ExplorationContext, file: ExploreFile, to_object: Floats) -> Floats:
     """Return (V, 4, 4) the poses of all executed views, object frame [m]."""
-    scans = state.read_scans(work.paths, file.stages)
+    scans = state.read_scans(work.paths, file.batches)
     return np.stack([to_object @ (scan.T_reported if scan.T_true is None else scan.T_true) for scan in scans])
 
 

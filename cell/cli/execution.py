@@ -130,7 +130,7 @@ def _scan_setups(
             ask=_confirm(terminal),
         )  # fmt: skip
     made = outcome.report
-    following = [("cell", "scan", folder, "--setup", made.missing[0])] if made.missing else []
+    following = [("cell", "scan", folder, "--setup", made.missing_setups[0])] if made.missing_setups else []
     terminal.print_result(
         made.as_json(), f"Scan of {made.part}", [*combined_rows(made), ("folder", str(outcome.folder))], *following
     )
@@ -284,7 +284,7 @@ def hand_eye(
     terminal = Terminal(quiet_stdout=as_json)
     found = api.calibrate_hand_eye(files, options, progress=terminal)
     terminal.print_result(found.as_json(), f"Mount from {len(files)} scans of a {found.target}", found.rows())
-    if found.undetermined:
+    if found.free_motions:
         terminal.note(
             "these poses do not determine the mount; scan the target from poses that are rotated about other axes, "
             "with the target elsewhere in the field of view"

@@ -136,7 +136,7 @@ def edit(*, run: RunFolder, options: Edit, out: NewRunFolder = None, as_json: As
     rows = [*table(made.report), (f"against {run}", summarise(difference)), ("run folder", str(made.folder))]
     surface = difference.surface
     is_repairable = planned.is_single_setup and not options.repair
-    repair = is_repairable and surface is not None and surface.lost_mm2 > surface.gained_mm2
+    repair = is_repairable and surface is not None and surface.only_a_mm2 > surface.only_b_mm2
     terminal.print_result(
         made.as_json() | {"against": difference.as_json()}, f"Edited view plan of {made.report.part.name}", rows,
         ("cell", "scan", made.folder), *([("cell", "edit", made.folder, "--repair")] if repair else []),
@@ -152,7 +152,7 @@ def summarise(difference: "Difference") -> str:
     values = {number.name: (number.a, number.b) for number in difference.numbers}
     facts = []
     if difference.surface is not None:
-        gained, lost = difference.surface.gained_mm2, difference.surface.lost_mm2
+        gained, lost = difference.surface.only_b_mm2, difference.surface.only_a_mm2
         facts.append(f"gains {gained:,.0f} mm2 and loses {lost:,.0f} mm2 of the surface")
     for name, text in (
         ("views", "{:.0f} views instead of {:.0f}"),
@@ -199,7 +199,7 @@ def why(
         print_json(summary.as_json())
         return
     if summary.groups:
-        title = f"Uncovered surface of {summary.part}: {100 * summary.open:.2f} %"
+        title = f"Uncovered surface of {summary.part}: {100 * summary.uncovered:.2f} %"
         terminal.print_table(TABLE_COLUMNS, table_rows(summary), title)
     else:
         terminal.print("the whole surface is covered")
@@ -286,11 +286,11 @@ def _print_difference(terminal: "Terminal", difference: "Difference") -> None:
     views = difference.views
     moved = [
         (f"{each.a} moved, now {each.b}", f"{each.distance_mm:.1f} mm, {each.angle_deg:.1f} deg, shared area "
-         f"{100 * each.shared:.0f} % of the union")
-        for each in views.moved
+         f"{100 * each.intersection_over_union:.0f} % of the union")
+        for each in views.similar
     ]  # fmt: skip
-    kept = _list(f"{a}" if a == b else f"{a} as {b}" for a, b in views.kept)
-    single = [("only in A", _list(map(str, views.lost))), ("only in B", _list(map(str, views.new)))]
+    kept = _list(f"{a}" if a == b else f"{a} as {b}" for a, b in views.equal)
+    single = [("only in A", _list(map(str, views.only_a))), ("only in B", _list(map(str, views.only_b)))]
     terminal.print_pairs("Views, by their numbers in visiting order", [("kept", kept), *moved, *single])
     surface = difference.surface
     if surface is None:
@@ -298,8 +298,8 @@ def _print_difference(terminal: "Terminal", difference: "Difference") -> None:
     else:
         percent = 100 / surface.area_mm2
         terminal.print(
-            f"B measures {surface.gained_mm2:.0f} mm2 ({percent * surface.gained_mm2:.2f} %) that A does not, and "
-            f"misses {surface.lost_mm2:.0f} mm2 ({percent * surface.lost_mm2:.2f} %) that A measures."
+            f"B measures {surface.only_b_mm2:.0f} mm2 ({percent * surface.only_b_mm2:.2f} %) that A does not, and "
+            f"misses {surface.only_a_mm2:.0f} mm2 ({percent * surface.only_a_mm2:.2f} %) that A measures."
         )
 
 

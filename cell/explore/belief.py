@@ -27,7 +27,7 @@ from cell.part import workpiece
 from cell.part.workpiece import Workpiece
 from cell.runs import ply
 from cell.runs.run import ExecutedScan
-from cell.runs.schema import UNSEEN, OpenReason
+from cell.runs.schema import UNSEEN, UncoveredArea
 from cell.scene.model import CylinderFixture, MeshFixture, Scene
 from planner.explore.gain import OpenSamples
 from planner.explore.space import FREE, UNKNOWN, VoxelSpace, first_in_cubes
@@ -310,12 +310,12 @@ class UncoveredReport(Value):
     reason: Annotated[Ints, "N"]
     candidates: Viewpoints
 
-    def by_area(self) -> tuple[OpenReason, ...]:
+    def by_area(self) -> tuple[UncoveredArea, ...]:
         """Return the area by cause, largest first."""
         said = np.array([describe_cause(code) for code in self.reason.tolist()], dtype=object)
         areas = {each: 1e6 * float(self.samples.areas[said == each].sum()) for each in dict.fromkeys(said.tolist())}
         return tuple(
-            OpenReason(reason=each, area_mm2=round(area, 3))
+            UncoveredArea(cause=each, area_mm2=round(area, 3))
             for each, area in sorted(areas.items(), key=lambda item: -item[1])
         )
 

@@ -27,13 +27,13 @@ class Exploration(Summary):
 
     def facts(self) -> list[tuple[str, str]]:
         """Return folder, number of views, and duration of the motion."""
-        duration = sum(stage.seconds for stage in self.file.stages)
+        duration = sum(stage.seconds for stage in self.file.batches)
         return [("folder", str(self.folder)), ("views", str(self.file.views)), ("motion", f"{duration:.1f} s")]
 
     @property
     def stages(self) -> tuple[Run, ...]:
         """Plans of the batches in the explored frame: centre of the cylinder, axes of base."""
-        return tuple(open_finished(self.folder / stage.folder) for stage in self.file.stages)
+        return tuple(open_finished(self.folder / stage.folder) for stage in self.file.batches)
 
     @property
     def model(self) -> Path | None:
@@ -48,4 +48,4 @@ class Exploration(Summary):
     @property
     def place_mm(self) -> tuple[float, float, float] | None:
         """Centre of the model in base [mm], for `plan(exploration.model, units="mm", place=exploration.place_mm)`."""
-        return self.file.model_middle_mm
+        return self.file.model_centre_mm

@@ -156,7 +156,7 @@ def initial_file(work: ExplorationContext) -> ExploreFile:
         schema=SCHEMA,
         part=work.name,
         status="running",
-        ended="",
+        stop_reason="",
         inputs=hash_inputs(*said, None if work.part is None else work.part.sha256),
         seed=work.scene.plan.seed,
         policy=work.options.policy,
@@ -164,8 +164,8 @@ def initial_file(work: ExplorationContext) -> ExploreFile:
         options=options,
         cylinder=ExploredCylinder(
             diameter_mm=round(2000 * cylinder.radius, 6), height_mm=round(1000 * cylinder.height, 6),
-            middle_mm=work.scene.placement.position_mm, given=cylinder.given,
+            centre_mm=work.scene.placement.position_mm, user_defined=cylinder.given,
         ),
         voxel_mm=round(1000 * work.unknown.edge, 6),
-        stages=(),
+        batches=(),
     )  # fmt: skip

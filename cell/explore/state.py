@@ -25,7 +25,7 @@ from cell.explore.execution import read_batch_scans
 from cell.runs import schema
 from cell.runs.folder import json_text
 from cell.runs.run import ExecutedScan, npz_arrays, open_finished, reading
-from cell.runs.schema import ExploredStage, ExploreFile
+from cell.runs.schema import ExploredBatch, ExploreFile
 from planner.explore.gain import GainRecord
 from planner.explore.space import VoxelSpace
 from planner.geometry.mesh import TriangleMesh
@@ -158,7 +158,7 @@ class ExplorationFolder:
         self.measured(number).unlink(missing_ok=True)
 
 
-def read_scans(paths: ExplorationFolder, stages: tuple[ExploredStage, ...]) -> tuple[ExecutedScan, ...]:
+def read_scans(paths: ExplorationFolder, stages: tuple[ExploredBatch, ...]) -> tuple[ExecutedScan, ...]:
     """Return the scans of all batches in execution order."""
     return tuple(scan for stage in stages for scan in read_batch_scans(open_finished(paths.root / stage.folder)))
 

@@ -141,7 +141,7 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit
         except PinnedViewError as error:
             edited = _without(session, error, edited, may_leave_out=is_moved and wanted.repair)
     is_bounded, plan = _with_bound(before, edited, problem, plan, is_moved=is_moved)
-    annotations: dict[str, object] = {"part": before.report.part, "of_several": before.is_setup_of_group or None}
+    annotations: dict[str, object] = {"part": before.report.part, "common_cover": before.is_setup_of_group or None}
     if not is_bounded:
         annotations["status"] = "edited by hand; the smallest number of views is not known"
     for view in edited.views:
@@ -289,11 +289,11 @@ def _with_bound(
     """
     cover, M, file = plan.cover, plan.matrix, before.plan
     coverable = float(M.samples.areas[M.matrix() @ problem.reached.reachable.astype(np.int32) > 0].sum())
-    target = file.coverage.target_on_features or 1.0
+    target = file.coverage.target_on_samples or 1.0
     holds = not len(edited.appended) and cover.covered_area >= (target - _ROUNDING) * coverable
     holds &= not set(edited.dropped) & set(before.scene.plan.pinned)
     holds &= file.lower_bound > 1 or len(cover.views) == 1
-    holds &= file.most_coverage is None and problem.request.regions is None and not is_moved
+    holds &= file.max_coverage is None and problem.request.regions is None and not is_moved
     bound = min(file.lower_bound, len(cover.views)) if holds else 1
     status = CoverStatus.PROVEN if bound == len(cover.views) else CoverStatus.BOUNDED
     cover = replace(cover, lower_bound=bound, status=status, solver="edited", coverable_area=coverable)
@@ -311,7 +311,7 @@ def require_repairable(run: Run) -> None:
             f"{run.folder} was planned for maximum coverage with a number of views, so there is no requested "
             "coverage to restore; omit repair, or plan with a coverage"
         )
-    if run.report.open_of is not None:
+    if run.report.further_setup is not None:
         raise UsageError(
             f"{run.folder} was planned for the surface that other set-ups leave uncovered, and a repair would request "
             "the rest as well; omit repair, or plan the set-ups with cell setups"

@@ -34,6 +34,7 @@ from cell.runs.run import Run, split_axes
 from cell.runs.schema import (
     NamedFile,
     PlanFile,
+    PlanResult,
     PlanView,
     Report,
     ResolvedHousing,
@@ -88,7 +89,7 @@ def named_files(scene: Scene, scene_path: Path | None) -> tuple[NamedFile, ...]:
     ]
     found = [(what, Path(path).absolute()) for what, path in named if path is not None]
     return tuple(
-        NamedFile(what=what, path=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
+        NamedFile(role=what, path=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
         for what, path in found
     )
 
@@ -219,7 +220,7 @@ def write_motion(folder: RunFolder, motion: Motion, measured: MotionClearance) -
         limit_acceleration=motion.limits.acceleration,
         limit_jerk=motion.limits.jerk,
         minimum_clearance=measured.distance,
-        clearance_at_least=measured.lower_bound,
+        clearance_lower_bound=measured.lower_bound,
         between=np.array(measured.between, dtype=np.str_),
     )
 
@@ -241,8 +242,7 @@ def write_plan(
         )
         for stop, candidate in enumerate(plan.candidate.tolist())
     ]
-    shared = {key: value for key, value in report if key in PlanFile.model_fields}
-    file = PlanFile(**shared | {"views": views})
+    file = PlanFile(**{key: value for key, value in report if key in PlanResult.model_fields}, views=views)
     folder.write_json("plan.json", file.as_json())
     return file
 

@@ -47,7 +47,7 @@ from cell.plan.selection import (
     select_with_row_generation,
 )
 from cell.report import plots
-from cell.runs.folder import SCHEMA, WITH_TABLE, RunFolder
+from cell.runs.folder import RunFolder
 from cell.runs.run import Run
 from cell.runs.schema import Report
 from cell.scene import settle, validation
@@ -162,7 +162,6 @@ def open_run(
             scene.plan.seed,
             files.input_hashes(settled.scene, part),
             datetime.now(UTC),
-            WITH_TABLE if scene.table.enabled else SCHEMA,
         )
         run = OpenRun(session.opened(folder, scene.plan.seed, queue), settled)
         with folder.keep_on_failure(), _logged(folder.path / "run.log"):
@@ -399,7 +398,7 @@ def _optional_results(session: PlanSession, problem: SelectionProblem, plan: Con
             rng = session.rng(Stream.COVERAGE_CURVE)
             points = selection.curve_of_plan(problem, plan.matrix, found, rng)
             selection.write_curve(session.folder, session.plots, points, len(cover.views), cover.covered_area)
-        curve = selection.fewest_of(points)
+        curve = selection.minimum_views_of(points)
     with session.stage("attainable coverage"):
         attainable = evaluation.attainable_coverage(problem, plan.visible, session.rng(Stream.ATTAINABLE_SAMPLES))
     return OptionalResults(attainable, robust, curve)
@@ -407,9 +406,9 @@ def _optional_results(session: PlanSession, problem: SelectionProblem, plan: Con
 
 def _judge(report: Report) -> Verdict:
     cause = "the arm occludes the views that measure the rest, or the rest lies between the samples; see cell why"
-    if report.dropped:
-        cause = f"{len(report.dropped)} selected views could not be connected; move the part, or request less"
-    has_target = report.most_coverage is None and report.multiplicity is None and report.promise is None
+    if report.exclusions:
+        cause = f"{len(report.exclusions)} selected views could not be connected; move the part, or request less"
+    has_target = report.max_coverage is None and report.multiplicity is None and report.robust is None
     return judge_plan(report, (cause, "move the part, or allow more standoffs and rolls"), has_target=has_target)
 
 

@@ -54,13 +54,13 @@ from cell.report.setups_report import page, status
 from cell.runs.cell import read_cell, scene_of_run
 from cell.runs.run import Run
 from cell.runs.schema import (
-    ChosenSetup,
+    CandidateSetup,
     Curve,
-    OfferedSetup,
-    PlannedOpen,
+    SelectedSetup,
     SetupsCoverage,
     SetupsFile,
     SetupsRegion,
+    UncoveredShares,
     ViewsFirst,
 )
 from cell.scene.file import load_scene, option_names, option_tables
@@ -647,7 +647,7 @@ class SetupSearch:
             self._session.folder, self._session.plots, curve, len(views), covered,
             lambda column: format_candidate(names[column]),
         )  # fmt: skip
-        return selection.fewest_of(curve)
+        return selection.minimum_views_of(curve)
 
     def _cover(self, *, fast: bool, start: Mapping[int, Ints] | None = None) -> GroupedCover:
         options = self._request.options
@@ -963,14 +963,14 @@ def _plan_setups(
     used = [(row, visible[row]) for row in order]
     file = _setups_file(session, settled, request, setups, found, candidates, tried, used)
     views_first = None if alternative is None else ViewsFirst(setups=alternative[0], views=alternative[1])
-    file = file.model_copy(update={"views_first": views_first})
+    file = file.model_copy(update={"alternative": views_first})
     if settled.scene.plan.curve:
         with session.stage("coverage over views"):
             file = file.model_copy(update={"curve": search.curve(connected)})
             files.adopt_plots(session)
     session.folder.write_json("setups.json", file.as_json())
     session.folder.write_text("report.md", page(file))
-    for number in unconnected_setups(file.shared, range(1, len(order) + 1)):
+    for number in unconnected_setups(file.common_surface, range(1, len(order) + 1)):
         session.note(
             f"the surface that set-up {number} shares with others does not determine the relative pose of its "
             "scans, and no candidate improves this; only the reference can align them"
@@ -978,7 +978,7 @@ def _plan_setups(
     reached = file.coverage
     return judge(
         "the set-ups measure",
-        (reached.visible_of_coverable, reached.asked) if request.is_evaluated else None,
+        (reached.visible_of_coverable, reached.target) if request.is_evaluated else None,
         (reached.visible, settled.scene.plan.required_visible),
         ("allow more set-ups, or request less", "allow more set-ups, or require less"),
     )
@@ -1092,7 +1092,7 @@ def _write_setup(
         files.write_measured(run.session.folder, problem)
         annotations = {
             "status": "one of several set-ups planned as one cover; setups.json has the bound on the number of views",
-            "of_several": True,
+            "common_cover": True,
         }
         pipeline.finish(run.session, run.settled, surface.planning, problem, plan, annotations)
 
@@ -1108,13 +1108,13 @@ def _setups_file(
         marginal = float((visible & ~seen).mean())
         seen = seen | visible
         chosen.append(
-            ChosenSetup(
+            SelectedSetup(
                 folder=f"setups/{number}",
                 digest=run.digest,
-                offered=row,
+                candidate=row,
                 views=len(run.q),
                 visible=float(visible.mean()),
-                adds=marginal,
+                marginal_coverage=marginal,
             )
         )
     coverable = np.logical_or.reduce([setup.coverable for setup in setups.values()]) | seen
@@ -1126,7 +1126,7 @@ def _setups_file(
             visible=float(seen.mean()),
             coverable=float(coverable.mean()),
             visible_of_coverable=float(seen.sum() / coverable.sum()),
-            asked=settled.scene.plan.coverage,
+            target=settled.scene.plan.coverage,
             required=settled.scene.plan.required_visible,
         ),
         status=status(found, len(candidates), request.request.targets),
@@ -1135,12 +1135,12 @@ def _setups_file(
         views_bound=found.view_bound,
         seconds=None if found.cost_and_bound is None else found.cost_and_bound[0],
         seconds_bound=None if found.cost_and_bound is None else found.cost_and_bound[1],
-        kept=None if request.needs_one_view else found.share,
+        satisfied_share=None if request.needs_one_view else found.share,
         regions=tuple(_regions(settled.scene, samples, seen, coverable)),
-        chosen=tuple(chosen),
-        offered=tuple(_offered_setup(*each) for each in zip(candidates, tried, strict=True)),
-        shared=shared_surfaces({number: visible for number, (_, visible) in enumerate(used, start=1)}, samples),
-        open=uncovered_surface(session, setups, [row for row, _ in used], seen),
+        selected=tuple(chosen),
+        candidates=tuple(_candidate_setup(*each) for each in zip(candidates, tried, strict=True)),
+        common_surface=shared_surfaces({number: visible for number, (_, visible) in enumerate(used, start=1)}, samples),
+        uncovered=uncovered_surface(session, setups, [row for row, _ in used], seen),
     )
 
 
@@ -1152,29 +1152,29 @@ def _regions(scene: Scene, samples: SurfaceSamples, seen: Bools, coverable: Bool
             visible, share = float(seen[own].mean()), float(coverable[own].mean())
             yield SetupsRegion(
                 name=wishes.name,
-                asked=scene.plan.coverage if wishes.coverage is None else wishes.coverage,
+                target=scene.plan.coverage if wishes.coverage is None else wishes.coverage,
                 visible=visible,
                 coverable=share,
                 visible_of_coverable=visible / share if share else 1.0,
             )
 
 
-def _offered_setup(candidate: SetupCandidate, found: Setup | str) -> OfferedSetup:
+def _candidate_setup(candidate: SetupCandidate, found: Setup | str) -> CandidateSetup:
     is_possible = isinstance(found, Setup)
-    return OfferedSetup(
+    return CandidateSetup(
         name=candidate.name,
         placement_mm=candidate.placement.position_mm,
         placement_abc_deg=candidate.placement.abc_deg,
         reachable=int(found.measured.reached.reachable.sum()) if isinstance(found, Setup) else 0,
         coverable=float(found.coverable.mean()) if isinstance(found, Setup) else 0.0,
         in_contact=float(found.contact.mean()) if isinstance(found, Setup) else 0.0,
-        left_out="" if is_possible else str(found),
+        cause="" if is_possible else str(found),
     )
 
 
 def uncovered_surface(
     session: PlanSession, setups: Mapping[int, Setup], used: Sequence[int], seen: Bools
-) -> PlannedOpen:
+) -> UncoveredShares:
     """Return the uncovered held-out samples by cause, the first that applies.
 
     For samples that no candidate measures, a measuring pose is searched in the used set-ups that can be planned.
@@ -1205,8 +1205,8 @@ def uncovered_surface(
     out_of_reach, other_poses, out_of_sight = (
         estimated_share(hits, len(rest)) for hits in (visible & ~measured, measured, ~visible)
     )
-    return PlannedOpen(
-        not_asked=float(has_candidate.mean()),
+    return UncoveredShares(
+        not_selected=float(has_candidate.mean()),
         in_contact=float(contact.mean()),
         out_of_reach=left * out_of_reach.value,
         other_poses=left * other_poses.value,

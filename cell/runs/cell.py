@@ -162,7 +162,7 @@ def table_of(scene: ResolvedScene) -> RotaryTable | None:
     table = scene.table
     if table is None:
         return None
-    limits = table.turn_deg or table.limits_deg or ENDLESS_LIMITS_DEG
+    limits = table.free_range_deg or table.limits_deg or ENDLESS_LIMITS_DEG
     rates = table.velocity_deg_s, table.acceleration_deg_s2, table.jerk_deg_s3
     return RotaryTable(table.T_base_table, *np.deg2rad([*limits, *rates]).tolist())
 
@@ -299,7 +299,7 @@ def _table(resolved: ResolvedScene) -> Mapping[str, object]:
     """Return the keys of `[table]`; empty without a table."""
     if resolved.table is None:
         return {}
-    keys = resolved.table.model_dump(exclude={"T_base_table", "post_mm", "turn_deg"})
+    keys = resolved.table.model_dump(exclude={"T_base_table", "post_mm", "free_range_deg"})
     pose = pose_keys(resolved.table.T_base_table)
     if resolved.table.post_mm is not None:
         return {**keys, "post_mm": resolved.table.post_mm, "abc_deg": pose["abc_deg"]}

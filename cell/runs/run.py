@@ -34,7 +34,8 @@ from pydantic import JsonValue
 from cell.errors import FileError
 from cell.formatting import Summary, percent
 from cell.runs import ply
-from cell.runs.folder import SCHEMA, WITH_TABLE
+from cell.runs.folder import SCHEMA
+from cell.runs.former_keys import FORMER_SCHEMAS, with_present_arrays
 from cell.runs.schema import (
     Coverage,
     ExecutedCoverage,
@@ -135,7 +136,10 @@ class ArtefactFolder(Summary):
 
     def arrays(self, name: str) -> dict[str, NDArray[Any]]:
         """Return the arrays of an .npz artefact."""
-        return npz_arrays(self.folder / name, self.artefact(name))
+        stored = npz_arrays(self.folder / name, self.artefact(name))
+        if self.manifest.schema_version in FORMER_SCHEMAS:
+            return with_present_arrays(stored)
+        return stored
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,7 +212,7 @@ class Run(ArtefactFolder):
     @property
     def is_setup_of_group(self) -> bool:
         """Whether the run is one of several set-ups with a common cover, or an edited copy of one."""
-        return bool(self.report.of_several) or self.is_in_setups_folder  # older reports do not have the key
+        return bool(self.report.common_cover) or self.is_in_setups_folder  # older reports do not have the key
 
     @property
     def is_single_setup(self) -> bool:
@@ -343,7 +347,7 @@ class Run(ArtefactFolder):
     @cached_property
     def views(self) -> tuple[View, ...]:
         """The views in visiting order."""
-        gains = [view.adds for view in self.report.views]
+        gains = [view.marginal_coverage for view in self.report.views]
         rows = zip(self.candidate.tolist(), self.T_object_scanner, self.T_base_scanner, self.q, gains, strict=True)
         return tuple(View(number, *row) for number, row in enumerate(rows, start=1))
 
@@ -400,11 +404,12 @@ class Run(ArtefactFolder):
             raise FileError(f"{folder} holds several set-ups; give the run folder of one of them: {runs}")
         manifest = read_manifest(path)
         schema = manifest.schema_version
-        if schema not in (SCHEMA, WITH_TABLE):
+        if schema not in (SCHEMA, *FORMER_SCHEMAS):
             if schema is not None and schema.startswith("scan-cell/run/"):
                 raise FileError(
-                    f"{folder} has the schema {schema}, and this version of scan-cell reads {SCHEMA} and "
-                    f"{WITH_TABLE}; plan again, or use the version that its manifest.json names"
+                    f"{folder} has the schema {schema}, and this version of scan-cell reads "
+                    f"{', '.join(FORMER_SCHEMAS)} and {SCHEMA}; plan again, or use the version that its "
+                    f"manifest.json names"
                 )
             raise FileError(
                 f"{folder} is not a run folder: its manifest.json does not have the schema {SCHEMA}; give the folder "
@@ -614,12 +619,12 @@ def read_execution(run: Run, execution: str) -> RecordedExecution:
 
 def read_scan(path: Path) -> ExecutedScan:
     """Read one scan of an execution."""
-    stored = npz_arrays(path, file_bytes(path))
+    stored = with_present_arrays(npz_arrays(path, file_bytes(path)))  # a scan does not state its schema
     with reading(path):
         T, source = stored["T_object_scanner"], str(stored.get("source", SIMULATED))
         T_true = stored["T_object_scanner_true"] if source == SIMULATED else None
         return ExecutedScan(
-            stop=int(stored["stop"]),
+            stop=int(stored["number"]),
             view=int(stored["view"]),
             q_commanded=concat_axes(stored, "q_commanded"),
             q_reported=concat_axes(stored, "q_reported"),

@@ -30,7 +30,7 @@ class SetupsRun(Summary):
         file = self.file
         return [
             ("folder", str(self.folder)),
-            ("set-ups", f"{len(file.chosen)} (lower bound {file.setups_bound})"),
+            ("set-ups", f"{len(file.selected)} (lower bound {file.setups_bound})"),
             ("views", f"{file.views} (lower bound {file.views_bound})"),
             ("coverage", percent(file.coverage.visible)),
         ]
@@ -53,7 +53,7 @@ class SetupsRun(Summary):
     @property
     def folders(self) -> list[Path]:
         """Run folder of each set-up."""
-        return [self.folder / setup.folder for setup in self.file.chosen]
+        return [self.folder / setup.folder for setup in self.file.selected]
 
     def as_json(self) -> dict[str, JsonValue]:
         """Return the object that `cell setups --json` prints: setups.json with folder and exit code."""

@@ -504,13 +504,13 @@ def verify_clearance(
     stated = plan.clearance
     if stated is None:
         refuse(run.folder / "plan.json", "does not state the clearance of the motion")
-    nearest, proven, between = (stored[name] for name in ("minimum_clearance", "clearance_at_least", "between"))
+    nearest, proven, between = (stored[name] for name in ("minimum_clearance", "clearance_lower_bound", "between"))
     expected = Clearance(
         collision=collision,
         segments=[
             {
                 "minimum_mm": round(1000 * float(low), 4),
-                "at_least_mm": round(1000 * float(least), 4),
+                "lower_bound_mm": round(1000 * float(least), 4),
                 "between": str(what),
             }
             for low, least, what in zip(nearest, proven, between, strict=True)

@@ -175,7 +175,7 @@ def _resume(
             if remaining.approach_path is not None:
                 approved = safety.approve_path(verified, remaining.plan, "the new path and the rest of the plan")
                 degrees = to_deg(from_rad(remaining.approach_path)).tolist()
-                approach = {"way": approved.digest, "way_deg": tuple(map(tuple, degrees))}
+                approach = {"path_digest": approved.digest, "path_deg": tuple(map(tuple, degrees))}
             for sentence in remaining.notes(len(done), verified.checker):
                 session.note(sentence)
             # The confirmation comes after these notes, so that the person has read the path.

@@ -52,8 +52,11 @@ class Advice:
     def as_json(self) -> dict[str, JsonValue]:
         """Return the value as JSON types."""
         return {
-            "what": self.what, "share": self.share, "standard_error": self.standard_error, "command": self.command,
-        }  # fmt: skip
+            "description": self.what,
+            "share": self.share,
+            "standard_error": self.standard_error,
+            "command": self.command,
+        }
 
 
 def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:

@@ -21,13 +21,13 @@ from cell.runs.cell import collision_note, read_cell, world_of
 from cell.runs.folder import SCHEMA, json_text
 from cell.runs.run import Run, open_finished, reading
 from cell.runs.schema import (
-    NamedChange,
-    OpenPatch,
-    OpenSamples,
+    EstimatedChange,
     PlanFile,
     PlanView,
+    RecommendedChange,
     ScannerKeys,
-    TriedChange,
+    UncoveredPatch,
+    UncoveredSamples,
     WhyReport,
 )
 from cell.scene.model import RegionTargets
@@ -471,8 +471,8 @@ def _failures(run: Run, plan: PlanFile, count: int) -> tuple[NDArray[np.uint8], 
     with reading(run.folder / "plan.json"):
         if len(fails) != count:
             raise ValueError(f"reach.npz has {len(fails)} verdicts and viewpoints.npz {count} candidates")
-        for view in plan.dropped:
-            fails[view.id], blockers[view.id] = Reason.NO_PATH, view.reason
+        for view in plan.exclusions:
+            fails[view.id], blockers[view.id] = Reason.NO_PATH, view.cause
     return fails, blockers
 
 
@@ -490,16 +490,16 @@ def why_report(analysis: Analysis, run: Run) -> WhyReport:
         samples=len(analysis.samples),
         area_mm2=round(float(analysis.samples.areas.sum()) * 1e6, 3),
         visible=analysis.share(np.flatnonzero(analysis.covered)),
-        open=analysis.share(analysis.open_rows),
+        uncovered=analysis.share(analysis.open_rows),
         groups=tuple(_group_table(analysis, code, group) for code, group in enumerate(analysis.groups, 1)),
-        not_measurable=analysis.share(analysis.rest),
-        overall=tuple(_named_change(analysis, named, analysis.rest) for named in analysis.overall),
-        tried=tuple(
-            TriedChange(
+        uncoverable=analysis.share(analysis.rest),
+        best_changes=tuple(_named_change(analysis, named, analysis.rest) for named in analysis.overall),
+        all_changes=tuple(
+            EstimatedChange(
                 kind=change.kind.name.lower(),
                 change=change.sentence,
                 setting=change.setting,
-                gains_estimated=round(share, 4),
+                estimated_gain=round(share, 4),
             )
             for change, share in analysis.tried
         ),
@@ -542,10 +542,10 @@ def table_rows(report: WhyReport) -> list[tuple[str, str, str, str]]:
     if rest:
         share, area = sum(group.share for group in rest), sum(group.area_mm2 for group in rest)
         rows.append((f"{len(rest)} smaller groups", _area(share, area), "", "see why.json"))
-    if report.not_measurable and len(report.groups) > 1:
-        area = report.not_measurable * report.area_mm2
-        helps = _lines(report.overall)
-        rows.append(("total without a reachable candidate", _area(report.not_measurable, area), "", helps))
+    if report.uncoverable and len(report.groups) > 1:
+        area = report.uncoverable * report.area_mm2
+        helps = _lines(report.best_changes)
+        rows.append(("total without a reachable candidate", _area(report.uncoverable, area), "", helps))
     return rows
 
 
@@ -553,9 +553,9 @@ def _area(share: float, area_mm2: float) -> str:
     return f"{100 * share:.2f} %\n{area_mm2:,.0f} mm²"
 
 
-def _lines(changes: Sequence[NamedChange]) -> str:
+def _lines(changes: Sequence[RecommendedChange]) -> str:
     """Return one line for each change."""
-    lines = (f"{_percent(c.gains)}: {c.change}" + (f" ({c.setting})" if c.setting else "") for c in changes)
+    lines = (f"{_percent(c.gain)}: {c.change}" + (f" ({c.setting})" if c.setting else "") for c in changes)
     return "\n".join(lines) or NO_CHANGE
 
 
@@ -567,12 +567,12 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %" if share >= 0.095 else f"{100 * share:.1f} %"
 
 
-def _group_table(analysis: Analysis, code: int, group: Group) -> OpenSamples:
-    return OpenSamples(
+def _group_table(analysis: Analysis, code: int, group: Group) -> UncoveredSamples:
+    return UncoveredSamples(
         group=code,
-        reason=group.reason.name.lower(),
+        cause=group.reason.name.lower(),
         code=int(group.reason),
-        what=group.what,
+        object=group.what,
         title=group.title,
         detail=group.detail,
         share=analysis.share(group.rows),
@@ -583,25 +583,25 @@ def _group_table(analysis: Analysis, code: int, group: Group) -> OpenSamples:
     )
 
 
-def _patch(analysis: Analysis, patch: Patch) -> OpenPatch:
+def _patch(analysis: Analysis, patch: Patch) -> UncoveredPatch:
     points = analysis.samples.points[patch.rows] * 1000
     nearest = np.linalg.norm(points - analysis.samples.points[patch.rows].mean(axis=0) * 1000, axis=1).argmin()
-    return OpenPatch(
+    return UncoveredPatch(
         area_mm2=_area_mm2(analysis, patch.rows),
         centre_mm=tuple(points[nearest].round(2).tolist()),
         change=None if patch.named is None else _named_change(analysis, patch.named, patch.rows),
     )
 
 
-def _named_change(analysis: Analysis, named: EvaluatedChange, rows: Ints) -> NamedChange:
+def _named_change(analysis: Analysis, named: EvaluatedChange, rows: Ints) -> RecommendedChange:
     """Return a change with its exact gain on some rows."""
     areas = analysis.samples.areas[rows]
-    return NamedChange(
+    return RecommendedChange(
         kind=named.change.kind.name.lower(),
         change=named.change.sentence,
         setting=named.change.setting,
-        gains=float(areas[named.gained[rows]].sum() / areas.sum()),
-        gains_mm2=_area_mm2(analysis, rows[named.gained[rows]]),
+        gain=float(areas[named.gained[rows]].sum() / areas.sum()),
+        gain_mm2=_area_mm2(analysis, rows[named.gained[rows]]),
     )
 
 

@@ -23,9 +23,9 @@ def test_a_dropped_view_and_its_repair(planned: Path, run_cell: Cell, tmp_path: 
     done = run_cell("edit", "without", "--repair", "--keep-order", "--out", "repaired", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout)
-    assert said["against"]["views"]["lost"] == []
-    assert len(said["against"]["views"]["new"]) == 1
-    assert said["against"]["surface"]["gained_mm2"] > 0
+    assert said["against"]["views"]["only_a"] == []
+    assert len(said["against"]["views"]["only_b"]) == 1
+    assert said["against"]["surface"]["only_b_mm2"] > 0
     assert {path: path.read_bytes() for path in planned.iterdir() if path.is_file()} == before
 
 

@@ -49,7 +49,7 @@ def test_files_hold_the_angle_of_the_table(turned: Path) -> None:
     assert stored["via_e"].shape == (len(stored["via_q"]), 1)
     assert stored["limit_velocity"].shape == (7,)
     plan, manifest = _json(turned / "plan.json"), _json(turned / "manifest.json")
-    assert manifest["schema"] == plan["schema"] == "scan-cell/run/2"
+    assert manifest["schema"] == plan["schema"] == "scan-cell/run/3"
     scene = _json(turned / "scene.resolved.json")
     axis = np.array(scene["table"]["T_base_table"])[:3, 3]
     for view in plan["views"]:
@@ -81,7 +81,7 @@ def test_a_plan_without_a_table_has_nothing_of_it(planned: Path) -> None:
     assert "e" not in np.load(planned / "reach.npz").files
     assert "table" not in _json(planned / "scene.resolved.json")
     assert all("e_deg" not in view and "T_base_object" not in view for view in _json(planned / "plan.json")["views"])
-    assert _json(planned / "manifest.json")["schema"] == "scan-cell/run/1"
+    assert _json(planned / "manifest.json")["schema"] == "scan-cell/run/3"
 
 
 def test_the_slowest_of_seven_axes_sets_the_time(turned: Path) -> None:
@@ -161,8 +161,8 @@ def test_a_scan_begins_at_the_present_angle_of_the_table(turned: Path, run_cell:
     start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(home[:6]), 60.0])
     done = run_cell("scan", copy, "--resume", "0001", "--driver", f"sim://?start={start}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    (resumed,) = _json(copy / "executions" / "0001" / "manifest.json")["resumed"]
-    way = np.array(resumed["way_deg"])
+    (resumed,) = _json(copy / "executions" / "0001" / "manifest.json")["resumptions"]
+    way = np.array(resumed["path_deg"])
     np.testing.assert_allclose(way[0], [*np.degrees(home[:6]), 60.0], atol=1e-4)
     view = _json(copy / "plan.json")["views"][0]
     np.testing.assert_allclose(way[-1], [*view["q_deg"], *view["e_deg"]], atol=1e-4)
@@ -236,9 +236,9 @@ def test_why_explains_all_uncovered_surface(turned: Path, run_cell: RunCell, tmp
     done = run_cell("why", copy, "--samples", "4000", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     why = _json(copy / "why" / "why.json")
-    assert why["visible"] + why["open"] == pytest.approx(1.0, abs=1e-6)
+    assert why["visible"] + why["uncovered"] == pytest.approx(1.0, abs=1e-6)
     assert why["visible"] == pytest.approx(_share(copy), abs=0.01)
-    turns = [each["change"] for each in why["tried"] if each["kind"] == "turn"]
+    turns = [each["change"] for each in why["all_changes"] if each["kind"] == "turn"]
     assert turns == ["a second set-up with the part upside down"]
 
 
@@ -271,8 +271,8 @@ def test_a_further_set_up_keeps_the_table(turned: Path, run_cell: RunCell, tmp_p
     done = run_cell("setups", "--first", turned, *further, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     file = _json(tmp_path / "over" / "setups.json")
-    assert len(file["chosen"]) == 2
-    assert file["coverage"]["visible"] > file["chosen"][0]["visible"] == pytest.approx(_share(turned), abs=0.001)
+    assert len(file["selected"]) == 2
+    assert file["coverage"]["visible"] > file["selected"][0]["visible"] == pytest.approx(_share(turned), abs=0.001)
     first, second = (tmp_path / "over" / "setups" / number for number in "12")
     tables = [_json(run / "scene.resolved.json")["table"] for run in (first, second)]
     np.testing.assert_allclose(tables[0]["T_base_table"], tables[1]["T_base_table"], atol=1e-8)
@@ -437,8 +437,8 @@ def test_an_indexed_table_is_planned_verified_and_resumed(
     (run / "executions" / "0001" / "scans" / "0001.npz").unlink()
     done = run_cell("scan", run, "--resume", "0001", "--driver", f"sim://?start={start}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    (resumed,) = _json(run / "executions" / "0001" / "manifest.json")["resumed"]
-    moved = np.abs(np.diff(np.array(resumed["way_deg"]), axis=0)) > 1e-3
+    (resumed,) = _json(run / "executions" / "0001" / "manifest.json")["resumptions"]
+    moved = np.abs(np.diff(np.array(resumed["path_deg"]), axis=0)) > 1e-3
     assert not (moved[:, :6].any(axis=1) & moved[:, 6]).any()
     with pytest.raises(FileError, match="the path moves arm and table at once"):
         verify_plan(run).require_path_free(np.stack([via[0], quantise(via[0] + np.radians([1, 0, 0, 0, 0, 0, 1]))]))

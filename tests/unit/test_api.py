@@ -208,7 +208,7 @@ def test_an_exploration_goes_on_where_it_is(tmp_path: Path) -> None:
     del wishes["coverage"]
     done = explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **wishes)
     assert [len(stage.q) for stage in done.stages] == [2]
-    assert [stage.digest for stage in done.stages] == [stage.digest for stage in done.file.stages]
+    assert [stage.digest for stage in done.stages] == [stage.digest for stage in done.file.batches]
     assert done.mesh is not None
     assert np.abs(done.mesh.vertices).max() < 0.07
     assert explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **wishes) == done

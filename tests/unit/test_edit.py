@@ -133,5 +133,5 @@ def test_a_dropped_view_can_be_put_back(planned: Path, tmp_path: Path) -> None:
     assert back.coverage.visible == pytest.approx(run.coverage.visible, abs=1e-6)
     repaired = make_edit(without, repair=True, out=tmp_path / "repaired")
     assert len(repaired.candidate) == len(run.candidate)
-    assert repaired.coverage.planned_on_features == pytest.approx(run.coverage.planned_on_features)
+    assert repaired.coverage.planned_on_samples == pytest.approx(run.coverage.planned_on_samples)
     assert set(without.candidate) <= set(repaired.candidate)
