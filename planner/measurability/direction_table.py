@@ -10,19 +10,20 @@ direction to the same side, and views along an axis would be wrong on all of the
 
 The table is built from coarse to fine: a node is cast only if its coarser neighbours differ, so that an occluder
 between coarse nodes may be missed. Sensors are outside the convex hull of the part, but may be between the part and a
-post, floor or fixture. Occluders are therefore cast with the lengths of `N_RANGES` ranges of distance, one table for
-each. The table proposes poses, and exact rays decide. Object frame, metres.
+post, floor or fixture. Samples near such an occluder have further tables, one for each of `N_RANGES` ranges of
+distance. Views often look just past a post, where its edge is too fine for the grid. Sums of weights use these tables,
+but `measured` casts exact rays to occluders. Object frame, metres.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.compiled import compiled
-from planner.ports import AreaLimits, DirectionCaster, Scanner
+from planner.ports import AreaLimits, DirectionCaster, RayCaster, Scanner
 from planner.values import Bools, Floats, Ints, Value
 from planner.viewpoints.lines_of_sight import RayTargets, in_view_matrix
 
@@ -36,7 +37,7 @@ _COARSEST = 4  # nodes between two nodes of the first level; a power of two
 _GOLDEN = (np.sqrt(5.0) - 1) / 2
 _TOGETHER = 2048  # samples whose nodes are cast together: arrays of 30 MB
 _PAIRS = 200_000  # of a pose and a sample that are evaluated together where the scanner has no compiled limits
-_UNKNOWN = 2
+_UNKNOWN, _TO_CAST = 2, 3  # besides 0, occluded, and 1, free
 
 Floats32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
@@ -49,7 +50,10 @@ class DirectionTable(Value):
     Attributes:
         targets: the S samples.
         frames: (S, 12) point [m], normal, tangent and bitangent of each sample.
-        bits: (N_RANGES, S, B) free nodes, packed, for each range of distance.
+        bits: (S, B) nodes that the part leaves free, packed.
+        occluders: casters of everything else.
+        near: (S,) row of each sample in `near_bits`; -1: no occluder is near.
+        near_bits: (M, N_RANGES, B) nodes that occluders leave free, packed, for each range of distance.
         ranges: (2,) beginning [m] of the first range, and number of ranges for each metre.
         scanner: sensor model.
         limits: (13,) compiled limits of the scanner; None: its `reject` is called.
@@ -57,7 +61,10 @@ class DirectionTable(Value):
 
     targets: RayTargets
     frames: Annotated[Floats32, "S 12"]
-    bits: Annotated[Bytes, "R S B"]
+    bits: Annotated[Bytes, "S B"]
+    occluders: Sequence[RayCaster]
+    near: Annotated[Ints, "S"]
+    near_bits: Annotated[Bytes, "M R B"]
     ranges: Annotated[Floats32, "2"]
     scanner: Scanner
     limits: Annotated[Floats32, "13"] | None
@@ -84,24 +91,19 @@ class DirectionTable(Value):
         points, normals = targets.points.T, targets.normals.T
         tangent, bitangent = _tangents(normals, 2 * np.pi * (_GOLDEN * np.arange(len(targets)) % 1.0))
         frames = np.concatenate([points, normals, tangent, bitangent], axis=1).astype(np.float32)
+        lifted = np.ascontiguousarray(targets.lifted)
+        bits = _cast(lifted, frames, (part,), far)
         lengths = near + (far - near) * (np.arange(N_RANGES) + 0.5) / N_RANGES
-        bits = np.empty((N_RANGES, len(targets), (N_NODES * N_NODES + 7) // 8), dtype=np.uint8)
-        for first in range(0, len(targets), _TOGETHER):
-            some = slice(first, first + _TOGETHER)
-            lifted, local = targets.lifted[some], frames[some]
-            free = _cast(lifted, local, (part,), far)
-            others = np.ones_like(free)
-            near_occluders = np.arange(len(lifted))
-            for number in reversed(range(N_RANGES)):  # a sample that is free at one length is free at shorter ones
-                if len(near_occluders) and occluders:
-                    cast = _cast(lifted[near_occluders], local[near_occluders], occluders, float(lengths[number]))
-                    others[near_occluders] = cast
-                    near_occluders = near_occluders[~cast.all(axis=1)]
-                bits[number, some] = np.packbits(free & others, axis=1, bitorder="little")
+        free = _cast(lifted, frames, occluders, float(lengths[-1]))  # free at one length is free at shorter ones
+        some = np.flatnonzero((free != _all_free()).any(axis=1))
+        shorter = [_cast(lifted[some], frames[some], occluders, float(length)) for length in lengths[:-1]]
+        row_of = np.full(len(targets), -1)
+        row_of[some] = np.arange(len(some))
+        near_bits = np.stack([*shorter, free[some]], axis=1)
         limits = scanner.area_limits if isinstance(scanner, AreaLimits) else None
         ranges = np.array([near, N_RANGES / (far - near)], dtype=np.float32)
         compiled_limits = None if limits is None else np.array(limits, dtype=np.float32)
-        return cls(targets, frames, bits, ranges, scanner, compiled_limits)
+        return cls(targets, frames, bits, occluders, row_of, near_bits, ranges, scanner, compiled_limits)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -111,7 +113,7 @@ class DirectionTable(Value):
         targets = self.targets
         region = None if targets.region is None else targets.region[rows]
         some = RayTargets(targets.points[:, rows], targets.normals[:, rows], targets.lifted[rows], region)
-        return DirectionTable(some, self.frames[rows], self.bits[:, rows], self.ranges, self.scanner, self.limits)
+        return replace(self, targets=some, frames=self.frames[rows], bits=self.bits[rows], near=self.near[rows])
 
     def weights_measured(
         self, T_object_scanner: Floats, rows: Ints, weights: Floats, threshold: float = -np.inf
@@ -127,8 +129,7 @@ class DirectionTable(Value):
         if self.limits is None:
             return np.asarray(weights @ self.measured(T_object_scanner, rows))
         result = np.empty(len(T_object_scanner))
-        poses, nothing = self._packed(T_object_scanner), np.empty((0, 0), dtype=np.uint8)
-        evaluate(self.frames, self.bits, self.ranges, rows, weights, poses, self.limits, threshold, result, nothing)
+        self._evaluate(self._packed(T_object_scanner), rows, weights, self.near, threshold, result)
         return result
 
     def measured(self, T_object_scanner: Floats, rows: Ints | None = None) -> Bools:
@@ -136,17 +137,37 @@ class DirectionTable(Value):
         rows = np.arange(len(self)) if rows is None else rows
         poses, found = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
         if self.limits is not None:
-            evaluate(
-                self.frames, self.bits, self.ranges, rows, np.zeros(len(rows)), poses, self.limits, -np.inf,
-                np.empty(len(poses)), found,
-            )  # fmt: skip
-            return found.T.astype(np.bool_)
-        together = max(1, _PAIRS // max(len(rows), 1))
-        for first in range(0, len(poses), together):
-            some = slice(first, first + together)
-            found[some] = in_view_matrix(self.targets, T_object_scanner[some], self.scanner, rows)
-        mark_free(self.frames, self.bits, self.ranges, rows, poses, found)
+            nothing = np.full(len(self), -1)
+            self._evaluate(poses, rows, np.zeros(len(rows)), nothing, -np.inf, np.empty(len(poses)), found)
+        else:
+            together = max(1, _PAIRS // max(len(rows), 1))
+            for first in range(0, len(poses), together):
+                some = slice(first, first + together)
+                found[some] = in_view_matrix(self.targets, T_object_scanner[some], self.scanner, rows)
+            mark_free(self.frames, self.bits, rows, poses, found)
+        self._clear_occluded(T_object_scanner, rows, found)
         return found.T.astype(np.bool_)
+
+    def _evaluate(
+        self, poses: Floats32, rows: Ints, weights: Floats, near: Ints, threshold: float, sums: Floats,
+        found: Bytes = np.empty((0, 0), dtype=np.uint8),
+    ) -> None:  # fmt: skip
+        """Call `evaluate` with the values of the table."""
+        assert self.limits is not None, "the law has no compiled limits"
+        evaluate(
+            self.frames, self.bits, near, self.near_bits, self.ranges, rows, weights, poses, self.limits, threshold,
+            sums, found,
+        )  # fmt: skip
+
+    def _clear_occluded(self, T_object_scanner: Floats, rows: Ints, found: Bytes) -> None:
+        """Clear (n, m) `found` where an occluder is in a line of sight of a pose to a row, by exact rays."""
+        pose, column = np.nonzero(found * (self.near[rows] >= 0).astype(np.uint8))
+        for end in (self.scanner.source, self.scanner.sensor):
+            ends = T_object_scanner[:, :3, :3] @ end + T_object_scanner[:, :3, 3]
+            for caster in self.occluders:
+                is_blocked = caster.blocked(self.targets.lifted[rows[column]], ends[pose])
+                found[pose[is_blocked], column[is_blocked]] = 0
+                pose, column = pose[~is_blocked], column[~is_blocked]
 
     def _packed(self, T_object_scanner: Floats) -> Floats32:
         """Return (n, 18): rotation by columns, position, source and sensor of each pose."""
@@ -179,30 +200,71 @@ def _node_directions() -> Floats32:
     return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True), dtype=np.float32)
 
 
+def _all_free() -> Bytes:
+    """Return the packed nodes (B,) of a sample that sees in all directions."""
+    return np.packbits(np.ones(N_NODES * N_NODES, dtype=np.uint8), bitorder="little")
+
+
 def _cast(lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], length: float) -> Bytes:
-    """Return (s, N * N) whether each node of s samples is free up to a length [m]."""
+    """Return (s, B) whether each node of s samples is free up to a length [m], packed."""
     nodes = _node_directions()
-    free = np.full((len(lifted), N_NODES, N_NODES), _UNKNOWN, dtype=np.uint8)
-    local = frames[:, [6, 7, 8, 9, 10, 11, 3, 4, 5]].reshape(-1, 3, 3)
-    step = _COARSEST
-    free[:, ::step, ::step] = 3  # cast
-    while True:
-        sample, row, column = np.nonzero(free == 3)
-        directions = np.einsum("ni,nij->nj", nodes[row * N_NODES + column], local[sample])
-        is_free = np.ones(len(sample), dtype=np.bool_)
-        for caster in casters:
-            alive = np.flatnonzero(is_free)
-            is_free[alive] = ~caster.blocked_along(lifted[sample[alive]], directions[alive], length)
-        free[sample, row, column] = is_free
-        if step == 1:
-            return free.reshape(len(lifted), -1)
-        step //= 2
-        subdivide(free, step)
+    bits = np.empty((len(lifted), (N_NODES * N_NODES + 7) // 8), dtype=np.uint8)
+    for first in range(0, len(lifted), _TOGETHER):
+        some = slice(first, first + _TOGETHER)
+        origins, local = lifted[some], frames[some]
+        free = np.full((len(origins), N_NODES, N_NODES), _UNKNOWN, dtype=np.uint8)
+        free[:, ::_COARSEST, ::_COARSEST] = _TO_CAST
+        step = _COARSEST
+        while True:
+            sample, node = list_nodes(free, step)
+            directions = turn_nodes(nodes, local, sample, node)
+            is_free = np.ones(len(sample), dtype=np.bool_)
+            for caster in casters:
+                alive = np.flatnonzero(is_free)
+                is_free[alive] = ~caster.blocked_along(origins[sample[alive]], directions[alive], length)
+            free.reshape(len(origins), -1)[sample, node] = is_free
+            if step == 1:
+                break
+            step //= 2
+            subdivide(free, step)
+        bits[some] = np.packbits(free.reshape(len(origins), -1), axis=1, bitorder="little")
+    return bits
+
+
+@compiled
+def list_nodes(free: Bytes, step: int) -> tuple[Ints, Ints]:
+    """Return sample and node of all nodes that must be cast, of those at multiples of a step."""
+    size, count = free.shape[1], 0
+    for s in range(free.shape[0]):
+        for i in range(0, size, step):
+            for j in range(0, size, step):
+                count += free[s, i, j] == _TO_CAST
+    sample, node = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    k = 0
+    for s in range(free.shape[0]):
+        for i in range(0, size, step):
+            for j in range(0, size, step):
+                if free[s, i, j] == _TO_CAST:
+                    sample[k], node[k] = s, i * size + j
+                    k += 1
+    return sample, node
+
+
+@compiled
+def turn_nodes(nodes: Floats32, frames: Floats32, sample: Ints, node: Ints) -> Floats32:
+    """Return the (n, 3) directions of nodes of samples in the object frame."""
+    found = np.empty((len(sample), 3), dtype=np.float32)
+    for k in range(len(sample)):
+        a, b, c = nodes[node[k], 0], nodes[node[k], 1], nodes[node[k], 2]
+        frame = frames[sample[k]]
+        for axis in range(3):
+            found[k, axis] = a * frame[6 + axis] + b * frame[9 + axis] + c * frame[3 + axis]
+    return found
 
 
 @compiled
 def subdivide(free: Bytes, step: int) -> None:
-    """Set the nodes of the next finer level: the value of their coarser neighbours if these agree, else 3 (cast)."""
+    """Set the nodes of the next finer level: the value of their coarser neighbours, or `_TO_CAST` if these differ."""
     size = free.shape[1]
     for s in range(free.shape[0]):
         for i in range(0, size, step):
@@ -215,36 +277,34 @@ def subdivide(free: Bytes, step: int) -> None:
                 low_j, high_j = j - step * odd_j, j + step * odd_j
                 a, b = free[s, low_i, low_j], free[s, high_i, high_j]
                 c, d = free[s, low_i, high_j], free[s, high_i, low_j]
-                free[s, i, j] = a if a == b and c == d and a == c else 3
+                free[s, i, j] = a if a == b and c == d and a == c else _TO_CAST
 
 
 @compiled
-def _is_free(frames: Floats32, bits: Bytes, ranges: Floats32, row: int, x: float, y: float, z: float) -> bool:
-    """Return whether the line of sight from a sample along (x, y, z) [m] is free."""
+def _node_of(frames: Floats32, row: int, x: float, y: float, z: float) -> int:
+    """Return the node nearest to (x, y, z) [m], seen from a sample; -1 below its horizon."""
     a = frames[row, 6] * x + frames[row, 7] * y + frames[row, 8] * z
     b = frames[row, 9] * x + frames[row, 10] * y + frames[row, 11] * z
     c = frames[row, 3] * x + frames[row, 4] * y + frames[row, 5] * z
     if not c > 0:
-        return False
-    half = np.float32((N_NODES - 1) // 2)
+        return -1
+    half, rounding = np.float32((N_NODES - 1) // 2), np.float32(0.5)
     scale = half / (abs(a) + abs(b) + c)
-    i = int((a + b) * scale + half + np.float32(0.5))
-    j = int((a - b) * scale + half + np.float32(0.5))
-    node = i * N_NODES + j
-    level = min(max(int((np.sqrt(x * x + y * y + z * z) - ranges[0]) * ranges[1]), 0), len(bits) - 1)
-    return bool((bits[level, row, node >> 3] >> (node & 7)) & 1)
+    return int((a + b) * scale + half + rounding) * N_NODES + int((a - b) * scale + half + rounding)
 
 
 @compiled
 def evaluate(
-    frames: Floats32, bits: Bytes, ranges: Floats32, rows: Ints, weights: Floats, poses: Floats32,
-    limits: Floats32, threshold: float, sums: Floats, found: Bytes,
+    frames: Floats32, bits: Bytes, near: Ints, near_bits: Bytes, ranges: Floats32, rows: Ints, weights: Floats,
+    poses: Floats32, limits: Floats32, threshold: float, sums: Floats, found: Bytes,
 ) -> None:  # fmt: skip
     """Evaluate poses by the conditions of `planner.ports.AreaLimits` and the table; written out for speed.
 
     Args:
         frames: of the samples.
         bits: of the samples.
+        near: of the samples; -1 ignores occluders.
+        near_bits: of samples near occluders.
         ranges: of distance.
         rows: (m,) samples.
         weights: (m,) of them.
@@ -259,7 +319,7 @@ def evaluate(
     front, back, cos_t, sin_t = limits[7], limits[8], limits[11], limits[12]
     cos_source, cos_sensor = limits[9] * abs(limits[9]), limits[10] * abs(limits[10])
     half, rounding = np.float32((N_NODES - 1) // 2), np.float32(0.5)
-    begin, density, last = ranges[0], ranges[1], len(bits) - 1
+    begin, density, last = ranges[0], ranges[1], N_RANGES - 1
     marks, weight_of_all = len(found) > 0, 0.0
     for m in range(len(rows)):
         weight_of_all += weights[m]
@@ -310,15 +370,22 @@ def evaluate(
             a, b = t_x * l_x + t_y * l_y + t_z * l_z, b_x * l_x + b_y * l_y + b_z * l_z
             scale = half / (abs(a) + abs(b) + c)
             node = int((a + b) * scale + half + rounding) * N_NODES + int((a - b) * scale + half + rounding)
-            level = min(max(int((np.sqrt(squared) - begin) * density), 0), last)
-            if (bits[level, row, node >> 3] >> (node & 7)) & 1 == 0:
+            if (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
                 continue
+            other = near[row]
+            if other >= 0:
+                level = min(max(int((np.sqrt(squared) - begin) * density), 0), last)
+                if (near_bits[other, level, node >> 3] >> (node & 7)) & 1 == 0:
+                    continue
             a, b = t_x * e_x + t_y * e_y + t_z * e_z, b_x * e_x + b_y * e_y + b_z * e_z
             scale = half / (abs(a) + abs(b) + g)
             node = int((a + b) * scale + half + rounding) * N_NODES + int((a - b) * scale + half + rounding)
-            level = min(max(int((np.sqrt(u * u + across) - begin) * density), 0), last)
-            if (bits[level, row, node >> 3] >> (node & 7)) & 1 == 0:
+            if (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
                 continue
+            if other >= 0:
+                level = min(max(int((np.sqrt(u * u + across) - begin) * density), 0), last)
+                if (near_bits[other, level, node >> 3] >> (node & 7)) & 1 == 0:
+                    continue
             total += weights[m]
             if marks:
                 found[k, m] = 1
@@ -326,14 +393,15 @@ def evaluate(
 
 
 @compiled
-def mark_free(frames: Floats32, bits: Bytes, ranges: Floats32, rows: Ints, poses: Floats32, found: Bytes) -> None:
-    """Clear (n, m) `found` where a line of sight of a pose to a row is not free."""
+def mark_free(frames: Floats32, bits: Bytes, rows: Ints, poses: Floats32, found: Bytes) -> None:
+    """Clear (n, m) `found` where the part is in a line of sight of a pose to a row."""
     for k in range(len(poses)):
         pose = poses[k]
         for m in range(len(rows)):
             row = rows[m]
             if found[k, m]:
                 p_x, p_y, p_z = frames[row, 0], frames[row, 1], frames[row, 2]
-                found[k, m] = _is_free(
-                    frames, bits, ranges, row, pose[12] - p_x, pose[13] - p_y, pose[14] - p_z
-                ) and _is_free(frames, bits, ranges, row, pose[15] - p_x, pose[16] - p_y, pose[17] - p_z)
+                for end in (12, 15):
+                    node = _node_of(frames, row, pose[end] - p_x, pose[end + 1] - p_y, pose[end + 2] - p_z)
+                    if node < 0 or (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
+                        found[k, m] = 0

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Annotated, Protocol
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from planner.geometry.rigid import rotation_matrices
 from planner.values import Bools, Floats, Ints, Value
@@ -159,7 +160,7 @@ class _Search:
         self.pool, self.evaluator, self.weights, self.are_reachable = pool, evaluator, weights, are_reachable
         self.effort, self.rng, self.progress = effort, rng, progress
         self.evaluated, self.rounds = 0, 0
-        self.pool_measured = evaluator.measured(pool.T_object_scanner).astype(np.float32)
+        self.pool_measured = csr_array(evaluator.measured(pool.T_object_scanner).T, dtype=np.float32)
         self.views, self.measured = pool.pick(np.arange(0)), np.empty((len(weights), 0), dtype=np.bool_)
         self.count = np.zeros(len(weights), dtype=np.int64)
 
@@ -225,24 +226,39 @@ class _Search:
             proposed = T[view, reachable[view]]
             area = self.evaluator.weights_measured(proposed, rows, weights, least)
             if len(area) and area.max() >= least:
-                best = int(area.argmax())
-                least = float(area[best])
-                self._move(view, proposed[best], None)
+                best = proposed[int(area.argmax())]
+                least = self._move(view, best, None, least)
             if self.rounds % _FROM_POOL == _FROM_POOL - 1:
-                of_pool = weights.astype(np.float32) @ self.pool_measured[rows]
-                best = int(of_pool.argmax())
-                if of_pool[best] > least:
-                    self._move(view, self.pool.T_object_scanner[best], best)
+                wanted = np.zeros(len(self.weights), dtype=np.float32)
+                wanted[rows] = weights
+                of_pool = self.pool_measured @ wanted
+                candidate = int(of_pool.argmax())
+                if of_pool[candidate] > least:
+                    self._move(view, self.pool.T_object_scanner[candidate], candidate, least)
         self.evaluated += n * _PROPOSALS
         self.rounds += 1
 
-    def _move(self, view: int, T_object_scanner: Floats, candidate: int | None) -> None:
-        """Move a view to a pose (4, 4) [m] near its own, or to that of a candidate."""
+    def _move(self, view: int, T_object_scanner: Floats, candidate: int | None, least: float) -> float:
+        """Move a view to a pose (4, 4) [m] near its own, or to that of a candidate, if it measures enough.
+
+        Args:
+            view: that is moved.
+            T_object_scanner: new pose [m].
+            candidate: whose pose it is.
+            least: smallest weight of samples that no other view measures.
+
+        Returns:
+            The weight of these samples at the new pose, or `least` without a move.
+        """
         new = self.evaluator.measured(T_object_scanner[None])[:, 0]
-        self.count += new
-        self.count -= self.measured[:, view]
+        others = self.count - self.measured[:, view]
+        alone = float(self.weights[new & (others == 0)].sum())
+        if alone < least:
+            return least
+        self.count = others + new
         self.measured[:, view] = new
         self.views = self.views.at(view, T_object_scanner, self.pool, candidate)
+        return alone
 
     def _perturbed(self) -> Floats:
         """Return (n, _PROPOSALS, 4, 4) poses around those of the views [m]: shifted, and turned about their aim."""
