@@ -32,10 +32,12 @@ MARGIN = 0.0014
 """Share of the coverable area beyond the requested coverage that moved views measure at least."""
 
 N_SAMPLES = 20_000
-"""Samples on which poses are evaluated, before samples that many candidates measure are thinned out."""
+"""Samples that are drawn for the evaluation of poses."""
 
-_EASY = 0.12  # share of the reachable candidates that measure a sample, above which it is thinned out
-_THINNED = 8  # one of this many easy samples is evaluated, with this weight
+N_EVALUATED = 10_000
+"""Samples of these on which poses are evaluated; samples that many candidates measure are thinned out."""
+
+_HALVINGS = 40  # of an interval that begins with (0, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,11 +158,9 @@ def _table(
     """Return the table of the samples that candidates measure and fixed views do not, and the weight of each sample."""
     known = problem.prediction
     samples = draw_samples(surface.reference, surface.planning, N_SAMPLES, rng)
-    is_easy = _ease(problem, samples) > _EASY
-    kept = ~is_easy
-    kept[np.flatnonzero(is_easy)[_THINNED // 2 :: _THINNED]] = True
-    weights = np.where(is_easy, float(_THINNED), 1.0)[kept]
-    samples = pick_samples(samples, np.flatnonzero(kept))
+    kept, share = _thinned(_ease(problem, samples), N_EVALUATED)
+    weights = 1.0 / share[kept]
+    samples = pick_samples(samples, kept)
     targets = RayTargets.of(samples.points, samples.normals, samples.region)
     part, *occluders = cast(Sequence[DirectionCaster], known.casters)
     table = DirectionTable.build(targets, known.scanner, part, occluders, distances_of(known.scanner))
@@ -168,6 +168,18 @@ def _table(
     needed = np.flatnonzero(coverable & ~table.measured(fixed.T_object_scanner).any(axis=1))
     # Shares of the coverable area: the shortfall on held-out samples has the same unit.
     return table.pick(needed), weights[needed] / weights[coverable].sum()
+
+
+def _thinned(ease: Floats, count: int) -> tuple[Ints, Floats]:
+    """Return about `count` of (S,) samples, and the share of each that is kept: all hard ones, few easy ones."""
+    if len(ease) <= count:
+        return np.arange(len(ease)), np.ones(len(ease))
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (low, middle) if np.minimum(1.0, middle / np.maximum(ease, middle)).sum() > count else (middle, high)
+    share = high / np.maximum(ease, high)
+    return np.flatnonzero(np.diff(np.floor(np.cumsum(share)), prepend=0.0) > 0), share
 
 
 def _ease(problem: SelectionProblem, samples: SurfaceSamples) -> Floats:

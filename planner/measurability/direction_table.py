@@ -11,8 +11,8 @@ direction to the same side, and views along an axis would be wrong on all of the
 The table is built from coarse to fine: a node is cast only if its coarser neighbours differ, so that an occluder
 between coarse nodes may be missed. Sensors are outside the convex hull of the part, but may be between the part and a
 post, floor or fixture. Samples near such an occluder have further tables, one for each of `N_RANGES` ranges of
-distance. Views often look just past a post, where its edge is too fine for the grid. Sums of weights use these tables,
-but `measured` casts exact rays to occluders. Object frame, metres.
+distance. Views often look just past a post, where its edge is too fine for the grid. Sums of weights use these tables
+all the same, but `measured` casts exact rays near the edges of occluders. Object frame, metres.
 """
 
 from collections.abc import Sequence
@@ -38,6 +38,7 @@ _GOLDEN = (np.sqrt(5.0) - 1) / 2
 _TOGETHER = 2048  # samples whose nodes are cast together: arrays of 30 MB
 _PAIRS = 200_000  # of a pose and a sample that are evaluated together where the scanner has no compiled limits
 _UNKNOWN, _TO_CAST = 2, 3  # besides 0, occluded, and 1, free
+_NEAR_EDGE = 2  # besides 0, not measured, and 1, measured
 
 Floats32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
@@ -54,6 +55,7 @@ class DirectionTable(Value):
         occluders: casters of everything else.
         near: (S,) row of each sample in `near_bits`; -1: no occluder is near.
         near_bits: (M, N_RANGES, B) nodes that occluders leave free, packed, for each range of distance.
+        edge_bits: (M, N_RANGES, B) nodes with a neighbour, in direction or range, that differs from them, packed.
         ranges: (2,) beginning [m] of the first range, and number of ranges for each metre.
         scanner: sensor model.
         limits: (13,) compiled limits of the scanner; None: its `reject` is called.
@@ -65,6 +67,7 @@ class DirectionTable(Value):
     occluders: Sequence[RayCaster]
     near: Annotated[Ints, "S"]
     near_bits: Annotated[Bytes, "M R B"]
+    edge_bits: Annotated[Bytes, "M R B"]
     ranges: Annotated[Floats32, "2"]
     scanner: Scanner
     limits: Annotated[Floats32, "13"] | None
@@ -103,7 +106,9 @@ class DirectionTable(Value):
         limits = scanner.area_limits if isinstance(scanner, AreaLimits) else None
         ranges = np.array([near, N_RANGES / (far - near)], dtype=np.float32)
         compiled_limits = None if limits is None else np.array(limits, dtype=np.float32)
-        return cls(targets, frames, bits, occluders, row_of, near_bits, ranges, scanner, compiled_limits)
+        edge_bits = mark_edges(np.unpackbits(near_bits, axis=2, count=N_NODES * N_NODES, bitorder="little"))
+        packed = np.packbits(edge_bits, axis=2, bitorder="little")
+        return cls(targets, frames, bits, occluders, row_of, near_bits, packed, ranges, scanner, compiled_limits)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -129,7 +134,7 @@ class DirectionTable(Value):
         if self.limits is None:
             return np.asarray(weights @ self.measured(T_object_scanner, rows))
         result = np.empty(len(T_object_scanner))
-        self._evaluate(self._packed(T_object_scanner), rows, weights, self.near, threshold, result)
+        self._evaluate(self._packed(T_object_scanner), rows, weights, threshold, result)
         return result
 
     def measured(self, T_object_scanner: Floats, rows: Ints | None = None) -> Bools:
@@ -137,31 +142,31 @@ class DirectionTable(Value):
         rows = np.arange(len(self)) if rows is None else rows
         poses, found = self._packed(T_object_scanner), np.zeros((len(T_object_scanner), len(rows)), dtype=np.uint8)
         if self.limits is not None:
-            nothing = np.full(len(self), -1)
-            self._evaluate(poses, rows, np.zeros(len(rows)), nothing, -np.inf, np.empty(len(poses)), found)
+            self._evaluate(poses, rows, np.zeros(len(rows)), -np.inf, np.empty(len(poses)), found)
         else:
             together = max(1, _PAIRS // max(len(rows), 1))
             for first in range(0, len(poses), together):
                 some = slice(first, first + together)
                 found[some] = in_view_matrix(self.targets, T_object_scanner[some], self.scanner, rows)
-            mark_free(self.frames, self.bits, rows, poses, found)
-        self._clear_occluded(T_object_scanner, rows, found)
-        return found.T.astype(np.bool_)
+            mark_free(self.frames, self.bits, self.near, rows, poses, found)
+        self._decide_edges(T_object_scanner, rows, found)
+        return np.asarray(found.T == 1)
 
     def _evaluate(
-        self, poses: Floats32, rows: Ints, weights: Floats, near: Ints, threshold: float, sums: Floats,
+        self, poses: Floats32, rows: Ints, weights: Floats, threshold: float, sums: Floats,
         found: Bytes = np.empty((0, 0), dtype=np.uint8),
     ) -> None:  # fmt: skip
         """Call `evaluate` with the values of the table."""
         assert self.limits is not None, "the law has no compiled limits"
         evaluate(
-            self.frames, self.bits, near, self.near_bits, self.ranges, rows, weights, poses, self.limits, threshold,
-            sums, found,
+            self.frames, self.bits, self.near, self.near_bits, self.edge_bits, self.ranges, rows, weights, poses,
+            self.limits, threshold, sums, found,
         )  # fmt: skip
 
-    def _clear_occluded(self, T_object_scanner: Floats, rows: Ints, found: Bytes) -> None:
-        """Clear (n, m) `found` where an occluder is in a line of sight of a pose to a row, by exact rays."""
-        pose, column = np.nonzero(found * (self.near[rows] >= 0).astype(np.uint8))
+    def _decide_edges(self, T_object_scanner: Floats, rows: Ints, found: Bytes) -> None:
+        """Decide `found` (n, m) by exact rays where it is `_NEAR_EDGE`."""
+        pose, column = np.nonzero(found == _NEAR_EDGE)
+        found[pose, column] = 1
         for end in (self.scanner.source, self.scanner.sensor):
             ends = T_object_scanner[:, :3, :3] @ end + T_object_scanner[:, :3, 3]
             for caster in self.occluders:
@@ -232,6 +237,23 @@ def _cast(lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], 
 
 
 @compiled
+def mark_edges(free: Bytes) -> Bytes:
+    """Return which nodes of (M, R, N * N) have a neighbour, in direction or range, that differs from them."""
+    found = np.zeros(free.shape, dtype=np.uint8)
+    for s in range(free.shape[0]):
+        for r in range(free.shape[1]):
+            for node in range(free.shape[2]):
+                i, j = node // N_NODES, node % N_NODES
+                value, is_edge = free[s, r, node], 0
+                for q in range(max(r - 1, 0), min(r + 2, free.shape[1])):
+                    for k in range(max(i - 1, 0), min(i + 2, N_NODES)):
+                        for m in range(max(j - 1, 0), min(j + 2, N_NODES)):
+                            is_edge |= free[s, q, k * N_NODES + m] != value
+                found[s, r, node] = is_edge
+    return found
+
+
+@compiled
 def list_nodes(free: Bytes, step: int) -> tuple[Ints, Ints]:
     """Return sample and node of all nodes that must be cast, of those at multiples of a step."""
     size, count = free.shape[1], 0
@@ -295,16 +317,17 @@ def _node_of(frames: Floats32, row: int, x: float, y: float, z: float) -> int:
 
 @compiled
 def evaluate(
-    frames: Floats32, bits: Bytes, near: Ints, near_bits: Bytes, ranges: Floats32, rows: Ints, weights: Floats,
-    poses: Floats32, limits: Floats32, threshold: float, sums: Floats, found: Bytes,
+    frames: Floats32, bits: Bytes, near: Ints, near_bits: Bytes, edge_bits: Bytes, ranges: Floats32, rows: Ints,
+    weights: Floats, poses: Floats32, limits: Floats32, threshold: float, sums: Floats, found: Bytes,
 ) -> None:  # fmt: skip
     """Evaluate poses by the conditions of `planner.ports.AreaLimits` and the table; written out for speed.
 
     Args:
         frames: of the samples.
         bits: of the samples.
-        near: of the samples; -1 ignores occluders.
+        near: of the samples.
         near_bits: of samples near occluders.
+        edge_bits: of samples near occluders.
         ranges: of distance.
         rows: (m,) samples.
         weights: (m,) of them.
@@ -312,7 +335,8 @@ def evaluate(
         limits: (13,) of the scanner.
         threshold: the rest of a pose is skipped once its sum cannot reach it; -inf evaluates all.
         sums: (n,), overwritten with the weights of the rows that each pose measures.
-        found: (n, m), set to 1 where a pose measures a row; nothing is set if it has no rows.
+        found: (n, m), set to 1 where a pose measures a row, and to `_NEAR_EDGE` where that is uncertain; nothing is set
+            if it has no rows.
     """
     baseline, tan_h, tan_v, tan_u, tan_w = limits[0], limits[1], limits[2], limits[3], limits[4]
     nearest, farthest = limits[5] * limits[5], limits[6] * limits[6]
@@ -373,9 +397,11 @@ def evaluate(
             if (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
                 continue
             other = near[row]
+            is_edge = 0
             if other >= 0:
                 level = min(max(int((np.sqrt(squared) - begin) * density), 0), last)
-                if (near_bits[other, level, node >> 3] >> (node & 7)) & 1 == 0:
+                is_edge = (edge_bits[other, level, node >> 3] >> (node & 7)) & 1 if marks else 0
+                if is_edge == 0 and (near_bits[other, level, node >> 3] >> (node & 7)) & 1 == 0:
                     continue
             a, b = t_x * e_x + t_y * e_y + t_z * e_z, b_x * e_x + b_y * e_y + b_z * e_z
             scale = half / (abs(a) + abs(b) + g)
@@ -384,23 +410,27 @@ def evaluate(
                 continue
             if other >= 0:
                 level = min(max(int((np.sqrt(u * u + across) - begin) * density), 0), last)
-                if (near_bits[other, level, node >> 3] >> (node & 7)) & 1 == 0:
+                at_edge = (edge_bits[other, level, node >> 3] >> (node & 7)) & 1 if marks else 0
+                if at_edge == 0 and (near_bits[other, level, node >> 3] >> (node & 7)) & 1 == 0:
                     continue
+                is_edge |= at_edge
             total += weights[m]
             if marks:
-                found[k, m] = 1
+                found[k, m] = _NEAR_EDGE if is_edge else 1
         sums[k] = total
 
 
 @compiled
-def mark_free(frames: Floats32, bits: Bytes, rows: Ints, poses: Floats32, found: Bytes) -> None:
-    """Clear (n, m) `found` where the part is in a line of sight of a pose to a row."""
+def mark_free(frames: Floats32, bits: Bytes, near: Ints, rows: Ints, poses: Floats32, found: Bytes) -> None:
+    """Clear (n, m) `found` where the part is in a line of sight of a pose to a row; mark rows near occluders."""
     for k in range(len(poses)):
         pose = poses[k]
         for m in range(len(rows)):
             row = rows[m]
             if found[k, m]:
                 p_x, p_y, p_z = frames[row, 0], frames[row, 1], frames[row, 2]
+                if near[row] >= 0:
+                    found[k, m] = _NEAR_EDGE
                 for end in (12, 15):
                     node = _node_of(frames, row, pose[end] - p_x, pose[end + 1] - p_y, pose[end + 2] - p_z)
                     if node < 0 or (bits[row, node >> 3] >> (node & 7)) & 1 == 0:

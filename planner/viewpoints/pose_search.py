@@ -25,6 +25,7 @@ EFFORTS = {"low": 25_000, "normal": 80_000, "high": 800_000}
 """Poses that a search evaluates."""
 
 _PROPOSALS = 24  # of a view in a round
+_TESTED = 6  # best proposals of a view that are tested for reachability
 _FROM_POOL = 4  # rounds between two in which candidates are proposed
 _VIEWS_PER_REMOVAL = 10  # one view of this many is left out at a time
 _MAX_TURN = np.deg2rad(15.0)  # of a proposal about its aim, for each component of the rotation vector
@@ -211,54 +212,64 @@ class _Search:
         return kept
 
     def _round(self) -> None:
-        """Move each view in turn to its best reachable proposal, if that loses nothing or little."""
-        n = len(self.views)
-        T = self._perturbed()
-        reachable = self.are_reachable(T.reshape(-1, 4, 4)).reshape(n, _PROPOSALS)
+        """Move each view to its best reachable proposal, if that loses nothing or little.
+
+        Proposals of all views are evaluated and tested for reachability first; a move is decided by the views so far.
+        """
+        n, T = len(self.views), self._perturbed()
         accepted = _TEMPERATURE * np.log(self.rng.random(n))
+        tested = []
         for view in range(n):
-            only = np.flatnonzero(self.measured[:, view] & (self.count == 1))
-            rows = np.concatenate(
-                [*(only[k::_INTERLEAVED] for k in range(_INTERLEAVED)), np.flatnonzero(self.count == 0)]
-            )
-            weights = self.weights[rows]
-            least = float(self.weights[only].sum()) + float(accepted[view])
-            proposed = T[view, reachable[view]]
-            area = self.evaluator.weights_measured(proposed, rows, weights, least)
-            if len(area) and area.max() >= least:
-                best = proposed[int(area.argmax())]
-                least = self._move(view, best, None, least)
-            if self.rounds % _FROM_POOL == _FROM_POOL - 1:
+            rows, weights, least = self._rows(view, float(accepted[view]))
+            area = self.evaluator.weights_measured(T[view], rows, weights, least)
+            best = np.argsort(-area, kind="stable")[:_TESTED]
+            tested += [(view, proposal) for proposal in best[area[best] >= least].tolist()]
+        proposed = np.array([T[view, proposal] for view, proposal in tested]).reshape(-1, 4, 4)
+        is_moved = np.zeros(n, dtype=np.bool_)
+        for (view, _), pose, is_reachable in zip(tested, proposed, self.are_reachable(proposed), strict=True):
+            if is_reachable and not is_moved[view]:
+                is_moved[view] = self._move(view, pose, None, float(accepted[view]))
+        if self.rounds % _FROM_POOL == _FROM_POOL - 1:
+            for view in range(n):
+                rows, weights, least = self._rows(view, 0.0)
                 wanted = np.zeros(len(self.weights), dtype=np.float32)
                 wanted[rows] = weights
                 of_pool = self.pool_measured @ wanted
                 candidate = int(of_pool.argmax())
                 if of_pool[candidate] > least:
-                    self._move(view, self.pool.T_object_scanner[candidate], candidate, least)
+                    self._move(view, self.pool.T_object_scanner[candidate], candidate, 0.0)
         self.evaluated += n * _PROPOSALS
         self.rounds += 1
 
-    def _move(self, view: int, T_object_scanner: Floats, candidate: int | None, least: float) -> float:
-        """Move a view to a pose (4, 4) [m] near its own, or to that of a candidate, if it measures enough.
+    def _rows(self, view: int, accepted: float) -> tuple[Ints, Floats, float]:
+        """Return the rows that no other view measures, their weights, and the weight that a new pose must measure."""
+        only = np.flatnonzero(self.measured[:, view] & (self.count == 1))
+        spread = [only[k::_INTERLEAVED] for k in range(_INTERLEAVED)]
+        rows = np.concatenate([*spread, np.flatnonzero(self.count == 0)])
+        return rows, self.weights[rows], float(self.weights[only].sum()) + accepted
+
+    def _move(self, view: int, T_object_scanner: Floats, candidate: int | None, accepted: float) -> bool:
+        """Move a view to a pose (4, 4) [m], if it measures enough of what no other view measures.
 
         Args:
             view: that is moved.
-            T_object_scanner: new pose [m].
+            T_object_scanner: near its pose, or that of a candidate [m].
             candidate: whose pose it is.
-            least: smallest weight of samples that no other view measures.
+            accepted: change of the weight of measured samples that is accepted.
 
         Returns:
-            The weight of these samples at the new pose, or `least` without a move.
+            Whether the view was moved.
         """
         new = self.evaluator.measured(T_object_scanner[None])[:, 0]
-        others = self.count - self.measured[:, view]
-        alone = float(self.weights[new & (others == 0)].sum())
-        if alone < least:
-            return least
-        self.count = others + new
+        old = self.measured[:, view]
+        alone = self.count == old
+        if self.weights[new & alone].sum() < self.weights[old & alone].sum() + accepted:
+            return False
+        self.count += new
+        self.count -= old
         self.measured[:, view] = new
         self.views = self.views.at(view, T_object_scanner, self.pool, candidate)
-        return alone
+        return True
 
     def _perturbed(self) -> Floats:
         """Return (n, _PROPOSALS, 4, 4) poses around those of the views [m]: shifted, and turned about their aim."""
