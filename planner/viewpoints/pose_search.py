@@ -32,7 +32,7 @@ _MAX_TURN = np.deg2rad(15.0)  # of a proposal about its aim, for each component 
 _MAX_SHIFT = 0.15  # of a proposal along each axis, as a share of the distance
 _INTERLEAVED = 8  # the rows of a view are evaluated in this many passes over the surface, so that losses show early
 _SMALLEST = 0.03  # scale of the smallest proposals; scales are log-uniform up to 1
-_TEMPERATURE = 3e-5  # share of the surface
+_TEMPERATURE = 1.5e-4  # share of the surface
 _PATIENCE = 60  # rounds without a better area after which the search returns to the best views
 
 
