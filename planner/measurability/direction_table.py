@@ -11,8 +11,8 @@ direction to the same side, and views along an axis would be wrong on all of the
 The table is built from coarse to fine: a node is cast only if its coarser neighbours differ, so that an occluder
 between coarse nodes may be missed. Sensors are outside the convex hull of the part, but may be between the part and a
 post, floor or fixture. Samples near such an occluder have further tables, one for each of `N_RANGES` ranges of
-distance. Views often look just past a post, where its edge is too fine for the grid. Sums of weights use these tables
-all the same, but `measured` casts exact rays near the edges of occluders. Object frame, metres.
+distance. Views often look just past an edge, which is too fine for the grid. Sums of weights use the tables all the
+same, but `measured` casts exact rays where a node has a neighbour that differs from it. Object frame, metres.
 """
 
 from collections.abc import Sequence
@@ -33,12 +33,14 @@ N_NODES = 33
 N_RANGES = 4
 """Ranges of distance between sample and source or sensor, each with its own table of occluders."""
 
-_COARSEST = 4  # nodes between two nodes of the first level; a power of two
+_COARSEST = 2  # nodes between two nodes of the first level; a power of two
 _GOLDEN = (np.sqrt(5.0) - 1) / 2
 _TOGETHER = 2048  # samples whose nodes are cast together: arrays of 30 MB
 _PAIRS = 200_000  # of a pose and a sample that are evaluated together where the scanner has no compiled limits
 _UNKNOWN, _TO_CAST = 2, 3  # besides 0, occluded, and 1, free
-_NEAR_EDGE = 2  # besides 0, not measured, and 1, measured
+# Marks of a pose and a row besides 0, not measured, and 1, measured: lines of sight that are near an edge of the part or
+# of occluders.
+_SOURCE_PART, _SENSOR_PART, _SOURCE_OTHERS, _SENSOR_OTHERS = 2, 4, 8, 16
 
 Floats32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
@@ -52,10 +54,11 @@ class DirectionTable(Value):
         targets: the S samples.
         frames: (S, 12) point [m], normal, tangent and bitangent of each sample.
         bits: (S, B) nodes that the part leaves free, packed.
-        occluders: casters of everything else.
+        edge_bits: (S, B) nodes with a neighbour that differs from them, packed.
+        casters: of the part and of everything else.
         near: (S,) row of each sample in `near_bits`; -1: no occluder is near.
         near_bits: (M, N_RANGES, B) nodes that occluders leave free, packed, for each range of distance.
-        edge_bits: (M, N_RANGES, B) nodes with a neighbour, in direction or range, that differs from them, packed.
+        near_edge_bits: (M, N_RANGES, B) of these, nodes with a neighbour in direction or range that differs, packed.
         ranges: (2,) beginning [m] of the first range, and number of ranges for each metre.
         scanner: sensor model.
         limits: (13,) compiled limits of the scanner; None: its `reject` is called.
@@ -64,10 +67,11 @@ class DirectionTable(Value):
     targets: RayTargets
     frames: Annotated[Floats32, "S 12"]
     bits: Annotated[Bytes, "S B"]
-    occluders: Sequence[RayCaster]
+    edge_bits: Annotated[Bytes, "S B"]
+    casters: Sequence[RayCaster]
     near: Annotated[Ints, "S"]
     near_bits: Annotated[Bytes, "M R B"]
-    edge_bits: Annotated[Bytes, "M R B"]
+    near_edge_bits: Annotated[Bytes, "M R B"]
     ranges: Annotated[Floats32, "2"]
     scanner: Scanner
     limits: Annotated[Floats32, "13"] | None
@@ -106,9 +110,10 @@ class DirectionTable(Value):
         limits = scanner.area_limits if isinstance(scanner, AreaLimits) else None
         ranges = np.array([near, N_RANGES / (far - near)], dtype=np.float32)
         compiled_limits = None if limits is None else np.array(limits, dtype=np.float32)
-        edge_bits = mark_edges(np.unpackbits(near_bits, axis=2, count=N_NODES * N_NODES, bitorder="little"))
-        packed = np.packbits(edge_bits, axis=2, bitorder="little")
-        return cls(targets, frames, bits, occluders, row_of, near_bits, packed, ranges, scanner, compiled_limits)
+        return cls(
+            targets, frames, bits, _edges(bits[:, None])[:, 0], (part, *occluders), row_of, near_bits,
+            _edges(near_bits), ranges, scanner, compiled_limits,
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -118,7 +123,10 @@ class DirectionTable(Value):
         targets = self.targets
         region = None if targets.region is None else targets.region[rows]
         some = RayTargets(targets.points[:, rows], targets.normals[:, rows], targets.lifted[rows], region)
-        return replace(self, targets=some, frames=self.frames[rows], bits=self.bits[rows], near=self.near[rows])
+        return replace(
+            self, targets=some, frames=self.frames[rows], bits=self.bits[rows], edge_bits=self.edge_bits[rows],
+            near=self.near[rows],
+        )  # fmt: skip
 
     def weights_measured(
         self, T_object_scanner: Floats, rows: Ints, weights: Floats, threshold: float = -np.inf
@@ -148,9 +156,9 @@ class DirectionTable(Value):
             for first in range(0, len(poses), together):
                 some = slice(first, first + together)
                 found[some] = in_view_matrix(self.targets, T_object_scanner[some], self.scanner, rows)
-            mark_free(self.frames, self.bits, self.near, rows, poses, found)
+            found *= 1 + _SOURCE_PART + _SENSOR_PART + _SOURCE_OTHERS + _SENSOR_OTHERS
         self._decide_edges(T_object_scanner, rows, found)
-        return np.asarray(found.T == 1)
+        return np.asarray(found.T > 0)
 
     def _evaluate(
         self, poses: Floats32, rows: Ints, weights: Floats, threshold: float, sums: Floats,
@@ -159,17 +167,23 @@ class DirectionTable(Value):
         """Call `evaluate` with the values of the table."""
         assert self.limits is not None, "the law has no compiled limits"
         evaluate(
-            self.frames, self.bits, self.near, self.near_bits, self.edge_bits, self.ranges, rows, weights, poses,
-            self.limits, threshold, sums, found,
+            self.frames, self.bits, self.edge_bits, self.near, self.near_bits, self.near_edge_bits, self.ranges, rows,
+            weights, poses, self.limits, threshold, sums, found,
         )  # fmt: skip
 
     def _decide_edges(self, T_object_scanner: Floats, rows: Ints, found: Bytes) -> None:
-        """Decide `found` (n, m) by exact rays where it is `_NEAR_EDGE`."""
-        pose, column = np.nonzero(found == _NEAR_EDGE)
-        found[pose, column] = 1
-        for end in (self.scanner.source, self.scanner.sensor):
-            ends = T_object_scanner[:, :3, :3] @ end + T_object_scanner[:, :3, 3]
-            for caster in self.occluders:
+        """Decide `found` (n, m) by exact rays where a line of sight is near an edge."""
+        source, sensor = (
+            T_object_scanner[:, :3, :3] @ end + T_object_scanner[:, :3, 3]
+            for end in (self.scanner.source, self.scanner.sensor)
+        )
+        part, *others = self.casters
+        for mark, ends, casters in (
+            (_SOURCE_PART, source, (part,)), (_SENSOR_PART, sensor, (part,)),
+            (_SOURCE_OTHERS, source, others), (_SENSOR_OTHERS, sensor, others),
+        ):  # fmt: skip
+            pose, column = np.nonzero(found & mark)
+            for caster in casters:
                 is_blocked = caster.blocked(self.targets.lifted[rows[column]], ends[pose])
                 found[pose[is_blocked], column[is_blocked]] = 0
                 pose, column = pose[~is_blocked], column[~is_blocked]
@@ -208,6 +222,12 @@ def _node_directions() -> Floats32:
 def _all_free() -> Bytes:
     """Return the packed nodes (B,) of a sample that sees in all directions."""
     return np.packbits(np.ones(N_NODES * N_NODES, dtype=np.uint8), bitorder="little")
+
+
+def _edges(bits: Bytes) -> Bytes:
+    """Return the packed nodes (M, R, B) that have a neighbour that differs from them."""
+    free = np.unpackbits(bits, axis=2, count=N_NODES * N_NODES, bitorder="little")
+    return np.packbits(mark_edges(free), axis=2, bitorder="little")
 
 
 def _cast(lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], length: float) -> Bytes:
@@ -303,31 +323,20 @@ def subdivide(free: Bytes, step: int) -> None:
 
 
 @compiled
-def _node_of(frames: Floats32, row: int, x: float, y: float, z: float) -> int:
-    """Return the node nearest to (x, y, z) [m], seen from a sample; -1 below its horizon."""
-    a = frames[row, 6] * x + frames[row, 7] * y + frames[row, 8] * z
-    b = frames[row, 9] * x + frames[row, 10] * y + frames[row, 11] * z
-    c = frames[row, 3] * x + frames[row, 4] * y + frames[row, 5] * z
-    if not c > 0:
-        return -1
-    half, rounding = np.float32((N_NODES - 1) // 2), np.float32(0.5)
-    scale = half / (abs(a) + abs(b) + c)
-    return int((a + b) * scale + half + rounding) * N_NODES + int((a - b) * scale + half + rounding)
-
-
-@compiled
 def evaluate(
-    frames: Floats32, bits: Bytes, near: Ints, near_bits: Bytes, edge_bits: Bytes, ranges: Floats32, rows: Ints,
-    weights: Floats, poses: Floats32, limits: Floats32, threshold: float, sums: Floats, found: Bytes,
+    frames: Floats32, bits: Bytes, edge_bits: Bytes, near: Ints, near_bits: Bytes, near_edge_bits: Bytes,
+    ranges: Floats32, rows: Ints, weights: Floats, poses: Floats32, limits: Floats32, threshold: float, sums: Floats,
+    found: Bytes,
 ) -> None:  # fmt: skip
     """Evaluate poses by the conditions of `planner.ports.AreaLimits` and the table; written out for speed.
 
     Args:
         frames: of the samples.
         bits: of the samples.
+        edge_bits: of the samples.
         near: of the samples.
         near_bits: of samples near occluders.
-        edge_bits: of samples near occluders.
+        near_edge_bits: of samples near occluders.
         ranges: of distance.
         rows: (m,) samples.
         weights: (m,) of them.
@@ -335,7 +344,7 @@ def evaluate(
         limits: (13,) of the scanner.
         threshold: the rest of a pose is skipped once its sum cannot reach it; -inf evaluates all.
         sums: (n,), overwritten with the weights of the rows that each pose measures.
-        found: (n, m), set to 1 where a pose measures a row, and to `_NEAR_EDGE` where that is uncertain; nothing is set
+        found: (n, m), set to 1 where a pose measures a row, and to other marks where that is uncertain; nothing is set
             if it has no rows.
     """
     baseline, tan_h, tan_v, tan_u, tan_w = limits[0], limits[1], limits[2], limits[3], limits[4]
@@ -394,44 +403,35 @@ def evaluate(
             a, b = t_x * l_x + t_y * l_y + t_z * l_z, b_x * l_x + b_y * l_y + b_z * l_z
             scale = half / (abs(a) + abs(b) + c)
             node = int((a + b) * scale + half + rounding) * N_NODES + int((a - b) * scale + half + rounding)
-            if (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
+            mark, is_edge = 1, marks and (edge_bits[row, node >> 3] >> (node & 7)) & 1 == 1
+            if is_edge:
+                mark |= _SOURCE_PART
+            elif (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
                 continue
             other = near[row]
-            is_edge = 0
             if other >= 0:
                 level = min(max(int((np.sqrt(squared) - begin) * density), 0), last)
-                is_edge = (edge_bits[other, level, node >> 3] >> (node & 7)) & 1 if marks else 0
-                if is_edge == 0 and (near_bits[other, level, node >> 3] >> (node & 7)) & 1 == 0:
+                is_edge = marks and (near_edge_bits[other, level, node >> 3] >> (node & 7)) & 1 == 1
+                if is_edge:
+                    mark |= _SOURCE_OTHERS
+                elif (near_bits[other, level, node >> 3] >> (node & 7)) & 1 == 0:
                     continue
             a, b = t_x * e_x + t_y * e_y + t_z * e_z, b_x * e_x + b_y * e_y + b_z * e_z
             scale = half / (abs(a) + abs(b) + g)
             node = int((a + b) * scale + half + rounding) * N_NODES + int((a - b) * scale + half + rounding)
-            if (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
+            is_edge = marks and (edge_bits[row, node >> 3] >> (node & 7)) & 1 == 1
+            if is_edge:
+                mark |= _SENSOR_PART
+            elif (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
                 continue
             if other >= 0:
                 level = min(max(int((np.sqrt(u * u + across) - begin) * density), 0), last)
-                at_edge = (edge_bits[other, level, node >> 3] >> (node & 7)) & 1 if marks else 0
-                if at_edge == 0 and (near_bits[other, level, node >> 3] >> (node & 7)) & 1 == 0:
+                is_edge = marks and (near_edge_bits[other, level, node >> 3] >> (node & 7)) & 1 == 1
+                if is_edge:
+                    mark |= _SENSOR_OTHERS
+                elif (near_bits[other, level, node >> 3] >> (node & 7)) & 1 == 0:
                     continue
-                is_edge |= at_edge
             total += weights[m]
             if marks:
-                found[k, m] = _NEAR_EDGE if is_edge else 1
+                found[k, m] = mark
         sums[k] = total
-
-
-@compiled
-def mark_free(frames: Floats32, bits: Bytes, near: Ints, rows: Ints, poses: Floats32, found: Bytes) -> None:
-    """Clear (n, m) `found` where the part is in a line of sight of a pose to a row; mark rows near occluders."""
-    for k in range(len(poses)):
-        pose = poses[k]
-        for m in range(len(rows)):
-            row = rows[m]
-            if found[k, m]:
-                p_x, p_y, p_z = frames[row, 0], frames[row, 1], frames[row, 2]
-                if near[row] >= 0:
-                    found[k, m] = _NEAR_EDGE
-                for end in (12, 15):
-                    node = _node_of(frames, row, pose[end] - p_x, pose[end + 1] - p_y, pose[end + 2] - p_z)
-                    if node < 0 or (bits[row, node >> 3] >> (node & 7)) & 1 == 0:
-                        found[k, m] = 0
