@@ -48,6 +48,7 @@ class Stream(IntEnum):
     ATTAINABLE_SAMPLES = 8
     FRESH_SAMPLES = 9
     POSE_SEARCH = 15
+    POSE_COMPARISON = 16
     # plan of an exploration, in place of the samples of the matrix and the scouts
     BELIEF_SAMPLES = 10
     BELIEF_SCOUTS = 11

@@ -320,8 +320,8 @@ def select_and_connect(
         searched = f"Poses are not searched: {reason}"
     elif append is not None:
         with session.stage("search fewer views") as progress:
-            draws = session.rng(Stream.POSE_SEARCH)
-            moved_problem, moved, search = search_views(*initial, surface, append, draws, rng, progress)
+            draws, others = session.rng(Stream.POSE_SEARCH), session.rng(Stream.POSE_COMPARISON)
+            moved_problem, moved, search = search_views(*initial, surface, append, draws, others, rng, progress)
             choice = moved_problem, moved
     with session.stage("order and connect") as progress:
         if before.request.costs is not None:

@@ -18,15 +18,19 @@ from cell.world.measurability import PartSurface
 from planner.cover import CoverStatus
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples
 from planner.measurability.direction_table import DirectionTable
+from planner.measurability.visibility import VisibilityMemo
 from planner.ports import DirectionCaster, Progress, Scanner
 from planner.values import Bools, Floats, Ints
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.pose_sampling import find_frustum
-from planner.viewpoints.pose_search import EFFORTS, SearchPoses, join_poses, search_poses
+from planner.viewpoints.pose_search import EFFORTS, SearchPoses, Shortfall, join_poses, search_poses
 from planner.viewpoints.viewpoints import Viewpoints, viewpoints_from_poses
 
 Append = Callable[[SelectionProblem, Viewpoints], SelectionProblem]
 """Append viewpoints to the candidates of a problem."""
+
+MANY_VIEWS = 20
+"""Number of views above which the effort grows in proportion: each round moves all views."""
 
 MARGIN = 0.0014
 """Share of the coverable area beyond the requested coverage that moved views measure at least."""
@@ -34,7 +38,7 @@ MARGIN = 0.0014
 N_SAMPLES = 20_000
 """Samples that are drawn for the evaluation of poses."""
 
-N_EVALUATED = 10_000
+N_EVALUATED = 8_000
 """Samples of these on which poses are evaluated; samples that many candidates measure are thinned out."""
 
 _HALVINGS = 40  # of an interval that begins with (0, 1)
@@ -89,7 +93,7 @@ def skip_reason(problem: SelectionProblem) -> str:
 
 def search_views(
     problem: SelectionProblem, selection: Selection, surface: PartSurface, append: Append, rng: np.random.Generator,
-    selection_rng: np.random.Generator, progress: Progress,
+    fresh: np.random.Generator, selection_rng: np.random.Generator, progress: Progress,
 ) -> tuple[SelectionProblem, Selection, PoseSearch]:  # fmt: skip
     """Find fewer views that measure as much of the held-out samples, among all reachable poses.
 
@@ -99,6 +103,7 @@ def search_views(
         surface: the part.
         append: appends viewpoints to the candidates.
         rng: samples and proposals.
+        fresh: samples on which found views are compared with the given ones.
         selection_rng: randomness of the selection among all candidates.
         progress: called with (evaluated poses, effort).
 
@@ -107,7 +112,8 @@ def search_views(
     """
     plan, known = problem.request.plan, problem.prediction
     poses = EFFORTS[plan.effort] if plan.effort in EFFORTS else int(plan.effort)
-    effort = round(poses * problem.request.effort.pose_search_share)
+    share = problem.request.effort.pose_search_share * max(1.0, len(selection.cover.views) / MANY_VIEWS)
+    effort = round(poses * share)
     usable = np.flatnonzero(problem.usable())
     pool = poses_of(problem.candidates, usable)
     pinned = np.flatnonzero(np.isin(selection.cover.views, plan.pinned))
@@ -120,8 +126,7 @@ def search_views(
     table, weights = _table(problem, surface, pool, fixed, rng)
     evaluator = view_evaluator(problem.cell, known.scanner, known.casters)
 
-    def shortfall(views: SearchPoses) -> float:
-        return least - known.share_of_coverable(join_poses([fixed, views]).T_object_scanner[:, None])
+    shortfall = _shortfall(problem, selection, surface, fixed, least, fresh)
 
     found = search_poses(
         initial, pool, table, weights,
@@ -136,6 +141,33 @@ def search_views(
     among_all = select_views(more, selection_rng, start=moved, search=Search.CONTINUED)
     is_better = len(among_all.cover.views) < len(moved.cover.views) and bool((among_all.shares >= least).all())
     return more, among_all if is_better else moved.with_bounds_of(among_all), result
+
+
+def _shortfall(
+    problem: SelectionProblem, selection: Selection, surface: PartSurface, fixed: SearchPoses, least: float,
+    fresh: np.random.Generator,
+) -> Shortfall:  # fmt: skip
+    """Return the comparison of views with those of a selection, on samples that neither was chosen by.
+
+    Found views measure as much more of the fresh samples as the selection misses `least` of the held-out samples, but
+    no less than the selection, and the requested share of the held-out samples.
+    """
+    known, requested = problem.prediction, problem.request.plan.coverage
+    samples = draw_samples(surface.reference, surface.planning, len(known.samples), fresh)
+    memo, coverable = VisibilityMemo(samples, known.scanner, known.casters), known.coverable.fraction
+
+    def measured(T_object_scanner: Floats) -> float:
+        return float(samples.areas[memo.measured(T_object_scanner)].sum() / samples.areas.sum())
+
+    more = max(0.0, least - float(selection.shares[0]))
+    goal = measured(problem.candidates.T_object_scanner[selection.cover.views]) / coverable + more
+
+    def shortfall(views: SearchPoses) -> float:
+        T = join_poses([fixed, views]).T_object_scanner[:, None]
+        missing = goal - measured(T) / coverable
+        return missing if missing > 0 else max(missing, requested - known.share_of_coverable(T))
+
+    return shortfall
 
 
 def poses_of(candidates: Viewpoints, which: Ints) -> SearchPoses:
@@ -177,7 +209,9 @@ def _thinned(ease: Floats, count: int) -> tuple[Ints, Floats]:
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        low, high = (low, middle) if np.minimum(1.0, middle / np.maximum(ease, middle)).sum() > count else (middle, high)
+        low, high = (
+            (low, middle) if np.minimum(1.0, middle / np.maximum(ease, middle)).sum() > count else (middle, high)
+        )
     share = high / np.maximum(ease, high)
     return np.flatnonzero(np.diff(np.floor(np.cumsum(share)), prepend=0.0) > 0), share
 

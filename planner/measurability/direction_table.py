@@ -33,7 +33,7 @@ N_NODES = 33
 N_RANGES = 4
 """Ranges of distance between sample and source or sensor, each with its own table of occluders."""
 
-_COARSEST = 2  # nodes between two nodes of the first level; a power of two
+_COARSEST_PART, _COARSEST_OTHERS = 2, 4  # nodes between two nodes of the first level; powers of two
 _GOLDEN = (np.sqrt(5.0) - 1) / 2
 _TOGETHER = 2048  # samples whose nodes are cast together: arrays of 30 MB
 _PAIRS = 200_000  # of a pose and a sample that are evaluated together where the scanner has no compiled limits
@@ -99,11 +99,14 @@ class DirectionTable(Value):
         tangent, bitangent = _tangents(normals, 2 * np.pi * (_GOLDEN * np.arange(len(targets)) % 1.0))
         frames = np.concatenate([points, normals, tangent, bitangent], axis=1).astype(np.float32)
         lifted = np.ascontiguousarray(targets.lifted)
-        bits = _cast(lifted, frames, (part,), far)
+        bits = _cast(lifted, frames, (part,), far, _COARSEST_PART)
         lengths = near + (far - near) * (np.arange(N_RANGES) + 0.5) / N_RANGES
-        free = _cast(lifted, frames, occluders, float(lengths[-1]))  # free at one length is free at shorter ones
+        # A direction that is free at one length is free at shorter ones.
+        free = _cast(lifted, frames, occluders, float(lengths[-1]), _COARSEST_OTHERS)
         some = np.flatnonzero((free != _all_free()).any(axis=1))
-        shorter = [_cast(lifted[some], frames[some], occluders, float(length)) for length in lengths[:-1]]
+        shorter = [
+            _cast(lifted[some], frames[some], occluders, float(length), _COARSEST_OTHERS) for length in lengths[:-1]
+        ]
         row_of = np.full(len(targets), -1)
         row_of[some] = np.arange(len(some))
         near_bits = np.stack([*shorter, free[some]], axis=1)
@@ -227,49 +230,55 @@ def _all_free() -> Bytes:
 def _edges(bits: Bytes) -> Bytes:
     """Return the packed nodes (M, R, B) that have a neighbour that differs from them."""
     free = np.unpackbits(bits, axis=2, count=N_NODES * N_NODES, bitorder="little")
-    return np.packbits(mark_edges(free), axis=2, bitorder="little")
+    edges = mark_edges(free.reshape(*bits.shape[:2], N_NODES, N_NODES))
+    return np.packbits(edges.reshape(free.shape), axis=2, bitorder="little")
 
 
-def _cast(lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], length: float) -> Bytes:
-    """Return (s, B) whether each node of s samples is free up to a length [m], packed."""
+def _cast(lifted: Floats, frames: Floats32, casters: Sequence[DirectionCaster], length: float, step: int) -> Bytes:
+    """Return (s, B) whether each node of s samples is free up to a length [m], packed; `step` of the first level."""
     nodes = _node_directions()
     bits = np.empty((len(lifted), (N_NODES * N_NODES + 7) // 8), dtype=np.uint8)
     for first in range(0, len(lifted), _TOGETHER):
         some = slice(first, first + _TOGETHER)
         origins, local = lifted[some], frames[some]
         free = np.full((len(origins), N_NODES, N_NODES), _UNKNOWN, dtype=np.uint8)
-        free[:, ::_COARSEST, ::_COARSEST] = _TO_CAST
-        step = _COARSEST
+        free[:, ::step, ::step] = _TO_CAST
+        level = step
         while True:
-            sample, node = list_nodes(free, step)
+            sample, node = list_nodes(free, level)
             directions = turn_nodes(nodes, local, sample, node)
             is_free = np.ones(len(sample), dtype=np.bool_)
             for caster in casters:
                 alive = np.flatnonzero(is_free)
                 is_free[alive] = ~caster.blocked_along(origins[sample[alive]], directions[alive], length)
             free.reshape(len(origins), -1)[sample, node] = is_free
-            if step == 1:
+            if level == 1:
                 break
-            step //= 2
-            subdivide(free, step)
+            level //= 2
+            subdivide(free, level)
         bits[some] = np.packbits(free.reshape(len(origins), -1), axis=1, bitorder="little")
     return bits
 
 
 @compiled
 def mark_edges(free: Bytes) -> Bytes:
-    """Return which nodes of (M, R, N * N) have a neighbour, in direction or range, that differs from them."""
+    """Return which nodes of (M, R, N, N) have a neighbour, in direction or range, that differs from them."""
     found = np.zeros(free.shape, dtype=np.uint8)
+    size = free.shape[2]
     for s in range(free.shape[0]):
         for r in range(free.shape[1]):
-            for node in range(free.shape[2]):
-                i, j = node // N_NODES, node % N_NODES
-                value, is_edge = free[s, r, node], 0
-                for q in range(max(r - 1, 0), min(r + 2, free.shape[1])):
-                    for k in range(max(i - 1, 0), min(i + 2, N_NODES)):
-                        for m in range(max(j - 1, 0), min(j + 2, N_NODES)):
-                            is_edge |= free[s, q, k * N_NODES + m] != value
-                found[s, r, node] = is_edge
+            for i in range(size):
+                for j in range(size):
+                    value = free[s, r, i, j]
+                    if r + 1 < free.shape[1] and free[s, r + 1, i, j] != value:
+                        found[s, r, i, j] = found[s, r + 1, i, j] = 1
+                    if j + 1 < size and free[s, r, i, j + 1] != value:
+                        found[s, r, i, j] = found[s, r, i, j + 1] = 1
+                    if i + 1 == size:
+                        continue
+                    for k in range(max(j - 1, 0), min(j + 2, size)):
+                        if free[s, r, i + 1, k] != value:
+                            found[s, r, i, j] = found[s, r, i + 1, k] = 1
     return found
 
 

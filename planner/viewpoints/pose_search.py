@@ -8,7 +8,8 @@ doi:10.1126/science.220.4598.671, at a constant temperature). Few proposals are 
 plateaus of equal area, and the next gain is found from there. In some rounds the best candidate is proposed as well.
 
 When the table says that the goal is reached, exact rays on other samples decide; a shortfall there raises the goal.
-Views that pass are the new start, with one view less. Effort is counted in evaluated poses. Object frame, metres.
+Views that pass are the new start, with one view less. The last part of the effort moves the fewest views to a larger
+area. Effort is counted in evaluated poses. Object frame, metres.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +26,8 @@ EFFORTS = {"low": 25_000, "normal": 80_000, "high": 800_000}
 """Poses that a search evaluates."""
 
 _PROPOSALS = 24  # of a view in a round
-_TESTED = 6  # best proposals of a view that are tested for reachability
+_TESTED = 4  # best proposals of a view that are tested for reachability
+_LAST_PART = 0.1  # of the effort, for a larger area
 _FROM_POOL = 4  # rounds between two in which candidates are proposed
 _VIEWS_PER_REMOVAL = 10  # one view of this many is left out at a time
 _MAX_TURN = np.deg2rad(15.0)  # of a proposal about its aim, for each component of the rotation vector
@@ -137,17 +139,26 @@ def search_poses(
         effort: poses that are evaluated.
         rng: of proposals and accepted moves.
         progress: called with (evaluated poses, effort).
+
+    Returns:
+        The result; Ctrl-C ends the search with the fewest views so far.
     """
     search = _Search(pool, evaluator, weights, are_reachable, effort, rng, progress)
     best = pool.pick(initial)
-    count = max(1, len(best) // _VIEWS_PER_REMOVAL)
-    while search.evaluated < effort and len(best) > 1:
-        count = min(count, len(best) - 1)
-        found = search.repaired(best, count, shortfall)
-        if found is not None:
-            best = found
-        elif count > 1:
-            count //= 2
+    count, before_last_part = max(1, len(best) // _VIEWS_PER_REMOVAL), round((1 - _LAST_PART) * effort)
+    try:
+        while search.evaluated < before_last_part and len(best) > 1:
+            count = min(count, len(best) - 1)
+            found = search.repaired(best, count, shortfall, before_last_part)
+            if found is not None:
+                best = found
+            elif count > 1:
+                count //= 2
+        if len(best) < len(initial):
+            best = search.with_larger_area(best, shortfall)
+    except KeyboardInterrupt as stop:
+        if type(stop) is not KeyboardInterrupt:  # a subclass is a kill, not a request for a result
+            raise
     return SearchResult(best, search.evaluated)
 
 
@@ -165,15 +176,13 @@ class _Search:
         self.views, self.measured = pool.pick(np.arange(0)), np.empty((len(weights), 0), dtype=np.bool_)
         self.count = np.zeros(len(weights), dtype=np.int64)
 
-    def repaired(
-        self, start: SearchPoses, removed: int, shortfall: Callable[[SearchPoses], float]
-    ) -> SearchPoses | None:
+    def repaired(self, start: SearchPoses, removed: int, shortfall: Shortfall, effort: int) -> SearchPoses | None:
         """Return views without `removed` of the start that hold the requirement; None if the effort is exhausted."""
         measured = self.evaluator.measured(start.T_object_scanner)
         goal = float(self.weights[measured.any(axis=1)].sum()) + max(0.0, shortfall(start))
         kept = self._needed_most(measured, removed)
         self._set(start.pick(kept), measured[:, kept])
-        limit = self.effort if removed == 1 else min(self.effort, self.evaluated + self.effort // 8)
+        limit = effort if removed == 1 else min(effort, self.evaluated + effort // 8)
         best, best_area, since = self.views, self._area(), 0
         while self.evaluated < limit:
             self._round()
@@ -192,6 +201,16 @@ class _Search:
             if self.progress:
                 self.progress(min(self.evaluated, self.effort), self.effort)
         return None
+
+    def with_larger_area(self, start: SearchPoses, shortfall: Shortfall) -> SearchPoses:
+        """Return the views moved to a larger area with the remaining effort, if exact rays confirm it."""
+        self._set(start, self.evaluator.measured(start.T_object_scanner))
+        best, best_area = start, self._area()
+        while self.evaluated < self.effort:
+            self._round()
+            if (area := self._area()) > best_area:
+                best, best_area = self.views, area
+        return best if shortfall(best) < shortfall(start) else start
 
     def _set(self, views: SearchPoses, measured: Bools) -> None:
         self.views, self.measured = views, measured.copy()
