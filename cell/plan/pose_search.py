@@ -29,7 +29,7 @@ from planner.viewpoints.viewpoints import Viewpoints, viewpoints_from_poses
 Append = Callable[[SelectionProblem, Viewpoints], SelectionProblem]
 """Append viewpoints to the candidates of a problem."""
 
-MANY_VIEWS = 20
+MANY_VIEWS = 25
 """Number of views above which the effort grows in proportion: each round moves all views."""
 
 MARGIN = 0.0014
@@ -40,6 +40,9 @@ N_SAMPLES = 20_000
 
 N_EVALUATED = 8_000
 """Samples of these on which poses are evaluated; samples that many candidates measure are thinned out."""
+
+EVALUATED_PER_VIEW = 300
+"""The same for each view, if that is more: with fewer, many views measure the samples instead of the surface."""
 
 _HALVINGS = 40  # of an interval that begins with (0, 1)
 
@@ -123,7 +126,7 @@ def search_views(
     least = min(plan.coverage + MARGIN, 1.0)
     if not (effort and is_holding and len(initial) > 1):
         return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views), least)
-    table, weights = _table(problem, surface, pool, fixed, rng)
+    table, weights = _table(problem, surface, pool, fixed, len(initial), rng)
     evaluator = view_evaluator(problem.cell, known.scanner, known.casters)
 
     shortfall = _shortfall(problem, selection, surface, fixed, least, fresh)
@@ -185,12 +188,13 @@ def distances_of(scanner: Scanner) -> tuple[float, float]:
 
 
 def _table(
-    problem: SelectionProblem, surface: PartSurface, pool: SearchPoses, fixed: SearchPoses, rng: np.random.Generator
-) -> tuple[DirectionTable, Floats]:
+    problem: SelectionProblem, surface: PartSurface, pool: SearchPoses, fixed: SearchPoses, n_views: int,
+    rng: np.random.Generator,
+) -> tuple[DirectionTable, Floats]:  # fmt: skip
     """Return the table of the samples that candidates measure and fixed views do not, and the weight of each sample."""
     known = problem.prediction
     samples = draw_samples(surface.reference, surface.planning, N_SAMPLES, rng)
-    kept, share = _thinned(_ease(problem, samples), N_EVALUATED)
+    kept, share = _thinned(_ease(problem, samples), max(N_EVALUATED, EVALUATED_PER_VIEW * n_views))
     weights = 1.0 / share[kept]
     samples = pick_samples(samples, kept)
     targets = RayTargets.of(samples.points, samples.normals, samples.region)

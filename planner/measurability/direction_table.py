@@ -38,8 +38,8 @@ _GOLDEN = (np.sqrt(5.0) - 1) / 2
 _TOGETHER = 2048  # samples whose nodes are cast together: arrays of 30 MB
 _PAIRS = 200_000  # of a pose and a sample that are evaluated together where the scanner has no compiled limits
 _UNKNOWN, _TO_CAST = 2, 3  # besides 0, occluded, and 1, free
-# Marks of a pose and a row besides 0, not measured, and 1, measured: lines of sight that are near an edge of the part or
-# of occluders.
+# Marks of a pose and a row besides 0, not measured, and 1, measured: lines of sight near an edge of the part or of
+# occluders.
 _SOURCE_PART, _SENSOR_PART, _SOURCE_OTHERS, _SENSOR_OTHERS = 2, 4, 8, 16
 
 Floats32 = NDArray[np.float32]
@@ -144,8 +144,8 @@ class DirectionTable(Value):
         """
         if self.limits is None:
             return np.asarray(weights @ self.measured(T_object_scanner, rows))
-        result = np.empty(len(T_object_scanner))
-        self._evaluate(self._packed(T_object_scanner), rows, weights, threshold, result)
+        result, nothing = np.empty(len(T_object_scanner)), np.empty((0, 0), dtype=np.uint8)
+        self._evaluate(self._packed(T_object_scanner), rows, weights, threshold, result, nothing)
         return result
 
     def measured(self, T_object_scanner: Floats, rows: Ints | None = None) -> Bools:
@@ -165,7 +165,7 @@ class DirectionTable(Value):
 
     def _evaluate(
         self, poses: Floats32, rows: Ints, weights: Floats, threshold: float, sums: Floats,
-        found: Bytes = np.empty((0, 0), dtype=np.uint8),
+        found: Bytes,
     ) -> None:  # fmt: skip
         """Call `evaluate` with the values of the table."""
         assert self.limits is not None, "the law has no compiled limits"

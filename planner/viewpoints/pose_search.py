@@ -253,7 +253,7 @@ class _Search:
                 rows, weights, least = self._rows(view, 0.0)
                 wanted = np.zeros(len(self.weights), dtype=np.float32)
                 wanted[rows] = weights
-                of_pool = self.pool_measured @ wanted
+                of_pool = np.asarray(self.pool_measured @ wanted)
                 candidate = int(of_pool.argmax())
                 if of_pool[candidate] > least:
                     self._move(view, self.pool.T_object_scanner[candidate], candidate, 0.0)
