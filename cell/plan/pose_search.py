@@ -91,7 +91,7 @@ def skip_reason(problem: SelectionProblem) -> str:
         "a scanner that sweeps": not problem.is_at_rest,
     }
     found = [name for name, is_given in reasons.items() if is_given]
-    return f"it does not support {found[0]}" if found else ""
+    return f"the search does not support {found[0]}" if found else ""
 
 
 def search_views(
@@ -102,7 +102,7 @@ def search_views(
 
     Args:
         problem: candidates and request, for which `skip_reason` is "".
-        selection: views from which the search begins.
+        selection: views from which the search begins; they may fall short of the requested coverage.
         surface: the part.
         append: appends viewpoints to the candidates.
         rng: samples and proposals.
@@ -122,9 +122,8 @@ def search_views(
     pinned = np.flatnonzero(np.isin(selection.cover.views, plan.pinned))
     fixed = poses_of(problem.candidates, selection.cover.views[pinned])
     initial = np.searchsorted(usable, np.delete(selection.cover.views, pinned))
-    is_holding = selection.satisfies(problem.request.targets)
     least = min(plan.coverage + MARGIN, 1.0)
-    if not (effort and is_holding and len(initial) > 1):
+    if not (effort and len(initial) > 1):
         return problem, selection, PoseSearch(plan.effort, 0, len(selection.cover.views), least)
     table, weights = _table(problem, surface, pool, fixed, len(initial), rng)
     evaluator = view_evaluator(problem.cell, known.scanner, known.casters)

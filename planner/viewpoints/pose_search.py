@@ -22,7 +22,7 @@ from scipy.sparse import csr_array
 from planner.geometry.rigid import rotation_matrices
 from planner.values import Bools, Floats, Ints, Value
 
-EFFORTS = {"low": 25_000, "normal": 80_000, "high": 800_000}
+EFFORTS = {"low": 20_000, "normal": 60_000, "high": 600_000}
 """Poses that a search evaluates."""
 
 _PROPOSALS = 24  # of a view in a round
