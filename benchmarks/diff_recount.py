@@ -17,7 +17,7 @@ from cell.runs.run import Run, open_finished
 from cell.world.prediction import held_out_samples
 
 BORDERLINE = 12
-"""Samples that lie on the border of a condition to the last digits: so many may differ for each run."""
+"""Samples that lie on the border of a condition to the last digits: largest number of different samples per run."""
 
 _MOSTLY = 0.5
 
@@ -39,10 +39,10 @@ def recounted(found: Difference) -> tuple[list[str], float]:
     if surface is None:
         return [*wrong, "no areas of one part"], off
     sample_mm2 = 1e6 * float(samples.areas.mean())
-    for said, mask in (
-        (surface.a_mm2, a), (surface.b_mm2, b), (surface.gained_mm2, b & ~a), (surface.lost_mm2, a & ~b),
+    for stated, mask in (
+        (surface.a_mm2, a), (surface.b_mm2, b), (surface.only_b_mm2, b & ~a), (surface.only_a_mm2, a & ~b),
     ):  # fmt: skip
-        off = max(off, abs(said - 1e6 * float(samples.areas[mask].sum())) / sample_mm2)
+        off = max(off, abs(stated - 1e6 * float(samples.areas[mask].sum())) / sample_mm2)
     if off > 2 * BORDERLINE:
         wrong.append(f"an area is off by {off:.0f} samples")
     return wrong, off
@@ -62,11 +62,11 @@ def _views(found: Difference, runs: list[Run], each: list[np.ndarray], areas: np
     views, wrong = found.views, []
     if found.kind == "plan":
         for side, run in enumerate(runs):
-            pairs = [pair[side] for pair in (*views.kept, *((move.a, move.b) for move in views.moved))]
-            if sorted([*pairs, *(views.new if side else views.lost)]) != list(range(1, len(run.plan.views) + 1)):
+            pairs = [pair[side] for pair in (*views.equal, *((move.a, move.b) for move in views.similar))]
+            if sorted([*pairs, *(views.only_b if side else views.only_a)]) != list(range(1, len(run.plan.views) + 1)):
                 wrong.append("views are not told once each")
     poses = [run.T_object_scanner for run in runs]
-    for a, b in views.kept:
+    for a, b in views.equal:
         if np.abs(poses[0][a - 1] - poses[1][b - 1]).max() > 2e-4:
             wrong.append(f"view {a} is not kept")
 
@@ -74,9 +74,11 @@ def _views(found: Difference, runs: list[Run], each: list[np.ndarray], areas: np
         one, other = each[0][:, a - 1], each[1][:, b - 1]
         return float(areas[one & other].sum() / max(areas[one | other].sum(), 1e-30))
 
-    wrong += [f"view {move.a} shares {shared(move.a, move.b):.3f}, not {move.shared:.3f}" for move in views.moved
-              if abs(shared(move.a, move.b) - move.shared) > 0.002]  # fmt: skip
-    wrong += [f"view {a} moved to {b}" for a in views.lost for b in views.new if shared(a, b) > _MOSTLY + 0.002]
+    for move in views.similar:
+        expected, found = shared(move.a, move.b), move.intersection_over_union
+        if abs(expected - found) > 0.002:
+            wrong.append(f"view {move.a} shares {expected:.3f}, not {found:.3f}")
+    wrong += [f"view {a} moved to {b}" for a in views.only_a for b in views.only_b if shared(a, b) > _MOSTLY + 0.002]
     return wrong
 
 

@@ -72,13 +72,13 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
         evaluation.plan_known_model(work, known_model)
         known = evaluation.evaluate(work, file, known_model)
         checked, contacts = _judged(out, file, known_model)
-        said = reasons.judged(work, file, known_model) if os.environ.get("SCAN_CELL_REASONS") else {}
+        causes = reasons.judged(work, file, known_model) if os.environ.get("SCAN_CELL_REASONS") else {}
     limit = _LIMIT[policy] * known.fewest + 2
     return {
         "part": part,
         "policy": policy,
         "seed": seed,
-        "batches": len(file.stages),
+        "batches": len(file.batches),
         "views": file.views,
         "limit": round(limit, 1),
         "fewest": known.fewest,
@@ -88,12 +88,12 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
         "known views": known.known_model_views,
         "coverable %": round(100 * known.coverable, 2),
         **{f"after {n} %": _share(known.by_views, n) for n in _AFTER},
-        "motion s": round(sum(stage.seconds for stage in file.stages), 1),
+        "motion s": round(sum(stage.seconds for stage in file.batches), 1),
         "checked": checked,
         "contacts": contacts,
         "nearest mm": round(known.nearest_mm, 1),
-        "step s": round(clock.exploring / len(file.stages), 2),
-        **_told(said),
+        "step s": round(clock.exploring / len(file.batches), 2),
+        **_count_causes(causes),
         "by views": list(known.by_views),
         "bound": [(point.views, point.found, point.at_most) for point in known.bound],
     }
@@ -114,14 +114,14 @@ class _Clock(LoggedProgress):
             yield progress
 
 
-def _told(said: dict[str, tuple[float, float]]) -> dict[str, Any]:
+def _count_causes(causes: dict[str, tuple[float, float]]) -> dict[str, Any]:
     """Return the share of the open area with a true reason, and total and true area of each reason [mm2]."""
-    if not said:
+    if not causes:
         return {}
-    areas = np.array(list(said.values()))
+    areas = np.array(list(causes.values()))
     return {
         "reasons true %": round(100 * float(areas[:, 1].sum() / areas[:, 0].sum()), 1),
-        "reasons": [f"{name}: {true:.0f} of {area:.0f}" for name, (area, true) in said.items()],
+        "reasons": [f"{name}: {true:.0f} of {area:.0f}" for name, (area, true) in causes.items()],
     }
 
 
@@ -134,7 +134,7 @@ def _judged(out: Path, file: ExploreFile, known_model: Path) -> tuple[int, int]:
     known = open_finished(known_model)
     part = known.mesh("reference.ply")
     judge, checked, found = TriangleCell(world_of(known, part), part), 0, 0
-    for stage in file.stages:
+    for stage in file.batches:
         q = open_finished(out / stage.folder).motion.q
         checked += len(q)
         found += sum(judge.contacts(q).values())

@@ -55,7 +55,7 @@ def _row(base: Path, victim: str, count: int, wanted: dict[str, bytes], span_s: 
         resumed += times
         same += _scans(base / name) == wanted
         events = [json.loads(line) for line in (base / name / "executions/0001/events.jsonl").read_text().splitlines()]
-        taken = [event["stop"] for event in events if event["event"] == "scan"]
+        taken = [event["number"] for event in events if event["event"] == "scan"]
         twice += len(taken) - len(set(taken))
         shutil.rmtree(base / name)
     return {

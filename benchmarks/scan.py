@@ -62,7 +62,7 @@ def _execution(folder: Path, plan: Path, options: tuple[str, ...]) -> dict[str, 
     execution = max((plan / "executions").iterdir())
     report = json.loads((execution / "report.json").read_text())
     seconds = json.loads((execution / "manifest.json").read_text())["seconds"]
-    cloud, model = report["cloud"], report["model"]
+    cloud, model = report["cloud"], report["surface"]
     before, after = cloud["rms_to_reference_as_reported_mm"], cloud["rms_to_reference_mm"]
     return {
         "what": "execution",
@@ -130,7 +130,7 @@ def _coverage(folder: Path, name: str, arguments: tuple[str, ...]) -> dict[str, 
         run_cell(folder, "plan", *arguments, "--place", place(), "--out", str(out), cache=folder / "cache")
         summary, took = run_cell(folder, "scan", str(out), "--resolution", COARSE_DEG, cache=folder / "cache")
     except CellError as error:
-        return row | {"said": str(error)[:100]}
+        return row | {"error": str(error)[:100]}
     coverage = summary["coverage"]
     return row | {
         "s": took["s"],

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from cell.explore import state
 from cell.explore.prepare import ExplorationContext
@@ -33,12 +33,16 @@ from planner.values import Floats
 class CurvePoint(JsonTable):
     """A point of the coverage curve in curve.json."""
 
+    model_config = ConfigDict(extra="ignore")
+
     n_views: int = Field(description="number of views")
-    covered: float = Field(description="share of the surface")
+    coverage: float = Field(description="share of the surface")
     upper_bound: float = Field(description="share of the surface")
 
 
 class _Curve(JsonTable):
+    model_config = ConfigDict(extra="ignore")
+
     points: tuple[CurvePoint, ...]
 
 
@@ -101,7 +105,7 @@ def evaluate(work: ExplorationContext, file: ExploreFile, known_model: Path) -> 
         known_model: run folder of `plan_known_model`.
     """
     assert work.ground_truth is not None
-    scans = state.read_scans(work.paths, file.stages)
+    scans = state.read_scans(work.paths, file.batches)
     run = open_finished(known_model)
     cell, report = read_cell(run), run.report
     samples = held_out_samples(cell.reference, cell.planning, run.seed)
@@ -120,7 +124,7 @@ def evaluate(work: ExplorationContext, file: ExploreFile, known_model: Path) -> 
     bound = bounds(points, share, fewest, found)
     if report.coverage.visible >= reached:  # other samples: the plan itself shows that its number of views suffices
         fewest, found = min(fewest, report.n_views), min(found, report.n_views)
-    nearest, between = _nearest(run, [work.paths.root / stage.folder for stage in file.stages])
+    nearest, between = _nearest(run, [work.paths.root / stage.folder for stage in file.batches])
     return Evaluation(
         visible=reached,
         by_views=tuple(by_views.tolist()),
@@ -140,10 +144,10 @@ def bounds(points: Sequence[CurvePoint], reached: float, fewest: int, found: int
     return tuple(
         CoverageBound(
             views=point.n_views,
-            found=point.covered if point.n_views < found else max(point.covered, min(point.upper_bound, reached)),
+            found=point.coverage if point.n_views < found else max(point.coverage, min(point.upper_bound, reached)),
             at_most=point.upper_bound
             if point.n_views >= fewest
-            else max(point.covered, min(point.upper_bound, reached)),
+            else max(point.coverage, min(point.upper_bound, reached)),
         )
         for point in points
     )

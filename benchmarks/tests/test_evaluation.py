@@ -118,4 +118,4 @@ def test_explorations_of_built_in_parts_measure_most_and_touch_nothing(name: str
     run = open_finished(known_model)
     part = run.mesh("reference.ply")
     judge = TriangleCell(world_of(run, part), part)
-    assert not any(judge.contacts(open_finished(out / stage.folder).motion.q) for stage in file.stages)
+    assert not any(judge.contacts(open_finished(out / stage.folder).motion.q) for stage in file.batches)

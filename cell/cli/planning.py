@@ -105,7 +105,7 @@ def setups(
         checked = scene_after(api.open_run(options.first), given, flag)
     else:
         checked = scene_from_options(scene, given, part, flag)
-    made = api.plan_setups(
+    made = api.setups(
         checked, options, scene=scene, out=out, use_cache=not no_cache, progress=terminal, argv=sys.argv[1:]
     )
     terminal.print_result(
@@ -127,17 +127,16 @@ def edit(*, run: RunFolder, options: Edit, out: NewRunFolder = None, as_json: As
     """Change a plan by hand: drop, move, turn, add or reorder views. The result is a new, checked run."""
     from cell import api
     from cell.cli.terminal import Terminal
-    from cell.report.diff import compare_runs
     from cell.report.plan_report import table
 
     terminal = Terminal(quiet_stdout=as_json)
     planned = api.open_run(run)
-    made = planned.edited(options, out=out, progress=terminal, argv=sys.argv[1:])
-    difference = compare_runs(run, made.folder, terminal)
+    made = api.edit(planned, options, out=out, progress=terminal, argv=sys.argv[1:])
+    difference = api.diff(run, made, progress=terminal)
     rows = [*table(made.report), (f"against {run}", summarise(difference)), ("run folder", str(made.folder))]
     surface = difference.surface
     is_repairable = planned.is_single_setup and not options.repair
-    repair = is_repairable and surface is not None and surface.lost_mm2 > surface.gained_mm2
+    repair = is_repairable and surface is not None and surface.only_a_mm2 > surface.only_b_mm2
     terminal.print_result(
         made.as_json() | {"against": difference.as_json()}, f"Edited view plan of {made.report.part.name}", rows,
         ("cell", "scan", made.folder), *([("cell", "edit", made.folder, "--repair")] if repair else []),
@@ -153,7 +152,7 @@ def summarise(difference: "Difference") -> str:
     values = {number.name: (number.a, number.b) for number in difference.numbers}
     facts = []
     if difference.surface is not None:
-        gained, lost = difference.surface.gained_mm2, difference.surface.lost_mm2
+        gained, lost = difference.surface.only_b_mm2, difference.surface.only_a_mm2
         facts.append(f"gains {gained:,.0f} mm2 and loses {lost:,.0f} mm2 of the surface")
     for name, text in (
         ("views", "{:.0f} views instead of {:.0f}"),
@@ -185,21 +184,22 @@ def why(
     as_json: AsJson = False,
 ) -> None:
     """Explain the uncovered surface by cause and area, with the smallest single change that would measure it."""
+    from cell import api
     from cell.cli.terminal import Terminal
     from cell.runs.run import open_run
-    from cell.why.explain import TABLE_COLUMNS, explain, table_rows
+    from cell.why.explain import TABLE_COLUMNS, table_rows
 
     terminal = Terminal(quiet_stdout=as_json)
     if advise:
         _advise(run, terminal, as_json=as_json)
         return
-    outcome = explain(run, terminal, samples=samples)
+    outcome = api.why(run, samples=samples, progress=terminal)
     summary = outcome.summary
     if as_json:
         print_json(summary.as_json())
         return
     if summary.groups:
-        title = f"Uncovered surface of {summary.part}: {100 * summary.open:.2f} %"
+        title = f"Uncovered surface of {summary.part}: {100 * summary.uncovered:.2f} %"
         terminal.print_table(TABLE_COLUMNS, table_rows(summary), title)
     else:
         terminal.print("the whole surface is covered")
@@ -212,10 +212,9 @@ def why(
 
 
 def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
-    from cell.runs.run import open_finished
-    from cell.why.advise import advise
+    from cell import api
 
-    visible, found = advise(open_finished(run), terminal)
+    visible, found = api.advise(run, progress=terminal)
     if as_json:
         print_json({"visible": visible, "advice": [advice.as_json() for advice in found]})
         return
@@ -256,11 +255,11 @@ def diff(
     as_json: AsJson = False,
 ) -> None:
     """Compare two plans or two executions: settings, views, gained and lost surface, time and clearance."""
+    from cell import api
     from cell.cli.terminal import Terminal
-    from cell.report.diff import compare_runs
 
     terminal = Terminal(quiet_stdout=as_json)
-    difference = compare_runs(a, b, terminal, out)
+    difference = api.diff(a, b, out=out, progress=terminal)
     if as_json:
         print_json(difference.as_json())
     elif difference.is_empty:
@@ -287,11 +286,11 @@ def _print_difference(terminal: "Terminal", difference: "Difference") -> None:
     views = difference.views
     moved = [
         (f"{each.a} moved, now {each.b}", f"{each.distance_mm:.1f} mm, {each.angle_deg:.1f} deg, shared area "
-         f"{100 * each.shared:.0f} % of the union")
-        for each in views.moved
+         f"{100 * each.intersection_over_union:.0f} % of the union")
+        for each in views.similar
     ]  # fmt: skip
-    kept = _list(f"{a}" if a == b else f"{a} as {b}" for a, b in views.kept)
-    single = [("only in A", _list(map(str, views.lost))), ("only in B", _list(map(str, views.new)))]
+    kept = _list(f"{a}" if a == b else f"{a} as {b}" for a, b in views.equal)
+    single = [("only in A", _list(map(str, views.only_a))), ("only in B", _list(map(str, views.only_b)))]
     terminal.print_pairs("Views, by their numbers in visiting order", [("kept", kept), *moved, *single])
     surface = difference.surface
     if surface is None:
@@ -299,8 +298,8 @@ def _print_difference(terminal: "Terminal", difference: "Difference") -> None:
     else:
         percent = 100 / surface.area_mm2
         terminal.print(
-            f"B measures {surface.gained_mm2:.0f} mm2 ({percent * surface.gained_mm2:.2f} %) that A does not, and "
-            f"misses {surface.lost_mm2:.0f} mm2 ({percent * surface.lost_mm2:.2f} %) that A measures."
+            f"B measures {surface.only_b_mm2:.0f} mm2 ({percent * surface.only_b_mm2:.2f} %) that A does not, and "
+            f"misses {surface.only_a_mm2:.0f} mm2 ({percent * surface.only_a_mm2:.2f} %) that A measures."
         )
 
 

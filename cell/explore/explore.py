@@ -23,7 +23,7 @@ from cell.explore.state import Belief, read_scans
 from cell.part.workpiece import Workpiece
 from cell.runs import ply
 from cell.runs.run import ExecutedScan, open_finished
-from cell.runs.schema import BELIEVED, MEASURED, ExploredStage, ExploreFile, OpenReason, SurfaceName
+from cell.runs.schema import BELIEVED, MEASURED, ExploredBatch, ExploreFile, SurfaceName, UncoveredArea
 from cell.scan import safety
 from cell.scan.options import ScanOptions
 from cell.scan.safety import ANY_MOTION
@@ -61,12 +61,12 @@ def explore(session: Session[None], scene: Scene, options: ExploreOptions, scann
     work = prepare_exploration(session, scene, options, scanning)
     file = work.paths.begin(initial_file(work))
     with safety.exclusive(work.paths.root):
-        known = work.paths.known(len(file.stages), work.unknown)
+        known = work.paths.known(len(file.batches), work.unknown)
         if file.status != "finished":
             # Missing scans are reported before anything moves.
-            known = replace(known, scans=read_scans(work.paths, file.stages))
+            known = replace(known, scans=read_scans(work.paths, file.batches))
         while file.status != "finished":
-            number = len(file.stages) + 1
+            number = len(file.batches) + 1
             folder = _plan_next(work, file, known, *_next_batches(work, file))
             if isinstance(folder, StopReason):
                 uncovered = explain_remaining(work, file, known)
@@ -80,7 +80,7 @@ def explore(session: Session[None], scene: Scene, options: ExploreOptions, scann
             before, known = known, _update_belief(known, expected, scans, work.frustum)
             work.paths.keep(number, known)
             stage = _batch_entry(folder, scans, expected, before.space, known, work.frustum)
-            file = file.model_copy(update={"stages": (*file.stages, stage)})
+            file = file.model_copy(update={"batches": (*file.batches, stage)})
             work.paths.write(file)
     return file
 
@@ -90,13 +90,13 @@ def _next_batches(work: ExplorationContext, file: ExploreFile) -> tuple[Sequence
     budget, limit = work.scene.plan.max_views, work.options.max_seconds
     left = None if budget is None else budget - file.views
     if left is not None and left <= 0:
-        return (), f"the {budget} views of the budget are used up"
-    seconds = sum(stage.seconds for stage in file.stages)
+        return (), f"the budget of {budget} views is used"
+    seconds = sum(stage.seconds for stage in file.batches)
     if limit is not None and seconds >= limit:
-        return (), f"the {limit:g} s of motion of the budget are used up"
-    on = file.stages[-1].planned_on if file.stages else BELIEVED
-    so = ExplorationState(len(file.stages), left, report.has_limits(work.scene), on)
-    return POLICIES[work.options.policy](work.options, so), "no batch of the policy is left that is worth its views"
+        return (), f"the budget of {limit:g} s of motion is used"
+    on = file.batches[-1].planning_surface if file.batches else BELIEVED
+    so = ExplorationState(len(file.batches), left, report.has_limits(work.scene), on)
+    return POLICIES[work.options.policy](work.options, so), "no batch of the policy has the minimum expected gain"
 
 
 def _plan_next(
@@ -106,11 +106,11 @@ def _plan_next(
 
     If no batch is worth its views, the reason is that of the last batch on the believed surface.
     """
-    if (folder := work.paths.stage(len(file.stages) + 1)).is_dir():
+    if (folder := work.paths.stage(len(file.batches) + 1)).is_dir():
         return folder
     stop = StopReason(ended)
     for batch in batches:
-        work.paths.clear(len(file.stages) + 1)
+        work.paths.clear(len(file.batches) + 1)
         plan = _plan_on_measured if batch.on == MEASURED else _plan_on_belief
         found = plan(work, file, known, batch)
         if not isinstance(found, StopReason):
@@ -120,8 +120,8 @@ def _plan_next(
 
 
 def explain_remaining(work: ExplorationContext, file: ExploreFile, known: Belief) -> UncoveredReport | None:
-    """Return the uncovered surface of all that the part may be, by cause; None if there is none."""
-    number, request = len(file.stages) + 1, BatchRequest(known.space, known.record, Batch(0), 0.0)
+    """Return the uncovered belief surface by cause; None if all is covered."""
+    number, request = len(file.batches) + 1, BatchRequest(known.space, known.record, Batch(0), 0.0)
     work.paths.clear(number)
     whole = known.space.belief_voxels(unlimited=True)
     surface = belief.belief_part(belief.surface_about(known.space, whole), work.name)
@@ -133,7 +133,7 @@ def explain_remaining(work: ExplorationContext, file: ExploreFile, known: Belief
 
 def _plan_on_belief(work: ExplorationContext, file: ExploreFile, known: Belief, batch: Batch) -> Path | StopReason:
     """Plan a batch on the boundary of unseen space; if keeping the minimum range yields nothing, plan without it."""
-    number = len(file.stages) + 1
+    number = len(file.batches) + 1
     least = work.options.min_gain if number > 1 else 0.0
     part = belief.belief_part(known.surface, work.name)
     request = BatchRequest(known.space, known.record, batch, least, _measured_area(file), _belief_gain_ratio(file))
@@ -147,14 +147,15 @@ def _plan_on_belief(work: ExplorationContext, file: ExploreFile, known: Belief, 
 
 def _plan_on_measured(work: ExplorationContext, file: ExploreFile, known: Belief, batch: Batch) -> Path | StopReason:
     """Plan a batch on the surface of all points and its continuation."""
-    number = len(file.stages) + 1
+    number = len(file.batches) + 1
     surface = continue_surface(known.scans, known.space, known.solid)
     if surface is None:
         return StopReason("the points describe no surface")
     work.paths.measured(number).write_bytes(ply.mesh_bytes(surface))
     poses = np.stack([scan.T_reported for scan in known.scans])
     latest = tuple(
-        (s.views, s.expected_mm2 / 1e6 if s.planned_on == MEASURED else 0.0) for s in file.stages[-N_LATEST_BATCHES:]
+        (s.views, s.expected_gain_mm2 / 1e6 if s.planning_surface == MEASURED else 0.0)
+        for s in file.batches[-N_LATEST_BATCHES:]
     )
     request = BatchRequest(
         known.space, known.record, batch, work.options.min_gain, _measured_area(file), poses=poses, latest=latest
@@ -177,7 +178,7 @@ def _batch_scene(work: ExplorationContext, request: BatchRequest, number: int, s
 
 def _measured_area(file: ExploreFile) -> float:
     """Return the measured area of the belief surface [m^2]."""
-    return 1e-6 * file.stages[-1].measured_mm2 if file.stages else 0.0
+    return 1e-6 * file.batches[-1].measured_mm2 if file.batches else 0.0
 
 
 def _belief_gain_ratio(file: ExploreFile) -> float:
@@ -186,13 +187,13 @@ def _belief_gain_ratio(file: ExploreFile) -> float:
     Surface behind an uncovered patch is larger than the patch. Batches with too little gain are recorded where they
     looked and do not count here. The first batch does not count, since it is planned for the cylinder.
     """
-    batches = [(s.expected_mm2, s.new_mm2) for s in file.stages[1:] if s.planned_on == BELIEVED]
+    batches = [(s.expected_gain_mm2, s.realised_gain_mm2) for s in file.batches[1:] if s.planning_surface == BELIEVED]
     return max(1.0, gain_ratio(batches))
 
 
 def _min_range_history(file: ExploreFile) -> list[tuple[float, float]]:
     """Return area below the minimum range and expected area of each batch except the first."""
-    return [(stage.too_near_mm2, stage.expected_mm2) for stage in file.stages[1:]]
+    return [(stage.below_range_mm2, stage.expected_gain_mm2) for stage in file.batches[1:]]
 
 
 def _execute(work: ExplorationContext, folder: Path) -> tuple[ExecutedScan, ...]:
@@ -215,7 +216,7 @@ def _make_points_folder(folder: Path) -> None:
             folder.mkdir(exist_ok=True)
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
-            raise FileError(f"{folder} cannot be made: {reason}; make it for the points of this stage") from error
+            raise FileError(f"{folder} cannot be created: {reason}; create it for the points of this stage") from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,7 +251,7 @@ def _update_belief(
         after = after.with_votes(scan.points, source, sensor, frustum.blank(scan.points, T), frustum.near, frustum.far)
         found |= request.sees[:, view] & frustum.answered(expected.points, scan.points[before.is_new(scan.points)], T)
     taken = (*known.scans, *scans)
-    if request.on == MEASURED:  # what lies between points is no news of what is believed
+    if request.on == MEASURED:  # gains on the measured surface do not change the record of the belief surface
         return Belief(after, known.record, taken)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part
@@ -276,19 +277,20 @@ def require_plausible(
     if not len(points):
         if (space.state == OCCUPIED).any():
             return
-        raise FileError(f"no ray of {folder} came back; look at --place, --cylinder and the scanner's range")
+        raise FileError(f"no ray of {folder} hit a surface; check --place, --cylinder and the scanner's range")
     if (out := float(space.outside(points).mean())) > _MAX_OUTSIDE:
         raise FileError(
-            f"{100 * out:.1f} % of the points of {folder} lie outside the cylinder; nothing more is moved: explore "
-            "anew with a larger --cylinder, or with the part in its middle; what it stands on must not be among the "
-            "points"
+            f"{100 * out:.1f} % of the points of {folder} lie outside the cylinder, and the exploration ends; "
+            "start a new one with a larger --cylinder or another --place, and remove the points of the part's support"
         )
-    moved = "the part was moved, or the poses are off; nothing more is moved: explore anew"
+    moved = "the part was moved, or the poses are wrong; the exploration ends, start a new one"
     if (gone := space.contradicted_share(points)) > _MAX_OUTSIDE:
-        raise FileError(f"{100 * gone:.1f} % of the points of {folder} lie in space that was seen free; {moved}")
+        raise FileError(f"{100 * gone:.1f} % of the points of {folder} lie in space that was measured as free; {moved}")
     passed = max(frustum.passed(space.points, points, T, _MARGIN * space.edge) for points, T in views)
     if passed > _MAX_PASSED:
-        raise FileError(f"{100 * passed:.1f} % of the known points that a view of {folder} looked at are gone; {moved}")
+        raise FileError(
+            f"{100 * passed:.1f} % of the known points in sight of {folder} were not measured again; {moved}"
+        )
 
 
 def _expected_gain(folder: Path, before: VoxelSpace, on: SurfaceName) -> _ExpectedGain:
@@ -310,24 +312,24 @@ def _batch_entry(
     before: VoxelSpace,
     known: Belief,
     frustum: SensorFrustum,
-) -> ExploredStage:
+) -> ExploredBatch:
     """Return the explore.json entry of a batch."""
     run, mesh = open_finished(folder), known.surface
     taken = [(scan.points, scan.T_reported) for scan in scans]
     seen, new = known.space.measured_since(before, mesh.centres, mesh.normals)
-    return ExploredStage(
+    return ExploredBatch(
         folder=f"{folder.parent.name}/{folder.name}",
         digest=run.digest,
         views=len(scans),
-        planned_on=expected.on,
+        planning_surface=expected.on,
         points=sum(len(scan.points) for scan in scans),
         seconds=round(run.motion.duration, 6),
-        expected_mm2=round(1e6 * float(expected.samples.areas.sum()), 3),
-        too_near_mm2=round(1e6 * area_below_min_range(expected.samples, expected.sees, taken, before, frustum), 3),
+        expected_gain_mm2=round(1e6 * float(expected.samples.areas.sum()), 3),
+        below_range_mm2=round(1e6 * area_below_min_range(expected.samples, expected.sees, taken, before, frustum), 3),
         surface_mm2=round(1e6 * float(mesh.areas.sum()), 3),
-        new_mm2=round(1e6 * float(mesh.areas[new].sum()), 3),
-        open_mm2=round(1e6 * float(mesh.areas[~seen].sum()), 3),
-        never_entered_mm3=round(1e9 * known.space.unseen_volume, 3),
+        realised_gain_mm2=round(1e6 * float(mesh.areas[new].sum()), 3),
+        uncovered_mm2=round(1e6 * float(mesh.areas[~seen].sum()), 3),
+        unseen_mm3=round(1e9 * known.space.unseen_volume, 3),
     )
 
 
@@ -336,11 +338,11 @@ def _finish(
     file: ExploreFile,
     scans: tuple[ExecutedScan, ...],
     ended: str,
-    still_open: tuple[OpenReason, ...],
+    still_open: tuple[UncoveredArea, ...],
 ) -> ExploreFile:
     """Write the model of all scans, the report and the finished explore.json."""
-    if not file.stages:
-        raise UnreachableError(f"nothing can be explored here: {ended}; move the part (--place), or change the scanner")
+    if not file.batches:
+        raise UnreachableError(f"no view can be planned: {ended}; move the part (--place), or change the scanner")
     with work.session.stage(FINAL_STAGE):
         model = report.write_model(work.paths.root, scans)
     middle = None if model is None else report.middle_of(model, np.asarray(work.scene.placement.position_mm))
@@ -354,8 +356,8 @@ def _finish(
             )
     file = file.model_copy(
         update={
-            "status": "finished", "ended": ended, "open": still_open,
-            "model": "" if middle is None else report.MODEL, "model_middle_mm": middle, "misses_limits": missed,
+            "status": "finished", "stop_reason": ended, "uncovered": still_open,
+            "model": "" if middle is None else report.MODEL, "model_centre_mm": middle, "share_beyond_limits": missed,
         }
     )  # fmt: skip
     report.write(work.paths.root, file)

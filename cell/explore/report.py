@@ -44,16 +44,17 @@ def middle_of(model: TriangleMesh, place_mm: Floats) -> tuple[float, float, floa
 
 def write(folder: Path, file: ExploreFile) -> None:
     """Write report.md, curve.png and view.html."""
-    lines = [f"# Exploration of {file.part} ([look at it]({PAGE}))", ""]
+    lines = [f"# Exploration of {file.part} ([view]({PAGE}))", ""]
     lines += [f"- {name or 'open'}: {value}" for name, value in file.rows()]
     lines += [
         "", "## Stages", "",
         "| stage | views | planned on | points | motion s | expected mm2 | new mm2 | believed mm2 | of it open mm2 |",
         "|---|---|---|---|---|---|---|---|---|",
         *(
-            f"| {stage.folder} | {stage.views} | {stage.planned_on} | {stage.points} | {stage.seconds:.1f} | "
-            f"{stage.expected_mm2:.0f} | {stage.new_mm2:.0f} | {stage.surface_mm2:.0f} | {stage.open_mm2:.0f} |"
-            for stage in file.stages
+            f"| {stage.folder} | {stage.views} | {stage.planning_surface} | {stage.points} | {stage.seconds:.1f} | "
+            f"{stage.expected_gain_mm2:.0f} | {stage.realised_gain_mm2:.0f} | {stage.surface_mm2:.0f} | "
+            f"{stage.uncovered_mm2:.0f} |"
+            for stage in file.batches
         ),
     ]  # fmt: skip
     lines += ["", "## Measured surface over views", "", f"![Measured surface over views]({PICTURE})"]

@@ -25,7 +25,7 @@ from cell.explore.execution import read_batch_scans
 from cell.runs import schema
 from cell.runs.folder import json_text
 from cell.runs.run import ExecutedScan, npz_arrays, open_finished, reading
-from cell.runs.schema import ExploredStage, ExploreFile
+from cell.runs.schema import ExploredBatch, ExploreFile
 from planner.explore.gain import GainRecord
 from planner.explore.space import VoxelSpace
 from planner.geometry.mesh import TriangleMesh
@@ -90,12 +90,12 @@ class ExplorationFolder:
             known = schema.read_explore_file(self.file)
             if known.inputs != file.inputs:
                 raise UsageError(
-                    f"{self.root} is an exploration with other options, another part or another scene; repeat its own "
-                    "command to go on with it, or choose another --out"
+                    f"{self.root} is an exploration with other options, another part or another scene; repeat its "
+                    "command to resume it, or choose another --out"
                 )
             return known
         if self.root.exists() and not self._only_made():
-            raise FileError(f"{self.root} exists and is no exploration; choose another --out")
+            raise FileError(f"{self.root} exists and is not an exploration; choose another --out")
         try:
             (self.root / "stages").mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -142,7 +142,7 @@ class ExplorationFolder:
             return Belief(unknown, GainRecord.empty())
         path = self.voxels(number)
         if not path.is_file():
-            raise FileError(f"{path} is missing; explore anew")
+            raise FileError(f"{path} is missing; start a new exploration")
         stored = npz_arrays(path, path.read_bytes())
         with reading(path):
             state, votes, tries = (stored[name] for name in ("state", "votes", "tries"))
@@ -158,7 +158,7 @@ class ExplorationFolder:
         self.measured(number).unlink(missing_ok=True)
 
 
-def read_scans(paths: ExplorationFolder, stages: tuple[ExploredStage, ...]) -> tuple[ExecutedScan, ...]:
+def read_scans(paths: ExplorationFolder, stages: tuple[ExploredBatch, ...]) -> tuple[ExecutedScan, ...]:
     """Return the scans of all batches in execution order."""
     return tuple(scan for stage in stages for scan in read_batch_scans(open_finished(paths.root / stage.folder)))
 

@@ -63,7 +63,7 @@ def export_setups(folder: Path, options: ExportOptions, reporter: ProgressReport
         UsageError, FileError: as `export`.
     """
     planned = SetupsRun.opened(folder)
-    digest = planned.file.chosen[0].digest
+    digest = planned.file.selected[0].digest
     name = options.name or program_name(folder.resolve().name, digest)
     if len(name) > MAX_NAME_LENGTH - 3:  # the names of the set-ups' programs end with `_` and a number
         name = f"scan_{digest[:8]}"

@@ -23,7 +23,7 @@ def csv(program: Program) -> bytes:
     """Return the content of `<name>.csv`: a header and one line per via point."""
     axes = (f"{axis_name(axis)}_deg" for axis in range(program.q.shape[1]))
     columns = (
-        "number", "leg", "kind", "view", "pose", "candidate", "t_s", *axes,
+        "number", "segment", "kind", "view", "pose", "candidate", "t_s", *axes,
         *(f"tcp_{name}" for name in _POSE), *(f"flange_{name}" for name in _POSE), "status", "turn",
     )  # fmt: skip
     lines = [",".join(columns)]
@@ -53,7 +53,7 @@ def as_json(program: Program) -> bytes:
                 "from_number": sweep.begin + 1,
                 "to_number": sweep.end + 1,
                 "speed_mm_s": round(sweep.speed * 1000, _DIGITS),
-                "turn_deg_s": round(float(np.degrees(sweep.rate)), _DIGITS),
+                "rotation_deg_s": round(float(np.degrees(sweep.rate)), _DIGITS),
             }
             for sweep in program.sweeps
         ],
@@ -67,7 +67,7 @@ def _via_points(program: Program) -> list[dict[str, object]]:
     return [
         {
             "number": row + 1,
-            "leg": int(program.segment[row]) + 1,
+            "segment": int(program.segment[row]) + 1,
             "kind": program.kinds[row].value,
             "view": int(program.view[row]) or None,
             "pose": None if program.pose[row] < 0 else int(program.pose[row]),

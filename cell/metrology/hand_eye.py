@@ -28,7 +28,7 @@ class MountPrecision(JsonTable):
     """Standard deviations of the determined directions, from the residuals."""
 
     position_mm: Triple = Field(description="of the scanner's origin along x, y, z of the flange")
-    turn_deg: Triple = Field(description="of the scanner's orientation about x, y, z of the flange")
+    rotation_deg: Triple = Field(description="of the scanner's orientation about x, y, z of the flange")
 
 
 class TargetScan(JsonTable):
@@ -36,7 +36,7 @@ class TargetScan(JsonTable):
 
     file: str
     points: int = Field(description="number of points in the file")
-    used: float = Field(description="share of them on the target")
+    inlier_share: float = Field(description="share of them on the target")
     noise_mm: float = Field(description="rms distance of these from the target fitted to this scan")
     residual_mm: float = Field(description="distance of the target from its position in the other scans, by the mount")
 
@@ -53,8 +53,8 @@ class HandEyeResult(JsonTable):
     rms_mm: float = Field(description="of the residuals of all scans")
     diameter_mm: float | None = Field(description="of the sphere; null for a plane")
     diameter_sd_mm: float | None = Field(description="its standard deviation, 0 if given; null for a plane")
-    within_mm: float = Field(description="required precision of a direction, at the target")
-    undetermined: tuple[str, ...] = Field(
+    tolerance_mm: float = Field(description="required precision of a direction, at the target")
+    free_motions: tuple[str, ...] = Field(
         description="motions of the scanner on the flange that the poses do not determine"
     )
     scans: tuple[TargetScan, ...]
@@ -75,14 +75,14 @@ class HandEyeResult(JsonTable):
         deviation = (
             "not known: more scans are needed"
             if precision is None
-            else f"{_listed(precision.position_mm, 3)} mm, turn {_listed(precision.turn_deg, 4)} deg"
+            else f"{_listed(precision.position_mm, 3)} mm, turn {_listed(precision.rotation_deg, 4)} deg"
         )
         largest = f"largest in {worst.file}: {worst.residual_mm:.3f} mm"
         rows = [
             ("mount", f"{_listed(self.position_mm, 3)} mm, A B C {_listed(self.abc_deg, 4)} deg"),
             ("standard deviation", deviation),
             ("left over", f"{self.rms_mm:.3f} mm rms of {len(self.scans)} scans; {largest}"),
-            ("not determined", "\n".join(self.undetermined) or f"nothing (to {self.within_mm:g} mm at the target)"),
+            ("not determined", "\n".join(self.free_motions) or f"nothing (to {self.tolerance_mm:g} mm at the target)"),
         ]
         if self.diameter_mm is not None and self.diameter_sd_mm is not None:
             known = f", standard deviation {self.diameter_sd_mm:.4f} mm" if self.diameter_sd_mm else " (given)"
@@ -126,12 +126,14 @@ def calibrate_hand_eye(files: Sequence[Path], options: HandEyeOptions, reporter:
         quaternion=(w, x, y, z),
         precision=None
         if sd is None
-        else MountPrecision(position_mm=tuple((1000 * sd[:3]).tolist()), turn_deg=tuple(np.degrees(sd[3:]).tolist())),
+        else MountPrecision(
+            position_mm=tuple((1000 * sd[:3]).tolist()), rotation_deg=tuple(np.degrees(sd[3:]).tolist())
+        ),
         rms_mm=1000 * fit.rms,
         diameter_mm=None if is_plane else 2000 * targets[0].radius,
         diameter_sd_mm=None if is_plane else 2000 * targets[0].radius_sd,
-        within_mm=options.tolerance_mm,
-        undetermined=(
+        tolerance_mm=options.tolerance_mm,
+        free_motions=(
             *(motion.sentence for motion in fit.undetermined_motions(options.tolerance_mm / 1000)),
             *fit.alternatives,
         ),
@@ -139,7 +141,7 @@ def calibrate_hand_eye(files: Sequence[Path], options: HandEyeOptions, reporter:
             TargetScan(
                 file=name,
                 points=len(cloud),
-                used=target.used,
+                inlier_share=target.used,
                 noise_mm=1000 * target.rms,
                 residual_mm=1000 * float(residual),
             )

@@ -37,16 +37,16 @@ class Precision(JsonTable):
     """Standard deviations of the determined directions from the scatter of the points, without correlated errors."""
 
     centre_mm: Triple = Field(description="of the part's centre along x, y, z of base")
-    turn_deg: Triple = Field(description="of its orientation about x, y, z of base")
-    worst_point_mm: float = Field(description="of the least precisely known point of the part")
+    rotation_deg: Triple = Field(description="of its orientation about x, y, z of base")
+    max_point_sd_mm: float = Field(description="of the least precisely known point of the part")
 
 
-class CheckedMotion(JsonTable):
+class MotionCheck(JsonTable):
     """Result of checking the plan's motion with the part at its located placement."""
 
     keeps_clearance: bool = Field(description="whether every segment is certified again")
     problem: str = Field(description='reason for a failure; "" without one')
-    nearest_mm: float = Field(description="smallest measured distance along the motion; 300 if farther")
+    minimum_clearance_mm: float = Field(description="smallest measured distance along the motion; 300 if farther")
     between: str = Field(description='the nearest pair of objects; "" if all are farther')
 
 
@@ -60,20 +60,20 @@ class LocateResult(JsonTable):
     T_base_object: Transform = Field(description="placement of the part: frame of its file in base")
     placement_mm: Triple = Field(description="of the part's centre in base, as --place takes it")
     placement_abc_deg: Triple = Field(description="its orientation, KUKA A B C")
-    moved_mm: float = Field(description="distance of the centre from its planned position")
-    turned_deg: float = Field(description="angle from its planned orientation")
+    displacement_mm: float = Field(description="distance of the centre from its planned position")
+    rotation_deg: float = Field(description="angle from its planned orientation")
     points: int = Field(description="number of fitted points")
-    used: float = Field(description="share of inliers among them")
+    inlier_share: float = Field(description="share of inliers among them")
     rms_mm: float = Field(description="of the residuals; for 3-2-1 along the planes, which the rule leaves free")
     precision: Precision | None = Field(description="null if the precision of the points is not known")
-    within_mm: float = Field(description="required precision of a direction")
-    undetermined: tuple[str, ...] = Field(
+    tolerance_mm: float = Field(description="required precision of a direction")
+    free_motions: tuple[str, ...] = Field(
         description="motions that the points do not determine: free, where the planned placement is assumed, or known "
-        "less precisely than `within_mm`"
+        "less precisely than `tolerance_mm`"
     )
-    symmetric: tuple[str, ...] = Field(description="further such motions, under which the part is unchanged")
-    doubts: tuple[str, ...] = Field(description="signs that the result is wrong")
-    checked_motion: CheckedMotion
+    symmetries: tuple[str, ...] = Field(description="further such motions, under which the part is unchanged")
+    contradictions: tuple[str, ...] = Field(description="contradictions found in the points, a sentence each")
+    motion_check: MotionCheck
 
     @property
     def place(self) -> str:
@@ -86,35 +86,35 @@ class LocateResult(JsonTable):
         Raises:
             UsageError: with the undetermined motions.
         """
-        if self.undetermined:
+        if self.free_motions:
             raise UsageError(
-                f"the points do not determine the placement ({'; '.join(self.undetermined)}); measure more of the "
+                f"the points do not determine the placement ({'; '.join(self.free_motions)}); measure more of the "
                 "part, or give --keep-planned to keep the planned placement in these directions"
             )
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the result as names and values."""
-        check, precision = self.checked_motion, self.precision
+        check, precision = self.motion_check, self.precision
         rows = [
             ("by", f"{self.method} of {self.points} points, {self.source}"),
             ("part's centre", f"{_listed(self.placement_mm)} mm in base, A B C {_listed(self.placement_abc_deg)} deg"),
-            ("against the plan", f"{self.moved_mm:.3f} mm and {self.turned_deg:.4f} deg away"),
-            ("left over", f"{self.rms_mm:.4f} mm rms; {100 * self.used:.1f} % of the points are inliers"),
+            ("against the plan", f"{self.displacement_mm:.3f} mm and {self.rotation_deg:.4f} deg away"),
+            ("left over", f"{self.rms_mm:.4f} mm rms; {100 * self.inlier_share:.1f} % of the points are inliers"),
             (
                 "standard deviation",
                 "not known: give --point-sd"
                 if precision is None
-                else f"centre {_listed(precision.centre_mm, 4)} mm, turn {_listed(precision.turn_deg, 5)} deg; "
-                f"worst point of the part {precision.worst_point_mm:.4f} mm",
+                else f"centre {_listed(precision.centre_mm, 4)} mm, turn {_listed(precision.rotation_deg, 5)} deg; "
+                f"worst point of the part {precision.max_point_sd_mm:.4f} mm",
             ),
-            ("not determined", "\n".join(self.undetermined) or f"nothing (to {self.within_mm:g} mm)"),
+            ("not determined", "\n".join(self.free_motions) or f"nothing (to {self.tolerance_mm:g} mm)"),
         ]
-        if self.symmetric:
-            rows.append(("without meaning", "\n".join(self.symmetric) + ": the part is unchanged by it"))
-        if self.doubts:
-            rows.append(("doubts", "\n".join(self.doubts)))
+        if self.symmetries:
+            rows.append(("without meaning", "\n".join(self.symmetries) + ": the part is unchanged by it"))
+        if self.contradictions:
+            rows.append(("doubts", "\n".join(self.contradictions)))
         clearance_kept = "keeps its clearance there" if check.keeps_clearance else check.problem
-        near = f"; nearest {check.nearest_mm:.1f} mm ({check.between})" if check.between else ""
+        near = f"; nearest {check.minimum_clearance_mm:.1f} mm ({check.between})" if check.between else ""
         return [*rows, ("the plan's motion", clearance_kept + near)]
 
 
@@ -152,17 +152,17 @@ def locate(run: Run, options: LocateOptions, reporter: ProgressReporter) -> Loca
         T_base_object=T,
         placement_mm=_triple(1000 * position),
         placement_abc_deg=_triple(np.degrees(abc)),
-        moved_mm=1000 * float(np.linalg.norm(position - (planned @ scene.T_object_centre)[:3, 3])),
-        turned_deg=float(np.degrees(pose_difference(T, planned)[1])),
+        displacement_mm=1000 * float(np.linalg.norm(position - (planned @ scene.T_object_centre)[:3, 3])),
+        rotation_deg=float(np.degrees(pose_difference(T, planned)[1])),
         points=len(fit.residuals) if fit.used == 1 else round(len(fit.residuals) / fit.used),
-        used=fit.used,
+        inlier_share=fit.used,
         rms_mm=1000 * fit.rms,
         precision=_precision(fit, T, shown),
-        within_mm=options.tolerance_mm,
-        undetermined=(*([describe(relevant)] if relevant else []), *fit.alternatives),
-        symmetric=(describe(symmetric),) if symmetric else (),
-        doubts=(*fit.doubts, *measured.doubts),
-        checked_motion=checked,
+        tolerance_mm=options.tolerance_mm,
+        free_motions=(*([describe(relevant)] if relevant else []), *fit.alternatives),
+        symmetries=(describe(symmetric),) if symmetric else (),
+        contradictions=(*fit.doubts, *measured.doubts),
+        motion_check=checked,
     )
 
 
@@ -223,7 +223,7 @@ def _clouds_of_files(run: Run, options: LocateOptions) -> _Measured:
     """Read the points of a file, or of a folder's files."""
     path, views = Path(str(options.points)).expanduser(), options.view or (1,)
     if not path.is_dir() and len(views) > 1:
-        raise UsageError(f"{path} is one file, and {len(views)} views are named; give one view, or a folder of files")
+        raise UsageError(f"{path} is one file, and {len(views)} views are given; give one view, or a folder of files")
     clouds = []
     for view in views:
         file = point_files.file_of_view(path, view) if path.is_dir() else path
@@ -249,7 +249,7 @@ def _scans_of_execution(run: Run, options: LocateOptions) -> _Measured:
         f"execution {recorded.folder.name} ({'; '.join(sources)})",
         views,
         [ScanCloud(scans[view].points, scans[view].T_reported[:3, 3]) for view in views],
-        ("the points are simulated: they tell the placement in the simulation, not the real one",)
+        ("the points are simulated: the result is the placement in the simulation, not that of a real part",)
         if any(scans[view].T_true is not None for view in views)
         else (),
     )
@@ -259,7 +259,7 @@ def _read_named_points(run: Run, options: LocateOptions, file: str) -> tuple[tup
     """Read names, nominal points (N, 3) in the object frame and measured points (N, 3) in base [m]."""
     path, views = Path(file).expanduser(), options.view or (1,)
     if len(views) > 1:
-        raise UsageError(f"named points are measured from one view, and {len(views)} are named; give one of them")
+        raise UsageError(f"named points are measured from one view, and {len(views)} are given; give one of them")
     names, rows = [], []
     for row in point_files.read_rows(path):
         words = row.words
@@ -309,12 +309,12 @@ def _precision(fit: RigidFit, T_base_object: Floats, points: Floats) -> Precisio
     of_centre, of_turn = R @ fit.covariance[:3, :3] @ R.T, R @ fit.covariance[3:, 3:] @ R.T
     return Precision(
         centre_mm=_triple(1000 * np.sqrt(np.diag(of_centre))),
-        turn_deg=_triple(np.degrees(np.sqrt(np.diag(of_turn)))),
-        worst_point_mm=1000 * worst,
+        rotation_deg=_triple(np.degrees(np.sqrt(np.diag(of_turn)))),
+        max_point_sd_mm=1000 * worst,
     )
 
 
-def _check_motion(run: Run, T_base_object: Floats) -> CheckedMotion:
+def _check_motion(run: Run, T_base_object: Floats) -> MotionCheck:
     """Check the plan's motion in the cell with the part (and its post) at a placement."""
     motion, problem = run.motion, ""
     limits = motion.limits
@@ -331,10 +331,10 @@ def _check_motion(run: Run, T_base_object: Floats) -> CheckedMotion:
         problem = str(error)
     found = clearance.motion_clearance(checker, motion.via_q, motion.segment, int(motion.segment[-1]) + 1)
     near = int(np.argmin(found.distance))
-    return CheckedMotion(
+    return MotionCheck(
         keeps_clearance=not problem,
         problem=problem,
-        nearest_mm=1000 * float(found.distance[near]),
+        minimum_clearance_mm=1000 * float(found.distance[near]),
         between=found.between[near],
     )
 

@@ -20,4 +20,4 @@ def units_problem(path: str, units: str | None) -> str:
     """Return why units must not be given for a file, as a sentence after its name; "" if they can be given."""
     if units in (None, "m") or PurePath(path).suffix.lower() not in _STATED:
         return ""
-    return "states its own unit; leave out the units"
+    return "states its own unit; omit the units"

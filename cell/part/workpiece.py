@@ -91,7 +91,7 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
     """
     if isinstance(source, str) and source in builtin.NAMES:
         if units is not None:
-            raise UsageError(f"the built-in part '{source}' has its own size; leave out --units")
+            raise UsageError(f"the built-in part '{source}' has its own size; omit --units")
         return from_trusted_mesh(source, builtin.load(source))
 
     from cell.part import mesh_files

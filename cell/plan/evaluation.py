@@ -49,7 +49,7 @@ class OptionalResults:
     """
 
     attainable: schema.Attainable | None = None
-    robust: schema.Promise | None = None
+    robust: schema.RobustCoverage | None = None
     curve: schema.Curve | None = None
 
 
@@ -119,19 +119,19 @@ def judge_plan(report: schema.Report, remedies: tuple[str, str], *, has_target: 
 def missed_regions(report: schema.Report) -> list[str]:
     """Return a sentence for each coverage below 1 that regions miss on held-out samples, and for unmeasured regions."""
     regions = report.regions or ()
-    groups = [[each] for each in regions if not each.shared] + [[each for each in regions if each.shared]]
+    groups = [[each] for each in regions if not each.common_target] + [[each for each in regions if each.common_target]]
     found = []
     for group in groups:
         coverable = sum(each.coverable * each.area_mm2 * each.weight for each in group)
         seen = sum(each.visible * each.area_mm2 * each.weight for each in group)
-        if coverable > 0 and group[0].asked < 1 and seen < group[0].asked * coverable:
+        if coverable > 0 and group[0].target < 1 and seen < group[0].target * coverable:
             names = " and ".join(f"'{each.name}'" for each in group)
             found.append(
                 f"the plan measures {percent(seen / coverable)} of the coverable surface of {names}, less than the "
-                f"requested {100 * group[0].asked:g} %; see cell why"
+                f"requested {100 * group[0].target:g} %; see cell why"
             )
         closed = [each for each in group if each.coverable == 0]
-        found += [f"the region '{each.name}' cannot be measured: {each.reason}" for each in closed]
+        found += [f"the region '{each.name}' cannot be measured: {each.cause}" for each in closed]
     return found
 
 
@@ -154,7 +154,7 @@ def plan_report(
         part=_part(settled.part, planning),
         settings=_settings(settled, plan),
         n_views=len(cover.views),
-        n_features=problem.M.shape[0],
+        n_samples=problem.M.shape[0],
         coverage=_coverage(problem, plan),
         attainable=optional.attainable,
         sigma=None if options.max_sigma_mm is None else _sigma(problem, plan, options.max_sigma_mm),
@@ -168,12 +168,12 @@ def plan_report(
             **{verdict.name.lower(): count for verdict, count in problem.reached.counts().items()}
         ),
         blockers=problem.reached.blockers(),
-        dropped=[schema.Dropped(id=view.candidate, reason=view.reason) for view in plan.dropped],
+        exclusions=[schema.Exclusion(id=view.candidate, cause=view.reason) for view in plan.dropped],
         views=_views(problem, plan, clearance),
         motion=_motion(plan, clearance, motion, settled.scene.robot.speed_scaling),
-        most_coverage=_most_coverage(cover),
+        max_coverage=_max_coverage(cover),
         overlap=_overlap(plan),
-        promise=optional.robust,
+        robust=optional.robust,
         multiplicity=_multiplicity(cover),
         cost=_cost(cover),
         curve=optional.curve,
@@ -193,7 +193,7 @@ def _part(part: Workpiece, planning: TriangleMesh) -> schema.ReportPart:
 
 
 def _settings(settled: SettledScene, plan: ConnectedPlan) -> schema.ReportSettings:
-    scene, settings, sweeps = settled.scene, settled.settings, plan.sweeps
+    scene, settings, sweeps = settled.scene, settled.settings, plan.driven.sweeps
     seconds = sorted(path.duration for path in sweeps)
     own = {key: value for key, value in settings.scanner.items() if key not in schema.ReportSettings.model_fields}
     return schema.ReportSettings(
@@ -201,7 +201,7 @@ def _settings(settled: SettledScene, plan: ConnectedPlan) -> schema.ReportSettin
         placement_abc_deg=scene.placement.abc_deg,
         scanner=scene.scanner.type,
         sensor=scene.scanner.sensor,
-        sweep_poses=plan.T_object_poses.shape[1] if sweeps else None,
+        sweep_poses=plan.driven.T_object_poses.shape[1] if sweeps else None,
         sweep_in_motion=True if sweeps else None,
         sweep_s=(round(seconds[0], 6), round(seconds[-1], 6)) if sweeps else None,
         standoffs_mm=[round(standoff * 1000, 9) for standoff in settings.standoffs],
@@ -232,24 +232,24 @@ def _coverage(problem: SelectionProblem, plan: ConnectedPlan) -> schema.Coverage
         visible=visible,
         coverable=coverable,
         visible_of_coverable=visible / coverable if coverable > 0 else 0.0,
-        visible_with_arm=plan.visible_with_arm,
-        target_on_features=plan.target if len(plan.selection.targets) == 1 else None,
-        planned_on_features=cover.covered_area / cover.total_area,
-        coverable_on_features=cover.coverable_area / cover.total_area,
+        visible_with_arm=plan.driven.visible_with_arm,
+        target_on_samples=plan.target if len(plan.selection.targets) == 1 else None,
+        planned_on_samples=cover.covered_area / cover.total_area,
+        coverable_on_samples=cover.coverable_area / cover.total_area,
     )
 
 
 def _views(problem: SelectionProblem, plan: ConnectedPlan, clearance: MotionClearance) -> list[schema.ReportView]:
-    tour, marginal = plan.tour, coverage.marginal_coverage(plan.seen)
+    tour, marginal = plan.tour, coverage.marginal_coverage(plan.driven.seen)
     return [
         schema.ReportView(
             id=candidate,
-            adds=float(marginal[stop]),
+            marginal_coverage=float(marginal[stop]),
             source_in_base_mm=(plan.T_base_scanner[stop, :3, 3] * 1000).round(3).tolist(),
             q_deg=degrees(tour.q[stop][:ARM_AXES]),
             e_deg=degrees(tour.q[stop][ARM_AXES:]) or None,
             roll_deg=np.degrees(problem.candidates.roll[candidate]).round(9),
-            clearance_on_the_way_mm=round(1000 * float(clearance.distance[stop]), 6),
+            segment_clearance_mm=round(1000 * float(clearance.distance[stop]), 6),
         )
         for stop, candidate in enumerate(plan.candidate.tolist())
     ]
@@ -280,8 +280,8 @@ def _sigma(problem: SelectionProblem, plan: ConnectedPlan, limit_mm: float) -> s
 def _spacing(settled: SettledScene, problem: SelectionProblem, plan: ConnectedPlan) -> schema.Spacing | None:
     """Return the spacing of the plan's points; None if the scanner does not know it or nothing is measured."""
     scanner, samples = problem.prediction.scanner, problem.prediction.samples
-    best = best_spacing(plan.T_object_poses, samples, plan.seen, scanner)
-    if best is None or not plan.seen.any():
+    best = best_spacing(plan.driven.T_object_poses, samples, plan.driven.seen, scanner)
+    if best is None or not plan.driven.seen.any():
         return None
     median, most, nearly_all = (1000 * np.nanquantile(best, [0.5, 0.95, 0.99])).round(6).tolist()
     limit_mm = settled.scene.scanner.max_spacing_mm
@@ -296,12 +296,12 @@ def _status(plan: ConnectedPlan, requested: float) -> str:
     return f"{status}, at {100 * plan.target:.2f} % of the coverable samples for the {100 * requested:g} % asked"
 
 
-def _most_coverage(cover: Cover) -> schema.MostCoverage | None:
+def _max_coverage(cover: Cover) -> schema.MaxCoverage | None:
     if cover.max_views is None:
         return None
-    return schema.MostCoverage(
+    return schema.MaxCoverage(
         max_views=cover.max_views,
-        covered=cover.covered_area / cover.total_area,
+        coverage=cover.covered_area / cover.total_area,
         upper_bound=cover.upper_area / cover.total_area,
         gap_points=cover.gap_percent,
     )
@@ -315,11 +315,11 @@ def _overlap(plan: ConnectedPlan) -> schema.Overlap | None:
     return schema.Overlap(
         connected=graph.is_connected,
         extra_views=len(plan.selection.cover.views) - without,
-        views_without=without,
+        views_without_overlap=without,
         # The first view overlaps no earlier one and does not count.
-        without_earlier=sum(not graph.adjacent[order[k], order[:k]].any() for k in range(1, len(order))),
-        parts=[
-            schema.OverlapPart(views=(graph.component == k).sum(), covered=area / plan.cover.total_area)
+        views_without_earlier_overlap=sum(not graph.adjacent[order[k], order[:k]].any() for k in range(1, len(order))),
+        components=[
+            schema.OverlapComponent(views=(graph.component == k).sum(), coverage=area / plan.cover.total_area)
             for k, area in enumerate(graph.component_area)
         ],
     )
@@ -333,9 +333,9 @@ def robust_selection(selection: Selection, total_area: float) -> schema.RobustSe
     return schema.RobustSelection(
         alpha=robust.alpha,
         members=robust.ensemble_size,
-        views_needed=min_views_at_confidence(robust.alpha, robust.ensemble_size),
-        robust_on_features=robust.robust_area / total_area,
-        robust_coverable_on_features=robust.robust_coverable_area / total_area,
+        required_views=min_views_at_confidence(robust.alpha, robust.ensemble_size),
+        robust_on_samples=robust.robust_area / total_area,
+        robust_coverable_on_samples=robust.robust_coverable_area / total_area,
     )
 
 
@@ -348,7 +348,7 @@ def _multiplicity(cover: Cover) -> schema.Multiplicity | None:
 
 
 def _cost(cover: Cover) -> schema.Cost | None:
-    return None if cover.cost_and_bound is None else schema.Cost(seconds=cover.cost, bound_seconds=cover.cost_bound)
+    return None if cover.cost_and_bound is None else schema.Cost(seconds=cover.cost, seconds_bound=cover.cost_bound)
 
 
 def _regions(
@@ -361,7 +361,7 @@ def _regions(
     assert samples.region is not None
     assert reference.region is not None
     coverable: Bools = problem.prediction.coverable.covered | plan.visible.covered
-    times = plan.seen.sum(axis=1)
+    times = plan.driven.seen.sum(axis=1)
     found = []
     for number, region in enumerate(regions):
         rows = np.flatnonzero(samples.region == number)
@@ -375,8 +375,8 @@ def _regions(
             schema.RegionResult(
                 name=region.name,
                 area_mm2=round(1e6 * float(reference.areas[reference.region == number].sum()), 3),
-                asked=requested,
-                shared=region.coverage is None,
+                target=requested,
+                common_target=region.coverage is None,
                 views=views,
                 max_sigma_mm=region.max_sigma_mm,
                 max_spacing_mm=region.max_spacing_mm,
@@ -384,8 +384,8 @@ def _regions(
                 visible=seen,
                 coverable=share,
                 visible_of_coverable=seen / share if share > 0 else 0.0,
-                from_enough_views=float((times[rows] >= views).mean()),
-                reason=_reason(region, lost, 1 - share, problem) if share < requested else "",
+                satisfied_share=float((times[rows] >= views).mean()),
+                cause=_reason(region, lost, 1 - share, problem) if share < requested else "",
             )
         )
     return tuple(found)
@@ -394,11 +394,11 @@ def _regions(
 def _reason(region: RegionTargets, lost: Ints, share: float, problem: SelectionProblem) -> str:
     """Return the most frequent cause for which no reachable candidate measures a share of a region."""
     known = problem.prediction
-    samples, scanner, casters = known.samples, known.scanner, known.casters
+    samples, scanner = known.samples, known.scanner
     some = lost[np.linspace(0, len(lost) - 1, min(_N_DIAGNOSED, len(lost))).round().astype(np.int64)]
     targets = RayTargets.of(samples.points, samples.normals, samples.region)
-    causes = np.array([REASON_OF_VERDICT[verdict] for verdict in REASON_OF_VERDICT], dtype=np.uint8)
-    why = diagnose(targets, some, problem.candidates, scanner, casters[0], casters[1], causes[problem.reached.verdict])
+    fails = REASON_OF_VERDICT[problem.reached.verdict]
+    why = diagnose(targets, some, problem.candidates, scanner, known.casters, fails)
     number = int(np.argmax(np.bincount(why.reason)))
     sentence = (
         f"no reachable candidate measures {100 * share:.1f} % of it; most frequent cause: {Reason(number).sentence}"
@@ -455,7 +455,7 @@ def attainable_coverage(
     return schema.Attainable(
         share=float(samples.areas[is_known].sum()) / total + left * share.value,
         standard_error=left * share.standard_error,
-        asked=len(some),
+        samples=len(some),
         out_of_reach=left * out_of_reach,
         out_of_sight=left * (1 - share.value - out_of_reach),
     )
@@ -474,7 +474,7 @@ def clearance_of(measured: MotionClearance, motion: Motion, collision: str) -> s
     return schema.Clearance(
         collision=collision,
         segments=[
-            schema.SegmentClearance(minimum_mm=_mm(nearest), at_least_mm=_mm(proven), between=between)
+            schema.SegmentClearance(minimum_mm=_mm(nearest), lower_bound_mm=_mm(proven), between=between)
             for nearest, proven, between in zip(measured.distance, measured.lower_bound, measured.between, strict=True)
         ],
         tightest=None

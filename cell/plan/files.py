@@ -34,6 +34,7 @@ from cell.runs.run import Run, split_axes
 from cell.runs.schema import (
     NamedFile,
     PlanFile,
+    PlanResult,
     PlanView,
     Report,
     ResolvedHousing,
@@ -88,7 +89,7 @@ def named_files(scene: Scene, scene_path: Path | None) -> tuple[NamedFile, ...]:
     ]
     found = [(what, Path(path).absolute()) for what, path in named if path is not None]
     return tuple(
-        NamedFile(what=what, path=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
+        NamedFile(role=what, path=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
         for what, path in found
     )
 
@@ -218,7 +219,7 @@ def write_motion(folder: RunFolder, motion: Motion, measured: MotionClearance) -
         limit_acceleration=motion.limits.acceleration,
         limit_jerk=motion.limits.jerk,
         minimum_clearance=measured.distance,
-        clearance_at_least=measured.lower_bound,
+        clearance_lower_bound=measured.lower_bound,
         between=np.array(measured.between, dtype=np.str_),
     )
 
@@ -236,12 +237,13 @@ def write_plan(
             T_base_flange=plan.T_base_flange[stop],
             q_deg=degrees(plan.tour.q[stop][:ARM_AXES]),
             **table_values(world, plan.tour.q[stop]),
-            sweep=sweep_values(plan.T_object_poses[stop], plan.sweeps[stop]) if plan.sweeps else None,
+            sweep=sweep_values(plan.driven.T_object_poses[stop], plan.driven.sweeps[stop])
+            if plan.driven.sweeps
+            else None,
         )
         for stop, candidate in enumerate(plan.candidate.tolist())
     ]
-    shared = {key: value for key, value in report if key in PlanFile.model_fields}
-    file = PlanFile(**shared | {"views": views})
+    file = PlanFile(**{key: value for key, value in report if key in PlanResult.model_fields}, views=views)
     folder.write_json("plan.json", file.as_json())
     return file
 
@@ -280,8 +282,8 @@ def queue_views(session: PlanSession, settled: SettledScene, problem: SelectionP
     plots, folder, cover, world = session.plots, session.folder.path, plan.cover, problem.world
     picture = settled.scene.picture
     plots.send(
-        "part_and_views", folder / "views.png", T_object_poses=plan.T_object_poses,
-        T_object_scanner=plan.T_object_scanner, seen=plan.seen,
+        "part_and_views", folder / "views.png", T_object_poses=plan.driven.T_object_poses,
+        T_object_scanner=plan.T_object_scanner, seen=plan.driven.seen,
     )  # fmt: skip
     via, steps = plan.tour.via, np.linspace(0, 1, _PATH_STEPS)[None, :, None]
     q = (via[:-1, None] + steps * np.diff(via, axis=0)[:, None]).reshape(-1, via.shape[1])

@@ -1,15 +1,17 @@
 """Motion through selected views: connect them, reject views without a motion, and select again.
 
-A view is rejected if no path leads to it, or if its sweep cannot be driven. A view that its own arm shades is taken in
-other configurations, or measures less than the cover assumed (`cell.world.self_occlusion`). Views at rest and sweeping
-views differ in the checks (`ViewsAtRest`, `SweepingViews`), not in the loop. Base frame, metres, radians.
+A view is rejected if no path leads to it, or if its sweep cannot be driven. A view that is occluded by its own arm is
+taken in other configurations, or measures less than the cover assumed (`cell.world.self_occlusion`). Views at rest and
+sweeping views differ in the checks (`ViewsAtRest`, `SweepingViews`), not in the loop. Base frame, metres, radians.
 """
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Annotated, Protocol
+from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 
@@ -56,6 +58,26 @@ class DroppedView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DrivenViews(Value):
+    """Views of a motion as they are driven, in visiting order.
+
+    Attributes:
+        T_object_poses: (n, K, 4, 4) poses of the rounded joint angles [m].
+        seen: (S, n) whether each view measures each held-out sample.
+        visible_with_arm: visible coverage with each view's own arm as an occluder, fraction of the surface; None for
+            sweeps: the arm's shadow along a sweep is not evaluated.
+        sweeps: sweeps; none for views at rest.
+        lines: timing of the sweeps, by the via point at which each begins.
+    """
+
+    T_object_poses: Annotated[Floats, "n _ 4 4"]
+    seen: Annotated[Bools, "S n"]
+    visible_with_arm: float | None
+    sweeps: tuple[SweepPath, ...] = ()
+    lines: Mapping[int, TimedLine] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ConnectedPlan(Value):
     """Selected views with the motion through them.
 
@@ -68,14 +90,9 @@ class ConnectedPlan(Value):
         T_object_scanner: (n, 4, 4) poses of the rounded joint angles through forward kinematics [m], visiting order.
         T_base_scanner: (n, 4, 4) the same in base [m].
         T_base_flange: (n, 4, 4) the same of the flange [m].
-        T_object_poses: (n, K, 4, 4) all poses of each view; of a sweep `T_object_scanner` is the middle one.
-        sweeps: driven sweeps in visiting order; none for views at rest.
-        lines: their timing, by the via point at which each begins.
+        driven: all poses of each view (of a sweep `T_object_scanner` is the middle one), sweeps, measured samples.
         dropped: candidates that could not be connected, or that the arm shades.
-        seen: (S, n) whether each view measures each held-out sample, visiting order.
-        visible: visible coverage of the views on these samples.
-        visible_with_arm: visible coverage with each view's own arm as an occluder, fraction of the surface; None for
-            sweeps: the arm's shadow along a sweep is not evaluated.
+        visible: visible coverage of the views on the held-out samples.
     """
 
     cover: Cover
@@ -86,13 +103,9 @@ class ConnectedPlan(Value):
     T_object_scanner: Annotated[Floats, "n 4 4"]
     T_base_scanner: Annotated[Floats, "n 4 4"]
     T_base_flange: Annotated[Floats, "n 4 4"]
-    T_object_poses: Annotated[Floats, "n _ 4 4"]
-    sweeps: tuple[SweepPath, ...]
-    lines: Mapping[int, TimedLine]
+    driven: DrivenViews
     dropped: tuple[DroppedView, ...]
-    seen: Annotated[Bools, "S n"]
     visible: Coverage
-    visible_with_arm: float | None
 
     @property
     def target(self) -> float:
@@ -114,82 +127,67 @@ class NextAction(Enum):
     SELECT = "views were rejected, or measure less now: select again"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DrivenViews:
-    """Views of a motion as they are driven, in visiting order.
+class ViewConnector(ABC):
+    """Checks of candidates of one kind between selection and motion (`ViewsAtRest`, `SweepingViews`).
 
     Attributes:
-        T_object_poses: (n, K, 4, 4) poses of the rounded joint angles [m].
-        seen: (S, n) whether each view measures each held-out sample.
-        visible_with_arm: see `ConnectedPlan`.
-        sweeps: sweeps; none for views at rest.
-        lines: timing of the sweeps, by the via point at which each begins.
+        shaded: candidates whose arm hides samples, each with a sentence.
     """
 
-    T_object_poses: Floats
-    seen: Bools
-    visible_with_arm: float | None
-    sweeps: tuple[SweepPath, ...] = ()
-    lines: Mapping[int, TimedLine] = field(default_factory=dict)
+    shaded: Mapping[int, str] = MappingProxyType({})
 
-
-class ViewConnector(Protocol):
-    """Checks of candidates of one kind between selection and motion (`ViewsAtRest`, `SweepingViews`)."""
+    def __init__(self, problem: SelectionProblem) -> None:
+        self._problem = problem
 
     @property
     def M(self) -> Measurability:
         """Current measurability; it shrinks where an arm shades its own view."""
-        ...
+        return self._problem.M
 
-    @property
-    def shaded(self) -> Mapping[int, str]:
-        """Candidates whose arm hides samples, each with a sentence."""
-        ...
-
+    @abstractmethod
     def check(self, views: Ints) -> tuple[NextAction, Mapping[int, str]]:
         """Check (n,) selected candidates before a motion is planned; return the rejected ones with their reasons."""
-        ...
 
     def groups(self, selection: Selection, usable: Bools, rng: np.random.Generator) -> EquivalentViews:
         """Return the candidates that the motion may pick for each view of the cover."""
-        ...
+        return self.alone(selection.cover.views)
 
+    @abstractmethod
     def alone(self, views: Ints) -> EquivalentViews:
         """Return each of (n,) candidates in a group of its own."""
-        ...
 
     def traversals(self, views: Ints) -> list[list[SweepTraversal]] | None:
         """Return the sweeps at each configuration of (n,) candidates; None for views at rest."""
-        ...
+        return None
 
     def check_motion(self, views: Ints, motion: Tour) -> NextAction:
         """Check a motion through all of (n,) candidates."""
-        ...
+        return NextAction.DONE
 
     def between_table_angles(
         self, groups: EquivalentViews, motion: Tour, shares: Sequence[float]
     ) -> EquivalentViews | None:
         """Return the views of a motion with configurations at further table angles; None without a table."""
-        ...
+        return None
 
     def occludes_no_more(self, views: Ints, before: Tour, motion: Tour) -> bool:
         """Return whether the arm hides nothing at (n,) candidates that it showed in another motion through them."""
-        ...
+        return True
 
+    @abstractmethod
     def driven(self, views: Ints, motion: Tour) -> DrivenViews:
         """Return the views as they are driven; the motion's views are indices into (n,) `views`."""
-        ...
 
 
-class ViewsAtRest:
+class ViewsAtRest(ViewConnector):
     """Candidates at which the arm stands still; see `ViewConnector`.
 
-    Arm, bracket and housing occlude as well, differently in every configuration. A view that its own arm shades is
-    taken in other configurations. If all of them shade it, views are selected again with what the arm leaves of it.
+    Arm, bracket and housing occlude as well, differently in every configuration. A view that is occluded by its own arm
+    is taken in other configurations. If all of them shade it, views are selected again with what the arm leaves of it.
     """
 
     def __init__(self, problem: SelectionProblem) -> None:
-        self._problem = problem
+        super().__init__(problem)
         self._arm = SelfOcclusion(
             problem.M, problem.reached, problem.candidates, problem.world, problem.prediction.scanner
         )
@@ -200,8 +198,8 @@ class ViewsAtRest:
         return self._arm.M
 
     @property
-    def shaded(self) -> Mapping[int, str]:
-        """Candidates whose arm hides samples, each with a sentence."""
+    def shaded(self) -> Mapping[int, str]:  # type: ignore[override]  # it grows with the attempts
+        """Candidates occluded by their own arm, each with a sentence."""
         return self._arm.reasons
 
     def check(self, views: Ints) -> tuple[NextAction, Mapping[int, str]]:
@@ -219,10 +217,6 @@ class ViewsAtRest:
     def alone(self, views: Ints) -> EquivalentViews:
         """Return each view in a group of its own."""
         return EquivalentViews.of(self._arm, single_views(views))
-
-    def traversals(self, views: Ints) -> None:
-        """Return None: the arm stands still."""
-        return
 
     def check_motion(self, views: Ints, motion: Tour) -> NextAction:
         """Check the arm at the stops of the motion."""
@@ -294,23 +288,18 @@ class ViewsAtRest:
         return DrivenViews(poses, seen, with_arm)
 
 
-class SweepingViews:
+class SweepingViews(ViewConnector):
     """Candidates of several poses, each driven as a line; see `ViewConnector`.
 
     Reach knows whether every pose of a column can be reached. Here the line through all of them must be drivable on one
-    joint branch (`planner.path.sweeps`). The sweeps of each candidate are computed once.
+    joint branch (`planner.path.sweeps`). The sweeps of each candidate are computed once. None is swapped, because a
+    sweep ends at another pose than it begins at. The arm's shadow is not evaluated, and no table turns a swept part.
     """
 
     def __init__(self, problem: SelectionProblem) -> None:
-        self._problem = problem
+        super().__init__(problem)
         self._speed = DEFAULT_SPEED.slowed(problem.limits, problem.world.limits)
         self._found: dict[int, DrivableSweeps] = {}
-        self.shaded: Mapping[int, str] = {}
-
-    @property
-    def M(self) -> Measurability:
-        """Measurability; the arm's shadow along a sweep is not evaluated."""
-        return self._problem.M
 
     def check(self, views: Ints) -> tuple[NextAction, Mapping[int, str]]:
         """Reject candidates whose sweep cannot be driven; the most frequent reasons come first."""
@@ -322,10 +311,6 @@ class SweepingViews:
                 common = "; ".join(reason for reason, _ in reasons.most_common(2))
                 rejected[view] = f"its sweep cannot be driven: {common}"
         return NextAction.SELECT if rejected else NextAction.CONNECT, rejected
-
-    def groups(self, selection: Selection, usable: Bools, rng: np.random.Generator) -> EquivalentViews:
-        """Return each view by itself: a sweep ends at another pose than it begins at, so none is swapped."""
-        return self.alone(selection.cover.views)
 
     def alone(self, views: Ints) -> EquivalentViews:
         """Return each view in a group of its own; its configurations are the beginnings of its sweeps."""
@@ -339,20 +324,6 @@ class SweepingViews:
     def traversals(self, views: Ints) -> list[list[SweepTraversal]]:
         """Return the sweeps of each view as the motion takes them."""
         return [sweep_traversals(self._sweeps(int(view)).paths) for view in views]
-
-    def check_motion(self, views: Ints, motion: Tour) -> NextAction:
-        """Return DONE: sweeps are checked before the motion."""
-        return NextAction.DONE
-
-    def between_table_angles(
-        self, groups: EquivalentViews, motion: Tour, shares: Sequence[float]
-    ) -> EquivalentViews | None:
-        """Return None: a table does not turn a part that is swept."""
-        return None
-
-    def occludes_no_more(self, views: Ints, before: Tour, motion: Tour) -> bool:
-        """Return True: the arms of sweeps are not evaluated."""
-        return True
 
     def driven(self, views: Ints, motion: Tour) -> DrivenViews:
         """Return the sweeps of a motion with their poses and timing."""
@@ -451,7 +422,7 @@ def _try_to_connect(
         return _Retry(action, lost)
     groups = views.groups(selection, problem.usable(rejected), rng)
     motion = _plan_motion(problem, views, selection, groups, before, rng, progress)
-    # Detours may cost what the swaps saved; and a motion that leaves out views is short for that reason alone.
+    # Detours may cost more than the swaps save, and a motion without some views is shorter for that reason.
     dwell, best = problem.request.dwell_s, (groups, motion)
     while groups.has_swaps:
         seconds = motion.duration + dwell * len(groups.members)
@@ -558,17 +529,13 @@ def _connected_plan(
         T_object_scanner=np.linalg.inv(world.T_base_object) @ T_part_flange @ world.T_flange_scanner,
         T_base_scanner=T_base_flange @ world.T_flange_scanner,
         T_base_flange=T_base_flange,
-        T_object_poses=driven.T_object_poses,
-        sweeps=driven.sweeps,
-        lines=driven.lines,
+        driven=driven,
         dropped=tuple(
             DroppedView(view, reason)
             for view, reason in {**rejected, **views.shaded}.items()
             if view not in cover.views  # a partly shaded view may be in the plan with the samples that are left of it
         ),
-        seen=driven.seen,
         visible=coverage_of_views(driven.seen, problem.prediction.samples),
-        visible_with_arm=driven.visible_with_arm,
     )
 
 

@@ -47,7 +47,7 @@ from cell.plan.selection import (
     select_with_row_generation,
 )
 from cell.report import plots
-from cell.runs.folder import SCHEMA, WITH_TABLE, RunFolder
+from cell.runs.folder import RunFolder
 from cell.runs.run import Run
 from cell.runs.schema import Report
 from cell.scene import settle, validation
@@ -83,7 +83,7 @@ class OpenRun:
         session: with the open folder.
         settled: scene, part and scanner.
         exit_code: of the finished run.
-        stopped: reason if the run is to be abandoned; "" if it is to be finished.
+        stopped: reason for abandoning the run; "" to finish it.
     """
 
     session: PlanSession
@@ -162,7 +162,6 @@ def open_run(
             scene.plan.seed,
             files.input_hashes(settled.scene, part),
             datetime.now(UTC),
-            WITH_TABLE if scene.table.enabled else SCHEMA,
         )
         run = OpenRun(session.opened(folder, scene.plan.seed, queue), settled)
         with folder.keep_on_failure(), _logged(folder.path / "run.log"):
@@ -346,7 +345,9 @@ def time_motion(session: PlanSession, problem: SelectionProblem, plan: Connected
         tour = plan.tour
         measured = clearance.motion_clearance(problem.cell.checker, tour.via, tour.segment, len(tour.detour), progress)
         evaluation.require_no_contact(measured)
-        motion = retime(tour.via, tour.segment, plan.via_candidate, problem.limits, pose=tour.pose, lines=plan.lines)
+        motion = retime(
+            tour.via, tour.segment, plan.via_candidate, problem.limits, pose=tour.pose, lines=plan.driven.lines
+        )
         files.write_motion(session.folder, motion, measured)
         return measured, motion
 
@@ -392,29 +393,29 @@ def _optional_results(session: PlanSession, problem: SelectionProblem, plan: Con
         with session.stage("simulate executions") as progress:
             rng = session.rng(Stream.SIMULATED_EXECUTIONS)
             robust = selection.simulate_pose_errors(
-                options, numbers, plan.T_object_poses, problem.prediction, rng, progress
+                options, numbers, plan.driven.T_object_poses, problem.prediction, rng, progress
             )
     if options.curve:
         with session.stage("coverage over views"):
             rng = session.rng(Stream.COVERAGE_CURVE)
             points = selection.curve_of_plan(problem, plan.matrix, found, rng)
             selection.write_curve(session.folder, session.plots, points, len(cover.views), cover.covered_area)
-        curve = selection.fewest_of(points)
+        curve = selection.minimum_views_of(points)
     with session.stage("attainable coverage"):
         attainable = evaluation.attainable_coverage(problem, plan.visible, session.rng(Stream.ATTAINABLE_SAMPLES))
     return OptionalResults(attainable, robust, curve)
 
 
 def _judge(report: Report) -> Verdict:
-    cause = "the arm shades the views that measure the rest, or the rest lies between all samples; see cell why"
-    if report.dropped:
-        cause = f"{len(report.dropped)} selected views could not be connected; move the part, or request less"
-    has_target = report.most_coverage is None and report.multiplicity is None and report.promise is None
+    cause = "the arm occludes the views that measure the rest, or the rest lies between the samples; see cell why"
+    if report.exclusions:
+        cause = f"{len(report.exclusions)} selected views could not be connected; move the part, or request less"
+    has_target = report.max_coverage is None and report.multiplicity is None and report.robust is None
     return judge_plan(report, (cause, "move the part, or allow more standoffs and rolls"), has_target=has_target)
 
 
 def read_request(
-    part: "str | Path | trimesh.Trimesh | Scene | None", path: str | Path | None, options: dict[str, object]
+    part: "str | Path | trimesh.Trimesh | Scene | None", path: str | Path | None, options: Mapping[str, object]
 ) -> tuple[Scene, Workpiece | None]:
     """Return the checked scene, and the part unless it comes from a file.
 
@@ -424,14 +425,14 @@ def read_request(
         options: by the names of `cell.scene.options.option_specs(Scene)`; `units` is the unit of a mesh in memory.
 
     Raises:
-        UsageError: if options are given beside a whole scene.
+        UsageError: if options are given in addition to a scene.
         SceneError: if the scene is not possible.
     """
     if isinstance(part, Scene):
         if options:
             raise UsageError(
-                f"{', '.join(options)} given beside a whole Scene, which contains all options; set them there, or give "
-                "a scene file instead"
+                f"{', '.join(options)} given in addition to a Scene, which contains all options; set them "
+                "there, or give a scene file instead"
             )
         return part, None
     file = None if path is None else Path(path)

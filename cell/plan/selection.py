@@ -25,7 +25,7 @@ import numpy as np
 from cell.errors import UnreachableError
 from cell.plan.candidates import Cell, MeasuredSet
 from cell.runs.folder import RunFolder
-from cell.runs.schema import Curve, Fewest, Promise, RobustSelection
+from cell.runs.schema import Curve, MinimumViews, RobustCoverage, RobustSelection
 from cell.scene.model import PlanSettings, RegionTargets
 from cell.session import Effort, PlotQueue, default_effort
 from cell.world.measurability import PartSurface
@@ -388,7 +388,7 @@ def select_views(
         rng: randomness of the search.
         M: measurability as the arm leaves it; None: that of the problem.
         rejected: candidates that may not be selected, with a reason each.
-        shaded: candidates whose own arm hides samples, with a reason each.
+        shaded: candidates occluded by their own arm, with a reason each.
         start: earlier selection of the same candidates or fewer, or of fewer rows, from which the search continues.
         search: kind of the search.
 
@@ -606,7 +606,7 @@ def simulate_pose_errors(
     prediction: Prediction,
     rng: np.random.Generator,
     progress: Progress,
-) -> Promise:
+) -> RobustCoverage:
     """Execute the views with fresh pose errors, and compare with the coverage at confidence 1 - alpha.
 
     The selection knows an ensemble of errors and the samples of the matrix. Each simulated execution draws an error of
@@ -641,16 +641,16 @@ def simulate_pose_errors(
     frequency = times / SIMULATED_EXECUTIONS
     is_achieved = frequency >= 1.0 - plan.alpha
     expected = float(area[is_expected].sum())
-    return Promise(
+    return RobustCoverage(
         **dict(robust),
         executions=SIMULATED_EXECUTIONS,
         samples=len(samples),
-        promised=expected,
-        achieved=float(area[is_achieved].sum()),
-        kept=float(area[is_expected & is_achieved].sum()) / expected if expected else 1.0,
-        frequency=float((area * frequency)[is_expected].sum()) / expected if expected else 1.0,
+        coverage=expected,
+        simulated_coverage=float(area[is_achieved].sum()),
+        confirmed_share=float(area[is_expected & is_achieved].sum()) / expected if expected else 1.0,
+        mean_frequency=float((area * frequency)[is_expected].sum()) / expected if expected else 1.0,
         coverage_mean=float(share.mean()),
-        coverage_worst=float(share.min()),
+        coverage_min=float(share.min()),
     )
 
 
@@ -677,10 +677,14 @@ def curve_of_plan(
     )  # fmt: skip
 
 
-def fewest_of(curve: CoverageCurve) -> Curve:
+def minimum_views_of(curve: CoverageCurve) -> Curve:
     """Return the fewest views for round shares of the coverable area, for report.json."""
     fewest = {share: curve.fewest_views(share) for share in _CURVE_SHARES}
-    return Curve(fewest=[Fewest(of_coverable=share, views=n, at_least=least) for share, (n, least) in fewest.items()])
+    return Curve(
+        minimum_views=[
+            MinimumViews(share_of_coverable=share, views=n, lower_bound=least) for share, (n, least) in fewest.items()
+        ]
+    )
 
 
 def write_curve(
@@ -705,7 +709,7 @@ def write_curve(
             "points": [
                 {
                     "n_views": int(n),
-                    "covered": float(area) / curve.total_area,
+                    "coverage": float(area) / curve.total_area,
                     "upper_bound": float(upper) / curve.total_area,
                     "views": [name(view) for view in views],
                 }
@@ -713,7 +717,7 @@ def write_curve(
                     curve.n_views, curve.covered_area, curve.upper_area, curve.views, strict=True
                 )
             ],
-            **fewest_of(curve).as_json(),
+            **minimum_views_of(curve).as_json(),
         },
     )
     percent = 100 / max(curve.coverable_area, 1e-300)

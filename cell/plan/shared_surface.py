@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from cell.runs.schema import SharedSurface
+from cell.runs.schema import CommonSurface
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
 from planner.registration.observability import FreeMotion, describe, free_motions_of_surface
@@ -17,7 +17,7 @@ from planner.values import Bools, Ints
 _N_TRIED = 200  # views that are tried to connect two set-ups, those with the largest shared area first
 
 
-def shared_surfaces(seen: Mapping[int, Bools], samples: SurfaceSamples) -> tuple[SharedSurface, ...]:
+def shared_surfaces(seen: Mapping[int, Bools], samples: SurfaceSamples) -> tuple[CommonSurface, ...]:
     """Return the shared surface of each pair of set-ups.
 
     Args:
@@ -25,10 +25,10 @@ def shared_surfaces(seen: Mapping[int, Bools], samples: SurfaceSamples) -> tuple
         samples: of the surface, of equal area.
     """
     return tuple(
-        SharedSurface(
+        CommonSurface(
             setups=(one, other),
             share=float((seen[one] & seen[other]).mean()),
-            free=(describe(free),) if (free := remaining_freedom(seen[one], seen[other], samples)) else (),
+            free_motions=(describe(free),) if (free := remaining_freedom(seen[one], seen[other], samples)) else (),
         )
         for one, other in combinations(sorted(seen), 2)
     )
@@ -45,11 +45,13 @@ def remaining_freedom(one: Bools, other: Bools, samples: SurfaceSamples) -> tupl
     return free if len(free) > len(least) else ()
 
 
-def unconnected_setups(pairs: Iterable[SharedSurface], numbers: Sequence[int]) -> tuple[int, ...]:
+def unconnected_setups(pairs: Iterable[CommonSurface], numbers: Sequence[int]) -> tuple[int, ...]:
     """Return the set-ups that no chain of fixed pairs connects to the first."""
     connected, pairs = set(list(numbers)[:1]), tuple(pairs)
     for _ in numbers:
-        connected |= {each for pair in pairs if not pair.free and connected & set(pair.setups) for each in pair.setups}
+        connected |= {
+            each for pair in pairs if not pair.free_motions and connected & set(pair.setups) for each in pair.setups
+        }
     return tuple(number for number in numbers if number not in connected)
 
 

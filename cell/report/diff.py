@@ -64,23 +64,23 @@ class SettingDifference(JsonTable):
     b: JsonValue
 
 
-class MovedView(JsonTable):
+class SimilarView(JsonTable):
     """A view of B that measures most of the surface of a view of A from another pose."""
 
     a: int = Field(description="number in A's visiting order, from 1")
     b: int = Field(description="number in B's visiting order, from 1")
     distance_mm: float = Field(description="distance of the scanner positions, object frame")
     angle_deg: float = Field(description="angle between the orientations")
-    shared: float = Field(description="area measured by both / area measured by either")
+    intersection_over_union: float = Field(description="area measured by both / area measured by either")
 
 
 class ViewDifference(JsonTable):
     """Views by their numbers in visiting order, from 1."""
 
-    kept: tuple[tuple[int, int], ...] = Field(description="views at the same pose: (number in A, number in B)")
-    moved: tuple[MovedView, ...] = Field(description="moved views")
-    lost: tuple[int, ...] = Field(description="views only in A")
-    new: tuple[int, ...] = Field(description="views only in B")
+    equal: tuple[tuple[int, int], ...] = Field(description="views at the same pose: (number in A, number in B)")
+    similar: tuple[SimilarView, ...] = Field(description="views that measure mostly the same surface")
+    only_a: tuple[int, ...] = Field(description="views only in A")
+    only_b: tuple[int, ...] = Field(description="views only in B")
 
 
 class SurfaceDifference(JsonTable):
@@ -90,8 +90,8 @@ class SurfaceDifference(JsonTable):
     area_mm2: float = Field(description="area of the surface")
     a_mm2: float = Field(description="measured by A")
     b_mm2: float = Field(description="measured by B")
-    gained_mm2: float = Field(description="measured by B only")
-    lost_mm2: float = Field(description="measured by A only")
+    only_b_mm2: float = Field(description="measured by B only")
+    only_a_mm2: float = Field(description="measured by A only")
 
 
 class FigureDifference(JsonTable):
@@ -117,9 +117,9 @@ class Difference(JsonTable):
     def is_empty(self) -> bool:
         """Whether nothing differs."""
         views, surface = self.views, self.surface
-        other = bool(self.settings or self.numbers or views.moved or views.lost or views.new)
-        renumbered = any(a != b for a, b in views.kept)
-        same_surface = surface is not None and surface.gained_mm2 == surface.lost_mm2 == 0.0
+        other = bool(self.settings or self.numbers or views.similar or views.only_a or views.only_b)
+        renumbered = any(a != b for a, b in views.equal)
+        same_surface = surface is not None and surface.only_b_mm2 == surface.only_a_mm2 == 0.0
         return same_surface and not other and not renumbered
 
 
@@ -200,7 +200,7 @@ def compare_runs(a: Path, b: Path, reporter: ProgressReporter, out: Path | None 
 
 def _measured(side: Side, cell: RunCell, samples: SurfaceSamples) -> Bools:
     """Return (S, n) the samples measured by each view in its own cell."""
-    return find_measured(side.poses, samples, cell.scanner, (cell.part_caster, cell.occluder_caster), each=True)
+    return find_measured(side.poses, samples, cell.scanner, cell.casters, each=True)
 
 
 def _coverage_function(cells: Sequence[RunCell], samples: SurfaceSamples) -> Callable[[Side, Bools], Bools]:
@@ -221,8 +221,8 @@ def _surface(samples: SurfaceSamples, a: Bools, b: Bools) -> SurfaceDifference:
 
     everything = np.ones(len(samples), dtype=np.bool_)
     return SurfaceDifference(
-        samples=len(samples), area_mm2=area(everything), a_mm2=area(a), b_mm2=area(b), gained_mm2=area(b & ~a),
-        lost_mm2=area(a & ~b),
+        samples=len(samples), area_mm2=area(everything), a_mm2=area(a), b_mm2=area(b), only_b_mm2=area(b & ~a),
+        only_a_mm2=area(a & ~b),
     )  # fmt: skip
 
 
@@ -245,16 +245,16 @@ def _views(A: Side, B: Side, by_view: Sequence[Bools] | None, areas: Floats) -> 
     gone = [i for i in range(len(A.number)) if i not in {i for i, _ in (*kept, *moved)}]
     added = [j for j in range(len(B.number)) if j not in {j for _, j in (*kept, *moved)}]
     return ViewDifference(
-        kept=tuple((int(A.number[i]), int(B.number[j])) for i, j in kept),
-        moved=tuple(
-            MovedView(
+        equal=tuple((int(A.number[i]), int(B.number[j])) for i, j in kept),
+        similar=tuple(
+            SimilarView(
                 a=int(A.number[i]), b=int(B.number[j]), distance_mm=round(float(distance[i, j]), 3),
-                angle_deg=round(float(angle[i, j]), 3), shared=round(float(shared[i, j]), 4),
+                angle_deg=round(float(angle[i, j]), 3), intersection_over_union=round(float(shared[i, j]), 4),
             )
             for i, j in moved
         ),
-        lost=tuple(int(A.number[i]) for i in gone),
-        new=tuple(int(B.number[j]) for j in added),
+        only_a=tuple(int(A.number[i]) for i in gone),
+        only_b=tuple(int(B.number[j]) for j in added),
     )  # fmt: skip
 
 
@@ -372,10 +372,10 @@ def difference_page(
 
 def _matched_views(views: Sequence[PageView], difference: Difference) -> list[PageView]:
     """Return B's views, each with its matching view of A."""
-    kept = {str(b): (f"view {a}, same pose", MEASURED) for a, b in difference.views.kept}
+    kept = {str(b): (f"view {a}, same pose", MEASURED) for a, b in difference.views.equal}
     moved = {
         str(each.b): (f"view {each.a}, moved by {each.distance_mm:.1f} mm and {each.angle_deg:.1f} deg", GREEN)
-        for each in difference.views.moved
+        for each in difference.views.similar
     }
     matches = {**kept, **moved}
     matched = []
@@ -390,7 +390,7 @@ def _lost_views(A: Side, difference: Difference, cell: CellGeometry) -> list[Pag
     middle = {int(n): poses[len(poses) // 2] for n, poses in zip(A.number, A.poses, strict=True)}
     return [
         PageView(f"A{n}", cell.T_base_object @ middle[n], None, [("view", f"{n} of A, not in B")], colour=VERMILION)
-        for n in difference.views.lost
+        for n in difference.views.only_a
     ]
 
 

@@ -9,11 +9,11 @@ from cell.runs.schema import (
     Clearance,
     Curve,
     Overlap,
-    Promise,
     RegionResult,
     Report,
     ReportMotion,
     ReportSettings,
+    RobustCoverage,
 )
 
 LOW_COVERAGE = 0.8
@@ -50,9 +50,9 @@ def markdown(report: Report) -> str:
     if report.blockers:
         lines += ["", "Collisions are with: " + ", ".join(f"{k} ({n})" for k, n in report.blockers.items()) + "."]
     lines += ["", "![Candidates by verdict](reach.png)", "", *_views(report)]
-    if report.dropped:
-        lines += ["", "Dropped; the views were selected again without them:", ""]
-        lines += [f"- candidate {view.id}: {view.reason}" for view in report.dropped]
+    if report.exclusions:
+        lines += ["", "Excluded; the views were selected again without them:", ""]
+        lines += [f"- candidate {view.id}: {view.cause}" for view in report.exclusions]
     lines += ["", "![Coverage over number of views](cover.png)", "", *_region_section(report)]
     lines += [*_robust_section(report), *(curve_section(report.curve) if report.curve else []), "## Motion", ""]
     if report.clearance and (tightest := tightest_moment(report.clearance)):
@@ -97,14 +97,14 @@ def table(report: Report) -> Rows:
         *_option_rows(report),
         ("candidates", ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.verdicts)),
     ]
-    if report.dropped:
-        named = "; ".join(f"candidate {view.id}: {view.reason}" for view in report.dropped[:_N_DROPPED])
-        more = len(report.dropped) - _N_DROPPED
+    if report.exclusions:
+        named = "; ".join(f"candidate {view.id}: {view.cause}" for view in report.exclusions[:_N_DROPPED])
+        more = len(report.exclusions) - _N_DROPPED
         rows.append(("dropped", named + (f"; and {more} more, see report.md" if more > 0 else "")))
     took = (
         f"{motion.duration_s:.1f} s from home to home through {motion.via_points} points"
         + (f", {motion.duration_s / bound:.3f} x the time-optimal bound without jerk limit" if bound else "")
-        + ("" if clearance is None else f"; nearest {clearance:.1f} mm ({motion.between})")
+        + ("" if clearance is None else f"; smallest clearance {clearance:.1f} mm ({motion.between})")
     )
     return [*rows, ("motion", took)]
 
@@ -163,7 +163,7 @@ def _facts(report: Report) -> list[str]:
         f"A B C {comma_list(settings.placement_abc_deg)} deg |",
         *_scanner_rows(settings),
         f"| candidates | {settings.candidates}, {report.verdicts.total:,} |",
-        f"| matrix | {settings.fill}, {report.n_features:,} surface samples |",
+        f"| matrix | {settings.fill}, {report.n_samples:,} surface samples |",
         f"| selection | {report.solver}, {report.n_views} views, lower bound {report.lower_bound}, "
         f"gap {percent(report.gap)} |",
         f"| motion | {motion.duration_s:.2f} s home to home, {motion.via_points} points, speed "
@@ -185,9 +185,9 @@ def _views(report: Report) -> list[str]:
         "|---|---|---|---|---|---|---|",
     ]
     for stop, view in enumerate(report.views, start=1):
-        clearance = view.clearance_on_the_way_mm
+        clearance = view.segment_clearance_mm
         lines.append(
-            f"| {stop} | {view.id} | {100 * view.adds:.2f} | {comma_list(view.source_in_base_mm)} | "
+            f"| {stop} | {view.id} | {100 * view.marginal_coverage:.2f} | {comma_list(view.source_in_base_mm)} | "
             f"{comma_list((*view.q_deg, *(view.e_deg or ())))} | {view.roll_deg:g} | "
             f"{'' if clearance is None else f'{clearance:.1f}'} |"
         )
@@ -224,7 +224,7 @@ def _sweeps(settings: ReportSettings) -> list[str]:
     return [
         f"Each view is a sweep of {settings.sweep_poses} poses, driven as a straight line at constant speed on one "
         f"joint branch, in {settings.sweep_s[0]:.1f} to {settings.sweep_s[1]:.1f} s. Singularities, joint limits and "
-        "collisions are checked between its poses as well; the arm's own shadow along it is not evaluated.",
+        "collisions are checked between its poses as well; occlusion by the arm is not evaluated along it.",
         "",
     ]
 
@@ -260,11 +260,11 @@ def tightest_moment(clearance: Clearance) -> str:
 def _option_rows(report: Report) -> Rows:
     """Return a row for each result of an option beyond the fewest views."""
     found: Rows = []
-    if most := report.most_coverage:
+    if most := report.max_coverage:
         found.append(
             (
                 f"at most {most.max_views} views",
-                f"they cover {percent(most.covered)} of the surface's samples; no selection of {most.max_views} views "
+                f"they cover {percent(most.coverage)} of the surface's samples; no selection of {most.max_views} views "
                 f"covers more than {percent(most.upper_bound)}",
             )
         )
@@ -282,20 +282,21 @@ def _option_rows(report: Report) -> Rows:
             (
                 "time of views and motion",
                 f"{cost.seconds:.1f} s (scan and settling at each view, and the motion); no selection takes less than "
-                f"{cost.bound_seconds:.1f} s",
+                f"{cost.seconds_bound:.1f} s",
             )
         )
     if report.overlap:
         found.append(("overlap", _overlap(report, report.overlap)))
-    if report.promise:
-        found += _robust_rows(report.promise)
-    if before := report.open_of:  # of a plan for the surface that earlier plans left uncovered
+    if report.robust:
+        found += _robust_rows(report.robust)
+    if before := report.further_setup:  # of a plan for the surface that earlier plans left uncovered
         contact = f"; {percent(before.in_contact)} that was uncovered is in contact here" if before.in_contact else ""
         found.append(
             (
                 "all set-ups",
-                f"{percent(before.together)} of the surface, {percent(before.before)} before this one; this one "
-                f"measures {percent(before.share)} of the uncovered surface that its candidates can measure{contact}",
+                f"{percent(before.visible_together)} of the surface, {percent(before.visible_before)} before this one; "
+                f"this one measures {percent(before.share)} of the uncovered surface that its candidates can "
+                f"measure{contact}",
             )
         )
     return found
@@ -308,15 +309,16 @@ def _overlap(report: Report, overlap: Overlap) -> str:
         if settings.overlap_share is None
         else f"{100 * settings.overlap_share:g} % of the samples of the smaller view"
     )
-    extra, without = overlap.extra_views, overlap.views_without
+    extra, without = overlap.extra_views, overlap.views_without_overlap
     price = f"{extra} more than the {without}" if extra else f"no more than the {without}"
     connected = (
         "all scans are connected"
         if overlap.connected
-        else f"the scans form {len(overlap.parts)} components; the largest, of {overlap.parts[0].views} views, covers "
-        f"{percent(overlap.parts[0].covered)} of the surface's samples"
+        else f"the scans form {len(overlap.components)} components; the largest, of "
+        f"{overlap.components[0].views} views, covers "
+        f"{percent(overlap.components[0].coverage)} of the surface's samples"
     )
-    late = overlap.without_earlier
+    late = overlap.views_without_earlier_overlap
     order = (
         "in visiting order each view overlaps an earlier one"
         if late == 0
@@ -325,25 +327,26 @@ def _overlap(report: Report, overlap: Overlap) -> str:
     return f"connected by an overlap of {least}: {connected}, {report.n_views} views, {price} without overlap; {order}"
 
 
-def _robust_rows(robust: Promise) -> Rows:
+def _robust_rows(robust: RobustCoverage) -> Rows:
     confidence = percent(1 - robust.alpha)
     return [
         (
             "robust coverage",
-            f"{percent(robust.robust_on_features)} of the surface's samples are measured with a probability of "
-            f"{confidence} or more, of {percent(robust.robust_coverable_on_features)} that candidates allow",
+            f"{percent(robust.robust_on_samples)} of the surface's samples are measured with a probability of "
+            f"{confidence} or more, of {percent(robust.robust_coverable_on_samples)} that candidates allow",
         ),
         (
             f"in {robust.executions} simulated executions",
-            f"expected on other samples: {percent(robust.promised)} of the surface; measured in {confidence} of the "
-            f"executions or more: {percent(robust.achieved)}, {percent(robust.kept)} of the expected surface; one "
-            f"execution measures {percent(robust.coverage_mean)} on average, {percent(robust.coverage_worst)} at worst",
+            f"expected on other samples: {percent(robust.coverage)} of the surface; measured in {confidence} of the "
+            f"executions or more: {percent(robust.simulated_coverage)}, {percent(robust.confirmed_share)} of the "
+            f"expected surface; one execution measures {percent(robust.coverage_mean)} on average, "
+            f"{percent(robust.coverage_min)} at worst",
         ),
     ]
 
 
 def _robust_section(report: Report) -> list[str]:
-    if not (robust := report.promise):
+    if not (robust := report.robust):
         return []
     settings = report.settings
     return [
@@ -353,9 +356,9 @@ def _robust_section(report: Report) -> list[str]:
         f"about each axis of the scanner (one standard deviation, normal, independent for every view). Probabilities "
         f"are from {robust.members} drawn errors, the same for every view; a view that measures a sample in all n of "
         f"them is credited with (n + 1/2) / (n + 1), so that a confidence of {percent(1 - robust.alpha)} needs at "
-        f"least {robust.views_needed} such {'view' if robust.views_needed == 1 else 'views'} of a sample. On average, "
-        f"the expected surface was measured in {percent(robust.frequency)} of the {robust.executions} executions "
-        f"({robust.samples:,} samples that the plan has not seen).",
+        f"least {robust.required_views} such {'view' if robust.required_views == 1 else 'views'} of a sample. On "
+        f"average, the expected surface was measured in {percent(robust.mean_frequency)} of the "
+        f"{robust.executions} executions ({robust.samples:,} samples that the plan has not seen).",
         "",
     ]
 
@@ -365,7 +368,8 @@ def curve_section(curve: Curve) -> list[str]:
     lines = ["## Coverage over the number of views", "", "| of the coverable surface | views | at least |"]
     lines += ["|---|---|---|"]
     lines += [
-        f"| {100 * row.of_coverable:g} % | {_or_dash(row.views)} | {_or_dash(row.at_least)} |" for row in curve.fewest
+        f"| {100 * row.share_of_coverable:g} % | {_or_dash(row.views)} | {_or_dash(row.lower_bound)} |"
+        for row in curve.minimum_views
     ]
     return [*lines, "", "![Coverage over the number of views, with its bound](curve.png)", ""]
 
@@ -390,11 +394,11 @@ def _region_section(report: Report) -> list[str]:
     for each in report.regions:
         views = f", from {each.views} views" if each.views > 1 else ""
         lines.append(
-            f"| {html.escape(each.name)} | {each.area_mm2:,.0f} | {percent(each.asked)}{views} | "
+            f"| {html.escape(each.name)} | {each.area_mm2:,.0f} | {percent(each.target)}{views} | "
             f"{percent(each.coverable)} | {percent(each.visible)}{_from_several(each)} | "
             f"{percent(each.visible_of_coverable)} | {_limits(each) or 'none'} |"
         )
-    reasons = [f"- {html.escape(each.name)}: {html.escape(each.reason)}." for each in report.regions if each.reason]
+    reasons = [f"- {html.escape(each.name)}: {html.escape(each.cause)}." for each in report.regions if each.cause]
     return [*lines, "", *reasons, *([""] if reasons else [])]
 
 
@@ -404,12 +408,12 @@ def _region_summary(region: RegionResult) -> str:
         f"{percent(region.visible)} of {region.area_mm2:,.0f} mm² measured{_from_several(region)}, "
         f"{percent(region.visible_of_coverable)} of its coverable surface"
         + (f"; {limits}" if limits else "")
-        + (f"; {region.reason}" if region.reason else "")
+        + (f"; {region.cause}" if region.cause else "")
     )
 
 
 def _from_several(region: RegionResult) -> str:
-    return f", {percent(region.from_enough_views)} from {region.views} views" if region.views > 1 else ""
+    return f", {percent(region.satisfied_share)} from {region.views} views" if region.views > 1 else ""
 
 
 def _limits(region: RegionResult) -> str:

@@ -14,7 +14,6 @@ from cell.report.setups_report import shared_surface
 from cell.runs.schema import ExecutedDeviation, ExecutedRegion, ExecutionReport, ScannedSetups
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.surface import Deviation
-from planner.values import Floats
 
 _COARSE = 0.02  # of the part's diagonal: a surface that extends farther from its points is called interpolated
 
@@ -33,8 +32,8 @@ _REJECTIONS = {
 """Columns of the table of scans by the names of `Rejection`; columns without rays are omitted."""
 
 _UNCOVERED = {
-    "to_come": "set-ups that are not scanned yet",
-    "lost": "planned, and not measured from the executed poses",
+    "not_scanned": "set-ups that are not scanned yet",
+    "not_measured": "planned, and not measured from the executed poses",
     "in_contact": "touched by a support in every set-up",
     "not_planned": "in no planned view (setups.json has the causes)",
 }
@@ -53,9 +52,9 @@ _DEFINITIONS = (
 def markdown(report: ExecutionReport) -> str:
     """Return the report page of an execution."""
     name, source = html.escape(report.part.name), html.escape(source_title(report.source))
-    lines = [f"# Scan of {name}, {source} ([look at it](view.html))", "", _opening(report), ""]
-    if report.doubts:
-        lines += [f"**Doubtful.** {html.escape(doubt)}.  " for doubt in report.doubts] + [""]
+    lines = [f"# Scan of {name}, {source} ([view](view.html))", "", _opening(report), ""]
+    if report.contradictions:
+        lines += [f"**Doubtful.** {html.escape(doubt)}.  " for doubt in report.contradictions] + [""]
     if not report.complete:
         lines += ["**Not complete.** " + _missing_views(report), ""]
     if report.n_views:
@@ -87,7 +86,7 @@ def table(report: ExecutionReport) -> list[tuple[str, str]]:
         kept = not_registered(report)
         rows += [("registration", residuals), *([("", kept)] if kept else [])]
     took = "" if motion.executed_s is None else f", {motion.executed_s:.1f} s by the controller"
-    surface = _surface_row(report.model.status, report.model.faces, report.deviation)
+    surface = _surface_row(report.surface.status, report.surface.faces, report.deviation)
     return [*rows, ("surface", surface), ("motion", f"{motion.planned_s:.1f} s planned{took}")]
 
 
@@ -96,7 +95,7 @@ def _surface_row(status: str, faces: int, deviation: ExecutedDeviation | None) -
         return status
     return (
         f"{faces:,} faces, deviation {deviation.rms_mm:.3f} mm rms, 95 % within {deviation.quantile_95_mm:.3f} mm, "
-        f"largest {deviation.largest_mm:.3f} mm"
+        f"largest {deviation.max_mm:.3f} mm"
     )
 
 
@@ -117,7 +116,7 @@ def _opening(report: ExecutionReport) -> str:
             f"by no more than {deviation.quantile_95_mm:.3f} mm."
         )
     else:
-        text += f" No surface: {report.model.status}."
+        text += f" No surface: {report.surface.status}."
     kept = not_registered(report)
     return f"{text} {kept[:1].upper()}{kept[1:]}." if kept else text
 
@@ -125,9 +124,9 @@ def _opening(report: ExecutionReport) -> str:
 def not_registered(report: ExecutionReport) -> str:
     """Return a sentence about the scans without a correction; "" if there are none."""
     registration = report.registration
-    if registration is None or not registration.left_as_reported:
+    if registration is None or not registration.uncorrected_scans:
         return ""
-    count = registration.left_as_reported
+    count = registration.uncorrected_scans
     return f"{_number(count, 'scan')} of {report.n_views} could not be registered and stayed at the reported pose"
 
 
@@ -136,8 +135,8 @@ def _missing_views(report: ExecutionReport) -> str:
     if views:
         command = f"`cell scan RUN --view {views[0]}`" if len(views) == 1 else "`cell scan RUN`"
         parts.append(f"No usable scan of view {', '.join(map(str, views))}. Scan again with {command}.")
-    if report.left_out:
-        parts.append("Unusable: " + "; ".join(report.left_out) + ".")
+    if report.unusable_files:
+        parts.append("Unusable: " + "; ".join(report.unusable_files) + ".")
     return " ".join(parts)
 
 
@@ -172,7 +171,7 @@ def _grid(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
 
 
 def _region(region: ExecutedRegion) -> str:
-    enough = f", {percent(region.from_enough_views)} from {region.views} views" if region.views > 1 else ""
+    enough = f", {percent(region.satisfied_share)} from {region.views} views" if region.views > 1 else ""
     return f"{percent(region.visible)} measured{enough}"
 
 
@@ -195,27 +194,30 @@ def _coverage(report: ExecutionReport) -> list[str]:
 
 
 def _surface(report: ExecutionReport) -> list[str]:
-    model, deviation = report.model, report.deviation
-    if deviation is None or model.reach_mm is None:
+    model, deviation = report.surface, report.deviation
+    if deviation is None or model.max_point_distance_mm is None:
         return ["## Surface", "", f"None: {model.status}.", ""]
-    if deviation.closed is not None:
+    if deviation.closed_holes is not None:
         holes = (
             f"{model.closed_faces:,} faces close holes: they are not measured, are marked `closed` in mesh.ply, and do "
-            f"not count in the deviation below. They deviate by {deviation.closed.rms_mm:.4f} mm rms, by "
-            f"{deviation.closed.largest_mm:.4f} mm at most."
+            f"not count in the deviation below. They deviate by {deviation.closed_holes.rms_mm:.4f} mm rms, by "
+            f"{deviation.closed_holes.max_mm:.4f} mm at most."
         )
     else:
-        holes = f"Holes stay holes: no surface is farther than {model.reach_mm:.3g} mm from a measured point."
-    if model.reach_mm > _COARSE * model.diagonal_mm:
+        holes = (
+            "Holes are not closed: no surface is farther than "
+            f"{model.max_point_distance_mm:.3g} mm from a measured point."
+        )
+    if model.max_point_distance_mm > _COARSE * model.diagonal_mm:
         holes += (
             f" The points are far apart for a part of {model.diagonal_mm:.0f} mm: the surface is interpolated over "
-            f"gaps up to {model.reach_mm:.3g} mm; a finer `--resolution` measures more of it."
+            f"gaps up to {model.max_point_distance_mm:.3g} mm; a finer `--resolution` measures more of it."
         )
     rows = [
         ("root mean square", f"{deviation.rms_mm:.4f}"),
         ("mean, signed", f"{deviation.mean_mm:+.4f}"),
         ("95 % of the area within", f"{deviation.quantile_95_mm:.4f}"),
-        ("largest", f"{deviation.largest_mm:.4f}"),
+        ("largest", f"{deviation.max_mm:.4f}"),
     ]
     return [
         "## Surface",
@@ -243,7 +245,7 @@ def _registration(report: ExecutionReport) -> list[str]:
     ]
     errors = [
         (
-            view.stop,
+            view.number,
             _or_unknown(view.pose_error_mm, 3),
             _or_unknown(view.pose_error_after_mm, 3),
             _or_unknown(view.pose_error_deg, 4),
@@ -268,12 +270,12 @@ def _views(report: ExecutionReport) -> list[str]:
     if not report.views:
         return []
     rejections = [name for name in _REJECTIONS if any((view.rays or {}).get(name) for view in report.views)]
-    head = ["view", "candidate", "adds % of surface", "reported - commanded deg", "points"]
+    head = ["view", "candidate", "marginal coverage %", "reported - commanded deg", "points"]
     rows = [
         (
-            view.stop,
+            view.number,
             view.id,
-            f"{100 * view.adds:.2f}",
+            f"{100 * view.marginal_coverage:.2f}",
             f"{view.reported_minus_commanded_deg:.4f}",
             f"{view.points:,}",
             *(f"{(view.rays or {}).get(name, 0):,}" for name in rejections),
@@ -283,7 +285,7 @@ def _views(report: ExecutionReport) -> list[str]:
     lines = ["## Scans in driving order", "", *_grid([*head, *(_REJECTIONS[name] for name in rejections)], rows)]
     if all(view.rays for view in report.views):
         lines += ["Points and the columns after them add up to the rays of a scan.", ""]
-    empty = [str(view.stop) for view in report.views if not view.points]
+    empty = [str(view.number) for view in report.views if not view.points]
     return [*lines, f"View {', '.join(empty)} has no point of the part.", ""] if empty else lines
 
 
@@ -308,37 +310,47 @@ def _number(count: int, noun: str) -> str:
 
 def combined_rows(report: ScannedSetups) -> list[tuple[str, str]]:
     """Return the terminal table of combined scans as names and values."""
-    missing = f", {len(report.missing)} more to come" if report.missing else ""
+    missing = f", {len(report.missing_setups)} not scanned yet" if report.missing_setups else ""
     covered, count = percent(report.visible), _number(len(report.setups), "set-up")
     rows = [("measured", f"{covered} of the surface by {count}{missing}; planned {percent(report.planned)} by all")]
     for setup in report.setups:
-        values = f"{setup.views} views, {setup.points:,} points, adds {percent(setup.adds)}"
+        values = f"{setup.views} views, {setup.points:,} points, marginal coverage {percent(setup.marginal_coverage)}"
         rows.append((f"set-up {setup.number}", values))
-        if (place := setup.place) is not None:
-            sentence = f"the part was displaced by {place.moved_mm:.2f} mm and {place.turned_deg:.2f} deg"
-            undetermined = f"; not determined: {'; '.join(place.undetermined)}" if place.undetermined else ""
+        if (place := setup.localisation) is not None:
+            sentence = f"the part was displaced by {place.displacement_mm:.2f} mm and {place.rotation_deg:.2f} deg"
+            undetermined = f"; not determined: {'; '.join(place.free_motions)}" if place.free_motions else ""
             rows.append(("", sentence + undetermined))
-    for name, share in dict(report.open).items():
+    for name, share in dict(report.uncovered).items():
         if share >= 5e-5:
             rows.append(("uncovered", f"{percent(share)}: {_UNCOVERED[name]}"))
     surface = _surface_row(report.surface.status, report.surface.faces, report.deviation)
-    return [*rows, ("surface", surface), *(("doubtful", doubt) for doubt in report.doubts)]
+    return [*rows, ("surface", surface), *(("doubtful", doubt) for doubt in report.contradictions)]
 
 
 def combined_markdown(report: ScannedSetups) -> str:
     """Return the report page of combined scans."""
     setups = []
     for setup in report.setups:
-        place, displaced = setup.place, ("", "", "")
+        place, displaced = setup.localisation, ("", "", "")
         if place is not None:
-            displaced = (f"{place.moved_mm:.3f}", f"{place.turned_deg:.3f}", "; ".join(place.undetermined))
+            displaced = (f"{place.displacement_mm:.3f}", f"{place.rotation_deg:.3f}", "; ".join(place.free_motions))
         link = f"[{setup.number}](../setups/{setup.number}/executions/{setup.execution}/report.md)"
-        shares = percent(setup.visible), percent(setup.adds)
+        shares = percent(setup.visible), percent(setup.marginal_coverage)
         setups.append((link, setup.execution, setup.views, f"{setup.points:,}", *shares, *displaced))
-    head = ("", "execution", "views", "points", "measures", "adds", "displaced, mm", "deg", "not determined")
+    head = (
+        "",
+        "execution",
+        "views",
+        "points",
+        "measures",
+        "marginal coverage",
+        "displaced, mm",
+        "deg",
+        "not determined",
+    )
     lines = [f"# Scan of {report.part} in several set-ups, {report.source}", ""]
     lines += [*_grid(("", ""), combined_rows(report)), "## Set-ups", "", *_grid(head, setups)[:-1]]
-    lines += shared_surface(report.shared)
+    lines += shared_surface(report.common_surface)
     if report.deviation is not None:
         lines += ["", "![Deviation of the surface](deviation.png)"]
     return "\n".join([*lines, ""])
@@ -375,20 +387,11 @@ def draw_deviation(path: Path, mesh: TriangleMesh, deviation: Deviation, source:
     limit = max(deviation.quantile_95 * 1000.0, 1e-6) * 1.5
     scale = ScalarMappable(Normalize(-limit, limit), LinearSegmentedColormap.from_list("signed", SIGNED))
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
-    normals = mesh.normals
-    of_face = deviation.at_vertices[mesh.faces].mean(axis=1) * 1000.0
-
-    def colour_of(origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        hits = caster.first_hit(origins, directions)
-        picture, seen = np.ones((len(origins), 3)), np.flatnonzero(hits.face >= 0)
-        facing = -np.einsum("ij,ij->i", normals[hits.face[seen]], directions[seen])
-        picture[seen] = rays.shade(scale.to_rgba(of_face[hits.face[seen]])[:, :3], facing)
-        return picture, hits.distance
-
+    colours = scale.to_rgba(deviation.at_vertices[mesh.faces].mean(axis=1) * 1000.0)[:, :3]
     for axes, (azimuth, title) in zip(panels, _SIDES, strict=False):
         camera = rays.fit_camera(mesh.vertices, rays.direction(azimuth, 22.0), (_PIXELS, _PIXELS), parallel=True)
         width = 2000 * float(camera.half[0])
-        axes.imshow(rays.render(camera, colour_of)[0], extent=(0, width, 0, width))
+        axes.imshow(rays.render_mesh(camera, caster, mesh.normals, colours)[0], extent=(0, width, 0, width))
         axes.set_title(title, fontsize=10)
         axes.set_xlabel("mm", fontsize=8)
         axes.tick_params(labelsize=7)

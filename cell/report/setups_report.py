@@ -6,12 +6,12 @@ import numpy as np
 
 from cell.formatting import comma_list, percent
 from cell.report.plan_report import curve_section
-from cell.runs.schema import PlannedOpen, SetupsFile, SharedSurface
+from cell.runs.schema import CommonSurface, SetupsFile, UncoveredShares
 from planner.cover.grouped import GroupedCover
 from planner.values import Floats
 
 _CAUSES = {
-    "not_asked": "candidates measure it, and less was requested (--coverage)",
+    "not_selected": "candidates measure it, and less was requested (--coverage)",
     "in_contact": "a support touches it in every set-up",
     "out_of_reach": "the arm reaches no pose that sees it (use another placement, or [[setup]] tables)",
     "other_poses": "no candidate measures it, though other poses would (--candidates grown, --faces)",
@@ -56,7 +56,7 @@ def rows(file: SetupsFile) -> list[tuple[str, str]]:
     """Return names and values for a terminal."""
     coverage = file.coverage
     found = [
-        ("set-ups", f"{len(file.chosen)}  ({file.status})"),
+        ("set-ups", f"{len(file.selected)}  ({file.status})"),
         ("views", f"{file.views} in all, lower bound {file.views_bound}"),
         (
             "visible coverage",
@@ -64,33 +64,36 @@ def rows(file: SetupsFile) -> list[tuple[str, str]]:
             "the set-up candidates can measure",
         ),
     ]
-    if (first := file.views_first) is not None:
+    if (first := file.alternative) is not None:
         less = f"{first.views} suffice in {first.setups} set-ups (--cost time --setup-seconds S weighs the two)"
         found.append(("fewer views", less))
-    if file.kept is not None:
-        found.append(("targets met", f"on {percent(file.kept)} of the coverable surface"))
+    if file.satisfied_share is not None:
+        found.append(("targets met", f"on {percent(file.satisfied_share)} of the coverable surface"))
     if file.seconds is not None:
         found.append(("cost", f"{file.seconds:.1f} s, lower bound {file.seconds_bound:.1f} s"))
     found += [
         (
             f"region {each.name}",
             f"{percent(each.visible)} of it, {percent(each.visible_of_coverable)} of its coverable surface"
-            f" (requested {percent(each.asked)})",
+            f" (requested {percent(each.target)})",
         )
         for each in file.regions
     ]
     found += [
         (
             setup.folder,
-            f"{file.offered[setup.offered].name}: {setup.views} views, marginal coverage {percent(setup.adds)}",
+            f"{file.candidates[setup.candidate].name}: {setup.views} views, marginal coverage "
+            f"{percent(setup.marginal_coverage)}",
         )
-        for setup in file.chosen
+        for setup in file.selected
     ]
-    if file.open is not None:
+    if file.uncovered is not None:
         found += [
-            ("uncovered", f"{percent(share)}: {_CAUSES[name]}") for name, share in _reasons(file.open) if share >= 5e-5
+            ("uncovered", f"{percent(share)}: {_CAUSES[name]}")
+            for name, share in _reasons(file.uncovered)
+            if share >= 5e-5
         ]
-    best = max(each.coverable for each in file.offered)
+    best = max(each.coverable for each in file.candidates)
     return [*found, ("best single set-up", f"its candidates measure {percent(best)} of the surface")]
 
 
@@ -105,27 +108,27 @@ def page(file: SetupsFile) -> str:
         "| | pose | x, y, z mm | A, B, C deg | reachable | coverable | in contact | |",
     ]
     lines += ["|---|---|---|---|---|---|---|---|"]
-    for row, each in enumerate(file.offered):
+    for row, each in enumerate(file.candidates):
         use = next(
-            (f"[{chosen.folder}]({chosen.folder}/report.md)" for chosen in file.chosen if chosen.offered == row), ""
+            (f"[{chosen.folder}]({chosen.folder}/report.md)" for chosen in file.selected if chosen.candidate == row), ""
         )
         lines.append(
             f"| {row} | {each.name} | {comma_list(each.placement_mm)} | {comma_list(each.placement_abc_deg)} "
-            f"| {each.reachable} | {percent(each.coverable)} | {percent(each.in_contact)} | {each.left_out or use} |"
+            f"| {each.reachable} | {percent(each.coverable)} | {percent(each.in_contact)} | {each.cause or use} |"
         )
     curve = ["", *curve_section(file.curve)] if file.curve else []
-    return "\n".join([*lines, *shared_surface(file.shared), *curve, ""])
+    return "\n".join([*lines, *shared_surface(file.common_surface), *curve, ""])
 
 
-def shared_surface(pairs: Sequence[SharedSurface]) -> list[str]:
+def shared_surface(pairs: Sequence[CommonSurface]) -> list[str]:
     """Return the section on the surface that pairs of set-ups share; empty without pairs."""
     if not pairs:
         return []
     head = ["", "## Shared surface", "", "| set-ups | of the surface | free motions |", "|---|---|---|"]
-    rows = ((*pair.setups, percent(pair.share), "; ".join(pair.free)) for pair in pairs)
+    rows = ((*pair.setups, percent(pair.share), "; ".join(pair.free_motions)) for pair in pairs)
     return head + [f"| {one} and {other} | {share} | {free} |" for one, other, share, free in rows]
 
 
-def _reasons(found: PlannedOpen) -> list[tuple[str, float]]:
+def _reasons(found: UncoveredShares) -> list[tuple[str, float]]:
     """Return names and shares of the causes, the largest first."""
     return sorted(((name, getattr(found, name)) for name in _CAUSES), key=lambda each: -each[1])

@@ -66,6 +66,11 @@ class RunCell:
     travel: TravelBound
     table: RotaryTable | None = None
 
+    @property
+    def casters(self) -> tuple[EmbreeRayCaster, EmbreeRayCaster]:
+        """Ray casters of the part and of the occluders."""
+        return self.part_caster, self.occluder_caster
+
     def in_base(self, q: Floats, T_part: Floats) -> Floats:
         """Return (..., 4, 4) poses in base of poses relative to the turned part, at (..., axes) angles [m, rad]."""
         return T_part if self.table is None else self.table.turn(q[..., ARM_AXES]) @ T_part
@@ -149,7 +154,7 @@ def table_of(scene: ResolvedScene) -> RotaryTable | None:
     table = scene.table
     if table is None:
         return None
-    limits = table.turn_deg or table.limits_deg or ENDLESS_LIMITS_DEG
+    limits = table.free_range_deg or table.limits_deg or ENDLESS_LIMITS_DEG
     rates = table.velocity_deg_s, table.acceleration_deg_s2, table.jerk_deg_s3
     return RotaryTable(table.T_base_table, *np.deg2rad([*limits, *rates]).tolist())
 
@@ -286,7 +291,7 @@ def _table(resolved: ResolvedScene) -> Mapping[str, object]:
     """Return the keys of `[table]`; empty without a table."""
     if resolved.table is None:
         return {}
-    keys = resolved.table.model_dump(exclude={"T_base_table", "post_mm", "turn_deg"})
+    keys = resolved.table.model_dump(exclude={"T_base_table", "post_mm", "free_range_deg"})
     pose = pose_keys(resolved.table.T_base_table)
     if resolved.table.post_mm is not None:
         return {**keys, "post_mm": resolved.table.post_mm, "abc_deg": pose["abc_deg"]}

@@ -1,7 +1,7 @@
 """Compare the user's current files with the cell that was planned.
 
 A plan depends on its run folder alone. If the scene file or the part's mesh changed after planning, the user may mean
-another cell than the verified one. Therefore the files named in the manifest, or those given in their place, are read
+another cell than the verified one. Therefore the files named in the manifest, or those given instead, are read
 again before anything is driven. Each difference has a name: `part`, `placement`, `mount`, `housing`, `post`,
 `pedestal`, `robot`, `table`, `fixture:NAME`; `scene` if the file cannot be read; `missing` for deleted files. The
 built-in robot always comes from this version (`cell.runs.verification`), so a difference there is never accepted.
@@ -77,23 +77,23 @@ def _differences(verified: VerifiedPlan, now: CurrentFiles, gone: list[str]) -> 
     scene, changed = now.scene, None
     for named in verified.run.manifest.files:
         path = Path(named.path)
-        if (named.what == "scene" and now.scene is not None) or (named.what == "part" and now.part is not None):
+        if (named.role == "scene" and now.scene is not None) or (named.role == "part" and now.part is not None):
             continue
         sha = sha256_of(path)
         if not sha:
             gone.append(named.path)
         elif sha == named.sha256:
             continue
-        elif named.what == "scene":
+        elif named.role == "scene":
             scene, changed = path, _changed_tables(verified, path)
             if changed and "setup" in changed:
                 yield "placement", f"the [[setup]] tables of {path} were changed"
-        elif named.what == "part":
+        elif named.role == "part":
             yield from _part(verified, named.path)
-        elif named.what == "robot":
+        elif named.role == "robot":
             yield "robot", f"the robot's file {path} was changed"
         else:
-            yield named.what, f"the mesh {path} of the fixture '{named.what.partition(':')[2]}' was changed"
+            yield named.role, f"the mesh {path} of the fixture '{named.role.partition(':')[2]}' was changed"
     if now.part is not None:
         yield from _part(verified, now.part)
     if scene is not None:

@@ -1,4 +1,4 @@
-"""Write run folders: `<name>.part` while the run goes on, renamed when it is finished.
+"""Write run folders: `<name>.part` during the run, renamed when it is finished.
 
 Every artefact is written as soon as its stage is done, so a killed run keeps its finished stages; the manifest names
 the current stage. Artefacts contain no clock value and no machine path: equal inputs and seed give equal bytes.
@@ -30,8 +30,8 @@ from cell.runs.schema import Manifest, NamedFile
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 
-SCHEMA, WITH_TABLE = "scan-cell/run/1", "scan-cell/run/2"
-"""Versions of the layout, without and with a rotary table. A change needs a line in CHANGELOG.md."""
+SCHEMA = "scan-cell/run/3"
+"""Version of the layout. A change needs a line in CHANGELOG.md."""
 
 _VERSIONS_OF = (
     "scan-cell", "numpy", "scipy", "mujoco", "embreex", "trimesh", "fast-simplification", "libigl", "networkx",
@@ -61,7 +61,6 @@ class RunFolder:
         seed: int,
         inputs: Mapping[str, str],
         now: datetime,
-        schema: str = SCHEMA,
     ) -> "RunFolder":
         """Create the folder.
 
@@ -71,7 +70,6 @@ class RunFolder:
             seed: seed of every random choice.
             inputs: sha256 of each input (part, scene, settings).
             now: time of the start (UTC).
-            schema: version of the layout.
         """
         short = hashlib.sha256(json.dumps([dict(inputs), seed], sort_keys=True).encode()).hexdigest()[:8]
         target = out if out is not None else Path("sim_runs") / f"{now:%Y%m%dT%H%M%SZ}-{short}"
@@ -94,10 +92,10 @@ class RunFolder:
             target,
             path,
             Manifest(
-                schema=schema,
+                schema=SCHEMA,
                 status="running",
                 stage="start",
-                started=now.isoformat(timespec="seconds"),
+                start_time=now.isoformat(timespec="seconds"),
                 argv=tuple(argv),
                 seed=seed,
                 inputs=dict(inputs),
@@ -257,14 +255,14 @@ def versions() -> dict[str, str]:
     return found
 
 
-PROCESS_KEYS = ("pid", "pid_began", "machine")
+PROCESS_KEYS = ("pid", "pid_start", "machine")
 """Manifest entries of the writing process, present while the folder is written."""
 
 
 def with_process(manifest: Manifest) -> Manifest:
     """Return the manifest with the entries of the current process."""
     pid = os.getpid()
-    return manifest.but(pid=pid, pid_began=_stat(pid)[1], machine=platform.node())
+    return manifest.but(pid=pid, pid_start=_stat(pid)[1], machine=platform.node())
 
 
 def is_running(manifest: Manifest) -> bool:
@@ -282,7 +280,7 @@ def is_running(manifest: Manifest) -> bool:
     except (OSError, OverflowError):
         return False
     state, began = _stat(pid)
-    return state != "Z" and began == manifest.pid_began
+    return state != "Z" and began == manifest.pid_start
 
 
 def _stat(pid: int) -> tuple[str, int | None]:

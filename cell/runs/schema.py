@@ -2,10 +2,11 @@
 
 Each file is one class: its keys, their types, units and meaning. A writer makes such a value and a reader returns one.
 docs/internals/run_folder.md lists the keys. Shares of coverage are fractions of the area of the surface. The keys that
-end in `_on_features`, `covered` and bounds refer to the samples of measurability.npz; other coverage refers to the
+end in `_on_samples` and bounds refer to the samples of measurability.npz; other coverage refers to the
 held-out samples. Only manifest.json contains clock values.
 """
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -24,8 +25,10 @@ from pydantic import (
     ValidationError,
     model_serializer,
 )
+from pydantic_core import from_json
 
 from cell.errors import FileError
+from cell.runs.former_keys import FORMER_SCHEMAS, with_present_keys
 from cell.scene.model import PlanKeys, RegionTargets
 from cell.scene.validation import error_messages
 from planner.values import Floats, readonly
@@ -46,12 +49,12 @@ Triple = tuple[float, float, float]
 
 
 class JsonTable(BaseModel):
-    """An object of a JSON file: frozen, with finite numbers; unknown keys are ignored.
+    """An object of a JSON file: frozen, with finite numbers; unknown keys are refused.
 
     Keys are written in the order of the fields. Validators are built when the first value is made.
     """
 
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, defer_build=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
     def as_json(self) -> dict[str, JsonValue]:
         """Return the object as JSON types, in the order of the file."""
@@ -59,7 +62,7 @@ class JsonTable(BaseModel):
 
 
 class OpenTable(JsonTable):
-    """An object that holds the keys of a scanner plug-in besides its own."""
+    """An object with the keys of a scanner plug-in in addition to its own."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, JsonValue] = Field(init=False)
@@ -91,30 +94,41 @@ Table = TypeVar("Table", bound=JsonTable)
 
 
 def parsed(kind: type[Table], content: bytes, path: Path) -> Table:
-    """Return the content of a JSON file as a value of its class; `path` is for the error message."""
+    """Return the content of a JSON file of the present or a former schema as a value of its class.
+
+    Args:
+        kind: the class.
+        content: bytes of the file.
+        path: for the error message.
+    """
     try:
-        return kind.model_validate_json(content, strict=True)
+        tree = from_json(content)
+        if isinstance(tree, dict):
+            has_field = any(field.alias == "schema" for field in kind.model_fields.values())
+            schema = tree.get("schema") if has_field else tree.pop("schema", None)
+            if schema in FORMER_SCHEMAS:
+                tree = with_present_keys(tree, kind)
+        return kind.model_validate_json(json.dumps(tree), strict=True)
     except ValidationError as error:
-        problem = error.errors(include_url=False)[0]
-        if problem["type"] == "json_invalid":
-            cause = "it is not JSON, or nested too deep"
-        else:
-            cause = error_messages(error, kind)[0] if problem["loc"] else "it must hold one JSON object"
+        has_object = bool(error.errors(include_url=False)[0]["loc"])
+        cause = error_messages(error, kind)[0] if has_object else "it must hold one JSON object"
         raise FileError(f"{path} is damaged: {cause}; plan or scan again") from error
+    except ValueError as error:
+        raise FileError(f"{path} is damaged: it is not JSON, or nested too deep; plan or scan again") from error
 
 
 # manifest.json
 
 
-class Resumed(JsonTable):
+class Resumption(JsonTable):
     """A continuation of a stopped execution."""
 
-    at: str = Field(description="time (UTC)")
+    time: str = Field(description="time (UTC)")
     argv: tuple[str, ...] = Field(description="command line")
     driver: str = Field(description="URL of the controller")
-    after: str = Field(description="status of the execution before")
-    way: str | None = optional("digest of the remaining path")
-    way_deg: tuple[tuple[float, ...], ...] | None = optional(
+    previous_status: str = Field(description="status of the execution before")
+    path_digest: str | None = optional("digest of the remaining path")
+    path_deg: tuple[tuple[float, ...], ...] | None = optional(
         "set-points of all axes on the remaining path, from the position of the arm"
     )
 
@@ -122,7 +136,7 @@ class Resumed(JsonTable):
 class NamedFile(JsonTable):
     """A file of the user that the plan depends on."""
 
-    what: str = Field(description="scene, part, or fixture:NAME")
+    role: str = Field(description="scene, part, or fixture:NAME")
     path: str = Field(description="its path")
     sha256: str = Field(description="sha256 of its bytes")
 
@@ -130,11 +144,11 @@ class NamedFile(JsonTable):
 class Manifest(JsonTable):
     """manifest.json of a run or an execution: how it was made and how far it got.
 
-    It is the only file that changes while the folder is written. Any key may be missing, since a manifest may be cut
-    short or belong to a foreign folder. A key that is not set is not written.
+    It is the only file that changes while the folder is written. Any key may be missing or unknown, since a manifest
+    may be cut short or belong to a foreign folder. A key that is not set is not written.
     """
 
-    model_config = ConfigDict(serialize_by_alias=True)
+    model_config = ConfigDict(extra="ignore", serialize_by_alias=True)
 
     schema_version: str | None = Field(default=None, alias="schema", description="version of the folder's layout")
     status: str | None = Field(
@@ -142,7 +156,7 @@ class Manifest(JsonTable):
         description="running, finished, failed, interrupted, or incomplete (reported before its end)",
     )
     stage: str | None = Field(default=None, description="last stage begun")
-    started: str | None = Field(default=None, description="time of the start (UTC)")
+    start_time: str | None = Field(default=None, description="time of the start (UTC)")
     argv: tuple[str, ...] = Field(default=(), description="command line")
     seed: int | None = Field(default=None, ge=0, description="seed of every random choice")
     inputs: dict[str, str] = Field(default_factory=dict, description="sha256 of each input of the plan")
@@ -153,20 +167,20 @@ class Manifest(JsonTable):
     digest: str | None = Field(
         default=None, description="digest of the driving artefacts; execution: that of the executed plan"
     )
-    way: str | None = Field(
+    path_digest: str | None = Field(
         default=None, description="execution: digest of the driven path if it is not the plan's motion"
     )
     versions: dict[str, str] = Field(default_factory=dict, description="versions of the packages that affect results")
     seconds: dict[str, float] = Field(default_factory=dict, description="duration of each stage")
     pid: int | None = Field(default=None, description="running execution: its process")
-    pid_began: int | None = Field(default=None, description="start of the process, in ticks of its machine")
+    pid_start: int | None = Field(default=None, description="start of the process, in ticks of its machine")
     machine: str | None = Field(default=None, description="name of the machine")
     controller: str | None = Field(default=None, description="execution: name of the controller")
     speed_fraction: float | None = Field(default=None, description="share of the axis speeds")
-    moving_s: float | None = Field(default=None, description="duration of the moves by the controller's clock")
+    motion_s: float | None = Field(default=None, description="duration of the moves by the controller's clock")
     simulated_time: bool | None = Field(default=None, description="whether that clock was simulated")
     time_scale: float | None = Field(default=None, description="clock rate of an emulator, if it is not real time")
-    resumed: tuple[Resumed, ...] = Field(default=(), description="continuations of the execution")
+    resumptions: tuple[Resumption, ...] = Field(default=(), description="continuations of the execution")
     reason: str = Field(default="", description="cause of the failure, one sentence")
     exit_code: int | None = Field(default=None, description="exit code of the command; null if it was killed")
     artefacts: dict[str, str] = Field(default_factory=dict, description="sha256 of every file")
@@ -204,12 +218,12 @@ class Coverage(JsonTable):
         description="visible coverage with self-occlusion by the arm; null for sweeping views, for which it is not "
         "computed, and in older runs",
     )
-    target_on_features: float | None = Field(
+    target_on_samples: float | None = Field(
         default=None,
         description="target: share of the coverable samples; null if regions have their own targets",
     )
-    planned_on_features: float = Field(description="coverage of the views on the samples of the matrix")
-    coverable_on_features: float = Field(description="coverage of all reachable candidates on these samples")
+    planned_on_samples: float = Field(description="coverage of the views on the samples of the matrix")
+    coverable_on_samples: float = Field(description="coverage of all reachable candidates on these samples")
 
 
 class Verdicts(JsonTable):
@@ -226,18 +240,18 @@ class Verdicts(JsonTable):
         return self.reachable + self.out_of_reach + self.joint_limit + self.collision
 
 
-class Dropped(JsonTable):
+class Exclusion(JsonTable):
     """A selected candidate that is not in the plan."""
 
     id: int = Field(description="candidate, row of viewpoints.npz")
-    reason: str = Field(description="cause, one sentence")
+    cause: str = Field(description="cause, one sentence")
 
 
 class SegmentClearance(JsonTable):
     """Clearance of the motion between two views."""
 
     minimum_mm: float = Field(description="smallest measured distance on the segment; values above 300 mm are cut off")
-    at_least_mm: float = Field(
+    lower_bound_mm: float = Field(
         description="proven lower bound of the clearance on the segment; pairs that are built close count as farther"
     )
     between: str = Field(description='closest pair of objects, "housing with part"; "" beyond 300 mm')
@@ -265,20 +279,20 @@ class Clearance(JsonTable):
     tightest: Tightest | None = Field(description="moment of the smallest distance; null if all exceed 300 mm")
 
 
-class MostCoverage(JsonTable):
+class MaxCoverage(JsonTable):
     """With `--max-views`: maximum coverage for a number of views."""
 
     max_views: int = Field(description="allowed number of views")
-    covered: float = Field(description="coverage of the views")
+    coverage: float = Field(description="coverage of the views")
     upper_bound: float = Field(description="proven upper bound on the coverage of any `max_views` candidates")
     gap_points: float = Field(description="upper bound minus coverage, in percentage points of the coverable samples")
 
 
-class OverlapPart(JsonTable):
+class OverlapComponent(JsonTable):
     """A connected component of the overlap graph."""
 
     views: int = Field(description="number of views")
-    covered: float = Field(description="coverage of these views")
+    coverage: float = Field(description="coverage of these views")
 
 
 class Overlap(JsonTable):
@@ -286,9 +300,11 @@ class Overlap(JsonTable):
 
     connected: bool = Field(description="whether the overlap graph is connected")
     extra_views: int = Field(description="number of views added for the overlap")
-    views_without: int = Field(description="number of views without the overlap constraint")
-    without_earlier: int = Field(description="views without overlap with an earlier view, except the first")
-    parts: tuple[OverlapPart, ...] = Field(description="connected components, largest coverage first")
+    views_without_overlap: int = Field(description="number of views without the overlap constraint")
+    views_without_earlier_overlap: int = Field(
+        description="views without overlap with an earlier view, except the first"
+    )
+    components: tuple[OverlapComponent, ...] = Field(description="connected components, largest coverage first")
 
 
 class RobustSelection(JsonTable):
@@ -296,22 +312,22 @@ class RobustSelection(JsonTable):
 
     alpha: float = Field(description="accepted probability of missing a sample")
     members: int = Field(description="number of drawn pose errors")
-    views_needed: int = Field(description="views that measure a sample in all members, for confidence 1 - alpha")
-    robust_on_features: float = Field(description="share of samples that the views measure at confidence 1 - alpha")
-    robust_coverable_on_features: float = Field(description="the same for all reachable candidates together")
+    required_views: int = Field(description="views that measure a sample in all members, for confidence 1 - alpha")
+    robust_on_samples: float = Field(description="share of samples that the views measure at confidence 1 - alpha")
+    robust_coverable_on_samples: float = Field(description="the same for all reachable candidates together")
 
 
-class Promise(RobustSelection):
+class RobustCoverage(RobustSelection):
     """With `--pose-sd`: coverage at confidence 1 - alpha, and its check by simulated executions."""
 
     executions: int = Field(description="number of simulated executions, each with new pose errors")
     samples: int = Field(description="number of held-out samples")
-    promised: float = Field(description="coverage at confidence 1 - alpha, by an ensemble as in planning")
-    achieved: float = Field(description="share measured in at least 1 - alpha of the executions")
-    kept: float = Field(description="share of the promised area that was achieved")
-    frequency: float = Field(description="mean share of the executions in which promised area was measured")
+    coverage: float = Field(description="coverage at confidence 1 - alpha, by an ensemble as in planning")
+    simulated_coverage: float = Field(description="share measured in at least 1 - alpha of the executions")
+    confirmed_share: float = Field(description="share of this coverage that the executions confirm")
+    mean_frequency: float = Field(description="mean share of the executions that measure this coverage")
     coverage_mean: float = Field(description="mean coverage of an execution")
-    coverage_worst: float = Field(description="smallest coverage of an execution")
+    coverage_min: float = Field(description="smallest coverage of an execution")
 
 
 class Multiplicity(JsonTable):
@@ -327,10 +343,10 @@ class Cost(JsonTable):
     """With `--cost time`: cost in seconds."""
 
     seconds: float = Field(description="dwell time at all views plus the motion")
-    bound_seconds: float = Field(description="lower bound over all selections and motions")
+    seconds_bound: float = Field(description="lower bound over all selections and motions")
 
 
-class OpenOf(JsonTable):
+class FurtherSetup(JsonTable):
     """Further set-up: coverage together with the set-ups before.
 
     Surface in contact with a support counts as not measured in that set-up.
@@ -339,16 +355,16 @@ class OpenOf(JsonTable):
     digests: tuple[str, ...] = Field(
         description="digests of the plans of the set-ups before; all use the samples of the first"
     )
-    before: float = Field(description="coverage of the set-ups before")
-    together: float = Field(description="coverage of all set-ups, this one included")
+    visible_before: float = Field(description="coverage of the set-ups before")
+    visible_together: float = Field(description="coverage of all set-ups, this one included")
     coverable: float = Field(description="coverage of the set-ups before and of all reachable candidates here")
     in_contact: float = Field(description="share not measured before and in contact with a support here")
 
     @property
     def share(self) -> float:
         """Share of the open, coverable surface that this plan measures."""
-        most = self.coverable - self.before
-        return (self.together - self.before) / most if most > 0 else 1.0
+        most = self.coverable - self.visible_before
+        return (self.visible_together - self.visible_before) / most if most > 0 else 1.0
 
 
 class Sweep(JsonTable):
@@ -390,26 +406,31 @@ class PlanView(JsonTable):
         return np.stack((self.T_object_scanner,) if self.sweep is None else self.sweep.T_object_scanner)
 
 
-class PlanFile(JsonTable):
-    """plan.json: the views in visiting order and the facts about their selection."""
+class PlanResult(JsonTable):
+    """Selection and motion of a plan, in plan.json and report.json."""
 
-    units: str = "transforms are 4x4 in metres, angles in deg; coverage and gap are fractions"
     coverage: Coverage
     solver: str = Field(description="solver that selected the views")
     status: str = Field(description="what is proven about the selection, in words")
     lower_bound: int = Field(description="lower bound on the number of views, over these candidates and the target")
     gap: float = Field(description="(views - lower bound) / views")
     verdicts: Verdicts
-    dropped: tuple[Dropped, ...] = Field(
+    exclusions: tuple[Exclusion, ...] = Field(
         description="selected candidates that could not be connected or are occluded by the arm"
     )
     clearance: Clearance | None = optional("clearance of the motion")
-    most_coverage: MostCoverage | None = optional()
+    max_coverage: MaxCoverage | None = optional()
     overlap: Overlap | None = optional()
-    promise: Promise | None = optional()
+    robust: RobustCoverage | None = optional()
     multiplicity: Multiplicity | None = optional()
     cost: Cost | None = optional()
-    open_of: OpenOf | None = optional()
+    further_setup: FurtherSetup | None = optional()
+
+
+class PlanFile(PlanResult):
+    """plan.json: the views in visiting order and the facts about their selection."""
+
+    units: str = "transforms are 4x4 in metres, angles in deg; coverage and gap are fractions"
     views: tuple[PlanView, ...] = Field(description="views in visiting order")
 
 
@@ -471,7 +492,7 @@ class Attainable(JsonTable):
 
     share: float = Field(description="attainable coverage on the held-out samples")
     standard_error: float = Field(description="standard error of the share, since a subset of the samples is searched")
-    asked: int = Field(description="number of searched samples")
+    samples: int = Field(description="number of searched samples")
     out_of_reach: float = Field(description="share that is visible only from poses outside the arm's reach")
     out_of_sight: float = Field(description="share that is visible from no tried pose")
 
@@ -498,8 +519,10 @@ class RegionResult(JsonTable):
 
     name: str = Field(description="name in the scene; `the rest` is the surface outside all regions")
     area_mm2: float = Field(description="area of the region")
-    asked: float = Field(description="target, share of the coverable surface")
-    shared: bool = Field(description="whether the target applies to all such regions together, by area and weight")
+    target: float = Field(description="target, share of the coverable surface")
+    common_target: bool = Field(
+        description="whether the target applies to all such regions together, by area and weight"
+    )
     views: int = Field(description="views per sample")
     max_sigma_mm: float | None = Field(description="own sigma limit; null: none")
     max_spacing_mm: float | None = Field(description="own spacing limit; null: none")
@@ -507,20 +530,20 @@ class RegionResult(JsonTable):
     visible: float = Field(description="coverage of the views")
     coverable: float = Field(description="coverage of the reachable candidates")
     visible_of_coverable: float = Field(description="visible / coverable")
-    from_enough_views: float = Field(description="share measured from the requested number of views")
-    reason: str = Field(description='cause if less than the target is coverable; else ""')
+    satisfied_share: float = Field(description="share measured from the requested number of views")
+    cause: str = Field(description='cause if less than the target is coverable; else ""')
 
 
 class ReportView(JsonTable):
     """A row of the table of views."""
 
     id: int = Field(description="candidate, row of viewpoints.npz")
-    adds: float = Field(description="marginal coverage over the views before")
+    marginal_coverage: float = Field(description="marginal coverage over the views before")
     source_in_base_mm: Triple = Field(description="position of the laser source")
     q_deg: JointAngles = Field(description="set-points A1 to A6, multiples of 1e-4")
     e_deg: tuple[float, ...] | None = optional("set-points of the external axes (angle of the rotary table)")
     roll_deg: float = Field(description="rotation about the viewing axis")
-    clearance_on_the_way_mm: float | None = Field(description="smallest clearance on the segment to the view")
+    segment_clearance_mm: float | None = Field(description="smallest clearance on the segment to the view")
 
 
 class ReportMotion(JsonTable):
@@ -539,57 +562,41 @@ class ReportMotion(JsonTable):
     between: str = Field(description="pair of objects with the smallest clearance")
 
 
-class Fewest(JsonTable):
+class MinimumViews(JsonTable):
     """Fewest views for a share of the coverable surface."""
 
-    of_coverable: float = Field(description="share of the coverable samples")
+    share_of_coverable: float = Field(description="share of the coverable samples")
     views: int | None = Field(description="sufficient number of views; null if none was found")
-    at_least: int | None = Field(description="lower bound on the number of views; null if unknown")
+    lower_bound: int | None = Field(description="lower bound on the number of views; null if unknown")
 
 
 class Curve(JsonTable):
     """With `--curve`: fewest views for round shares; curve.json has the whole curve."""
 
-    fewest: tuple[Fewest, ...] = Field(description="entries by increasing share")
+    minimum_views: tuple[MinimumViews, ...] = Field(description="entries by increasing share")
 
 
-class Report(JsonTable):
+class Report(PlanResult):
     """report.json: the content of the report page, the terminal table and `--json`."""
 
     part: ReportPart
     settings: ReportSettings
     n_views: int = Field(description="number of views")
-    n_features: int = Field(description="number of samples of the matrix")
-    coverage: Coverage
+    n_samples: int = Field(description="number of samples of the matrix")
     attainable: Attainable | None = optional("absent in older runs")
     sigma: Sigma | None = optional()
     spacing: Spacing | None = optional()
     regions: tuple[RegionResult, ...] | None = optional()
-    solver: str = Field(description="solver that selected the views")
-    status: str = Field(description="what is proven about the selection, in words")
-    lower_bound: int = Field(description="lower bound on the number of views, over these candidates and the target")
-    gap: float = Field(description="(views - lower bound) / views")
-    verdicts: Verdicts
     blockers: dict[str, int] = Field(description="objects in collision with candidates, and the number of candidates")
-    dropped: tuple[Dropped, ...] = Field(
-        description="selected candidates that could not be connected or are occluded by the arm"
-    )
     views: tuple[ReportView, ...] = Field(description="views in visiting order; plan.json has all their data")
     motion: ReportMotion
-    most_coverage: MostCoverage | None = optional()
-    overlap: Overlap | None = optional()
-    promise: Promise | None = optional()
-    multiplicity: Multiplicity | None = optional()
-    cost: Cost | None = optional()
-    open_of: OpenOf | None = optional()
-    of_several: bool | None = optional("true for one of several set-ups with a common cover, and for an edited copy")
+    common_cover: bool | None = optional("true for one of several set-ups with a common cover, and for an edited copy")
     curve: Curve | None = optional()
-    clearance: Clearance | None = optional("clearance of the motion")
 
     @property
     def is_single_setup(self) -> bool:
         """Whether the coverage target applies to this plan alone."""
-        return self.open_of is None and not self.of_several
+        return self.further_setup is None and not self.common_cover
 
 
 # scene.resolved.json
@@ -639,7 +646,7 @@ class ResolvedTable(JsonTable):
     height_mm: float = Field(description="height of the cylinder")
     swing_mm: float = Field(description="diameter of the free circle for the rotating part")
     limits_deg: tuple[float, float] | None = Field(description="smallest and largest angle; null: endless")
-    turn_deg: tuple[float, float] | None = optional("range within the limits that is free of collisions")
+    free_range_deg: tuple[float, float] | None = optional("range within the limits that is free of collisions")
     velocity_deg_s: float = Field(description="speed limit")
     acceleration_deg_s2: float = Field(description="acceleration limit")
     jerk_deg_s3: float = Field(description="jerk limit")
@@ -676,7 +683,7 @@ class StandingFixture(JsonTable):
 class ResolvedPlan(PlanKeys):
     """The `[plan]` table of the scene with all values resolved; keys missing in older runs have today's default."""
 
-    model_config = ConfigDict(extra="ignore", defer_build=True)
+    model_config = ConfigDict(extra="forbid", defer_build=True)
 
     collision: Literal["hull", "decomposed", "exact"] = Field(  # type: ignore[assignment] # runs of earlier versions
         default="hull", description="collision shape of the part; hull if absent"
@@ -775,11 +782,11 @@ class ExecutedCoverage(JsonTable):
 class ExecutedView(JsonTable):
     """One scan, in execution order."""
 
-    stop: int = Field(description="number of the view, from 1 in visiting order")
+    number: int = Field(description="number of the view, from 1 in visiting order")
     id: int = Field(description="candidate, row of viewpoints.npz")
     points: int = Field(description="number of points")
     rays: dict[str, int] | None = Field(description="number of rays by result; null if points are not simulated")
-    adds: float = Field(description="marginal coverage over the scans before")
+    marginal_coverage: float = Field(description="marginal coverage over the scans before")
     reported_minus_commanded_deg: float = Field(description="largest difference of an axis")
     pose_error_mm: float | None = Field(
         description="distance of the true pose from the reported one; this and the next three are null if points are "
@@ -809,23 +816,23 @@ class ExecutedRegistration(JsonTable):
     rms_after_mm: float | None = Field(description="the same after registration")
     iterations: int = Field(description="number of iterations")
     overlapping_pairs: int = Field(description="number of pairs of overlapping scans")
-    left_as_reported: int = Field(description="number of scans whose pose was not corrected")
+    uncorrected_scans: int = Field(description="number of scans whose pose was not corrected")
 
 
-class ExecutedPlace(JsonTable):
+class ExecutedLocalisation(JsonTable):
     """Localised pose of the part in a set-up."""
 
-    moved_mm: float = Field(description="displacement of the centre from the planned placement")
-    turned_deg: float = Field(description="rotation from the planned placement")
-    worst_point_mm: float | None = Field(description="standard deviation of the least determined point of the part")
-    undetermined: tuple[str, ...] = Field(
+    displacement_mm: float = Field(description="displacement of the centre from the planned placement")
+    rotation_deg: float = Field(description="rotation from the planned placement")
+    max_point_sd_mm: float | None = Field(description="standard deviation of the least determined point of the part")
+    free_motions: tuple[str, ...] = Field(
         description="motions that the points do not determine to 0.05 mm, in words: along them the part keeps its "
         "planned pose until set-ups are registered to each other"
     )
-    off_mm: float | None = Field(
+    error_mm: float | None = Field(
         description="error of the centre along the determined directions; null if points are not simulated"
     )
-    off_deg: float | None = Field(description="error of the rotation about the determined directions")
+    error_deg: float | None = Field(description="error of the rotation about the determined directions")
 
 
 class ExecutedSurface(JsonTable):
@@ -836,7 +843,7 @@ class ExecutedSurface(JsonTable):
     faces: int = Field(description="faces of mesh.ply")
     closed_faces: int = Field(description="faces that close holes")
     spacing_mm: float | None = Field(description="spacing of the points")
-    reach_mm: float | None = Field(description="largest distance of the surface from a point")
+    max_point_distance_mm: float | None = Field(description="largest distance of the surface from a point")
     diagonal_mm: float = Field(description="diagonal of the part's bounding box")
     grid_mm: float | None = Field(description="edge of a grid cell")
     outliers: int = Field(description="removed points")
@@ -849,14 +856,16 @@ class SurfaceDeviation(JsonTable):
     rms_mm: float = Field(description="root mean square")
     mean_mm: float = Field(description="mean with sign")
     quantile_95_mm: float = Field(description="95 % quantile of the absolute value")
-    largest_mm: float = Field(description="largest absolute value")
+    max_mm: float = Field(description="largest absolute value")
     samples: int = Field(description="number of samples of the area")
 
 
 class ExecutedDeviation(SurfaceDeviation):
     """Deviation of the measured area of the mesh."""
 
-    closed: SurfaceDeviation | None = Field(description="deviation of the faces that close holes; null without any")
+    closed_holes: SurfaceDeviation | None = Field(
+        description="deviation of the faces that close holes; null without any"
+    )
 
 
 class ExecutedMotion(JsonTable):
@@ -872,7 +881,7 @@ class ExecutedRegion(JsonTable):
     name: str = Field(description="name in the scene")
     visible: float = Field(description="coverage")
     views: int = Field(description="requested views per sample")
-    from_enough_views: float = Field(description="share measured from the requested number of views")
+    satisfied_share: float = Field(description="share measured from the requested number of views")
 
 
 class ExecutionReport(JsonTable):
@@ -880,10 +889,12 @@ class ExecutionReport(JsonTable):
 
     part: ExecutedPart
     source: str = Field(default="simulated", description="source of the points: 'simulated', or its name")
-    doubts: tuple[str, ...] = Field(default=(), description="contradictions found in the points, a sentence each")
+    contradictions: tuple[str, ...] = Field(
+        default=(), description="contradictions found in the points, a sentence each"
+    )
     complete: bool = Field(description="whether every view is present and every file was used")
     missing_views: tuple[int, ...] = Field(description="numbers of the views without a usable scan")
-    left_out: tuple[str, ...] = Field(description="one sentence for each unusable file")
+    unusable_files: tuple[str, ...] = Field(description="one sentence for each unusable file")
     settings: ExecutedSettings
     n_views: int = Field(description="number of scans")
     n_views_planned: int = Field(description="number of planned views")
@@ -892,9 +903,9 @@ class ExecutionReport(JsonTable):
     regions: tuple[ExecutedRegion, ...] | None = optional()
     views: tuple[ExecutedView, ...] = Field(description="scans in execution order")
     cloud: ExecutedCloud
-    place: ExecutedPlace | None = optional()
+    localisation: ExecutedLocalisation | None = optional()
     registration: ExecutedRegistration | None = Field(description="null without registration")
-    model: ExecutedSurface
+    surface: ExecutedSurface
     deviation: ExecutedDeviation | None = Field(description="null without a surface")
     motion: ExecutedMotion
 
@@ -902,7 +913,7 @@ class ExecutionReport(JsonTable):
 # setups.json and scanned/report.json: shares are on the held-out samples that all set-ups have in common
 
 
-class OfferedSetup(JsonTable):
+class CandidateSetup(JsonTable):
     """A set-up candidate."""
 
     name: str = Field(description="description in words")
@@ -911,18 +922,18 @@ class OfferedSetup(JsonTable):
     reachable: int = Field(description="number of reachable candidates")
     coverable: float = Field(description="their coverage")
     in_contact: float = Field(description="share in contact with a support, which this set-up cannot measure")
-    left_out: str = Field(description='cause if the set-up is not possible, a sentence; else ""')
+    cause: str = Field(description='cause if the set-up is not possible, a sentence; else ""')
 
 
-class ChosenSetup(JsonTable):
+class SelectedSetup(JsonTable):
     """A set-up of the cover."""
 
     folder: str = Field(description="its run folder, relative to this file")
     digest: str = Field(description="digest of its plan")
-    offered: int = Field(description="row of `offered`")
+    candidate: int = Field(description="row of `candidates`")
     views: int = Field(description="number of views")
     visible: float = Field(description="coverage of the views")
-    adds: float = Field(description="marginal coverage over the set-ups before")
+    marginal_coverage: float = Field(description="marginal coverage over the set-ups before")
 
 
 class SetupsCoverage(JsonTable):
@@ -931,7 +942,7 @@ class SetupsCoverage(JsonTable):
     visible: float = Field(description="coverage of all views")
     coverable: float = Field(description="coverage of the reachable candidates of all set-up candidates")
     visible_of_coverable: float = Field(description="visible / coverable")
-    asked: float = Field(description="target, share of the coverable surface")
+    target: float = Field(description="target, share of the coverable surface")
     required: float = Field(default=0.0, description="required share of the whole surface; below it the exit code is 3")
 
 
@@ -939,16 +950,18 @@ class SetupsRegion(JsonTable):
     """Coverage of a region by all set-ups together; shares are fractions of the region."""
 
     name: str = Field(description="name in the scene")
-    asked: float = Field(description="target, share of the coverable surface; shared by regions without an own target")
+    target: float = Field(description="target, share of the coverable surface; shared by regions without an own target")
     visible: float = Field(description="coverage of all views")
     coverable: float = Field(description="coverage of the reachable candidates of all set-up candidates")
     visible_of_coverable: float = Field(description="visible / coverable")
 
 
-class PlannedOpen(JsonTable):
+class UncoveredShares(JsonTable):
     """Uncovered surface of all set-ups by cause, the first that applies."""
 
-    not_asked: float = Field(description="measured by a candidate of a set-up candidate, but not needed for the target")
+    not_selected: float = Field(
+        description="measured by a candidate of a set-up candidate, but not needed for the target"
+    )
     in_contact: float = Field(description="in contact with a support in every selected set-up")
     out_of_reach: float = Field(description="visible in a selected set-up only from poses outside the arm's reach")
     other_poses: float = Field(description="measurable from a reachable pose that is not a candidate")
@@ -956,12 +969,14 @@ class PlannedOpen(JsonTable):
     standard_error: float = Field(description="largest standard error of the last three, estimated from samples")
 
 
-class SharedSurface(JsonTable):
+class CommonSurface(JsonTable):
     """Surface that two set-ups have in common, for their registration."""
 
     setups: tuple[int, int] = Field(description="numbers of the set-ups")
     share: float = Field(description="share of the surface measured in both")
-    free: tuple[str, ...] = Field(description="motions that it does not determine although the part would, in words")
+    free_motions: tuple[str, ...] = Field(
+        description="motions that it does not determine although the part would, in words"
+    )
 
 
 class ViewsFirst(JsonTable):
@@ -984,21 +999,25 @@ class SetupsFile(JsonTable):
         description="lower bound on the number of views, over covers with this number of set-ups and the share of "
         "samples in `status`"
     )
-    views_first: ViewsFirst | None = optional("alternative with fewer views in more set-ups")
+    alternative: ViewsFirst | None = optional("alternative with fewer views in more set-ups")
     curve: Curve | None = optional("with `--curve`: fewest views of these set-ups for round shares of the coverable")
     seconds: float | None = Field(
         default=None, description="cost of views and set-ups in seconds; null if views are counted"
     )
     seconds_bound: float | None = Field(default=None, description="lower bound of the cost over all covers")
-    kept: float | None = Field(
+    satisfied_share: float | None = Field(
         default=None,
         description="share of the coverable samples with the requested number of views or confidence",
     )
     regions: tuple[SetupsRegion, ...] = Field(default=(), description="regions of the part")
-    chosen: tuple[ChosenSetup, ...] = Field(description="selected set-ups in the order of their numbers")
-    offered: tuple[OfferedSetup, ...] = Field(description="all set-up candidates")
-    shared: tuple[SharedSurface, ...] = Field(default=(), description="common surface by pairs of selected set-ups")
-    open: PlannedOpen | None = Field(default=None, description="uncovered surface by cause; absent in older folders")
+    selected: tuple[SelectedSetup, ...] = Field(description="selected set-ups in the order of their numbers")
+    candidates: tuple[CandidateSetup, ...] = Field(description="all set-up candidates")
+    common_surface: tuple[CommonSurface, ...] = Field(
+        default=(), description="common surface by pairs of selected set-ups"
+    )
+    uncovered: UncoveredShares | None = Field(
+        default=None, description="uncovered surface by cause; absent in older folders"
+    )
 
 
 class ScannedSetup(JsonTable):
@@ -1010,15 +1029,17 @@ class ScannedSetup(JsonTable):
     views: int = Field(description="number of used scans")
     points: int = Field(description="their points")
     visible: float = Field(description="coverage without surface in contact with a support")
-    adds: float = Field(description="marginal coverage over the set-ups before")
-    place: ExecutedPlace | None = Field(description="localised pose of the part; null without localisation")
+    marginal_coverage: float = Field(description="marginal coverage over the set-ups before")
+    localisation: ExecutedLocalisation | None = Field(
+        description="localised pose of the part; null without localisation"
+    )
 
 
-class OpenShares(JsonTable):
+class UnmeasuredShares(JsonTable):
     """Surface that no scan measures by cause, the first that applies."""
 
-    to_come: float = Field(description="planned for set-ups that are not scanned yet")
-    lost: float = Field(description="planned for an executed view that does not measure it")
+    not_scanned: float = Field(description="planned for set-ups that are not scanned yet")
+    not_measured: float = Field(description="planned for an executed view that does not measure it")
     in_contact: float = Field(description="in contact with a support in every set-up")
     not_planned: float = Field(description="in no planned view")
 
@@ -1029,16 +1050,16 @@ class ScannedSetups(JsonTable):
     part: str = Field(description="name of the built-in part or of the file")
     source: str = Field(description="source of the points")
     setups: tuple[ScannedSetup, ...] = Field(description="scanned set-ups by number")
-    missing: tuple[int, ...] = Field(description="numbers of the other set-ups")
+    missing_setups: tuple[int, ...] = Field(description="numbers of the other set-ups")
     visible: float = Field(description="coverage of all set-ups")
     planned: float = Field(description="the same as planned")
     sampled: float = Field(description="sampled coverage")
-    open: OpenShares
-    shared: tuple[SharedSurface, ...] = Field(description="common surface by pairs of scanned set-ups")
+    uncovered: UnmeasuredShares
+    common_surface: tuple[CommonSurface, ...] = Field(description="common surface by pairs of scanned set-ups")
     registration: ExecutedRegistration | None = Field(
         description="registration of whole set-ups to the reference and each other; null if all parts were in place"
     )
-    doubts: tuple[str, ...] = Field(description="contradictions found in the points, a sentence each")
+    contradictions: tuple[str, ...] = Field(description="contradictions found in the points, a sentence each")
     surface: ExecutedSurface
     deviation: ExecutedDeviation | None = Field(description="deviation of the surface; null without one")
 
@@ -1060,40 +1081,46 @@ class ExploredCylinder(JsonTable):
 
     diameter_mm: float = Field(description="diameter")
     height_mm: float = Field(description="height")
-    middle_mm: Triple = Field(description="centre in base")
-    given: bool = Field(description="whether the user gave it; else it encloses the simulated part with a margin")
+    centre_mm: Triple = Field(description="centre in base")
+    user_defined: bool = Field(
+        description="whether the user gave it; else it encloses the simulated part with a margin"
+    )
 
 
-class ExploredStage(JsonTable):
+class ExploredBatch(JsonTable):
     """A planned and executed batch."""
 
     folder: str = Field(description="its run folder, relative to this one")
     digest: str = Field(description="digest of the executed plan")
     views: int = Field(description="number of scanned views")
-    planned_on: SurfaceName = Field(
+    planning_surface: SurfaceName = Field(
         description="surface it was planned on: believed (boundary of the unseen space) or measured (from all points)"
     )
     points: int = Field(description="number of measured points")
     seconds: float = Field(description="duration of the planned motion from home to home")
-    expected_mm2: float = Field(description="expected gain: area of the planned surface to be measured first by it")
-    too_near_mm2: float = Field(
+    expected_gain_mm2: float = Field(
+        description="expected gain: area of the planned surface to be measured first by it"
+    )
+    below_range_mm2: float = Field(
         default=0.0, description="part of it without points where the part may be closer than the scanner's range"
     )
-    new_mm2: float = Field(description="realised gain: area measured first by this batch, on the belief after it")
+    realised_gain_mm2: float = Field(
+        description="realised gain: area measured first by this batch, on the belief after it"
+    )
     surface_mm2: float = Field(description="area of the belief surface after it")
-    open_mm2: float = Field(description="part of it without a measured point nearby")
-    never_entered_mm3: float = Field(description="volume of the cylinder that no ray entered (with the part's inside)")
+    uncovered_mm2: float = Field(description="part of it without a measured point nearby")
+    unseen_mm3: float = Field(description="volume of the cylinder that no ray entered (with the part's inside)")
 
     @property
     def measured_mm2(self) -> float:
         """Area of the belief surface after the batch with a measured point nearby."""
-        return self.surface_mm2 - self.open_mm2
+        return self.surface_mm2 - self.uncovered_mm2
 
 
-class OpenReason(JsonTable):
+class UncoveredArea(JsonTable):
     """Uncovered belief surface with one cause."""
 
-    reason: str = Field(description="condition that the closest candidate violates")
+    cause: str = Field(description="condition that the closest candidate violates")
     area_mm2: float = Field(description="area of the belief surface")
 
 
@@ -1106,7 +1133,7 @@ class ExploreFile(JsonTable):
     units: str = "mm, mm2, s; the explored frame: middle of the cylinder, axes of the base frame"
     part: str = Field(description="name of the part")
     status: str = Field(description="running, or finished")
-    ended: str = Field(description='stop reason, a sentence; "" while it runs')
+    stop_reason: str = Field(description='stop reason, a sentence; "" while it runs')
     inputs: str = Field(description="sha256 of all inputs of the exploration")
     seed: int = Field(description="seed of every random choice")
     policy: str = Field(description="policy that selects the batches")
@@ -1114,31 +1141,35 @@ class ExploreFile(JsonTable):
     options: dict[str, JsonValue] = Field(description="options of the exploration")
     cylinder: ExploredCylinder
     voxel_mm: float = Field(description="edge of a voxel")
-    stages: tuple[ExploredStage, ...] = Field(description="batches in order")
-    open: tuple[OpenReason, ...] = Field(default=(), description="uncovered surface by cause, largest area first")
+    batches: tuple[ExploredBatch, ...] = Field(description="batches in order")
+    uncovered: tuple[UncoveredArea, ...] = Field(
+        default=(), description="uncovered surface by cause, largest area first"
+    )
     model: str = Field(default="", description='mesh of all scans, explored frame; "" if there is none yet')
-    model_middle_mm: Triple | None = optional("centre of its bounding box in base, as used by cell plan --place")
-    misses_limits: float | None = optional("with a sigma or spacing limit: share of the measured surface beyond it")
+    model_centre_mm: Triple | None = optional("centre of its bounding box in base, as used by cell plan --place")
+    share_beyond_limits: float | None = optional(
+        "with a sigma or spacing limit: share of the measured surface beyond it"
+    )
 
     @property
     def views(self) -> int:
         """Number of scanned views."""
-        return sum(stage.views for stage in self.stages)
+        return sum(stage.views for stage in self.batches)
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the rows of its table, once a batch is finished."""
-        last = self.stages[-1]
+        last = self.batches[-1]
         rows = [
-            ("views", f"{self.views} in {len(self.stages)} batches ({self.policy})"),
-            ("motion", f"{sum(stage.seconds for stage in self.stages):.1f} s"),
-            ("ended", self.ended),
+            ("views", f"{self.views} in {len(self.batches)} batches ({self.policy})"),
+            ("motion", f"{sum(stage.seconds for stage in self.batches):.1f} s"),
+            ("ended", self.stop_reason),
             ("measured", f"{last.measured_mm2 / 100:.1f} cm2 of surface"),
-            ("stays open", f"{sum(reason.area_mm2 for reason in self.open) / 100:.1f} cm2 of the belief surface"),
-            ("never entered", f"{last.never_entered_mm3 / 1000:.1f} cm3 of the cylinder, by any ray"),
-            *(("", f"{reason.area_mm2:.0f} mm2: {reason.reason}") for reason in self.open[:4]),
+            ("stays open", f"{sum(reason.area_mm2 for reason in self.uncovered) / 100:.1f} cm2 of the belief surface"),
+            ("never entered", f"{last.unseen_mm3 / 1000:.1f} cm3 of the cylinder, by any ray"),
+            *(("", f"{reason.area_mm2:.0f} mm2: {reason.cause}") for reason in self.uncovered[:4]),
         ]
-        if self.misses_limits is not None:
-            share = f"{100 * self.misses_limits:.2f} % of the measured surface exceeds the sigma or spacing limit"
+        if self.share_beyond_limits is not None:
+            share = f"{100 * self.share_beyond_limits:.2f} % of the measured surface exceeds the sigma or spacing limit"
             rows.append(("beyond limits", share))
         return rows
 
@@ -1159,54 +1190,54 @@ class Change(JsonTable):
     setting: str = Field(description='option or key to set; "" if there is none')
 
 
-class TriedChange(Change):
+class EstimatedChange(Change):
     """A tried change."""
 
-    gains_estimated: float = Field(description="estimated share of the uncoverable surface that it makes measurable")
+    estimated_gain: float = Field(description="estimated share of the uncoverable surface that it makes measurable")
 
 
-class NamedChange(Change):
+class RecommendedChange(Change):
     """A recommended change, evaluated on every sample concerned."""
 
-    gains: float = Field(description="share of the concerned surface that it makes measurable")
-    gains_mm2: float = Field(description="area of that share")
+    gain: float = Field(description="share of the concerned surface that it makes measurable")
+    gain_mm2: float = Field(description="area of that share")
 
 
-class OpenPatch(JsonTable):
+class UncoveredPatch(JsonTable):
     """Connected samples of one group."""
 
     area_mm2: float = Field(description="area of the samples")
     centre_mm: Triple = Field(description="sample closest to the mean, object frame")
-    change: NamedChange | None = optional()
+    change: RecommendedChange | None = optional()
 
 
-class OpenSamples(JsonTable):
+class UncoveredSamples(JsonTable):
     """Uncovered samples with one cause."""
 
     group: int = Field(description="number in why.ply, from 1")
-    reason: str = Field(description="condition that the closest candidate violates")
+    cause: str = Field(description="condition that the closest candidate violates")
     code: int = Field(description="code of the cause in why.ply")
-    what: str = Field(description='occluder or collision object; "" if the cause has none')
+    object: str = Field(description='occluder or collision object; "" if the cause has none')
     title: str = Field(description="cause and object in words")
     detail: str = Field(description="further facts about the closest candidates")
     share: float = Field(description="share of the surface")
     area_mm2: float = Field(description="area of the samples")
     n_patches: int = Field(description="number of connected patches; `patches` has the largest")
-    changes: tuple[NamedChange, ...] = Field(description="recommended changes, best first")
-    patches: tuple[OpenPatch, ...] = Field(description="patches, largest first")
+    changes: tuple[RecommendedChange, ...] = Field(description="recommended changes, best first")
+    patches: tuple[UncoveredPatch, ...] = Field(description="patches, largest first")
 
 
 class WhyReport(JsonTable):
     """why.json: the uncovered surface of a plan by cause, and single changes that would measure it."""
 
-    units: str = "share, visible, open and gains are fractions of area; mm and mm2, object frame"
+    units: str = "share, visible, uncovered and gain are fractions of area; mm and mm2, object frame"
     part: str = Field(description="name of the part")
     plan: str = Field(description="sha256 of plan.json")
     samples: int = Field(description="number of held-out samples")
     area_mm2: float = Field(description="area of the surface")
     visible: float = Field(description="visible coverage of the plan")
-    open: float = Field(description="uncovered share")
-    groups: tuple[OpenSamples, ...] = Field(description="groups by cause, largest area first")
-    not_measurable: float = Field(description="share that no reachable candidate measures")
-    overall: tuple[NamedChange, ...] = Field(description="changes with the largest gains overall")
-    tried: tuple[TriedChange, ...] = Field(description="all tried changes")
+    uncovered: float = Field(description="uncovered share")
+    groups: tuple[UncoveredSamples, ...] = Field(description="groups by cause, largest area first")
+    uncoverable: float = Field(description="share that no reachable candidate measures")
+    best_changes: tuple[RecommendedChange, ...] = Field(description="changes with the largest gains overall")
+    all_changes: tuple[EstimatedChange, ...] = Field(description="all tried changes")

@@ -207,7 +207,7 @@ def _other_shape(checked: mujoco.MjModel, world: World) -> str:
     for number in range(recompiled.nbody):
         one, two = checked.body(number), recompiled.body(number)
         pos, turned = two.pos, _at_reference(checked, recompiled, number)
-        if (T := placed.get(two.name)) is not None:  # mocap bodies stand at their placement in the file
+        if (T := placed.get(two.name)) is not None:  # the file has mocap bodies at their placement
             pos, turned = T[:3, 3], quaternion(T[:3, :3])
         if (
             one.name != two.name
@@ -261,18 +261,11 @@ def _at_reference(checked: mujoco.MjModel, recompiled: mujoco.MjModel, body: int
 
 def _support(model: mujoco.MjModel, geom: int) -> Floats:
     """Return the extent of a mesh's hull in several directions, in the frame of its body [m]."""
-    import mujoco
-
-    mesh = model.geom(geom).dataid[0]
-    begin, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    R = np.empty(9)
-    mujoco.mju_quat2Mat(R, model.geom_quat[geom])
-    vertices = model.mesh_vert[begin : begin + count] @ R.reshape(3, 3).T + model.geom_pos[geom]
-    return np.asarray((vertices @ _DIRECTIONS.T).max(axis=0))
+    return np.asarray((robot.mesh_of(model, geom).vertices @ _DIRECTIONS.T).max(axis=0))
 
 
 _JSON_TOLERANCE = 1e-7
-"""Numbers that differ by less, absolutely or relatively, are one: 0.1 um, and far below what a file rounds to."""
+"""Tolerance of equal numbers, absolute and relative: 0.1 um, above the rounding of the files."""
 
 
 def first_difference(found: JsonTable, expected: JsonTable) -> str:
@@ -504,13 +497,13 @@ def verify_clearance(
     stated = plan.clearance
     if stated is None:
         refuse(run.folder / "plan.json", "does not state the clearance of the motion")
-    nearest, proven, between = (stored[name] for name in ("minimum_clearance", "clearance_at_least", "between"))
+    nearest, proven, between = (stored[name] for name in ("minimum_clearance", "clearance_lower_bound", "between"))
     expected = Clearance(
         collision=collision,
         segments=[
             {
                 "minimum_mm": round(1000 * float(low), 4),
-                "at_least_mm": round(1000 * float(least), 4),
+                "lower_bound_mm": round(1000 * float(least), 4),
                 "between": str(what),
             }
             for low, least, what in zip(nearest, proven, between, strict=True)

@@ -221,7 +221,7 @@ def execute_plan(
         source = make_acquisition(folder.manifest.options, cell, seed, folder.path, session.note)
         folder.note(source=source.source)
         seconds = drive(plan, driver, cell, source, folder, speed=speed, clock=clock, progress=progress)
-        folder.note(moving_s=round(seconds, 6), simulated_time=able.simulated_time)
+        folder.note(motion_s=round(seconds, 6), simulated_time=able.simulated_time)
 
 
 def drive(
@@ -272,11 +272,11 @@ def drive(
             set_points = segment.set_points
             if number > 1:  # during a scan somebody may drive the arm by hand
                 _require_arrived(plan.segments[number - 2], driver.require_ready(), cell)
-            record("move", leg=number, stop=segment.stop, via_points=len(set_points))
+            record("move", segment=number, number=segment.stop, via_points=len(set_points))
             left = clock.now()
             state = _move(driver, set_points, speed)
             moving += clock.now() - left
-            record("standing", leg=number, stop=segment.stop, axes_deg=to_deg(state.axes).tolist())
+            record("arrival", segment=number, number=segment.stop, axes_deg=to_deg(state.axes).tolist())
             _require_arrived(segment, state, cell)
             if segment.stop:
                 reached.append((segment, state.q))
@@ -286,10 +286,10 @@ def drive(
                     points, details = scan_view(reached, cell, acquisition, folder, name, driver)
                     reached = []
                     if points is None:
-                        record("missing", stop=segment.stop, view=segment.view)
+                        record("missing", number=segment.stop, view=segment.view)
                     else:
                         file = f"scans/{name}"
-                        record("scan", stop=segment.stop, view=segment.view, file=file, points=points, **details)
+                        record("scan", number=segment.stop, view=segment.view, file=file, points=points, **details)
             if progress:
                 progress(number, len(plan.segments))
     except BaseException as error:
@@ -349,7 +349,7 @@ def scan_view(
     }
     folder.write_scan(
         name,
-        stop=np.array(segment.stop),
+        number=np.array(segment.stop),
         view=np.array(segment.view),
         source=np.array(acquisition.source),
         frame=np.array(acquired.frame),

@@ -19,7 +19,7 @@ from pydantic import JsonValue
 from cell.errors import FileError
 from cell.runs.folder import PROCESS_KEYS, SCHEMA, RunFolder, json_text, versions, with_process
 from cell.runs.run import EXECUTIONS, Run
-from cell.runs.schema import Manifest, Resumed
+from cell.runs.schema import Manifest, Resumption
 
 EVENTS = "events.jsonl"
 MOTION = "motion.npz"
@@ -78,13 +78,13 @@ class ExecutionFolder(RunFolder):
             schema=SCHEMA,
             status="running",
             stage="start",
-            started=now.isoformat(timespec="seconds"),
+            start_time=now.isoformat(timespec="seconds"),
             argv=tuple(argv),
             seed=seed,
             options=dict(options),
             plan=run.plan_sha256,
             digest=run.digest,
-            **({} if path_digest is None else {"way": path_digest}),
+            **({} if path_digest is None else {"path_digest": path_digest}),
             versions=versions(),
             seconds={},
         )
@@ -104,14 +104,16 @@ class ExecutionFolder(RunFolder):
         Args:
             argv: command line.
             driver: URL of the controller.
-            **approach: entries `way` and `way_deg` of an approach path.
+            **approach: entries `path_digest` and `path_deg` of an approach path.
         """
         now = datetime.now(UTC).isoformat(timespec="seconds")
-        continued = Resumed(at=now, argv=tuple(argv), driver=driver, after=self.manifest.status or "", **approach)
+        continued = Resumption(
+            time=now, argv=tuple(argv), driver=driver, previous_status=self.manifest.status or "", **approach
+        )
         outdated = [name for name in self._artefacts if not name.startswith("scans/") and name != MOTION]
         kept = {name: sha for name, sha in sorted(self._artefacts.items()) if name not in outdated}
         self.manifest = with_process(self.manifest.without("exit_code", "reason"))
-        self.note(status="running", resumed=(*self.manifest.resumed, continued), artefacts=kept)
+        self.note(status="running", resumptions=(*self.manifest.resumptions, continued), artefacts=kept)
         for name in outdated:  # the earlier report, which the manifest no longer lists
             self.remove(name)
 

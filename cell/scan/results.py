@@ -33,9 +33,9 @@ from cell.runs.schema import (
     ExecutedCloud,
     ExecutedCoverage,
     ExecutedDeviation,
+    ExecutedLocalisation,
     ExecutedMotion,
     ExecutedPart,
-    ExecutedPlace,
     ExecutedRegion,
     ExecutedRegistration,
     ExecutedSettings,
@@ -123,12 +123,12 @@ def make_report(session: Session[None], folder: Path, execution: str) -> ScanOut
     # Status and exit code describe the end of the execution, not of its report.
     ended, exit_code = ("incomplete" if status == "running" else status), opened.manifest.exit_code
     made = report_execution(session.opened(opened, run.seed), run, cell, recorded)
-    for sentence in made.left_out:
+    for sentence in made.unusable_files:
         session.note(sentence)
     if made.missing_views:
         session.note(
             f"the execution is incomplete: {made.n_views} of {made.n_views + len(made.missing_views)} views are "
-            "scanned; the report covers these; cell scan --resume takes the others"
+            "scanned; the report covers these; cell scan --resume scans the others"
         )
         return ScanOutcome(opened.finish(exit_code, ended), FileError.exit_code, made)
     code = exit_code_of(made, cell)
@@ -168,8 +168,8 @@ def report_execution(
     with session.stage("report"):
         plan = plan_execution(run.motion, options.view)
         # For a resumed execution only the duration of its last part is known.
-        is_timed = bool(folder.manifest.simulated_time) and not folder.manifest.resumed
-        executed_s = folder.manifest.moving_s if is_timed else None
+        is_timed = bool(folder.manifest.simulated_time) and not folder.manifest.resumptions
+        executed_s = folder.manifest.motion_s if is_timed else None
         motion = ExecutedMotion(planned_s=plan.planned_seconds, executed_s=executed_s)
         settings = _settings(cell, recorded.manifest.options, seed)
         made = _execution_report(run, cell, settings, results, plan.stops, motion)
@@ -302,7 +302,9 @@ def _require_usable(recorded: RecordedExecution, scan: ExecutedScan, planned: Se
     path = recorded.folder / "scans" / scan.name
     expected = recorded.manifest.artefacts.get(f"scans/{scan.name}")
     if expected is not None and hashlib.sha256(file_bytes(path)).hexdigest() != expected:
-        raise FileError(f"{path} is not what the execution wrote (its sha256 is not the manifest's); scan again")
+        raise FileError(
+            f"{path} is not the file that the execution wrote (its sha256 is not the manifest's); scan again"
+        )
     if not 1 <= scan.stop <= len(planned):
         raise FileError(f"{path} belongs to view {scan.stop}, and the plan has the views 1 to {len(planned)}")
     if scan.name != scan_name(scan.stop):
@@ -533,13 +535,13 @@ def _execution_report(
         part=ExecutedPart(name=cell.scene.part.name, faces=len(cell.reference.faces)),
         complete=not missing and not results.unusable,
         missing_views=missing,
-        left_out=tuple(results.unusable),
+        unusable_files=tuple(results.unusable),
         settings=settings,
         n_views=len(scans),
         n_views_planned=len(run.plan.views),
         n_points=len(merged.cloud),
         source=source_of(scans),
-        doubts=tuple(results.doubts),
+        contradictions=tuple(results.doubts),
         coverage=results.achieved.values,
         regions=_region_values(cell, results.achieved),
         views=tuple(_view_values(k, scan, results) for k, scan in enumerate(scans)),
@@ -548,9 +550,9 @@ def _execution_report(
             rms_to_reference_as_reported_mm=_finite_mm(merged.rms_before),
             outliers=merged.outliers,
         ),
-        place=place_values(merged, scans),
+        localisation=localisation_values(merged, scans),
         registration=None if merged.registration is None else registration_values(merged.registration),
-        model=surface_values(cell.reference, results.surface),
+        surface=surface_values(cell.reference, results.surface),
         deviation=None if results.deviation is None else deviation_values(results.deviation),
         motion=motion,
     )
@@ -581,7 +583,7 @@ def _region_values(cell: RunCell, achieved: AchievedCoverage) -> tuple[ExecutedR
         own, views = times[of_sample == number], region.views or cell.scene.plan.multiplicity
         if len(own):
             visible, enough = float((own > 0).mean()), float((own >= views).mean())
-            found.append(ExecutedRegion(name=region.name, visible=visible, views=views, from_enough_views=enough))
+            found.append(ExecutedRegion(name=region.name, visible=visible, views=views, satisfied_share=enough))
     return tuple(found)
 
 
@@ -592,11 +594,11 @@ def _view_values(k: int, scan: ExecutedScan, results: ExecutionResults) -> Execu
     registered = None if registration is None else registration.scans[k]
     counts = scan.counts
     return ExecutedView(
-        stop=scan.stop,
+        number=scan.stop,
         id=scan.view,
         points=len(scan.points),
         rays=None if counts is None else {reason.name.lower(): int(counts[reason]) for reason in Rejection},
-        adds=float(results.achieved.marginal[k]),
+        marginal_coverage=float(results.achieved.marginal[k]),
         reported_minus_commanded_deg=float(np.degrees(np.abs(scan.q_reported - scan.q_commanded)).max().round(6)),
         pose_error_mm=None if before is None else _mm(before[0]),
         pose_error_deg=None if before is None else _deg(before[1]),
@@ -607,7 +609,7 @@ def _view_values(k: int, scan: ExecutedScan, results: ExecutionResults) -> Execu
     )
 
 
-def place_values(merged: MergedScans, scans: Sequence[ExecutedScan]) -> ExecutedPlace | None:
+def localisation_values(merged: MergedScans, scans: Sequence[ExecutedScan]) -> ExecutedLocalisation | None:
     """Return the localised placement of the part; None without localisation."""
     if (fit := merged.fit) is None:
         return None
@@ -620,13 +622,13 @@ def place_values(merged: MergedScans, scans: Sequence[ExecutedScan]) -> Executed
     ]
     worst = fit.worst_point_sd(merged.cloud.points[:: max(1, len(merged.cloud) // _SHOWN_POINTS)])
     undetermined = fit.undetermined_motions(DETERMINED)
-    return ExecutedPlace(
-        moved_mm=_mm(float(np.linalg.norm(moved))),
-        turned_deg=_deg(pose_difference(fit.T, np.eye(4))[1]),
-        worst_point_mm=None if worst is None else _mm(worst),
-        undetermined=(*([describe(undetermined)] if undetermined else []), *fit.alternatives),
-        off_mm=_mm(max(shift for shift, _ in errors)) if errors else None,
-        off_deg=_deg(max(turn for _, turn in errors)) if errors else None,
+    return ExecutedLocalisation(
+        displacement_mm=_mm(float(np.linalg.norm(moved))),
+        rotation_deg=_deg(pose_difference(fit.T, np.eye(4))[1]),
+        max_point_sd_mm=None if worst is None else _mm(worst),
+        free_motions=(*([describe(undetermined)] if undetermined else []), *fit.alternatives),
+        error_mm=_mm(max(shift for shift, _ in errors)) if errors else None,
+        error_deg=_deg(max(turn for _, turn in errors)) if errors else None,
     )
 
 
@@ -637,7 +639,7 @@ def registration_values(registration: Registration) -> ExecutedRegistration:
         rms_after_mm=_finite_mm(registration.rms_after),
         iterations=registration.iterations,
         overlapping_pairs=len(registration.overlaps),
-        left_as_reported=sum(not scan.is_corrected for scan in registration.scans),
+        uncorrected_scans=sum(not scan.is_corrected for scan in registration.scans),
     )
 
 
@@ -649,7 +651,7 @@ def surface_values(reference: TriangleMesh, surface: Reconstruction) -> Executed
         faces=0 if surface.mesh is None else len(surface.mesh.faces),
         closed_faces=int(surface.closed.sum()),
         spacing_mm=_finite_mm(surface.spacing),
-        reach_mm=_finite_mm(REACH * surface.spacing),
+        max_point_distance_mm=_finite_mm(REACH * surface.spacing),
         diagonal_mm=_mm(reference.diagonal),
         grid_mm=_finite_mm(surface.grid),
         outliers=surface.outliers,
@@ -660,7 +662,7 @@ def surface_values(reference: TriangleMesh, surface: Reconstruction) -> Executed
 def deviation_values(deviation: Deviation) -> ExecutedDeviation:
     """Return the numbers of a deviation."""
     closed = None if deviation.closed is None else SurfaceDeviation(**_deviation_numbers(deviation.closed))
-    return ExecutedDeviation(**_deviation_numbers(deviation), closed=closed)
+    return ExecutedDeviation(**_deviation_numbers(deviation), closed_holes=closed)
 
 
 def _deviation_numbers(deviation: Deviation) -> dict[str, float]:
@@ -668,7 +670,7 @@ def _deviation_numbers(deviation: Deviation) -> dict[str, float]:
         "rms_mm": _mm(deviation.rms),
         "mean_mm": _mm(deviation.mean),
         "quantile_95_mm": _mm(deviation.quantile_95),
-        "largest_mm": _mm(deviation.largest),
+        "max_mm": _mm(deviation.largest),
         "samples": deviation.sample_count,
     }
 

@@ -166,7 +166,7 @@ def _resume(
         with driver_errors():
             stack.enter_context(driver)
             approved = _approved(verified, plan, options.view)
-            if session.confirm is None and options.confirm_motion is None:  # nobody can confirm: do not touch the arm
+            if session.confirm is None and options.confirm_motion is None:  # no user can confirm: do not move the arm
                 _confirmed_speed(session, driver, options, cell, approved)
             state = safety.prepare_controller(driver, options, stop_first=True)
             driver, state = remove_whole_turns(driver, state, verified.scene, motion.limits, session.reporter)
@@ -175,7 +175,7 @@ def _resume(
             if remaining.approach_path is not None:
                 approved = safety.approve_path(verified, remaining.plan, "the new path and the rest of the plan")
                 degrees = to_deg(from_rad(remaining.approach_path)).tolist()
-                approach = {"way": approved.digest, "way_deg": tuple(map(tuple, degrees))}
+                approach = {"path_digest": approved.digest, "path_deg": tuple(map(tuple, degrees))}
             for sentence in remaining.notes(len(done), verified.checker):
                 session.note(sentence)
             # The confirmation comes after these notes, so that the person has read the path.

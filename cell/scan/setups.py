@@ -26,7 +26,7 @@ from cell.report import scan_report
 from cell.runs.cell import RunCell, read_cell
 from cell.runs.folder import RunFolder
 from cell.runs.run import ExecutedScan, Run, open_finished, read_execution
-from cell.runs.schema import OpenShares, ScannedSetup, ScannedSetups
+from cell.runs.schema import ScannedSetup, ScannedSetups, UnmeasuredShares
 from cell.runs.setups import SetupsRun
 from cell.scan.options import ScanOptions
 from cell.scan.point_checks import find_contradictions
@@ -34,9 +34,9 @@ from cell.scan.results import (
     MergedScans,
     deviation_values,
     executed_poses,
+    localisation_values,
     merge_scans,
     options_of,
-    place_values,
     point_sigma,
     registration_values,
     source_of,
@@ -128,7 +128,7 @@ def scan_setups(
         if missing := done.report.missing_views:
             raise FileError(
                 f"view {missing[0]} of set-up {number} has no points ({len(missing)} such views); "
-                f"cell scan {folder} --resume latest takes them"
+                f"cell scan {folder} --resume latest scans them"
             )
         if not chosen.is_simulated or (chosen.uses_wire and session.confirm is None):
             break
@@ -145,8 +145,8 @@ def _new_options(planned: SetupsRun, number: int, given: ScanOptions | None, *, 
             options = _recorded_options(planned.folders[before - 1], name, given)
             if options.acquire.startswith("files:"):
                 raise UsageError(
-                    f"{options.acquire} has the points of set-up {before}; start with cell scan {planned.folder} "
-                    f"--setup {number} and --acquire of its own points"
+                    f"{options.acquire} has the points of set-up {before}; run cell scan {planned.folder} "
+                    f"--setup {number} with --acquire for the points of set-up {number}"
                 )
             return options
     return given or ScanOptions()
@@ -189,14 +189,14 @@ def _with_placement(session: Session[None], placement: str) -> Session[None]:
 
 def _describe_placement(planned: SetupsRun, number: int) -> str:
     """Describe the placement of the part; raise FileError if the folder has another plan than setups.json names."""
-    chosen, folder = planned.file.chosen[number - 1], planned.folders[number - 1]
+    chosen, folder = planned.file.selected[number - 1], planned.folders[number - 1]
     run = open_finished(folder)
     if run.digest != chosen.digest:
         raise FileError(
             f"{folder} is not the plan that setups.json names, so the placement of its part is not known; nothing was "
             "moved: plan the set-ups again"
         )
-    candidate = planned.file.offered[chosen.offered]
+    candidate = planned.file.candidates[chosen.candidate]
     xyz, abc = comma_list(candidate.placement_mm), comma_list(candidate.placement_abc_deg)
     table = "" if run.scene.table is None else ", the rotary table at 0"
     return (
@@ -252,8 +252,8 @@ class _ScannedBody:
             views=len(self.scans),
             points=len(self.merged.cloud),
             visible=float(measured.mean()),
-            adds=float((measured & ~before).mean()),
-            place=place_values(self.merged, self.scans),
+            marginal_coverage=float((measured & ~before).mean()),
+            localisation=localisation_values(self.merged, self.scans),
         )
 
 
@@ -282,9 +282,9 @@ def combine_setups(session: Session[None], planned: SetupsRun) -> SetupsOutcome:
     with folder.keep_on_failure():
         report = _write_combined(session, folder, planned, bodies, registration, nearest)
         folder.finish(0)
-    for doubt in report.doubts:
+    for doubt in report.contradictions:
         session.note(doubt)
-    is_missed = not report.missing and report.visible < planned.file.coverage.required
+    is_missed = not report.missing_setups and report.visible < planned.file.coverage.required
     return SetupsOutcome(target, 3 if is_missed else 0, report)
 
 
@@ -300,7 +300,7 @@ def _read_body(session: Session[None], number: int, folder: Path, name: str) -> 
     nearest = ClosestPointQuery(cell.reference)
     search = None if options.search_range is None else SearchRange(*options.search_range)
     if search is None and any(scan.T_true is None for scan in scans):
-        search = SearchRange()  # nobody places a part to a tenth of a millimetre
+        search = SearchRange()  # no part is placed to a tenth of a millimetre by hand
     rng = random_stream(recorded.manifest.require_seed(recorded.folder), Stream.REGISTRATION_STARTS)
     merged = merge_scans(scans, nearest, registered=options.registers, search=search, rng=rng)
     doubts = find_contradictions(scans, cell, nearest, options.points_units)
@@ -349,14 +349,14 @@ def _write_combined(
             part=planned.file.part,
             source=source,
             setups=tuple(_setup_values(bodies, measured)),
-            missing=tuple(n for n in range(1, len(planned.folders) + 1) if n not in measured),
+            missing_setups=tuple(n for n in range(1, len(planned.folders) + 1) if n not in measured),
             visible=float(np.logical_or.reduce(list(measured.values())).mean()),
             planned=planned.file.coverage.visible,
             sampled=coverage.sampled_coverage(cloud.points, samples, radius).fraction,
-            open=_uncovered_by_cause(planned, measured, samples),
-            shared=pairs,
+            uncovered=_uncovered_by_cause(planned, measured, samples),
+            common_surface=pairs,
             registration=None if registration is None else registration_values(registration),
-            doubts=(*_doubts(bodies), *_disconnected(unconnected_setups(pairs, tuple(measured)))),
+            contradictions=(*_doubts(bodies), *_disconnected(unconnected_setups(pairs, tuple(measured)))),
             surface=surface_values(reference, surface),
             deviation=None if deviation is None else deviation_values(deviation),
         )
@@ -386,7 +386,7 @@ def _combined_cloud(bodies: Sequence[_ScannedBody]) -> tuple[PointCloud, NDArray
     return PointCloud(points, normals, scan.astype(np.int32)), stop.astype(np.int32), sigma
 
 
-def _uncovered_by_cause(planned: SetupsRun, measured: Mapping[int, Bools], samples: SurfaceSamples) -> OpenShares:
+def _uncovered_by_cause(planned: SetupsRun, measured: Mapping[int, Bools], samples: SurfaceSamples) -> UnmeasuredShares:
     """Return the uncovered surface by cause; each sample counts once, for the first cause that applies."""
     uncovered = ~np.logical_or.reduce(list(measured.values()))
     remaining, lost, touched = np.zeros_like(uncovered), np.zeros_like(uncovered), np.ones_like(uncovered)
@@ -404,13 +404,13 @@ def _uncovered_by_cause(planned: SetupsRun, measured: Mapping[int, Bools], sampl
     for cause in (remaining, lost, touched, uncovered):
         shares.append(float((uncovered & cause).mean()))
         uncovered = uncovered & ~cause
-    return OpenShares(to_come=shares[0], lost=shares[1], in_contact=shares[2], not_planned=shares[3])
+    return UnmeasuredShares(not_scanned=shares[0], not_measured=shares[1], in_contact=shares[2], not_planned=shares[3])
 
 
 def _measured_by(cell: RunCell, T_object_poses: Sequence[Floats], samples: SurfaceSamples) -> Bools:
     if not len(T_object_poses):
         return np.zeros(len(samples), dtype=np.bool_)
-    return find_measured(np.stack(T_object_poses), samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
+    return find_measured(np.stack(T_object_poses), samples, cell.scanner, cell.casters)
 
 
 def _doubts(bodies: Sequence[_ScannedBody]) -> list[str]:
@@ -422,8 +422,8 @@ def _doubts(bodies: Sequence[_ScannedBody]) -> list[str]:
 def _disconnected(numbers: Sequence[int]) -> list[str]:
     """Return a sentence about each set-up that is connected to the others by the reference only."""
     return [
-        f"the surface that set-up {number} shares with others leaves it free to move against them; only the reference "
-        "determines its position"
+        f"the surface that set-up {number} shares with others does not determine its pose relative to them; only the "
+        "reference does"
         for number in numbers
     ]
 

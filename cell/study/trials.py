@@ -15,6 +15,7 @@ import multiprocessing
 import os
 import signal
 import threading
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -23,8 +24,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from time import perf_counter
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from cell.errors import CellError, FileError, UsageError
 from cell.files import atomic_write, cache_folder
@@ -102,7 +102,7 @@ OnOutcome = Callable[[int, int, Outcome], None]
 
 @cache
 def sources_digest(package: str) -> str:
-    """Return the sha256 (hex) over the sources and models of the program, and over the sources of a package beside it.
+    """Return the sha256 (hex) over the sources and models of the program, and over the sources of a package next to it.
 
     Args:
         package: a package of the program, or one in the same folder.
@@ -179,18 +179,22 @@ def _path(trial: Trial, folder: Path) -> Path:
     return folder / key[:2] / f"{key}.json"
 
 
-class Workers(Protocol):
+class Workers(ABC):
     """Computes trials; a context manager."""
 
+    @abstractmethod
     def compute(self, trials: Sequence[Trial]) -> Iterator[Outcome]:
         """Yield the outcome of each of the distinct trials as it is finished."""
-        ...
 
-    def __enter__(self) -> Self: ...
+    @abstractmethod
+    def close(self) -> None:
+        """End the workers."""
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
 def run_trials(
@@ -241,7 +245,7 @@ def open_workers(processes: int, cluster: str | None = None) -> Workers:
     return Processes(processes) if cluster is None else Cluster(cluster)
 
 
-class Processes:
+class Processes(Workers):
     """Processes of this machine, started when they are first needed."""
 
     def __init__(self, count: int) -> None:
@@ -265,19 +269,11 @@ class Processes:
                         del running[future]
                         yield outcome
             except BrokenProcessPool:
-                self._close()
+                self.close()
                 if queue is waiting:
                     suspects.extend(running.values())
                 else:
                     yield from (Outcome(trial, {}, _DIED, {}) for trial in running.values())
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._close()
 
     def _open(self) -> ProcessPoolExecutor:
         if self._pool is None:
@@ -286,7 +282,8 @@ class Processes:
             self._pool = ProcessPoolExecutor(self._count, mp_context=context, initializer=_end_with_parent)
         return self._pool
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """End the processes."""
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = None
@@ -305,7 +302,7 @@ def _end_with_parent() -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
-class Cluster:
+class Cluster(Workers):
     """Workers of a Dask scheduler, which gives the trials of a lost worker to another."""
 
     def __init__(self, address: str) -> None:
@@ -335,10 +332,6 @@ class Cluster:
                 else:
                     yield Outcome(by_key[future.key], {}, f"its workers were lost: {error}", {})
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Disconnect from the scheduler."""
         self._client.close()

@@ -28,8 +28,8 @@ def draw(path: Path, file: ExploreFile, size: tuple[float, float] = (7.2, 4.6)) 
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    views = np.cumsum([0, *(stage.views for stage in file.stages)])
-    areas = [0.0, *(stage.measured_mm2 / 100 for stage in file.stages)]
+    views = np.cumsum([0, *(stage.views for stage in file.batches)])
+    areas = [0.0, *(stage.measured_mm2 / 100 for stage in file.batches)]
     axes.plot(views, areas, "o-", color=BLUE, ms=4, lw=1.2, label="surface near a measured point")
     axes.set_ylabel("measured [cm$^2$]")
     axes.set_ylim(0, None)

@@ -36,9 +36,9 @@ def explore_page(folder: Path, file: ExploreFile | None = None) -> str:
         FileError: if no batch is finished, or a file is missing or damaged.
     """
     file = read_explore_file(folder / EXPLORE_FILE) if file is None else file
-    if not file.stages:
+    if not file.batches:
         raise FileError(f"{folder} has no finished batch yet; repeat its command to continue")
-    runs = [open_finished(folder / stage.folder) for stage in file.stages]
+    runs = [open_finished(folder / stage.folder) for stage in file.batches]
     scans = [scan for run in runs for scan in read_execution(run, "latest").scans]
     cell = cell_of_run(runs[-1], runs[-1].scene)
     cell = replace(cell, pieces=tuple(piece for piece in cell.pieces if piece.name != UNSEEN))
@@ -91,12 +91,12 @@ def _views_layer(mesh: TriangleMesh, scans: list[ExecutedScan], radius: float) -
 def _notes(file: ExploreFile) -> list[str]:
     if file.status != "finished":
         return ["this exploration is not finished; the page shows its finished batches"]
-    ends = accumulate(stage.views for stage in file.stages)
+    ends = accumulate(stage.views for stage in file.batches)
     return [f"last views of the batches: {', '.join(map(str, ends))}"]
 
 
 def _next_commands(file: ExploreFile) -> list[str]:
-    if file.model_middle_mm is None:
+    if file.model_centre_mm is None:
         return []
-    place = ",".join(f"{value:g}" for value in file.model_middle_mm)
+    place = ",".join(f"{value:g}" for value in file.model_centre_mm)
     return [f"cell plan RUN/{file.model} --units mm --place {place}"]

@@ -69,21 +69,12 @@ def faces_picture(path: Path, part: Workpiece, cad: CadModel) -> None:
     """
     mesh, normals = part.reference, part.reference.normals
     caster = EmbreeRayCaster(mesh.vertices, mesh.faces)
-    colours = np.array([rgb(_COLOURS[face.kind]) for face in cad.faces])
+    brightness = 1 - 0.12 * (cad.of_triangle % 2)  # distinguishes neighbours of one kind
+    colours = np.array([rgb(_COLOURS[face.kind]) for face in cad.faces])[cad.of_triangle] * brightness[:, None]
     sheet = Image.new("RGB", (2 * _PANEL[0], 2 * _PANEL[1]), "white")
     for k, (azimuth, elevation) in enumerate(_SIDES):
         camera = rays.fit_camera(mesh.vertices, rays.direction(azimuth, elevation), _PANEL, parallel=True)
-        facing = normals @ -camera.forward
-
-        def colour_of(origins: Floats, directions: Floats, facing: Floats = facing) -> tuple[Floats, Floats]:
-            hits = caster.first_hit(origins, directions)
-            picture, hit = np.ones((len(origins), 3)), np.flatnonzero(hits.face >= 0)
-            face = hits.face[hit]
-            shade = 1 - 0.12 * (cad.of_triangle[face] % 2)  # distinguishes neighbours of one kind
-            picture[hit] = rays.shade(colours[cad.of_triangle[face]] * shade[:, None], facing[face])
-            return picture, hits.distance
-
-        drawn, _ = rays.render(camera, colour_of)
+        drawn, _ = rays.render_mesh(camera, caster, normals, colours)
         hits = caster.first_hit(*camera.rays())
         seen = np.where(hits.face >= 0, cad.of_triangle[hits.face], -1).reshape(_PANEL[::-1])
         places, numbers = [], []

@@ -105,19 +105,13 @@ def group_numbers(count: int, groups: Sequence[Ints]) -> NDArray[np.int64]:
 
 def _draw_panel(canvas: Canvas, colours: Floats, toward: Floats, points: Floats) -> tuple[Image.Image, rays.DepthImage]:
     """Draw the part from one side with colours of its samples (S, 3); the camera is fitted to the (N, 3) `points`."""
-    camera = rays.fit_camera(points, toward, _PANEL, parallel=True)
-    facing, of_face = canvas.normals @ -camera.forward, np.take(colours, canvas.face_samples, axis=0)
+    camera, of_face = (
+        rays.fit_camera(points, toward, _PANEL, parallel=True),
+        np.take(colours, canvas.face_samples, axis=0),
+    )
     if canvas.ignored is not None:
         of_face[canvas.ignored] = MATERIALS["surface"]
-
-    def colour_of(origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        hits = canvas.caster.first_hit(origins, directions)
-        picture, hit = np.ones((len(origins), 3)), np.flatnonzero(hits.face >= 0)
-        face = hits.face[hit]
-        picture[hit] = rays.shade(np.take(of_face, face, axis=0), facing[face])
-        return picture, hits.distance
-
-    return rays.render(camera, colour_of)
+    return rays.render_mesh(camera, canvas.caster, canvas.normals, of_face)
 
 
 def _scale_bar(draw: ImageDraw.ImageDraw, left: float, y: float, width: float, mm_per_pixel: float) -> None:

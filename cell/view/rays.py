@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from cell.errors import FileError
+from planner.ports import RayCaster
 from planner.values import Floats, Ints, Value
 
 _STEPS = 40  # pieces of a line, each hidden or visible
@@ -164,6 +165,27 @@ def _edges(grid: Floats) -> NDArray[np.bool_]:
         edge[:-1] |= down
         edge[1:] |= down
     return edge
+
+
+def render_mesh(camera: Camera, caster: RayCaster, normals: Floats, colours: Floats) -> tuple[Image.Image, DepthImage]:
+    """Render a mesh on white by a parallel camera.
+
+    Args:
+        camera: parallel.
+        caster: of the mesh.
+        normals: (F, 3) of its faces.
+        colours: (F, 3) of its faces, from 0 to 1.
+    """
+    facing = normals @ -camera.forward
+
+    def colour_of(origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
+        hits = caster.first_hit(origins, directions)
+        picture, hit = np.ones((len(origins), 3)), np.flatnonzero(hits.face >= 0)
+        face = hits.face[hit]
+        picture[hit] = shade(np.take(colours, face, axis=0), facing[face])
+        return picture, hits.distance
+
+    return render(camera, colour_of)
 
 
 def shade(colour: Floats, facing: Floats) -> Floats:

@@ -110,8 +110,8 @@ def execution_page(
         grid = done.report.settings.resolution_deg
         known = measure_run(run, read_cell(run, grid[0] if grid else None), poses)
     shown = [part_surface(*known, regions=scene.regions)]
-    if done.mesh is not None:
-        shown.append(_deviation_surface(done.mesh, run.mesh("reference.ply"), done))
+    if done.surface is not None:
+        shown.append(_deviation_surface(done.surface, run.mesh("reference.ply"), done))
     points = done.points if recorded.scans else None
     contents = replace(execution_contents(run, recorded, done, cell), cloud=points)
     cell = with_ignored_faces(cell, known[0].mesh, known[0].ignored)
@@ -133,7 +133,7 @@ def measure_run(run: Run, cell: RunCell, poses: Sequence[Floats]) -> tuple[Canva
 def measured_by_views(cell: RunCell, samples: SurfaceSamples, poses: Sequence[Floats]) -> MeasuredSamples:
     """Return the samples with the views that measure them; arguments as in `measure_run`."""
     stacked = np.stack(poses) if len(poses) else np.zeros((0, 1, 4, 4))
-    return measure_samples(samples, stacked, cell.scanner, (cell.part_caster, cell.occluder_caster))
+    return measure_samples(samples, stacked, cell.scanner, cell.casters)
 
 
 def part_surface(
@@ -185,11 +185,11 @@ def plan_contents(report: Report, views: Sequence[PlanView], motion: Motion, T_b
     page_views = [
         PageView(str(number), _pose_at_part(view, T_base_object), at.get(view.id), [
             ("view", f"{number}, candidate {view.id}"),
-            ("adds", f"{_format_percent(own.adds)} of the surface"),
+            ("marginal coverage", f"{_format_percent(own.marginal_coverage)} of the surface"),
             ("A1 to A6", f"{', '.join(f'{angle:g}' for angle in view.q_deg)} deg"),
             *(("E1", f"{angle:g} deg") for angle in view.e_deg or ()),
             ("roll", f"{view.roll_deg:g} deg"),
-            ("clearance", _format_mm(own.clearance_on_the_way_mm) + " on the path to it"),
+            ("clearance", _format_mm(own.segment_clearance_mm) + " on the path to it"),
         ], _commands(number, view.T_base_scanner, is_single_setup=report.is_single_setup))
         for number, (view, own) in enumerate(zip(views, report.views, strict=True), start=1)
     ]  # fmt: skip
@@ -201,7 +201,10 @@ def plan_contents(report: Report, views: Sequence[PlanView], motion: Motion, T_b
         ("coverable", f"{_format_percent(coverage.coverable)} by reachable candidates"),
         *((f"region {each.name}", f"{_format_percent(each.visible)} measured") for each in report.regions or ()),
         ("motion", f"{moves.duration_s:.1f} s from home to home"),
-        ("nearest", f"{_format_mm(moves.minimum_clearance_mm)} ({moves.between})" if moves.between else "nothing near"),
+        (
+            "smallest clearance",
+            f"{_format_mm(moves.minimum_clearance_mm)} ({moves.between})" if moves.between else "nothing near",
+        ),
         ("candidates", f"{report.verdicts.reachable:,} of {report.verdicts.total:,} reachable"),
     ]
     has_table = any(view.e_deg for view in views)  # `cell why` does not support a table
@@ -229,14 +232,17 @@ def execution_contents(run: Run, recorded: RecordedExecution, done: Execution, c
     timeline = timelines.execution_timeline(recorded, planned, cell.arm.home, rest=0.0)
     report = done.report
     coverage, deviation = report.coverage, report.deviation
-    reported = {view.stop: view for view in report.views}
+    reported = {view.number: view for view in report.views}
     page_views = []
     for stop, scan in zip(timeline.stops, recorded.scans, strict=True):
         pose = cell.arm.link_poses(scan.q_reported)[6] @ cell.arm.T_link_scanner
         pose, view = np.linalg.inv(cell.table_motion(scan.q_reported)) @ pose, reported.get(stop.number)
         details = [("view", f"{stop.number}, candidate {stop.candidate}")]
         if view is not None:
-            details += [("adds", f"{_format_percent(view.adds)} of the surface"), ("points", f"{view.points:,}")]
+            details += [
+                ("marginal coverage", f"{_format_percent(view.marginal_coverage)} of the surface"),
+                ("points", f"{view.points:,}"),
+            ]
         angles = [f"{angle:.4f}" for angle in np.degrees(scan.q_reported)]
         details.append(("A1 to A6", f"{', '.join(angles[:ARM_AXES])} deg"))
         details += [("E1", f"{angle} deg") for angle in angles[ARM_AXES:]]

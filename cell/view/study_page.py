@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Self
 
-from pydantic import JsonValue, model_validator
+from pydantic import ConfigDict, JsonValue, model_validator
 
 from cell.errors import FileError
 from cell.runs.schema import JsonTable, parsed
@@ -15,6 +15,8 @@ from cell.view.page import fill_template, page_head, resource_text
 
 class StudyFile(JsonTable):
     """The fields of study.json on the page; earlier versions had no title, pictures and commands."""
+
+    model_config = ConfigDict(extra="ignore")
 
     name: str
     title: str = ""

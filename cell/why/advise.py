@@ -52,8 +52,11 @@ class Advice:
     def as_json(self) -> dict[str, JsonValue]:
         """Return the value as JSON types."""
         return {
-            "what": self.what, "share": self.share, "standard_error": self.standard_error, "command": self.command,
-        }  # fmt: skip
+            "description": self.what,
+            "share": self.share,
+            "standard_error": self.standard_error,
+            "command": self.command,
+        }
 
 
 def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
@@ -63,7 +66,7 @@ def advise(run: Run, reporter: ProgressReporter) -> tuple[float, list[Advice]]:
         world = world_of(run, cell.reference)
         samples = held_out_samples(cell.reference, cell.planning, run.seed)
         views = run.candidates.T_object_scanner[[view.id for view in plan.views]]
-        seen = find_measured(views, samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
+        seen = find_measured(views, samples, cell.scanner, cell.casters)
     rng = random_stream(run.seed, Stream.ADVICE_SAMPLES)
     visible = float(seen.mean())
 

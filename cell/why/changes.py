@@ -6,7 +6,7 @@ collision evaluated again), the scanner and the ray casters under it. Nothing is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from cell.world.occluders import fixed_occluders, make_caster
 from planner.kinematics import reach
 from planner.kinematics.frames import kuka_abc_from_pose, pose_from_kuka_abc
 from planner.measurability.quality import LimitedScanner
-from planner.ports import RayCaster, Scanner
+from planner.ports import Scanner
 from planner.values import Floats, Ints
 from planner.viewpoints.lines_of_sight import RayTargets
 from planner.viewpoints.viewpoints import Viewpoints, pick_viewpoints
@@ -54,11 +54,6 @@ class Changes:
     candidates: Viewpoints
     usable: Ints
 
-    @property
-    def casters(self) -> tuple[RayCaster, RayCaster]:
-        """Ray casters of the part and of the occluders, unchanged."""
-        return self.cell.part_caster, self.cell.occluder_caster
-
     def ladders(self, aims: tuple[Floats, Floats]) -> Iterator[list[PlanChange]]:
         """Yield lists of changes of one kind, smallest first, except further views.
 
@@ -74,14 +69,14 @@ class Changes:
     def views(self, targets: RayTargets, rows: Ints) -> list[PlanChange]:
         """Return one further candidate, and the few that measure nearly all rows that candidates can measure."""
         T = self.candidates.T_object_scanner[self.usable]
-        pairs = what_if.measured_pairs(targets, rows, T, self.cell.scanner, self.casters)
+        pairs = what_if.measured_pairs(targets, rows, T, self.cell.scanner, self.cell.casters)
         chosen = what_if.select_views(pairs, len(rows))
         found = []
         for count in sorted({1, len(chosen)} if chosen else ()):
             names = ", ".join(str(int(self.usable[view])) for view in chosen[:count])
             sentence = f"one view more: candidate {names}" if count == 1 else f"{count} views more: candidates {names}"
             poses = T[np.array(chosen[:count])]
-            found.append(PlanChange(ChangeKind.VIEW, count, sentence, "", poses, self.cell.scanner, self.casters))
+            found.append(PlanChange(ChangeKind.VIEW, count, sentence, "", poses, self.cell.scanner, self.cell.casters))
         return found
 
     def _of_the_plan(self, aims: tuple[Floats, Floats]) -> Iterator[list[PlanChange]]:
@@ -163,7 +158,7 @@ class Changes:
         """Return a change to other candidates, as far as they are reachable."""
         reached = _reachable(made, self.world)
         return PlanChange(
-            kind, change, sentence, setting, made.T_object_scanner[reached], self.cell.scanner, self.casters
+            kind, change, sentence, setting, made.T_object_scanner[reached], self.cell.scanner, self.cell.casters
         )
 
 
@@ -173,17 +168,7 @@ def ladder_masks(ladder: Sequence[PlanChange], targets: RayTargets, rows: Ints) 
     Opening a limit never loses a point, so each step of such a ladder is evaluated only on rows that the last step
     measures and no smaller one does.
     """
-    if not ladder:
-        return []
-    nested = ladder[0].kind in (
-        ChangeKind.GRAZING,
-        ChangeKind.RANGE,
-        ChangeKind.SPACING,
-        ChangeKind.SIGMA,
-        ChangeKind.RESOLUTION,
-        ChangeKind.FOV,
-    )
-    if not nested:
+    if not ladder or ladder[0].kind not in _LIMITS:
         return [step.measures(targets, rows) for step in ladder]
     final = ladder[-1].measures(targets, rows)
     found = np.zeros(len(rows), dtype=np.bool_)
@@ -216,6 +201,8 @@ _BASELINES = (0.75, 0.5, 0.25)
 _SIGMAS = (1.1, 1.25, 1.5, 2.0, 3.0, 5.0)  # of the limit, on spacing too
 _FINER = (0.75, 0.5, 0.25)  # of the angle between rays
 _LAST_GRAZING_DEG = 89
+_LIMITS = {ChangeKind.GRAZING, ChangeKind.RANGE, ChangeKind.SPACING}
+_LIMITS |= {ChangeKind.SIGMA, ChangeKind.RESOLUTION, ChangeKind.FOV}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -231,11 +218,6 @@ class ScannerChanges:
     T_object_scanner: Floats
 
     @property
-    def casters(self) -> tuple[RayCaster, RayCaster]:
-        """Ray casters of the part and of the occluders, unchanged."""
-        return self.cell.part_caster, self.cell.occluder_caster
-
-    @property
     def max_sigma_mm(self) -> float | None:
         """Sigma limit of the plan [mm]; None without one."""
         return self.cell.scene.plan.max_sigma_mm
@@ -243,126 +225,89 @@ class ScannerChanges:
     def ladders(self) -> Iterator[list[PlanChange]]:
         """Yield lists of changes of one kind, smallest first."""
         keys = self.cell.scanner_keys
-        for name, last, of in (
+        for key, last, of in (
             ("grazing_max_deg", _LAST_GRAZING_DEG, "grazing limit"),
             ("sensor_grazing_max_deg", 90, "sensor's grazing limit"),
         ):
-            if (now := keys.number(name)) is not None:
-                yield [
-                    self._law(
-                        ChangeKind.GRAZING, value - now, f"{of} {value} instead of {now:g} deg", name, float(value)
-                    )
-                    for value in range(int(np.floor(now)) + 1, last + 1)
-                ]
-        for name in ("range_mm", "depth_of_field_mm"):
-            if (limits := keys.pair(name)) is not None:
-                of = name.removesuffix("_mm").replace("_", " ")
-                yield self._range_to(name, of, *limits)
-                yield self._range_from(name, of, *limits)
-        for name, of in (("fov_deg", "field of view"), ("sensor_fov_deg", "sensor's field of view")):
-            if (fov := keys.pair(name)) is not None:
+            if (now := keys.number(key)) is not None:
+                wider = map(float, range(int(np.floor(now)) + 1, last + 1))
+                yield self._laws(
+                    ChangeKind.GRAZING, key, ((to - now, to, f"{of} {to:g} instead of {now:g} deg") for to in wider)
+                )
+        for key in ("range_mm", "depth_of_field_mm"):
+            if (limits := keys.pair(key)) is not None:
+                yield from self._ranges(key, *limits)
+        for key, of in (("fov_deg", "field of view"), ("sensor_fov_deg", "sensor's field of view")):
+            if (fov := keys.pair(key)) is not None:
                 h, v = fov
-                yield [
-                    self._law(
-                        ChangeKind.FOV,
-                        more,
-                        f"{of} {h + more:g} x {v + more:g} deg, not {h:g} x {v:g}",
-                        name,
-                        (h + more, v + more),
-                    )
-                    for more in _FOV_DEG
-                    if max(fov) + more < 180
-                ]
+                steps = [more for more in _FOV_DEG if max(fov) + more < 180]
+                yield self._laws(
+                    ChangeKind.FOV,
+                    key,
+                    ((d, (h + d, v + d), f"{of} {h + d:g} x {v + d:g} deg, not {h:g} x {v:g}") for d in steps),
+                )
         if (now := keys.number("fan_deg")) is not None:
-            yield [
-                self._law(ChangeKind.FOV, more, f"fan of {now + more:g} deg instead of {now:g}", "fan_deg", now + more)
-                for more in _FOV_DEG
-                if now + more < 180
-            ]
+            steps = [more for more in _FOV_DEG if now + more < 180]
+            yield self._laws(
+                ChangeKind.FOV, "fan_deg", ((d, now + d, f"fan of {now + d:g} deg instead of {now:g}") for d in steps)
+            )
         if (limit := keys.number("max_spacing_mm")) is not None:
-            yield self._sparser(limit)
-        if limit is not None or any(region.max_spacing_mm for region in self.cell.scene.regions or ()):
-            yield from self._denser()
+            sparser = ((f, f * limit, f"points up to {f * limit:.3g} instead of {limit:g} mm apart") for f in _SIGMAS)
+            yield self._laws(ChangeKind.SPACING, "max_spacing_mm", sparser, "--max-spacing {:.3g}")
+        grid = keys.pair("resolution_deg")
+        if grid and (limit is not None or any(region.max_spacing_mm for region in self.cell.scene.regions or ())):
+            finer = (
+                (1 - f, (f * grid[0], f * grid[1]), f"{f * max(grid):.3g} instead of {max(grid):g} deg between rays")
+                for f in _FINER  # closer views are among the standoffs
+            )
+            yield self._laws(ChangeKind.RESOLUTION, "resolution_deg", finer)
         if self.max_sigma_mm is not None:
             yield [self._sigma(factor, self.max_sigma_mm) for factor in _SIGMAS]
         if now := keys.number("baseline_mm"):
-            yield [
-                self._law(
-                    ChangeKind.BASELINE,
-                    1 - share,
-                    f"baseline {share * now:.3g} instead of {now:g} mm",
-                    "baseline_mm",
-                    share * now,
-                )
-                for share in _BASELINES
-            ]
+            shorter = ((1 - f, f * now, f"baseline {f * now:.3g} instead of {now:g} mm") for f in _BASELINES)
+            yield self._laws(ChangeKind.BASELINE, "baseline_mm", shorter)
 
-    def _sparser(self, limit: float) -> list[PlanChange]:
-        """Return larger spacing limits."""
-        return [
-            self._law(
-                ChangeKind.SPACING,
-                factor,
-                f"points up to {factor * limit:.3g} instead of {limit:g} mm apart",
-                "max_spacing_mm",
-                factor * limit,
-                f"--max-spacing {factor * limit:.3g}",
-            )
-            for factor in _SIGMAS
-        ]
+    def _ranges(self, key: str, near: float, far: float) -> Iterator[list[PlanChange]]:
+        """Yield farther, then nearer limits of a range."""
+        of = key.removesuffix("_mm").replace("_", " ")
+        farther = [to for factor in _FARTHER if (to := round_mm(far * factor)) != far]
+        nearer = [at for factor in _NEARER if (at := round_mm(near * factor)) != near]
+        yield self._laws(
+            ChangeKind.RANGE,
+            key,
+            ((_relative_change(to, far), (near, to), f"{of} to {to:g} instead of {far:g} mm") for to in farther),
+        )
+        yield self._laws(
+            ChangeKind.RANGE,
+            key,
+            ((_relative_change(at, near), (at, far), f"{of} from {at:g} instead of {near:g} mm") for at in nearer),
+        )
 
-    def _denser(self) -> Iterator[list[PlanChange]]:
-        """Yield finer ray grids; closer views are among the standoffs."""
-        if grid := self.cell.scanner_keys.pair("resolution_deg"):
-            yield [
-                self._law(
-                    ChangeKind.RESOLUTION,
-                    1 - share,
-                    f"{share * max(grid):.3g} instead of {max(grid):g} deg between rays",
-                    "resolution_deg",
-                    (share * grid[0], share * grid[1]),
-                )
-                for share in _FINER
-            ]
-
-    def _range_to(self, name: str, of: str, near: float, far: float) -> list[PlanChange]:
-        return [
-            self._law(
-                ChangeKind.RANGE, _relative_change(to, far), f"{of} to {to:g} instead of {far:g} mm", name, (near, to)
-            )
-            for to in (round_mm(far * factor) for factor in _FARTHER)
-            if to != far
-        ]
-
-    def _range_from(self, name: str, of: str, near: float, far: float) -> list[PlanChange]:
-        return [
-            self._law(
-                ChangeKind.RANGE,
-                _relative_change(at, near),
-                f"{of} from {at:g} instead of {near:g} mm",
-                name,
-                (at, far),
-            )
-            for at in (round_mm(near * factor) for factor in _NEARER)
-            if at != near
-        ]
-
-    def _law(
+    def _laws(
         self,
         kind: ChangeKind,
-        change: float,
-        sentence: str,
         key: str,
-        value: float | tuple[float, float],
+        steps: Iterable[tuple[float, float | tuple[float, float], str]],
         option: str = "",
-    ) -> PlanChange:
-        """Return a change of one scanner key with the same candidates."""
-        keys = self.cell.scanner_keys
-        scanner: Scanner = scanners.load(keys.type)(**{**keys.own, key: value})
-        scanner = with_limits(scanner, self.max_sigma_mm, self.cell.scene.regions or ())
-        numbers = f"{value:g}" if isinstance(value, float) else f"[{value[0]:g}, {value[1]:g}]"
-        setting = option or f"scanner.{key} = {numbers}"
-        return PlanChange(kind, change, sentence, setting, self.T_object_scanner, scanner, self.casters)
+    ) -> list[PlanChange]:
+        """Return changes of one scanner key with the same candidates.
+
+        Args:
+            kind: of the changes.
+            key: of the scanner.
+            steps: size, value and sentence of each change.
+            option: of `cell plan`, with a field for the value; "" if there is none.
+        """
+        keys, changes = self.cell.scanner_keys, []
+        for change, value, sentence in steps:
+            scanner: Scanner = scanners.load(keys.type)(**{**keys.own, key: value})
+            scanner = with_limits(scanner, self.max_sigma_mm, self.cell.scene.regions or ())
+            numbers = f"{value:g}" if isinstance(value, float) else f"[{value[0]:g}, {value[1]:g}]"
+            setting = option.format(value) if option else f"scanner.{key} = {numbers}"
+            changes.append(
+                PlanChange(kind, change, sentence, setting, self.T_object_scanner, scanner, self.cell.casters)
+            )
+        return changes
 
     def _sigma(self, factor: float, now: float) -> PlanChange:
         """Return the change that scales the limit of sigma `now` [mm] by `factor`."""
@@ -370,7 +315,9 @@ class ScannerChanges:
         scanner = replace(self.cell.scanner, max_sigma=factor * (now / 1000))
         sentence = f"sigma up to {factor * now:.3g} instead of {now:g} mm"
         setting = f"--max-sigma {factor * now:.3g}"
-        return PlanChange(ChangeKind.SIGMA, factor, sentence, setting, self.T_object_scanner, scanner, self.casters)
+        return PlanChange(
+            ChangeKind.SIGMA, factor, sentence, setting, self.T_object_scanner, scanner, self.cell.casters
+        )
 
 
 def _relative_change(value: float, now: float) -> float:

@@ -21,13 +21,13 @@ from cell.runs.cell import collision_note, read_cell, world_of
 from cell.runs.folder import SCHEMA, json_text
 from cell.runs.run import Run, open_finished, reading
 from cell.runs.schema import (
-    NamedChange,
-    OpenPatch,
-    OpenSamples,
+    EstimatedChange,
     PlanFile,
     PlanView,
+    RecommendedChange,
     ScannerKeys,
-    TriedChange,
+    UncoveredPatch,
+    UncoveredSamples,
     WhyReport,
 )
 from cell.scene.model import RegionTargets
@@ -152,11 +152,10 @@ def group_samples(
     members: dict[tuple[int, str], list[int]] = {}
     for i, key in enumerate(zip(diagnosis.reason.tolist(), what, strict=True)):
         members.setdefault(key, []).append(i)
-    adjacency = _adjacent_faces(planning)
     grouped = []
     for (reason, thing), own in members.items():
         inside = rows[np.array(own)]
-        pieces = _patches(inside, samples, adjacency, len(planning.faces))
+        pieces = _patches(inside, samples, planning)
         details = (
             _detail(Reason(reason), diagnosis, np.isin(rows, inside), keys),
             _region_shares(samples, inside, regions),
@@ -166,26 +165,16 @@ def group_samples(
     return sorted(grouped, key=lambda group: (-float(samples.areas[group.rows].sum()), group.reason, group.what))
 
 
-def _adjacent_faces(mesh: TriangleMesh) -> Ints:
-    """Return (E, 2) pairs of faces with a common edge."""
-    edges = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
-    face = np.repeat(np.arange(len(mesh.faces)), 3)
-    order = np.lexsort((edges[:, 1], edges[:, 0]))
-    same = (np.diff(edges[order], axis=0) == 0).all(axis=1)
-    return np.stack([face[order][:-1][same], face[order][1:][same]], axis=1)
-
-
-def _patches(rows: Ints, samples: SurfaceSamples, adjacent: Ints, faces: int) -> list[Ints]:
-    """Return the samples in patches connected over planning faces, largest first."""
-    from scipy.sparse import coo_array
+def _patches(rows: Ints, samples: SurfaceSamples, planning: TriangleMesh) -> list[Ints]:
+    """Return the samples in patches connected over edges of planning faces, largest first."""
+    from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
-    here = np.zeros(faces, dtype=np.bool_)
-    face = samples.planning_face[rows]
-    here[face] = True
-    both = adjacent[here[adjacent].all(axis=1)]
-    graph = coo_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(faces, faces))
-    label = connected_components(graph, directed=False)[1][face]
+    face, of_row = np.unique(samples.planning_face[rows], return_inverse=True)
+    corners = planning.faces[face].ravel(), np.arange(0, 3 * len(face) + 1, 3)
+    touches = csr_array((np.ones(3 * len(face)), *corners), shape=(len(face), len(planning.vertices)))
+    edges = (touches @ touches.T > 1).astype(np.int8)  # faces with two common corners
+    label = connected_components(edges, directed=False)[1][of_row]
     pieces = [rows[label == one] for one in np.unique(label)]
     return sorted(pieces, key=lambda piece: (-float(samples.areas[piece].sum()), int(piece[0])))
 
@@ -235,7 +224,7 @@ _REPRESENTATIVES = 700
 _MIN_REPRESENTATIVES = 8  # per group
 _VIEWS_FROM = 160  # samples for the selection of further views
 _AIMS = 64  # targets of new candidates
-_PATCHES = 24  # patches with a change of their own
+_PATCHES = 24  # patches with their own change
 _NAMED = 3  # recommended changes per group
 
 
@@ -425,7 +414,6 @@ def analyse(run: Run, reporter: ProgressReporter, count: int) -> Analysis:
         world = world_of(run, cell.reference)
         for sentence in collision_note(cell.scene):
             reporter.note(sentence)
-        scanner, part_caster, occluder_caster = cell.scanner, cell.part_caster, cell.occluder_caster
     with reporter.stage("uncovered surface"):
         samples = held_out_samples(cell.reference, cell.planning, run.seed, count)
         targets = RayTargets.of(samples.points, samples.normals, samples.region)
@@ -433,11 +421,9 @@ def analyse(run: Run, reporter: ProgressReporter, count: int) -> Analysis:
         surface = measured_by_views(cell, samples, list(views))
         rows = np.flatnonzero(~surface.seen.any(axis=1))
     with reporter.stage("causes") as progress:
-        diagnosis = why.diagnose(
-            targets, rows, candidates, scanner, part_caster, occluder_caster, fails, progress=progress
-        )
+        diagnosis = why.diagnose(targets, rows, candidates, cell.scanner, cell.casters, fails, progress=progress)
         casters = {piece.name: EmbreeRayCaster(piece.vertices, piece.faces) for piece in cell.occluders}
-        what = why.occluders_of(targets, rows, diagnosis, candidates, scanner, casters)
+        what = why.occluders_of(targets, rows, diagnosis, candidates, cell.scanner, casters)
         K = candidates.T_object_scanner.shape[1]
         of_robot = (diagnosis.reason >= Reason.OUT_OF_REACH) & (diagnosis.reason < Reason.NOT_SELECTED)
         for i in np.flatnonzero(of_robot):
@@ -466,13 +452,12 @@ def _with_executed_poses(candidates: Viewpoints, views: Sequence[PlanView]) -> V
 def _failures(run: Run, plan: PlanFile, count: int) -> tuple[NDArray[np.uint8], list[str]]:
     """Return the cause for which each candidate fails on any point, and the object in its way."""
     reached = run.reach
-    fails = np.array([REASON_OF_VERDICT[verdict] for verdict in REASON_OF_VERDICT], dtype=np.uint8)[reached.verdict]
-    blockers = list(reached.blocker)
+    fails, blockers = REASON_OF_VERDICT[reached.verdict], list(reached.blocker)
     with reading(run.folder / "plan.json"):
         if len(fails) != count:
             raise ValueError(f"reach.npz has {len(fails)} verdicts and viewpoints.npz {count} candidates")
-        for view in plan.dropped:
-            fails[view.id], blockers[view.id] = Reason.NO_PATH, view.reason
+        for view in plan.exclusions:
+            fails[view.id], blockers[view.id] = Reason.NO_PATH, view.cause
     return fails, blockers
 
 
@@ -490,16 +475,16 @@ def why_report(analysis: Analysis, run: Run) -> WhyReport:
         samples=len(analysis.samples),
         area_mm2=round(float(analysis.samples.areas.sum()) * 1e6, 3),
         visible=analysis.share(np.flatnonzero(analysis.covered)),
-        open=analysis.share(analysis.open_rows),
+        uncovered=analysis.share(analysis.open_rows),
         groups=tuple(_group_table(analysis, code, group) for code, group in enumerate(analysis.groups, 1)),
-        not_measurable=analysis.share(analysis.rest),
-        overall=tuple(_named_change(analysis, named, analysis.rest) for named in analysis.overall),
-        tried=tuple(
-            TriedChange(
+        uncoverable=analysis.share(analysis.rest),
+        best_changes=tuple(_named_change(analysis, named, analysis.rest) for named in analysis.overall),
+        all_changes=tuple(
+            EstimatedChange(
                 kind=change.kind.name.lower(),
                 change=change.sentence,
                 setting=change.setting,
-                gains_estimated=round(share, 4),
+                estimated_gain=round(share, 4),
             )
             for change, share in analysis.tried
         ),
@@ -542,10 +527,10 @@ def table_rows(report: WhyReport) -> list[tuple[str, str, str, str]]:
     if rest:
         share, area = sum(group.share for group in rest), sum(group.area_mm2 for group in rest)
         rows.append((f"{len(rest)} smaller groups", _area(share, area), "", "see why.json"))
-    if report.not_measurable and len(report.groups) > 1:
-        area = report.not_measurable * report.area_mm2
-        helps = _lines(report.overall)
-        rows.append(("total without a reachable candidate", _area(report.not_measurable, area), "", helps))
+    if report.uncoverable and len(report.groups) > 1:
+        area = report.uncoverable * report.area_mm2
+        helps = _lines(report.best_changes)
+        rows.append(("total without a reachable candidate", _area(report.uncoverable, area), "", helps))
     return rows
 
 
@@ -553,9 +538,9 @@ def _area(share: float, area_mm2: float) -> str:
     return f"{100 * share:.2f} %\n{area_mm2:,.0f} mm²"
 
 
-def _lines(changes: Sequence[NamedChange]) -> str:
+def _lines(changes: Sequence[RecommendedChange]) -> str:
     """Return one line for each change."""
-    lines = (f"{_percent(c.gains)}: {c.change}" + (f" ({c.setting})" if c.setting else "") for c in changes)
+    lines = (f"{_percent(c.gain)}: {c.change}" + (f" ({c.setting})" if c.setting else "") for c in changes)
     return "\n".join(lines) or NO_CHANGE
 
 
@@ -567,12 +552,12 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %" if share >= 0.095 else f"{100 * share:.1f} %"
 
 
-def _group_table(analysis: Analysis, code: int, group: Group) -> OpenSamples:
-    return OpenSamples(
+def _group_table(analysis: Analysis, code: int, group: Group) -> UncoveredSamples:
+    return UncoveredSamples(
         group=code,
-        reason=group.reason.name.lower(),
+        cause=group.reason.name.lower(),
         code=int(group.reason),
-        what=group.what,
+        object=group.what,
         title=group.title,
         detail=group.detail,
         share=analysis.share(group.rows),
@@ -583,25 +568,25 @@ def _group_table(analysis: Analysis, code: int, group: Group) -> OpenSamples:
     )
 
 
-def _patch(analysis: Analysis, patch: Patch) -> OpenPatch:
+def _patch(analysis: Analysis, patch: Patch) -> UncoveredPatch:
     points = analysis.samples.points[patch.rows] * 1000
     nearest = np.linalg.norm(points - analysis.samples.points[patch.rows].mean(axis=0) * 1000, axis=1).argmin()
-    return OpenPatch(
+    return UncoveredPatch(
         area_mm2=_area_mm2(analysis, patch.rows),
         centre_mm=tuple(points[nearest].round(2).tolist()),
         change=None if patch.named is None else _named_change(analysis, patch.named, patch.rows),
     )
 
 
-def _named_change(analysis: Analysis, named: EvaluatedChange, rows: Ints) -> NamedChange:
+def _named_change(analysis: Analysis, named: EvaluatedChange, rows: Ints) -> RecommendedChange:
     """Return a change with its exact gain on some rows."""
     areas = analysis.samples.areas[rows]
-    return NamedChange(
+    return RecommendedChange(
         kind=named.change.kind.name.lower(),
         change=named.change.sentence,
         setting=named.change.setting,
-        gains=float(areas[named.gained[rows]].sum() / areas.sum()),
-        gains_mm2=_area_mm2(analysis, rows[named.gained[rows]]),
+        gain=float(areas[named.gained[rows]].sum() / areas.sum()),
+        gain_mm2=_area_mm2(analysis, rows[named.gained[rows]]),
     )
 
 

@@ -16,7 +16,7 @@ at source or sensor, and for conditions without a measure (occlusion, reach) by 
 radians.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlannerError
-from planner.kinematics.reach import Verdict
 from planner.ports import Progress, RayCaster, Rejection, Scanner
 from planner.values import DescribedEnum, Floats, Ints, Value, readonly
 from planner.viewpoints.lines_of_sight import BUNDLE, RayTargets, flatten_poses, rejections
@@ -54,13 +53,10 @@ class Reason(DescribedEnum):
     NOT_SELECTED = 50, "reachable view not selected"
 
 
-REASON_OF_VERDICT = {
-    Verdict.REACHABLE: Reason.NOT_SELECTED,
-    Verdict.OUT_OF_REACH: Reason.OUT_OF_REACH,
-    Verdict.JOINT_LIMIT: Reason.JOINT_LIMIT,
-    Verdict.COLLISION: Reason.COLLISION,
-}
-"""Condition that a candidate fails which otherwise measures a point, by its reach verdict."""
+REASON_OF_VERDICT = np.array(
+    [Reason.NOT_SELECTED, Reason.OUT_OF_REACH, Reason.JOINT_LIMIT, Reason.COLLISION], dtype=np.uint8
+)
+"""Condition that a candidate fails which otherwise measures a point, by its reach verdict (`Verdict`)."""
 
 _PASSES = 255  # no condition that needs no ray fails; above every Reason
 _REASON_OF_REJECTION = np.full(256, Reason.OUT_OF_FOV, dtype=np.uint8)
@@ -94,8 +90,7 @@ def diagnose(
     rows: Ints,
     viewpoints: Viewpoints,
     scanner: Scanner,
-    part_caster: RayCaster,
-    occluder_caster: RayCaster,
+    casters: Sequence[RayCaster],
     fails: NDArray[np.uint8],
     *,
     progress: Progress | None = None,
@@ -107,8 +102,7 @@ def diagnose(
         rows: (n,) the uncovered ones.
         viewpoints: V candidates of K poses.
         scanner: the sensor's law.
-        part_caster: casts rays on the part.
-        occluder_caster: casts rays on all other occluders.
+        casters: of the part, and of all other occluders.
         fails: (V,) `Reason` that each candidate fails even for a point that it would measure: OUT_OF_REACH,
             JOINT_LIMIT, COLLISION, NO_PATH or NOT_SELECTED.
         progress: called with (poses done, all poses).
@@ -123,7 +117,7 @@ def diagnose(
     K = viewpoints.T_object_scanner.shape[1]
     standoff = np.repeat(viewpoints.standoff, K)
     last = np.repeat(fails, K)  # largest reason that a pose can reach
-    search = _Search(targets, rows, poses, scanner, (part_caster, occluder_caster), last)
+    search = _Search(targets, rows, poses, scanner, casters, last)
     order = np.argsort(-last.astype(np.int64), kind="stable")  # best class first: its points need no other
     previous = -1
     for done, pose in enumerate(order):
@@ -141,7 +135,7 @@ def diagnose(
 
 
 class _Search:
-    """The best reason so far of each row."""
+    """The best known reason of each row."""
 
     def __init__(
         self,
@@ -149,7 +143,7 @@ class _Search:
         rows: Ints,
         poses: Floats,
         scanner: Scanner,
-        casters: tuple[RayCaster, RayCaster],
+        casters: Sequence[RayCaster],
         last: NDArray[np.uint8],
     ) -> None:
         self.targets, self.rows, self.poses, self.scanner, self.casters = targets, rows, poses, scanner, casters

@@ -65,7 +65,7 @@ def export(
     for path in sorted((run / "executions" / execution / "scans").iterdir()):
         scan = read_scan(path)
         T = frames(run, scan.stored)[frame]
-        points = change(int(scan.stored["stop"]), 1000 * (scan.points @ T[:3, :3].T + T[:3, 3]))
+        points = change(int(scan.stored["number"]), 1000 * (scan.points @ T[:3, :3].T + T[:3, 3]))
         write(to / path.stem, points)
         files.append(to / path.stem)
     return files
@@ -131,7 +131,7 @@ def test_an_execution_s_own_scans_read_back_give_the_same(
         {"source", "coverage.kind"}
         <= differ
         <= {"source", "coverage.kind", *views}
-        | (set() if off_mm < 1e-3 else {"model.faces", "model.vertices", "model.holes", "deviation.largest_mm"})
+        | (set() if off_mm < 1e-3 else {"surface.faces", "surface.vertices", "surface.holes", "deviation.max_mm"})
     )
     assert after["views"][0]["rays"] is None
     manifest = json.loads((ours / "manifest.json").read_text())
@@ -182,8 +182,8 @@ def test_noise_outliers_and_a_missing_view(run: Path, tmp_path: Path) -> None:
     outcome = scan_command.resume(Session(None, Terminal(quiet_stdout=True)), run, outcome.folder.name, None)
     assert outcome.report.missing_views == ()
     ours, theirs = outcome.report, simulated.report
-    assert ours.doubts == ()
-    assert ours.registration.left_as_reported == theirs.registration.left_as_reported == 0
+    assert ours.contradictions == ()
+    assert ours.registration.uncorrected_scans == theirs.registration.uncorrected_scans == 0
     assert ours.registration.rms_after_mm == pytest.approx(theirs.registration.rms_after_mm, rel=0.25)
     points = ply.positions(ply.elements((outcome.folder / "cloud.ply").read_bytes())["vertex"])
     clean = ply.positions(ply.elements((simulated.folder / "cloud.ply").read_bytes())["vertex"])
@@ -214,8 +214,8 @@ def test_what_is_wrong_is_told_with_its_cause(run: Path, tmp_path: Path, name: s
     frame, change, words = CAUSES[name]
     export(run, "0001", tmp_path / "files", as_ply("<f8"), frame, change)
     outcome = scan(run, acquire=f"files:{tmp_path / 'files'}", points_frame=frame, points_units="mm")
-    assert len(outcome.report.doubts) == 1
-    assert words in outcome.report.doubts[0]
+    assert len(outcome.report.contradictions) == 1
+    assert words in outcome.report.contradictions[0]
 
 
 @pytest.mark.slow
@@ -231,10 +231,10 @@ def test_swapped_views_and_another_frame_are_told(run: Path, tmp_path: Path) -> 
     two.write_bytes(first)
     named = {"points_frame": "scanner", "points_units": "mm"}
     outcome = scan(run, acquire=f"files:{tmp_path / 'files'}", **named)
-    assert "given as view 1 is of view 2, 2 is of view 1" in outcome.report.doubts[0]
+    assert "given as view 1 is of view 2, 2 is of view 1" in outcome.report.contradictions[0]
     export(run, "0001", tmp_path / "flange", as_ply("<f8"), "flange")
     outcome = scan(run, acquire=f"files:{tmp_path / 'flange'}", **named)
-    assert "they are in the flange frame, not in the scanner frame" in outcome.report.doubts[0]
+    assert "they are in the flange frame, not in the scanner frame" in outcome.report.contradictions[0]
 
 
 def test_a_command_is_called_with_view_pose_and_file(run: Path, tmp_path: Path) -> None:
@@ -261,7 +261,7 @@ def test_a_command_is_called_with_view_pose_and_file(run: Path, tmp_path: Path) 
     events = [json.loads(line) for line in (outcome.folder / "events.jsonl").read_text().splitlines()]
     taken = [event for event in events if event["event"] == "scan"]
     assert {event["calls"] for event in taken} == {2}
-    assert [event["stop"] for event in events if event["event"] == "missing"] == [2]
+    assert [event["number"] for event in events if event["event"] == "missing"] == [2]
     stored = read_scan(outcome.folder / "scans" / "0001.npz")
     T = stored.stored["T_object_scanner"]
     np.testing.assert_allclose(stored.points[0], T[:3, 3] + 0.25 * T[:3, 2], atol=1e-12)
@@ -305,7 +305,7 @@ def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, t
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"acquire": "files:/nowhere"}, "is no folder"),
+        ({"acquire": "files:/nowhere"}, "is not a folder"),
         ({"acquire": "laser"}, "installed are: command, files, simulated"),
         ({"acquire": "command:"}, "names no command"),
         ({"acquire": "command:true"}, "never guessed"),

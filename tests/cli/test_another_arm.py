@@ -64,7 +64,7 @@ def test_planning_driving_and_export_use_its_limits(
     done = run_cell("scan", other, "--resolution", "2", cwd=other)
     assert done.returncode == 0, done.stderr
     planned = json.loads((other / "report.json").read_text())["motion"]["duration_s"]
-    moving = json.loads((other / "executions" / "0001" / "manifest.json").read_text())["moving_s"]
+    moving = json.loads((other / "executions" / "0001" / "manifest.json").read_text())["motion_s"]
     assert moving == pytest.approx(planned, abs=1e-3)
     for kind in ("krl", "csv", "json"):
         assert run_cell("export", other, "--format", kind, cwd=other).returncode == 0

@@ -51,7 +51,7 @@ def test_the_mount_as_lines_of_a_scene_file(run_cell: Run, scans: Path, tmp_path
     )  # fmt: skip
     found = json.loads(table.stdout)
     np.testing.assert_allclose(found["T_flange_scanner"], T, atol=1e-6)
-    assert found["undetermined"] == []
+    assert found["free_motions"] == []
     assert found["diameter_sd_mm"] == 0.0
     assert len(found["scans"]) == 12
 

@@ -44,10 +44,11 @@ def test_a_run_does_not_differ_from_itself(executed: Path, run_cell: Cell, tmp_p
         assert (done.returncode, done.stdout) == (0, "nothing differs\n"), done.stderr
     said = json.loads(run_cell("diff", execution, execution, "--json", cwd=tmp_path).stdout)
     assert said["kind"] == "execution"
-    assert [said["settings"], said["numbers"], said["views"]["moved"], said["views"]["lost"], said["views"]["new"]] == [
+    views = said["views"]
+    assert [said["settings"], said["numbers"], views["similar"], views["only_a"], views["only_b"]] == [
         [], [], [], [], [],
     ]  # fmt: skip
-    assert said["surface"]["gained_mm2"] == said["surface"]["lost_mm2"] == 0
+    assert said["surface"]["only_b_mm2"] == said["surface"]["only_a_mm2"] == 0
 
 
 @pytest.mark.usefixtures("drawn_pictures")
@@ -59,11 +60,11 @@ def test_settings_views_and_areas_of_two_plans(
     assert {each["key"] for each in said["settings"]} == {"speed_scaling", "plan.banned"}
     a, b = open_finished(planned), open_finished(other)
     views = said["views"]
-    moved = [(each["a"], each["b"]) for each in views["moved"]]
-    assert sorted([i for i, _ in (*views["kept"], *moved)] + views["lost"]) == list(range(1, len(a.plan.views) + 1))
-    assert sorted([j for _, j in (*views["kept"], *moved)] + views["new"]) == list(range(1, len(b.plan.views) + 1))
-    assert 2 not in [i for i, _ in views["kept"]]
-    for i, j in views["kept"]:
+    moved = [(each["a"], each["b"]) for each in views["similar"]]
+    assert sorted([i for i, _ in (*views["equal"], *moved)] + views["only_a"]) == list(range(1, len(a.plan.views) + 1))
+    assert sorted([j for _, j in (*views["equal"], *moved)] + views["only_b"]) == list(range(1, len(b.plan.views) + 1))
+    assert 2 not in [i for i, _ in views["equal"]]
+    for i, j in views["equal"]:
         assert np.allclose(a.T_object_scanner[i - 1], b.T_object_scanner[j - 1], atol=2e-4)
     cell = read_cell(a)
     samples = held_out_samples(cell.reference, cell.planning, a.seed)
@@ -74,13 +75,13 @@ def test_settings_views_and_areas_of_two_plans(
         for run in (a, b)
     ]
     lost, gained = (1e6 * samples.areas[mask].sum() for mask in (seen[0] & ~seen[1], seen[1] & ~seen[0]))
-    assert (said["surface"]["lost_mm2"], said["surface"]["gained_mm2"]) == pytest.approx((lost, gained), abs=1e-3)
+    assert (said["surface"]["only_a_mm2"], said["surface"]["only_b_mm2"]) == pytest.approx((lost, gained), abs=1e-3)
     told = run_cell("diff", planned, other, "--out", "diff.html", cwd=tmp_path).stdout
     assert "speed_scaling" in told
     assert "that A measures." in told
     data = data_of((tmp_path / "diff.html").read_text(encoding="utf-8"))
     names = [view["number"] for view in data["views"]]
-    assert names == [*(str(k + 1) for k in range(len(b.plan.views))), *(f"A{k}" for k in views["lost"])]
+    assert names == [*(str(k + 1) for k in range(len(b.plan.views))), *(f"A{k}" for k in views["only_a"])]
     for view, name in zip(data["views"], names, strict=True):
         if name.startswith("A"):  # both plans have one placement: the view has its pose in A
             np.testing.assert_allclose(view["T_base_scanner"], a.T_base_scanner[int(name[1:]) - 1], atol=1e-6)
@@ -98,7 +99,10 @@ def test_sides_exchanged_exchange_the_answer(planned: Path, other: Path, run_cel
         json.loads(run_cell("diff", *pair, "--json", cwd=tmp_path).stdout)
         for pair in ((planned, other), (other, planned))
     )
-    assert (one["surface"]["gained_mm2"], one["views"]["lost"]) == (back["surface"]["lost_mm2"], back["views"]["new"])
+    assert (one["surface"]["only_b_mm2"], one["views"]["only_a"]) == (
+        back["surface"]["only_a_mm2"],
+        back["views"]["only_b"],
+    )
     assert [(n["a"], n["b"]) for n in one["numbers"]] == [(n["b"], n["a"]) for n in back["numbers"]]
 
 
@@ -110,7 +114,7 @@ def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell
     whole, one = (tmp_path / "run" / "executions" / number for number in ("0001", "0002"))
     said = json.loads(run_cell("diff", whole, one, "--json", cwd=tmp_path).stdout)
     assert ("scan.view", None, 1) in [(each["key"], each["a"], each["b"]) for each in said["settings"]]
-    assert said["views"]["kept"] == [[1, 1]]
+    assert said["views"]["equal"] == [[1, 1]]
     run = open_finished(executed)
     reference, planning = (run.mesh(name) for name in ("reference.ply", "planning.ply"))
     samples = held_out_samples(reference, planning, run.seed)
@@ -119,8 +123,8 @@ def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell
         points = ply.positions(ply.elements((folder / "cloud.ply").read_bytes())["vertex"])
         distance, _ = cKDTree(points).query(samples.points)
         near.append(distance <= coverage.sampling_radius(reference))
-    assert said["surface"]["lost_mm2"] == pytest.approx(1e6 * samples.areas[near[0] & ~near[1]].sum(), abs=1e-3)
-    assert said["surface"]["gained_mm2"] == 0
+    assert said["surface"]["only_a_mm2"] == pytest.approx(1e6 * samples.areas[near[0] & ~near[1]].sum(), abs=1e-3)
+    assert said["surface"]["only_b_mm2"] == 0
 
 
 def test_wrong_uses_have_their_exit_codes(executed: Path, run_cell: Cell, tmp_path: Path) -> None:

@@ -23,9 +23,9 @@ def test_a_dropped_view_and_its_repair(planned: Path, run_cell: Cell, tmp_path: 
     done = run_cell("edit", "without", "--repair", "--keep-order", "--out", "repaired", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout)
-    assert said["against"]["views"]["lost"] == []
-    assert len(said["against"]["views"]["new"]) == 1
-    assert said["against"]["surface"]["gained_mm2"] > 0
+    assert said["against"]["views"]["only_a"] == []
+    assert len(said["against"]["views"]["only_b"]) == 1
+    assert said["against"]["surface"]["only_b_mm2"] > 0
     assert {path: path.read_bytes() for path in planned.iterdir() if path.is_file()} == before
 
 
@@ -33,7 +33,7 @@ def test_a_dropped_view_and_its_repair(planned: Path, run_cell: Cell, tmp_path: 
     ("options", "code", "told"),
     [
         (("--drop", "99"), 2, "drop names view 99; the plan has the views 1 to "),
-        (("--move", "2:9000,0,0,0,0,0"), 4, "view 2 cannot be taken: it is out of the arm's reach"),
+        (("--move", "2:9000,0,0,0,0,0"), 4, "view 2 cannot be used: it is out of the arm's reach"),
     ],
 )
 def test_refusals_have_a_sentence_and_a_code(

@@ -63,16 +63,18 @@ def test_the_file_says_what_was_done(explored: Path) -> None:
     """Stages, digests and views of explore.json are those of the run folders. The printed JSON equals the file."""
     file = schema.read_explore_file(explored / "explore.json")
     assert (file.status, file.views) == ("finished", 5)
-    assert [stage.views for stage in file.stages] == [3, 2]
-    assert "5 views of the budget" in file.ended
-    for stage in file.stages:
+    assert [stage.views for stage in file.batches] == [3, 2]
+    assert "5 views of the budget" in file.stop_reason
+    for stage in file.batches:
         run = open_finished(explored / stage.folder)
         assert stage.digest == run.digest
         assert stage.views == len(run.plan.views)
-    measured = [stage.surface_mm2 - stage.open_mm2 for stage in file.stages]
-    assert [stage.measured_mm2 for stage in file.stages] == pytest.approx(measured)
-    assert file.stages[0].new_mm2 == pytest.approx(measured[0], abs=0.01)
-    assert all(0 < stage.new_mm2 < all_of_it for stage, all_of_it in zip(file.stages[1:], measured[1:], strict=True))
+    measured = [stage.surface_mm2 - stage.uncovered_mm2 for stage in file.batches]
+    assert [stage.measured_mm2 for stage in file.batches] == pytest.approx(measured)
+    assert file.batches[0].realised_gain_mm2 == pytest.approx(measured[0], abs=0.01)
+    assert all(
+        0 < stage.realised_gain_mm2 < all_of_it for stage, all_of_it in zip(file.batches[1:], measured[1:], strict=True)
+    )
     printed = json.loads((explored.parent / "stdout").read_text())
     assert printed == json.loads((explored / "explore.json").read_text())
     assert (explored / "report.md").read_text().count("stages/000") == 2
@@ -95,7 +97,7 @@ def test_views_are_moved_to_where_they_measure_more(
         return grow(*asked, schedule=schedule)
 
     def measured_at_last(work: ExplorationContext, file: ExploreFile, known: Any, batch: Any) -> Path:
-        return (explore._plan_on_measured if len(file.stages) == 2 else believed)(work, file, known, batch)
+        return (explore._plan_on_measured if len(file.batches) == 2 else believed)(work, file, known, batch)
 
     def with_better(problem: SelectionProblem, *asked: Any) -> SelectionProblem:
         before.append(len(problem.candidates))
@@ -127,7 +129,7 @@ def test_nothing_touches_the_part_that_the_planning_does_not_know(explored: Path
     """Triangles of arm, tool and true part have no contact in python-fcl at any sample of the motions."""
     bench = Bench(scene_from_options(None, {"place": (1100, 400, 100), "standoff": 250, "units": "mm"}, part_file))
     judge = TriangleCell(bench.world, bench.part.reference)
-    for stage in schema.read_explore_file(explored / "explore.json").stages:
+    for stage in schema.read_explore_file(explored / "explore.json").batches:
         assert judge.contacts(open_finished(explored / stage.folder).motion.q) == {}
 
 
@@ -149,7 +151,7 @@ def _stopped_after_the_first(explored: Path, tmp_path: Path) -> Path:
     again = tmp_path / "explored"
     shutil.copytree(explored, again)
     file = schema.read_explore_file(again / "explore.json")
-    before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1]})
+    before = file.model_copy(update={"status": "running", "stop_reason": "", "batches": file.batches[:1]})
     (again / "explore.json").write_text(json.dumps(before.as_json()))
     return again
 
@@ -221,7 +223,7 @@ def soon_measured(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def plan(work: ExplorationContext, file: ExploreFile, *asked: Any) -> Path | StopReason:
         folder = believed(work, file, *asked)
-        if file.stages and isinstance(folder, Path):
+        if file.batches and isinstance(folder, Path):
             shutil.rmtree(folder)
             return StopReason("too little of the believed surface is open")
         return folder
@@ -250,15 +252,19 @@ def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(
 ) -> None:
     """The part of such a stage is the stored surface of all earlier points. The record of beliefs does not change."""
     file = schema.read_explore_file(on_measured / "explore.json")
-    assert [(stage.planned_on, stage.views) for stage in file.stages] == [(BELIEVED, 3), (MEASURED, 1), (MEASURED, 1)]
+    assert [(stage.planning_surface, stage.views) for stage in file.batches] == [
+        (BELIEVED, 3),
+        (MEASURED, 1),
+        (MEASURED, 1),
+    ]
     paths, first = state.ExplorationFolder(on_measured), np.load(on_measured / "stages" / "0001.voxels.npz")
     assert not paths.measured(1).exists()
     scene = scene_from_options(
         None, {"place": (1100.0, 400.0, 100.0), "standoff": 250.0, "units": "mm"}, str(part_file)
     )
     work = prepare_exploration(Session(None, out=on_measured), scene, ExploreOptions(), ScanOptions(resolution_deg=0.5))
-    for number, stage in enumerate(file.stages[1:], start=2):
-        run, scans = open_finished(on_measured / stage.folder), state.read_scans(paths, file.stages[: number - 1])
+    for number, stage in enumerate(file.batches[1:], start=2):
+        run, scans = open_finished(on_measured / stage.folder), state.read_scans(paths, file.batches[: number - 1])
         known_before = paths.known(number - 1, work.unknown)
         surface = continue_surface(scans, known_before.space, known_before.solid)
         assert surface is not None
@@ -270,8 +276,8 @@ def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(
         poses = np.stack([scan.T_reported for scan in scans])[:, None]
         assert not find_measured(poses, M.samples, cell.scanner, (cell.part_caster,)).any()
         sees = M.matrix()[:, [view.id for view in plan.views]].toarray().any(axis=1)
-        assert stage.expected_mm2 == pytest.approx(1e6 * M.samples.areas[sees].sum(), abs=0.01)
-        assert stage.new_mm2 > 0
+        assert stage.expected_gain_mm2 == pytest.approx(1e6 * M.samples.areas[sees].sum(), abs=0.01)
+        assert stage.realised_gain_mm2 > 0
         known = np.load(paths.voxels(number))
         for name in ("expected", "found", "tries"):
             assert np.array_equal(known[name], first[name]), name
@@ -312,7 +318,7 @@ def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
     again = tmp_path / "explored"
     shutil.copytree(on_measured, again)
     file = schema.read_explore_file(again / "explore.json")
-    before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1]})
+    before = file.model_copy(update={"status": "running", "stop_reason": "", "batches": file.batches[:1]})
     (again / "explore.json").write_text(json.dumps(before.as_json()))
     for left in (again / "stages").glob("0003*"):
         shutil.rmtree(left) if left.is_dir() else left.unlink()
@@ -337,7 +343,7 @@ def test_points_of_files_need_no_model(
     scans = sorted((explored / "stages" / "0001" / "executions" / "0001" / "scans").glob("*.npz"))
     (tmp_path / "points" / "0001").mkdir(parents=True)
     for scan in scans:
-        points = 1000 * np.load(scan)["points"] + np.array(cylinder.middle_mm)
+        points = 1000 * np.load(scan)["points"] + np.array(cylinder.centre_mm)
         np.savetxt(tmp_path / "points" / "0001" / f"{scan.stem}.xyz", points)
     done = run_cell(
         "explore", *OPTIONS[:-1], "3", "--cylinder", f"{cylinder.diameter_mm},{cylinder.height_mm}", "--acquire",
@@ -346,7 +352,7 @@ def test_points_of_files_need_no_model(
     assert done.returncode == 0, done.stderr
     file = schema.read_explore_file(tmp_path / "out" / "explore.json")
     assert file.source == "files:points"
-    assert file.stages[0].points == sum(len(np.load(scan)["points"]) for scan in scans)
+    assert file.batches[0].points == sum(len(np.load(scan)["points"]) for scan in scans)
     assert (tmp_path / "out" / "model.ply").is_file()
 
 
@@ -359,7 +365,7 @@ def test_other_options_do_not_go_on_there(
     assert "other options" in done.stderr
     done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", tmp_path, cwd=tmp_path)
     assert done.returncode == 6
-    assert "no exploration" in done.stderr
+    assert "not an exploration" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -367,11 +373,11 @@ def test_other_options_do_not_go_on_there(
     [
         (("--acquire", "files:points"), "give --cylinder"),
         (("--voxel", "0.01"), "choose larger voxels or a smaller cylinder"),
-        (("--pin", "3"), "leave it away"),
+        (("--pin", "3"), "omit it here"),
         (("--scene", "line.toml"), "sweeps"),
-        (("--scene", "setups.toml"), "leave [[setup]] away"),
+        (("--scene", "setups.toml"), "remove [[setup]] here"),
         (("--require", "0.9"), "--require is for a part that is known"),
-        (("--policy", "two-stage", "--batch", "2"), "--batch is for stepwise"),
+        (("--policy", "two-stage", "--batch", "2"), "--batch applies to stepwise only"),
     ],
 )
 def test_what_cannot_be_explored_is_refused_before_anything_is_made(
@@ -400,7 +406,7 @@ def test_a_cylinder_that_does_not_hold_the_part_is_told_after_the_ring(
     )
     assert done.returncode == 6, done.stderr
     assert "outside the cylinder" in done.stderr
-    assert schema.read_explore_file(tmp_path / "new" / "explore.json").stages == ()
+    assert schema.read_explore_file(tmp_path / "new" / "explore.json").batches == ()
 
 
 @pytest.mark.usefixtures("drawn_pictures")
@@ -421,7 +427,7 @@ def test_the_page_shows_the_views_in_order(
     assert [view["number"] for view in shown["views"]] == ["1", "2", "3", "4", "5"]
     times = [view["time"] for view in shown["views"]]
     assert times == sorted(times)
-    assert times[-1] < sum(stage.seconds for stage in file.stages)
+    assert times[-1] < sum(stage.seconds for stage in file.batches)
     assert [dict(view["rows"])["view"] for view in shown["views"]] == [
         "1, batch 1", "2, batch 1", "3, batch 1", "4, batch 2", "5, batch 2",
     ]  # fmt: skip
@@ -432,4 +438,4 @@ def test_the_page_shows_the_views_in_order(
     assert (seen > 0).mean() > 0.7  # faces that close holes have no point near them
     assert base64.b64decode(shown["curve"].partition("base64,")[2]).startswith(b"\x89PNG")
     with pytest.raises(FileError, match="no finished batch yet"):
-        explore_page(explored, file.model_copy(update={"stages": ()}))
+        explore_page(explored, file.model_copy(update={"batches": ()}))

@@ -66,14 +66,14 @@ def test_csv_and_json_agree_with_each_other_and_with_the_plan(planned: Path, run
         np.testing.assert_allclose(T, [view[f"T_base_{name}"] for view in plan["views"]], atol=1e-7)
     assert [int(row["candidate"]) for row in rows if row["view"]] == [view["id"] for view in plan["views"]]
     for row, point in zip(rows, content["via_points"], strict=True):
-        assert [point["number"], point["leg"], point["status"], point["turn"]] == [
-            int(row[name]) for name in ("number", "leg", "status", "turn")
+        assert [point["number"], point["segment"], point["status"], point["turn"]] == [
+            int(row[name]) for name in ("number", "segment", "status", "turn")
         ]
         assert point["axes_deg"] == [float(row[f"A{axis}_deg"]) for axis in range(1, 7)]
         assert point["tcp_xyz_mm_abc_deg"] == [float(row[name]) for name in row if name.startswith("tcp_")]
         assert point["kind"] == row["kind"]
     assert rows[0]["kind"] == "start"
-    assert content["schema"] == "scan-cell/run/1"
+    assert content["schema"] == "scan-cell/run/3"
 
 
 def test_json_option_prints_one_object(planned: Path, run_cell: Run, tmp_path: Path) -> None:

@@ -37,25 +37,25 @@ def test_the_first_set_up_is_the_given_plan_with_its_executions(made: Path, plan
     """The first set-up is an exact copy. Its placement is a set-up candidate and is not proposed again."""
     file = json.loads((made / "setups.json").read_text())
     first = made / "setups" / "1"
-    assert file["chosen"][0]["digest"] == open_run(first).digest == open_run(planned).digest
+    assert file["selected"][0]["digest"] == open_run(first).digest == open_run(planned).digest
     for path in planned.iterdir():
         if path.is_file():
             assert (first / path.name).read_bytes() == path.read_bytes()
     assert (first / "executions" / "0001" / "manifest.json").is_file()
-    given = file["offered"][file["chosen"][0]["offered"]]
-    assert given["reachable"] == file["chosen"][0]["views"] == len(open_run(planned).candidate)
+    given = file["candidates"][file["selected"][0]["candidate"]]
+    assert given["reachable"] == file["selected"][0]["views"] == len(open_run(planned).candidate)
     np.testing.assert_allclose(given["placement_mm"], [1100, 400, 100], atol=1e-6)
-    assert "as it is placed" not in [each["name"] for each in file["offered"]]
+    assert "as it is placed" not in [each["name"] for each in file["candidates"]]
 
 
 def test_the_other_set_ups_cover_what_the_first_leaves(made: Path) -> None:
     """The coverage is that of all views together. The further set-ups increase it to the target."""
     file = json.loads((made / "setups.json").read_text())
-    assert len(file["chosen"]) > 1
-    seen = [seen_samples(made / each["folder"]) for each in file["chosen"]]
+    assert len(file["selected"]) > 1
+    seen = [seen_samples(made / each["folder"]) for each in file["selected"]]
     together = np.logical_or.reduce(seen)
     assert file["coverage"]["visible"] == pytest.approx(together.mean(), abs=2e-3)
-    assert file["chosen"][0]["visible"] == pytest.approx(seen[0].mean(), abs=2e-3)
+    assert file["selected"][0]["visible"] == pytest.approx(seen[0].mean(), abs=2e-3)
     assert together.mean() > seen[0].mean() + 0.02
     assert file["coverage"]["visible_of_coverable"] >= 0.97
 
@@ -66,7 +66,7 @@ def test_a_scan_of_the_set_ups_goes_on_with_the_second(made: Path, run_cell: Cel
     done = run_cell("scan", "made", "--resolution", "2", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
-    assert report["missing"] == []
+    assert report["missing_setups"] == []
     assert [setup["execution"] for setup in report["setups"]] == ["0001"] * len(report["setups"])
     assert "set-up 1 of" not in done.stderr
 

@@ -49,8 +49,8 @@ def test_one_scan_finds_the_part_and_the_plan_is_taken_there(run_cell: Command, 
     off = np.array(found["T_base_object"]) @ np.linalg.inv(T)
     corners = run.reference.vertices @ T[:3, :3].T + T[:3, 3]
     assert np.linalg.norm(corners @ off[:3, :3].T + off[:3, 3] - corners, axis=1).max() < 5e-5
-    assert found["moved_mm"] == pytest.approx(15.13, abs=0.1)
-    assert found["undetermined"] == []
+    assert found["displacement_mm"] == pytest.approx(15.13, abs=0.1)
+    assert found["free_motions"] == []
     there = open_run(tmp_path / "there")
     kept = [candidate for candidate in run.candidate.tolist() if candidate in there.candidate.tolist()]
     assert len(kept) > len(run.candidate) / 2
@@ -82,18 +82,20 @@ def test_named_points_find_the_part(planned: Path, tmp_path: Path) -> None:
         found = locate(run, points_units="mm", **texts)
         np.testing.assert_allclose(found.T_base_object, T, atol=1e-8)
         assert found.precision is not None
-        assert found.undetermined == () or "three_two_one" in wishes  # random points: the uncertainty may be large
+        assert found.free_motions == () or "three_two_one" in wishes  # random points: the uncertainty may be large
 
 
 def test_the_scans_of_an_execution_are_where_they_were_planned(executed: Path) -> None:
     """A simulated execution gives the planned placement and the report says so. The motion keeps its clearance."""
     found = locate(executed)
-    assert found.moved_mm < 0.01
-    assert any("simulated" in doubt for doubt in found.doubts)
-    assert found.checked_motion.keeps_clearance
+    assert found.displacement_mm < 0.01
+    assert any("simulated" in doubt for doubt in found.contradictions)
+    assert found.motion_check.keeps_clearance
     nearest = open_run(Path(found.run)).plan.clearance
     assert nearest is not None
-    assert found.checked_motion.nearest_mm == pytest.approx(min(s.minimum_mm for s in nearest.segments), abs=0.3)
+    assert found.motion_check.minimum_clearance_mm == pytest.approx(
+        min(s.minimum_mm for s in nearest.segments), abs=0.3
+    )
 
 
 def test_a_part_in_the_way_of_the_motion_is_told(planned: Path, tmp_path: Path) -> None:
@@ -109,8 +111,8 @@ def test_a_part_in_the_way_of_the_motion_is_told(planned: Path, tmp_path: Path) 
     ]
     (tmp_path / "touched.txt").write_text("\n".join(rows))
     found = locate(run, pairs=str(tmp_path / "touched.txt"), points_frame="base", points_units="mm")
-    assert not found.checked_motion.keeps_clearance
-    assert "violates the clearance" in found.checked_motion.problem
+    assert not found.motion_check.keeps_clearance
+    assert "violates the clearance" in found.motion_check.problem
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def test_the_run_folder_is_complete_and_its_manifest_true(planned: Path) -> None
     for name, digest in listed.items():
         assert hashlib.sha256((planned / name).read_bytes()).hexdigest() == digest, name
     for name in ("manifest.json", "scene.resolved.json", "plan.json", "report.json"):
-        assert json.loads((planned / name).read_text())["schema"] == "scan-cell/run/1"
+        assert json.loads((planned / name).read_text())["schema"] == "scan-cell/run/3"
 
 
 def test_arrays_hold_no_pickles(planned: Path) -> None:
@@ -100,7 +100,7 @@ def test_a_coverage_is_kept_where_the_samples_were_too_few(part_file: Path, tmp_
     assert done.returncode == 0, done.stderr
     assert report["coverage"]["visible_of_coverable"] >= 0.999
     with np.load(tmp_path / "run" / "measurability.npz") as stored:
-        assert stored["shape"][0] == report["n_features"] > 40
+        assert stored["shape"][0] == report["n_samples"] > 40
 
 
 def test_json_prints_one_object_on_stdout(planned: Path) -> None:

@@ -124,7 +124,7 @@ def test_commands_that_go_on_know_the_regions(regions: Path, run_cell: Run, tmp_
     for own, planned in zip(executed["regions"], predicted, strict=True):
         assert own["name"] == planned["name"]
         assert own["visible"] == pytest.approx(planned["visible"], abs=0.01)
-        assert own["from_enough_views"] == pytest.approx(planned["from_enough_views"], abs=0.02)
+        assert own["satisfied_share"] == pytest.approx(planned["satisfied_share"], abs=0.02)
 
 
 @pytest.mark.parametrize(

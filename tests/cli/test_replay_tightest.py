@@ -42,7 +42,7 @@ def test_the_playback_has_the_tightest_moment_of_the_plan(planned: Path, playbac
     assert playback.timeline.moved(tightest.time) == pytest.approx(planned_moment["time_s"], abs=1e-6)
     assert np.linalg.norm(tightest.points[0] - tightest.points[1]) == pytest.approx(tightest.distance, abs=1e-6)
     assert planned_moment["distance_mm"] == min(segment["minimum_mm"] for segment in clearance["segments"])
-    assert all(segment["at_least_mm"] <= segment["minimum_mm"] for segment in clearance["segments"])
+    assert all(segment["lower_bound_mm"] <= segment["minimum_mm"] for segment in clearance["segments"])
     assert f"tightest: {tightest.sentence}" in playback.caption(tightest.time)
     assert "tightest" not in playback.caption(tightest.time + 1.0)
 

@@ -52,7 +52,7 @@ def covered(folder: Path) -> tuple[list[int], float]:
 def test_a_plain_plan_says_nothing_of_requests(planned: Path) -> None:
     """A plan without requests has no further key in plan.json and report.json, and no curve."""
     plan, report = (json.loads((planned / name).read_text()) for name in ("plan.json", "report.json"))
-    assert not {"most_coverage", "overlap", "promise", "multiplicity", "cost", "curve"} & (set(plan) | set(report))
+    assert not {"max_coverage", "overlap", "promise", "multiplicity", "cost", "curve"} & (set(plan) | set(report))
     assert not {"max_views", "pinned", "alpha", "overlap_share"} & set(report["settings"])
     assert not (planned / "curve.png").exists()
 
@@ -74,20 +74,24 @@ def test_the_most_coverage_around_pinned_and_banned_views_with_its_curve(
     assert pinned in views
     assert not set(banned) & set(views)
     assert said["settings"]["pinned"] == [pinned]
-    assert said["most_coverage"]["covered"] == pytest.approx(share)
-    assert share <= said["most_coverage"]["upper_bound"] + 1e-12
+    assert said["max_coverage"]["coverage"] == pytest.approx(share)
+    assert share <= said["max_coverage"]["upper_bound"] + 1e-12
     curve = json.loads((folder / "curve.json").read_text())
     M, areas = matrix(folder)
     for point in curve["points"]:
         real = areas[M[:, point["views"]].any(axis=1)].sum() / areas.sum()
-        assert (len(point["views"]), point["covered"]) == (point["n_views"], pytest.approx(real))
-        assert point["covered"] <= point["upper_bound"] + 1e-12
+        assert (len(point["views"]), point["coverage"]) == (point["n_views"], pytest.approx(real))
+        assert point["coverage"] <= point["upper_bound"] + 1e-12
         assert pinned in point["views"]
         assert not set(banned) & set(point["views"])
     assert curve["points"][0]["n_views"] == 1
-    assert curve["points"][2]["covered"] >= share - 1e-12
-    assert curve["points"][-1]["covered"] == pytest.approx(curve["coverable"])
-    assert curve["fewest"][-1]["at_least"] <= curve["fewest"][-1]["views"] == curve["points"][-1]["n_views"]
+    assert curve["points"][2]["coverage"] >= share - 1e-12
+    assert curve["points"][-1]["coverage"] == pytest.approx(curve["coverable"])
+    assert (
+        curve["minimum_views"][-1]["lower_bound"]
+        <= curve["minimum_views"][-1]["views"]
+        == curve["points"][-1]["n_views"]
+    )
     assert (folder / "curve.png").stat().st_size > 10_000
     page = (folder / "report.md").read_text()
     assert "curve.png" in page
@@ -118,7 +122,7 @@ def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict
     assert (M[:, views].sum(axis=1) >= np.minimum(able, 2)).mean() > 0.99  # except for samples that arms occlude
     assert said["multiplicity"]["views_per_sample"] == 2
     assert said["cost"]["seconds"] == pytest.approx(2.5 * len(views) + said["motion"]["duration_s"], abs=1e-6)
-    assert 0 < said["cost"]["bound_seconds"] <= said["cost"]["seconds"] + 1e-9
+    assert 0 < said["cost"]["seconds_bound"] <= said["cost"]["seconds"] + 1e-9
 
 
 def test_scans_that_hang_together(
@@ -141,9 +145,9 @@ def test_scans_that_hang_together(
                 graph.add_edge(a, b)
     assert said["overlap"]["connected"]
     assert nx.is_connected(graph)
-    assert said["overlap"]["extra_views"] == len(views) - said["overlap"]["views_without"] >= 0
+    assert said["overlap"]["extra_views"] == len(views) - said["overlap"]["views_without_overlap"] >= 0
     assert all(set(graph[k]) & set(range(k)) for k in range(1, len(views)))  # views are in visiting order
-    assert said["overlap"]["without_earlier"] == 0
+    assert said["overlap"]["views_without_earlier_overlap"] == 0
 
 
 def test_a_promise_under_pose_errors_is_kept_in_simulated_executions(
@@ -151,13 +155,13 @@ def test_a_promise_under_pose_errors_is_kept_in_simulated_executions(
 ) -> None:
     """In 200 simulated executions with pose errors, the promised samples are measured at the promised rate."""
     _, said = ask("promise", "--faces", "60", "--pose-sd", "1mm,0.5deg", "--alpha", "0.1", "--coverage", "1")
-    promise = said["promise"]
+    promise = said["robust"]
     assert (promise["executions"], promise["samples"], promise["alpha"]) == (200, 10_000, 0.1)
-    assert promise["robust_on_features"] <= said["coverage"]["planned_on_features"] + 1e-12
-    assert promise["robust_on_features"] == pytest.approx(promise["robust_coverable_on_features"])
-    assert promise["frequency"] >= 0.9
-    assert promise["kept"] > 0.98
-    assert promise["coverage_worst"] <= promise["coverage_mean"] <= said["coverage"]["coverable"] + 0.01
+    assert promise["robust_on_samples"] <= said["coverage"]["planned_on_samples"] + 1e-12
+    assert promise["robust_on_samples"] == pytest.approx(promise["robust_coverable_on_samples"])
+    assert promise["mean_frequency"] >= 0.9
+    assert promise["confirmed_share"] > 0.98
+    assert promise["coverage_min"] <= promise["coverage_mean"] <= said["coverage"]["coverable"] + 0.01
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cell.api import locate
+from cell.api import edit, locate
 from cell.errors import FileError, SceneError
 from cell.metrology.locate import _check_motion
-from cell.plan.edit import EditableRun
 from cell.runs.cell import read_cell, world_of
 from cell.runs.current_files import CurrentFiles
 from cell.runs.current_scene import require_current_scene
@@ -50,7 +49,7 @@ def test_files_hold_the_angle_of_the_table(turned: Path) -> None:
     assert stored["via_e"].shape == (len(stored["via_q"]), 1)
     assert stored["limit_velocity"].shape == (7,)
     plan, manifest = _json(turned / "plan.json"), _json(turned / "manifest.json")
-    assert manifest["schema"] == plan["schema"] == "scan-cell/run/2"
+    assert manifest["schema"] == plan["schema"] == "scan-cell/run/3"
     scene = _json(turned / "scene.resolved.json")
     axis = np.array(scene["table"]["T_base_table"])[:3, 3]
     for view in plan["views"]:
@@ -82,7 +81,7 @@ def test_a_plan_without_a_table_has_nothing_of_it(planned: Path) -> None:
     assert "e" not in np.load(planned / "reach.npz").files
     assert "table" not in _json(planned / "scene.resolved.json")
     assert all("e_deg" not in view and "T_base_object" not in view for view in _json(planned / "plan.json")["views"])
-    assert _json(planned / "manifest.json")["schema"] == "scan-cell/run/1"
+    assert _json(planned / "manifest.json")["schema"] == "scan-cell/run/3"
 
 
 def test_the_slowest_of_seven_axes_sets_the_time(turned: Path) -> None:
@@ -162,8 +161,8 @@ def test_a_scan_begins_at_the_present_angle_of_the_table(turned: Path, run_cell:
     start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(home[:6]), 60.0])
     done = run_cell("scan", copy, "--resume", "0001", "--driver", f"sim://?start={start}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    (resumed,) = _json(copy / "executions" / "0001" / "manifest.json")["resumed"]
-    way = np.array(resumed["way_deg"])
+    (resumed,) = _json(copy / "executions" / "0001" / "manifest.json")["resumptions"]
+    way = np.array(resumed["path_deg"])
     np.testing.assert_allclose(way[0], [*np.degrees(home[:6]), 60.0], atol=1e-4)
     view = _json(copy / "plan.json")["views"][0]
     np.testing.assert_allclose(way[-1], [*view["q_deg"], *view["e_deg"]], atol=1e-4)
@@ -237,9 +236,9 @@ def test_why_explains_all_uncovered_surface(turned: Path, run_cell: RunCell, tmp
     done = run_cell("why", copy, "--samples", "4000", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     why = _json(copy / "why" / "why.json")
-    assert why["visible"] + why["open"] == pytest.approx(1.0, abs=1e-6)
+    assert why["visible"] + why["uncovered"] == pytest.approx(1.0, abs=1e-6)
     assert why["visible"] == pytest.approx(_share(copy), abs=0.01)
-    turns = [each["change"] for each in why["tried"] if each["kind"] == "turn"]
+    turns = [each["change"] for each in why["all_changes"] if each["kind"] == "turn"]
     assert turns == ["a second set-up with the part upside down"]
 
 
@@ -272,8 +271,8 @@ def test_a_further_set_up_keeps_the_table(turned: Path, run_cell: RunCell, tmp_p
     done = run_cell("setups", "--first", turned, *further, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     file = _json(tmp_path / "over" / "setups.json")
-    assert len(file["chosen"]) == 2
-    assert file["coverage"]["visible"] > file["chosen"][0]["visible"] == pytest.approx(_share(turned), abs=0.001)
+    assert len(file["selected"]) == 2
+    assert file["coverage"]["visible"] > file["selected"][0]["visible"] == pytest.approx(_share(turned), abs=0.001)
     first, second = (tmp_path / "over" / "setups" / number for number in "12")
     tables = [_json(run / "scene.resolved.json")["table"] for run in (first, second)]
     np.testing.assert_allclose(tables[0]["T_base_table"], tables[1]["T_base_table"], atol=1e-8)
@@ -297,14 +296,14 @@ def test_views_are_edited_and_the_motion_of_seven_axes_certified_again(
     )
     assert again < 1e-4  # set-points are rounded
     assert verify_plan(tmp_path / "same").world.table is not None
-    fewer = EditableRun.opened(turned).edited(drop=[1], out=tmp_path / "fewer", use_cache=False)
+    fewer = edit(turned, drop=[1], out=tmp_path / "fewer", use_cache=False)
     assert len(fewer.plan.views) == len(_json(turned / "plan.json")["views"]) - 1
     assert verify_plan(fewer.folder).world.table is not None
 
 
 def test_a_turned_part_is_located_at_angle_0(turned: Path, tmp_path: Path) -> None:
     """Points in base at a view's table angle, with the view's number, give the placement."""
-    run = EditableRun.opened(turned)
+    run = open_run(turned)
     stop, view = next((n, v) for n, v in enumerate(run.plan.views, 1) if v.e_deg[0])
     moved = np.eye(4)
     moved[:3, 3] = 0.002, -0.001, 0.0
@@ -312,7 +311,7 @@ def test_a_turned_part_is_located_at_angle_0(turned: Path, tmp_path: Path) -> No
     np.savetxt(tmp_path / "points.xyz", 1000 * points)
     found = locate(turned, points=str(tmp_path / "points.xyz"), points_frame="base", points_units="mm", view=[stop])
     np.testing.assert_allclose(found.T_base_object, run.T_base_object @ moved, atol=1e-5)
-    there = run.edited(T_base_object=found.T_base_object, repair=True, out=tmp_path / "there", use_cache=False)
+    there = edit(run, T_base_object=found.T_base_object, repair=True, out=tmp_path / "there", use_cache=False)
     tables = [_json(folder / "scene.resolved.json")["table"]["T_base_table"] for folder in (turned, there.folder)]
     np.testing.assert_allclose(*tables, atol=1e-9)  # the part was moved on the table; the table keeps its place
 
@@ -335,7 +334,7 @@ def test_a_located_part_is_kept_clear_of_while_an_indexed_table_turns(
     turned: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The motion is checked for the mode of the table: simultaneous motion of arm and table is reported."""
-    run = EditableRun.opened(turned)
+    run = open_run(turned)
     world = world_of(run, run.reference)
     indexed = dataclasses.replace(world, limits=dataclasses.replace(world.limits, table_turn_q=world.home))
     found = []
@@ -438,8 +437,8 @@ def test_an_indexed_table_is_planned_verified_and_resumed(
     (run / "executions" / "0001" / "scans" / "0001.npz").unlink()
     done = run_cell("scan", run, "--resume", "0001", "--driver", f"sim://?start={start}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    (resumed,) = _json(run / "executions" / "0001" / "manifest.json")["resumed"]
-    moved = np.abs(np.diff(np.array(resumed["way_deg"]), axis=0)) > 1e-3
+    (resumed,) = _json(run / "executions" / "0001" / "manifest.json")["resumptions"]
+    moved = np.abs(np.diff(np.array(resumed["path_deg"]), axis=0)) > 1e-3
     assert not (moved[:, :6].any(axis=1) & moved[:, 6]).any()
     with pytest.raises(FileError, match="the path moves arm and table at once"):
         verify_plan(run).require_path_free(np.stack([via[0], quantise(via[0] + np.radians([1, 0, 0, 0, 0, 0, 1]))]))

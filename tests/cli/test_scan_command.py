@@ -47,7 +47,7 @@ def copied(executed: Path, tmp_path: Path) -> Path:
     shutil.copytree(executed, run)
     path = run / "executions" / "0001" / "manifest.json"
     manifest = json.loads(path.read_text())
-    for name in ("artefacts", "exit_code", "moving_s"):
+    for name in ("artefacts", "exit_code", "motion_s"):
         manifest.pop(name)
     path.write_text(json.dumps({**manifest, "status": "running"}))
     return run
@@ -55,7 +55,7 @@ def copied(executed: Path, tmp_path: Path) -> Path:
 
 def _without_schema(folder: Path) -> dict[str, Any]:
     report: dict[str, Any] = json.loads((folder / "report.json").read_text())
-    assert report.pop("schema") == "scan-cell/run/1"
+    assert report.pop("schema") == "scan-cell/run/3"
     return report
 
 
@@ -90,7 +90,7 @@ def test_the_execution_is_complete_and_its_manifest_true(executed: Path) -> None
     n_views = len(json.loads((executed / "plan.json").read_text())["views"])
     assert files == CONTRACT | {f"scans/{k:04d}.npz" for k in range(1, n_views + 1)}
     manifest = json.loads((folder / "manifest.json").read_text())
-    assert (manifest["status"], manifest["exit_code"], manifest["schema"]) == ("finished", 0, "scan-cell/run/1")
+    assert (manifest["status"], manifest["exit_code"], manifest["schema"]) == ("finished", 0, "scan-cell/run/3")
     assert set(manifest["artefacts"]) == files - {"manifest.json", "events.jsonl"}
     for name, digest in manifest["artefacts"].items():
         assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest, name
@@ -141,7 +141,7 @@ def test_achieved_visible_coverage_is_the_predicted_one(executed: Path) -> None:
     planned = json.loads((executed / "plan.json").read_text())["coverage"]
     coverage = report["coverage"]
     assert coverage["visible"] == coverage["predicted"] == planned["visible"]
-    assert sum(view["adds"] for view in report["views"]) == pytest.approx(planned["visible"], abs=1e-12)
+    assert sum(view["marginal_coverage"] for view in report["views"]) == pytest.approx(planned["visible"], abs=1e-12)
     assert 0 < coverage["sampled"] < 1
     assert coverage["sampled_radius_mm"] == pytest.approx(
         0.01 * np.linalg.norm(np.ptp(trimesh.load(executed / "reference.ply").vertices, axis=0)), rel=1e-6
@@ -166,7 +166,7 @@ def test_cloud_and_mesh_are_readable_and_say_what_the_report_says(executed: Path
     np.testing.assert_allclose(length, 1, atol=1e-5)
     assert (rows["scalar_view"] == rows["view"]).all()
     mesh = trimesh.load(folder / "mesh.ply", process=False)
-    assert len(mesh.faces) == report["model"]["faces"] > 500
+    assert len(mesh.faces) == report["surface"]["faces"] > 500
     off = ply.elements((folder / "mesh.ply").read_bytes())["vertex"]["scalar_deviation_mm"]
     assert report["deviation"]["rms_mm"] < 0.5
     reference = trimesh.load(executed / "reference.ply")
@@ -205,7 +205,7 @@ def test_a_report_made_again_is_the_same(executed: Path, tmp_path: Path) -> None
 def test_report_files_hold_no_clock_value(executed: Path) -> None:
     """The date of the execution is in its manifest and its events, not in report.md and report.json."""
     folder = executed / "executions" / "0001"
-    day = json.loads((folder / "manifest.json").read_text())["started"][:10]
+    day = json.loads((folder / "manifest.json").read_text())["start_time"][:10]
     for name in ("report.md", "report.json"):
         assert day not in (folder / name).read_text()
     assert day in (folder / "events.jsonl").read_text()
@@ -251,25 +251,25 @@ def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Pat
 
 def test_closed_holes_are_marked_and_said(copied: Path) -> None:
     """The closing faces are marked in mesh.ply, are reported separately and are the difference to the open mesh."""
-    open_faces = _without_schema(copied / "executions" / "0001")["model"]["faces"]
+    open_faces = _without_schema(copied / "executions" / "0001")["surface"]["faces"]
     outcome = _scan(copied, close_holes=True)
-    model = outcome.report.model
+    model = outcome.report.surface
     assert model.closed_faces > 0
     assert model.faces == open_faces + model.closed_faces
     body = (outcome.folder / "mesh.ply").read_bytes().partition(b"end_header\n")[2]
     faces = np.frombuffer(body[28 * model.vertices :], dtype=[("n", "u1"), ("v", "<i4", 3), ("closed", "u1")])
     assert faces["closed"].sum() == model.closed_faces
-    apart = outcome.report.deviation.closed
+    apart = outcome.report.deviation.closed_holes
     page = (outcome.folder / "report.md").read_text()
     assert "are not measured, are marked `closed` in mesh.ply, and do not count in the deviation below" in page
-    assert f"deviate by {apart.rms_mm:.4f} mm rms, by {apart.largest_mm:.4f} mm at most" in page
+    assert f"deviate by {apart.rms_mm:.4f} mm rms, by {apart.max_mm:.4f} mm at most" in page
 
 
 def test_an_execution_that_sees_nothing_is_reported(copied: Path) -> None:
     """With the scanner metres off, the scan is empty, nothing is measured, and the report states both."""
     outcome = _scan(copied, pose_error_mm=5000.0, view=1)
     assert outcome.report.n_points == 0
-    assert outcome.report.registration.left_as_reported == 1
+    assert outcome.report.registration.uncorrected_scans == 1
     assert outcome.report.coverage.visible == outcome.report.coverage.sampled == 0
     assert outcome.report.deviation is None
     text = (outcome.folder / "report.md").read_text()
@@ -303,10 +303,10 @@ def test_a_truncated_scan_and_one_with_nan_are_named_and_left_out(copied: Path) 
     summary = _remake(copied)
     assert not summary.complete
     assert summary.missing_views == (2, 3)
-    cut, nan = summary.left_out
+    cut, nan = summary.unusable_files
     assert cut.startswith("scans/0002.npz is damaged or cut short")
     assert nan.startswith("scans/0003.npz is damaged: points contains NaN")
-    assert [view.stop for view in summary.views] == [1, *range(4, summary.n_views_planned + 1)]
+    assert [view.number for view in summary.views] == [1, *range(4, summary.n_views_planned + 1)]
     assert summary.coverage.visible == summary.coverage.predicted
     assert summary.coverage.visible < summary.coverage.predicted_all_views
     text = (copied / "executions" / "0001" / "report.md").read_text()
@@ -327,7 +327,7 @@ def test_a_scan_that_was_changed_afterwards_is_left_out(executed: Path, tmp_path
     summary = _remake(run)
     assert summary.missing_views == (1,)
     assert "Scan again with `cell scan RUN --view 1`" in (run / "executions" / "0001" / "report.md").read_text()
-    assert "is not what the execution wrote" in summary.left_out[0]
+    assert "is not the file that the execution wrote" in summary.unusable_files[0]
 
 
 def test_a_scan_file_that_is_not_that_of_its_view_is_named_and_left_out(copied: Path) -> None:
@@ -340,13 +340,13 @@ def test_a_scan_file_that_is_not_that_of_its_view_is_named_and_left_out(copied: 
     shutil.copy(scans / "0004.npz", scans / "copy.npz")
     summary = _remake(copied)
     assert summary.missing_views == (1, 2, 3)
-    assert [view.stop for view in summary.views] == list(range(4, n + 1))
-    assert [sentence.split(" ")[0] for sentence in summary.left_out] == [
+    assert [view.number for view in summary.views] == list(range(4, n + 1))
+    assert [sentence.split(" ")[0] for sentence in summary.unusable_files] == [
         "scans/0001.npz", "scans/0002.npz", "scans/0003.npz", "scans/copy.npz",
     ]  # fmt: skip
-    assert f"views 1 to {n}" in summary.left_out[0]
-    assert "candidate 1000000" in summary.left_out[1]
-    assert "whose file is 0004.npz" in summary.left_out[2]
+    assert f"views 1 to {n}" in summary.unusable_files[0]
+    assert "candidate 1000000" in summary.unusable_files[1]
+    assert "whose file is 0004.npz" in summary.unusable_files[2]
 
 
 def test_a_damaged_manifest_of_an_execution_is_told_and_the_scans_used(copied: Path) -> None:
@@ -357,7 +357,7 @@ def test_a_damaged_manifest_of_an_execution_is_told_and_the_scans_used(copied: P
         path.write_text(content)
         summary = _remake(copied)
         assert summary.n_views == summary.n_views_planned
-        (sentence,) = summary.left_out
+        (sentence,) = summary.unusable_files
         assert sentence.startswith("manifest.json is damaged")
         assert sentence.endswith("the report is made without it")
         assert json.loads(path.read_text())["status"] == "incomplete"
@@ -370,7 +370,7 @@ def test_an_execution_that_still_runs_is_not_reported_and_that_of_a_dead_process
     manifest = json.loads(path.read_text())
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
     here = process.with_process(Manifest())
-    entries = Manifest(pid=child.pid, pid_began=process._stat(child.pid)[1], machine=here.machine)
+    entries = Manifest(pid=child.pid, pid_start=process._stat(child.pid)[1], machine=here.machine)
     for living in (here, entries):
         path.write_text(json.dumps({**manifest, **living.as_json()}))
         before = path.read_bytes()

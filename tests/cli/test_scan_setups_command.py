@@ -42,13 +42,13 @@ def test_what_is_called_determined_is_found_whatever_the_part_was_moved_by(folde
     """A part 5 mm and 2 deg off in several directions is located to 0.05 mm and 0.02 deg in both set-ups."""
     wishes = {"setup_error": "5mm,2deg", "range_noise": 0.03, "resolution": 0.5, "seed": seed}
     report = scan_all(folder, **wishes).report
-    assert report.missing == ()
+    assert report.missing_setups == ()
     for setup in report.setups:
-        assert setup.place is not None
-        assert setup.place.off_mm is not None
-        assert setup.place.off_deg is not None
-        assert setup.place.off_mm <= 0.05
-        assert setup.place.off_deg <= 0.02
+        assert setup.localisation is not None
+        assert setup.localisation.error_mm is not None
+        assert setup.localisation.error_deg is not None
+        assert setup.localisation.error_mm <= 0.05
+        assert setup.localisation.error_deg <= 0.02
 
 
 def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, run_cell: Run) -> None:
@@ -56,23 +56,23 @@ def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, ru
     done = run_cell("scan", "made", "--setup", "1", *NOISY, "--json", cwd=folder.parent)
     assert done.returncode == 0, done.stderr
     first = json.loads(done.stdout)
-    assert (first["missing"], len(first["setups"]), first["shared"]) == ([2], 1, [])
-    assert first["open"]["to_come"] > 0.05
+    assert (first["missing_setups"], len(first["setups"]), first["common_surface"]) == ([2], 1, [])
+    assert first["uncovered"]["not_scanned"] > 0.05
     done = run_cell("scan", "made", "--resume", "latest", cwd=folder.parent)  # set-up 2 has the options of set-up 1
     assert done.returncode == 0, done.stderr
     assert "set-up 2 of 2: the part lies" in done.stderr
     report = json.loads((folder / "scanned" / "report.json").read_text())
-    assert report["missing"] == []
+    assert report["missing_setups"] == []
     for setup in report["setups"]:
-        place = setup["place"]
-        assert place["moved_mm"] == pytest.approx(5, abs=0.05) or place["undetermined"]
-        assert place["off_mm"] <= 0.05
-        assert place["off_deg"] <= 0.02
+        place = setup["localisation"]
+        assert place["displacement_mm"] == pytest.approx(5, abs=0.05) or place["free_motions"]
+        assert place["error_mm"] <= 0.05
+        assert place["error_deg"] <= 0.02
     assert report["deviation"]["rms_mm"] < 0.5
-    assert sum(setup["adds"] for setup in report["setups"]) == pytest.approx(report["visible"], abs=1e-9)
-    assert report["visible"] + sum(report["open"].values()) == pytest.approx(1, abs=1e-9)
+    assert sum(setup["marginal_coverage"] for setup in report["setups"]) == pytest.approx(report["visible"], abs=1e-9)
+    assert report["visible"] + sum(report["uncovered"].values()) == pytest.approx(1, abs=1e-9)
     assert report["visible"] == pytest.approx(report["planned"], abs=0.03)
-    assert [pair["setups"] for pair in report["shared"]] == [[1, 2]]
+    assert [pair["setups"] for pair in report["common_surface"]] == [[1, 2]]
     done = run_cell("scan", "made", cwd=folder.parent)
     assert done.returncode == 2
     assert "all 2 set-ups of made are scanned; --setup 1 scans one again" in done.stderr
@@ -96,7 +96,7 @@ def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: R
         found = find_measured(T, samples, cell.scanner, (cell.part_caster, cell.occluder_caster))
         seen.append(found & ~in_contact(samples, cell.occluders))
     assert report["visible"] == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
-    assert all(setup["place"] is None for setup in report["setups"])
+    assert all(setup["localisation"] is None for setup in report["setups"])
     again = (folder / "scanned" / "report.json").read_bytes()
     done = run_cell("scan", "made", "--report", "latest", cwd=folder.parent)
     assert done.returncode == 0, done.stderr
@@ -118,7 +118,7 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: Run, start_
     assert done.returncode == 0, done.stderr
     assert "views are scanned already" in done.stderr
     report = json.loads(done.stdout)
-    assert report["missing"] == []
+    assert report["missing_setups"] == []
     assert [setup["execution"] for setup in report["setups"]] == ["0001", "0001"]
     for number, setup in enumerate(report["setups"], start=1):
         execution = folder / "setups" / str(number) / "executions" / "0001"
@@ -165,7 +165,7 @@ def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_
     first.rename(points / "0001.xyz")
     done = run_cell("scan", "made", "--resume", "latest", "--json", cwd=beside)
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["missing"] == [2]
+    assert json.loads(done.stdout)["missing_setups"] == [2]
     assert not (folder / "setups" / "2" / "executions").exists()
     done = run_cell("scan", "made", "--resume", "latest", cwd=beside)
     assert done.returncode == 2
@@ -182,7 +182,7 @@ def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Pa
     done = run_cell("scan", "made", "--setup", "1", "--resume", "latest", "--json", cwd=beside)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
-    assert (report["missing"], [setup["execution"] for setup in report["setups"]]) == ([2], ["0002"])
+    assert (report["missing_setups"], [setup["execution"] for setup in report["setups"]]) == ([2], ["0002"])
 
 
 def test_who_lets_the_arm_move_says_how_the_part_lies(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,7 +200,7 @@ def test_who_lets_the_arm_move_says_how_the_part_lies(folder: Path, monkeypatch:
 
     monkeypatch.setattr("cell.scan.setups.scan", scan)
     planned = SetupsRun.opened(folder).file
-    for number, chosen in enumerate(planned.chosen, start=1):
+    for number, chosen in enumerate(planned.selected, start=1):
         with pytest.raises(UsageError, match="not confirmed"):
             scan_setups(
                 Session(None, confirm=answer),
@@ -209,7 +209,9 @@ def test_who_lets_the_arm_move_says_how_the_part_lies(folder: Path, monkeypatch:
                 setup=number,
                 resumed=False,
             )
-        assert asked[-1].startswith(f"set-up {number} of 2: the part lies {planned.offered[chosen.offered].name}, ")
+        assert asked[-1].startswith(
+            f"set-up {number} of 2: the part lies {planned.candidates[chosen.candidate].name}, "
+        )
         assert asked[-1].endswith(f" deg. {number} moves?")
 
 

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.api import open_run, plan_setups
-from cell.plan.setups import Setup, cause_of_omission
+from cell.api import open_run, setups
+from cell.plan.setup_candidates import Setup
+from cell.plan.setups import cause_of_omission
 from cell.runs.cell import read_cell
 from tests.seen_samples import seen_samples
 
@@ -28,15 +29,17 @@ def made(made_setups: Path) -> Path:
 def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
     """The coverage is the union of all runs on the held-out samples. The number of set-ups equals its bound."""
     said = json.loads((made / "setups.json").read_text())
-    seen = [seen_samples(made / setup["folder"]) for setup in said["chosen"]]
+    seen = [seen_samples(made / setup["folder"]) for setup in said["selected"]]
     assert said["coverage"]["visible"] == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
-    assert [setup["visible"] for setup in said["chosen"]] == pytest.approx([each.mean() for each in seen], abs=1e-12)
-    assert sum(setup["adds"] for setup in said["chosen"]) == pytest.approx(said["coverage"]["visible"], abs=1e-12)
+    assert [setup["visible"] for setup in said["selected"]] == pytest.approx([each.mean() for each in seen], abs=1e-12)
+    assert sum(setup["marginal_coverage"] for setup in said["selected"]) == pytest.approx(
+        said["coverage"]["visible"], abs=1e-12
+    )
     assert said["coverage"]["visible_of_coverable"] >= 0.97
-    assert len(said["chosen"]) == said["setups_bound"]
-    assert said["views"] == sum(setup["views"] for setup in said["chosen"]) >= said["views_bound"] >= len(seen)
-    assert len(said["offered"]) == 4
-    assert max(each["coverable"] for each in said["offered"]) <= said["coverage"]["coverable"]
+    assert len(said["selected"]) == said["setups_bound"]
+    assert said["views"] == sum(setup["views"] for setup in said["selected"]) >= said["views_bound"] >= len(seen)
+    assert len(said["candidates"]) == 4
+    assert max(each["coverable"] for each in said["candidates"]) <= said["coverage"]["coverable"]
     assert "proven fewest of 4 set-up candidates" in " ".join(
         (made.parent / "stdout").read_text().replace("│", " ").split()
     )
@@ -46,13 +49,13 @@ def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
 def test_each_set_up_is_a_run_of_its_own(made: Path, run_cell: Cell, tmp_path: Path) -> None:
     """All runs have the same samples as rows and the digests of setups.json. A run is scanned like any other."""
     said = json.loads((made / "setups.json").read_text())
-    points = [np.load(made / setup["folder"] / "measurability.npz")["points"] for setup in said["chosen"]]
+    points = [np.load(made / setup["folder"] / "measurability.npz")["points"] for setup in said["selected"]]
     for other in points[1:]:
         np.testing.assert_array_equal(other, points[0])
-    for setup in said["chosen"]:
+    for setup in said["selected"]:
         run = open_run(made / setup["folder"])
         assert run.digest == setup["digest"]
-        offered = said["offered"][setup["offered"]]
+        offered = said["candidates"][setup["candidate"]]
         assert list(run.report.settings.placement_mm) == offered["placement_mm"]
         assert list(run.report.settings.placement_abc_deg) == offered["placement_abc_deg"]
     shutil.copytree(made, tmp_path / "made")
@@ -141,13 +144,13 @@ def test_given_set_ups_are_planned_each_among_its_own_fixtures(part_file: Path, 
     done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
     assert done.returncode in (0, 3), done.stderr
     said = json.loads((tmp_path / "made" / "setups.json").read_text())
-    assert [each["name"] for each in said["offered"]] == ["upright", "over", "stuck"]
-    assert "block" in said["offered"][2]["left_out"]
-    assert "the set-up 'stuck' is left out: " in done.stderr
-    for setup in said["chosen"]:
+    assert [each["name"] for each in said["candidates"]] == ["upright", "over", "stuck"]
+    assert "block" in said["candidates"][2]["cause"]
+    assert "the set-up 'stuck' is omitted: " in done.stderr
+    for setup in said["selected"]:
         run = open_run(tmp_path / "made" / setup["folder"])
         names = [fixture.name for fixture in read_cell(run).scene.fixtures if not fixture.built_in]
-        assert names == (["vise"] if setup["offered"] == 1 else [])
+        assert names == (["vise"] if setup["candidate"] == 1 else [])
     done = run_cell("plan", "--scene", "cell.toml", "--out", "run", cwd=tmp_path)
     assert done.returncode == 2
     assert "the scene has 3 set-ups, and cell plan plans one: use cell setups" in done.stderr
@@ -160,53 +163,53 @@ def test_equal_set_ups_are_refused(part_file: Path, run_cell: Cell, tmp_path: Pa
     scene.write_text(text)
     done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
     assert done.returncode == 2
-    assert "'over' and 'again' are equal; leave one of them out" in done.stderr
+    assert "'over' and 'again' are equal; omit one of them" in done.stderr
 
 
 def test_wishes_are_asked_of_all_set_ups_together(part_file: Path, tmp_path: Path) -> None:
     """A pinned candidate brings its set-up, a banned one is not selected. Two views may be of different set-ups."""
-    made = plan_setups(
+    made = setups(
         part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,
         candidates="optimal-scanning-zone", proposals=3, coverage=0.95,
         multiplicity=2, pin=["2:12"], ban=["0:4", "1:4"],
     )  # fmt: skip
     taken = {}
     twice: np.ndarray | int = 0
-    for setup, folder in zip(made.file.chosen, made.folders, strict=True):
+    for setup, folder in zip(made.file.selected, made.folders, strict=True):
         run = open_run(folder)
-        taken[setup.offered] = {view.id for view in run.plan.views}
+        taken[setup.candidate] = {view.id for view in run.plan.views}
         M = run.measurability
-        twice = twice + np.asarray(M.matrix().tocsc()[:, sorted(taken[setup.offered])].sum(axis=1)).ravel()
+        twice = twice + np.asarray(M.matrix().tocsc()[:, sorted(taken[setup.candidate])].sum(axis=1)).ravel()
     assert 12 in taken[2]
     assert 4 not in taken.get(0, set()) | taken.get(1, set())
-    assert made.file.kept is not None
-    assert made.file.kept >= 0.95
-    assert (np.asarray(twice) >= 2).mean() >= 0.9 * made.file.kept
+    assert made.file.satisfied_share is not None
+    assert made.file.satisfied_share >= 0.95
+    assert (np.asarray(twice) >= 2).mean() >= 0.9 * made.file.satisfied_share
 
 
 def test_the_curve_is_of_the_set_ups_that_are_used_and_each_is_visited_in_order(
     part_file: Path, tmp_path: Path
 ) -> None:
     """Views of the curve are named like pinned ones and measure the stated share. Views overlap earlier ones."""
-    made = plan_setups(
+    made = setups(
         part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,
         candidates="optimal-scanning-zone", proposals=3, coverage=0.95, curve=True, overlap="5%", overlap_in_order=True,
     )  # fmt: skip
     matrices = {}
-    for setup, folder in zip(made.file.chosen, made.folders, strict=True):
+    for setup, folder in zip(made.file.selected, made.folders, strict=True):
         run = open_run(folder)
         M = run.measurability
-        matrices[str(setup.offered)], areas = M.matrix().tocsc(), M.samples.areas
-        assert json.loads((folder / "report.json").read_text())["overlap"]["without_earlier"] == 0
+        matrices[str(setup.candidate)], areas = M.matrix().tocsc(), M.samples.areas
+        assert json.loads((folder / "report.json").read_text())["overlap"]["views_without_earlier_overlap"] == 0
     said = json.loads((tmp_path / "made" / "curve.json").read_text())
     for point in said["points"][1:]:
         views = [view.split(":") for view in point["views"]]
         seen = np.hstack([matrices[setup][:, [int(number)]].toarray() for setup, number in views]).any(axis=1)
-        assert areas[seen].sum() / areas.sum() == pytest.approx(point["covered"])
-        assert point["upper_bound"] >= point["covered"]
-    assert said["points"][-1]["covered"] == pytest.approx(said["coverable"])
+        assert areas[seen].sum() / areas.sum() == pytest.approx(point["coverage"])
+        assert point["upper_bound"] >= point["coverage"]
+    assert said["points"][-1]["coverage"] == pytest.approx(said["coverable"])
     assert made.file.curve is not None
-    assert made.file.curve.fewest[-1].views == len(said["points"]) - 1
+    assert made.file.curve.minimum_views[-1].views == len(said["points"]) - 1
     assert "![Coverage over the number of views" in (tmp_path / "made" / "report.md").read_text()
     assert (tmp_path / "made" / "curve.png").is_file()
 
@@ -224,8 +227,8 @@ def test_regions_of_set_ups_have_coverages_of_their_own(part_file: Path, run_cel
     assert done.returncode == 0, done.stderr
     regions = {each["name"]: each for each in json.loads(done.stdout)["regions"]}
     assert set(regions) == {"top", "rest"}
-    assert regions["top"]["visible_of_coverable"] >= regions["top"]["asked"] == 0.95
-    assert regions["rest"]["visible_of_coverable"] >= regions["rest"]["asked"] == 0.8
+    assert regions["top"]["visible_of_coverable"] >= regions["top"]["target"] == 0.95
+    assert regions["rest"]["visible_of_coverable"] >= regions["rest"]["target"] == 0.8
 
 
 def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: Cell, tmp_path: Path) -> None:
@@ -236,7 +239,7 @@ def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: Cell, t
     assert "is one of several set-ups" in done.stderr
     done = run_cell("edit", one, "--drop", "1", "--out", "edited", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "their coverage together is not known now" in " ".join(done.stderr.split())
+    assert "their combined coverage is not known now" in " ".join(done.stderr.split())
     assert "--repair" not in done.stdout + done.stderr
     assert "more than the fewest" not in open_run(tmp_path / "edited").report.status
     done = run_cell("edit", "edited", "--repair", "--out", "repaired", cwd=tmp_path)  # in any folder
@@ -266,7 +269,7 @@ def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell,
     done = run_cell("setups", "ball.stl", *small, *wishes, "--proposals", "6", "--out", "made", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "the part has no other stable pose: the only candidate is the part as it is placed, turned," in done.stderr
-    assert len(json.loads((tmp_path / "made" / "setups.json").read_text())["offered"]) == 4
+    assert len(json.loads((tmp_path / "made" / "setups.json").read_text())["candidates"]) == 4
 
 
 def test_why_a_set_up_is_left_out() -> None:

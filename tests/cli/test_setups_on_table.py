@@ -54,7 +54,7 @@ def test_each_set_up_is_a_plan_of_seven_axes_on_the_same_table(folder: Path) -> 
     made = SetupsRun.opened(folder)
     tables = []
     for run in made.folders:
-        assert json.loads((run / "manifest.json").read_text())["schema"] == "scan-cell/run/2"
+        assert json.loads((run / "manifest.json").read_text())["schema"] == "scan-cell/run/3"
         stored = np.load(run / "motion.npz")
         assert (stored["via_q"].shape[1], stored["via_e"].shape[1]) == (6, 1)
         proven = verify_plan(run)
@@ -70,9 +70,9 @@ def test_each_set_up_is_a_plan_of_seven_axes_on_the_same_table(folder: Path) -> 
 def test_a_pose_is_offered_once_where_the_table_turns_it(folder: Path) -> None:
     """Turned set-ups are not offered, because the table turns the part itself."""
     file: SetupsFile = SetupsRun.opened(folder).file
-    assert len(file.offered) == 3
-    assert not any("turned" in offer.name for offer in file.offered)
-    assert len(file.chosen) == file.setups_bound == 2
+    assert len(file.candidates) == 3
+    assert not any("turned" in offer.name for offer in file.candidates)
+    assert len(file.selected) == file.setups_bound == 2
 
 
 def test_they_are_scanned_and_exported_with_the_table(folder: Path, run_cell: Run, tmp_path: Path) -> None:
@@ -84,11 +84,11 @@ def test_they_are_scanned_and_exported_with_the_table(folder: Path, run_cell: Ru
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     scanned = json.loads(done.stdout)
-    assert scanned["missing"] == []
+    assert scanned["missing_setups"] == []
     assert scanned["visible"] == pytest.approx(scanned["planned"], abs=0.02)
     for setup in scanned["setups"]:
-        assert setup["place"]["off_mm"] <= 0.05
-        assert setup["place"]["off_deg"] <= 0.02
+        assert setup["localisation"]["error_mm"] <= 0.05
+        assert setup["localisation"]["error_deg"] <= 0.02
     done = run_cell("export", "made", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert len(scanned["setups"]) == 2
@@ -111,6 +111,6 @@ def test_what_the_table_cannot_carry_is_left_out(part_file: Path, run_cell: Run,
     done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     file = SetupsRun.opened(tmp_path / "made").file
-    assert [bool(offer.left_out) for offer in file.offered] == [False, False, True]
-    assert "swings through a circle of" in file.offered[2].left_out
-    assert "the set-up 'far off' is left out: the part swings" in done.stderr
+    assert [bool(offer.cause) for offer in file.candidates] == [False, False, True]
+    assert "swings through a circle of" in file.candidates[2].cause
+    assert "the set-up 'far off' is omitted: the part swings" in done.stderr

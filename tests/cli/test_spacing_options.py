@@ -71,9 +71,9 @@ def test_why_tries_a_greater_spacing_and_a_finer_grid(limited: dict[str, Any], r
     """Both changes measure some of the uncovered surface. The change of spacing names its option."""
     done = run_cell("why", "run", "--samples", "3000", "--json", cwd=limited["folder"].parent)
     assert done.returncode == 0, done.stderr
-    tried = json.loads((limited["folder"] / "why" / "why.json").read_text())["tried"]
+    tried = json.loads((limited["folder"] / "why" / "why.json").read_text())["all_changes"]
     for kind in ("spacing", "resolution"):
-        assert max(change["gains_estimated"] for change in tried if change["kind"] == kind) > 0
+        assert max(change["estimated_gain"] for change in tried if change["kind"] == kind) > 0
     assert all(change["setting"].startswith("--max-spacing ") for change in tried if change["kind"] == "spacing")
 
 

@@ -32,8 +32,8 @@ def test_json_is_one_object_with_shares_that_add_up(planned: Path, run_cell: Cel
     said = json.loads(done.stdout)
     kept = json.loads((tmp_path / "run" / "why" / "why.json").read_text())
     assert {key: value for key, value in kept.items() if key != "schema"} == said
-    assert abs(said["visible"] + said["open"] - 1) < 1e-9
-    assert abs(sum(group["share"] for group in said["groups"]) - said["open"]) < 1e-9
+    assert abs(said["visible"] + said["uncovered"] - 1) < 1e-9
+    assert abs(sum(group["share"] for group in said["groups"]) - said["uncovered"]) < 1e-9
 
 
 def test_wrong_uses_have_their_exit_codes(planned: Path, run_cell: Cell, tmp_path: Path) -> None:
@@ -70,7 +70,7 @@ def test_advice_is_a_share_and_a_command_each(planned: Path, run_cell: Cell, tmp
     assert len(set(commands)) == len(commands) == 8
     for advice in said["advice"]:
         words = advice["command"].split()
-        is_further = "second set-up" in advice["what"]
+        is_further = "second set-up" in advice["description"]
         assert words[:2] == ["cell", "setups" if is_further else "plan"]
         assert words.count("--place") == 1
         assert words.count("--first") == is_further

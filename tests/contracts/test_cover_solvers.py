@@ -15,8 +15,7 @@ from planner.cover.robust import robust_cover
 from planner.measurability.pose_ensemble import ProbabilityLayer
 from tests.support.cover_oracle import assert_consistent
 
-EFFORT = 30_000_000
-COVERAGES = (0.3, 0.9, 1.0)
+EFFORT = 5_000_000
 
 
 def instance(seed: int, n_rows: int = 60, n_columns: int = 40, density: float = 0.1) -> tuple[Any, Any]:
@@ -40,14 +39,14 @@ def solver(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-@pytest.mark.parametrize("coverage", COVERAGES)
 @pytest.mark.parametrize(
-    "options", [{}, {"demand": 2}, {"costs": np.linspace(2.0, 9.0, 40)}], ids=["", "demand", "costs"]
-)
-def test_same_seed_same_answer(solver: str, coverage: float, options: dict[str, Any]) -> None:
+    "options", [{"coverage": 0.3}, {"demand": 2}, {"coverage": 0.9, "costs": np.linspace(2.0, 9.0, 40)}],
+    ids=["share", "demand", "costs"],
+)  # fmt: skip
+def test_same_seed_same_answer(solver: str, options: dict[str, Any]) -> None:
     """Two runs with the same seed and budget agree in every field: effort is counted, not timed."""
     M, areas = instance(8)
-    first, second = (run(M, areas, solver, coverage, **options) for _ in range(2))
+    first, second = (run(M, areas, solver, **options) for _ in range(2))
     np.testing.assert_array_equal(first.views, second.views)
     assert (first.lower_bound, first.cost_bound) == (second.lower_bound, second.cost_bound)
     assert (first.effort, first.status) == (second.effort, second.status)
@@ -57,9 +56,9 @@ def test_same_seed_same_answer(solver: str, coverage: float, options: dict[str, 
 def test_permuting_columns_changes_only_indices(solver: str, options: dict[str, Any]) -> None:
     """The answer to the permuted matrix contains the same sets of rows, in the same order."""
     rng = np.random.default_rng(0)
-    M = rng.random((50, 30)) < 0.15
-    order = rng.permutation(30)
-    plain, permuted = (run(m, np.ones(50), solver, **options) for m in (M, M[:, order]))  # equal areas give ties
+    M = rng.random((40, 25)) < 0.15
+    order = rng.permutation(25)
+    plain, permuted = (run(m, np.ones(40), solver, **options) for m in (M, M[:, order]))  # equal areas give ties
     assert len(plain.views) > 3
     np.testing.assert_array_equal(M[:, plain.views], M[:, order][:, permuted.views])
 
@@ -83,11 +82,11 @@ def test_equal_costs_select_like_no_costs(solver: str) -> None:
     assert (priced.cost_bound, priced.lower_bound) == (12.5 * plain.lower_bound, plain.lower_bound)
 
 
-@pytest.mark.parametrize("coverage", COVERAGES)
+@pytest.mark.parametrize("coverage", [0.9, 1.0])
 def test_the_optimum_is_kept_as_start_and_unusable_starts_are_ignored(solver: str, coverage: float) -> None:
     """Starts may miss the target, contain banned columns or more views than are allowed."""
     M, areas = instance(1)
-    best = run(M, areas, "exact", coverage, effort_budget=10 * EFFORT)
+    best = run(M, areas, "exact", coverage, effort_budget=60 * EFFORT)
     again = run(M, areas, solver, coverage, start=best.views)
     np.testing.assert_array_equal(np.sort(again.views), np.sort(best.views))
     for start in (best.views[:1], np.arange(M.shape[1]), np.zeros(0, dtype=np.int64)):
@@ -113,9 +112,9 @@ def test_one_time_limit_holds_for_both_searches_of_connected_views() -> None:
     M = rng.random((150, 300)) < 0.05
     M[:, 0] |= ~M.any(axis=1)
     ticks = count()
-    limits = {"effort_budget": 10**12, "time_limit_s": 60.0, "clock": lambda: float(next(ticks))}
+    limits = {"effort_budget": 10**12, "time_limit_s": 20.0, "clock": lambda: float(next(ticks))}
     cover = run(M, np.ones(150), "auto", overlap=Overlap(area=2.0), **limits)
-    assert next(ticks) <= 70
+    assert next(ticks) <= 30
     assert cover.sentence.startswith("the time limit stopped the search; at most")
 
 
@@ -144,7 +143,7 @@ def test_ctrl_c_returns_the_best_cover_so_far(solver: str, monkeypatch: pytest.M
     assert 1 <= cover.lower_bound < len(cover.views)
 
 
-@pytest.mark.parametrize("after", [1, 5, 20, 60])
+@pytest.mark.parametrize("after", [1, 20])
 @pytest.mark.parametrize("kind", ["overlap", "robust", "area"])
 def test_ctrl_c_returns_a_valid_answer_to_every_kind_of_problem(
     kind: str, after: int, monkeypatch: pytest.MonkeyPatch

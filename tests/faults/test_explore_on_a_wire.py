@@ -37,7 +37,7 @@ def test_every_batch_waits_for_a_word(
     moved = len(emulated.entries("move"))
     assert moved > 0
     known = schema.read_explore_file(out / "explore.json")
-    assert [stage.digest[:8] for stage in known.stages] == [first[1]]
+    assert [stage.digest[:8] for stage in known.batches] == [first[1]]
     done = run_cell(*command, "--confirm-motion", "explore", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert len(emulated.entries("move")) > moved

@@ -108,14 +108,14 @@ def test_a_killed_client_goes_on_and_scans_every_view_once(
     assert f"{left} views are scanned already" in done.stderr
     execution = run_folder / "executions" / "0001"
     assert _scans(execution) == undisturbed
-    assert [event["stop"] for event in _events(execution) if event["event"] == "scan"] == sorted(
-        {event["stop"] for event in _events(execution) if event["event"] == "scan"}
+    assert [event["number"] for event in _events(execution) if event["event"] == "scan"] == sorted(
+        {event["number"] for event in _events(execution) if event["event"] == "scan"}
     )
     manifest = json.loads((execution / "manifest.json").read_text())
     assert manifest["status"] == "finished"
-    assert len(manifest["resumed"]) == 1
+    assert len(manifest["resumptions"]) == 1
     assert manifest["digest"] == open_finished(run_folder).digest
-    assert (manifest["resumed"][0].get("way", "")[:8] == word[1]) == (word != _word(run_folder))
+    assert (manifest["resumptions"][0].get("path_digest", "")[:8] == word[1]) == (word != _word(run_folder))
     done = run_cell(*again, cwd=run_folder.parent)
     assert done.returncode == 2
     assert "nothing to resume" in done.stderr
@@ -215,7 +215,7 @@ def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
     assert "1 remain (2)" in done.stderr
     (execution / "scans" / "0099.npz").unlink(missing_ok=True)
     assert run_cell("scan", executed_folder, "--report", "latest", cwd=executed_folder.parent).returncode == 0
-    assert [event["stop"] for event in _events(execution)[before:] if event["event"] == "scan"] == [2]
+    assert [event["number"] for event in _events(execution)[before:] if event["event"] == "scan"] == [2]
     assert _scans(execution) == undisturbed
 
 

@@ -148,8 +148,8 @@ def test_no_branch_is_missed(name):
     poses = chain.forward(rng.uniform(-np.pi, np.pi, (4, 6)))
     for T, branches in zip(poses, kinematics.inverse(poses), strict=True):
         starts = rng.uniform(-np.pi, np.pi, (300, 6))
-        wanted = np.broadcast_to(T, (300, 4, 4))
-        reached = kinematics._newton(wanted, starts, steps=60)
+        pose = np.broadcast_to(T, (300, 4, 4))
+        reached = kinematics._newton(pose, starts, steps=60)
         reached = reached[~np.isnan(reached[:, 0])]
         assert len(reached) > 20
         real = branches[~np.isnan(branches[:, 0])]

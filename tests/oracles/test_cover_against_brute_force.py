@@ -15,7 +15,7 @@ from planner.cover.curve import coverage_curve
 from planner.cover.overlap import overlap_graph
 from planner.cover.problem import overlap_adjacency
 from planner.cover.reductions import canonical_form, reduce
-from planner.cover.robust import DEMAND, loads, min_views_at_confidence, robust_cover
+from planner.cover.robust import min_views_at_confidence, robust_cover
 from planner.cover.solvers import solve_instance
 from planner.cover.tree import counts_columns, search_by_number
 from planner.measurability.pose_ensemble import ProbabilityLayer, credited_probability
@@ -34,11 +34,15 @@ def reaches_optimum(problem: CoverProblem) -> bool:
     return problem.overlap is None and not several_targets and not hard_area
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-@settings(max_examples=150)
-@given(problem=cover_problems(), effort=st.sampled_from([0, 200_000, 20_000_000, 20_000_000]), seed=st.integers(0, 9))
+@settings(max_examples=300)
+@given(
+    problem=cover_problems(),
+    solver=st.sampled_from(sorted(SOLVERS)),
+    effort=st.sampled_from([0, 200_000, 20_000_000, 20_000_000]),
+    seed=st.integers(0, 9),
+)
 def test_no_selection_is_better_than_a_bound_and_no_cover_is_better_than_the_best(
-    solver: str, problem: CoverProblem, effort: int, seed: int
+    problem: CoverProblem, solver: str, effort: int, seed: int
 ) -> None:
     """The bounds hold for every problem, solver and budget. `auto` and `exact` prove the optimum with enough effort."""
     effort = min(effort, 1_000_000) if solver == "meta-raps" else effort
@@ -48,12 +52,12 @@ def test_no_selection_is_better_than_a_bound_and_no_cover_is_better_than_the_bes
     assert_bounded(Selections(problem), cover, is_optimal=is_optimal)
 
 
-@settings(max_examples=150)
+@settings(max_examples=50)
 @given(problem=cover_problems(("overlap",), max_rows=16, max_columns=9), seed=st.integers(0, 9))
 def test_the_search_finds_the_fewest_connected_views(problem: CoverProblem, seed: int) -> None:
     """The cover has the fewest connected views, or no selection is connected. The graph has the summed areas."""
     problem = replace(problem, costs=None)
-    cover = solve(problem, rng=np.random.default_rng(seed), effort_budget=3_000_000)
+    cover = solve(problem, rng=np.random.default_rng(seed), effort_budget=1_000_000)
     graph, selections = overlap_graph(problem, cover), Selections(problem)
     own = Selections(problem, [cover.views.tolist()])
     least = selections.least(selections.size)
@@ -71,7 +75,7 @@ def test_the_search_finds_the_fewest_connected_views(problem: CoverProblem, seed
         assert cover.n_views_without_overlap == free.least(free.size)
 
 
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(cover_problems(("area",)), st.sampled_from([0, 200_000, 20_000_000]), st.integers(0, 9), st.booleans())
 def test_the_curve_lies_between_a_selection_and_the_bound(
     problem: CoverProblem, effort: int, seed: int, with_known: bool
@@ -129,7 +133,7 @@ def test_a_start_that_meets_the_target_is_not_lost(problem: CoverProblem, seed: 
     assert_consistent(problem, solve(problem, rng=rng, effort_budget=1, start=every))
 
 
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(cover_problems(("cost", "area")), st.data())
 def test_any_multipliers_give_a_bound(problem: CoverProblem, data: st.DataObject) -> None:
     """L(u) is at most the objective of each selection, for arbitrary u; fixed columns exclude no better one."""
@@ -148,7 +152,7 @@ def test_any_multipliers_give_a_bound(problem: CoverProblem, data: st.DataObject
         assert instance.maximises_area or objective > limit or useful[some].all()
 
 
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(cover_problems(("cost",)))
 def test_reductions_keep_the_optimum(problem: CoverProblem) -> None:
     """The cheapest cover of the reduced problem, lifted, is a cheapest cover of the original."""
@@ -163,7 +167,7 @@ def test_reductions_keep_the_optimum(problem: CoverProblem) -> None:
     assert bound == rest.cost(inner)
 
 
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(cover_problems(("cost", "area"), max_rows=25, max_columns=12), st.integers(0, 99))
 def test_the_tree_answers_each_number_of_views(problem: CoverProblem, seed: int) -> None:
     """At each objective the tree returns a selection or proves that none exists, for random rows and columns."""
@@ -194,10 +198,15 @@ def ensembles(seed: int, members: int = 32) -> tuple[csr_array, ProbabilityLayer
     return M, ProbabilityLayer(M.indptr, M.indices, hits, members), rng.integers(1, 4, M.shape[0]).astype(float)
 
 
-@settings(max_examples=100)
-@given(st.integers(0, 10**6), st.sampled_from([0.2, 0.05, 0.001]), st.sampled_from([0.7, 1.0]), st.integers(0, 1))
-def test_the_fewest_views_at_a_confidence_are_found(seed: int, alpha: float, coverage: float, n_pinned: int) -> None:
-    """The cover agrees with the products of the probabilities that each view misses a sample."""
+@settings(max_examples=40)
+@given(
+    st.integers(0, 10**6), st.sampled_from([0.2, 0.05, 0.001]), st.sampled_from([0.7, 1.0]), st.integers(0, 1),
+    st.sampled_from([0, 20_000_000, 20_000_000]),
+)  # fmt: skip
+def test_the_fewest_views_at_a_confidence_are_found(
+    seed: int, alpha: float, coverage: float, n_pinned: int, effort: int
+) -> None:
+    """The cover agrees with the products of the probabilities that each view misses a sample, at any budget."""
     M, layer, areas = ensembles(seed)
     n_columns = M.shape[1]
     p = np.zeros(M.shape)
@@ -210,28 +219,16 @@ def test_the_fewest_views_at_a_confidence_are_found(seed: int, alpha: float, cov
     feasible = (robust @ areas >= coverage * possible - 1e-9) & selected[:, pinned].all(axis=1)
     fewest = selected.sum(axis=1)[feasible].min()
     problem = CoverProblem(M, areas, coverage=coverage, pinned=pinned)
-    found = robust_cover(problem, layer, alpha=alpha, rng=np.random.default_rng(0), effort_budget=20_000_000)
+    found = robust_cover(problem, layer, alpha=alpha, rng=np.random.default_rng(0), effort_budget=effort)
     own = int((1 << found.cover.views).sum())
     assert set(pinned) <= set(found.cover.views.tolist())
-    assert found.cover.lower_bound <= fewest == len(found.cover.views)
+    assert found.cover.lower_bound <= fewest <= len(found.cover.views)
+    assert not effort or fewest == len(found.cover.views)
+    assert areas[robust[own]].sum() >= coverage * possible - 1e-9
     assert areas[robust[own]].sum() == pytest.approx(found.robust_area)
     assert found.robust_coverable_area == pytest.approx(possible)
     np.testing.assert_allclose(1 - found.probability, missed[own], atol=1e-12)
     assert min_views_at_confidence(alpha, 32) == next(k for k in range(1, 9) if (0.5 / 33) ** k <= alpha)
-
-
-@settings(max_examples=100)
-@given(st.integers(0, 10**6), st.floats(0.001, 0.5), st.sampled_from([0, 300_000]))
-def test_the_confidence_holds_exactly_at_any_budget(seed: int, alpha: float, effort: int) -> None:
-    """A sample counts only if its miss probability is at most alpha, and loads are never rounded up."""
-    M, layer, areas = ensembles(seed, 8)
-    found = robust_cover(CoverProblem(M, areas), layer, alpha=alpha, rng=np.random.default_rng(0), effort_budget=effort)
-    integer_loads = loads(layer, alpha, M.shape).toarray()
-    robust = integer_loads[:, found.cover.views].sum(axis=1) >= DEMAND
-    assert (1 - found.probability[robust] <= alpha * (1 + 1e-9)).all()
-    assert (robust == (integer_loads.sum(axis=1) >= DEMAND)).all()
-    assert found.robust_area == found.robust_coverable_area == areas[robust].sum()
-    assert found.cover.lower_bound <= len(found.cover.views)
 
 
 def test_the_overlap_graph_is_inclusive_and_without_loops() -> None:

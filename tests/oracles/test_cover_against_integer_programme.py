@@ -6,7 +6,7 @@ import scipy.sparse as sp
 from scipy.optimize import LinearConstraint, linprog, milp
 from scipy.sparse import csr_array
 
-from planner.cover import SOLVERS, CoverProblem, solve, tree
+from planner.cover import SOLVERS, CoverProblem, solve
 from planner.cover.bounds import Relaxation, raise_bound
 from planner.cover.budget import Budget
 from planner.cover.curve import coverage_curve
@@ -38,19 +38,18 @@ def relaxed(M: np.ndarray, areas: np.ndarray, coverage: float) -> float:
 @pytest.mark.parametrize("coverage", [0.8, 0.99, 1.0])
 def test_the_bound_is_the_linear_relaxation(coverage: float) -> None:
     """Row generation reaches the relaxation within 1e-5 and never exceeds it."""
-    for seed in range(2):
-        M, areas = medium(seed)
-        instance = canonical_form(CoverProblem(M, areas, coverage=coverage)).reduced
-        bound = Relaxation(instance)
-        raise_bound(bound, len(greedy(instance)[0]), Budget(10**9))
-        optimum = relaxed(M, areas, coverage)
-        assert optimum * (1 - 1e-5) <= bound.dual <= optimum + 1e-7
+    M, areas = medium(0)
+    instance = canonical_form(CoverProblem(M, areas, coverage=coverage)).reduced
+    bound = Relaxation(instance)
+    raise_bound(bound, len(greedy(instance)[0]), Budget(10**9))
+    optimum = relaxed(M, areas, coverage)
+    assert optimum * (1 - 1e-5) <= bound.dual <= optimum + 1e-7
 
 
 def test_the_curve_is_between_selections_and_the_linear_relaxation() -> None:
     """The bounds hold at each number of views, on a random visibility-like matrix."""
     M, areas = medium(5, 150, 70, 0.12)
-    curve = coverage_curve(CoverProblem(M, areas), rng=np.random.default_rng(0), effort_budget=10**9)
+    curve = coverage_curve(CoverProblem(M, areas), rng=np.random.default_rng(0), effort_budget=10**8)
     A = np.block([[-M.astype(float), np.eye(150)], [np.ones(70), np.zeros(150)]])
     for k in range(1, len(curve.views)):
         most = -linprog(np.r_[np.zeros(70), -areas], A_ub=A, b_ub=np.r_[np.zeros(150), k], bounds=(0, 1)).fun
@@ -73,7 +72,7 @@ def test_second_rows_of_the_bound_strengthen_it() -> None:
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_the_fewest_views_are_those_of_an_integer_programme(solver: str) -> None:
     """`exact` and `auto` find and prove its optimum; bound <= optimum <= views for all solvers."""
-    for seed in range(3):
+    for seed in range(2):
         M, areas = medium(seed, 80, 60, 0.1)
         ones = np.ones(60)
         fewest = round(milp(ones, integrality=ones, constraints=LinearConstraint(M.astype(float), lb=1)).fun)
@@ -98,11 +97,11 @@ def least(instance: CoverInstance) -> float:
     return float(found.fun) * (instance.total_units if instance.maximises_area else 1.0)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("options", [{}, {"coverage": 0.9}, {"max_views": 5}], ids=["full", "share", "area"])
 def test_the_tree_proves_that_nothing_is_below_the_optimum(seed: int, options: dict[str, float]) -> None:
     """The proof holds with all or few initial rows, and with columns that the first node cannot exclude."""
-    M, areas = medium(seed, 90, 60, 0.06 + 0.03 * (seed % 4))
+    M, areas = medium(seed, 90, 60, 0.06 + 0.03 * seed)
     instance = canonical_form(CoverProblem(M, areas, **options)).residual  # type: ignore[arg-type]
     optimum = least(instance)
     rows = np.ones(90, dtype=bool) if seed % 2 else Relaxation(instance).multipliers > 0
@@ -121,7 +120,7 @@ def test_the_tree_proves_that_nothing_is_below_the_optimum(seed: int, options: d
     assert instance.objective(best) <= at
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_bound_on_areas_is_not_above_the_optimum(seed: int) -> None:
     """The bound holds from the empty selection and after improvements, with areas of 1e-12 to 1e6."""
     rng = np.random.default_rng(seed)
@@ -137,19 +136,11 @@ def test_a_bound_on_areas_is_not_above_the_optimum(seed: int) -> None:
     assert budget.lower_bound <= optimum <= budget.objective <= budget.lower_bound + instance.tolerance
 
 
-def test_the_effort_of_a_tree_is_charged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The effort includes that of the chunk in which the tree ends."""
-    grow, efforts = tree.grow, []
-
-    def counted(grown: tree.Tree, limit: int) -> int:
-        result = grow(grown, limit)
-        efforts.append(tree.TOUCH_EFFORT * int(grown.numbers[tree.EFFORT]))
-        return result
-
-    monkeypatch.setattr(tree, "grow", counted)
+def test_the_effort_of_a_tree_is_charged() -> None:
+    """The effort includes that of the chunk in which the tree ends, which is the only one here."""
     M, _ = medium(0, 90, 60, 0.1)
     instance = canonical_form(CoverProblem(M, np.ones(90))).residual
     every, budget = np.ones(instance.n_columns, dtype=bool), Budget(10**9)
     below = round(least(instance)) - 1
     assert search_by_number(instance, np.ones(90, dtype=bool), every, below, budget) == (None, True)
-    assert budget.spent > sum(efforts) > 50_000
+    assert budget.spent > 50_000

@@ -62,7 +62,7 @@ def best(selections: Selections, *values: np.ndarray) -> tuple[float, ...]:
     return min(tuple(float(value[k]) for value in values) for k in np.flatnonzero(selections.is_feasible))
 
 
-@settings(max_examples=40)
+@settings(max_examples=30)
 @given(SEEDS, st.sampled_from([1.0, 0.8]), st.sampled_from([1, 1, 2]), st.integers(0, 2))
 def test_the_fewest_groups_and_then_the_fewest_views_are_proven(
     seed: int, target: float, demand: int, n_pinned: int
@@ -83,7 +83,7 @@ def test_the_fewest_groups_and_then_the_fewest_views_are_proven(
     assert views_first[::-1] == best(selections, selections.size, selections.n_groups)
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(SEEDS)
 def test_costs_follow_groups_or_are_summed_with_theirs(seed: int) -> None:
     """The views are the cheapest in the fewest groups, or have the cheapest sum with a cost of groups. Bounds hold."""
@@ -107,7 +107,7 @@ def test_costs_follow_groups_or_are_summed_with_theirs(seed: int) -> None:
     assert covers.with_group_costs(found, 6.0, fewest, 1.0)[1].cost <= best(selections, total)[0] + 1e-9
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(SEEDS)
 def test_the_most_area_of_a_number_of_views(seed: int) -> None:
     """The area is the largest in as few groups as could meet the target, and the bound equals it."""
@@ -122,7 +122,7 @@ def test_the_most_area_of_a_number_of_views(seed: int) -> None:
     assert len(cover.views) <= count
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(SEEDS)
 def test_regions_have_targets_of_their_own(seed: int) -> None:
     """All of one region and half of the other are covered in the fewest groups."""
@@ -133,7 +133,7 @@ def test_regions_have_targets_of_their_own(seed: int) -> None:
     assert cover.view_bound <= n_views <= cover.n_views
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_views_of_all_groups_are_connected(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The overlap graph may connect views of different groups, and no bound is above the optimum."""
     monkeypatch.setattr(grouped, "DEFAULT_EFFORT", grouped.DEFAULT_EFFORT // 10)  # for twelve columns
@@ -147,8 +147,7 @@ def test_views_of_all_groups_are_connected(seed: int, monkeypatch: pytest.Monkey
         assert n_views <= cover.n_views <= n_views + 1
 
 
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("n_covered", [1, 100])
+@pytest.mark.parametrize(("seed", "n_covered"), [(0, 1), (1, 1), (2, 100), (3, 100)])
 def test_many_choices_are_bounded_together(seed: int, n_covered: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The number of groups is exact and the bound on views is valid.
 
@@ -163,8 +162,7 @@ def test_many_choices_are_bounded_together(seed: int, n_covered: int, monkeypatc
     assert n_covered == 1 or cover.n_views == n_views
 
 
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("max_groups", [None, 2])
+@pytest.mark.parametrize(("seed", "max_groups"), [(0, None), (1, None), (2, 2), (3, 2)])
 def test_more_choices_than_can_be_enumerated(
     seed: int, max_groups: int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -177,23 +175,21 @@ def test_more_choices_than_can_be_enumerated(
     assert cover.view_bound <= selections.size[enough].min()
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_share_counts_weights(seed: int) -> None:
-    """The share is that of the weights if rows have weights in place of their areas."""
+    """The share is that of the weights if rows have weights in place of their areas.
+
+    If the target needs more groups than allowed, the group with the largest weight is covered.
+    """
     problem = draw(seed, 3, 4)
     weights = np.asarray(problem.areas) * np.where(np.arange(ROWS) % 2, 5.0, 1.0)
     cover, selections = solved(replace(problem, weights=weights), [0.8], 0)
     assert cover.share == pytest.approx(cover.covered_area / selections.weight.max())
     assert cover.share >= 0.8 - 1e-9
-
-
-def test_one_group_covers_what_it_can() -> None:
-    """If the target needs more groups than allowed, the group with the largest area is covered."""
-    cover, selections = solved(draw(1, 3, 4), [1.0], 0, max_groups=1)
-    alone = selections.n_groups == 1
-    assert len(cover.views) == 1
-    assert not cover.is_feasible
-    assert cover.covered_area == pytest.approx(selections.weight[alone].max())
+    one, selections = solved(replace(problem, weights=weights), [1.0], 0, max_groups=1)
+    assert len(one.views) == 1
+    assert not one.is_feasible
+    assert one.covered_area == pytest.approx(selections.weight[selections.n_groups == 1].max())
 
 
 @pytest.mark.parametrize("required", [(), (3,)])

@@ -6,28 +6,12 @@ import numpy as np
 import pytest
 
 from cell.scanners.laser_area import LaserArea
-from cell.world.embree import EmbreeRayCaster
-from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.measurability.visibility import apply_occluders, fill_matrix
 from planner.viewpoints.viewpoints import optimal_scanning_zone
+from tests.support.meshes import block, caster_of, joined
 
 SCANNER = LaserArea((50, 40), (2, 2), (100, 260), 60, 70, 80)
-
-
-def _box(size, centre):
-    corners = (np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) - 0.5) * size + centre
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
-
-
-def _joined(*boxes):
-    vertices, faces, count = [], [], 0
-    for corners, triangles in boxes:
-        vertices.append(corners)
-        faces.append(triangles + count)
-        count += len(corners)
-    return TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
 
 
 def _is_free(triangles, start, end):
@@ -75,20 +59,20 @@ def _is_measured(T, point, normal, triangle_sets):
 @pytest.mark.parametrize("occluded", [False, True])
 def test_every_entry_equals_the_single_pair(occluded):
     """Every entry is equal for 150 samples x 72 viewpoints of three boxes, with and without a bar as occluder."""
-    part = _joined(
-        _box((0.1, 0.08, 0.03), (0, 0, 0)),
-        _box((0.03, 0.08, 0.07), (0.03, 0, 0.06)),
-        _box((0.02, 0.01, 0.04), (-0.03, 0, 0.04)),
+    part = joined(
+        block((0.1, 0.08, 0.03), (0, 0, 0)),
+        block((0.03, 0.08, 0.07), (0.03, 0, 0.06)),
+        block((0.02, 0.01, 0.04), (-0.03, 0, 0.04)),
     )
-    bar = _box((0.02, 0.3, 0.02), (-0.08, 0, 0.1))
-    caster = EmbreeRayCaster(part.vertices, part.faces)
+    bar = block((0.02, 0.3, 0.02), (-0.08, 0, 0.1))
+    caster = caster_of(part)
     samples = draw_samples(part, part, 150, np.random.default_rng(5))
     views = optimal_scanning_zone(part, [0.17], [0.3, 1.2])
     matrix = fill_matrix(views, samples, SCANNER, caster)
     sets = [tuple(part.vertices[part.faces[:, corner]] for corner in range(3))]
     if occluded:
-        matrix = apply_occluders(matrix, views, SCANNER, EmbreeRayCaster(*bar))
-        sets.append(tuple(bar[0][bar[1][:, corner]] for corner in range(3)))
+        matrix = apply_occluders(matrix, views, SCANNER, caster_of(bar))
+        sets.append(tuple(bar.vertices[bar.faces[:, corner]] for corner in range(3)))
     dense = matrix.matrix().toarray()
     compared = 0
     for j, T in enumerate(views.T_object_scanner[:, 0]):

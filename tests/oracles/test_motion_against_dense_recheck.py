@@ -6,18 +6,13 @@ import numpy as np
 import pytest
 
 from planner.path.certified_edge import STEP
-from planner.ports import JointLimits
 from planner.timing.motion import Motion, retime
 from planner.timing.move_time import move_time
 from planner.tour.tour import MotionBudget, Tour, TourStatus, plan_tour
 from planner.tour.visits import Visits
+from tests.support.joint_space import KR16_LIMITS as LIMITS
 
-LIMITS = JointLimits(
-    lower=np.radians([-185, -155, -130, -350, -130, -350]),
-    upper=np.radians([185, 35, 154, 350, 130, 350]),
-    velocity=np.radians([156, 156, 156, 330, 330, 615]),
-    acceleration=np.radians([312, 312, 312, 660, 660, 1230]),
-)
+BUDGET = MotionBudget(path_checks=5000, guess_checks=20_000, polish=1)
 HOME = np.radians([0.0, -90, 90, 0, 90, 0])
 
 # A chain in the proportions of an industrial arm, stretched forward at q = 0: axes, points on them, balls by link.
@@ -63,8 +58,8 @@ class Arm:
             turn = np.eye(3) + s * cross + (1 - c) * (cross @ cross)
             position = position + (rotation @ (POINTS[joint] - turn @ POINTS[joint])[..., None])[..., 0]
             rotation = rotation @ turn
-            mine = joint + 1 == LINK
-            out[:, mine] = CENTRE[mine] @ rotation.transpose(0, 2, 1) + position[:, None]
+            of_joint = joint + 1 == LINK
+            out[:, of_joint] = CENTRE[of_joint] @ rotation.transpose(0, 2, 1) + position[:, None]
         return out
 
     def distances(self, q: np.ndarray) -> np.ndarray:
@@ -97,7 +92,7 @@ def cell_with_part(seed: int, n: int) -> tuple[Arm, list[np.ndarray], np.ndarray
     post = [(1.2, 0.2, z, 0.06) for z in np.arange(-0.6, 0.4, 0.12)]
     pillars = [(x, y, z, 0.08) for x, y in ((0.75, 0.6), (0.75, -0.3)) for z in np.arange(-0.6, 1.2, 0.14)]
     arm = Arm(np.array([(1.2, 0.2, 0.5, 0.22), *post, *pillars]))
-    q = rng.uniform(LIMITS.lower, LIMITS.upper, (60_000, 6)) * [0.5, 1, 1, 1, 1, 1]
+    q = rng.uniform(LIMITS.lower, LIMITS.upper, (20_000, 6)) * [0.5, 1, 1, 1, 1, 1]
     q = np.radians(np.round(np.degrees(q), 4))
     tip = arm.centres(q)[:, LINK == 6].mean(axis=1)
     near = np.abs(np.linalg.norm(tip - [1.2, 0.2, 0.5], axis=1) - 0.45) < 0.12
@@ -112,9 +107,9 @@ def cell_with_part(seed: int, n: int) -> tuple[Arm, list[np.ndarray], np.ndarray
 
 @lru_cache
 def planned(seed: int) -> tuple[Arm, Tour, Motion]:
-    """Return a tour of eight views and its motion."""
-    arm, configurations, poses = cell_with_part(seed, 8)
-    tour = plan_tour(Visits(configurations, HOME, poses), arm, LIMITS, np.random.default_rng(seed))
+    """Return a tour of six views and its motion."""
+    arm, configurations, poses = cell_with_part(seed, 6)
+    tour = plan_tour(Visits(configurations, HOME, poses), arm, LIMITS, np.random.default_rng(seed), BUDGET)
     return arm, tour, retime(tour.via, tour.segment, tour.view, LIMITS)
 
 
@@ -123,17 +118,13 @@ def test_no_configuration_of_the_driven_motion_is_in_contact(seed: int) -> None:
     """Samples at a tenth of the certified spacing keep the proven 0.55 c to others and 0.1 c to the arm itself."""
     arm, tour, _ = planned(seed)
     assert tour.status is TourStatus.COMPLETE
+    assert tour.detour.any(), "precondition: straight moves alone do not suffice"
     outside = len(arm.spheres) * len(BALLS) + len(BALLS)
     for a, b in zip(tour.via[:-1], tour.via[1:], strict=True):
         n = 10 * (2 + int(arm.travel(a, b) / (2 * STEP * arm.clearance)))
         near = arm.distances(a + np.linspace(0, 1, n)[:, None] * (b - a))
         assert near[:, :outside].min() >= (1 - STEP) * arm.clearance
         assert near[:, outside:].min() >= (1 - 2 * STEP) * arm.clearance
-
-
-def test_the_motions_needed_detours() -> None:
-    """Precondition of this file: straight moves alone do not suffice."""
-    assert sum(int(planned(seed)[1].detour.sum()) for seed in range(2)) >= 1
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
@@ -160,18 +151,18 @@ def test_no_limit_is_exceeded_by_samples_or_their_differences(seed: int) -> None
 def test_the_fields_of_the_tour_are_consistent(seed: int) -> None:
     """Home at both ends, each view at its configuration exactly once, segments numbered, detours tagged."""
     _, tour, _ = planned(seed)
-    _, configurations, _ = cell_with_part(seed, 8)
+    _, configurations, _ = cell_with_part(seed, 6)
     np.testing.assert_allclose(tour.via[[0, -1]], [HOME, HOME], atol=1e-15)
     np.testing.assert_array_equal(tour.view[tour.view >= 0], tour.order)
     np.testing.assert_array_equal(tour.via[tour.view >= 0], tour.q)
-    assert sorted(tour.order) == list(range(8))
+    assert sorted(tour.order) == list(range(6))
     for k, choice, q in zip(tour.order, tour.choice, tour.q, strict=True):
         np.testing.assert_allclose(q, configurations[k][choice], atol=1e-15)
-    np.testing.assert_array_equal(np.unique(tour.segment), np.arange(9))
-    np.testing.assert_array_equal(tour.segment[tour.view >= 0], np.arange(8))
+    np.testing.assert_array_equal(np.unique(tour.segment), np.arange(7))
+    np.testing.assert_array_equal(tour.segment[tour.view >= 0], np.arange(6))
     assert tour.duration == pytest.approx(float(move_time(tour.via[:-1], tour.via[1:], LIMITS).sum()))
     assert tour.lower_bound <= tour.duration
-    for leg in range(9):
+    for leg in range(7):
         rows = np.flatnonzero(tour.segment == leg)
         path = tour.via[max(rows[0] - 1, 0) : rows[-1] + 1]
         assert tour.detour[leg] == (len(path) > 2)
@@ -179,30 +170,22 @@ def test_the_fields_of_the_tour_are_consistent(seed: int) -> None:
 
 def test_equal_seeds_give_equal_motions() -> None:
     """Equal inputs and seeds give equal bytes, and the progress ends with every edge of the tour certified."""
-    arm, configurations, poses = cell_with_part(1, 6)
+    arm, configurations, poses = cell_with_part(0, 6)
     reports: list[tuple[int, int]] = []
-    visits = Visits(configurations, HOME, poses)
-    tours = [
-        plan_tour(visits, arm, LIMITS, np.random.default_rng(5), progress=lambda *p: reports.append(p))
-        for _ in range(2)
-    ]
-    assert tours[0].via.tobytes() == tours[1].via.tobytes()
+    again = plan_tour(
+        Visits(configurations, HOME, poses), arm, LIMITS, np.random.default_rng(0), BUDGET,
+        progress=lambda *p: reports.append(p),
+    )  # fmt: skip
+    assert again.via.tobytes() == planned(0)[1].via.tobytes()
     assert reports[-1] == (7, 7)
 
 
-def test_few_rounds_still_end_with_a_certified_tour() -> None:
+def test_one_round_still_ends_with_a_certified_tour() -> None:
     """With a single ordering its edges are certified, and the tour is complete."""
-    arm, configurations, poses = cell_with_part(2, 5)
-    tour = plan_tour(
-        Visits(configurations, HOME, poses),
-        arm,
-        LIMITS,
-        np.random.default_rng(0),
-        MotionBudget(rounds=1, path_checks=4000),
-    )
-    assert tour.status is TourStatus.COMPLETE
-    assert tour.rounds == 1
-    assert sorted(tour.order) == list(range(5))
+    arm, configurations, poses = cell_with_part(0, 6)
+    budget = MotionBudget(rounds=1, path_checks=4000)
+    tour = plan_tour(Visits(configurations, HOME, poses), arm, LIMITS, np.random.default_rng(0), budget)
+    assert (tour.status, tour.rounds) == (TourStatus.COMPLETE, 1)
+    assert sorted(tour.order) == list(range(6))
     for a, b in zip(tour.via[:-1], tour.via[1:], strict=True):
-        dense = a + np.linspace(0, 1, 500)[:, None] * (b - a)
-        assert arm.distances(dense).min() > 0
+        assert arm.distances(a + np.linspace(0, 1, 500)[:, None] * (b - a)).min() > 0

@@ -20,13 +20,8 @@ from planner.tour.orderings import (
 )
 from planner.tour.visits import TourProblem
 from planner.values import Floats
+from tests.support.joint_space import KR16_LIMITS as LIMITS
 
-LIMITS = JointLimits(
-    lower=np.radians([-185, -155, -130, -350, -130, -350]),
-    upper=np.radians([185, 35, 154, 350, 130, 350]),
-    velocity=np.radians([156, 156, 156, 330, 330, 615]),
-    acceleration=np.radians([312, 312, 312, 660, 660, 1230]),
-)
 HOME = np.radians([0, -90, 90, 0, 90, 0])
 UNIT_LIMITS = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.ones(6), np.full(6, 2.0))
 ORIGIN = np.zeros(6)
@@ -40,22 +35,17 @@ def views(seed: int, n: int, most: int) -> tuple[list[np.ndarray], np.ndarray]:
     return [rng.uniform(LIMITS.lower, LIMITS.upper, (int(rng.integers(1, most + 1)), 6)) for _ in range(n)], poses
 
 
-def cheapest(configurations: list[np.ndarray], edge_time: dict[tuple[int, int], float]) -> float:
-    """Return the best time over all orders and all configurations, by enumeration."""
-    nodes = np.concatenate([HOME[None], *configurations])
-    cost = [[float(move_time(a, b, LIMITS)) for b in nodes] for a in nodes]
-    for (a, b), time in edge_time.items():
-        cost[a][b] = cost[b][a] = time
-    starts = np.cumsum([1, *map(len, configurations)])
+def cheapest(cost: Floats, first: np.ndarray) -> float:
+    """Return the cost of the cheapest closed tour from node 0 over all orders and nodes."""
     best = np.inf
-    for order in itertools.permutations(range(len(configurations))):
-        for chosen in itertools.product(*(range(starts[k], starts[k + 1]) for k in order)):
-            tour = (0, *chosen, 0)
-            best = min(best, sum(cost[a][b] for a, b in itertools.pairwise(tour)))
+    for order in itertools.permutations(range(1, len(first) - 1)):
+        for nodes in itertools.product(*(range(first[k], first[k + 1]) for k in order)):
+            tour = [0, *nodes, 0]
+            best = min(best, sum(cost[a, b] for a, b in itertools.pairwise(tour)))
     return best
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(9))
 def test_small_orders_are_the_true_optimum(seed: int) -> None:
     """For up to six views no order and no choice is faster, also with changed prices."""
     n = seed % 6 + 1
@@ -74,7 +64,8 @@ def test_small_orders_are_the_true_optimum(seed: int) -> None:
     for (a, b), time in prices.items():
         times[a, b] = times[b, a] = time
     found = order_views(replace(moves, times=times), poses, np.random.default_rng(0))
-    truth = cheapest(configurations, prices)
+    first = np.cumsum([0, 1, *map(len, configurations)])
+    truth = cheapest(times, first)
     assert found.duration == pytest.approx(truth, rel=1e-12)
     assert found.status is (OrderStatus.OPTIMAL if np.isfinite(truth) else OrderStatus.NO_TOUR)
 
@@ -87,15 +78,15 @@ def random_problem(seed: int, n: int, solutions: int) -> gtsp.Instance:
 
 
 def test_the_search_meets_the_exact_optimum() -> None:
-    """On ten instances of nine views, the search finds the exact cost of each.
+    """On five instances of eight views, the search finds the exact cost of each.
 
     Precondition: the initial order is worse by more than 5 % on average, so that the search has something to improve.
     """
     start_gaps = []
-    for seed in range(10):
-        problem = random_problem(100 + seed, 9, 8)
+    for seed in range(5):
+        problem = random_problem(100 + seed, 8, 7)
         exact = gtsp.solve_exactly(problem)
-        start_cost, start = gtsp.best_nodes(problem, np.arange(1, 10))
+        start_cost, start = gtsp.best_nodes(problem, np.arange(1, 9))
         cost, tour = gtsp.search(problem, start, seed, 3000)
         assert cost == pytest.approx(exact.cost, rel=1e-12)
         assert cost == pytest.approx(gtsp.best_nodes(problem, problem.clusters_of(tour)[1:])[0], rel=1e-12)
@@ -107,7 +98,7 @@ def test_the_search_meets_the_exact_optimum() -> None:
 @pytest.mark.parametrize("effort", [0, 10_000, 1_000_000, 100_000_000])
 def test_bounds_are_bounds(effort: int) -> None:
     """No bound is above the optimum by more than rounding, for any effort and any known tour."""
-    for seed in range(6):
+    for seed in range(4):
         problem = random_problem(200 + seed, seed % 5 + 3, 6)
         optimum = gtsp.solve_exactly(problem).cost
         assert bounds.one_tree_bound(problem.cost, problem.first) <= optimum * (1 + 1e-12)
@@ -136,33 +127,14 @@ def test_the_walks_prove_the_optimum() -> None:
         assert bounds.one_tree_bound(problem.cost, problem.first) < 0.99 * optimum
 
 
-def test_a_start_of_several_nodes() -> None:
-    """Without a home, the first cluster has several nodes too: exact search, search and bound agree."""
-    rng = np.random.default_rng(4)
-    first = np.array([0, 3, 5, 8, 10, 11, 14])
-    places = rng.uniform(0, 1, (14, 2))
-    cost = np.linalg.norm(places[:, None] - places, axis=2)
-    problem = gtsp.make_instance(cost, first)
-    best = np.inf
-    for order in itertools.permutations(range(1, 6)):
-        if order[0] < order[-1]:
-            for nodes in itertools.product(*(range(first[k], first[k + 1]) for k in (0, *order))):
-                best = min(best, problem.length(np.array(nodes)))
-    exact = gtsp.solve_exactly(problem)
-    assert exact.cost == pytest.approx(best, rel=1e-12)
-    start = gtsp.best_nodes(problem, np.arange(1, 6))[1]
-    assert gtsp.search(problem, start, 0, 2000)[0] == pytest.approx(best, rel=1e-12)
-    assert bounds.walk_bound(cost, first, best, 10**8).value == pytest.approx(best)
-
-
 def test_large_instances_are_searched_and_bounded() -> None:
-    """Seventeen views: found by search, within 2 % of the walk bound; without effort, start and quick bound."""
-    problem = random_problem(400, 17, 6)
-    proven = gtsp.solve(problem, np.arange(1, 18), np.random.default_rng(0), 5000, 10**9)
+    """Fifteen views: found by search, within 2 % of the walk bound; without effort, start and quick bound."""
+    problem = random_problem(400, 15, 6)
+    proven = gtsp.solve(problem, np.arange(1, 16), np.random.default_rng(0), 5000, 10**9)
     assert gtsp.exact_effort(problem) > 5000 * 45_000
     assert proven.cost <= 1.02 * proven.lower_bound
-    idle = gtsp.solve(problem, np.arange(1, 18), np.random.default_rng(0), 0, 0)
-    assert idle.cost == gtsp.best_nodes(problem, np.arange(1, 18))[0]
+    idle = gtsp.solve(problem, np.arange(1, 16), np.random.default_rng(0), 0, 0)
+    assert idle.cost == gtsp.best_nodes(problem, np.arange(1, 16))[0]
     assert idle.lower_bound < proven.lower_bound <= proven.cost < idle.cost
 
 
@@ -186,16 +158,6 @@ def test_the_steps_grow_with_the_square_of_the_clusters() -> None:
     assert gtsp.scale_steps(many, 1000) == 16_000
 
 
-def cheapest_directed(cost: Floats, first: np.ndarray) -> float:
-    """Return the cost of the cheapest closed tour from node 0 over all orders and nodes."""
-    best = np.inf
-    for order in itertools.permutations(range(1, len(first) - 1)):
-        for nodes in itertools.product(*(range(first[k], first[k + 1]) for k in order)):
-            tour = [0, *nodes, 0]
-            best = min(best, sum(cost[a, b] for a, b in itertools.pairwise(tour)))
-    return best
-
-
 def directed_problem(seed: int, clusters: int) -> tuple[Floats, np.ndarray]:
     """Return random directed costs and the first node of each cluster."""
     rng = np.random.default_rng(seed)
@@ -203,13 +165,13 @@ def directed_problem(seed: int, clusters: int) -> tuple[Floats, np.ndarray]:
     return rng.uniform(0, 1, (first[-1], first[-1])), first
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_exact_search_and_bound_on_directed_costs(seed: int) -> None:
     """The exact search is exact, the search finds the optimum of small instances, no bound is above it."""
     cost, first = directed_problem(seed, 5)
     problem = gtsp.make_instance(cost, first)
     assert not problem.symmetric
-    best = cheapest_directed(cost, first)
+    best = cheapest(cost, first)
     exact = gtsp.solve_exactly(problem)
     assert exact.cost == pytest.approx(best, abs=1e-12)
     assert problem.length(exact.tour) == pytest.approx(best, abs=1e-12)
@@ -222,20 +184,7 @@ def test_exact_search_and_bound_on_directed_costs(seed: int) -> None:
     assert bounds.walk_bound(problem.either, problem.first, best, 10**7).value <= best + 1e-9
 
 
-def test_a_one_way_ring_is_found_in_its_direction() -> None:
-    """Forwards costs 1, backwards 10, all else 100: twelve clusters in the only cheap direction."""
-    m = 12
-    cost = np.full((m, m), 100.0)
-    for k in range(m):
-        cost[k, (k + 1) % m], cost[(k + 1) % m, k] = 1.0, 10.0
-    problem = gtsp.make_instance(cost, np.arange(m + 1))
-    rng = np.random.default_rng(1)
-    found = gtsp.solve(problem, 1 + rng.permutation(m - 1), rng, 4000)
-    assert found.cost == pytest.approx(m)
-    assert found.tour.tolist() == list(range(m))
-
-
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_sweeps_are_entered_at_one_end_and_left_at_the_other(seed: int) -> None:
     """Sweeps driven in either direction: the time is the smallest over orders and directions, with the stays."""
     rng = np.random.default_rng(seed)
@@ -275,9 +224,9 @@ def order_with_overlap(configurations, overlap, seed=0):
 
 
 def test_overlapping_orders_are_valid_and_mostly_optimal() -> None:
-    """On 25 instances the order is valid, never faster than the best valid one, and mostly as fast."""
+    """On ten instances the order is valid, never faster than the best valid one, and mostly as fast."""
     optimal = bound = 0
-    for seed in range(25):
+    for seed in range(10):
         configurations, overlap = overlapping_views(seed)
         found = order_with_overlap(configurations, overlap)
         assert is_connected_order(overlap, found.order)
@@ -294,8 +243,8 @@ def test_overlapping_orders_are_valid_and_mostly_optimal() -> None:
         )
         optimal += found.duration <= best * (1 + 1e-9)
         bound += found.duration > found.lower_bound * (1 + 1e-6)
-    assert optimal >= 15
-    assert bound > 5  # the condition costs time in some instances
+    assert optimal >= 6
+    assert bound > 2  # the condition costs time in some instances
 
 
 def test_a_free_order_with_overlap_stays() -> None:
@@ -305,14 +254,6 @@ def test_a_free_order_with_overlap_stays() -> None:
     poses = np.broadcast_to(np.eye(4), (len(configurations), 4, 4))
     free = order_views(TourProblem.straight(configurations, ORIGIN, UNIT_LIMITS), poses, np.random.default_rng(0))
     np.testing.assert_array_equal(order_with_overlap(configurations, everything).order, free.order)
-
-
-def test_views_with_a_disconnected_overlap_graph_are_ordered_freely() -> None:
-    """No order is valid: the free one is returned."""
-    configurations, overlap = overlapping_views(1)
-    found = order_with_overlap(configurations, np.zeros_like(overlap))
-    assert sorted(found.order.tolist()) == list(range(len(configurations)))
-    assert grow_order(np.zeros_like(overlap), found.order, 0) is None
 
 
 @pytest.mark.parametrize("first", range(4))
@@ -325,7 +266,7 @@ def test_a_grown_order_follows_the_wanted_one(first: int) -> None:
     assert is_connected_order(chain, order)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_fixed_orders_have_the_best_configurations(seed: int) -> None:
     """Configurations as good as the best of all; remaining views are inserted one by one at their cheapest places."""
     rng = np.random.default_rng(seed)

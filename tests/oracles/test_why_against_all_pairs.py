@@ -34,7 +34,7 @@ def test_every_reason_is_that_of_the_closest_candidate(blob: Callable[[int], tri
     fails = np.array(last, dtype=np.uint8)[rng.integers(0, len(last), len(views))]
     targets = RayTargets.of(samples.points, samples.normals)
     rows = np.flatnonzero(rng.random(len(samples)) < 0.9)
-    found = why.diagnose(targets, rows, views, scanner, caster, other, fails)
+    found = why.diagnose(targets, rows, views, scanner, (caster, other), fails)
 
     expected, cosines = [], []
     for row in rows:

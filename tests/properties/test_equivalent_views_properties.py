@@ -40,7 +40,7 @@ class Case:
         return exchange_views(index, self.views, lambda v: self.q[v], HOME, LIMITS, rng, **arguments)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_nothing_is_lost_in_any_combination(seed: int) -> None:
     """Every combination of picks (or 300 random ones) measures each sample that was measured before.
 
@@ -65,7 +65,7 @@ def test_nothing_is_lost_in_any_combination(seed: int) -> None:
 
 def test_exchanges_shorten_the_motion() -> None:
     """Over the seeds the exchange saves at least 5 % on average."""
-    found = [Case(seed).exchanged() for seed in range(6)]
+    found = [Case(seed).exchanged() for seed in range(3)]
     assert np.mean([x.duration / x.duration_before for x in found]) < 0.95
 
 
@@ -80,7 +80,7 @@ def test_equal_seeds_give_equal_exchanges() -> None:
 def test_nothing_is_lost_with_too_many_configurations(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each view keeps a few of them: the views measure as much, and the motion is not longer."""
     monkeypatch.setattr(visits, "_MAX_NODES", 10)
-    for seed in range(4):
+    for seed in range(2):
         case = Case(seed)
         found = case.exchanged()
         assert (case.M[:, found.views].sum(axis=1) >= case.required).all()
@@ -105,7 +105,7 @@ def test_pinned_views_stay_and_replace_no_other() -> None:
         assert found.groups[found.views.tolist().index(view)].tolist() == [view]
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_slack_bounds_the_lost_area(seed: int) -> None:
     """The new views measure at most the slack less than the given ones."""
     case = Case(seed)
@@ -140,7 +140,7 @@ def test_a_candidate_without_configurations_replaces_no_view() -> None:
     assert copy not in np.concatenate(case.exchanged().groups)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_alternatives_are_ranked_by_their_detours_from_the_given_tour(seed: int) -> None:
     """The rank is the smallest time from the previous stop to the next, for the given tour."""
     case = Case(seed)

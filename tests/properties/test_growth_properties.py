@@ -48,9 +48,9 @@ def test_grown_views_measure_as_much_as_a_dense_pool(mug):
     pool = np.concatenate([p.T_object_scanner for p in pools])
     pool = pool[_above(pool)]
     best = find_measured(pool, scouts, scanner, (caster,)).mean()
-    mine = find_measured(grown.T_object_scanner[:, None], scouts, scanner, (caster,), each=True)
-    assert mine.any(axis=1).mean() >= best - 0.005
-    assert mine[grown.row, np.arange(len(grown))].all()  # each measures the point at which it is aimed
+    measured = find_measured(grown.T_object_scanner[:, None], scouts, scanner, (caster,), each=True)
+    assert measured.any(axis=1).mean() >= best - 0.005
+    assert measured[grown.row, np.arange(len(grown))].all()  # each measures the point at which it is aimed
     assert len(grown) < len(pool) / 5
 
 

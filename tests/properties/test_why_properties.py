@@ -208,7 +208,7 @@ def test_the_files_repeat_and_the_plan_is_unchanged(
     assert contents[0] == contents[1]
     assert set(contents[0]) == {"view.html", "why.json", "why.ply", "why.png"}
     layer = data_of(contents[0]["view.html"].decode())["surfaces"][0]["layers"][0]
-    groups, seen = outcome.summary.groups, 1 - outcome.summary.open
+    groups, seen = outcome.summary.groups, 1 - outcome.summary.uncovered
     told = [("measured", seen), *((group.title, group.share) for group in groups)]
     assert 1 < len(told) <= len(REASONS)
     assert [name for name, _ in layer["named"]] == [f"{name} ({100 * share:.2f}\u00a0%)" for name, share in told]
@@ -230,6 +230,6 @@ def test_points_have_reason_group_and_gain(run_folder: Path) -> None:
         here = points["group"] == group.group
         assert (points["reason"][here] == group.code).all()
         np.testing.assert_allclose(here.mean(), group.share, atol=1e-9)
-        gained = group.changes[0].gains if group.changes else 0.0
+        gained = group.changes[0].gain if group.changes else 0.0
         np.testing.assert_allclose(points["gained"][here].mean(), gained, atol=1e-9)
     assert (points["reason"][points["group"] == 0] == 0).all()

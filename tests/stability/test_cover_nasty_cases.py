@@ -14,7 +14,7 @@ from planner.cover.curve import CoverageCurve, coverage_curve
 from planner.cover.overlap import OverlapGraph, overlap_graph
 from planner.cover.robust import RobustCover, loads, robust_cover
 from planner.errors import PlannerError
-from planner.measurability.pose_ensemble import ProbabilityLayer, credited_probability
+from planner.measurability.pose_ensemble import ProbabilityLayer
 from tests.support.cover_oracle import assert_consistent
 
 
@@ -62,8 +62,10 @@ def robust(M: Any, hits: Any, *, alpha: float = 0.05, effort: int = 2_000_000, *
     "options", [{}, {"max_views": 3}, {"overlap": Overlap(area=1.0)}], ids=["full", "area", "overlap"]
 )
 def test_an_empty_matrix_is_answered_by_no_view(solver: str, shape: tuple[int, int], options: dict[str, Any]) -> None:
-    """Without rows, columns or entries the status is NOTHING_COVERABLE, and no exception is raised."""
+    """Without rows, columns, entries or an allowed column the status is NOTHING_COVERABLE."""
     M = sp.csr_array(shape, dtype=bool)
+    banned = run(np.ones((4, 3), dtype=bool), np.ones(4), solver, allowed=np.zeros(3, dtype=bool), **options)
+    assert banned.status is CoverStatus.NOTHING_COVERABLE
     cover = run(M, np.ones(shape[0]), solver, **options)
     assert cover.status is CoverStatus.NOTHING_COVERABLE
     assert cover.sentence == "no allowed candidate measures any sample"
@@ -76,12 +78,6 @@ def test_an_empty_matrix_is_answered_by_no_view(solver: str, shape: tuple[int, i
     assert (len(found.cover.views), found.robust_coverable_area) == (0, 0.0)
 
 
-def test_without_an_allowed_column_nothing_is_coverable(solver: str) -> None:
-    """Without an allowed column the status is NOTHING_COVERABLE."""
-    cover = run(np.ones((4, 3), dtype=bool), np.ones(4), solver, allowed=np.zeros(3, dtype=bool))
-    assert cover.status is CoverStatus.NOTHING_COVERABLE
-
-
 @pytest.mark.parametrize(("coverage", "n_views"), [(0.0, 0), (5e-324, 1), (float(np.nextafter(1.0, 0.0)), 10)])
 def test_extreme_targets(solver: str, coverage: float, n_views: int) -> None:
     """A target of 0 needs no view, the smallest positive target one, and one ulp below full coverage every row."""
@@ -92,7 +88,7 @@ def test_extreme_targets(solver: str, coverage: float, n_views: int) -> None:
 
 def test_a_share_of_equal_areas_is_exact() -> None:
     """P % of 100 equal rows are p rows for any rounding of p / 100. A slightly larger share is one row more."""
-    for percent in range(1, 100):
+    for percent in (1, 29, 57, 58, 99):  # 0.29, 0.57 and 0.58 are rounded down
         M, areas = np.eye(100, dtype=bool), np.full(100, 0.1)
         assert len(run(M, areas, "greedy", coverage=percent / 100, effort=0).views) == percent
         assert len(run(M, areas, "greedy", coverage=percent / 100 * (1 + 1e-9), effort=0).views) == percent + 1
@@ -101,7 +97,7 @@ def test_a_share_of_equal_areas_is_exact() -> None:
 # Sizes, ties and symmetry
 
 
-@pytest.mark.parametrize("coverage", [0.5, 0.999999, 1.0])
+@pytest.mark.parametrize("coverage", [0.999999, 1.0])
 def test_areas_over_eighteen_decades(solver: str, coverage: float) -> None:
     """Full cover still covers the smallest row; partial cover counts areas exactly; the curve does not fall."""
     rng = np.random.default_rng(6)
@@ -114,24 +110,6 @@ def test_areas_over_eighteen_decades(solver: str, coverage: float) -> None:
     assert (np.diff(curve.covered_area) >= 0).all()
     assert (curve.upper_area >= curve.covered_area).all()
     assert curve.covered_area[-1] == pytest.approx(areas.sum())
-
-
-def test_areas_near_the_largest_float_do_not_overflow() -> None:
-    """Areas whose sum overflows are still compared correctly."""
-    problem = CoverProblem(np.eye(3, dtype=bool), [1e308, 1e308, 1e308], coverage=0.6)
-    with np.errstate(over="ignore"):
-        cover = solve(problem, rng=np.random.default_rng(0))
-    assert len(cover.views) == 2
-
-
-def test_costs_over_eighteen_decades(solver: str) -> None:
-    """The cheapest columns are selected, and the bound holds."""
-    M = np.vstack((np.eye(12, dtype=bool), np.ones((1, 12), dtype=bool)))
-    M = np.hstack((M, M))
-    costs = np.concatenate((np.geomspace(1e-12, 1e6, 12), np.geomspace(2e-12, 2e6, 12)))
-    cover = run(M, np.ones(len(M)), solver, costs=costs)
-    assert sorted(cover.views.tolist()) == list(range(12))
-    assert cover.cost * (1 - 1e-3) <= cover.cost_bound <= cover.cost
 
 
 def test_costs_far_below_their_rounding_give_no_false_bound(solver: str) -> None:
@@ -183,18 +161,6 @@ def test_a_demand_beyond_all_columns_takes_every_useful_column(solver: str) -> N
     assert cover.status is CoverStatus.PROVEN
 
 
-@pytest.mark.parametrize("demand", [1, 2])
-def test_any_numbering_of_a_ring_gives_as_many_views(solver: str, demand: int) -> None:
-    """The number of views of a symmetric ring is independent of its numbering, except for greedy solvers."""
-    n = 12
-    ring = sum(np.roll(np.eye(n, dtype=int), k, axis=1) for k in range(3)).astype(bool)
-    sizes = set()
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        sizes.add(len(run(ring[rng.permutation(n)][:, rng.permutation(n)], np.ones(n), solver, demand=demand).views))
-    assert sizes == {4 * demand} or solver in ("greedy", "meta-raps")
-
-
 def steiner_triples(points: int) -> np.ndarray:
     """Return a Steiner triple system on 6n + 3 points by Bose's construction."""
     n = points // 3
@@ -215,7 +181,7 @@ def steiner_triples(points: int) -> np.ndarray:
 def test_steiner_triples(solver: str, points: int, fewest: int) -> None:
     """The exact solvers solve these symmetric covers with a weak relaxation (points / 3), and no bound is too high."""
     M = steiner_triples(points)
-    effort = 400_000_000 if solver in ("auto", "exact") else 30_000_000
+    effort = 400_000_000 if solver in ("auto", "exact") else 10_000_000
     cover = run(M, np.ones(len(M)), solver, effort=effort)
     assert points / 3 <= cover.lower_bound <= fewest <= len(cover.views)
     if solver in ("auto", "exact"):
@@ -223,40 +189,14 @@ def test_steiner_triples(solver: str, points: int, fewest: int) -> None:
     assert solver != "local-search" or len(cover.views) == fewest
 
 
-def test_search_beats_greedy_where_greedy_fails() -> None:
-    """On two halves against blocks of doubling size greedy takes 6 columns, and the search 2.
-
-    The same holds for areas.
-    """
-    blocks = [2**i for i in range(6)]
-    n = sum(blocks)
-    M = np.zeros((2 * n, 2 + len(blocks)), dtype=bool)
-    M[:n, 0] = M[n:, 1] = True
-    for column, (at, size) in enumerate(zip(np.cumsum([0, *blocks]), blocks, strict=False), start=2):
-        M[at : at + size, column] = M[n + at : n + at + size, column] = True
-    assert len(run(M, np.ones(2 * n), "greedy").views) == 6
-    assert len(run(M, np.ones(2 * n), "local-search").views) == 2
-    M = np.zeros((20, 3), dtype=bool)
-    M[:10, 0] = M[10:, 1] = M[4:16, 2] = True
-    assert sorted(run(M, np.ones(20), max_views=2).views) == [0, 1]
-
-
 def test_meta_raps_improves_on_greedy() -> None:
-    """Meta-RaPS finds smaller covers than greedy on at least seven of ten random instances."""
+    """Meta-RaPS finds smaller covers than greedy on at least four of six random instances."""
     better = 0
-    for seed in range(10):
+    for seed in range(6):
         M = np.random.default_rng(seed).random((100, 100)) < 0.08
-        found, first = (run(M, np.ones(100), name, effort=2 * 10**7) for name in ("meta-raps", "greedy"))
+        found, first = (run(M, np.ones(100), name, effort=10**7) for name in ("meta-raps", "greedy"))
         better += len(found.views) < len(first.views)
-    assert better >= 7
-
-
-def test_a_last_column_that_loses_all_its_rows(solver: str) -> None:
-    """Dominated rows are dropped, including all rows of the last column, and the bound holds."""
-    rows = ["010110", "100111", "010100", "111001", "000101", "110011"]
-    M = np.array([[int(digit) for digit in row] for row in rows], dtype=bool)
-    cover = run(sp.csr_array(M), np.ones(6), solver)
-    assert cover.lower_bound <= 2 <= len(cover.views)
+    assert better >= 4
 
 
 # Pins, maximum coverage and curves
@@ -270,25 +210,7 @@ def test_pinned_views_that_measure_nothing_stay(solver: str) -> None:
     cover = run(M, np.ones(2), solver, max_views=2, pinned=[0])
     assert (cover.views[-1], cover.covered_area) == (0, 1.0)
     assert draw(M, np.ones(2), pinned=[0]).first_n_views == 1
-
-
-@pytest.mark.parametrize(
-    ("M", "areas", "options", "views"),
-    [
-        (np.eye(4), np.ones(4), {"max_views": 0}, []),
-        ([[1, 1, 0], [0, 1, 0], [0, 0, 1]], np.ones(3), {"max_views": 10**12}, [1, 2]),
-        (np.eye(5), [1.0, 2, 3, 4, 5], {"max_views": 4}, [1, 2, 3, 4]),
-        (np.repeat(np.eye(3), 4, axis=1), np.ones(3), {"max_views": 2}, [0, 4]),
-        (np.eye(4), np.ones(4), {"max_views": 2, "pinned": [1, 3]}, [1, 3]),
-        (np.ones((1, 4)), np.ones(1), {"max_views": 2, "demand": 2}, [0, 1]),
-    ],
-    ids=["none", "more than columns", "one too few", "identical columns", "only pinned", "no view is enough alone"],
-)
-def test_maximum_coverage_of_simple_matrices(M: Any, areas: Any, options: dict[str, Any], views: list[int]) -> None:
-    """The optimum is proven without a view that adds no area."""
-    cover = run(np.array(M, dtype=bool), np.array(areas), **options)
-    assert sorted(cover.views.tolist()) == views
-    assert cover.status is CoverStatus.PROVEN
+    assert sorted(run(M, np.ones(2), solver, max_views=10**12).views) == [1, 2]
 
 
 def test_a_known_plan_is_on_the_curve_and_ends_it() -> None:
@@ -329,23 +251,6 @@ def test_two_islands_cannot_be_connected() -> None:
     assert sorted(cover.views.tolist()) == [0, 1]
     cover, graph = connected(islands(), np.ones(10), Overlap(area=1.0), coverage=0.7, pinned=[3])
     assert not graph.is_connected
-
-
-def test_a_view_is_exchanged_where_adding_alone_would_cost_more() -> None:
-    """Connecting two distant views needs three more, and two other views cover as much and overlap."""
-    M = np.zeros((12, 7), dtype=bool)
-    M[:6, 0] = M[6:, 1] = M[:7, 2] = M[6:, 3] = True
-    M[3:5, 4] = M[4:8, 5] = M[7:9, 6] = True
-    cover, graph = connected(M, np.ones(12), Overlap(area=1.0))
-    assert (len(cover.views), cover.n_views_without_overlap, graph.is_connected) == (2, 2, True)
-
-
-@pytest.mark.parametrize("coverage", [0.0, 1.0])
-def test_no_view_and_one_view_are_connected(coverage: float) -> None:
-    """A column that covers all needs no neighbour."""
-    cover, graph = connected(np.ones((5, 3), dtype=bool), np.ones(5), Overlap(share=1.0), coverage=coverage)
-    assert (len(cover.views), graph.is_connected) == (coverage, True)
-    assert cover.sentence.startswith("proven fewest connected views")
 
 
 def test_a_pinned_view_that_measures_nothing_does_not_end_the_search_early() -> None:
@@ -390,20 +295,6 @@ def test_exact_poses_are_the_plain_cover() -> None:
         assert (found.robust_area, found.robust_coverable_area) == (plain.covered_area, plain.coverable_area)
 
 
-def test_the_confidence_holds_in_a_simulation() -> None:
-    """In 4,000 draws with the credited probabilities, the share of misses is at most alpha within 4 sigma."""
-    alpha, M = 0.1, np.random.default_rng(11).random((9, 8)) < 0.5
-    hits = np.random.default_rng(12).integers(20, 33, int(M.sum()))
-    found = robust(M, hits, alpha=alpha)
-    p = np.zeros(M.shape)
-    p[M] = credited_probability(hits, 32)
-    drawn = np.random.default_rng(1).random((4000, *M.shape)) < p
-    frequency = drawn[:, :, found.cover.views].any(axis=2).mean(axis=0)
-    is_robust = found.probability >= 1 - alpha
-    assert is_robust.sum() == found.robust_area > 0
-    assert (frequency[is_robust] >= 1 - alpha - 4 * np.sqrt(alpha * (1 - alpha) / 4000)).all()
-
-
 def test_loads_are_rounded_down_and_limited_to_the_demand() -> None:
     """No load is above its logarithm, and p = 1 - alpha gives the full demand."""
     M = csr_array(np.ones((1, 33), dtype=bool))
@@ -413,18 +304,6 @@ def test_loads_are_rounded_down_and_limited_to_the_demand() -> None:
     assert ((integers <= exact + 1e-6) & (integers >= exact - 1)).all()
     assert integers[0] == 0
     assert loads(layer, 1 - float(layer.probability[20]), (1, 33)).toarray()[0, 20] == 2**16
-
-
-# Weights
-
-
-def test_weights_decide_and_areas_are_reported() -> None:
-    """The optimum of the weighted problem is proven, and the result has the areas of the rows."""
-    rng = np.random.default_rng(5)
-    M, areas, costs = rng.random((14, 8)) < 0.35, rng.uniform(0.5, 2.0, 14), rng.uniform(1.0, 5.0, 8)
-    cover = run(M, areas, weights=areas**2, costs=costs, coverage=0.9)
-    assert cover.status is CoverStatus.PROVEN
-    assert cover.total_area == pytest.approx(areas.sum())
 
 
 def test_a_start_that_is_not_usable_is_not_taken_for_regions() -> None:

@@ -1,4 +1,4 @@
-"""Nasty cases of ordering, paths and timing, by name."""
+"""Nasty cases of paths and tours, by name."""
 
 from collections.abc import Callable
 
@@ -6,70 +6,15 @@ import numpy as np
 import pytest
 
 from planner.errors import PlannerError
-from planner.path.certified_edge import quantise
 from planner.path.path import PathStatus, connect
-from planner.ports import JointLimits
 from planner.timing.motion import retime
 from planner.timing.move_time import move_time
 from planner.tour.tour import DropReason, MotionBudget, Tour, TourStatus, plan_tour
 from planner.tour.visits import Visits
+from tests.support.joint_space import BIG, Boxes, at, box
+from tests.support.joint_space import SYMMETRIC_LIMITS as LIMITS
 
-RANGE = np.radians([185, 150, 150, 350, 130, 350])
-LIMITS = JointLimits(
-    -RANGE, RANGE, np.radians([156, 156, 156, 330, 330, 615]), np.radians([312, 312, 312, 660, 660, 1230])
-)
-BIG = 100.0
 HOME = np.zeros(6)
-
-
-class Boxes:
-    """A 'tool' that moves 1 m per rad along the first three axes, 1 cm per rad along the others, between boxes."""
-
-    clearance = 0.01
-    scale = np.array([1, 1, 1, 0.01, 0.01, 0.01])
-
-    def __init__(self, *boxes: tuple[list[float], list[float]]) -> None:
-        self.low, self.high = (np.array([box[side] for box in boxes]).reshape(-1, 6) for side in (0, 1))
-        self.interrupt_after = np.inf
-
-    def distances(self, q: np.ndarray) -> np.ndarray:
-        q = q * self.scale
-        return np.linalg.norm(np.maximum(np.maximum(self.low - q[:, None], q[:, None] - self.high), 0.0), axis=2)
-
-    def free(self, q: np.ndarray) -> np.ndarray:
-        self.interrupt_after -= len(q)
-        if self.interrupt_after < 0:
-            raise KeyboardInterrupt
-        return (self.distances(q) >= self.clearance).all(axis=1)
-
-    def contacts(self, q: np.ndarray) -> tuple[str, ...]:
-        near = self.distances(q[None])[0]
-        return tuple(f"tool with box {k}" for k in np.argsort(near) if near[k] < self.clearance)
-
-    def distance(self, q: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        near = np.concatenate([self.distances(q), np.full((len(q), 1), 9.0)], axis=1)
-        return near.min(axis=1), tuple(f"tool with box {k}" for k in near.argmin(axis=1))
-
-    def travel(self, q_from: np.ndarray, q_to: np.ndarray) -> np.ndarray:
-        return np.abs(np.asarray(q_to) - q_from) @ self.scale
-
-
-def rng() -> np.random.Generator:
-    """Return a generator with a fixed seed."""
-    return np.random.default_rng(0)
-
-
-def box(**sides: tuple[float, float]) -> tuple[list[float], list[float]]:
-    """Return a box with limits on some axes (x, y, z), unbounded on the others."""
-    low, high = [-BIG] * 6, [BIG] * 6
-    for axis, (a, b) in sides.items():
-        low["xyz".index(axis)], high["xyz".index(axis)] = a, b
-    return low, high
-
-
-def at(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
-    """Return a set-point with the tool at a place."""
-    return quantise([x, y, z, 0, 0, 0])
 
 
 def motion_over(views: list[np.ndarray], checker: Boxes, **arguments: object) -> Tour:
@@ -77,15 +22,7 @@ def motion_over(views: list[np.ndarray], checker: Boxes, **arguments: object) ->
     poses = np.tile(np.eye(4), (len(views), 1, 1))
     for pose, q in zip(poses, views, strict=True):
         pose[:3, 3] = q[0, :3] if len(q) else 0.0
-    return plan_tour(Visits(views, HOME, poses), checker, LIMITS, rng(), **arguments)  # type: ignore[arg-type]
-
-
-def test_both_ends_equal() -> None:
-    """A path from a configuration to itself has this configuration twice and takes no time."""
-    found = connect(at(1), at(1), Boxes(), LIMITS, rng())
-    assert found.status is PathStatus.STRAIGHT
-    assert found.via.shape == (2, 6)
-    assert found.duration == 0.0
+    return plan_tour(Visits(views, HOME, poses), checker, LIMITS, np.random.default_rng(0), **arguments)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -94,13 +31,13 @@ def test_both_ends_equal() -> None:
 )
 def test_an_end_in_collision_is_reported(x_from: float, x_to: float, status: PathStatus) -> None:
     """The status names the end, and no search is started."""
-    found = connect(at(x_from), at(x_to), Boxes(box(x=(-0.1, 0.1))), LIMITS, rng())
+    found = connect(at(x_from), at(x_to), Boxes(box(x=(-0.1, 0.1))), LIMITS, np.random.default_rng(0))
     assert (found.status, found.via, found.checks) == (status, None, 2)
 
 
 def test_a_wall_across_the_whole_range_has_no_path() -> None:
     """The search ends at its budget, exceeded by at most one step, and the status has the reason."""
-    found = connect(at(-1), at(1), Boxes(box(x=(-0.1, 0.1))), LIMITS, rng(), 5000)
+    found = connect(at(-1), at(1), Boxes(box(x=(-0.1, 0.1))), LIMITS, np.random.default_rng(0), 5000)
     assert found.status is PathStatus.NO_PATH_FOUND
     assert 5000 <= found.checks < 8000
     assert "does not prove" in found.status.sentence
@@ -109,72 +46,16 @@ def test_a_wall_across_the_whole_range_has_no_path() -> None:
 def test_a_narrow_gap_is_found() -> None:
     """A path enters and leaves a door 5 mm wider on each side than the clearance, in a wall 20 mm thick."""
     door = Boxes(box(x=(-0.01, 0.01), y=(-BIG, 0.285)), box(x=(-0.01, 0.01), y=(0.315, BIG)))
-    found = connect(at(-0.5, 0.0), at(0.5, 0.1), door, LIMITS, rng(), 40_000)
+    found = connect(at(-0.5, 0.0), at(0.5, 0.1), door, LIMITS, np.random.default_rng(0), 40_000)
     assert found.status is PathStatus.DETOUR
     for a, b in zip(found.via[:-1], found.via[1:], strict=True):
         assert door.distances(a + np.linspace(0, 1, 20_000)[:, None] * (b - a)).min() > 0.5 * door.clearance
 
 
-def test_a_turn_of_700_degrees_is_not_shortened_to_its_equivalent() -> None:
-    """A6 from -350 to 350 deg is a move of 700 deg at the axis' speed; samples run through zero."""
-    via = np.zeros((2, 6))
-    via[:, 5] = -RANGE[5], RANGE[5]
-    motion = retime(via, [0, 0], [-1, -1], LIMITS)
-    assert motion.duration == pytest.approx(700 / 615 + 0.5, rel=1e-6)
-    assert (np.diff(motion.q[:, 5]) > 0).all()
-    assert np.abs(motion.qd[:, 5]).max() <= LIMITS.velocity[5]
-
-
-@pytest.mark.parametrize("distance", [1e-15, 1e-12, 1e-9, 1e-6])
-def test_tiny_moves_have_time_and_samples(distance: float) -> None:
-    """Moves down to 1e-12 rad are timed by their acceleration; below the rounding of angles they count as none."""
-    via = np.full((2, 6), 0.5)
-    via[1, 2] += distance
-    motion = retime(via, [0, 0], [-1, -1], LIMITS)
-    if distance < 1e-13:
-        assert motion.duration == 0.0
-        return
-    moved = via[1, 2] - via[0, 2]
-    assert motion.duration == pytest.approx(2 * np.sqrt(moved / LIMITS.acceleration[2]), rel=1e-6)
-    assert (np.abs(motion.qdd) <= LIMITS.acceleration).all()
-    np.testing.assert_array_equal(motion.q[-1], via[1])
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0])
-@pytest.mark.parametrize("which", ["velocity", "acceleration"])
-def test_a_limit_that_allows_no_motion_is_refused_by_name(which: str, value: float) -> None:
-    """The message names the limit, the axis and the valid values."""
-    broken = {"velocity": LIMITS.velocity.copy(), "acceleration": LIMITS.acceleration.copy()}
-    broken[which][3] = value
-    limits = JointLimits(LIMITS.lower, LIMITS.upper, **broken)
-    with pytest.raises(PlannerError, match=f"{which} limit of A4 is {value} .* must be above 0"):
-        move_time(HOME, at(1), limits)
-
-
-def test_an_infinite_speed_is_limited_by_acceleration_alone() -> None:
-    """With an infinite speed limit every move is a triangle of speed."""
-    limits = JointLimits(LIMITS.lower, LIMITS.upper, np.full(6, np.inf), LIMITS.acceleration)
-    motion = retime(np.array([HOME, at(2.5)]), [0, 0], [-1, -1], limits)
-    assert motion.duration == pytest.approx(2 * np.sqrt(at(2.5)[0] / LIMITS.acceleration[0]), rel=1e-7)
-    assert np.isfinite(motion.qd).all()
-
-
-def test_an_infinite_acceleration_is_refused_by_name() -> None:
-    """An infinite acceleration is refused, because a motion that jumps in speed cannot be sampled."""
-    limits = JointLimits(LIMITS.lower, LIMITS.upper, LIMITS.velocity, np.full(6, np.inf))
-    with pytest.raises(PlannerError, match="acceleration limit of A1 is inf"):
-        retime(np.array([HOME, at(1)]), [0, 0], [-1, -1], limits)
-
-
-def test_no_view() -> None:
-    """The motion is home, takes no time and can be retimed."""
-    tour = motion_over([], Boxes())
-    assert (tour.status, tour.duration, tour.via.shape) == (TourStatus.COMPLETE, 0.0, (1, 6))
-    assert retime(tour.via, tour.segment, tour.view, LIMITS).duration == 0.0
-
-
-def test_one_view() -> None:
-    """The motion goes from home to the view and back."""
+def test_no_view_and_one_view() -> None:
+    """The motion goes from home to the view and back; without views it stays at home."""
+    empty = motion_over([], Boxes())
+    assert (empty.status, empty.duration, empty.via.shape) == (TourStatus.COMPLETE, 0.0, (1, 6))
     tour = motion_over([at(1)[None]], Boxes())
     np.testing.assert_array_equal(tour.via, [HOME, at(1), HOME])
     np.testing.assert_array_equal(tour.view, [-1, 0, -1])
@@ -271,7 +152,7 @@ def test_broken_input_is_refused_in_one_sentence(change: Callable[[dict], None],
     arguments = {"configurations": [at(1)[None]], "home": HOME, "T_base_scanner": np.eye(4)[None]}
     change(arguments)
     with pytest.raises(PlannerError, match=message):
-        plan_tour(Visits(**arguments), Boxes(), LIMITS, rng())
+        plan_tour(Visits(**arguments), Boxes(), LIMITS, np.random.default_rng(0))
 
 
 def test_more_effort_never_makes_the_motion_longer() -> None:
@@ -279,9 +160,9 @@ def test_more_effort_never_makes_the_motion_longer() -> None:
     bars = Boxes(box(x=(0.4, 0.6), y=(-BIG, 0.5)), box(x=(-0.9, -0.7), y=(-0.3, BIG)))
     views = [np.array([at(x), at(x + 0.1)]) for x in (1.0, -1.3, 0.2)]
     high, low = (1.1, 1.2), (1.1, 0.35)
-    first = motion_over(views, bars, budget=MotionBudget(path_checks=10_000, guesses=(high,), polish=0))
-    again = motion_over(views, bars, budget=MotionBudget(path_checks=10_000, guesses=(high, low), polish=0))
-    polished = motion_over(views, bars, budget=MotionBudget(path_checks=10_000, guesses=(high, low), polish=2))
+    first = motion_over(views, bars, budget=MotionBudget(path_checks=4000, guesses=(high,), polish=0))
+    again = motion_over(views, bars, budget=MotionBudget(path_checks=4000, guesses=(high, low), polish=0))
+    polished = motion_over(views, bars, budget=MotionBudget(path_checks=4000, guesses=(high, low), polish=2))
     assert first.status is again.status is polished.status is TourStatus.COMPLETE
     assert polished.detour.any()
     assert first.duration >= again.duration >= polished.duration > polished.lower_bound

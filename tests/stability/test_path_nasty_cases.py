@@ -3,7 +3,6 @@
 from functools import lru_cache
 
 import numpy as np
-import pytest
 
 from cell.robot.arm import kinematics_of
 from cell.scene.model import Scene
@@ -48,14 +47,13 @@ def at(kinematics: KukaKinematics, checker: MujocoCollisionChecker, position: np
     return np.asarray(found[0])
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_the_housing_enters_a_gap_5_mm_beyond_the_clearance(seed: int) -> None:
+def test_the_housing_enters_a_gap_5_mm_beyond_the_clearance() -> None:
     """A detour leads into the gap from a turned pose outside, and the tool keeps the certified clearance."""
     world, checker, kinematics = cell(5.0)
     inside = at(kinematics, checker, FLANGE, 0.0)
     outside = at(kinematics, checker, FLANGE + ASIDE, np.radians(60))
     assert not certify(outside, inside, checker)[0], "precondition: the straight move collides"
-    found = connect(outside, inside, checker, world.limits, np.random.default_rng(seed))
+    found = connect(outside, inside, checker, world.limits, np.random.default_rng(0))
     assert found.status is PathStatus.DETOUR
     assert found.via is not None
     shares = np.linspace(0, 1, 300)[:, None]

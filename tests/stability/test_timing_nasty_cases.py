@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 
 from planner.errors import PlannerError
-from planner.ports import JointLimits
-from planner.timing.limits import scale_limits, without_jerk_limit
 from planner.timing.motion import jerk_free_duration, retime
 from planner.timing.move_time import move_time
 from planner.timing.s_curve import Profile
+from tests.support.joint_space import RANGE, SPEED, SYMMETRIC_LIMITS
 
-RANGE = np.radians([185, 150, 150, 350, 130, 350])
-SPEED = np.radians([156.0, 156, 156, 330, 330, 615])
-LIMITS = JointLimits(-RANGE, RANGE, SPEED, 2 * SPEED, 20 * SPEED)
+LIMITS = replace(SYMMETRIC_LIMITS, jerk=20 * SPEED)
 ENDLESS = np.full(6, np.inf)
 REST = np.zeros(6)
 
@@ -114,28 +111,6 @@ def test_a_turn_of_700_degrees_reaches_every_limit() -> None:
         (np.diff(motion.qdd, axis=0) / np.diff(motion.t)[:, None], LIMITS.jerk),
     ):
         assert 1 - 1e-6 < np.abs(values[:, 5]).max() / limit[5] <= 1
-
-
-def test_an_override_leaves_acceleration_and_jerk() -> None:
-    """A percentage reduces the speed only, as $OV_PRO does. Ramps are shorter, and both bounds follow."""
-    slow = scale_limits(LIMITS, 0.1)
-    np.testing.assert_array_equal(slow.velocity, 0.1 * LIMITS.velocity)
-    np.testing.assert_array_equal(slow.jerk, LIMITS.jerk)
-    time = float(move_time(REST, turned(0, 3.0), slow))
-    # A tenth of the speed is reached before the full acceleration is: two eases of sqrt(v / j).
-    assert time == pytest.approx(3.0 / slow.velocity[0] + 2 * np.sqrt(slow.velocity[0] / slow.jerk[0]), rel=1e-7)
-    assert time < float(move_time(REST, turned(0, 3.0), LIMITS)) / 0.1
-
-
-def test_limits_decades_apart() -> None:
-    """Jerks from 1e-6 to 1e12 times the acceleration: finite, ordered times that approach the bound."""
-    a, b = REST, np.linspace(0.1, 1.0, 6)
-    bound, before = float(move_time(a, b, without_jerk_limit(LIMITS))), np.inf
-    for power in range(-6, 13, 2):
-        time = float(move_time(a, b, replace(LIMITS, jerk=LIMITS.acceleration * 10.0**power)))
-        assert bound <= time <= before
-        before = time
-    assert before == pytest.approx(bound, rel=1e-9)
 
 
 def test_a_profile_without_length_has_no_duration() -> None:

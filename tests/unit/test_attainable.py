@@ -15,10 +15,9 @@ from cell.session import Effort
 from cell.world.embree import EmbreeRayCaster
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.coverage import Coverage
-from planner.viewpoints.attainable import _first_reachable, probe_attainable
+from planner.viewpoints.attainable import probe_attainable
 from planner.viewpoints.growth import ViewEvaluator
 from planner.viewpoints.lines_of_sight import RayTargets
-from planner.viewpoints.pose_sampling import AimedPoses
 
 SCANNER = LaserArea(range_mm=(50, 150), baseline_mm=25, sensor_grazing_max_deg=75)
 
@@ -73,24 +72,6 @@ def test_an_arm_that_reaches_nothing_measures_nothing():
     np.testing.assert_array_equal(found.visible, again.visible)
 
 
-def test_poses_of_a_point_are_tested_until_one_is_reachable():
-    """The first reachable pose of each point is returned, and no later pose of the point is tested."""
-    rng = np.random.default_rng(0)
-    row, T = rng.integers(0, 40, 500), np.tile(np.eye(4), (500, 1, 1))
-    T[:, 0, 3], ok, tested = np.arange(500), rng.random(500) < 0.2, []
-
-    def are_reachable(T):
-        tested.extend(pose := T[:, 0, 0, 3].astype(int))
-        return ok[pose]
-
-    found = _first_reachable(AimedPoses(T, row), _ball(are_reachable)[1])
-    first = {point: np.flatnonzero(ok & (row == point))[:1] for point in range(40)}
-    expected = [index for point in range(40) for index in first[point].tolist()]
-    assert found.T_object_scanner[:, 0, 3].tolist() == expected
-    until = [row == point if not len(at) else (row == point) & (np.arange(500) <= at[0]) for point, at in first.items()]
-    assert sorted(tested) == np.flatnonzero(np.any(until, axis=0)).tolist()
-
-
 def test_the_share_of_a_plan_is_that_of_all_samples(monkeypatch):
     """The share is exact if all samples are tested. From half of them it is within a few standard errors."""
     targets, evaluator = _ball(lambda T: (T[:, :, 2, 3] > -0.02).all(axis=1))
@@ -117,7 +98,7 @@ def test_the_share_of_a_plan_is_that_of_all_samples(monkeypatch):
 
 def test_the_sentence_names_the_largest_loss_if_little_is_measured():
     """Below four fifths of the surface the sentence states the largest loss; above, only the measured share."""
-    found = Attainable(share=0.75, standard_error=0.001, asked=1000, out_of_reach=0.2, out_of_sight=0.05)
+    found = Attainable(share=0.75, standard_error=0.001, samples=1000, out_of_reach=0.2, out_of_sight=0.05)
     assert attainable_sentence(0.85, 0.9, found.model_copy(update={"share": 0.91})).endswith("measures 85.00 %")
     low = attainable_sentence(0.7, 0.74, found)
     assert "20.0 % of the surface is lost because the arm reaches no pose that sees it" in low

@@ -43,7 +43,7 @@ def test_a_motion_that_is_far_from_everything_has_no_tightest_moment() -> None:
 
     Otherwise it has distance, pair, time and segment, counted from 1.
     """
-    segment = schema.SegmentClearance(minimum_mm=20.0, at_least_mm=19.0, between="housing with post")
+    segment = schema.SegmentClearance(minimum_mm=20.0, lower_bound_mm=19.0, between="housing with post")
     assert tightest_moment(schema.Clearance(collision="exact", segments=[segment], tightest=None)) == ""
     tightest = schema.Tightest(
         segment=1, time_s=3.2, distance_mm=12.345, between="housing with post",

@@ -54,7 +54,7 @@ def test_spacing_is_of_the_scan_not_of_the_overlap() -> None:
     assert np.isnan(point_spacing(grid[[0, 0, 0]]))
 
 
-def test_merge_keeps_order_and_tells_the_scans_apart() -> None:
+def test_merged_points_keep_order_and_scan_number() -> None:
     """Merged points are in the order of the scans and keep the scan number.
 
     Without scans the cloud is empty.
@@ -68,7 +68,7 @@ def test_merge_keeps_order_and_tells_the_scans_apart() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_what_is_no_number_is_refused_by_name(bad: float) -> None:
+def test_infinite_and_missing_numbers_are_refused_by_name(bad: float) -> None:
     """A scan with NaN or infinity is refused with the number of such points."""
     points = np.zeros((5, 3))
     points[3, 1] = bad

@@ -4,29 +4,22 @@ import numpy as np
 import pytest
 
 from cell.scanners.laser_area import LaserArea
-from cell.world.embree import EmbreeRayCaster
 from cell.world.prediction import Prediction
 from planner.errors import PlannerError
-from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples
-from planner.measurability import coverage, visibility
+from planner.measurability import coverage
 from planner.measurability.visibility import VisibilityMemo, find_measured
 from planner.viewpoints.viewpoints import optimal_scanning_zone
+from tests.support.meshes import block, caster_of
 
 SCANNER = LaserArea(resolution_deg=(1, 1))
+SLAB = block((0.2, 0.1, 0.01), (0.1, 0.05, 0.005))
 
 
 def _samples(points, areas):
     points = np.asarray(points, dtype=float)
     n = len(points)
     return SurfaceSamples(points, np.tile([0, 0, 1.0], (n, 1)), areas, np.zeros(n), np.zeros(n))
-
-
-def _slab():
-    """Return a plate of 200 x 100 x 10 mm."""
-    corners = np.array([[x, y, z] for x in (0, 0.2) for y in (0, 0.1) for z in (0, 0.01)])
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return TriangleMesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
 
 
 def test_fractions_are_of_area_not_of_count():
@@ -57,7 +50,7 @@ def test_sampled_coverage_equals_all_distances():
 
 def test_the_radius_is_one_percent_of_the_diagonal():
     """The radius is 1 % of the diagonal, which is 223.83 mm for 200 x 100 x 10 mm."""
-    assert coverage.sampling_radius(_slab()) == pytest.approx(0.01 * np.sqrt(0.2**2 + 0.1**2 + 0.01**2))
+    assert coverage.sampling_radius(SLAB) == pytest.approx(0.01 * np.sqrt(0.2**2 + 0.1**2 + 0.01**2))
 
 
 def test_no_scan_point_covers_nothing_and_broken_input_is_refused():
@@ -72,8 +65,8 @@ def test_no_scan_point_covers_nothing_and_broken_input_is_refused():
 
 def test_visible_coverage_of_a_slab():
     """Views from above measure the top. Views from above and from the sides measure all but the bottom."""
-    slab = _slab()
-    caster = EmbreeRayCaster(slab.vertices, slab.faces)
+    slab = SLAB
+    caster = caster_of(slab)
     samples = draw_samples(slab, slab, 5000, np.random.default_rng(0))
     candidates = optimal_scanning_zone(slab, [0.3], [0.0]).T_object_scanner
     above = candidates[candidates[:, 0, 2, 3] > 0.2]
@@ -86,9 +79,9 @@ def test_visible_coverage_of_a_slab():
 
 def test_coverable_is_the_union_of_all_candidates():
     """The coverable samples are the union of those of each candidate alone."""
-    part = _slab()
+    part = SLAB
     samples = draw_samples(part, part, 3000, np.random.default_rng(0))
-    caster = EmbreeRayCaster(part.vertices, part.faces)
+    caster = caster_of(part)
     poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
     alone = [coverage.visible_coverage(pose[None], samples, SCANNER, [caster]).covered for pose in poses]
     found = Prediction.of(samples, SCANNER, [caster], poses).coverable.covered
@@ -99,9 +92,9 @@ def test_coverable_is_the_union_of_all_candidates():
 
 def test_remembered_results_are_those_of_a_new_evaluation():
     """Stored results equal new ones for sets with common views, in any order, with one or three poses per view."""
-    part, draws = _slab(), np.random.default_rng(3)
+    part, draws = SLAB, np.random.default_rng(3)
     samples = draw_samples(part, part, 3000, np.random.default_rng(0))
-    caster = EmbreeRayCaster(part.vertices, part.faces)
+    caster = caster_of(part)
     poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
     for views in (poses, np.stack([poses[k : k + 3, 0] for k in range(len(poses) - 2)])):
         remembered = VisibilityMemo(samples, SCANNER, [caster])
@@ -110,21 +103,3 @@ def test_remembered_results_are_those_of_a_new_evaluation():
             found = remembered.measured(some)
             np.testing.assert_array_equal(found, find_measured(some, samples, SCANNER, [caster]))
             np.testing.assert_array_equal(found, remembered.measured(some[::-1]))
-
-
-def test_forgotten_views_are_evaluated_again(monkeypatch):
-    """With room for two views and small bundles the results are the same. A stored set casts no rays."""
-    monkeypatch.setattr(visibility, "_REMEMBERED", 2)
-    monkeypatch.setattr(visibility, "_OPEN_BUNDLE", 50)
-    part, draws = _slab(), np.random.default_rng(4)
-    samples = draw_samples(part, part, 1500, np.random.default_rng(0))
-    caster = EmbreeRayCaster(part.vertices, part.faces)
-    poses = optimal_scanning_zone(part, (0.3,), tuple(np.deg2rad((0, 90)))).T_object_scanner
-    remembered = VisibilityMemo(samples, SCANNER, [caster])
-    for count in (1, 4, 4, 2):
-        some = poses[draws.integers(0, len(poses), count)]
-        np.testing.assert_array_equal(remembered.measured(some), find_measured(some, samples, SCANNER, [caster]))
-        assert len(remembered._known) <= 2
-    known = remembered.measured(poses[:2])
-    remembered._casters = ()  # without casters every line of sight would be free
-    np.testing.assert_array_equal(remembered.measured(poses[:2]), known)

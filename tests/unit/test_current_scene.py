@@ -129,7 +129,7 @@ def test_the_files_of_the_manifest_are_looked_at_again(cell_of_files: Path, tmp_
         shutil.copy(cell_of_files / name, tmp_path)
     shutil.copytree(cell_of_files / "run", tmp_path / "run")
     manifest = json.loads((tmp_path / "run/manifest.json").read_text())
-    assert [each["what"] for each in manifest["files"]] == ["scene", "part", "fixture:clamp"]
+    assert [each["role"] for each in manifest["files"]] == ["scene", "part", "fixture:clamp"]
     for each in manifest["files"]:
         each["path"] = str(tmp_path / Path(each["path"]).name)
     (tmp_path / "run/manifest.json").write_text(json.dumps(manifest))

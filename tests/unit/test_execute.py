@@ -190,13 +190,13 @@ def test_each_scan_and_event_is_on_disk_before_the_next_move(folder: ExecutionFo
         for path in files:
             read_scan(path)
         assert _events(folder)[-1]["event"] == "move"
-        assert _events(folder)[-1]["leg"] == move + 1
+        assert _events(folder)[-1]["segment"] == move + 1
         seen.append(move)
 
     _run(Recorded(before=look), _tour(), folder)
     assert seen == [0, 1, 2, 3]
     names = [event["event"] for event in _events(folder)]
-    assert names == ["connected", *["move", "standing", "scan"] * 3, "move", "standing", "done"]
+    assert names == ["connected", *["move", "arrival", "scan"] * 3, "move", "arrival", "done"]
 
 
 def test_the_scan_is_taken_from_the_reported_pose(folder: ExecutionFolder) -> None:
@@ -348,7 +348,7 @@ def test_an_arm_that_arrived_elsewhere_is_not_scanned_from_there(folder: Executi
         _run(driver, _tour(), folder)
     assert len(driver.moves) == 1
     assert list((folder.path / "scans").iterdir()) == []
-    assert [event["event"] for event in _events(folder)] == ["connected", "move", "standing", "failed"]
+    assert [event["event"] for event in _events(folder)] == ["connected", "move", "arrival", "failed"]
 
 
 def test_a_full_disk_does_not_hide_why_an_execution_ended(folder: ExecutionFolder, monkeypatch) -> None:

@@ -187,7 +187,7 @@ def test_batches_are_tried_in_turn_until_one_is_worth_its_views(
     (tmp_path / "stages").mkdir()
     monkeypatch.setattr(explore, "_plan_on_belief", planners.on(BELIEVED))
     monkeypatch.setattr(explore, "_plan_on_measured", planners.on(MEASURED))
-    file, batches = SimpleNamespace(stages=[None]), [Batch(1, on=on) for on in tried]
+    file, batches = SimpleNamespace(batches=[None]), [Batch(1, on=on) for on in tried]
     given: Any = (SimpleNamespace(paths=paths), file, None, batches, "nothing was tried")
     if ends in (BELIEVED, MEASURED):
         assert explore._plan_next(*given) == Path(ends)
@@ -205,9 +205,9 @@ def test_batches_are_tried_in_turn_until_one_is_worth_its_views(
     [
         (5, 40.0, BELIEVED, (BELIEVED, MEASURED), "no batch of the policy"),
         (5, 40.0, MEASURED, (MEASURED, BELIEVED), "no batch of the policy"),
-        (7, 40.0, BELIEVED, (), "the 7 views of the budget are used up"),
-        (8, 90.0, BELIEVED, (), "the 7 views of the budget are used up"),
-        (5, 60.0, BELIEVED, (), "the 60 s of motion of the budget are used up"),
+        (7, 40.0, BELIEVED, (), "the budget of 7 views is used"),
+        (8, 90.0, BELIEVED, (), "the budget of 7 views is used"),
+        (5, 60.0, BELIEVED, (), "the budget of 60 s of motion is used"),
     ],
 )
 def test_the_next_batches_are_the_policys_within_the_budget(
@@ -218,16 +218,16 @@ def test_the_next_batches_are_the_policys_within_the_budget(
     No batch follows once views or seconds are used up.
     """
     stages = [
-        SimpleNamespace(seconds=seconds / 2, planned_on=BELIEVED),
-        SimpleNamespace(seconds=seconds / 2, planned_on=on),
+        SimpleNamespace(seconds=seconds / 2, planning_surface=BELIEVED),
+        SimpleNamespace(seconds=seconds / 2, planning_surface=on),
     ]
     plan = SimpleNamespace(max_views=7, max_sigma_mm=None)
     scene = SimpleNamespace(plan=plan, scanner=SimpleNamespace(max_spacing_mm=None))
     work: Any = SimpleNamespace(scene=scene, options=ExploreOptions(max_seconds=60.0, batch=3))
-    found, told = explore._next_batches(work, SimpleNamespace(stages=stages, views=views))  # type: ignore[arg-type]
+    found, told = explore._next_batches(work, SimpleNamespace(batches=stages, views=views))  # type: ignore[arg-type]
     assert [(batch.views, batch.per_second, batch.on) for batch in found] == [(2, True, each) for each in batches]
     assert told.startswith(ended)
-    first, _ = explore._next_batches(work, SimpleNamespace(stages=[], views=0))  # type: ignore[arg-type]
+    first, _ = explore._next_batches(work, SimpleNamespace(batches=[], views=0))  # type: ignore[arg-type]
     assert first == (Batch(1),)
 
 
@@ -262,10 +262,16 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     (tmp_path / "stages").mkdir()
     work: Any = SimpleNamespace(paths=ExplorationFolder(tmp_path), options=SimpleNamespace(min_gain=0.25), name="balls")
     known: Any = SimpleNamespace(space=UNKNOWN, record=GainRecord.empty(), scans=scans, solid=None, surface=balls)
-    told = {"expected_mm2": 1.0, "new_mm2": 3.0, "measured_mm2": 7.0, "too_near_mm2": 0.4, "planned_on": BELIEVED}
+    told = {
+        "expected_gain_mm2": 1.0,
+        "realised_gain_mm2": 3.0,
+        "measured_mm2": 7.0,
+        "below_range_mm2": 0.4,
+        "planning_surface": BELIEVED,
+    }
     told["views"] = 1
     stages = [SimpleNamespace(**told)] * 2
-    file, first = SimpleNamespace(stages=stages), SimpleNamespace(stages=[])
+    file, first = SimpleNamespace(batches=stages), SimpleNamespace(batches=[])
     believed: Any = explore._plan_on_belief(work, file, known, Batch(1, min_gain_factor=3.0))
     assert (believed[0].poses, believed[0].min_gain, believed[0].gain_ratio) == (None, 0.25, 2.0)
     assert believed[0].measured_area == pytest.approx(7e-6)
@@ -273,7 +279,7 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     assert (believed[1], believed[2].name) == (3, "balls as believed")
     assert not work.paths.measured(3).exists()
     assert not believed[0].keep_min_range
-    near: Any = SimpleNamespace(stages=[stages[0], SimpleNamespace(**{**told, "too_near_mm2": 0.6})])
+    near: Any = SimpleNamespace(batches=[stages[0], SimpleNamespace(**{**told, "below_range_mm2": 0.6})])
     assert explore._plan_on_belief(work, near, known, Batch(1))[0].keep_min_range  # type: ignore[index]
 
     def nothing_from_afar(work: Any, asked: Any, number: int, part: Any) -> Any:
@@ -293,7 +299,7 @@ def test_each_surface_is_planned_for_what_is_known_of_it(
     assert work.paths.measured(3).read_bytes() == ply.mesh_bytes(balls)
     assert on[0].latest == ((1, 0.0), (1, 0.0))
     late: Any = SimpleNamespace(
-        stages=[*stages, *(SimpleNamespace(**{**told, "planned_on": MEASURED, "views": 2}),) * 3]
+        batches=[*stages, *(SimpleNamespace(**{**told, "planning_surface": MEASURED, "views": 2}),) * 3]
     )
     after: Any = explore._plan_on_measured(work, late, known, Batch(1))
     assert after[0].latest == ((1, 0.0), *((2, 1e-6),) * 3)
@@ -304,7 +310,7 @@ def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, mo
     monkeypatch.setattr(explore, "continue_surface", lambda scans, space, solid: None)
     work: Any = SimpleNamespace(paths=ExplorationFolder(tmp_path))
     known: Any = SimpleNamespace(space=UNKNOWN, scans=(), solid=None)
-    stop = explore._plan_on_measured(work, SimpleNamespace(stages=[None]), known, Batch(1))  # type: ignore[arg-type]
+    stop = explore._plan_on_measured(work, SimpleNamespace(batches=[None]), known, Batch(1))  # type: ignore[arg-type]
     assert stop == StopReason("the points describe no surface")
     assert list(tmp_path.iterdir()) == []
 
@@ -316,7 +322,7 @@ def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:
     for path in (paths.unseen(2), paths.measured(2)):
         path.touch()
     work: Any = SimpleNamespace(paths=paths)
-    file: Any = SimpleNamespace(stages=[None])
+    file: Any = SimpleNamespace(batches=[None])
     known: Any = None
     assert explore._plan_next(work, file, known, [Batch(1)], "") == paths.stage(2)
     assert paths.unseen(2).is_file()
@@ -356,8 +362,8 @@ def test_a_stage_says_what_its_views_stood_too_near_for(balls: TriangleMesh, mon
     expected: Any = SimpleNamespace(samples=samples, sees=np.ones((5, 1), dtype=bool), surface=1.0, on=BELIEVED)
     scan: Any = SimpleNamespace(points=balls.vertices, T_reported=np.eye(4))
     stage_ = explore._batch_entry(Path("stages") / "0002", [scan], expected, UNKNOWN, known, None)  # type: ignore[arg-type]
-    assert stage_.too_near_mm2 == pytest.approx(3.0)
-    assert stage_.expected_mm2 == pytest.approx(1e6 * samples.areas.sum(), abs=1e-3)
+    assert stage_.below_range_mm2 == pytest.approx(3.0)
+    assert stage_.expected_gain_mm2 == pytest.approx(1e6 * samples.areas.sum(), abs=1e-3)
     (told,) = asked
     assert told[0] is samples
     assert told[2] == [(scan.points, scan.T_reported)]

@@ -75,6 +75,6 @@ def test_sentences_that_are_the_same_are_told_once() -> None:
     codes = np.array([Reason.SOURCE_SHADED_BY_PART, NOT_SELECTED, Reason.SENSOR_SHADED, TRIED])
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     told = UncoveredReport(_samples(4), codes, views).by_area()
-    assert [(each.reason, each.area_mm2) for each in told] == [
+    assert [(each.cause, each.area_mm2) for each in told] == [
         (describe_cause(Reason.SENSOR_SHADED), 4.0), (describe_cause(TRIED), 4.0), (describe_cause(NOT_SELECTED), 2.0)
     ]  # fmt: skip

@@ -68,7 +68,7 @@ def test_a_kill_before_the_first_explore_json_is_gone_on_after(left: tuple[str, 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     """A folder with other files is refused, and nothing is written into it."""
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(FileError, match="no exploration"):
+    with pytest.raises(FileError, match="not an exploration"):
         ExplorationFolder(tmp_path).begin(_begun(tmp_path))
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
@@ -76,7 +76,7 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("points", "told"),
     [
-        (np.empty((0, 3)), "no ray of stages/0001 came back"),
+        (np.empty((0, 3)), "no ray of stages/0001 hit a surface"),
         (np.tile([[0.2, 0.0, 0.0]], (5, 1)), "outside the cylinder"),
         (np.tile([[0.0, 0.0, 0.0]], (5, 1)), "the part was moved"),
     ],
@@ -111,7 +111,7 @@ def test_a_part_that_was_moved_away_stops_an_exploration(away: float, told: bool
         return
     assert space.contradicted_share(views[0][0]) == 0
     views.append((plate(0.01), T))  # one view of a batch is sufficient
-    with pytest.raises(FileError, match=r"100.0 % of the known points .* are gone; the part was moved"):
+    with pytest.raises(FileError, match=r"100.0 % of the known points .* were not measured again; the part was moved"):
         require_plausible(space, Path("stages/0002"), views, eye)
 
 
@@ -246,11 +246,16 @@ def test_what_came_is_held_against_what_was_expected() -> None:
     The first batch and batches on measured surface are not counted.
     """
     went = [(5.0, 20.0, BELIEVED), (2.0, 4.0, BELIEVED), *[(9.0, 0.0, MEASURED)] * 2, (1.0, 3.0, BELIEVED)]
-    stages = [SimpleNamespace(expected_mm2=area, new_mm2=new, planned_on=on) for area, new, on in went]
-    assert _belief_gain_ratio(SimpleNamespace(stages=stages)) == 2.0  # median of 1, 2 and 3
-    assert _belief_gain_ratio(SimpleNamespace(stages=stages[:1])) == 1.0
-    little = [stages[0], *[SimpleNamespace(expected_mm2=2.0, new_mm2=0.5, planned_on=BELIEVED)] * 3]
-    assert _belief_gain_ratio(SimpleNamespace(stages=little)) == 1.0  # a smaller gain is part of the gain record
+    stages = [
+        SimpleNamespace(expected_gain_mm2=area, realised_gain_mm2=new, planning_surface=on) for area, new, on in went
+    ]
+    assert _belief_gain_ratio(SimpleNamespace(batches=stages)) == 2.0  # median of 1, 2 and 3
+    assert _belief_gain_ratio(SimpleNamespace(batches=stages[:1])) == 1.0
+    little = [
+        stages[0],
+        *[SimpleNamespace(expected_gain_mm2=2.0, realised_gain_mm2=0.5, planning_surface=BELIEVED)] * 3,
+    ]
+    assert _belief_gain_ratio(SimpleNamespace(batches=little)) == 1.0  # a smaller gain is part of the gain record
 
 
 def test_what_the_part_is_believed_to_fill_is_the_spaces() -> None:
@@ -300,14 +305,14 @@ def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -
 
 def test_nothing_that_can_be_reached_has_the_exit_code_of_that() -> None:
     """An exploration without a reachable first view ends with exit code 4."""
-    given: Any = (None, SimpleNamespace(stages=()), (), "the arm reaches no view", ())
-    with pytest.raises(UnreachableError, match="nothing can be explored here: the arm reaches no view") as told:
+    given: Any = (None, SimpleNamespace(batches=()), (), "the arm reaches no view", ())
+    with pytest.raises(UnreachableError, match="no view can be planned: the arm reaches no view") as told:
         _finish(*given)
     assert told.value.exit_code == 4
 
 
 def test_the_ring_says_nothing_of_standing_too_near() -> None:
     """The first batch is not part of the minimum-range history, since it was planned for an unknown cylinder."""
-    ring, batch = (SimpleNamespace(too_near_mm2=near, expected_mm2=9.0) for near in (8.0, 1.0))
-    file: Any = SimpleNamespace(stages=[ring, batch])
+    ring, batch = (SimpleNamespace(below_range_mm2=near, expected_gain_mm2=9.0) for near in (8.0, 1.0))
+    file: Any = SimpleNamespace(batches=[ring, batch])
     assert _min_range_history(file) == [(1.0, 9.0)]

@@ -7,25 +7,14 @@ import pytest
 from scipy.sparse import csr_array
 
 from cell.scanners.laser_area import LaserArea
-from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
-from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import SurfaceSamples, draw_samples, pick_samples, samples_at_face_centres
 from planner.measurability.matrix import Measurability, append_rows
 from planner.measurability.visibility import apply_occluders, fill_matrix, find_measured
 from planner.viewpoints.viewpoints import Viewpoints, optimal_scanning_zone
+from tests.support.meshes import block, caster_of
 
 SCANNER = LaserArea(resolution_deg=(2, 2))
-
-
-def _box(size, centre=(0, 0, 0)):
-    corners = (np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) - 0.5) * size + centre
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return TriangleMesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
-
-
-def _caster(mesh):
-    return EmbreeRayCaster(mesh.vertices, mesh.faces)
 
 
 def _views(poses):
@@ -36,9 +25,9 @@ def _views(poses):
 @pytest.fixture(scope="module")
 def cube():
     """Return a cube of 100 mm with 600 samples and a viewpoint above each of its 12 triangles, twice (two rolls)."""
-    mesh = _box(0.1)
+    mesh = block(0.1)
     samples = draw_samples(mesh, mesh, 600, np.random.default_rng(0))
-    return mesh, _caster(mesh), samples, optimal_scanning_zone(mesh, [0.3], [0.0, np.pi / 2])
+    return mesh, caster_of(mesh), samples, optimal_scanning_zone(mesh, [0.3], [0.0, np.pi / 2])
 
 
 def test_a_side_of_a_cube_is_measured_from_in_front_of_it_only(cube):
@@ -101,7 +90,7 @@ def test_prediction_equals_the_matrix_for_all_views_and_for_each(cube):
 def test_an_occluder_removes_the_hidden_entries_only(cube):
     """A wall in front of one side empties only the rows of that side, for one and for two poses per column."""
     _, caster, samples, views = cube
-    wall = _caster(_box((0.01, 0.5, 0.5), (0.15, 0, 0)))
+    wall = caster_of(block((0.01, 0.5, 0.5), (0.15, 0, 0)))
     part_only = fill_matrix(views, samples, SCANNER, caster)
     hidden = apply_occluders(part_only, views, SCANNER, wall).matrix().toarray()
     on_that_side = samples.normals[:, 0] > 0.99

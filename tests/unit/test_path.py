@@ -15,44 +15,18 @@ from planner.path.certified_edge import (
 from planner.path.path import PathStatus, connect, path_time, shorten
 from planner.ports import JointLimits
 from planner.timing.move_time import move_time
+from tests.support.joint_space import BIG, Boxes, at, box
 
 LIMITS = JointLimits(
     lower=np.full(6, -3.0), upper=np.full(6, 3.0), velocity=np.full(6, 2.0), acceleration=np.full(6, 4.0)
 )
 
 
-class Boxes:
-    """A 'tool' that moves 1 m per rad along each of six axes, between boxes in this space; its travel is exact."""
-
-    clearance = 0.01
-
-    def __init__(self, *boxes: tuple[list[float], list[float]]) -> None:
-        self.low, self.high = (np.array([box[side] for box in boxes]).reshape(-1, 6) for side in (0, 1))
-        self.asked = 0
-
-    def distances(self, q: np.ndarray) -> np.ndarray:
-        outside = np.maximum(np.maximum(self.low - q[:, None], q[:, None] - self.high), 0.0)
-        return np.linalg.norm(outside, axis=2)
-
-    def free(self, q: np.ndarray) -> np.ndarray:
-        self.asked += len(q)
-        return (self.distances(q) >= self.clearance).all(axis=1)
-
-    def contacts(self, q: np.ndarray) -> tuple[str, ...]:
-        near = self.distances(q[None])[0]
-        return tuple(f"tool with box {k}" for k in np.argsort(near) if near[k] < self.clearance)
-
-    def distance(self, q: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        near = self.distances(q)
-        return near.min(axis=1), tuple(f"tool with box {k}" for k in near.argmin(axis=1))
-
-    def travel(self, q_from: np.ndarray, q_to: np.ndarray) -> np.ndarray:
-        return np.linalg.norm(np.asarray(q_to) - q_from, axis=-1)
-
-
-BIG = 10.0
-WALL = ([-0.2] + [-BIG] * 5, [0.2, 0.5] + [BIG] * 4)  # blocks axis 1 from -0.2 to 0.2 if axis 2 is below 0.5
 LEFT, RIGHT = quantise([-1.0, 0, 0, 0, 0, 0]), quantise([1.0, 0, 0, 0, 0, 0])
+
+
+WALL = box(x=(-0.2, 0.2), y=(-BIG, 0.5))
+LEFT, RIGHT = at(-1.0), at(1.0)
 
 
 def rng() -> np.random.Generator:
@@ -91,7 +65,7 @@ def test_subdivision_keeps_every_configuration_near_a_checked_one() -> None:
 def test_a_thin_obstacle_between_two_free_ends_is_found() -> None:
     """A wall without thickness blocks the edge: its clearance zone is wider than the spacing of the checks."""
     for place in np.linspace(-0.9, 0.9, 61):
-        sheet = Boxes(([place] + [-BIG] * 5, [place] + [BIG] * 5))
+        sheet = Boxes(box(x=(place, place)))
         assert not certify(LEFT, RIGHT, sheet)[0]
 
 
@@ -115,20 +89,25 @@ def test_a_blocked_edge_is_refused_after_few_checks() -> None:
 
 
 def test_a_free_straight_move_is_taken() -> None:
-    """Without obstacles the path is its two ends, and no random number is drawn."""
+    """Without obstacles the path is its two ends, also if they are equal, and no random number is drawn."""
     source = rng()
     found = connect(LEFT, RIGHT, Boxes(([2] * 6, [2.5] * 6)), LIMITS, source)
     assert found.status is PathStatus.STRAIGHT
     np.testing.assert_array_equal(found.via, [LEFT, RIGHT])
     assert found.duration == move_time(LEFT, RIGHT, LIMITS)
+    still = connect(LEFT, LEFT, Boxes(), LIMITS, source)
+    assert (still.status, still.via.shape, still.duration) == (PathStatus.STRAIGHT, (2, 6), 0.0)
     assert source.random() == rng().random()
 
 
 def test_a_detour_goes_around_the_wall() -> None:
-    """The via points are set-points with the given ends, and a check ten times denser finds no contact."""
+    """The via points are set-points with the given ends, and a check ten times denser finds no contact.
+
+    All checks are counted.
+    """
     checker = Boxes(WALL)
     found = connect(LEFT, RIGHT, checker, LIMITS, rng())
-    assert found.status is PathStatus.DETOUR
+    assert (found.status, found.checks) == (PathStatus.DETOUR, checker.checked)
     np.testing.assert_array_equal(found.via[[0, -1]], [LEFT, RIGHT])
     np.testing.assert_array_equal(quantise(found.via), found.via)
     for a, b in zip(found.via[:-1], found.via[1:], strict=True):
@@ -136,13 +115,6 @@ def test_a_detour_goes_around_the_wall() -> None:
         dense = a + np.linspace(0, 1, n)[:, None] * (b - a)
         assert checker.distances(dense).min() >= (1 - STEP) * checker.clearance
     assert found.duration == path_time(found.via, LIMITS)
-
-
-def test_the_checks_are_counted() -> None:
-    """`checks` is the number of configurations that the checker evaluated."""
-    checker = Boxes(WALL)
-    found = connect(LEFT, RIGHT, checker, LIMITS, rng())
-    assert found.checks == checker.asked
 
 
 def test_shortening_never_slows_and_keeps_the_ends() -> None:

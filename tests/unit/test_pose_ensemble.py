@@ -61,9 +61,9 @@ def test_a_drawn_error_moves_a_pose_as_an_execution_does() -> None:
     T[:3, 3] = 0.3, -0.2, 0.9
     T[:3, :3] = rotation_matrices(np.array([[0.4, -1.1, 0.6]]))[0]
     for seed in range(5):
-        mine = T @ PoseError(0.002, 0.01).draw(1, np.random.default_rng(seed))[0]
-        theirs = Disturbance(position=0.002, rotation=0.01).true_pose(T, np.random.default_rng(seed))
-        np.testing.assert_allclose(mine, theirs, atol=1e-15)
+        found = T @ PoseError(0.002, 0.01).draw(1, np.random.default_rng(seed))[0]
+        executed = Disturbance(position=0.002, rotation=0.01).true_pose(T, np.random.default_rng(seed))
+        np.testing.assert_allclose(found, executed, atol=1e-15)
 
 
 def test_rotations_are_rotations_also_at_zero() -> None:
@@ -96,7 +96,7 @@ def test_the_layer_is_the_share_of_a_normal_distribution() -> None:
     np.testing.assert_allclose(share, [0.5, 0.8413, 1.0], atol=4 * 0.5 / np.sqrt(members))
 
 
-def test_only_asked_columns_are_looked_at() -> None:
+def test_excluded_columns_are_not_evaluated() -> None:
     """Entries of excluded columns have no hit, and an ensemble without errors has exact poses."""
     samples, views = scene([0.0, 5.0])
     M = fill_matrix(views, samples, Cone(), Nothing())
@@ -150,7 +150,7 @@ def test_a_layer_follows_a_matrix_that_lost_entries() -> None:
 
 
 @pytest.mark.parametrize(("position", "orientation"), [(-1.0, 0.0), (0.0, np.nan), (np.inf, 0.0)])
-def test_what_is_no_standard_deviation_is_refused(position: float, orientation: float) -> None:
+def test_invalid_standard_deviations_are_refused(position: float, orientation: float) -> None:
     """Negative, infinite and NaN standard deviations are refused."""
     with pytest.raises(PlannerError, match="standard deviation"):
         PoseError(position, orientation)

@@ -72,11 +72,11 @@ def test_the_limit_keeps_exactly_the_entries_below_it(part, caster):
     dense[np.repeat(np.arange(300), np.diff(M.indptr)), M.indices] = M.sigma
     before = np.zeros(M.shape, dtype=bool)
     for limit in np.quantile(M.sigma, [0.0, 0.3, 0.7, 1.0]):
-        kept = within_sigma(M, float(limit)).matrix().toarray()
-        np.testing.assert_array_equal(kept, dense <= limit)
-        assert (kept | ~before).all()
-        assert kept.sum() > before.sum()
-        before = kept
+        remaining = within_sigma(M, float(limit)).matrix().toarray()
+        np.testing.assert_array_equal(remaining, dense <= limit)
+        assert (remaining | ~before).all()
+        assert remaining.sum() > before.sum()
+        before = remaining
     assert before.sum() == len(M.indices)
 
 

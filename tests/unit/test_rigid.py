@@ -1,5 +1,8 @@
 """Rigid motions and their uncertainty: screws against the matrix logarithm, covariances against noisy fits."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.linalg import expm, logm
@@ -91,16 +94,17 @@ def test_pairs_against_least_squares_in_other_coordinates(seed: int) -> None:
     assert (found.residuals**2).sum() == pytest.approx(2 * solved.cost, rel=1e-9)
 
 
-def test_the_covariance_of_pairs_is_the_scatter_of_fits() -> None:
-    """The covariance of one fit equals that of 2,000 fits with noise of 0.1 mm, to 10 % of the largest variance."""
-    rng = np.random.default_rng(3)
-    T, nominal = _random_pose(5), rng.uniform(-0.1, 0.1, (6, 3))
+@pytest.mark.parametrize("fit", [fit_pairs, fit_three_two_one])
+def test_the_covariance_is_the_scatter_of_fits(fit: Callable[..., Any]) -> None:
+    """The covariance of one fit equals that of 500 fits with noise of 0.1 mm, to 20 % of the largest variance."""
+    rng, T = np.random.default_rng(3), _random_pose(7)
+    nominal = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.02], [0.1, 0, 0.02], [0, 0.04, 0.02]])
     there = nominal @ T[:3, :3].T + T[:3, 3]
-    fits = [fit_pairs(nominal, there + rng.normal(0, 1e-4, (6, 3)), CENTRE, LENGTH, 1e-4) for _ in range(2000)]
+    fits = [fit(nominal, there + rng.normal(0, 1e-4, (6, 3)), CENTRE, LENGTH, 1e-4) for _ in range(500)]
     screws = np.stack([screw_from_motion(np.linalg.inv(T) @ each.T, CENTRE) for each in fits])
     scale = np.array([1, 1, 1, LENGTH, LENGTH, LENGTH])
-    seen, said = np.cov((screws * scale).T), fits[0].covariance * scale[:, None] * scale  # type: ignore[operator]
-    np.testing.assert_allclose(seen, said, atol=0.1 * np.abs(said).max())
+    scatter, reported = np.cov((screws * scale).T), fits[0].covariance * scale[:, None] * scale
+    np.testing.assert_allclose(scatter, reported, atol=0.2 * np.abs(reported).max())
 
 
 def test_pairs_on_a_line_turn_about_it() -> None:
@@ -139,20 +143,7 @@ def test_six_points_meet_their_planes(seed: int) -> None:
     )
 
 
-def test_the_covariance_of_six_points_is_the_scatter_of_fits() -> None:
-    """The reported covariance equals that of 2,000 fits with noise of 0.1 mm, to 10 % of the largest variance."""
-    rng = np.random.default_rng(3)
-    T = _random_pose(7)
-    nominal = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.02], [0.1, 0, 0.02], [0, 0.04, 0.02]])
-    there = nominal @ T[:3, :3].T + T[:3, 3]
-    fits = [fit_three_two_one(nominal, there + rng.normal(0, 1e-4, (6, 3)), CENTRE, LENGTH, 1e-4) for _ in range(2000)]
-    screws = np.stack([screw_from_motion(np.linalg.inv(T) @ each.T, CENTRE) for each in fits])
-    scale = np.array([1, 1, 1, LENGTH, LENGTH, LENGTH])
-    seen, said = np.cov((screws * scale).T), fits[0].covariance * scale[:, None] * scale  # type: ignore[operator]
-    np.testing.assert_allclose(seen, said, atol=0.1 * np.abs(said).max())
-
-
-def test_points_that_say_no_placement_are_refused() -> None:
+def test_points_without_a_placement_are_refused() -> None:
     """Too few, identical, collinear and stacked points are refused with one sentence each."""
     some = np.random.default_rng(0).uniform(-0.1, 0.1, (6, 3))
     with pytest.raises(PlannerError, match="at least three"):

@@ -368,13 +368,13 @@ def test_a_run_stores_the_range_of_its_table() -> None:
     T = np.eye(4)
     T[:3, 3] = 1.2, 0.5, -0.4
     said = ResolvedTable.model_construct(
-        T_base_table=T, limits_deg=(-90.0, 150.0), turn_deg=(-90.0, 62.0), velocity_deg_s=120.0,
+        T_base_table=T, limits_deg=(-90.0, 150.0), free_range_deg=(-90.0, 62.0), velocity_deg_s=120.0,
         acceleration_deg_s2=240.0, jerk_deg_s3=2400.0,
     )  # fmt: skip
     for told, limits in (
         (said, (-90, 62)),
-        (said.model_copy(update={"turn_deg": None}), (-90, 150)),
-        (said.model_copy(update={"turn_deg": None, "limits_deg": None}), (-180, 180)),
+        (said.model_copy(update={"free_range_deg": None}), (-90, 150)),
+        (said.model_copy(update={"free_range_deg": None, "limits_deg": None}), (-180, 180)),
     ):
         table = table_of(ResolvedScene.model_construct(table=told))
         assert table is not None

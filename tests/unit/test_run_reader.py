@@ -129,7 +129,7 @@ def test_executions_are_read_up_to_what_is_whole(copy: Path) -> None:
     scans = copy / "executions" / "0001" / "scans"
     scans.mkdir(parents=True)
     whole = {
-        "stop": 1,
+        "number": 1,
         "q_commanded": np.zeros(6),
         "q_reported": np.full(6, 1e-3),
         "T_object_scanner": np.eye(4),
@@ -154,7 +154,7 @@ def test_executions_are_read_up_to_what_is_whole(copy: Path) -> None:
 
 def test_only_simulated_points_have_a_true_pose_and_counts_of_rays(tmp_path: Path) -> None:
     """Scans of another source have no true pose and no counts. A scan without a source counts as simulated."""
-    stored = {"stop": 1, "view": 7, "q_commanded": np.zeros(6), "q_reported": np.zeros(6), "points": np.zeros((2, 3)),
+    stored = {"number": 1, "view": 7, "q_commanded": np.zeros(6), "q_reported": np.zeros(6), "points": np.zeros((2, 3)),
               "T_object_scanner": np.eye(4), "T_object_scanner_true": np.eye(4)}  # fmt: skip
     np.savez(tmp_path / "0001.npz", **stored, source="bench")
     scan = read_scan(tmp_path / "0001.npz")

@@ -35,14 +35,14 @@ def test_a_file_that_is_read_is_written_again_byte_for_byte(name: str, planned: 
 def test_files_of_earlier_versions_are_read(planned: Path) -> None:
     """Keys that are missing in earlier versions have the value None or the only value of that time."""
     plan, scene, report = (content_of(planned, name) for name in ("plan.json", "scene.resolved.json", "report.json"))
-    del plan["clearance"], plan["coverage"]["visible_with_arm"], plan["coverage"]["target_on_features"]
+    del plan["clearance"], plan["coverage"]["visible_with_arm"], plan["coverage"]["target_on_samples"]
     del scene["joint_jerk_limits_deg_s3"], report["motion"]["jerk_free_bound_s"], report["clearance"]
     scene["plan"] = {key: scene["plan"][key] for key in ("candidates", "coverage", "required_visible", "seed")}
     assert read(PlanFile, plan).clearance is None
     assert read(ResolvedScene, scene).plan.collision == "hull"
     assert read(ResolvedScene, scene).plan.multiplicity == 1
     assert read(Report, report).motion.jerk_free_bound_s == 0
-    assert read(PlanFile, plan | {"key of a later version": 1}).views
+    assert read(PlanFile, plan | {"schema": "scan-cell/run/1", "key of that version": 1}).views
 
 
 @pytest.mark.parametrize(

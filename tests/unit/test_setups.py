@@ -9,7 +9,7 @@ import trimesh
 
 from cell.errors import SceneError
 from cell.part import workpiece
-from cell.plan.setups import first_possible_cell, proposed_candidates, with_fixed_table
+from cell.plan.setup_candidates import first_possible_cell, proposed_candidates, with_fixed_table
 from cell.runs.run import Run
 from cell.runs.schema import Manifest
 from cell.scene.model import Scene

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cell.plan.shared_surface import connecting_view, remaining_freedom, shared_surfaces, unconnected_setups
-from cell.runs.schema import SharedSurface
+from cell.runs.schema import CommonSurface
 from planner.geometry.sampling import SurfaceSamples
 from planner.measurability.matrix import Measurability
 from planner.registration.observability import free_motions_of_surface
@@ -59,10 +59,10 @@ def test_set_ups_are_apart_where_their_common_side_slides() -> None:
     }
     pairs = shared_surfaces(seen, samples)
     assert [pair.setups for pair in pairs] == [(1, 2), (1, 3), (2, 3)]
-    assert [bool(pair.free) for pair in pairs] == [False, True, True]
+    assert [bool(pair.free_motions) for pair in pairs] == [False, True, True]
     assert [pair.share for pair in pairs] == pytest.approx([0.5, 0, 1 / 6])
     assert unconnected_setups(pairs, (1, 2, 3)) == (3,)
-    assert unconnected_setups([SharedSurface(setups=(2, 3), share=0.1, free=())], (1, 2, 3)) == (2, 3)
+    assert unconnected_setups([CommonSurface(setups=(2, 3), share=0.1, free_motions=())], (1, 2, 3)) == (2, 3)
 
 
 def test_the_view_that_joins_is_the_one_that_ends_the_freedom() -> None:

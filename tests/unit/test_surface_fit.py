@@ -13,6 +13,7 @@ from planner.registration.localisation import SearchRange, fit_surface
 from planner.registration.observability import FreeKind, surface_type
 from planner.registration.rigid import motion_from_screw, screw_from_motion
 from planner.values import Floats
+from tests.support.meshes import as_triangles
 
 SENSOR = np.array([0.05, 0.1, 0.28])
 NOISE = 3e-5
@@ -27,11 +28,7 @@ def _blob() -> TriangleMesh:
     return TriangleMesh(ball.vertices * radius[:, None], ball.faces)
 
 
-def _of(mesh: trimesh.Trimesh) -> TriangleMesh:
-    return TriangleMesh(mesh.vertices, mesh.faces)
-
-
-def _scan(mesh: TriangleMesh, T_moved: Floats, seed: int = 0, step: float = 0.5) -> ScanCloud:
+def _scan(mesh: TriangleMesh, T_moved: Floats, seed: int = 0, step: float = 1.0) -> ScanCloud:
     """Return the part after a motion (4, 4), seen from the sensor, with noise along the rays."""
     back = np.linalg.inv(T_moved)
     sensor = back[:3, :3] @ SENSOR + back[:3, 3]
@@ -54,7 +51,7 @@ def _moved(seed: int, mm: float = 20.0, deg: float = 5.0) -> Floats:
     return motion_from_screw(np.concatenate([shift, np.radians(deg) * axis / np.linalg.norm(axis)]), np.zeros(3))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_part_is_found_20_mm_and_5_deg_away(seed: int) -> None:
     """Every point is found to 0.05 mm and to five standard deviations, without an undetermined motion."""
     mesh, T_moved = _blob(), _moved(seed)
@@ -71,22 +68,22 @@ def test_a_part_is_found_20_mm_and_5_deg_away(seed: int) -> None:
 
 
 def test_the_standard_deviations_are_the_scatter_of_fits() -> None:
-    """The standard deviations of 12 noisy scans agree with the scatter of their fits within a factor of two."""
+    """The standard deviations of 8 noisy scans agree with the scatter of their fits within a factor of two."""
     mesh, T_moved = _blob(), _moved(0, mm=1.0, deg=0.3)
     nearest, search = ClosestPointQuery(mesh), SearchRange(0.002, 0.01)
     fits = [
         fit_surface([_scan(mesh, T_moved, seed, 2.5)], nearest, np.zeros(3), search, np.random.default_rng(0))
-        for seed in range(12)
+        for seed in range(8)
     ]
     scatter = np.stack([screw_from_motion(each.T @ T_moved, np.zeros(3)) for each in fits]).std(axis=0)
-    said = np.mean([np.sqrt(np.diag(each.covariance)) for each in fits], axis=0)
-    assert (scatter < 2 * said).all()
-    assert (said < 2 * scatter).all()
+    reported = np.mean([np.sqrt(np.diag(each.covariance)) for each in fits], axis=0)
+    assert (scatter < 2 * reported).all()
+    assert (reported < 2 * scatter).all()
 
 
 def test_a_ball_turns_every_way() -> None:
     """Three turns are undetermined, the centre is found, and the fit keeps the planned orientation."""
-    mesh, T_moved = _of(trimesh.creation.icosphere(5, 0.04)), _moved(1)
+    mesh, T_moved = as_triangles(trimesh.creation.icosphere(5, 0.04)), _moved(1)
     found = fit_surface(
         [_scan(mesh, T_moved)], ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0)
     )
@@ -97,7 +94,7 @@ def test_a_ball_turns_every_way() -> None:
 
 def test_a_cylinder_seen_from_the_side_turns_and_slides() -> None:
     """The ends are not visible: one turn and one translation along the axis are reported as undetermined."""
-    mesh, T_moved = _of(trimesh.creation.cylinder(0.03, 1.0, sections=720)), _moved(2, mm=5.0, deg=2.0)
+    mesh, T_moved = as_triangles(trimesh.creation.cylinder(0.03, 1.0, sections=720)), _moved(2, mm=5.0, deg=2.0)
     T = np.eye(4)
     T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
     mesh = TriangleMesh(mesh.vertices @ T[:3, :3].T, mesh.faces)
@@ -111,29 +108,14 @@ def test_a_cylinder_seen_from_the_side_turns_and_slides() -> None:
     assert np.linalg.norm(turn.point[1:]) < 1e-4
 
 
-def test_a_plate_slides_on_itself() -> None:
-    """The edges are not visible: the free motions of a plane are reported, and the height is found."""
-    mesh = _of(trimesh.creation.box((1.0, 1.0, 0.02)))
-    T_moved = _moved(3, mm=5.0, deg=2.0)
-    found = fit_surface(
-        [_scan(mesh, T_moved)], ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0)
-    )
-    motions = found.undetermined_motions(1e-4)
-    assert surface_type(motions) == "a plane"
-    assert [motion.kind for motion in motions].count(FreeKind.TRANSLATION) == 2
-    seen = _scan(mesh, T_moved).points
-    back = seen @ found.T[:3, :3].T + found.T[:3, 3]
-    assert np.abs(back[:, 2] - 0.01).max() < 6 * NOISE
-
-
 def test_a_row_of_pins_has_a_rival() -> None:
     """Pins every 8 mm fit as well one pitch further, and this alternative is reported."""
     pins = [
-        trimesh.creation.icosphere(2, 0.003).apply_translation([0.008 * k, 0.008 * j, 0])
-        for k in range(-9, 10)
-        for j in range(-9, 10)
+        trimesh.creation.icosphere(1, 0.003).apply_translation([0.008 * k, 0.008 * j, 0])
+        for k in range(-6, 7)
+        for j in range(-6, 7)
     ]
-    mesh = _of(trimesh.util.concatenate(pins))
+    mesh = as_triangles(trimesh.util.concatenate(pins))
     cloud = _scan(mesh, np.eye(4))
     middle = np.linalg.norm(cloud.points[:, :2], axis=1) < 0.03
     found = fit_surface(
@@ -151,6 +133,10 @@ def test_points_of_something_else_are_refused_or_doubted() -> None:
         fit_surface([far], ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0))
     noise = np.random.default_rng(0).uniform(-0.06, 0.06, (200, 3))
     found = fit_surface(
-        [ScanCloud(noise, SENSOR)], ClosestPointQuery(mesh), np.zeros(3), SearchRange(), np.random.default_rng(0)
+        [ScanCloud(noise, SENSOR)],
+        ClosestPointQuery(mesh),
+        np.zeros(3),
+        SearchRange(0.005, 0.02),
+        np.random.default_rng(0),
     )
     assert found.doubts

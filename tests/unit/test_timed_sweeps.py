@@ -3,19 +3,13 @@
 import numpy as np
 import pytest
 
-from cell.robot.arm import kr16_kinematics
 from planner.errors import PlannerError
 from planner.path.sweeps import SweepPath, TimedSweep, find_sweeps
 from planner.timing.motion import Motion, jerk_free_duration, retime
 from planner.timing.move_time import move_time
 from planner.values import Floats
 from planner.viewpoints.viewpoints import straight_sweep_poses
-
-KINEMATICS = kr16_kinematics()
-LIMITS = KINEMATICS.limits
-MOUNT = np.eye(4)
-MOUNT[2, 3] = 0.12
-HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
+from tests.support.arms import HOME, KINEMATICS, LIMITS, MOUNT
 
 
 @pytest.fixture(scope="module")

@@ -25,16 +25,6 @@ def along(axis: int, distance: float) -> np.ndarray:
     return q
 
 
-def test_a_long_move_is_a_trapezoid_of_speed() -> None:
-    """With speed v and acceleration a, a distance d >= v^2 / a takes d / v + v / a."""
-    assert move_time(REST, along(0, 3.0), LIMITS) == pytest.approx(3.0 / 2.0 + 2.0 / 4.0, rel=1e-7)
-
-
-def test_a_short_move_is_a_triangle_of_speed() -> None:
-    """A distance d < v^2 / a takes 2 sqrt(d / a)."""
-    assert move_time(REST, along(3, 0.5), LIMITS) == pytest.approx(2.0 * np.sqrt(0.5 / 8.0), rel=1e-7)
-
-
 def test_the_slowest_axis_sets_the_time_of_all() -> None:
     """A synchronised move is no faster than any of its axes alone, and here exactly as fast as the slowest."""
     both = along(0, 1.5) + along(5, 1.5)

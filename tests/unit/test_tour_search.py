@@ -42,6 +42,7 @@ def search_of(kind: type[TourSearch], views: int) -> TourSearch:
     return kind(roadmap, visits, LIMITS, 0, MotionBudget(), order_views, None)
 
 
+@pytest.mark.slow
 def test_a_real_tour_of_very_many_views_ends_the_search() -> None:
     """The search of very many views ends with a feasible tour, although some edges are always uninspected."""
     search = search_of(AlwaysNew, _VERY_MANY + 1)

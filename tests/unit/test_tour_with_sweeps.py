@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cell.robot.arm import kr16_kinematics
 from planner.errors import PlannerError
 from planner.path.sweeps import SweepPath, SweepTraversal, TimedSweep, find_sweeps, sweep_traversals
 from planner.timing.motion import retime
@@ -16,12 +15,7 @@ from planner.tour.tour import TourStatus, plan_tour
 from planner.tour.visits import Visits
 from planner.values import Floats
 from planner.viewpoints.viewpoints import straight_sweep_poses
-
-KINEMATICS = kr16_kinematics()
-LIMITS = KINEMATICS.limits
-MOUNT = np.eye(4)
-MOUNT[2, 3] = 0.12
-HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
+from tests.support.arms import HOME, KINEMATICS, LIMITS, MOUNT
 
 
 class _FreeSpace:

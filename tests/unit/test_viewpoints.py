@@ -34,7 +34,7 @@ def assert_proper(viewpoints: Viewpoints) -> None:
     assert (viewpoints.T_object_scanner[:, 0, 3] == [0, 0, 0, 1]).all()
 
 
-def test_each_face_is_looked_at_from_its_standoff_against_its_normal() -> None:
+def test_each_face_has_views_at_its_standoff_against_its_normal() -> None:
     """Source = centre + standoff x normal, viewing direction = -normal, for every face, standoff and roll in order."""
     mesh = ball()
     viewpoints = optimal_scanning_zone(mesh, [0.3, 0.1], [0.0, np.pi / 2, 1.0])

@@ -124,7 +124,7 @@ def test_a_built_in_part_needs_no_units(monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert part.size == pytest.approx([0.06, 0.05, 0.047], abs=1e-9)
     assert part.findings == ()
     assert len(part.sha256) == 64
-    with pytest.raises(UsageError, match="leave out --units"):
+    with pytest.raises(UsageError, match="omit --units"):
         load("mug", "mm")
 
 
@@ -288,7 +288,7 @@ def test_mixed_winding_is_made_consistent() -> None:
     faces[turned] = faces[turned][:, ::-1]
     part = from_mesh("part", np.array(mesh.vertices), faces, "mm", "")
     assert kinds(part) == [Kind.MIXED_WINDING]
-    assert part.findings[0].sentence.startswith(f"{turned.sum()} faces were wound against the others")
+    assert part.findings[0].sentence.startswith(f"{turned.sum()} faces were of opposite winding")
     assert volume(part) == pytest.approx(body().volume * 1e-9, rel=1e-9)
 
 
@@ -332,7 +332,7 @@ def test_zero_area_and_duplicate_faces_are_dropped_and_counted() -> None:
     part = from_mesh("part", np.array(mesh.vertices), dirty, "mm", "")
     assert [finding.sentence for finding in part.findings] == [
         "2 faces have no area and were dropped",
-        "4 faces were there twice; the duplicates were dropped",
+        "4 faces were duplicated; the copies were dropped",
     ]
     assert part.reference.areas.sum() == pytest.approx(mesh.area * 1e-6, rel=1e-9)
 

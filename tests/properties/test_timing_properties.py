@@ -1,6 +1,7 @@
-"""Properties of jerk-limited moves with generated limits and distances, also infinite and tiny ones."""
+"""Properties of moves and motions with generated limits and distances, also infinite and tiny ones."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -14,6 +15,7 @@ from planner.timing.s_curve import Profile, fastest_profile, sample_profile
 angles = arrays(float, 6, elements=st.floats(-13.0, 13.0))
 positive = arrays(float, 6, elements=st.floats(0.01, 50.0))
 maybe_endless = arrays(float, 6, elements=st.floats(0.01, 50.0) | st.just(np.inf))
+ENDLESS = np.full(6, np.inf)
 inverse = st.floats(1e-9, 1e9) | st.just(0.0)
 
 
@@ -38,10 +40,10 @@ def test_the_peaks_keep_every_limit_and_some_limit_is_reached(v: float, a: float
     assert cruise * (1 + 1e-12) >= ramp + ease
     assert ramp >= ease * (1 - 1e-12)
     peaks = np.array([cruise, cruise * ramp, cruise * ramp * ease])
-    asked = np.array([v, a, j])
-    assert (peaks >= asked * (1 - 1e-12)).all()
-    if asked.any():
-        assert (peaks[asked > 0] <= asked[asked > 0] * (1 + 1e-12)).any()
+    inverse_limits = np.array([v, a, j])
+    assert (peaks >= inverse_limits * (1 - 1e-12)).all()
+    if inverse_limits.any():
+        assert (peaks[inverse_limits > 0] <= inverse_limits[inverse_limits > 0] * (1 + 1e-12)).any()
 
 
 @settings(max_examples=4 * settings.default.max_examples)
@@ -83,14 +85,21 @@ def test_move_time_is_a_metric(
     )
 
 
-@given(st.lists(angles, min_size=2, max_size=4), maybe_endless, positive, positive, st.floats(0.1, 1.0))
+@given(st.lists(angles, min_size=1, max_size=4), maybe_endless, positive, positive, st.floats(0.1, 1.0))
 def test_samples_never_exceed_a_limit(
     via: list[np.ndarray], v: np.ndarray, acc: np.ndarray, jerk: np.ndarray, override: float
 ) -> None:
-    """Speed, acceleration and jerk between samples hold without tolerance beyond rounding, at every override."""
+    """Speed, acceleration and jerk between samples hold without tolerance beyond rounding, at every override.
+
+    Angles stay within those of the via points, and both ends are exact.
+    """
     law = limits(v, acc, jerk)
     motion = retime(np.array(via), [0] * len(via), [-1] * len(via), law, 0.05, speed=override)
     steps = np.diff(motion.t)[:, None]
+    assert (steps > 0).all()
+    assert ((motion.q >= np.min(via, axis=0)) & (motion.q <= np.max(via, axis=0))).all()
+    np.testing.assert_allclose(motion.q[[0, -1]], [via[0], via[-1]], atol=len(via) * RESOLUTION, rtol=0)
+    assert (np.abs(np.diff(motion.q, axis=0)) <= v * override * steps + 1e-14).all()
     assert (np.abs(motion.qd) <= v * override).all()
     assert (np.abs(motion.qdd) <= acc).all()
     assert (np.abs(np.diff(motion.qd, axis=0)) <= acc * steps + 1e-13).all()
@@ -106,3 +115,18 @@ def test_limits_in_one_ratio_are_timed_as_all_others(a: np.ndarray, b: np.ndarra
     # One part in 10^9 apart on an axis is no longer one ratio for the shortcut.
     apart = limits(v, 2 * v * [1, 1, 1, 1, 1, 1 + 1e-9], 20 * v * [1, 1, 1, 1, 1 + 1e-9, 1])
     np.testing.assert_allclose(move_time(a, b, together), move_time(a, b, apart), rtol=1e-8)
+
+
+@given(angles, positive, positive, st.floats(0.1, 1.0))
+def test_less_speed_never_saves_time(q: np.ndarray, v: np.ndarray, acc: np.ndarray, fraction: float) -> None:
+    """Lower limits never shorten a move, except for the last bits: limits in one ratio are timed by one of them.
+
+    Scaling speed by f and acceleration by f^2 takes exactly 1 / f.
+    """
+    rest = np.zeros(6)
+    full = float(move_time(rest, q, limits(v, acc, ENDLESS)))
+    assert full <= float(move_time(rest, q, limits(v * fraction, acc, ENDLESS))) * (1 + 1e-12)
+    assert full <= float(move_time(rest, q, limits(v, acc * fraction, ENDLESS))) * (1 + 1e-12)
+    assert float(move_time(rest, q, limits(v * fraction, acc * fraction**2, ENDLESS))) == pytest.approx(
+        full / fraction, rel=1e-9
+    )
