@@ -73,7 +73,7 @@ def _scene() -> RunCell:
     return RunCell(
         SimpleNamespace(
             T_base_object=T_base_object, T_flange_scanner=np.eye(4), arrival_mm=None, clearance_mm=10, speed_scaling=1,
-            table_is_endless=False,
+            table_is_endless=False, path_tolerance_mm=None,
         ),
         mesh, mesh, EmbreeRayCaster(mesh.vertices, mesh.faces), (), EmbreeRayCaster(away.vertices, away.faces),
         scanner, ScannerKeys(**scanner.parameters()), kinematics, TravelBound(model),
