@@ -35,6 +35,7 @@ class Kind(StrEnum):
     NON_MANIFOLD = "non_manifold"
     BODIES = "several_bodies"
     NO_SOLID = "no_solid"
+    HIDDEN = "hidden_bodies"
     UNITS = "units"
     FLAT = "flat"
     FAR = "far_from_origin"
