@@ -195,49 +195,6 @@ def test_noise_outliers_and_a_missing_view(run: Path, tmp_path: Path) -> None:
     assert ours.cloud.outliers > 0.9 * sum(len(each) for each in stray)
 
 
-CAUSES: dict[str, tuple[str, Callable[[int, np.ndarray], np.ndarray], str]] = {
-    "metres": ("scanner", lambda stop, points: points / 1000, "their unit is m, not mm"),
-    "inches": ("flange", lambda stop, points: points / 25.4, "their unit is in, not mm"),
-    "mirrored": ("scanner", lambda stop, points: points * [1, -1, 1], "mirrored in y"),
-    "left-handed base": ("base", lambda stop, points: points * [1, 1, -1], "mirrored in z"),
-}
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["left-handed base", *(pytest.param(name, marks=pytest.mark.slow) for name in ("metres", "inches", "mirrored"))],
-)
-def test_what_is_wrong_is_told_with_its_cause(run: Path, tmp_path: Path, name: str) -> None:
-    """Wrong units and mirrored frames are reported with their cause.
-
-    tests/unit/test_causes.py tests each cause without an execution.
-    """
-    frame, change, words = CAUSES[name]
-    export(run, "0001", tmp_path / "files", as_ply("<f8"), frame, change)
-    outcome = scan(run, acquire=f"files:{tmp_path / 'files'}", points_frame=frame, points_units="mm")
-    assert len(outcome.report.doubts) == 1
-    assert words in outcome.report.doubts[0]
-
-
-@pytest.mark.slow
-def test_swapped_views_and_another_frame_are_told(run: Path, tmp_path: Path) -> None:
-    """Exchanged files of two views are reported, and so are points of the flange frame in place of the scanner frame.
-
-    tests/unit/test_causes.py tests these causes without an execution.
-    """
-    files = export(run, "0001", tmp_path / "files", as_ply("<f8"))
-    one, two = (path.with_suffix(".ply") for path in files[:2])
-    first, second = one.read_bytes(), two.read_bytes()
-    one.write_bytes(second)
-    two.write_bytes(first)
-    named = {"points_frame": "scanner", "points_units": "mm"}
-    outcome = scan(run, acquire=f"files:{tmp_path / 'files'}", **named)
-    assert "given as view 1 is of view 2, 2 is of view 1" in outcome.report.doubts[0]
-    export(run, "0001", tmp_path / "flange", as_ply("<f8"), "flange")
-    outcome = scan(run, acquire=f"files:{tmp_path / 'flange'}", **named)
-    assert "they are in the flange frame, not in the scanner frame" in outcome.report.doubts[0]
-
-
 def test_a_command_is_called_with_view_pose_and_file(run: Path, tmp_path: Path) -> None:
     """A command that fails is called a second time. View 2 fails both times and is recorded as missing."""
     program = tmp_path / "scanner.py"

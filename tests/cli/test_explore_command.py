@@ -16,13 +16,11 @@ from scipy.spatial import cKDTree
 from benchmarks.triangle_cell import TriangleCell
 from cell.errors import FileError
 from cell.explore import explore, state
-from cell.explore import stage as stage_plan
 from cell.explore.belief import GroundTruth, continue_surface
 from cell.explore.options import ExploreOptions
 from cell.explore.prepare import ExplorationContext, prepare_exploration
 from cell.explore.stage import StopReason
 from cell.part import workpiece
-from cell.plan.selection import SelectionProblem
 from cell.runs import ply, schema
 from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
@@ -35,7 +33,6 @@ from cell.view.explore_page import explore_page
 from planner.explore.space import FREE
 from planner.geometry.closest import ClosestPointQuery
 from planner.measurability.visibility import find_measured
-from planner.viewpoints import growth
 
 PLACE = (
     "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
@@ -76,51 +73,6 @@ def test_the_file_says_what_was_done(explored: Path) -> None:
     printed = json.loads((explored.parent / "stdout").read_text())
     assert printed == json.loads((explored / "explore.json").read_text())
     assert (explored / "report.md").read_text().count("stages/000") == 2
-
-
-def test_views_are_moved_to_where_they_measure_more(
-    part_file: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    """Refined candidates are stored with pose, joint angles and the rows that they measure. A selected view is one.
-
-    They start from grown candidates. Growth is brief on the believed surface and as long as in `cell plan` on the
-    measured surface.
-    """
-    before, better = list[int](), stage_plan.with_refined_candidates
-    schedules, grow, believed = list[Any](), stage_plan.with_grown, explore._plan_on_belief
-
-    def counted(*asked: Any, schedule: Any) -> Any:
-        schedules.append(schedule)
-        return grow(*asked, schedule=schedule)
-
-    def measured_at_last(work: ExplorationContext, file: ExploreFile, known: Any, batch: Any) -> Path:
-        return (explore._plan_on_measured if len(file.stages) == 2 else believed)(work, file, known, batch)
-
-    def with_better(problem: SelectionProblem, *asked: Any) -> SelectionProblem:
-        before.append(len(problem.candidates))
-        return better(problem, *asked)
-
-    monkeypatch.setattr(stage_plan, "with_refined_candidates", with_better)
-    monkeypatch.setattr(stage_plan, "with_grown", counted)
-    monkeypatch.setattr(explore, "_plan_on_belief", measured_at_last)
-    grown = (*PLACE[:-1], "grown", "--resolution", "0.5", "--max-views", "3")
-    done = run_cell("explore", part_file, "--units", "mm", *grown, "--out", "explored", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert schedules[:3] == [growth.SCHEDULE[:2], growth.SCHEDULE[:2], growth.SCHEDULE]
-    moved = 0
-    for folder, known in zip(("0002", "0003"), before, strict=True):
-        run = open_finished(tmp_path / "explored" / "stages" / folder)
-        M, candidates, cell = run.measurability, run.candidates, read_cell(run)
-        assert known < len(candidates) == len(run.reach) == M.shape[1] <= known + stage_plan.N_STARTS
-        (view,) = run.plan.views
-        moved += view.id >= known
-        for number in (view.id, *range(known, len(candidates))):
-            casters = (cell.part_caster, cell.occluder_caster)
-            sees = find_measured(candidates.T_object_scanner[[number]], M.samples, cell.scanner, casters)
-            assert np.array_equal(M.matrix()[:, [number]].toarray()[:, 0] > 0, sees)
-        assert len(np.load(tmp_path / "explored" / "stages" / f"{folder}.voxels.npz")["between"]) > 100
-    assert moved > 0
 
 
 def test_nothing_touches_the_part_that_the_planning_does_not_know(explored: Path, part_file: Path) -> None:

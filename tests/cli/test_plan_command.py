@@ -24,14 +24,6 @@ CONTRACT = {
 }  # fmt: skip
 
 
-def test_help_teaches_with_an_example(tmp_path: Path, run_cell: Run) -> None:
-    """`cell plan --help` has a command to copy and the exit codes."""
-    done = run_cell("plan", "--help", cwd=tmp_path)
-    assert done.returncode == 0
-    assert "cell plan part.stl --units mm --place" in done.stdout
-    assert "Exit codes" in done.stdout
-
-
 def test_the_run_folder_is_complete_and_its_manifest_true(planned: Path) -> None:
     """Every file of the contract exists with the sha256 of the manifest, and the run is finished."""
     import hashlib
@@ -46,13 +38,6 @@ def test_the_run_folder_is_complete_and_its_manifest_true(planned: Path) -> None
         assert hashlib.sha256((planned / name).read_bytes()).hexdigest() == digest, name
     for name in ("manifest.json", "scene.resolved.json", "plan.json", "report.json"):
         assert json.loads((planned / name).read_text())["schema"] == "scan-cell/run/1"
-
-
-def test_arrays_hold_no_pickles(planned: Path) -> None:
-    """Every .npz can be loaded with pickling forbidden."""
-    for path in planned.glob("*.npz"):
-        with np.load(path, allow_pickle=False) as arrays:
-            assert all(arrays[name].dtype != object for name in arrays)
 
 
 @pytest.mark.usefixtures("full_effort", "drawn_pictures")
@@ -70,24 +55,6 @@ def test_equal_input_and_seed_give_equal_bytes(
     runs = tmp_path / "run", tmp_path / "elsewhere" / "again"
     first, second = (json.loads((run / "manifest.json").read_text()) for run in runs)
     assert first["artefacts"] == second["artefacts"]
-
-
-def test_a_calculated_matrix_equals_the_cached_one(
-    planned: Path, part_file: Path, tmp_path: Path, cache: Path, run_cell: Run, small_plan: tuple[str, ...]
-) -> None:
-    """`--no-cache` gives the same artefacts as a run with its matrix from the cache, pictures and pages excepted."""
-    arguments = ("plan", str(part_file), "--units", "mm", *small_plan, "--no-cache", "--out", "fresh")
-    assert run_cell(*arguments, cwd=tmp_path).returncode == 0
-    first, second = (
-        {
-            name: sha
-            for name, sha in json.loads((run / "manifest.json").read_text())["artefacts"].items()
-            if not name.endswith((".png", ".html"))
-        }
-        for run in (planned, tmp_path / "fresh")
-    )
-    assert first == second
-    assert {"measurability.npz", "plan.json", "motion.npz", "report.json"} <= set(first)
 
 
 def test_a_coverage_is_kept_where_the_samples_were_too_few(part_file: Path, tmp_path: Path, run_cell: Run) -> None:

@@ -1,6 +1,5 @@
 """`cell plan --table` to `cell scan`: files, verification, points in the part's frame, refusals."""
 
-import dataclasses
 import json
 import re
 import shutil
@@ -16,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from cell.api import locate
 from cell.errors import FileError, SceneError
-from cell.metrology.locate import _check_motion
 from cell.plan.edit import EditableRun
 from cell.runs.cell import read_cell, world_of
 from cell.runs.current_files import CurrentFiles
@@ -329,21 +327,6 @@ def test_a_part_that_is_located_beside_the_axis_swings_its_post(turned: Path) ->
     assert planned.table is not None
     assert there.table is not None
     np.testing.assert_allclose(there.table.T_base_table, planned.table.T_base_table, atol=1e-9)
-
-
-def test_a_located_part_is_kept_clear_of_while_an_indexed_table_turns(
-    turned: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The motion is checked for the mode of the table: simultaneous motion of arm and table is reported."""
-    run = EditableRun.opened(turned)
-    world = world_of(run, run.reference)
-    indexed = dataclasses.replace(world, limits=dataclasses.replace(world.limits, table_turn_q=world.home))
-    found = []
-    for each in (world, indexed):
-        monkeypatch.setattr("cell.metrology.locate.world_of", lambda *_, each=each, **__: each)
-        found.append(_check_motion(run, run.T_base_object))
-    assert [each.keeps_clearance for each in found] == [True, False]
-    assert "moves arm and table at once" in found[1].problem
 
 
 def _guarded(world: World) -> set[tuple[str, str]]:

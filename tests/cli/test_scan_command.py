@@ -75,14 +75,6 @@ def _rewrite(path: Path, **changed: Any) -> None:
     np.savez_compressed(path, **{**content, **changed})
 
 
-def test_help_teaches_with_examples(tmp_path: Path, run_cell: Command) -> None:
-    """`cell scan --help` has commands that can be copied and the exit codes."""
-    done = run_cell("scan", "--help", cwd=tmp_path)
-    assert done.returncode == 0
-    assert "cell scan sim_runs/trial --pose-error 0.5mm,0.1deg" in done.stdout
-    assert "5 driver" in done.stdout
-
-
 def test_the_execution_is_complete_and_its_manifest_true(executed: Path) -> None:
     """Every file is present with the sha256 of the manifest, and the status is finished."""
     folder = executed / "executions" / "0001"

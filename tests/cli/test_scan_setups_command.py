@@ -13,15 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.api import scan_setups as scan_all
-from cell.errors import UsageError
 from cell.runs.cell import read_cell
 from cell.runs.run import open_run
-from cell.runs.setups import SetupsRun
 from cell.scan.options import ScanOptions
 from cell.scan.safety import placement_warning
-from cell.scan.setups import scan_setups
-from cell.session import Session
 from cell.world.prediction import held_out_samples
 from cell.world.support_contact import in_contact
 from planner.measurability.visibility import find_measured
@@ -35,20 +30,6 @@ NOISY = ("--setup-error", "5mm,2deg", "--range-noise", "0.03", "--resolution", "
 def folder(made_setups: Path, tmp_path: Path) -> Path:
     """Return two set-ups of the small part without executions."""
     return Path(shutil.copytree(made_setups, tmp_path / "made"))
-
-
-@pytest.mark.parametrize("seed", [11, *(pytest.param(s, marks=pytest.mark.slow) for s in (12, 13))])
-def test_what_is_called_determined_is_found_whatever_the_part_was_moved_by(folder: Path, seed: int) -> None:
-    """A part 5 mm and 2 deg off in several directions is located to 0.05 mm and 0.02 deg in both set-ups."""
-    wishes = {"setup_error": "5mm,2deg", "range_noise": 0.03, "resolution": 0.5, "seed": seed}
-    report = scan_all(folder, **wishes).report
-    assert report.missing == ()
-    for setup in report.setups:
-        assert setup.place is not None
-        assert setup.place.off_mm is not None
-        assert setup.place.off_deg is not None
-        assert setup.place.off_mm <= 0.05
-        assert setup.place.off_deg <= 0.02
 
 
 def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, run_cell: Run) -> None:
@@ -183,34 +164,6 @@ def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Pa
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     assert (report["missing"], [setup["execution"] for setup in report["setups"]]) == ([2], ["0002"])
-
-
-def test_who_lets_the_arm_move_says_how_the_part_lies(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each confirmation of a motion names the pose of the part in its own set-up."""
-    asked: list[str] = []
-
-    def scan(session: Session[None], run: Path, _: object) -> None:
-        assert session.confirm is not None
-        assert session.confirm(f"{run.name} moves?") == "no"
-        raise UsageError("not confirmed; nothing was moved")
-
-    def answer(question: str) -> str:
-        asked.append(question)
-        return "no"
-
-    monkeypatch.setattr("cell.scan.setups.scan", scan)
-    planned = SetupsRun.opened(folder).file
-    for number, chosen in enumerate(planned.chosen, start=1):
-        with pytest.raises(UsageError, match="not confirmed"):
-            scan_setups(
-                Session(None, confirm=answer),
-                folder,
-                ScanOptions(driver="modbus://nowhere"),
-                setup=number,
-                resumed=False,
-            )
-        assert asked[-1].startswith(f"set-up {number} of 2: the part lies {planned.offered[chosen.offered].name}, ")
-        assert asked[-1].endswith(f" deg. {number} moves?")
 
 
 def test_that_a_part_may_be_near_is_told_again_where_an_execution_goes_on(folder: Path, run_cell: Run) -> None:

@@ -13,7 +13,6 @@ import pytest
 from cell.cli.terminal import Terminal
 from cell.robot.arm import kinematics_of
 from cell.robot.model import load
-from cell.robot.plant import PlantSettings
 from cell.runs.run import open_run
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
@@ -94,32 +93,3 @@ def test_replay_shows_the_reported_stops(scanned: Path) -> None:
     for scan in scans(scanned, "0001"):
         at_rest = np.abs(timeline.q - scan["q_reported"]).max(axis=1) == 0.0
         assert at_rest.any()
-
-
-def test_a_diverging_simulation_ends_the_scan_without_a_scan(
-    scanned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The exit code is 5. The execution is recorded as failed, without scans and surface."""
-    from cell.cli import main
-    from cell.robot import plant
-
-    run = tmp_path / "run"
-    shutil.copytree(scanned, run)
-    monkeypatch.setattr(plant, "PlantSettings", lambda: PlantSettings(time_step=0.02))
-    with pytest.raises(SystemExit) as ended:
-        main(["scan", str(run), "--driver", URL, "--resolution", "2", "--json"])
-    assert ended.value.code == 5
-    written = capsys.readouterr()
-    said = json.loads(written.out)
-    assert said["exit_code"] == 5
-    assert "does not follow" in said["reason"]
-    assert "diverge" in said["reason"]
-    assert said["reason"] in written.err
-    execution = run / "executions" / "0004"
-    manifest = json.loads((execution / "manifest.json").read_text())
-    assert manifest["status"] == "failed"
-    assert list((execution / "scans").iterdir()) == []
-    assert not (execution / "cloud.ply").exists()
-    last = json.loads((execution / "events.jsonl").read_text().splitlines()[-1])
-    assert last["event"] == "failed"
-    assert "diverge" in last["reason"]

@@ -80,22 +80,6 @@ def test_distances_grow_from_hull_to_triangles(buckets: dict[str, World]) -> Non
     assert (by["exact"] > by["hull"] + 0.005).any()
 
 
-def test_free_contacts_and_distance_agree_with_triangles(buckets: dict[str, World]) -> None:
-    """The three results agree as with hulls, and the order of queries has no effect."""
-    world = buckets["exact"]
-    checker = MujocoCollisionChecker(world)
-    rng = np.random.default_rng(1)
-    base = np.concatenate([_looking_down(world, depth) for depth in (0.0, 0.1, 0.15)])
-    q = (base[:, None] + rng.normal(0, 0.06, (len(base), 10, 6))).reshape(-1, 6)
-    free, (distance, names) = checker.free(q), checker.distance(q)
-    assert 0.05 < free.mean() < 0.95
-    for k, configuration in enumerate(q):
-        assert free[k] == (distance[k] >= checker.clearance) == (checker.contacts(configuration) == ())
-        if not free[k]:
-            assert names[k] in checker.contacts(configuration)
-    assert (checker.free(q[::-1])[::-1] == free).all()
-
-
 def test_replay_shows_no_contact_with_a_hull_that_was_not_the_part(buckets: dict[str, World]) -> None:
     """In the bucket replay reports no violation with triangles, and one with the hull."""
     world = buckets["exact"]

@@ -115,26 +115,6 @@ def test_each_cause_is_named_and_nothing_where_all_is_well(name: str) -> None:
     assert wrong == {}
 
 
-def main(folder: Path) -> None:
-    """Print the causes that are not named for the built-in parts and the meshes of a folder [mm]."""
-    right = count = 0
-    for source in (
-        *BUILT_IN,
-        *sorted(path for path in folder.iterdir() if path.suffix in (".stl", ".obj", ".ply", ".off")),
-    ):
-        part = workpiece.load(source, None if source in BUILT_IN else "mm")
-        if part.size.max() > 2 or part.size.max() < 0.02:
-            scaled = part.reference.vertices * 0.2 / part.size.max()
-            part = workpiece.from_arrays(part.name, scaled, part.reference.faces, "m")
-        said = named(part)
-        good = [cause for cause, words in CAUSES.items() if words in " ".join(said[cause])]
-        right, count = right + len(good), count + len(CAUSES)
-        bad = {cause: sentences for cause, sentences in said.items() if cause not in good and (cause or sentences)}
-        sys.stdout.write(f"{part.name} {len(good)} of {len(CAUSES)} {bad}\n")
-        sys.stdout.flush()
-    sys.stdout.write(f"{right} of {count}\n")
-
-
 if __name__ == "__main__":
     import sys
 

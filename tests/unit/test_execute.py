@@ -211,22 +211,6 @@ def test_the_scan_is_taken_from_the_reported_pose(folder: ExecutionFolder) -> No
     assert (scan.stored["T_object_scanner_true"] == T).all()
 
 
-def test_without_errors_points_lie_on_the_part_on_their_rays(folder: ExecutionFolder) -> None:
-    """The counts add up to the grid, and each point is where its pixel's ray meets the plane of its face."""
-    scene = _scene()
-    _run(Recorded(), _tour(), folder)
-    scan = read_scan(folder.path / "scans" / "0001.npz")
-    assert len(scan.points) > 5
-    assert scan.stored["counts"].sum() == len(scan.stored["codes"]) == 400
-    assert scan.stored["counts"][Rejection.MEASURED] == len(scan.points)
-    T = scan.stored["T_object_scanner"]
-    rays = scene.scanner.ray_directions()[scan.stored["pixel"]] @ T[:3, :3].T
-    a, b, c = (scene.reference.vertices[scene.reference.faces[scan.stored["face"], k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    t = np.einsum("nj,nj->n", a - T[:3, 3], normal) / np.einsum("nj,nj->n", rays, normal)
-    np.testing.assert_allclose(scan.points, T[:3, 3] + t[:, None] * rays, atol=1e-6)
-
-
 def test_a_view_has_its_own_disturbance_whatever_else_is_scanned(tmp_path: Path) -> None:
     """View 2 alone has the same bytes as in the whole execution, including noise and pose error."""
     run = Run(tmp_path, Manifest(schema=SCHEMA))

@@ -1,6 +1,5 @@
 """Planning the stages of an exploration: selection of samples, order of the surfaces, expected and realised gain."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,14 +12,9 @@ import trimesh
 from cell.explore import explore, stage
 from cell.explore.options import ExploreOptions
 from cell.explore.policy import Batch, BatchRequest, expected_samples, realised_gain_ratio, select_samples
-from cell.explore.stage import StopReason
 from cell.explore.state import ExplorationFolder
-from cell.runs import ply
 from cell.runs.schema import BELIEVED, MEASURED, SurfaceName
-from cell.scan.options import ScanOptions
-from cell.scan.safety import ANY_MOTION
 from cell.scanners.laser_area import LaserArea
-from cell.session import Session
 from cell.world.embree import EmbreeRayCaster
 from planner.explore.gain import GainRecord, gain_ratio
 from planner.explore.space import VoxelSpace
@@ -141,65 +135,6 @@ def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls:
     assert np.array_equal(expected_samples(samples, asked, 3000).areas, kept.areas)
 
 
-class _Worth:
-    """Planners of both surfaces that record each call and return a batch only for the given surfaces."""
-
-    def __init__(self, *surfaces: str) -> None:
-        self.surfaces, self.asked = surfaces, list[str]()
-
-    def on(self, surface: str) -> Callable[..., Any]:
-        """Return the planner of a surface; it checks that no files of an earlier failed plan remain."""
-
-        def plan(work: Any, *_: object) -> Path | StopReason:
-            self.asked.append(surface)
-            assert not work.paths.measured(2).exists()
-            assert not work.paths.unseen(2).exists()
-            work.paths.unseen(2).touch()
-            if surface == MEASURED:
-                work.paths.measured(2).touch()
-            if surface not in self.surfaces:
-                return StopReason(f"of {surface}, {len(self.asked)}")
-            return Path(surface)
-
-        return plan
-
-
-@pytest.mark.parametrize(
-    ("tried", "worth", "asked", "ends"),
-    [
-        ((BELIEVED, MEASURED), (BELIEVED, MEASURED), [BELIEVED], BELIEVED),
-        ((BELIEVED, MEASURED), (MEASURED,), [BELIEVED, MEASURED], MEASURED),
-        ((MEASURED, BELIEVED), (BELIEVED, MEASURED), [MEASURED], MEASURED),
-        ((MEASURED, BELIEVED), (BELIEVED,), [MEASURED, BELIEVED], BELIEVED),
-        ((BELIEVED, MEASURED), (), [BELIEVED, MEASURED], "of believed"),
-        ((MEASURED, BELIEVED), (), [MEASURED, BELIEVED], "of believed, 2"),
-        ((BELIEVED, BELIEVED, MEASURED), (), [BELIEVED, BELIEVED, MEASURED], "of believed, 2"),
-        ((MEASURED,), (BELIEVED,), [MEASURED], "nothing was tried"),
-        ((), (BELIEVED,), [], "nothing was tried"),
-    ],
-)
-def test_batches_are_tried_in_turn_until_one_is_worth_its_views(
-    tried: tuple[SurfaceName, ...], worth: tuple[str, ...], asked: list[str], ends: str,
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    """Files of a failed batch are removed. If all batches fail, the reason of the last believed batch is returned."""
-    planners, paths = _Worth(*worth), ExplorationFolder(tmp_path)
-    (tmp_path / "stages").mkdir()
-    monkeypatch.setattr(explore, "_plan_on_belief", planners.on(BELIEVED))
-    monkeypatch.setattr(explore, "_plan_on_measured", planners.on(MEASURED))
-    file, batches = SimpleNamespace(stages=[None]), [Batch(1, on=on) for on in tried]
-    given: Any = (SimpleNamespace(paths=paths), file, None, batches, "nothing was tried")
-    if ends in (BELIEVED, MEASURED):
-        assert explore._plan_next(*given) == Path(ends)
-        assert paths.measured(2).exists() == (ends == MEASURED)
-        assert paths.unseen(2).exists()
-    else:
-        stop = explore._plan_next(*given)
-        assert isinstance(stop, StopReason)
-        assert ends in stop.sentence
-    assert planners.asked == asked
-
-
 @pytest.mark.parametrize(
     ("views", "seconds", "on", "batches", "ended"),
     [
@@ -249,66 +184,6 @@ def test_a_batch_that_is_not_worth_its_views_says_what_was_asked_of_it(batch: Ba
     assert ("to add 0.080 % of the measured surface" in told) == bool(said)
 
 
-def test_each_surface_is_planned_for_what_is_known_of_it(
-    balls: TriangleMesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Measured surface is planned from the executed poses and is stored; believed surface uses the realised gain ratio.
-
-    The minimum gain applies to both, except for the first batch.
-    """
-    scans = [SimpleNamespace(T_reported=T) for T in _poses()[:2]]
-    monkeypatch.setattr(explore, "continue_surface", lambda scans, space, solid: balls)
-    monkeypatch.setattr(explore, "_stage", lambda work, asked, number, part: (asked, number, part))
-    (tmp_path / "stages").mkdir()
-    work: Any = SimpleNamespace(paths=ExplorationFolder(tmp_path), options=SimpleNamespace(min_gain=0.25), name="balls")
-    known: Any = SimpleNamespace(space=UNKNOWN, record=GainRecord.empty(), scans=scans, solid=None, surface=balls)
-    told = {"expected_mm2": 1.0, "new_mm2": 3.0, "measured_mm2": 7.0, "too_near_mm2": 0.4, "planned_on": BELIEVED}
-    told["views"] = 1
-    stages = [SimpleNamespace(**told)] * 2
-    file, first = SimpleNamespace(stages=stages), SimpleNamespace(stages=[])
-    believed: Any = explore._plan_on_belief(work, file, known, Batch(1, min_gain_factor=3.0))
-    assert (believed[0].poses, believed[0].min_gain, believed[0].gain_ratio) == (None, 0.25, 2.0)
-    assert believed[0].measured_area == pytest.approx(7e-6)
-    assert believed[0].min_area == pytest.approx(3 * 0.25 * 7e-6)
-    assert (believed[1], believed[2].name) == (3, "balls as believed")
-    assert not work.paths.measured(3).exists()
-    assert not believed[0].keep_min_range
-    near: Any = SimpleNamespace(stages=[stages[0], SimpleNamespace(**{**told, "too_near_mm2": 0.6})])
-    assert explore._plan_on_belief(work, near, known, Batch(1))[0].keep_min_range  # type: ignore[index]
-
-    def nothing_from_afar(work: Any, asked: Any, number: int, part: Any) -> Any:
-        if asked.keep_min_range:
-            return StopReason("too far off")
-        return asked, number, part
-
-    with monkeypatch.context() as now:
-        now.setattr(explore, "_stage", nothing_from_afar)
-        assert not explore._plan_on_belief(work, near, known, Batch(1))[0].keep_min_range  # type: ignore[index]
-    begun: Any = explore._plan_on_belief(work, first, known, Batch(1))
-    assert (begun[0].min_gain, begun[0].gain_ratio, begun[1]) == (0.0, 1.0, 1)
-    on: Any = explore._plan_on_measured(work, file, known, Batch(1, min_gain_factor=2.0))
-    assert np.array_equal(on[0].poses, _poses()[:2])
-    assert (on[0].min_gain, on[0].min_area, on[0].gain_ratio) == (0.25, pytest.approx(2 * 0.25 * 7e-6), 1.0)
-    assert (on[1], on[2].name, on[2].reference) == (3, "balls as measured", balls)
-    assert work.paths.measured(3).read_bytes() == ply.mesh_bytes(balls)
-    assert on[0].latest == ((1, 0.0), (1, 0.0))
-    late: Any = SimpleNamespace(
-        stages=[*stages, *(SimpleNamespace(**{**told, "planned_on": MEASURED, "views": 2}),) * 3]
-    )
-    after: Any = explore._plan_on_measured(work, late, known, Batch(1))
-    assert after[0].latest == ((1, 0.0), *((2, 1e-6),) * 3)
-
-
-def test_points_that_describe_no_surface_give_none_to_plan_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """If the points describe no surface, planning stops with that reason and writes no file."""
-    monkeypatch.setattr(explore, "continue_surface", lambda scans, space, solid: None)
-    work: Any = SimpleNamespace(paths=ExplorationFolder(tmp_path))
-    known: Any = SimpleNamespace(space=UNKNOWN, scans=(), solid=None)
-    stop = explore._plan_on_measured(work, SimpleNamespace(stages=[None]), known, Batch(1))  # type: ignore[arg-type]
-    assert stop == StopReason("the points describe no surface")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:
     """A finished plan is used again without new planning, and its files remain."""
     paths = ExplorationFolder(tmp_path)
@@ -321,44 +196,3 @@ def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:
     assert explore._plan_next(work, file, known, [Batch(1)], "") == paths.stage(2)
     assert paths.unseen(2).is_file()
     assert paths.measured(2).is_file()
-
-
-@pytest.mark.parametrize("word", ["explore", "0123abcd", None])
-def test_one_word_releases_every_motion_of_an_exploration(
-    word: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """`explore` confirms every motion, a digest only its own. Points are read from a new folder of the stage."""
-    given: list[Any] = []
-    monkeypatch.setattr(explore, "execute_batch", lambda session, folder, options, **_: given.append(options))
-    work: Any = SimpleNamespace(
-        options=ExploreOptions(confirm_motion=word), ground_truth=None, session=Session(None),
-        scanning=ScanOptions(acquire=f"files:{tmp_path}", points_frame="base", points_units="mm"),
-    )  # fmt: skip
-    explore._execute(work, Path("stages") / "0007")
-    assert given[0].confirm_motion == (ANY_MOTION if word == "explore" else word)
-    assert given[0].acquire == f"files:{tmp_path}/0007"
-    assert (tmp_path / "0007").is_dir()
-
-
-def test_a_stage_says_what_its_views_stood_too_near_for(balls: TriangleMesh, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The entry of a batch reports the area [mm2] below the minimum range.
-
-    It is computed from the expected samples, the scans and the space before the batch.
-    """
-    asked: list[Any] = []
-    monkeypatch.setattr(
-        explore, "open_finished", lambda folder: SimpleNamespace(digest="d", motion=SimpleNamespace(duration=1.5))
-    )
-
-    monkeypatch.setattr(explore, "area_below_min_range", lambda *given: asked.append(given) or 3e-6)
-    known: Any = SimpleNamespace(space=UNKNOWN, surface=balls)
-    samples = draw_samples(balls, balls, 5, np.random.default_rng(0))
-    expected: Any = SimpleNamespace(samples=samples, sees=np.ones((5, 1), dtype=bool), surface=1.0, on=BELIEVED)
-    scan: Any = SimpleNamespace(points=balls.vertices, T_reported=np.eye(4))
-    stage_ = explore._batch_entry(Path("stages") / "0002", [scan], expected, UNKNOWN, known, None)  # type: ignore[arg-type]
-    assert stage_.too_near_mm2 == pytest.approx(3.0)
-    assert stage_.expected_mm2 == pytest.approx(1e6 * samples.areas.sum(), abs=1e-3)
-    (told,) = asked
-    assert told[0] is samples
-    assert told[2] == [(scan.points, scan.T_reported)]
-    assert told[3] is UNKNOWN

@@ -9,7 +9,6 @@ import pytest
 from scipy.spatial import cKDTree
 
 from cell.explore import belief
-from cell.metrology.reconstruct import ReconstructionStatus
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN, VoxelSpace
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.cloud import PointCloud
@@ -218,42 +217,6 @@ def test_a_lone_voxel_has_a_surface() -> None:
         surface = belief.surface_about(space, chosen)
         assert np.abs(surface.centres.mean(axis=0) - space.centres(chosen).mean(axis=0)).max() < 0.1 * EDGE
         assert 0.5 * EDGE < surface.diagonal < (size + 2) * EDGE
-
-
-@pytest.mark.parametrize("most", [400, 40_000])
-def test_what_it_is_made_of_is_as_fine_as_the_voxels_ask(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The point spacing follows the voxel edge for any number of scans. It is coarser if there are too many points."""
-    asked = list[tuple[PointCloud, dict[str, float]]]()
-
-    def spy(cloud: PointCloud, **how: float) -> Any:
-        asked.append((cloud, how))
-        return SimpleNamespace(mesh=None, status=ReconstructionStatus.TOO_FEW_POINTS)
-
-    monkeypatch.setattr(belief, "reconstruct", spy)
-    scans = [_scan(_wall(SEEN, apart), (0.0, 0.0, -0.005)) for apart in (0.0001, 0.00013)]
-    monkeypatch.setattr(belief, "_MAX_CUBES", most)
-    assert _continued(scans, _looked_into()) is None
-    ((cloud, how),) = asked
-    assert how["reach"] == pytest.approx(4 * EDGE)
-    side = how["grid"] / 1.5
-    assert len(np.unique(np.floor(cloud.points / side), axis=0)) == len(cloud) > 300
-    if most > 2000:
-        assert side == pytest.approx(0.5 * EDGE)
-    else:
-        assert side > 0.6 * EDGE
-        assert 0.8 * most < len(cloud) <= most
-
-
-def test_there_are_no_more_points_than_that_where_rays_are_far_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cubes grow until the number of points is within the limit. Each point stays with its own scan."""
-    monkeypatch.setattr(belief, "_MAX_CUBES", 250)
-    scans = [_scan(_wall(SEEN, 0.0008), (0.0, 0.0, -0.005)), _scan(_wall(SEEN, 0.0009), (0.0, 0.0, -0.004))]
-    points, apart = belief._thin_points(scans, 0.5 * EDGE)
-    assert 150 < sum(len(each) for each in points) <= 250
-    assert apart > 0.5 * EDGE
-    for kept, scan in zip(points, scans, strict=True):
-        assert {tuple(point) for point in kept.points} < {tuple(point) for point in scan.points}
-        assert np.array_equal(kept.sensor, scan.T_reported[:3, 3])
 
 
 def test_it_is_of_all_scans_with_each_ones_own_side() -> None:

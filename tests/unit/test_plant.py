@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cell.errors import FileError, SceneError, UsageError
+from cell.errors import SceneError, UsageError
 from cell.robot import dynamics
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
@@ -263,17 +263,3 @@ def test_invalid_input_is_refused() -> None:
         MujocoPlant(HOME).advance(float("nan"))
     with pytest.raises(SceneError, match="no shape named housing"):
         dynamics.tool_of(robot.load())
-
-
-def test_a_robot_without_drives_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The message names the missing parameter."""
-    real = robot.spec
-
-    def without() -> mujoco.MjSpec:
-        spec = real()
-        spec.delete(spec.numeric("axis_rotor_inertia_kg_m2"))
-        return spec
-
-    monkeypatch.setattr(robot, "spec", without)
-    with pytest.raises(FileError, match="axis_rotor_inertia_kg_m2"):
-        MujocoPlant(HOME)
