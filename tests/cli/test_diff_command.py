@@ -17,26 +17,24 @@ from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
 from cell.world.prediction import held_out_samples
 from planner.measurability import coverage
-
-Cell = Callable[..., Any]
+from tests.support.fixture_types import RunCommand
 
 
 @pytest.fixture(scope="module")
 def other(
-    made_once: Callable[..., Path], planned: Path, part_file: Path, small_plan: tuple[str, ...], run_cell: Cell
+    made_once: Callable[..., Path], planned: Path, part_file: Path, small_plan: tuple[str, ...], run_cell: RunCommand
 ) -> Path:
     """Return a plan of the small part with one view's candidate banned and a slower arm."""
 
     def make(folder: Path) -> None:
         banned = open_finished(planned).plan.views[1].id
         options = (*small_plan, "--ban", banned, "--speed", "0.5", "--out", "run", "--json")
-        done = run_cell("plan", part_file, "--units", "mm", *options, cwd=folder)
-        assert done.returncode == 0, done.stderr
+        run_cell("plan", part_file, "--units", "mm", *options, cwd=folder, code=0)
 
     return made_once("planned_otherwise", make) / "run"
 
 
-def test_a_run_does_not_differ_from_itself(executed: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_a_run_does_not_differ_from_itself(executed: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The output is one sentence for a plan and for an execution. In JSON the lists of differences are empty."""
     execution = executed / "executions" / "0001"
     for run in (executed, execution):
@@ -52,7 +50,7 @@ def test_a_run_does_not_differ_from_itself(executed: Path, run_cell: Cell, tmp_p
 
 @pytest.mark.usefixtures("drawn_pictures")
 def test_settings_views_and_areas_of_two_plans(
-    planned: Path, other: Path, run_cell: Cell, data_of: Callable[[str], dict[str, Any]], tmp_path: Path
+    planned: Path, other: Path, run_cell: RunCommand, data_of: Callable[[str], dict[str, Any]], tmp_path: Path
 ) -> None:
     """Only the changed settings are listed. Each view occurs once on each side. Areas and page match the artefacts."""
     said = json.loads(run_cell("diff", planned, other, "--json", cwd=tmp_path).stdout)
@@ -92,7 +90,7 @@ def test_settings_views_and_areas_of_two_plans(
     assert np.frombuffer(base64.b64decode(layer["values"]["base64"]), np.uint8).max() < 4
 
 
-def test_sides_exchanged_exchange_the_answer(planned: Path, other: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_sides_exchanged_exchange_the_answer(planned: Path, other: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The gained area in one direction is the lost area in the other direction."""
     one, back = (
         json.loads(run_cell("diff", *pair, "--json", cwd=tmp_path).stdout)
@@ -102,7 +100,7 @@ def test_sides_exchanged_exchange_the_answer(planned: Path, other: Path, run_cel
     assert [(n["a"], n["b"]) for n in one["numbers"]] == [(n["b"], n["a"]) for n in back["numbers"]]
 
 
-def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """An execution with one view measures less of the surface. The loss is recounted from the two clouds."""
     shutil.copytree(executed, tmp_path / "run")
     done = run_cell("scan", "run", "--view", "1", "--resolution", "1", "--json", cwd=tmp_path)
@@ -123,7 +121,7 @@ def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell
     assert said["surface"]["gained_mm2"] == 0
 
 
-def test_wrong_uses_have_their_exit_codes(executed: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_wrong_uses_have_their_exit_codes(executed: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A plan against an execution has exit code 2, a folder that does not exist has 6, each with one line on stderr."""
     mixed = run_cell("diff", executed, executed / "executions" / "0001", cwd=tmp_path)
     assert (mixed.returncode, mixed.stderr.count("\n")) == (2, 1)

@@ -4,7 +4,6 @@ import base64
 import json
 import re
 import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ from cell.view.explore_page import explore_page
 from planner.explore.space import FREE
 from planner.geometry.closest import ClosestPointQuery
 from planner.measurability.visibility import find_measured
+from tests.support.fixture_types import RunCommand
 
 PLACE = (
     "--place", "1100,400,100", "--faces", "120", "--samples", "2", "--standoff", "250", "--seed", "3",
@@ -42,15 +42,12 @@ OPTIONS = (*PLACE, "--resolution", "0.5", "--ring", "3", "--batch", "2", "--max-
 
 
 @pytest.fixture(scope="module")
-def explored(
-    made_once: Callable[..., Path], part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
-) -> Path:
+def explored(made_once: Callable[..., Path], part_file: Path, run_cell: RunCommand) -> Path:
     """Return a finished exploration of the small part. Tests must not change it."""
 
     def make(folder: Path) -> None:
         command = ("explore", part_file, "--units", "mm", *OPTIONS, "--out", "explored", "--json")
-        done = run_cell(*command, cwd=folder)
-        assert done.returncode == 0, done.stderr
+        done = run_cell(*command, cwd=folder, code=0)
         (folder / "stdout").write_text(done.stdout)
 
     return made_once("explored", make) / "explored"
@@ -128,36 +125,26 @@ def _killed_before_the_manifest(stage: Path) -> None:
     "killed", [pytest.param(_plan_killed, marks=pytest.mark.slow), _execution_killed, _killed_before_the_manifest]
 )
 def test_the_same_command_goes_on_where_it_was_killed(
-    killed: Callable[[Path], None],
-    explored: Path,
-    tmp_path: Path,
-    part_file: Path,
-    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+    killed: Callable[[Path], None], explored: Path, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """A stage that is missing in explore.json is completed from a killed plan or execution with equal bytes."""
     again = _stopped_after_the_first(explored, tmp_path)
     killed(again / "stages" / "0002")
     (again / "stages" / "0002.voxels.npz").unlink()
-    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path, code=0)
     for name in ("explore.json", "report.md", "model.ply", "stages/0002.voxels.npz"):
         assert (again / name).read_bytes() == (explored / name).read_bytes(), name
 
 
 @pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:100])])
 def test_an_earlier_scan_that_is_gone_is_told_before_anything_moves(
-    damage: Callable[[Path], object],
-    explored: Path,
-    tmp_path: Path,
-    part_file: Path,
-    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+    damage: Callable[[Path], object], explored: Path, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """With a missing or truncated scan of an earlier stage, no batch is planned, and exit code 6 names the stage."""
     again = _stopped_after_the_first(explored, tmp_path)
     shutil.rmtree(again / "stages" / "0002")
     damage(again / "stages" / "0001" / "executions" / "0001" / "scans" / "0002.npz")
-    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path)
-    assert done.returncode == 6, done.stderr
+    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", again, cwd=tmp_path, code=6)
     assert "stages/0001" in done.stderr
     assert "start a new exploration" in done.stderr
     assert not (again / "stages" / "0002").exists()
@@ -182,17 +169,11 @@ def soon_measured(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def on_measured(
-    soon_measured: None,
-    made_once: Callable[..., Path],
-    part_file: Path,
-    run_cell: Callable[..., subprocess.CompletedProcess[str]],
-) -> Path:
+def on_measured(soon_measured: None, made_once: Callable[..., Path], part_file: Path, run_cell: RunCommand) -> Path:
     """Return an exploration: the first batch is planned on the believed surface, the others on measured surfaces."""
 
     def make(folder: Path) -> None:
-        done = run_cell("explore", part_file, "--units", "mm", *_MEASURED, "--out", "explored", cwd=folder)
-        assert done.returncode == 0, done.stderr
+        run_cell("explore", part_file, "--units", "mm", *_MEASURED, "--out", "explored", cwd=folder, code=0)
 
     return made_once("explored on measured surfaces", make) / "explored"
 
@@ -254,11 +235,7 @@ def _killed_before_what_was_learned_was_written(stage: Path) -> None:
     ],
 )
 def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
-    killed: Callable[[Path], None],
-    on_measured: Path,
-    tmp_path: Path,
-    part_file: Path,
-    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+    killed: Callable[[Path], None], on_measured: Path, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """The bytes equal those of an exploration that was not killed."""
     again = tmp_path / "explored"
@@ -270,8 +247,7 @@ def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
         shutil.rmtree(left) if left.is_dir() else left.unlink()
     (again / "stages" / "0002.voxels.npz").unlink()
     killed(again / "stages" / "0002")
-    done = run_cell("explore", part_file, "--units", "mm", *_MEASURED, "--out", again, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("explore", part_file, "--units", "mm", *_MEASURED, "--out", again, cwd=tmp_path, code=0)
     stages = [
         f"stages/{number}.{kind}"
         for number in ("0002", "0003")
@@ -281,9 +257,7 @@ def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
         assert (again / name).read_bytes() == (on_measured / name).read_bytes(), name
 
 
-def test_points_of_files_need_no_model(
-    explored: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
-) -> None:
+def test_points_of_files_need_no_model(explored: Path, tmp_path: Path, run_cell: RunCommand) -> None:
     """With points from files, one folder for each stage, a model is reconstructed without a model of the part."""
     cylinder = schema.read_explore_file(explored / "explore.json").cylinder
     scans = sorted((explored / "stages" / "0001" / "executions" / "0001" / "scans").glob("*.npz"))
@@ -291,11 +265,10 @@ def test_points_of_files_need_no_model(
     for scan in scans:
         points = 1000 * np.load(scan)["points"] + np.array(cylinder.middle_mm)
         np.savetxt(tmp_path / "points" / "0001" / f"{scan.stem}.xyz", points)
-    done = run_cell(
+    run_cell(
         "explore", *OPTIONS[:-1], "3", "--cylinder", f"{cylinder.diameter_mm},{cylinder.height_mm}", "--acquire",
-        "files:points", "--points-frame", "base", "--points-units", "mm", "--out", "out", cwd=tmp_path,
+        "files:points", "--points-frame", "base", "--points-units", "mm", "--out", "out", cwd=tmp_path, code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     file = schema.read_explore_file(tmp_path / "out" / "explore.json")
     assert file.source == "files:points"
     assert file.stages[0].points == sum(len(np.load(scan)["points"]) for scan in scans)
@@ -303,14 +276,14 @@ def test_points_of_files_need_no_model(
 
 
 def test_other_options_do_not_go_on_there(
-    explored: Path, tmp_path: Path, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+    explored: Path, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """The folder of another exploration and a folder without an exploration are refused."""
-    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--ring", "4", "--out", explored, cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell(
+        "explore", part_file, "--units", "mm", *OPTIONS, "--ring", "4", "--out", explored, cwd=tmp_path, code=2
+    )
     assert "other options" in done.stderr
-    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", tmp_path, cwd=tmp_path)
-    assert done.returncode == 6
+    done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", tmp_path, cwd=tmp_path, code=6)
     assert "no exploration" in done.stderr
 
 
@@ -327,45 +300,35 @@ def test_other_options_do_not_go_on_there(
     ],
 )
 def test_what_cannot_be_explored_is_refused_before_anything_is_made(
-    options: tuple[str, ...],
-    told: str,
-    tmp_path: Path,
-    part_file: Path,
-    run_cell: Callable[..., subprocess.CompletedProcess[str]],
+    options: tuple[str, ...], told: str, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """An invalid exploration is refused with exit code 2, and no folder is created."""
     (tmp_path / "setups.toml").write_text('[[setup]]\nname = "up"\nposition_mm = [1100, 400, 100]\n')
     (tmp_path / "line.toml").write_text('[scanner]\ntype = "laser-line"\nsweep_deg = 24.0\nsweep_steps = 5\n')
-    done = run_cell("explore", part_file, "--units", "mm", *PLACE, *options, "--out", "new", cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
+    done = run_cell("explore", part_file, "--units", "mm", *PLACE, *options, "--out", "new", cwd=tmp_path, code=2)
     assert told in done.stderr
     assert not (tmp_path / "new").exists()
 
 
 def test_a_cylinder_that_does_not_hold_the_part_is_told_after_the_ring(
-    tmp_path: Path, part_file: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
+    tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """Points outside the cylinder end the exploration before a stage is recorded. The standoff suits the cylinder."""
     options = ["100" if word == "250" else word for word in OPTIONS]
     done = run_cell(
-        "explore", part_file, "--units", "mm", *options, "--cylinder", "70,70", "--out", "new", cwd=tmp_path
+        "explore", part_file, "--units", "mm", *options, "--cylinder", "70,70", "--out", "new", cwd=tmp_path, code=6
     )
-    assert done.returncode == 6, done.stderr
     assert "outside the cylinder" in done.stderr
     assert schema.read_explore_file(tmp_path / "new" / "explore.json").stages == ()
 
 
 @pytest.mark.usefixtures("drawn_pictures")
 def test_the_page_shows_the_views_in_order(
-    explored: Path, tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]],
-    data_of: Callable[[str], dict[str, Any]],
+    explored: Path, tmp_path: Path, run_cell: RunCommand,
+    data_of: Callable[[str], dict[str, Any]]
 ) -> None:  # fmt: skip
-    """The page has the views of all batches on one motion, colours by view and the curve as a picture.
-
-    It is reproducible and requests nothing from outside.
-    """
-    done = run_cell("view", explored, "--no-open", "--out", tmp_path / "page.html", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    """The page has the views of all batches on one motion, colours by view and the curve as a picture."""
+    run_cell("view", explored, "--no-open", "--out", tmp_path / "page.html", cwd=tmp_path, code=0)
     page, file = (tmp_path / "page.html").read_text(), schema.read_explore_file(explored / "explore.json")
     assert page == explore_page(explored)
     assert not re.search(r'(src|href)="(?!data:)', page.partition("</head>")[0])

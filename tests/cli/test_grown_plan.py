@@ -1,7 +1,6 @@
 """`cell plan --candidates grown` on the command line."""
 
 import json
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,8 +10,7 @@ import pytest
 from cell.runs.cell import read_cell
 from cell.runs.run import open_finished
 from planner.measurability.visibility import find_measured
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 
 @pytest.fixture(scope="module")
@@ -22,22 +20,20 @@ def grown(part_file: Path, small_plan: tuple[str, ...]) -> tuple[str, ...]:
 
 
 @pytest.fixture(scope="module")
-def run(grown: tuple[str, ...], made_once: Callable[..., Path], run_cell: Run) -> Path:
+def run(grown: tuple[str, ...], made_once: Callable[..., Path], run_cell: RunCommand) -> Path:
     """Return its run folder, with the matrix from the cache if available."""
 
     def make(folder: Path) -> None:
-        done = run_cell(*grown, "--out", "run", cwd=folder)
-        assert done.returncode == 0, done.stderr
+        run_cell(*grown, "--out", "run", cwd=folder, code=0)
 
     return made_once("grown", make) / "run"
 
 
 def test_grown_candidates_keep_the_run_folder_s_contract(
-    run: Path, grown: tuple[str, ...], tmp_path: Path, run_cell: Run
+    run: Path, grown: tuple[str, ...], tmp_path: Path, run_cell: RunCommand
 ) -> None:
     """Runs with and without cache have equal bytes. Every array has all candidates. Views match their candidates."""
-    done = run_cell(*grown, "--no-cache", "--out", "again", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell(*grown, "--no-cache", "--out", "again", cwd=tmp_path, code=0)
     first, second = (json.loads((each / "manifest.json").read_text()) for each in (run, tmp_path / "again"))
     assert first["artefacts"] == second["artefacts"]
 
@@ -53,15 +49,10 @@ def test_grown_candidates_keep_the_run_folder_s_contract(
 
 
 def test_views_that_moved_are_candidates_like_others(
-    run: Path, grown: tuple[str, ...], tmp_path: Path, run_cell: Run
+    run: Path, grown: tuple[str, ...], tmp_path: Path, run_cell: RunCommand
 ) -> None:
-    """Moved views follow the other candidates, with correct entries of reach and matrix.
-
-    Each column is recounted by rays of its own pose, each joint solution by forward kinematics. The motion is verified
-    by `cell edit`, which computes it again, and at the beginning of each scan.
-    """
-    done = run_cell(*grown, "--coverage", "0.97", "--no-cache", "--out", "run", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    """Moved views follow the other candidates, with correct entries of reach and matrix."""
+    run_cell(*grown, "--coverage", "0.97", "--no-cache", "--out", "run", cwd=tmp_path, code=0)
     moved, others = open_finished(tmp_path / "run"), open_finished(run)
     known, views = len(others.candidates), moved.candidates
     assert len(views) > known
@@ -88,13 +79,12 @@ def test_views_that_moved_are_candidates_like_others(
 
 
 def test_the_shortest_time_is_never_longer_than_the_fewest_views(
-    grown: tuple[str, ...], tmp_path: Path, run_cell: Run
+    grown: tuple[str, ...], tmp_path: Path, run_cell: RunCommand
 ) -> None:
     """The plan of shortest time includes the moved views as candidates. Its bound does not exceed its time."""
     said = []
     for cost in ("views", "time"):
-        done = run_cell(*grown, "--coverage", "0.97", "--cost", cost, "--out", cost, "--json", cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
+        done = run_cell(*grown, "--coverage", "0.97", "--cost", cost, "--out", cost, "--json", cwd=tmp_path, code=0)
         said.append(json.loads(done.stdout))
     fewest, time = said
     standing = time["settings"]["scan_s"] + time["settings"]["settle_s"]

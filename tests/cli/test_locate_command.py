@@ -1,7 +1,6 @@
 """`cell locate`: a displaced part is located from several kinds of points and the plan is moved; refusals."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,7 @@ from cell.runs.verification import verify_plan
 from cell.world import virtual_scan
 from planner.registration.rigid import motion_from_screw
 from planner.values import Floats
-
-Command = Callable[..., Any]
+from tests.support.fixture_types import RunCommand
 
 
 def _set_down(run: Run, mm: tuple[float, float, float], deg: tuple[float, float, float]) -> Floats:
@@ -37,7 +35,9 @@ def _scanned(run: Run, T_base_object: Floats, view: int) -> Floats:
     return np.asarray(points + rays * np.random.default_rng(view).normal(0, 3e-5, (len(points), 1)))
 
 
-def test_one_scan_finds_the_part_and_the_plan_is_taken_there(run_cell: Command, planned: Path, tmp_path: Path) -> None:
+def test_one_scan_finds_the_part_and_the_plan_is_taken_there(
+    run_cell: RunCommand, planned: Path, tmp_path: Path
+) -> None:
     """A part 15 mm and 4 deg off is located to 0.05 mm. The new plan keeps most views, is verified and scanned."""
     run = open_run(planned)
     T = _set_down(run, (-9.0, 12.0, 2.0), (1.0, -2.0, 3.4))
@@ -144,7 +144,7 @@ def test_what_cannot_be_asked(wishes: dict[str, Any], told: str, planned: Path) 
         locate(planned, **wishes)
 
 
-def test_what_is_open_is_not_planned_with(run_cell: Command, planned: Path, tmp_path: Path) -> None:
+def test_what_is_open_is_not_planned_with(run_cell: RunCommand, planned: Path, tmp_path: Path) -> None:
     """Pairs on one line leave a rotation undetermined: exit code 2 and no new run."""
     run = open_run(planned)
     nominal = np.array([0.02, 0.0, 0.03]) + np.linspace(0, 0.04, 3)[:, None] * [0, 0, 1]
@@ -155,7 +155,6 @@ def test_what_is_open_is_not_planned_with(run_cell: Command, planned: Path, tmp_
     ]
     (tmp_path / "line.txt").write_text("\n".join(rows))
     said = ("--pairs", tmp_path / "line.txt", "--points-frame", "base", "--points-units", "mm")
-    done = run_cell("locate", planned, *said, "--out", tmp_path / "there", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("locate", planned, *said, "--out", tmp_path / "there", cwd=tmp_path, code=2)
     assert "turning about" in done.stderr
     assert not list(tmp_path.glob("there*"))

@@ -2,24 +2,20 @@
 
 import importlib.util
 import json
-from collections.abc import Callable
 from pathlib import Path
-from subprocess import CompletedProcess
 
 import pytest
 import trimesh
 
 from tests.step_files import bored_block
-
-Run = Callable[..., CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 
 @pytest.mark.skipif(importlib.util.find_spec("cascadio") is None, reason="cascadio is not installed")
-def test_a_step_file_is_listed_and_drawn(run_cell: Run, tmp_path: Path) -> None:
+def test_a_step_file_is_listed_and_drawn(run_cell: RunCommand, tmp_path: Path) -> None:
     """The seven faces and the diameter of the bore are listed. Files are reproducible, and the page has the faces."""
     (tmp_path / "block.stp").write_text(bored_block())
-    done = run_cell("part", "block.stp", "--out", "drawn", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("part", "block.stp", "--out", "drawn", cwd=tmp_path, code=0)
     assert "7: 6 plane, 1 cylinder" in done.stdout
     assert "diameter 16 mm" in done.stdout
     assert "cell plan block.stp" in done.stdout
@@ -33,7 +29,7 @@ def test_a_step_file_is_listed_and_drawn(run_cell: Run, tmp_path: Path) -> None:
         assert (tmp_path / "drawn" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
 
 
-def test_a_mesh_is_described_without_faces(run_cell: Run, tmp_path: Path) -> None:
+def test_a_mesh_is_described_without_faces(run_cell: RunCommand, tmp_path: Path) -> None:
     """A mesh has no CAD faces and requires its units."""
     trimesh.creation.box((20, 30, 40)).export(tmp_path / "box.stl")
     told = json.loads(run_cell("part", "box.stl", "--units", "mm", "--json", "--out", "drawn", cwd=tmp_path).stdout)

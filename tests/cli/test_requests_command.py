@@ -1,7 +1,6 @@
 """`cell plan` with requests beyond the fewest views: content of the run folder, refusals."""
 
 import json
-import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,22 +11,30 @@ import pytest
 from scipy.sparse import csr_array
 
 from cell.session import default_effort, effort_of
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 
 @pytest.fixture(scope="module")
 def ask(
-    part_file: Path, small_plan: tuple[str, ...], run_cell: Run, tmp_path_factory: pytest.TempPathFactory
+    part_file: Path, small_plan: tuple[str, ...], run_cell: RunCommand, tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[..., tuple[Path, dict[str, Any]]]:
     """Return a function that plans the small part with more options and returns the folder and the JSON object."""
     folder = tmp_path_factory.mktemp("requests")
 
     def run(name: str, *options: str, code: int = 0) -> tuple[Path, dict[str, Any]]:
         done = run_cell(
-            "plan", str(part_file), "--units", "mm", *small_plan, *options, "--out", name, "--json", cwd=folder
+            "plan",
+            str(part_file),
+            "--units",
+            "mm",
+            *small_plan,
+            *options,
+            "--out",
+            name,
+            "--json",
+            cwd=folder,
+            code=code,
         )
-        assert done.returncode == code, done.stderr
         return folder / name, json.loads(done.stdout)
 
     return run
@@ -95,7 +102,7 @@ def test_the_most_coverage_around_pinned_and_banned_views_with_its_curve(
 
 
 def test_an_unreachable_pinned_view_is_refused_with_its_verdict(
-    part_file: Path, small_plan: tuple[str, ...], run_cell: Run, planned: Path, tmp_path: Path
+    part_file: Path, small_plan: tuple[str, ...], run_cell: RunCommand, planned: Path, tmp_path: Path
 ) -> None:
     """The error names the candidate and its verdict. A candidate that does not exist is refused as well."""
     with np.load(planned / "reach.npz") as arrays:
@@ -103,8 +110,7 @@ def test_an_unreachable_pinned_view_is_refused_with_its_verdict(
     lost = int(np.flatnonzero(verdict != 0)[0])
     for view, words in ((lost, f"plan.pinned names candidate {lost}, which is"), (10**6, "there are candidates 0 to")):
         pin = ("--pin", str(view), "--out", f"run{view}")
-        done = run_cell("plan", str(part_file), "--units", "mm", *small_plan, *pin, cwd=tmp_path)
-        assert done.returncode == 2, done.stderr
+        done = run_cell("plan", str(part_file), "--units", "mm", *small_plan, *pin, cwd=tmp_path, code=2)
         assert words in " ".join(done.stderr.split())
 
 
@@ -121,9 +127,7 @@ def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict
     assert 0 < said["cost"]["bound_seconds"] <= said["cost"]["seconds"] + 1e-9
 
 
-def test_scans_that_hang_together(
-    ask: Callable[..., tuple[Path, dict[str, Any]]],
-) -> None:
+def test_scans_that_hang_together(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:
     """The overlap graph of the views is connected in networkx. The extra views are as reported."""
     import networkx as nx
 
@@ -182,7 +186,7 @@ def test_a_promise_under_pose_errors_is_kept_in_simulated_executions(
 )
 def test_requests_that_contradict_each_other_are_refused(
     options: tuple[str, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
     """Contradictory requests are refused with exit code 2 before any computation."""
     from cell.cli import main

@@ -30,9 +30,7 @@ from cell.session import Session
 from planner.geometry.closest import ClosestPointQuery
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import Rejection
-
-Command = Callable[..., subprocess.CompletedProcess[str]]
-Start = Callable[..., "subprocess.Popen[str]"]
+from tests.support.fixture_types import RunCommand, StartCommand
 
 CONTRACT = {
     "manifest.json", "events.jsonl", "cloud.ply", "mesh.ply", "report.json", "report.md", "view.html",
@@ -439,7 +437,7 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_a_stopped_execution_keeps_its_scans_and_is_reported(
-    how: signal.Signals, planned: Path, tmp_path: Path, run_cell: Command, start_cell: Start
+    how: signal.Signals, planned: Path, tmp_path: Path, run_cell: RunCommand, start_cell: StartCommand
 ) -> None:
     """If stopped after the first scan, status and exit code report it, and `--report` uses the available scans."""
     run = tmp_path / "run"
@@ -460,8 +458,7 @@ def test_a_stopped_execution_keeps_its_scans_and_is_reported(
         assert process.returncode == -signal.SIGKILL
         assert manifest["status"] == "running"
     there = len(list((folder / "scans").glob("*.npz")))
-    done = run_cell("scan", "run", "--report", "latest", "--json", cwd=tmp_path)
-    assert done.returncode == 6, done.stderr
+    done = run_cell("scan", "run", "--report", "latest", "--json", cwd=tmp_path, code=6)
     summary = json.loads(done.stdout)
     assert 1 <= summary["n_views"] == there < summary["n_views_planned"]
     assert summary["missing_views"] == list(range(there + 1, summary["n_views_planned"] + 1))
@@ -491,17 +488,11 @@ def test_a_stopped_execution_keeps_its_scans_and_is_reported(
     ],
 )
 def test_bad_input_gets_one_sentence_and_its_code(
-    arguments: tuple[str, ...],
-    code: int,
-    words: str,
-    executed: Path,
-    tmp_path: Path,
-    run_cell: Command,
+    arguments: tuple[str, ...], code: int, words: str, executed: Path, tmp_path: Path, run_cell: RunCommand
 ) -> None:
     """The error has no traceback, names the cause, and has the documented exit code."""
     (tmp_path / "run").symlink_to(executed)
-    done = run_cell(*arguments, cwd=tmp_path)
-    assert done.returncode == code, done.stderr
+    done = run_cell(*arguments, cwd=tmp_path, code=code)
     assert words in done.stderr
     assert done.stdout == ""
 

@@ -4,11 +4,8 @@ import json
 import os
 import shutil
 import signal
-import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,8 +17,7 @@ from cell.scan.safety import placement_warning
 from cell.world.prediction import held_out_samples
 from cell.world.support_contact import in_contact
 from planner.measurability.visibility import find_measured
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand, StartCommand
 
 NOISY = ("--setup-error", "5mm,2deg", "--range-noise", "0.03", "--resolution", "1")
 
@@ -32,15 +28,15 @@ def folder(made_setups: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(made_setups, tmp_path / "made"))
 
 
-def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, run_cell: Run) -> None:
+def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, run_cell: RunCommand) -> None:
     """A part 5 mm and 2 deg off is located to 0.05 mm and 0.02 deg. The report covers both set-ups."""
-    done = run_cell("scan", "made", "--setup", "1", *NOISY, "--json", cwd=folder.parent)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "made", "--setup", "1", *NOISY, "--json", cwd=folder.parent, code=0)
     first = json.loads(done.stdout)
     assert (first["missing"], len(first["setups"]), first["shared"]) == ([2], 1, [])
     assert first["open"]["to_come"] > 0.05
-    done = run_cell("scan", "made", "--resume", "latest", cwd=folder.parent)  # set-up 2 has the options of set-up 1
-    assert done.returncode == 0, done.stderr
+    done = run_cell(
+        "scan", "made", "--resume", "latest", cwd=folder.parent, code=0
+    )  # set-up 2 has the options of set-up 1
     assert "set-up 2 of 2: the part lies" in done.stderr
     report = json.loads((folder / "scanned" / "report.json").read_text())
     assert report["missing"] == []
@@ -54,15 +50,13 @@ def test_set_ups_are_found_where_they_stand_and_measured_as_one(folder: Path, ru
     assert report["visible"] + sum(report["open"].values()) == pytest.approx(1, abs=1e-9)
     assert report["visible"] == pytest.approx(report["planned"], abs=0.03)
     assert [pair["setups"] for pair in report["shared"]] == [[1, 2]]
-    done = run_cell("scan", "made", cwd=folder.parent)
-    assert done.returncode == 2
+    done = run_cell("scan", "made", cwd=folder.parent, code=2)
     assert "all 2 set-ups of made are scanned; --setup 1 scans one again" in done.stderr
 
 
-def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: Run) -> None:
+def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: RunCommand) -> None:
     """Without errors, the coverage is the union of the samples that the views measure and no support touches."""
-    done = run_cell("scan", "made", "--resolution", "1", "--json", cwd=folder.parent)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "made", "--resolution", "1", "--json", cwd=folder.parent, code=0)
     report = json.loads(done.stdout)
     seen = []
     for setup in ("1", "2"):
@@ -79,12 +73,11 @@ def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: R
     assert report["visible"] == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
     assert all(setup["place"] is None for setup in report["setups"])
     again = (folder / "scanned" / "report.json").read_bytes()
-    done = run_cell("scan", "made", "--report", "latest", cwd=folder.parent)
-    assert done.returncode == 0, done.stderr
+    run_cell("scan", "made", "--report", "latest", cwd=folder.parent, code=0)
     assert (folder / "scanned" / "report.json").read_bytes() == again
 
 
-def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: Run, start_cell: Callable[..., Any]) -> None:
+def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: RunCommand, start_cell: StartCommand) -> None:
     """After kill -9 in the first set-up, each view is scanned once, and the second set-up has the same options."""
     process = start_cell("scan", folder, "--resolution", "1", "--realtime")
     scans = folder / "setups" / "1" / "executions" / "0001" / "scans"
@@ -95,8 +88,7 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: Run, start_
         time.sleep(0.01)
     os.kill(process.pid, signal.SIGKILL)
     process.communicate()
-    done = run_cell("scan", "made", "--resume", "latest", "--json", cwd=folder.parent)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "made", "--resume", "latest", "--json", cwd=folder.parent, code=0)
     assert "views are scanned already" in done.stderr
     report = json.loads(done.stdout)
     assert report["missing"] == []
@@ -116,19 +108,17 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: Run, start_
         (("made/setups/1", "--setup", "1"), "--setup needs a folder of cell setups"),
     ],
 )
-def test_what_cannot_be_is_said(words: tuple[str, ...], told: str, folder: Path, run_cell: Run) -> None:
+def test_what_cannot_be_is_said(words: tuple[str, ...], told: str, folder: Path, run_cell: RunCommand) -> None:
     """Invalid options are refused with exit code 2, and nothing is scanned."""
-    done = run_cell("scan", *words, cwd=folder.parent)
-    assert done.returncode == 2
+    done = run_cell("scan", *words, cwd=folder.parent, code=2)
     assert told in done.stderr
     assert not (folder / "setups" / "1" / "executions").exists()
 
 
-def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_cell: Run) -> None:
+def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_cell: RunCommand) -> None:
     """Each set-up needs its own points: the next set-up is not begun automatically, also after a resumed one."""
     beside = folder.parent
-    done = run_cell("scan", "made/setups/1", "--resolution", "1", cwd=beside)
-    assert done.returncode == 0, done.stderr
+    run_cell("scan", "made/setups/1", "--resolution", "1", cwd=beside, code=0)
     scans, points = folder / "setups" / "1" / "executions" / "0001", beside / "points"
     points.mkdir()
     for path in sorted((scans / "scans").iterdir()):
@@ -139,59 +129,51 @@ def test_a_chain_of_points_from_files_halts_after_each_set_up(folder: Path, run_
     shutil.rmtree(scans.parent)
     first = (points / "0001.xyz").rename(beside / "kept.xyz")
     files = ("--acquire", "files:points", "--points-frame", "scanner", "--points-units", "mm")
-    done = run_cell("scan", "made", *files, cwd=beside)
-    assert done.returncode == 6
+    done = run_cell("scan", "made", *files, cwd=beside, code=6)
     assert "view 1 of set-up 1 has no points (1 such views); cell scan made --resume latest takes them" in done.stderr
     assert not (folder / "setups" / "2" / "executions").exists()
     first.rename(points / "0001.xyz")
-    done = run_cell("scan", "made", "--resume", "latest", "--json", cwd=beside)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "made", "--resume", "latest", "--json", cwd=beside, code=0)
     assert json.loads(done.stdout)["missing"] == [2]
     assert not (folder / "setups" / "2" / "executions").exists()
-    done = run_cell("scan", "made", "--resume", "latest", cwd=beside)
-    assert done.returncode == 2
+    done = run_cell("scan", "made", "--resume", "latest", cwd=beside, code=2)
     assert "files:points has the points of set-up 1; start with cell scan made --setup 2" in done.stderr
 
 
-def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Path, run_cell: Run) -> None:
+def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Path, run_cell: RunCommand) -> None:
     """A stopped execution of one view is not resumed: the set-up is scanned completely as a new execution."""
     beside = folder.parent
-    done = run_cell("scan", "made/setups/1", "--view", "1", "--resolution", "1", cwd=beside)
-    assert done.returncode == 0, done.stderr
+    run_cell("scan", "made/setups/1", "--view", "1", "--resolution", "1", cwd=beside, code=0)
     manifest = folder / "setups" / "1" / "executions" / "0001" / "manifest.json"
     manifest.write_text(manifest.read_text().replace('"status": "finished"', '"status": "interrupted"'))
-    done = run_cell("scan", "made", "--setup", "1", "--resume", "latest", "--json", cwd=beside)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("scan", "made", "--setup", "1", "--resume", "latest", "--json", cwd=beside, code=0)
     report = json.loads(done.stdout)
     assert (report["missing"], [setup["execution"] for setup in report["setups"]]) == ([2], ["0002"])
 
 
-def test_that_a_part_may_be_near_is_told_again_where_an_execution_goes_on(folder: Path, run_cell: Run) -> None:
+def test_that_a_part_may_be_near_is_told_again_where_an_execution_goes_on(folder: Path, run_cell: RunCommand) -> None:
     """The warning is reported before the first and before the resumed execution."""
     (folder.parent / "none").mkdir()
     files = ("--acquire", "files:none", "--points-frame", "scanner", "--points-units", "mm")
     for words in ((*files, "--setup-error", "500mm,2deg"), ("--resume", "latest")):
-        done = run_cell("scan", "made", "--setup", "1", *words, cwd=folder.parent)
-        assert done.returncode == 6
+        done = run_cell("scan", "made", "--setup", "1", *words, cwd=folder.parent, code=6)
         assert "the part may be displaced by up to 50" in done.stderr
 
 
-def test_set_ups_whose_folders_were_exchanged_are_not_driven(folder: Path, run_cell: Run) -> None:
+def test_set_ups_whose_folders_were_exchanged_are_not_driven(folder: Path, run_cell: RunCommand) -> None:
     """A run folder that is not the plan of setups.json is refused, and no execution is created."""
     setups = folder / "setups"
     (setups / "1").rename(setups / "3")
     (setups / "2").rename(setups / "1")
     (setups / "3").rename(setups / "2")
-    done = run_cell("scan", "made", "--setup", "1", cwd=folder.parent)
-    assert done.returncode == 6
+    done = run_cell("scan", "made", "--setup", "1", cwd=folder.parent, code=6)
     assert "setups/1 is not the plan that setups.json names" in done.stderr
     assert not (setups / "1" / "executions").exists()
 
 
-def test_programs_halt_before_each_set_up(folder: Path, run_cell: Run) -> None:
+def test_programs_halt_before_each_set_up(folder: Path, run_cell: RunCommand) -> None:
     """The main program sets the base, halts and calls the program of each run."""
-    done = run_cell("export", "made", "--name", "TURNED", "--json", cwd=folder.parent)
-    assert done.returncode == 0, done.stderr
+    run_cell("export", "made", "--name", "TURNED", "--json", cwd=folder.parent, code=0)
     lines = (folder / "export" / "TURNED.src").read_bytes().decode("ascii").split("\r\n")
     order = [line.split(" ;")[0] for line in lines if line.startswith(("$BASE", "HALT", "TURNED_"))]
     assert [line.split("=")[0] for line in order] == ["$BASE", "HALT", "TURNED_1( )", "$BASE", "HALT", "TURNED_2( )"]

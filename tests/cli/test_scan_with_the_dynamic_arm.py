@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,19 +15,17 @@ from cell.runs.run import open_run
 from cell.scan import scan as scan_command
 from cell.scan.options import ScanOptions
 from cell.session import Session
+from tests.support.fixture_types import RunCommand
 
 URL = "sim://?plant=mujoco"
 
-Run = Callable[..., subprocess.CompletedProcess[str]]
-
 
 @pytest.fixture(scope="module")
-def scanned(planned: Path, tmp_path_factory: pytest.TempPathFactory, run_cell: Run) -> Path:
+def scanned(planned: Path, tmp_path_factory: pytest.TempPathFactory, run_cell: RunCommand) -> Path:
     """Return a copy of the small run, executed with the dynamic arm (0001, 0002) and with the ideal one (0003)."""
     run = tmp_path_factory.mktemp("dynamic") / "run"
     shutil.copytree(planned, run)
-    done = run_cell("scan", "run", "--driver", URL, "--resolution", "2", "--json", cwd=run.parent)
-    assert done.returncode == 0, done.stderr
+    run_cell("scan", "run", "--driver", URL, "--resolution", "2", "--json", cwd=run.parent, code=0)
     for url in (URL, "sim://"):
         options = ScanOptions(driver=url, resolution_deg=2.0)
         assert scan_command.scan(Session(None, Terminal(quiet_stdout=True)), run, options).exit_code == 0

@@ -2,10 +2,9 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,8 +14,7 @@ from cell.api import open_run, plan_setups
 from cell.plan.setups import Setup, cause_of_omission
 from cell.runs.cell import read_cell
 from tests.seen_samples import seen_samples
-
-Cell = Callable[..., Any]
+from tests.support.fixture_types import RunCommand
 
 
 @pytest.fixture
@@ -43,7 +41,7 @@ def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
     assert "## Set-up candidates" in (made / "report.md").read_text()
 
 
-def test_each_set_up_is_a_run_of_its_own(made: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_each_set_up_is_a_run_of_its_own(made: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """All runs have the same samples as rows and the digests of setups.json. A run is scanned like any other."""
     said = json.loads((made / "setups.json").read_text())
     points = [np.load(made / setup["folder"] / "measurability.npz")["points"] for setup in said["chosen"]]
@@ -56,21 +54,17 @@ def test_each_set_up_is_a_run_of_its_own(made: Path, run_cell: Cell, tmp_path: P
         assert list(run.report.settings.placement_mm) == offered["placement_mm"]
         assert list(run.report.settings.placement_abc_deg) == offered["placement_abc_deg"]
     shutil.copytree(made, tmp_path / "made")
-    done = run_cell("scan", "made/setups/1", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    done = run_cell("replay", "made", "--picture", "x.png", cwd=tmp_path)
-    assert done.returncode == 6
+    run_cell("scan", "made/setups/1", "--json", cwd=tmp_path, code=0)
+    done = run_cell("replay", "made", "--picture", "x.png", cwd=tmp_path, code=6)
     assert "made holds several set-ups; give the run folder of one of them: made/setups/1" in done.stderr
 
 
-def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: Cell) -> None:
+def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: RunCommand) -> None:
     """`cell view` prints the page of each run. One output file for several pages is refused."""
-    done = run_cell("view", "made", "--no-open", cwd=made.parent)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("view", "made", "--no-open", cwd=made.parent, code=0)
     for number in ("1", "2"):
         assert str(Path("made", "setups", number, "view.html")) in done.stdout
-    done = run_cell("view", "made", "--no-open", "--out", "x.html", cwd=made.parent)
-    assert done.returncode == 2
+    done = run_cell("view", "made", "--no-open", "--out", "x.html", cwd=made.parent, code=2)
     assert "holds several set-ups with a page each" in done.stderr
 
 
@@ -84,23 +78,18 @@ def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: Cell) -> None:
         (("--pin", "0:3,0:4", "--max-views", "1"), 2, "2 views are pinned and at most 1 are allowed"),
         (("--pin", "0:3,1:4", "--max-setups", "1"), 2, "views of more than the 1 allowed set-ups are pinned"),
         (("--setup-seconds", "60"), 2, "--setup-seconds needs views with a cost in seconds; give --cost time as well"),
-        (
-            ("--setup-seconds", "60", "--cost", "time", "--max-setups", "1"),
-            2,
-            "both limit the number of set-ups",
-        ),
+        (("--setup-seconds", "60", "--cost", "time", "--max-setups", "1"), 2, "both limit the number of set-ups"),
         (("--proposals", "0"), 2, "there is no set-up candidate: give [[setup]] tables in the scene"),
         (("--place", "9000,0,100"), 4, "none of the 1 set-up candidates can be planned"),
     ],
 )
 def test_what_cannot_be_is_said(
-    options: tuple[str, ...], code: int, told: str, part_file: Path, run_cell: Cell, tmp_path: Path
+    options: tuple[str, ...], code: int, told: str, part_file: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """An invalid request is refused with its exit code, and no finished folder is left."""
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "40", "--standoff", "250")
     small += ("--candidates", "optimal-scanning-zone")
-    done = run_cell("setups", part_file, *small, "--proposals", "1", *options, "--out", "made", cwd=tmp_path)
-    assert done.returncode == code, done.stderr
+    done = run_cell("setups", part_file, *small, "--proposals", "1", *options, "--out", "made", cwd=tmp_path, code=code)
     assert told in done.stderr
     assert not (tmp_path / "made").exists()
 
@@ -134,7 +123,9 @@ fixtures = [{{ name = "{fixture}", shape = "box", position_mm = [1100, {y}, 0], 
 """
 
 
-def test_given_set_ups_are_planned_each_among_its_own_fixtures(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_given_set_ups_are_planned_each_among_its_own_fixtures(
+    part_file: Path, run_cell: RunCommand, tmp_path: Path
+) -> None:
     """No set-up is proposed in addition. A set-up with the part in its fixture is left out with the reason."""
     scene = tmp_path / "cell.toml"
     scene.write_text(SCENE.format(part=part_file, third="stuck", angle=90, fixture="block", y=400))
@@ -148,18 +139,16 @@ def test_given_set_ups_are_planned_each_among_its_own_fixtures(part_file: Path, 
         run = open_run(tmp_path / "made" / setup["folder"])
         names = [fixture.name for fixture in read_cell(run).scene.fixtures if not fixture.built_in]
         assert names == (["vise"] if setup["offered"] == 1 else [])
-    done = run_cell("plan", "--scene", "cell.toml", "--out", "run", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("plan", "--scene", "cell.toml", "--out", "run", cwd=tmp_path, code=2)
     assert "the scene has 3 set-ups, and cell plan plans one: use cell setups" in done.stderr
 
 
-def test_equal_set_ups_are_refused(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_equal_set_ups_are_refused(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The error names both set-ups."""
     scene = tmp_path / "cell.toml"
     text = SCENE.format(part=part_file, third="again", angle=180, fixture="vise", y=560).replace("260]", "60]")
     scene.write_text(text)
-    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path, code=2)
     assert "'over' and 'again' are equal; leave one of them out" in done.stderr
 
 
@@ -211,7 +200,7 @@ def test_the_curve_is_of_the_set_ups_that_are_used_and_each_is_visited_in_order(
     assert (tmp_path / "made" / "curve.png").is_file()
 
 
-def test_regions_of_set_ups_have_coverages_of_their_own(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_regions_of_set_ups_have_coverages_of_their_own(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The coverage of each region is reached over all set-ups. A region without requirement has no entry."""
     (tmp_path / "cell.toml").write_text(
         SCENE.format(part=part_file, third="over and turned", angle=90, fixture="block", y=560).replace(
@@ -220,51 +209,45 @@ def test_regions_of_set_ups_have_coverages_of_their_own(part_file: Path, run_cel
         + '[[region]]\nname = "top"\nbox_mm = [-100, -100, 0, 100, 100, 100]\ncoverage = 0.95\n'
         '[[region]]\nname = "side"\nbox_mm = [0, -100, -100, 100, 100, 0]\ncare = "no"\n[[region]]\nname = "rest"\n'
     )
-    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("setups", "--scene", "cell.toml", "--out", "made", "--json", cwd=tmp_path, code=0)
     regions = {each["name"]: each for each in json.loads(done.stdout)["regions"]}
     assert set(regions) == {"top", "rest"}
     assert regions["top"]["visible_of_coverable"] >= regions["top"]["asked"] == 0.95
     assert regions["rest"]["visible_of_coverable"] >= regions["rest"]["asked"] == 0.8
 
 
-def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A single set-up of several can be edited. It cannot be repaired, because the coverage belongs to all set-ups."""
     one = next(run for run in sorted((made / "setups").iterdir()) if len(open_run(run).candidate) > 1)
-    done = run_cell("edit", one, "--drop", "1", "--repair", "--out", "repaired", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("edit", one, "--drop", "1", "--repair", "--out", "repaired", cwd=tmp_path, code=2)
     assert "is one of several set-ups" in done.stderr
-    done = run_cell("edit", one, "--drop", "1", "--out", "edited", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("edit", one, "--drop", "1", "--out", "edited", cwd=tmp_path, code=0)
     assert "their coverage together is not known now" in " ".join(done.stderr.split())
     assert "--repair" not in done.stdout + done.stderr
     assert "more than the fewest" not in open_run(tmp_path / "edited").report.status
-    done = run_cell("edit", "edited", "--repair", "--out", "repaired", cwd=tmp_path)  # in any folder
-    assert done.returncode == 2
+    done = run_cell("edit", "edited", "--repair", "--out", "repaired", cwd=tmp_path, code=2)  # in any folder
     assert "is one of several set-ups" in done.stderr
     for run in (one, tmp_path / "edited"):
         assert "--repair" not in (run / "view.html").read_text()
 
 
-def test_faces_may_be_the_rows(part_file: Path, run_cell: Cell, tmp_path: Path) -> None:
+def test_faces_may_be_the_rows(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """With `--fill rays` each set-up has the faces of the planning mesh as rows, without further samples."""
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "60", "--standoff", "250", "--coverage", "0.5")
     wishes = ("--candidates", "optimal-scanning-zone", "--fill", "rays", "--proposals", "2")
-    done = run_cell("setups", part_file, *small, *wishes, "--out", "made", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("setups", part_file, *small, *wishes, "--out", "made", cwd=tmp_path, code=0)
     run = open_run(tmp_path / "made" / "setups" / "1")
     assert run.report.settings.fill == "rays"
     planning = run.mesh("planning.ply")
     assert len(run.measurability.samples) == len(planning.faces)
 
 
-def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: Cell, tmp_path: Path) -> None:
+def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: RunCommand, tmp_path: Path) -> None:
     """A ball has no stable pose. This is reported, and four candidates are made by turning it."""
     trimesh.creation.icosphere(subdivisions=3, radius=60).export(tmp_path / "ball.stl")
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "30", "--samples", "1", "--standoff", "250")
     wishes = ("--candidates", "optimal-scanning-zone", "--coverage", "0.5")
-    done = run_cell("setups", "ball.stl", *small, *wishes, "--proposals", "6", "--out", "made", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = run_cell("setups", "ball.stl", *small, *wishes, "--proposals", "6", "--out", "made", cwd=tmp_path, code=0)
     assert "the part has no other stable pose: the only candidate is the part as it is placed, turned," in done.stderr
     assert len(json.loads((tmp_path / "made" / "setups.json").read_text())["offered"]) == 4
 

@@ -19,6 +19,7 @@ from cell.view.run_pages import part_surface
 from cell.view.surface import MeasuredSamples, canvas_of
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
+from tests.support.fixture_types import RunCommand
 
 _LATER = "const later = (ms) => new Promise((done) => setTimeout(done, ms));"
 _TOUCH = f"""(async () => {{ {_LATER}
@@ -75,7 +76,7 @@ def test_the_controls_of_a_page_work(browser: Any, planned: Path) -> None:
 
 @pytest.fixture(scope="module")
 def pages(
-    planned: Path, executed: Path, run_cell: Callable[..., Any], drawn: Callable[[], Any], tmp_path_factory: Any
+    planned: Path, executed: Path, run_cell: RunCommand, drawn: Callable[[], Any], tmp_path_factory: Any
 ) -> list[Path]:
     """Return pages of an execution, a scene, `cell why` and `cell diff`."""
     folder = tmp_path_factory.mktemp("pages")

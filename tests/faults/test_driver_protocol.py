@@ -194,10 +194,7 @@ def test_another_session_moves_nothing(wire: Bench) -> None:
 
 
 def test_a_stop_by_another_client_ends_the_session(wire: Bench) -> None:
-    """The owner's move ends with the reason.
-
-    A stop between two moves has the same effect, and a stop by the owner recovers.
-    """
+    """The owner's move ends with the reason."""
     during(wire, lambda: wire.endpoint.command(0, 77, Stop()) and None)
     with pytest.raises(StoppedError, match="another client"):
         wire.driver.move(turned(90.0), 0.5)
@@ -368,8 +365,7 @@ def test_a_command_is_executed_once_and_a_repetition_gets_the_old_answer(wire: B
 
 
 @pytest.mark.parametrize(
-    ("n", "backend"),
-    [*((600, backend) for backend in WIRES), pytest.param(100_000, "serial", marks=pytest.mark.slow)],
+    ("n", "backend"), [*((600, backend) for backend in WIRES), pytest.param(100_000, "serial", marks=pytest.mark.slow)]
 )
 def test_many_via_points_are_one_move(n: int, backend: str) -> None:
     """All points arrive in frames of 12 or blocks of 9, and the journal has one move."""

@@ -4,17 +4,15 @@ import os
 import re
 import shutil
 import signal
-import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from cell.runs.run import open_finished
 from cell.scan import safety
+from tests.support.fixture_types import Emulate, RunCommand, StartCommand
 
 SIGNALS = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP"}
 MOMENTS = [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 34))]
@@ -39,9 +37,9 @@ def test_a_signal_ends_an_execution_that_goes_on_later(
     moment: int,
     run_folder: Path,
     executed: Path,
-    emulate: Callable[..., Any],
-    start_cell: Callable[..., "subprocess.Popen[str]"],
-    run_cell: Callable[..., "subprocess.CompletedProcess[str]"],
+    emulate: Emulate,
+    start_cell: StartCommand,
+    run_cell: RunCommand,
 ) -> None:
     """The arm stops, the process exits with the code of its signal, and the resumed scans have equal bytes."""
     rng = np.random.default_rng([moment, list(SIGNALS).index(name)])
@@ -71,7 +69,7 @@ def test_a_signal_ends_an_execution_that_goes_on_later(
 
 
 def test_two_processes_cannot_work_on_one_execution(
-    executed: Path, tmp_path: Path, run_cell: Any, start_cell: Any
+    executed: Path, tmp_path: Path, run_cell: RunCommand, start_cell: StartCommand
 ) -> None:
     """With every driver, the second process is refused at once and the first one finishes normally."""
     run_folder = Path(shutil.copytree(executed, tmp_path / "run"))
@@ -89,14 +87,21 @@ def test_two_processes_cannot_work_on_one_execution(
 
 @pytest.mark.parametrize("resolution", ["1e-9", "1e-3"])
 def test_what_does_not_fit_is_refused_before_the_first_move(
-    resolution: str, run_folder: Path, run_cell: Any, emulate: Callable[..., Any]
+    resolution: str, run_folder: Path, run_cell: RunCommand, emulate: Emulate
 ) -> None:
     """A resolution with more rays than memory ends with exit code 2 before the first move."""
     emulated = emulate("modbus", "--time-scale", "20")
     done = run_cell(
-        "scan", str(run_folder), "--resolution", resolution, *_FAST, "--driver", emulated.url, cwd=run_folder.parent
+        "scan",
+        str(run_folder),
+        "--resolution",
+        resolution,
+        *_FAST,
+        "--driver",
+        emulated.url,
+        cwd=run_folder.parent,
+        code=2,
     )
-    assert done.returncode == 2, done.stderr
     assert "nothing was moved" in done.stderr
     assert emulated.entries("move") == []
     assert not (run_folder / "executions").exists()

@@ -163,10 +163,7 @@ def test_travel_bounds_the_motion_of_every_point(world: World, scale: float) -> 
     assert np.median(ratios) < (1.6 if scale <= 0.02 else 2.5)
 
 
-@given(
-    q_from=st.lists(ANGLE, min_size=6, max_size=6),
-    q_to=st.lists(ANGLE, min_size=6, max_size=6),
-)
+@given(q_from=st.lists(ANGLE, min_size=6, max_size=6), q_to=st.lists(ANGLE, min_size=6, max_size=6))
 def test_travel_is_symmetric_and_zero_at_rest(world: World, q_from: list, q_to: list) -> None:
     """Both directions have equal travel, and no motion has none."""
     checker = MujocoCollisionChecker(world)

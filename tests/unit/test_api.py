@@ -43,10 +43,7 @@ def test_importing_it_imports_nothing_heavy() -> None:
 
 
 def test_a_plan_is_a_value_of_arrays(planned: Run) -> None:
-    """Array shapes agree with the number of views, and the poses agree with each other.
-
-    The bound is not above the number of views.
-    """
+    """Array shapes agree with the number of views, and the poses agree with each other."""
     n = len(planned.candidate)
     assert planned.q.shape == (n, 6)
     assert planned.T_base_scanner.shape == planned.T_object_scanner.shape == (n, 4, 4)
@@ -151,10 +148,7 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_exploration_goes_on_where_it_is(tmp_path: Path) -> None:
-    """Options of exploration, execution and scene are keywords, and a repeated call returns the same value.
-
-    The surface lies within the cylinder. The digests of the stages are those that were executed.
-    """
+    """Options of exploration, execution and scene are keywords, and a repeated call returns the same value."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=60.0)
     ball.export(tmp_path / "ball.stl")
     wishes = {**_QUICK, "ring": 2, "max_views": 2, "resolution": 2.0, "voxel": 4, "candidates": "optimal-scanning-zone"}

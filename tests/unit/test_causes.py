@@ -1,6 +1,5 @@
 """Causes of points off the part are named: unit, mirrored frame, swapped views, flange frame."""
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -103,19 +102,10 @@ def named(part: workpiece.Workpiece) -> dict[str, list[str]]:
     "name", [pytest.param(name, marks=() if name == "mug" else pytest.mark.slow) for name in BUILT_IN]
 )
 def test_each_cause_is_named_and_nothing_where_all_is_well(name: str) -> None:
-    """Each cause is named despite noise and pose errors, and correct scans are not reported.
-
-    Swapped views of the rod-like bone are too similar to be found.
-    """
+    """Each cause is named despite noise and pose errors, and correct scans are not reported."""
     said = named(workpiece.load(name))
     assert said.pop("") == []
     if name == "humerus":
         assert said.pop("swapped") == []
     wrong = {cause: sentences for cause, sentences in said.items() if CAUSES[cause] not in " ".join(sentences)}
     assert wrong == {}
-
-
-if __name__ == "__main__":
-    import sys
-
-    main(Path(sys.argv[1]))

@@ -39,10 +39,7 @@ def test_the_moment_is_found_between_the_samples_of_its_segment() -> None:
 
 
 def test_a_motion_that_is_far_from_everything_has_no_tightest_moment() -> None:
-    """Without a tightest moment the text is empty.
-
-    Otherwise it has distance, pair, time and segment, counted from 1.
-    """
+    """Without a tightest moment the text is empty."""
     segment = schema.SegmentClearance(minimum_mm=20.0, at_least_mm=19.0, between="housing with post")
     assert tightest_moment(schema.Clearance(collision="exact", segments=[segment], tightest=None)) == ""
     tightest = schema.Tightest(

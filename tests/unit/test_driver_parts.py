@@ -33,10 +33,7 @@ def test_counts_survive_the_conversion_to_radians_and_back() -> None:
     """Counts are equal after conversion to radians and back, at both ends of int32, around zero and at random."""
     ends = np.iinfo(np.int32)
     counts = np.concatenate(
-        [
-            [ends.max, ends.max - 1, -ends.max, 0, 1, -1],
-            np.random.default_rng(0).integers(-ends.max, ends.max, 999_996),
-        ]
+        [[ends.max, ends.max - 1, -ends.max, 0, 1, -1], np.random.default_rng(0).integers(-ends.max, ends.max, 999_996)]
     ).astype(np.int32)
     counts = counts[: len(counts) // 6 * 6].reshape(-1, 6)
     assert (from_rad(to_rad(counts)) == counts).all()

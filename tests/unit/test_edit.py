@@ -88,10 +88,7 @@ _LONG = [pytest.param(wishes, marks=pytest.mark.slow) for wishes in ({}, {"keep_
 def test_an_edit_that_changes_nothing_changes_nothing(
     wishes: dict[str, Any] | str, planned: Path, tmp_path: Path
 ) -> None:
-    """An edit without effect keeps the views, their order and the bytes of the artefacts.
-
-    The motion is planned anew.
-    """
+    """An edit without effect keeps the views, their order and the bytes of the artefacts."""
     run = open_run(planned)
     asked = {"order": [*range(1, len(run.candidate) + 1)]} if isinstance(wishes, str) else wishes
     same = run.edited(out=tmp_path / "same", **asked)

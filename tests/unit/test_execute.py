@@ -122,10 +122,7 @@ def _events(folder) -> list[dict]:
 
 
 def test_the_legs_of_a_plan_are_its_via_points_once_each_in_order() -> None:
-    """Start and segments together are exactly the plan's via points.
-
-    Each stop ends a segment, numbered in visiting order.
-    """
+    """Start and segments together are exactly the plan's via points."""
     motion = _tour()
     plan = plan_execution(motion)
     joined = np.concatenate([plan.start[None], *(segment.via for segment in plan.segments)])
@@ -237,10 +234,7 @@ def test_a_view_that_sees_nothing_is_a_scan_without_points(folder: ExecutionFold
 
 
 def test_an_arm_that_stands_elsewhere_is_not_moved(folder: ExecutionFolder) -> None:
-    """An arm away from the start is refused before any move, and the message has both positions.
-
-    A deviation of 0.009 deg is accepted.
-    """
+    """An arm away from the start is refused before any move, and the message has both positions."""
     driver = Recorded(HOME + np.radians([0, 0.02, 0, 0, 0, 0]))
     with pytest.raises(DriverFailureError, match=r"-89\.9800.*-90\.0000"):
         _run(driver, _tour(), folder)
@@ -251,8 +245,7 @@ def test_an_arm_that_stands_elsewhere_is_not_moved(folder: ExecutionFolder) -> N
 
 
 @pytest.mark.parametrize(
-    ("error", "event"),
-    [(FaultError("a drive tripped", 7), "failed"), (KeyboardInterrupt(), "interrupted")],
+    ("error", "event"), [(FaultError("a drive tripped", 7), "failed"), (KeyboardInterrupt(), "interrupted")]
 )
 def test_an_execution_that_ends_early_keeps_its_scans_and_says_why(
     error: BaseException, event: str, folder: ExecutionFolder
@@ -301,10 +294,7 @@ def test_executions_are_numbered_and_never_overwritten(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("during", [True, False])
 def test_an_arm_that_was_moved_by_hand_between_two_moves_is_not_moved_on(folder: ExecutionFolder, during: bool) -> None:
-    """No move follows if the arm was moved during or after the scan of view 2.
-
-    A scan during which the arm was moved is not kept.
-    """
+    """No move follows if the arm was moved during or after the scan of view 2."""
     driver, looks = Recorded(), [0]
 
     def ready() -> RobotState:
@@ -323,10 +313,7 @@ def test_an_arm_that_was_moved_by_hand_between_two_moves_is_not_moved_on(folder:
 
 @pytest.mark.parametrize("off", [1000, 300])
 def test_an_arm_that_arrived_elsewhere_is_not_scanned_from_there(folder: ExecutionFolder, off: int) -> None:
-    """No scan is taken if the arm reports arrival 0.1 or 0.03 deg off its set-point.
-
-    This is several mm at the tool.
-    """
+    """No scan is taken if the arm reports arrival 0.1 or 0.03 deg off its set-point. This is several mm at the tool."""
     driver = Recorded(off=off)
     with pytest.raises(DriverFailureError, match=r"may deviate by \d+\.\d+ mm, and 1 mm are allowed"):
         _run(driver, _tour(), folder)

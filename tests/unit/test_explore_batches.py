@@ -65,10 +65,7 @@ def _asked(poses: Floats | None, whole: bool = False, space: VoxelSpace = UNKNOW
 
 
 def test_of_the_measured_surface_is_wanted_what_no_view_measures(balls: TriangleMesh) -> None:
-    """On measured surface, exactly the samples that no pose measures are selected, by comparison with brute force.
-
-    Areas and order are kept; the weights of the believed surface do not apply.
-    """
+    """On measured surface, exactly the samples that no pose measures are selected, by comparison with brute force."""
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
     kept = select_samples(samples, _asked(_poses()), 3000, LAW, caster)
@@ -81,10 +78,7 @@ def test_of_the_measured_surface_is_wanted_what_no_view_measures(balls: Triangle
 
 @pytest.mark.parametrize("views", [(1, 1), (2,), (1,)])
 def test_what_came_is_what_the_latest_views_measured_first(views: tuple[int, ...], balls: TriangleMesh) -> None:
-    """The realised gain counts samples near a point that the latest views measured first, as brute force does.
-
-    Without poses the given ratio is kept, and without expected gain the ratio is 1.
-    """
+    """The realised gain counts samples near a point that the latest views measured first, as brute force does."""
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
     space = replace(UNKNOWN, points=samples.points[samples.points[:, 1] > 0])
@@ -116,10 +110,7 @@ def test_of_more_samples_than_are_kept_the_area_is_the_same(balls: TriangleMesh)
 
 @pytest.mark.parametrize("whole", [False, True])
 def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls: TriangleMesh) -> None:
-    """On believed surface a sample has its area times its probability of gain.
-
-    Measured samples are left out, unless the batch includes covered surface.
-    """
+    """On believed surface a sample has its area times its probability of gain."""
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     right = samples.points[:, 0] > 0
     space = replace(UNKNOWN, points=samples.points[right])
@@ -148,10 +139,7 @@ def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls:
 def test_the_next_batches_are_the_policys_within_the_budget(
     views: int, seconds: float, on: SurfaceName, batches: tuple[SurfaceName, ...], ended: str
 ) -> None:
-    """Stepwise batches have no more views than remain in the budget.
-
-    No batch follows once views or seconds are used up.
-    """
+    """Stepwise batches have no more views than remain in the budget."""
     stages = [
         SimpleNamespace(seconds=seconds / 2, planned_on=BELIEVED),
         SimpleNamespace(seconds=seconds / 2, planned_on=on),

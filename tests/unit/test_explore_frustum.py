@@ -50,10 +50,7 @@ def _on_planes(eye: SensorFrustum, T: Floats, step: float = 0.0) -> Floats:
 def test_between_points_of_a_slope_are_places_of_it(
     lean: float, distance: float, resolution: tuple[float, float]
 ) -> None:
-    """Interpolated positions lie on the plane within the measured points.
-
-    Along the slope no two neighbouring positions are farther apart than the gap.
-    """
+    """Interpolated positions lie on the plane within the measured points."""
     eye, T = _eye(*resolution), _pose(np.radians(lean), distance)
     points, gap = _on_planes(eye, T), 1.2 * distance * np.radians(resolution[0])
     places = eye.between(points, T, gap)
@@ -69,10 +66,7 @@ def test_between_points_of_a_slope_are_places_of_it(
 
 
 def test_between_points_of_a_surface_that_is_met_squarely_is_nothing() -> None:
-    """Points of a surface met squarely are closer than the gap.
-
-    With half the gap, one position lies between each two.
-    """
+    """Points of a surface met squarely are closer than the gap."""
     eye, T = _eye(), _pose(0.0, 0.4)
     points = _on_planes(eye, T)
     assert not len(eye.between(points, T, 1.2 * 0.4 * STEP))

@@ -63,10 +63,7 @@ def _in_the_open(points: Floats) -> VoxelSpace:
 
 
 def test_the_wall_of_a_tube_goes_on_and_a_lid_stands_where_it_ends() -> None:
-    """The wall continues by four voxels on the same cylinder.
-
-    A lid closes the tube behind it, and none lies before it.
-    """
+    """The wall continues by four voxels on the same cylinder."""
     surface = _continued([_scan(_wall(SEEN), (0.0, 0.0, -0.005))], _looked_into())
     assert surface is not None
     rho, z = np.hypot(*surface.centres[:, :2].T), surface.centres[:, 2]
@@ -132,10 +129,7 @@ def test_the_side_of_a_sheet_that_nobody_saw_is_believed() -> None:
 
 
 def test_what_lies_before_a_wall_is_not_believed() -> None:
-    """Voxels of a tube at least half a voxel before the wall are excluded, by comparison with the cylinder.
-
-    An occupied voxel is kept.
-    """
+    """Voxels of a tube at least half a voxel before the wall are excluded, by comparison with the cylinder."""
     space, wall = _looked_into(), _wall(SEEN)
     hit = tuple(np.floor((np.array([0.0015, 0.0, SEEN + 0.0002]) - space.low) / EDGE).astype(int))
     state = np.array(space.state)

@@ -77,10 +77,7 @@ def _scan(eye: SensorFrustum, T: Floats, x: float) -> Floats:
 def test_what_gave_no_point_was_too_near_where_nobody_had_looked(
     wall: float, state: int, told: float, beside: float
 ) -> None:
-    """Samples without a point count as too near if the part lies in unseen space before the minimum range.
-
-    The source is 200 mm before the believed surface. Rays begin at the source, not at the scanner's frame.
-    """
+    """Samples without a point count as too near if the part lies in unseen space before the minimum range."""
     scanner = LaserArea(fov_deg=(20, 20), resolution_deg=(1.0, 1.0), range_mm=(150, 450))
     rays = np.asarray(scanner.ray_directions())
     apart = float(np.arccos(rays[0] @ rays[1]))

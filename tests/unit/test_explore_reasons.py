@@ -29,10 +29,7 @@ _OF = OpenSamples(np.array([0, 0, 1, 1]), np.array([1.0, 9.0, 1.0, 9.0]), np.zer
 
 @pytest.mark.parametrize("verdict", [Verdict.REACHABLE, Verdict.OUT_OF_REACH])
 def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) -> None:
-    """A tried sample near measured surface is a remainder.
-
-    Others have the view's verdict, or whether they were tried.
-    """
+    """A tried sample near measured surface is a remainder."""
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     q = np.zeros((1 if verdict == Verdict.REACHABLE else 0, 6))
     reached = Reach(np.array([verdict], dtype=np.uint8), q, np.array([0, len(q)]), ("",))
@@ -48,10 +45,7 @@ def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) ->
 def test_what_views_left_is_a_rest_where_what_the_part_stands_on_seems_to_shade_it(
     casters: tuple[EmbreeRayCaster, EmbreeRayCaster], near: int
 ) -> None:
-    """A tried sample near measured surface is a remainder even if the stand shades it.
-
-    Samples that are farther off, untried or shaded by the part are reported as occluded.
-    """
+    """A tried sample near measured surface is a remainder even if the stand shades it."""
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     reached = Reach(np.array([Verdict.REACHABLE], dtype=np.uint8), np.zeros((1, 6)), np.array([0, 1]), ("",))
     found = assign_causes(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), casters)

@@ -92,10 +92,7 @@ def test_points_that_cannot_be_stop_an_exploration(points: Floats, told: str) ->
 
 @pytest.mark.parametrize(("away", "told"), [(0.0, False), (0.006, False), (0.02, True), (-0.02, False)])
 def test_a_part_that_was_moved_away_stops_an_exploration(away: float, told: bool) -> None:
-    """A plate found farther away is reported as moved, because its rays pass the known points.
-
-    A plate found nearer hides the known points, and a shift of 6 mm is within the tolerance.
-    """
+    """A plate found farther away is reported as moved, because its rays pass the known points."""
     eye, T = _eye(), np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 0.4
 
@@ -159,10 +156,7 @@ def test_limits_hold_in_the_fine_stage_alone() -> None:
 
 
 def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_on() -> None:
-    """Stepwise begins with one view or with the ring, and then tries the surface of the latest batch first.
-
-    The minimum gain factor is 2 on believed surface and 0.6 on measured surface.
-    """
+    """Stepwise begins with one view or with the ring, and then tries the surface of the latest batch first."""
     policy = POLICIES["stepwise"]
     assert policy(ExploreOptions(), ExplorationState(0, None)) == (Batch(1),)
     assert policy(ExploreOptions(ring=4), ExplorationState(0, None)) == (Batch(4),)
@@ -174,10 +168,7 @@ def test_stepwise_begins_with_one_view_and_goes_on_with_the_surface_that_it_was_
 
 
 def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
-    """After six rough views the minimum gain factor falls from 3 to 1 with the stages.
-
-    The measured surface is tried last.
-    """
+    """After six rough views the minimum gain factor falls from 3 to 1 with the stages."""
     policy = POLICIES["two-stage"]
     much, less, least = (Batch(9, min_gain_factor=worth) for worth in (3.0, 1.5, 1.0))
     last = Batch(9, on=MEASURED, min_gain_factor=0.6)
@@ -241,10 +232,7 @@ def test_a_batch_is_of_as_many_views_as_each_add_what_is_asked_of_them() -> None
 
 
 def test_what_came_is_held_against_what_was_expected() -> None:
-    """The ratio is the median of newly measured over expected area.
-
-    The first batch and batches on measured surface are not counted.
-    """
+    """The ratio is the median of newly measured over expected area."""
     went = [(5.0, 20.0, BELIEVED), (2.0, 4.0, BELIEVED), *[(9.0, 0.0, MEASURED)] * 2, (1.0, 3.0, BELIEVED)]
     stages = [SimpleNamespace(expected_mm2=area, new_mm2=new, planned_on=on) for area, new, on in went]
     assert _belief_gain_ratio(SimpleNamespace(stages=stages)) == 2.0  # median of 1, 2 and 3
@@ -283,10 +271,7 @@ def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
 
 
 def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -> None:
-    """The given cylinder selects the scanner for simulated and real parts.
-
-    Without a cylinder the simulated part selects it.
-    """
+    """The given cylinder selects the scanner for simulated and real parts."""
     options, elsewhere = ExploreOptions(cylinder_mm=(400, 300)), ScanOptions(
         acquire="command:take", points_frame="base", points_units="mm"
     )  # fmt: skip

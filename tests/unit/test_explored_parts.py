@@ -60,12 +60,7 @@ def _hollow() -> TriangleMesh:
     return _mesh(trimesh.creation.box((0.05, 0.05, 0.04)), inside)
 
 
-PARTS = {
-    "wires": _wires(),
-    "ring": _torus(),
-    "two bodies": _mesh(_ball(-0.025), _ball(0.025)),
-    "closed box": _hollow(),
-}
+PARTS = {"wires": _wires(), "ring": _torus(), "two bodies": _mesh(_ball(-0.025), _ball(0.025)), "closed box": _hollow()}
 
 
 def _poses(count: int = 14) -> Floats:

@@ -67,10 +67,7 @@ def motion(found: EquivalentViews) -> Tour:
 
 
 def test_the_plan_has_the_picks_of_the_motion() -> None:
-    """Cover and motion have the same candidates at the same stops.
-
-    The marginal areas add up, and the number of views is unchanged.
-    """
+    """Cover and motion have the same candidates at the same stops."""
     rows = MATRIX[:, :3].any(axis=1)
     chosen = cover.solve(cover.CoverProblem(MATRIX[:, :3], AREAS), rng=np.random.default_rng(0))
     found = groups()

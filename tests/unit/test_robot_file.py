@@ -2,8 +2,6 @@
 
 import json
 import os
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -33,6 +31,7 @@ from cell.world.travel import TravelBound
 from planner.geometry.hull import is_convex
 from planner.geometry.mesh import TriangleMesh
 from planner.path.certified_edge import subdivide
+from tests.support.fixture_types import RunCommand
 
 # Origin in the parent [m] and axis of each joint, and the middle and sides of the box that is its link.
 CHAIN = (
@@ -225,10 +224,7 @@ def test_the_motion_bound_of_the_proof_holds(tmp_path: Path, levers: str) -> Non
 
 
 def test_links_that_are_near_and_can_touch_are_checked_with_a_smaller_clearance(tmp_path: Path) -> None:
-    """Two links that are always nearer than 20 mm and can touch are checked with half of their largest distance.
-
-    This clearance also holds between two checked configurations. Replay marks a pair below this clearance only.
-    """
+    """Two links that are always nearer than 20 mm and can touch are checked with half of their largest distance."""
     world = compile_world(Scene.model_validate({"robot": {"model": str(forked(tmp_path, 0.032))}}), CUBE)
     pair = tuple(world.model.geom(f"link_{number}_0").id for number in (4, 6))
     keep = world.clearance - world.clearance_reduction[pair]
@@ -496,9 +492,7 @@ def test_round_shapes_of_an_mjcf_are_enclosed(tmp_path: Path) -> None:
     assert (np.linalg.norm(middles, axis=1) >= 0.03 - 1e-7).all()
 
 
-def test_an_arm_from_a_file_is_planned_verified_and_driven(
-    tmp_path: Path, run_cell: Callable[..., subprocess.CompletedProcess[str]]
-) -> None:
+def test_an_arm_from_a_file_is_planned_verified_and_driven(tmp_path: Path, run_cell: RunCommand) -> None:
     """The arm of a file is planned, scanned and explored. The plan keeps its robot, and a changed file is detected."""
     written(tmp_path, urdf(LEVER))
     trimesh.creation.box((50, 50, 40)).export(tmp_path / "block.stl")
@@ -512,17 +506,13 @@ def test_an_arm_from_a_file_is_planned_verified_and_driven(
     assert told["residual_mm"] < 1e-6
     assert told["followers"] == ["drive by A3 x -0.5"]
     wishes = ("--faces", "40", "--samples", "1", "--candidates", "optimal-scanning-zone", "--coverage", "0.9")
-    done = run_cell("plan", "block.stl", "--units=mm", "--scene=cell.toml", *wishes, "--out=run", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("plan", "block.stl", "--units=mm", "--scene=cell.toml", *wishes, "--out=run", cwd=tmp_path, code=0)
     assert "robot.xml" in json.loads((tmp_path / "run/manifest.json").read_text())["artefacts"]
-    done = run_cell("scan", "run", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("scan", "run", cwd=tmp_path, code=0)
     done = run_cell("scan", "run", "--driver=sim://?plant=mujoco", cwd=tmp_path)
     assert "the plant 'mujoco' models the built-in arm, and this plan is for arm.urdf" in done.stderr, done.stderr
     few = ("--resolution=1", "--ring=2", "--batch=1", "--max-views=2", "--out=explored")
-    done = run_cell("explore", "block.stl", "--units=mm", "--scene=cell.toml", *wishes[:-2], *few, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run_cell("explore", "block.stl", "--units=mm", "--scene=cell.toml", *wishes[:-2], *few, cwd=tmp_path, code=0)
     written(tmp_path, urdf())
-    done = run_cell("scan", "run", cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_cell("scan", "run", cwd=tmp_path, code=2)
     assert "the robot's file" in done.stderr

@@ -174,11 +174,7 @@ def test_the_radius_of_the_table_is_that_of_the_farthest_corner(either: World) -
 
 
 def test_a_tilted_axis_carries_its_post_without_collision(tilted: World) -> None:
-    """The post extends along the axis from the part's lowest point to the face.
-
-    A configuration is free if the solids are apart in trimesh. The floor has another pose relative to the part at each
-    angle, so it is an occluder like the pillar.
-    """
+    """The post extends along the axis from the part's lowest point to the face."""
     assert tilted.table is not None
     T_base_table, T_base_post = tilted.table.T_base_table, tilted.T_base_post(tilted.T_base_object)
     corners = (tilted.T_base_object @ np.c_[BLOCK.vertices, np.ones(8)].T).T @ np.linalg.inv(T_base_table).T
@@ -281,10 +277,7 @@ def test_a_table_without_a_position_moves_with_the_part(off_axis: World) -> None
 
 
 def test_a_table_turns_as_far_as_its_part_keeps_clear() -> None:
-    """Every angle up to a pillar is clear, and the next angle beyond it collides.
-
-    An endless axis blocked on one side turns to the other. Between two pillars it has the range between them.
-    """
+    """Every angle up to a pillar is clear, and the next angle beyond it collides."""
     place = {"table": {"position_mm": [1200.0, 500.0, -400.0]}, "placement": {"position_mm": [1450.0, 500.0, 0.0]}}
 
     def at(deg: float) -> dict[str, object]:

@@ -84,10 +84,7 @@ def _written(home: Path, part_file: Path, plan: dict[str, object]) -> tuple[Run,
 
 
 def test_what_occludes_is_what_occluded_the_plan(written: tuple[Run, World]) -> None:
-    """The occluders equal those of the plan bit for bit, and a mesh to rounding.
-
-    Transparent fixtures are not among them.
-    """
+    """The occluders equal those of the plan bit for bit, and a mesh to rounding."""
     run, world = written
     planned, found = fixed_occluders(world), read_cell(run).occluders
     assert [piece.name for piece in found] == [piece.name for piece in planned]

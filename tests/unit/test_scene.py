@@ -174,8 +174,7 @@ def test_fixtures_need_distinct_names(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
-    [(b"a = = 2\n", "line 1"), (b"\xff\xfe", "UTF-8"), (None, "No such file")],
+    ("content", "words"), [(b"a = = 2\n", "line 1"), (b"\xff\xfe", "UTF-8"), (None, "No such file")]
 )
 def test_a_file_that_is_no_toml_has_one_message(tmp_path: Path, content: bytes | None, words: str) -> None:
     """Syntax errors name the line; encodings and missing files are named."""

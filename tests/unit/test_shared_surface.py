@@ -52,11 +52,7 @@ def test_a_ball_turns_and_nothing_is_lost_by_it() -> None:
 def test_set_ups_are_apart_where_their_common_side_slides() -> None:
     """Set-ups whose shared sides leave a free motion are unconnected."""
     samples, side = _box()
-    seen = {
-        1: side[:, [0, 2, 4]].any(axis=1),
-        2: side[:, [0, 1, 2, 4]].any(axis=1),
-        3: side[:, [1, 3, 5]].any(axis=1),
-    }
+    seen = {1: side[:, [0, 2, 4]].any(axis=1), 2: side[:, [0, 1, 2, 4]].any(axis=1), 3: side[:, [1, 3, 5]].any(axis=1)}
     pairs = shared_surfaces(seen, samples)
     assert [pair.setups for pair in pairs] == [(1, 2), (1, 3), (2, 3)]
     assert [bool(pair.free) for pair in pairs] == [False, True, True]
