@@ -239,7 +239,7 @@ class Firefox:
         self._rest += content
 
 
-@pytest.fixture(scope="module", params=[Chromium, Firefox])
+@pytest.fixture(scope="module", params=[Chromium, pytest.param(Firefox, marks=pytest.mark.slow)])
 def browser(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium | Firefox]:
     """Yield each installed browser."""
     if request.param.missing:

@@ -72,6 +72,20 @@ def test_the_file_says_what_was_done(explored: Path) -> None:
     assert (explored / "report.md").read_text().count("stages/000") == 2
 
 
+def test_grown_and_refined_candidates_are_like_others(part_file: Path, tmp_path: Path, run_cell: RunCommand) -> None:
+    """The columns of the matrix at refined candidates, which follow the grown ones, have the rows of their own rays."""
+    grown = (*PLACE[:-1], "grown", "--resolution", "0.5", "--max-views", "2", "--out", "explored")
+    run_cell("explore", part_file, "--units", "mm", *grown, cwd=tmp_path, code=0)
+    run = open_finished(tmp_path / "explored" / "stages" / "0002")
+    M, candidates, cell = run.measurability, run.candidates, read_cell(run)
+    assert len(candidates) == len(run.reach) == M.shape[1]
+    chosen = [run.plan.views[0].id, *range(len(candidates) - 10, len(candidates))]
+    casters = (cell.part_caster, cell.occluder_caster)
+    found = find_measured(candidates.T_object_scanner[chosen], M.samples, cell.scanner, casters, each=True)
+    np.testing.assert_array_equal(M.matrix()[:, chosen].toarray() > 0, found)
+    assert len(np.load(tmp_path / "explored" / "stages" / "0002.voxels.npz")["between"]) > 100
+
+
 def test_nothing_touches_the_part_that_the_planning_does_not_know(explored: Path, part_file: Path) -> None:
     """Triangles of arm, tool and true part have no contact in python-fcl at any sample of the motions."""
     bench = Bench(scene_from_options(None, {"place": (1100, 400, 100), "standoff": 250, "units": "mm"}, part_file))

@@ -357,6 +357,7 @@ print(json.dumps({"oranges": oranges, "columns": columns}))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="the viewer needs a display: install xvfb")
 def test_the_viewer_shows_a_moving_arm_and_ends(planned: Path) -> None:
     """On a virtual display with a simulated clock, the orange arm moves on the screen. `--once` ends the viewer."""

@@ -162,7 +162,7 @@ def test_a_scan_begins_at_the_present_angle_of_the_table(turned: Path, run_cell:
     np.testing.assert_allclose(way[-1], [*view["q_deg"], *view["e_deg"]], atol=1e-4)
 
 
-@pytest.mark.parametrize("turns", [2, -3])
+@pytest.mark.parametrize("turns", [2, pytest.param(-3, marks=pytest.mark.slow)])
 def test_an_endless_table_continues_from_its_present_turn(
     turned: Path, run_cell: RunCommand, tmp_path: Path, turns: int
 ) -> None:
@@ -225,7 +225,7 @@ def test_why_explains_all_uncovered_surface(turned: Path, run_cell: RunCommand, 
     """The shares sum to one. The upside-down set-up is tried, and turns of the table are not."""
     copy = tmp_path / "run"
     shutil.copytree(turned, copy)
-    run_cell("why", copy, "--samples", "4000", "--json", cwd=tmp_path, code=0)
+    run_cell("why", copy, "--samples", "1500", "--json", cwd=tmp_path, code=0)
     why = _json(copy / "why" / "why.json")
     assert why["visible"] + why["open"] == pytest.approx(1.0, abs=1e-6)
     assert why["visible"] == pytest.approx(_share(copy), abs=0.01)
@@ -354,7 +354,7 @@ def test_an_exported_program_drives_the_table_as_e1(turned: Path, run_cell: RunC
     np.testing.assert_allclose([float(row.split(",")[column]) for row in rows], via[:, 6], atol=1e-9)
 
 
-@pytest.mark.parametrize("protocol", ["serial", "modbus"])
+@pytest.mark.parametrize("protocol", ["modbus", pytest.param("serial", marks=pytest.mark.slow)])
 def test_seven_axes_are_driven_over_a_wire(
     turned: Path, run_cell: RunCommand, emulate: Emulate, tmp_path: Path, protocol: str
 ) -> None:

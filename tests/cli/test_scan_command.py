@@ -435,7 +435,7 @@ def test_an_execution_without_any_scan_is_reported(copied: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_a_stopped_execution_keeps_its_scans_and_is_reported(
     how: signal.Signals, planned: Path, tmp_path: Path, run_cell: RunCommand, start_cell: StartCommand
 ) -> None:

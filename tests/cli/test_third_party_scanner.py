@@ -139,3 +139,17 @@ def test_a_broken_plug_in_gets_an_error_that_names_its_distribution(
         cell.scanners.make("broken", {})
     assert "distribution acme-scanners 2.1" in str(caught.value)
     assert "fov_deg" in (cell.scanners.keys("laser-area") or ())
+
+
+def test_two_distributions_with_one_name_of_a_scanner_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The error names both distributions."""
+    for distribution in ("acme", "rival"):
+        info = tmp_path / f"{distribution}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[cell.scanners]\ncone = {distribution}_cone:Cone\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(SceneError, match=r"acme_cone.* and .*rival_cone|rival_cone.* and .*acme_cone"):
+        cell.scanners.load("cone")

@@ -90,6 +90,7 @@ def pages(
     return [scan, *(folder / name for name in ("scene.html", "run/why/view.html", "diff.html"))]
 
 
+@pytest.mark.slow
 def test_every_page_is_shown(browser: Any, pages: list[Path]) -> None:
     """Each page is drawn in each of its colours, without requests and without errors."""
     for page in pages:
@@ -101,6 +102,7 @@ def test_every_page_is_shown(browser: Any, pages: list[Path]) -> None:
             assert {"Number of views", "Spacing of points", "Deviation"} <= set(titles)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chromium", [("--disable-3d-apis",)], indirect=True)
 def test_without_webgl_a_page_reports_it_and_shows_its_numbers(chromium: Any, planned: Path) -> None:
     """The page has a sentence about WebGL and the list of views."""
@@ -110,12 +112,11 @@ def test_without_webgl_a_page_reports_it_and_shows_its_numbers(chromium: Any, pl
     assert "view1, candidate" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "chromium", [("--window-size=400,300",)], indirect=True
 )  # software rendering takes time for each pixel
-@pytest.mark.parametrize(
-    ("subdivisions", "views", "points"), [(5, 20, 30_000), pytest.param(8, 200, 1_000_000, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("subdivisions", "views", "points"), [(5, 20, 30_000), (8, 200, 1_000_000)])
 def test_a_large_page_is_drawn_quickly(
     subdivisions: int, views: int, points: int, chromium: Any, planned: Path, tmp_path: Path
 ) -> None:

@@ -187,8 +187,9 @@ def test_another_protocol_at_the_port_is_a_link_error() -> None:
             thread.join()
 
 
-@pytest.mark.parametrize("axes", [6, 7])
-@pytest.mark.parametrize("moves", [6, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("moves", "axes"), [(6, 7), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((6, 6), (60, 6), (60, 7)))]
+)
 def test_a_soak_over_real_processes(moves: int, axes: int, emulate: Emulate, request: pytest.FixtureRequest) -> None:
     """Moves of the arm, and of arm and rotary table, with 2 % of every fault over all wires in parallel."""
     run = () if axes == 6 else ("--run", str(request.getfixturevalue("turned")))

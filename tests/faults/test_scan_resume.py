@@ -213,7 +213,9 @@ def test_a_damaged_or_missing_scan_is_taken_again_and_the_others_are_not(
     assert _scans(execution) == undisturbed
 
 
-@pytest.mark.parametrize("protocol", ["serial", pytest.param("modbus", marks=pytest.mark.slow), "modbus-rtu"])
+@pytest.mark.parametrize(
+    "protocol", ["modbus-rtu", *(pytest.param(each, marks=pytest.mark.slow) for each in ("serial", "modbus"))]
+)
 def test_every_wire_gives_the_same_scans_to_the_bit(
     protocol: str, run_folder: Path, undisturbed: dict[str, bytes], emulate: Emulate, run_cell: RunCommand
 ) -> None:

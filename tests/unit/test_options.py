@@ -106,6 +106,12 @@ def test_every_example_of_the_help_parses(line: str, tmp_path: Path, monkeypatch
         assert scene_from_options(arguments["scene"], arguments["given"], arguments.get("part"), flag)
 
 
+def test_every_visible_command_has_an_example() -> None:
+    """The help of each visible command has at least one line to copy."""
+    commands = {name for name, command in ROOT.commands.items() if not command.hidden}
+    assert commands <= {line.split()[1] for line in _examples(ROOT)}
+
+
 def test_values_and_texts_are_equivalent() -> None:
     """Both forms of each kind give the same tables, and numbers of NumPy are accepted as numbers."""
     texts = {
