@@ -10,14 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.errors import UsageError
 from cell.runs.cell import read_cell
 from cell.runs.run import open_run
+from cell.runs.setups import SetupsRun
 from cell.scan.options import ScanOptions
 from cell.scan.safety import placement_warning
+from cell.scan.setups import scan_setups
+from cell.session import Session
 from cell.world.prediction import held_out_samples
 from cell.world.support_contact import in_contact
 from planner.measurability.visibility import find_measured
-from tests.support.fixture_types import RunCommand, StartCommand
+from tests.support.fixture_types import Emulate, RunCommand, StartCommand
 
 NOISY = ("--setup-error", "5mm,2deg", "--range-noise", "0.03", "--resolution", "1")
 
@@ -149,6 +153,18 @@ def test_one_view_that_was_scanned_alone_is_no_chain_that_was_stopped(folder: Pa
     done = run_cell("scan", "made", "--setup", "1", "--resume", "latest", "--json", cwd=beside, code=0)
     report = json.loads(done.stdout)
     assert (report["missing"], [setup["execution"] for setup in report["setups"]]) == ([2], ["0002"])
+
+
+def test_the_confirmation_of_a_motion_names_the_pose_of_the_part(folder: Path, emulate: Emulate) -> None:
+    """The question names the set-up and its pose. Without a yes, no motion starts."""
+    emulated, questions = emulate("modbus", "--time-scale", "20"), list[str]()
+    session = Session(None, confirm=lambda question: questions.append(question) or "no")
+    with pytest.raises(UsageError, match="nothing was moved"):
+        scan_setups(session, folder, ScanOptions(driver=emulated.url, accept_time_scale=20.0), setup=2, resumed=False)
+    planned = SetupsRun.opened(folder).file
+    name = planned.offered[planned.chosen[1].offered].name
+    assert questions[-1].startswith(f"set-up 2 of 2: the part lies {name}, ")
+    assert emulated.entries("move") == []
 
 
 def test_that_a_part_may_be_near_is_told_again_where_an_execution_goes_on(folder: Path, run_cell: RunCommand) -> None:

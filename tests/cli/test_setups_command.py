@@ -233,7 +233,7 @@ def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: RunComm
 
 def test_faces_may_be_the_rows(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """With `--fill rays` each set-up has the faces of the planning mesh as rows, without further samples."""
-    small = ("--units", "mm", "--place", "1100,400,100", "--faces", "60", "--standoff", "250", "--coverage", "0.5")
+    small = ("--units", "mm", "--place", "1100,400,100", "--faces", "30", "--standoff", "250", "--coverage", "0.5")
     wishes = ("--candidates", "optimal-scanning-zone", "--fill", "rays", "--proposals", "2")
     run_cell("setups", part_file, *small, *wishes, "--out", "made", cwd=tmp_path, code=0)
     run = open_run(tmp_path / "made" / "setups" / "1")
@@ -245,8 +245,8 @@ def test_faces_may_be_the_rows(part_file: Path, run_cell: RunCommand, tmp_path: 
 def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: RunCommand, tmp_path: Path) -> None:
     """A ball has no stable pose. This is reported, and four candidates are made by turning it."""
     trimesh.creation.icosphere(subdivisions=3, radius=60).export(tmp_path / "ball.stl")
-    small = ("--units", "mm", "--place", "1100,400,100", "--faces", "30", "--samples", "1", "--standoff", "250")
-    wishes = ("--candidates", "optimal-scanning-zone", "--coverage", "0.5")
+    small = ("--units", "mm", "--place", "1100,400,100", "--faces", "12", "--samples", "1", "--standoff", "250")
+    wishes = ("--candidates", "optimal-scanning-zone", "--coverage", "0.3")
     done = run_cell("setups", "ball.stl", *small, *wishes, "--proposals", "6", "--out", "made", cwd=tmp_path, code=0)
     assert "the part has no other stable pose: the only candidate is the part as it is placed, turned," in done.stderr
     assert len(json.loads((tmp_path / "made" / "setups.json").read_text())["offered"]) == 4

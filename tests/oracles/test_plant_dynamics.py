@@ -153,22 +153,6 @@ def test_gravity_is_lever_times_weight(pose: str, chain: Chain) -> None:
     np.testing.assert_allclose(data.qfrc_bias, slope, atol=1e-5)
 
 
-def test_two_gravity_torques_by_hand() -> None:
-    """Stretched horizontally, A2 has the moments of all masses and A1 none. Upright, A2 has almost none."""
-    model = dynamics.compile_dynamic_arm(Tool())
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    # Sum of mass times horizontal distance from A2, m: link 2, 3, 4, 5, 6.
-    moment = 24.2 * 0.321 + 29.1 * 0.682 + 6.9 * (1.35 - 0.135) + 3.2 * 1.4 + 0.1 * 1.501
-    assert data.qfrc_bias[1] == pytest.approx(-9.81 * moment, rel=1e-12)
-    assert data.qfrc_bias[0] == pytest.approx(0.0, abs=1e-12)
-    data.qpos[1] = -np.pi / 2
-    mujoco.mj_forward(model, data)
-    # Upright, a mass below the A2 axis by -z is in front of it by -z.
-    above = 24.2 * 0.0 + 29.1 * (-0.02) + (6.9 + 3.2 + 0.1) * (-0.035)
-    assert data.qfrc_bias[1] == pytest.approx(9.81 * above, rel=1e-9)
-
-
 def test_the_mass_matrix_equals_that_of_the_jacobians(chain: Chain) -> None:
     """The mass matrices agree in every named pose, with a tool off the axis."""
     model = dynamics.compile_dynamic_arm(TOOL)

@@ -12,7 +12,7 @@ from cell.robot import dynamics
 from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
 from cell.robot.dynamics import FACEPLATE_THICKNESS, STEEL_DENSITY, Tool, ToolBody, table_load_of
-from cell.robot.plant import SETTLE_TOLERANCE, MujocoPlant, PlantSettings, servo_gains
+from cell.robot.plant import SETTLE_TOLERANCE, MujocoPlant, PlantSettings
 from cell.scan.plants import built_in_plants
 from drivers.clock import SimulatedClock
 from drivers.contract import Mode
@@ -231,15 +231,6 @@ def test_a_table_is_a_hinge_with_its_load() -> None:
     assert plant.failure == ""
     with pytest.raises(DriverError, match="it must be 7 finite joint angles"):
         MujocoPlant(HOME, table=load)
-
-
-def test_gains_have_one_bandwidth() -> None:
-    """With the assumed inertia all roots are damped and within 1.7 of the bandwidth."""
-    made = servo_gains(np.full(6, 3.0), 5.0)
-    roots = np.roots([3.0, made.damping[0], made.stiffness[0], made.integral[0]]) / (2 * np.pi * 5.0)
-    assert (roots.real < -0.1).all()
-    assert np.abs(roots).max() < 1.7
-    assert np.abs(roots.imag / roots.real).max() < 0.6
 
 
 @pytest.mark.parametrize(
