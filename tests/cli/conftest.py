@@ -75,14 +75,16 @@ class Chromium:
 
     def asked(self) -> list[str]:
         """Return the addresses that the page requested."""
-        urls = [told["request"]["url"] for told in self._of("Network.requestWillBeSent")]
+        urls = [words["request"]["url"] for words in self._of("Network.requestWillBeSent")]
         return [url for url in urls if url != self._address and not url.startswith("data:")]
 
     def faults(self) -> list[str]:
         """Return the errors and console messages of the page."""
-        found = [str(told) for name in ("exceptionThrown", "consoleAPICalled") for told in self._of(f"Runtime.{name}")]
+        found = [
+            str(words) for name in ("exceptionThrown", "consoleAPICalled") for words in self._of(f"Runtime.{name}")
+        ]
         # A software renderer warns that reading pixels is slow.
-        logged = [told["entry"]["text"] for told in self._of("Log.entryAdded")]
+        logged = [words["entry"]["text"] for words in self._of("Log.entryAdded")]
         return found + [text for text in logged if "GPU stall due to ReadPixels" not in text]
 
     def close(self) -> None:
@@ -92,16 +94,18 @@ class Chromium:
         os.close(self._to), os.close(self._from)
 
     def _of(self, method: str) -> list[dict[str, Any]]:
-        return [told["params"] for told in self._told if told["method"] == method]
+        return [words["params"] for words in self._told if words["method"] == method]
 
     def _ask(self, method: str, **params: object) -> dict[str, Any]:
         self._number += 1
-        said = {"id": self._number, "method": method, "params": params}
-        os.write(self._to, json.dumps(said | ({"sessionId": self._session} if self._session else {})).encode() + b"\0")
-        while (told := self._read()).get("id") != self._number:
-            self._told.append(told)
-        assert "error" not in told, told
-        answer: dict[str, Any] = told["result"]
+        output = {"id": self._number, "method": method, "params": params}
+        os.write(
+            self._to, json.dumps(output | ({"sessionId": self._session} if self._session else {})).encode() + b"\0"
+        )
+        while (words := self._read()).get("id") != self._number:
+            self._told.append(words)
+        assert "error" not in words, words
+        answer: dict[str, Any] = words["result"]
         return answer
 
     def _read(self) -> dict[str, Any]:
@@ -111,8 +115,8 @@ class Chromium:
             assert content, "Chromium says nothing"
             self._rest += content
         message, _, self._rest = self._rest.partition(b"\0")
-        told: dict[str, Any] = json.loads(message)
-        return told
+        words: dict[str, Any] = json.loads(message)
+        return words
 
 
 class Firefox:
@@ -137,8 +141,8 @@ class Firefox:
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         os.close(screen)
-        with os.fdopen(shown) as told:
-            display = f":{told.readline().strip()}"
+        with os.fdopen(shown) as words:
+            display = f":{words.readline().strip()}"
         self._process = subprocess.Popen(
             [str(self.program), "--marionette", "--remote-allow-system-access", "--no-remote", "--profile",
              str(profile)],
@@ -162,12 +166,12 @@ class Firefox:
 
     def run(self, script: str) -> Any:
         """Return the value with which the promise of a script is fulfilled."""
-        said = (  # run as an element of the page: the constants of the page are not visible otherwise
+        output = (  # run as an element of the page: the constants of the page are not visible otherwise
             "const [text, done] = arguments, made = document.createElement('script');"
             "made.textContent = `answer = ${text}`; document.head.append(made);"
             "window.answer.then((found) => done([found]), (error) => done(`${error}`));"
         )
-        answer = self._ask("WebDriver:ExecuteAsyncScript", script=said, args=[script], sandbox=None)
+        answer = self._ask("WebDriver:ExecuteAsyncScript", script=output, args=[script], sandbox=None)
         assert isinstance(answer["value"], list), answer
         return answer["value"][0]
 
@@ -188,8 +192,10 @@ class Firefox:
 
     def faults(self) -> list[str]:
         """Return the messages about pages. Messages about the scripts of the browser are left out."""
-        told = self._in_chrome("return Services.console.getMessageArray().map((each) => [each.sourceName, `${each}`]);")
-        return [text for source, text in told if source and source.startswith("file:")]
+        words = self._in_chrome(
+            "return Services.console.getMessageArray().map((each) => [each.sourceName, `${each}`]);"
+        )
+        return [text for source, text in words if source and source.startswith("file:")]
 
     def close(self) -> None:
         """End the processes of the browser and of the screen."""
@@ -217,8 +223,8 @@ class Firefox:
 
     def _ask(self, method: str, **params: object) -> dict[str, Any]:
         self._number += 1
-        said = json.dumps([0, self._number, method, params]).encode()
-        self._line.sendall(b"%d:%b" % (len(said), said))
+        output = json.dumps([0, self._number, method, params]).encode()
+        self._line.sendall(b"%d:%b" % (len(output), output))
         _, number, error, result = self._read()
         assert (number, error) == (self._number, None), error
         answer: dict[str, Any] = result

@@ -240,7 +240,7 @@ def test_a_slow_command_is_ended(run: Path) -> None:
 
 def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, tmp_path: Path) -> None:
     """A file that appears and grows is read once its size is constant. A view without a file is missing."""
-    folder, told = tmp_path / "files", []
+    folder, message = tmp_path / "files", []
     folder.mkdir()
     path, time_ = folder / "view_7.xyz", [0.0]
 
@@ -251,7 +251,7 @@ def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, t
                 file.write("1 2 3\n")
 
     options = {"points_frame": "base", "points_units": "cm", "acquire_wait_s": 5.0}
-    context = Context(None, options, 0, tmp_path, told.append)  # type: ignore[arg-type]
+    context = Context(None, options, 0, tmp_path, message.append)  # type: ignore[arg-type]
     files = Files(str(folder), context, now=lambda: time_[0], sleep=sleep)
     eye = np.eye(4)[None]
     view = View(7, 70, np.zeros((1, 6)), eye, eye, np.eye(4), np.zeros(1, dtype=np.int64))
@@ -259,9 +259,9 @@ def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, t
     assert isinstance(taken, Acquired)
     np.testing.assert_allclose(taken.points, [[0.01, 0.02, 0.03]] * 4)
     assert taken.details["points_of"] == str(path)
-    assert "view 7" in told[0]
+    assert "view 7" in message[0]
     assert files.take(View(8, 70, np.zeros((1, 6)), eye, eye, np.eye(4), np.zeros(1, dtype=np.int64))) is None
-    assert "view 8 is missing" in told[-1]
+    assert "view 8 is missing" in message[-1]
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ def test_the_mount_as_lines_of_a_scene_file(run_cell: RunCommand, scans: Path, t
 def test_what_cannot_say_a_mount(run_cell: RunCommand, scans: Path, tmp_path: Path) -> None:
     """Insufficient scans and invalid options have exit code 2 with a message. Unreadable files have 6."""
     files = sorted(scans.glob("*.xyz"))
-    for words, code, told in (
+    for words, code, message in (
         ((*files[:3], "--points-units", "mm"), 2, "at least 5"),
         (files, 2, "--points-units is missing"),
         ((*files, "--points-units", "mm", "--target", "plane", "--diameter", "3"), 2, "is for a sphere"),
@@ -66,7 +66,7 @@ def test_what_cannot_say_a_mount(run_cell: RunCommand, scans: Path, tmp_path: Pa
         ((*files, tmp_path / "gone.ply", "--points-units", "mm"), 6, "cannot be read"),
     ):
         done = run_cell("calibrate", "hand-eye", *words, cwd=tmp_path)
-        assert (done.returncode, told in done.stderr) == (code, True), done.stderr
+        assert (done.returncode, message in done.stderr) == (code, True), done.stderr
     rows = (scans / "poses.csv").read_text().splitlines()
     (tmp_path / "one.csv").write_text("\n".join([rows[1]] * 6))
     same = [files[0]] * 6

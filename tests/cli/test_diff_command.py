@@ -40,12 +40,12 @@ def test_a_run_does_not_differ_from_itself(executed: Path, run_cell: RunCommand,
     for run in (executed, execution):
         done = run_cell("diff", run, run, cwd=tmp_path)
         assert (done.returncode, done.stdout) == (0, "nothing differs\n"), done.stderr
-    said = json.loads(run_cell("diff", execution, execution, "--json", cwd=tmp_path).stdout)
-    assert said["kind"] == "execution"
-    assert [said["settings"], said["numbers"], said["views"]["moved"], said["views"]["lost"], said["views"]["new"]] == [
-        [], [], [], [], [],
-    ]  # fmt: skip
-    assert said["surface"]["gained_mm2"] == said["surface"]["lost_mm2"] == 0
+    output = json.loads(run_cell("diff", execution, execution, "--json", cwd=tmp_path).stdout)
+    assert output["kind"] == "execution"
+    assert [output["settings"], output["numbers"], *(output["views"][key] for key in ("moved", "lost", "new"))] == [
+        []
+    ] * 5
+    assert output["surface"]["gained_mm2"] == output["surface"]["lost_mm2"] == 0
 
 
 @pytest.mark.usefixtures("drawn_pictures")
@@ -53,10 +53,10 @@ def test_settings_views_and_areas_of_two_plans(
     planned: Path, other: Path, run_cell: RunCommand, data_of: Callable[[str], dict[str, Any]], tmp_path: Path
 ) -> None:
     """Only the changed settings are listed. Each view occurs once on each side. Areas and page match the artefacts."""
-    said = json.loads(run_cell("diff", planned, other, "--json", cwd=tmp_path).stdout)
-    assert {each["key"] for each in said["settings"]} == {"speed_scaling", "plan.banned"}
+    output = json.loads(run_cell("diff", planned, other, "--json", cwd=tmp_path).stdout)
+    assert {each["key"] for each in output["settings"]} == {"speed_scaling", "plan.banned"}
     a, b = open_finished(planned), open_finished(other)
-    views = said["views"]
+    views = output["views"]
     moved = [(each["a"], each["b"]) for each in views["moved"]]
     assert sorted([i for i, _ in (*views["kept"], *moved)] + views["lost"]) == list(range(1, len(a.plan.views) + 1))
     assert sorted([j for _, j in (*views["kept"], *moved)] + views["new"]) == list(range(1, len(b.plan.views) + 1))
@@ -72,10 +72,10 @@ def test_settings_views_and_areas_of_two_plans(
         for run in (a, b)
     ]
     lost, gained = (1e6 * samples.areas[mask].sum() for mask in (seen[0] & ~seen[1], seen[1] & ~seen[0]))
-    assert (said["surface"]["lost_mm2"], said["surface"]["gained_mm2"]) == pytest.approx((lost, gained), abs=1e-3)
-    told = run_cell("diff", planned, other, "--out", "diff.html", cwd=tmp_path).stdout
-    assert "speed_scaling" in told
-    assert "that A measures." in told
+    assert (output["surface"]["lost_mm2"], output["surface"]["gained_mm2"]) == pytest.approx((lost, gained), abs=1e-3)
+    message = run_cell("diff", planned, other, "--out", "diff.html", cwd=tmp_path).stdout
+    assert "speed_scaling" in message
+    assert "that A measures." in message
     data = data_of((tmp_path / "diff.html").read_text(encoding="utf-8"))
     names = [view["number"] for view in data["views"]]
     assert names == [*(str(k + 1) for k in range(len(b.plan.views))), *(f"A{k}" for k in views["lost"])]
@@ -86,7 +86,7 @@ def test_settings_views_and_areas_of_two_plans(
     (layer,) = data["surfaces"][0]["layers"]
     shares = [float(re.search(r"\((.*)\u00a0%\)", name)[1]) for name, _ in layer["named"]]  # type: ignore[index] # as written
     expected = [1e6 * samples.areas[mask].sum() for mask in (seen[0] & seen[1], ~seen[0] & ~seen[1])] + [lost, gained]
-    np.testing.assert_allclose(shares, 100 * np.array(expected) / said["surface"]["area_mm2"], atol=0.006)
+    np.testing.assert_allclose(shares, 100 * np.array(expected) / output["surface"]["area_mm2"], atol=0.006)
     assert np.frombuffer(base64.b64decode(layer["values"]["base64"]), np.uint8).max() < 4
 
 
@@ -106,9 +106,9 @@ def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell
     done = run_cell("scan", "run", "--view", "1", "--resolution", "1", "--json", cwd=tmp_path)
     assert done.returncode in (0, 3), done.stderr
     whole, one = (tmp_path / "run" / "executions" / number for number in ("0001", "0002"))
-    said = json.loads(run_cell("diff", whole, one, "--json", cwd=tmp_path).stdout)
-    assert ("scan.view", None, 1) in [(each["key"], each["a"], each["b"]) for each in said["settings"]]
-    assert said["views"]["kept"] == [[1, 1]]
+    output = json.loads(run_cell("diff", whole, one, "--json", cwd=tmp_path).stdout)
+    assert ("scan.view", None, 1) in [(each["key"], each["a"], each["b"]) for each in output["settings"]]
+    assert output["views"]["kept"] == [[1, 1]]
     run = open_finished(executed)
     reference, planning = (run.mesh(name) for name in ("reference.ply", "planning.ply"))
     samples = held_out_samples(reference, planning, run.seed)
@@ -117,8 +117,8 @@ def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell
         points = ply.positions(ply.elements((folder / "cloud.ply").read_bytes())["vertex"])
         distance, _ = cKDTree(points).query(samples.points)
         near.append(distance <= coverage.sampling_radius(reference))
-    assert said["surface"]["lost_mm2"] == pytest.approx(1e6 * samples.areas[near[0] & ~near[1]].sum(), abs=1e-3)
-    assert said["surface"]["gained_mm2"] == 0
+    assert output["surface"]["lost_mm2"] == pytest.approx(1e6 * samples.areas[near[0] & ~near[1]].sum(), abs=1e-3)
+    assert output["surface"]["gained_mm2"] == 0
 
 
 def test_wrong_uses_have_their_exit_codes(executed: Path, run_cell: RunCommand, tmp_path: Path) -> None:

@@ -18,24 +18,24 @@ def test_a_dropped_view_and_its_repair(planned: Path, run_cell: RunCommand, tmp_
     assert "loses" in text
     assert "cell edit without --repair" in text
     done = run_cell("edit", "without", "--repair", "--keep-order", "--out", "repaired", "--json", cwd=tmp_path, code=0)
-    said = json.loads(done.stdout)
-    assert said["against"]["views"]["lost"] == []
-    assert len(said["against"]["views"]["new"]) == 1
-    assert said["against"]["surface"]["gained_mm2"] > 0
+    output = json.loads(done.stdout)
+    assert output["against"]["views"]["lost"] == []
+    assert len(output["against"]["views"]["new"]) == 1
+    assert output["against"]["surface"]["gained_mm2"] > 0
     assert {path: path.read_bytes() for path in planned.iterdir() if path.is_file()} == before
 
 
 @pytest.mark.parametrize(
-    ("options", "code", "told"),
+    ("options", "code", "message"),
     [
         (("--drop", "99"), 2, "drop names view 99; the plan has the views 1 to "),
         (("--move", "2:9000,0,0,0,0,0"), 4, "view 2 cannot be taken: it is out of the arm's reach"),
     ],
 )
 def test_refusals_have_a_sentence_and_a_code(
-    options: tuple[str, ...], code: int, told: str, planned: Path, run_cell: RunCommand, tmp_path: Path
+    options: tuple[str, ...], code: int, message: str, planned: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """A refused edit reports its cause and exit code, and leaves no finished folder."""
     done = run_cell("edit", planned, *options, "--out", "edited", cwd=tmp_path, code=code)
-    assert told in done.stderr
+    assert message in done.stderr
     assert not (tmp_path / "edited").exists()

@@ -172,8 +172,8 @@ def soon_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make every plan on the believed surface after the first batch stop for too little open surface."""
     believed = explore._plan_on_belief
 
-    def plan(work: ExplorationContext, file: ExploreFile, *asked: Any) -> Path | StopReason:
-        folder = believed(work, file, *asked)
+    def plan(work: ExplorationContext, file: ExploreFile, *requests: Any) -> Path | StopReason:
+        folder = believed(work, file, *requests)
         if file.stages and isinstance(folder, Path):
             shutil.rmtree(folder)
             return StopReason("too little of the believed surface is open")
@@ -302,7 +302,7 @@ def test_other_options_do_not_go_on_there(
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (("--acquire", "files:points"), "give --cylinder"),
         (("--voxel", "0.01"), "choose larger voxels or a smaller cylinder"),
@@ -314,13 +314,13 @@ def test_other_options_do_not_go_on_there(
     ],
 )
 def test_what_cannot_be_explored_is_refused_before_anything_is_made(
-    options: tuple[str, ...], told: str, tmp_path: Path, part_file: Path, run_cell: RunCommand
+    options: tuple[str, ...], message: str, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """An invalid exploration is refused with exit code 2, and no folder is created."""
     (tmp_path / "setups.toml").write_text('[[setup]]\nname = "up"\nposition_mm = [1100, 400, 100]\n')
     (tmp_path / "line.toml").write_text('[scanner]\ntype = "laser-line"\nsweep_deg = 24.0\nsweep_steps = 5\n')
     done = run_cell("explore", part_file, "--units", "mm", *PLACE, *options, "--out", "new", cwd=tmp_path, code=2)
-    assert told in done.stderr
+    assert message in done.stderr
     assert not (tmp_path / "new").exists()
 
 

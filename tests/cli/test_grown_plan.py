@@ -82,11 +82,11 @@ def test_the_shortest_time_is_never_longer_than_the_fewest_views(
     grown: tuple[str, ...], tmp_path: Path, run_cell: RunCommand
 ) -> None:
     """The plan of shortest time includes the moved views as candidates. Its bound does not exceed its time."""
-    said = []
+    output = []
     for cost in ("views", "time"):
         done = run_cell(*grown, "--coverage", "0.97", "--cost", cost, "--out", cost, "--json", cwd=tmp_path, code=0)
-        said.append(json.loads(done.stdout))
-    fewest, time = said
+        output.append(json.loads(done.stdout))
+    fewest, time = output
     standing = time["settings"]["scan_s"] + time["settings"]["settle_s"]
     assert time["cost"]["seconds"] <= fewest["n_views"] * standing + fewest["motion"]["duration_s"] + 1e-9
     assert 0 < time["cost"]["bound_seconds"] <= time["cost"]["seconds"]

@@ -42,8 +42,8 @@ def test_one_scan_finds_the_part_and_the_plan_is_taken_there(
     run = open_run(planned)
     T = _set_down(run, (-9.0, 12.0, 2.0), (1.0, -2.0, 3.4))
     np.savetxt(tmp_path / "scan_0001.xyz", 1000 * _scanned(run, T, 1), fmt="%.6f")
-    said = ("--points", tmp_path, "--points-frame", "scanner", "--points-units", "mm")
-    done = run_cell("locate", planned, *said, "--out", tmp_path / "there", "--repair", "--json", cwd=tmp_path)
+    output = ("--points", tmp_path, "--points-frame", "scanner", "--points-units", "mm")
+    done = run_cell("locate", planned, *output, "--out", tmp_path / "there", "--repair", "--json", cwd=tmp_path)
     assert done.returncode in (0, 3), done.stderr
     found = json.loads(done.stdout)
     off = np.array(found["T_base_object"]) @ np.linalg.inv(T)
@@ -73,16 +73,16 @@ def test_named_points_find_the_part(planned: Path, tmp_path: Path) -> None:
     for name, measured in (("base", base), ("scanner", base @ back[:3, :3].T + back[:3, 3])):
         rows = [f"p{k}; " + ", ".join(f"{1000 * value:.9f}" for value in (*nominal[k], *measured[k])) for k in range(6)]
         (tmp_path / f"{name}.csv").write_text("# name, on the part, measured\n" + "\n".join(rows))
-    for wishes in (
+    for options in (
         {"pairs": tmp_path / "base.csv", "points_frame": "base"},
         {"pairs": tmp_path / "scanner.csv", "points_frame": "scanner", "view": 3},
         {"three_two_one": tmp_path / "base.csv", "points_frame": "base", "point_sd": 0.05},
     ):
-        texts = {name: str(value) if isinstance(value, Path) else value for name, value in wishes.items()}
+        texts = {name: str(value) if isinstance(value, Path) else value for name, value in options.items()}
         found = locate(run, points_units="mm", **texts)
         np.testing.assert_allclose(found.T_base_object, T, atol=1e-8)
         assert found.precision is not None
-        assert found.undetermined == () or "three_two_one" in wishes  # random points: the uncertainty may be large
+        assert found.undetermined == () or "three_two_one" in options  # random points: the uncertainty may be large
 
 
 def test_the_scans_of_an_execution_are_where_they_were_planned(executed: Path) -> None:
@@ -114,22 +114,22 @@ def test_a_part_in_the_way_of_the_motion_is_told(planned: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         ("a 1 2 3 4 5", "line 1: it must be a name and six numbers"),
         ("a 1 2 3 4 5 6\na 1 2 3 4 5 6", "line 2: the point 'a' occurs twice"),
         ("a 1 2 3 4 5 nan", "line 1: it must be"),
     ],
 )
-def test_files_of_named_points_that_are_none(content: str, told: str, planned: Path, tmp_path: Path) -> None:
+def test_files_of_named_points_that_are_none(content: str, message: str, planned: Path, tmp_path: Path) -> None:
     """The error names the line and the valid format."""
     (tmp_path / "touched.txt").write_text(content)
-    with pytest.raises(FileError, match=told):
+    with pytest.raises(FileError, match=message):
         locate(planned, pairs=str(tmp_path / "touched.txt"), points_frame="base", points_units="mm")
 
 
 @pytest.mark.parametrize(
-    ("wishes", "told"),
+    ("options", "message"),
     [
         ({"points": "x.ply", "points_frame": "base"}, "points_units is missing"),
         ({"points": "x.ply", "points_units": "mm"}, "points_frame is missing"),
@@ -138,10 +138,10 @@ def test_files_of_named_points_that_are_none(content: str, told: str, planned: P
         ({"points": "x.ply", "points_frame": "base", "points_units": "mm", "view": 99}, "there is no view 99"),
     ],
 )
-def test_what_cannot_be_asked(wishes: dict[str, Any], told: str, planned: Path) -> None:
+def test_what_cannot_be_asked(options: dict[str, Any], message: str, planned: Path) -> None:
     """Incomplete or contradictory options are refused with the remedy."""
-    with pytest.raises((UsageError, FileError), match=told):
-        locate(planned, **wishes)
+    with pytest.raises((UsageError, FileError), match=message):
+        locate(planned, **options)
 
 
 def test_what_is_open_is_not_planned_with(run_cell: RunCommand, planned: Path, tmp_path: Path) -> None:
@@ -154,7 +154,7 @@ def test_what_is_open_is_not_planned_with(run_cell: RunCommand, planned: Path, t
         for k, p in enumerate(nominal)
     ]
     (tmp_path / "line.txt").write_text("\n".join(rows))
-    said = ("--pairs", tmp_path / "line.txt", "--points-frame", "base", "--points-units", "mm")
-    done = run_cell("locate", planned, *said, "--out", tmp_path / "there", cwd=tmp_path, code=2)
+    output = ("--pairs", tmp_path / "line.txt", "--points-frame", "base", "--points-units", "mm")
+    done = run_cell("locate", planned, *output, "--out", tmp_path / "there", cwd=tmp_path, code=2)
     assert "turning about" in done.stderr
     assert not list(tmp_path.glob("there*"))

@@ -19,10 +19,10 @@ def test_a_step_file_is_listed_and_drawn(run_cell: RunCommand, tmp_path: Path) -
     assert "7: 6 plane, 1 cylinder" in done.stdout
     assert "diameter 16 mm" in done.stdout
     assert "cell plan block.stp" in done.stdout
-    told = json.loads(run_cell("part", "block.stp", "--json", "--out", "again", cwd=tmp_path).stdout)
-    assert told["kinds"] == {"plane": 6, "cylinder": 1}
-    assert [face["diameter_mm"] for face in told["faces"] if face["kind"] == "cylinder"] == [16.0]
-    assert told["extents_mm"] == pytest.approx([60, 40, 30], abs=1e-4)
+    message = json.loads(run_cell("part", "block.stp", "--json", "--out", "again", cwd=tmp_path).stdout)
+    assert message["kinds"] == {"plane": 6, "cylinder": 1}
+    assert [face["diameter_mm"] for face in message["faces"] if face["kind"] == "cylinder"] == [16.0]
+    assert message["extents_mm"] == pytest.approx([60, 40, 30], abs=1e-4)
     page = (tmp_path / "drawn" / "view.html").read_text()
     assert 'id="faces"' in page
     for name in ("view.html", "faces.png"):
@@ -32,8 +32,8 @@ def test_a_step_file_is_listed_and_drawn(run_cell: RunCommand, tmp_path: Path) -
 def test_a_mesh_is_described_without_faces(run_cell: RunCommand, tmp_path: Path) -> None:
     """A mesh has no CAD faces and requires its units."""
     trimesh.creation.box((20, 30, 40)).export(tmp_path / "box.stl")
-    told = json.loads(run_cell("part", "box.stl", "--units", "mm", "--json", "--out", "drawn", cwd=tmp_path).stdout)
-    assert told["volume_mm3"] == pytest.approx(24000)
-    assert "faces" not in told
+    message = json.loads(run_cell("part", "box.stl", "--units", "mm", "--json", "--out", "drawn", cwd=tmp_path).stdout)
+    assert message["volume_mm3"] == pytest.approx(24000)
+    assert "faces" not in message
     assert (tmp_path / "drawn" / "view.html").is_file()
     assert run_cell("part", "box.stl", cwd=tmp_path).returncode == 2

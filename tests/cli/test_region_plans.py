@@ -127,14 +127,14 @@ def test_commands_that_go_on_know_the_regions(regions: Path, run_cell: RunComman
 
 
 @pytest.mark.parametrize(
-    ("limit", "exit_code", "said"),
+    ("limit", "exit_code", "output"),
     [
         ("max_spacing_mm = 0.1", 2, "'top' demands points at most 0.1 mm apart, and generic-area-medium"),
         ("max_sigma_mm = 0.00001", 4, "'top' takes a sigma of at most 1e-05 mm"),
     ],
 )
 def test_what_no_view_can_keep_is_one_sentence(
-    regions: Path, run_cell: RunCommand, tmp_path: Path, limit: str, exit_code: int, said: str
+    regions: Path, run_cell: RunCommand, tmp_path: Path, limit: str, exit_code: int, output: str
 ) -> None:
     """The error names the region and its limit."""
     shutil.copy(regions / "block.stl", tmp_path)
@@ -143,7 +143,7 @@ def test_what_no_view_can_keep_is_one_sentence(
     done = run_cell(
         "plan", "--scene", "scene.toml", "--place", "1000,300,200", "--out", "run", cwd=tmp_path, code=exit_code
     )
-    assert said in done.stderr.replace("\n", " ")
+    assert output in done.stderr.replace("\n", " ")
 
 
 def test_equal_inputs_give_equal_bytes(regions: Path, run_cell: RunCommand) -> None:
@@ -168,8 +168,8 @@ def test_an_edit_is_held_to_what_its_regions_and_wishes_ask(
     shutil.copy(regions / "block.stl", tmp_path)
     (tmp_path / "scene.toml").write_text(scene)
     place = ("--scene", "scene.toml", "--place", "1000,300,200")
-    for name, wishes in (("weighted", ("--coverage", "0.9")), ("most", ("--max-views", "1"))):
-        done = run_cell("plan", *place, *wishes, "--out", name, cwd=tmp_path, code=0)
+    for name, options in (("weighted", ("--coverage", "0.9")), ("most", ("--max-views", "1"))):
+        done = run_cell("plan", *place, *options, "--out", name, cwd=tmp_path, code=0)
         assert report_of(tmp_path / name)["coverage"]["visible_of_coverable"] < 0.9
         for before, after in ((name, f"{name}1"), (f"{name}1", f"{name}2")):
             done = run_cell("edit", before, "--keep-order", "--out", after, cwd=tmp_path)

@@ -73,16 +73,16 @@ def test_the_most_coverage_around_pinned_and_banned_views_with_its_curve(
     with np.load(planned / "reach.npz") as arrays:
         reachable = np.flatnonzero(arrays["verdict"] == 0)
     pinned, banned = int(np.setdiff1d(reachable, plain)[0]), plain[:2]
-    folder, said = ask(
+    folder, output = ask(
         "most", "--max-views", "3", "--curve", "--pin", str(pinned), "--ban", str(banned[0]), "--ban", str(banned[1])
     )
     views, share = covered(folder)
     assert len(views) == 3
     assert pinned in views
     assert not set(banned) & set(views)
-    assert said["settings"]["pinned"] == [pinned]
-    assert said["most_coverage"]["covered"] == pytest.approx(share)
-    assert share <= said["most_coverage"]["upper_bound"] + 1e-12
+    assert output["settings"]["pinned"] == [pinned]
+    assert output["most_coverage"]["covered"] == pytest.approx(share)
+    assert share <= output["most_coverage"]["upper_bound"] + 1e-12
     curve = json.loads((folder / "curve.json").read_text())
     M, areas = matrix(folder)
     for point in curve["points"]:
@@ -116,15 +116,15 @@ def test_an_unreachable_pinned_view_is_refused_with_its_verdict(
 
 def test_twice_measured_in_the_shortest_time(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:
     """Each sample has two views, or all available ones. Scan and settling take 2.5 s for each view."""
-    folder, said = ask("twice", "--faces", "60", "--multiplicity", "2", "--cost", "time")
+    folder, output = ask("twice", "--faces", "60", "--multiplicity", "2", "--cost", "time")
     views, _ = covered(folder)
     M, _ = matrix(folder)
     with np.load(folder / "reach.npz") as arrays:
         able = M[:, arrays["verdict"] == 0].sum(axis=1)
     assert (M[:, views].sum(axis=1) >= np.minimum(able, 2)).mean() > 0.99  # except for samples that arms occlude
-    assert said["multiplicity"]["views_per_sample"] == 2
-    assert said["cost"]["seconds"] == pytest.approx(2.5 * len(views) + said["motion"]["duration_s"], abs=1e-6)
-    assert 0 < said["cost"]["bound_seconds"] <= said["cost"]["seconds"] + 1e-9
+    assert output["multiplicity"]["views_per_sample"] == 2
+    assert output["cost"]["seconds"] == pytest.approx(2.5 * len(views) + output["motion"]["duration_s"], abs=1e-6)
+    assert 0 < output["cost"]["bound_seconds"] <= output["cost"]["seconds"] + 1e-9
 
 
 def test_scans_that_hang_together(ask: Callable[..., tuple[Path, dict[str, Any]]]) -> None:
@@ -133,7 +133,7 @@ def test_scans_that_hang_together(ask: Callable[..., tuple[Path, dict[str, Any]]
 
     effort = replace(default_effort(), constrained_work=300_000_000)  # the search for fewer views is not tested
     with effort_of(effort):
-        folder, said = ask("overlap", "--faces", "60", "--overlap", "50%", "--overlap-in-order")
+        folder, output = ask("overlap", "--faces", "60", "--overlap", "50%", "--overlap-in-order")
     views, _ = covered(folder)
     M, areas = matrix(folder)
     graph = nx.Graph()
@@ -143,25 +143,25 @@ def test_scans_that_hang_together(ask: Callable[..., tuple[Path, dict[str, Any]]
             shared = areas[M[:, views[a]] & M[:, views[b]]].sum()
             if shared >= 0.5 * min(areas[M[:, views[a]]].sum(), areas[M[:, views[b]]].sum()) * (1 - 1e-9):
                 graph.add_edge(a, b)
-    assert said["overlap"]["connected"]
+    assert output["overlap"]["connected"]
     assert nx.is_connected(graph)
-    assert said["overlap"]["extra_views"] == len(views) - said["overlap"]["views_without"] >= 0
+    assert output["overlap"]["extra_views"] == len(views) - output["overlap"]["views_without"] >= 0
     assert all(set(graph[k]) & set(range(k)) for k in range(1, len(views)))  # views are in visiting order
-    assert said["overlap"]["without_earlier"] == 0
+    assert output["overlap"]["without_earlier"] == 0
 
 
 def test_a_promise_under_pose_errors_is_kept_in_simulated_executions(
     ask: Callable[..., tuple[Path, dict[str, Any]]],
 ) -> None:
     """In 200 simulated executions with pose errors, the promised samples are measured at the promised rate."""
-    _, said = ask("promise", "--faces", "60", "--pose-sd", "1mm,0.5deg", "--alpha", "0.1", "--coverage", "1")
-    promise = said["promise"]
+    _, output = ask("promise", "--faces", "60", "--pose-sd", "1mm,0.5deg", "--alpha", "0.1", "--coverage", "1")
+    promise = output["promise"]
     assert (promise["executions"], promise["samples"], promise["alpha"]) == (200, 10_000, 0.1)
-    assert promise["robust_on_features"] <= said["coverage"]["planned_on_features"] + 1e-12
+    assert promise["robust_on_features"] <= output["coverage"]["planned_on_features"] + 1e-12
     assert promise["robust_on_features"] == pytest.approx(promise["robust_coverable_on_features"])
     assert promise["frequency"] >= 0.9
     assert promise["kept"] > 0.98
-    assert promise["coverage_worst"] <= promise["coverage_mean"] <= said["coverage"]["coverable"] + 0.01
+    assert promise["coverage_worst"] <= promise["coverage_mean"] <= output["coverage"]["coverable"] + 0.01
 
 
 @pytest.mark.parametrize(

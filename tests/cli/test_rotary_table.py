@@ -124,11 +124,13 @@ def test_a_dynamic_arm_and_table_measure_from_their_reported_pose(
     cell = read_cell(open_run(copy))
     scans = [np.load(path) for path in sorted((copy / "executions" / "0002" / "scans").iterdir())]
     for scan in scans:
-        commanded, told = (np.concatenate([scan[f"q_{each}"], scan[f"e_{each}"]]) for each in ("commanded", "reported"))
-        assert 0 < np.degrees(np.abs(told - commanded)).max() < 0.01
+        commanded, message = (
+            np.concatenate([scan[f"q_{each}"], scan[f"e_{each}"]]) for each in ("commanded", "reported")
+        )
+        assert 0 < np.degrees(np.abs(message - commanded)).max() < 0.01
         T = (
             np.linalg.inv(cell.scene.T_base_object)
-            @ cell.kinematics.forward(told[None])[0]
+            @ cell.kinematics.forward(message[None])[0]
             @ cell.scene.T_flange_scanner
         )
         np.testing.assert_allclose(scan["T_object_scanner"], T, atol=1e-9)
@@ -441,10 +443,10 @@ def test_a_tilted_axis_is_planned_scanned_and_placed_as_an_upright_one(
     assert "with an upright axis only" in refused.stderr
     run_cell("export", "run", "--out", "program", cwd=tmp_path, code=0)
     text = next((tmp_path / "program").glob("*.src")).read_text(encoding="ascii")
-    told = re.search(
+    message = re.search(
         r"rotary table: its frame in the base of this program is {X (.*),Y (.*),Z (.*),A (.*),B (.*),C (.*)}", text
     )
-    assert told is not None
-    x, y, z, *abc = map(float, told.groups())
+    assert message is not None
+    x, y, z, *abc = map(float, message.groups())
     np.testing.assert_allclose([x, y, z], 1000 * T_base_table[:3, 3], atol=1e-3)
     np.testing.assert_allclose(abc, [0.0, -30.0, 20.0], atol=1e-4)

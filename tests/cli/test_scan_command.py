@@ -59,8 +59,8 @@ def _without_schema(folder: Path) -> dict[str, Any]:
 
 def _scan(run: Path, **options: Any) -> ScanOutcome:
     """Execute a scan in this process, at 1 degree by default."""
-    asked = ScanOptions(**{"resolution_deg": 1.0, **options})
-    return scan_command.scan(Session(None, Terminal(quiet_stdout=True)), run, asked)
+    requests = ScanOptions(**{"resolution_deg": 1.0, **options})
+    return scan_command.scan(Session(None, Terminal(quiet_stdout=True)), run, requests)
 
 
 def _remake(run: Path, execution: str = "0001") -> dict[str, Any]:
@@ -463,8 +463,8 @@ def test_a_stopped_execution_keeps_its_scans_and_is_reported(
     assert 1 <= summary["n_views"] == there < summary["n_views_planned"]
     assert summary["missing_views"] == list(range(there + 1, summary["n_views_planned"] + 1))
     assert "did not finish" in done.stderr
-    said = f"the execution is incomplete: {there} of {summary['n_views_planned']} views are scanned"
-    assert said in done.stderr
+    output = f"the execution is incomplete: {there} of {summary['n_views_planned']} views are scanned"
+    assert output in done.stderr
     after = json.loads((folder / "manifest.json").read_text())
     ended = ("interrupted", 130) if how == signal.SIGINT else ("incomplete", None)
     assert (after["status"], after["exit_code"]) == ended

@@ -104,7 +104,7 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: RunCommand,
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("made", "--setup", "3"), "there is no set-up 3 of made; there are 1 to 2"),
         (("made", "--view", "1"), "--view applies to one run: give its folder instead of that of all set-ups"),
@@ -112,10 +112,10 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: RunCommand,
         (("made/setups/1", "--setup", "1"), "--setup needs a folder of cell setups"),
     ],
 )
-def test_what_cannot_be_is_said(words: tuple[str, ...], told: str, folder: Path, run_cell: RunCommand) -> None:
+def test_what_cannot_be_is_said(words: tuple[str, ...], message: str, folder: Path, run_cell: RunCommand) -> None:
     """Invalid options are refused with exit code 2, and nothing is scanned."""
     done = run_cell("scan", *words, cwd=folder.parent, code=2)
-    assert told in done.stderr
+    assert message in done.stderr
     assert not (folder / "setups" / "1" / "executions").exists()
 
 

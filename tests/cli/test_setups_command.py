@@ -25,16 +25,16 @@ def made(made_setups: Path) -> Path:
 
 def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
     """The coverage is the union of all runs on the held-out samples. The number of set-ups equals its bound."""
-    said = json.loads((made / "setups.json").read_text())
-    seen = [seen_samples(made / setup["folder"]) for setup in said["chosen"]]
-    assert said["coverage"]["visible"] == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
-    assert [setup["visible"] for setup in said["chosen"]] == pytest.approx([each.mean() for each in seen], abs=1e-12)
-    assert sum(setup["adds"] for setup in said["chosen"]) == pytest.approx(said["coverage"]["visible"], abs=1e-12)
-    assert said["coverage"]["visible_of_coverable"] >= 0.97
-    assert len(said["chosen"]) == said["setups_bound"]
-    assert said["views"] == sum(setup["views"] for setup in said["chosen"]) >= said["views_bound"] >= len(seen)
-    assert len(said["offered"]) == 4
-    assert max(each["coverable"] for each in said["offered"]) <= said["coverage"]["coverable"]
+    output = json.loads((made / "setups.json").read_text())
+    seen = [seen_samples(made / setup["folder"]) for setup in output["chosen"]]
+    assert output["coverage"]["visible"] == pytest.approx(np.logical_or.reduce(seen).mean(), abs=1e-12)
+    assert [setup["visible"] for setup in output["chosen"]] == pytest.approx([each.mean() for each in seen], abs=1e-12)
+    assert sum(setup["adds"] for setup in output["chosen"]) == pytest.approx(output["coverage"]["visible"], abs=1e-12)
+    assert output["coverage"]["visible_of_coverable"] >= 0.97
+    assert len(output["chosen"]) == output["setups_bound"]
+    assert output["views"] == sum(setup["views"] for setup in output["chosen"]) >= output["views_bound"] >= len(seen)
+    assert len(output["offered"]) == 4
+    assert max(each["coverable"] for each in output["offered"]) <= output["coverage"]["coverable"]
     assert "proven fewest of 4 set-up candidates" in " ".join(
         (made.parent / "stdout").read_text().replace("│", " ").split()
     )
@@ -43,14 +43,14 @@ def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
 
 def test_each_set_up_is_a_run_of_its_own(made: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """All runs have the same samples as rows and the digests of setups.json. A run is scanned like any other."""
-    said = json.loads((made / "setups.json").read_text())
-    points = [np.load(made / setup["folder"] / "measurability.npz")["points"] for setup in said["chosen"]]
+    output = json.loads((made / "setups.json").read_text())
+    points = [np.load(made / setup["folder"] / "measurability.npz")["points"] for setup in output["chosen"]]
     for other in points[1:]:
         np.testing.assert_array_equal(other, points[0])
-    for setup in said["chosen"]:
+    for setup in output["chosen"]:
         run = open_run(made / setup["folder"])
         assert run.digest == setup["digest"]
-        offered = said["offered"][setup["offered"]]
+        offered = output["offered"][setup["offered"]]
         assert list(run.report.settings.placement_mm) == offered["placement_mm"]
         assert list(run.report.settings.placement_abc_deg) == offered["placement_abc_deg"]
     shutil.copytree(made, tmp_path / "made")
@@ -69,7 +69,7 @@ def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: RunCommand) -> 
 
 
 @pytest.mark.parametrize(
-    ("options", "code", "told"),
+    ("options", "code", "message"),
     [
         (("--pin", "3"), 2, "--pin 3 must be candidates, each as SETUP:ID with the number of the set-up candidate"),
         (("--pin", "1:3"), 2, "candidate 1:3: there are 1 set-up candidates, 0 to 0"),
@@ -84,13 +84,13 @@ def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: RunCommand) -> 
     ],
 )
 def test_what_cannot_be_is_said(
-    options: tuple[str, ...], code: int, told: str, part_file: Path, run_cell: RunCommand, tmp_path: Path
+    options: tuple[str, ...], code: int, message: str, part_file: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """An invalid request is refused with its exit code, and no finished folder is left."""
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "40", "--standoff", "250")
     small += ("--candidates", "optimal-scanning-zone")
     done = run_cell("setups", part_file, *small, "--proposals", "1", *options, "--out", "made", cwd=tmp_path, code=code)
-    assert told in done.stderr
+    assert message in done.stderr
     assert not (tmp_path / "made").exists()
 
 
@@ -131,11 +131,11 @@ def test_given_set_ups_are_planned_each_among_its_own_fixtures(
     scene.write_text(SCENE.format(part=part_file, third="stuck", angle=90, fixture="block", y=400))
     done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path)
     assert done.returncode in (0, 3), done.stderr
-    said = json.loads((tmp_path / "made" / "setups.json").read_text())
-    assert [each["name"] for each in said["offered"]] == ["upright", "over", "stuck"]
-    assert "block" in said["offered"][2]["left_out"]
+    output = json.loads((tmp_path / "made" / "setups.json").read_text())
+    assert [each["name"] for each in output["offered"]] == ["upright", "over", "stuck"]
+    assert "block" in output["offered"][2]["left_out"]
     assert "the set-up 'stuck' is left out: " in done.stderr
-    for setup in said["chosen"]:
+    for setup in output["chosen"]:
         run = open_run(tmp_path / "made" / setup["folder"])
         names = [fixture.name for fixture in read_cell(run).scene.fixtures if not fixture.built_in]
         assert names == (["vise"] if setup["offered"] == 1 else [])
@@ -187,15 +187,15 @@ def test_the_curve_is_of_the_set_ups_that_are_used_and_each_is_visited_in_order(
         M = run.measurability
         matrices[str(setup.offered)], areas = M.matrix().tocsc(), M.samples.areas
         assert json.loads((folder / "report.json").read_text())["overlap"]["without_earlier"] == 0
-    said = json.loads((tmp_path / "made" / "curve.json").read_text())
-    for point in said["points"][1:]:
+    output = json.loads((tmp_path / "made" / "curve.json").read_text())
+    for point in output["points"][1:]:
         views = [view.split(":") for view in point["views"]]
         seen = np.hstack([matrices[setup][:, [int(number)]].toarray() for setup, number in views]).any(axis=1)
         assert areas[seen].sum() / areas.sum() == pytest.approx(point["covered"])
         assert point["upper_bound"] >= point["covered"]
-    assert said["points"][-1]["covered"] == pytest.approx(said["coverable"])
+    assert output["points"][-1]["covered"] == pytest.approx(output["coverable"])
     assert made.file.curve is not None
-    assert made.file.curve.fewest[-1].views == len(said["points"]) - 1
+    assert made.file.curve.fewest[-1].views == len(output["points"]) - 1
     assert "![Coverage over the number of views" in (tmp_path / "made" / "report.md").read_text()
     assert (tmp_path / "made" / "curve.png").is_file()
 
@@ -234,8 +234,8 @@ def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: RunComm
 def test_faces_may_be_the_rows(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """With `--fill rays` each set-up has the faces of the planning mesh as rows, without further samples."""
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "30", "--standoff", "250", "--coverage", "0.5")
-    wishes = ("--candidates", "optimal-scanning-zone", "--fill", "rays", "--proposals", "2")
-    run_cell("setups", part_file, *small, *wishes, "--out", "made", cwd=tmp_path, code=0)
+    settings = ("--candidates", "optimal-scanning-zone", "--fill", "rays", "--proposals", "2")
+    run_cell("setups", part_file, *small, *settings, "--out", "made", cwd=tmp_path, code=0)
     run = open_run(tmp_path / "made" / "setups" / "1")
     assert run.report.settings.fill == "rays"
     planning = run.mesh("planning.ply")
@@ -246,8 +246,8 @@ def test_a_part_without_a_stable_pose_is_offered_as_it_is_placed(run_cell: RunCo
     """A ball has no stable pose. This is reported, and four candidates are made by turning it."""
     trimesh.creation.icosphere(subdivisions=3, radius=60).export(tmp_path / "ball.stl")
     small = ("--units", "mm", "--place", "1100,400,100", "--faces", "12", "--samples", "1", "--standoff", "250")
-    wishes = ("--candidates", "optimal-scanning-zone", "--coverage", "0.3")
-    done = run_cell("setups", "ball.stl", *small, *wishes, "--proposals", "6", "--out", "made", cwd=tmp_path, code=0)
+    settings = ("--candidates", "optimal-scanning-zone", "--coverage", "0.3")
+    done = run_cell("setups", "ball.stl", *small, *settings, "--proposals", "6", "--out", "made", cwd=tmp_path, code=0)
     assert "the part has no other stable pose: the only candidate is the part as it is placed, turned," in done.stderr
     assert len(json.loads((tmp_path / "made" / "setups.json").read_text())["offered"]) == 4
 

@@ -44,8 +44,15 @@ def test_the_limit_holds_for_matrix_prediction_and_summary(limited: dict[str, An
     assert len(both) > 100
     assert kept[0] == kept[1]
     assert kept[0]
-    told, without = limited["summary"]["spacing"], json.loads((planned / "report.json").read_text())
-    assert 1.0 < told["median_mm"] <= told["quantile_95_mm"] <= told["quantile_99_mm"] <= told["limit_mm"] == LIMIT_MM
+    message, without = limited["summary"]["spacing"], json.loads((planned / "report.json").read_text())
+    assert (
+        1.0
+        < message["median_mm"]
+        <= message["quantile_95_mm"]
+        <= message["quantile_99_mm"]
+        <= message["limit_mm"]
+        == LIMIT_MM
+    )
     assert without["spacing"]["limit_mm"] is None
     assert without["spacing"]["quantile_99_mm"] > LIMIT_MM
     assert 0 < limited["summary"]["coverage"]["coverable"] < without["coverage"]["coverable"]

@@ -26,11 +26,11 @@ def test_json_is_one_object_with_shares_that_add_up(planned: Path, run_cell: Run
     """Stdout is the content of why.json. Visible and open shares sum to one, and the groups sum to the open share."""
     shutil.copytree(planned, tmp_path / "run")
     done = run_cell("why", "run", "--samples", "2000", "--json", cwd=tmp_path, code=0)
-    said = json.loads(done.stdout)
+    output = json.loads(done.stdout)
     kept = json.loads((tmp_path / "run" / "why" / "why.json").read_text())
-    assert {key: value for key, value in kept.items() if key != "schema"} == said
-    assert abs(said["visible"] + said["open"] - 1) < 1e-9
-    assert abs(sum(group["share"] for group in said["groups"]) - said["open"]) < 1e-9
+    assert {key: value for key, value in kept.items() if key != "schema"} == output
+    assert abs(output["visible"] + output["open"] - 1) < 1e-9
+    assert abs(sum(group["share"] for group in output["groups"]) - output["open"]) < 1e-9
 
 
 def test_wrong_uses_have_their_exit_codes(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
@@ -57,12 +57,12 @@ def test_advice_is_a_share_and_a_command_each(planned: Path, run_cell: RunComman
     """A second set-up never reduces the coverage. Every command is the command of the plan with another placement."""
     shutil.copytree(planned, tmp_path / "run")
     done = run_cell("why", "run", "--advise", "--json", cwd=tmp_path, code=0)
-    said = json.loads(done.stdout)
+    output = json.loads(done.stdout)
     visible = json.loads((tmp_path / "run" / "plan.json").read_text())["coverage"]["visible"]
-    assert said["visible"] == pytest.approx(visible, abs=2e-4)
-    commands = [advice["command"] for advice in said["advice"]]
+    assert output["visible"] == pytest.approx(visible, abs=2e-4)
+    commands = [advice["command"] for advice in output["advice"]]
     assert len(set(commands)) == len(commands) == 8
-    for advice in said["advice"]:
+    for advice in output["advice"]:
         words = advice["command"].split()
         is_further = "second set-up" in advice["what"]
         assert words[:2] == ["cell", "setups" if is_further else "plan"]

@@ -125,8 +125,8 @@ def test_a_killed_controller_keeps_the_arm_where_it_is_and_the_client_goes_on(
     process = start_cell("scan", run_folder, *_BEGIN, *_SCALE, *_word(run_folder), "--driver", emulated.url)
     _wait_for_scans(run_folder, 1, process)
     os.kill(emulated.process.pid, signal.SIGKILL)
-    _, said = process.communicate(timeout=120)
-    assert process.returncode == 5, said
+    _, output = process.communicate(timeout=120)
+    assert process.returncode == 5, output
     restarted = emulate("modbus", *_FAST, beside=emulated)
     again = ("scan", run_folder, "--resume", "0001", "--driver", restarted.url, "--speed", "1", "--reset", *_SCALE)
     done = run_cell(*again, *_word(run_folder), cwd=run_folder.parent)

@@ -61,10 +61,10 @@ def test_a_signal_ends_an_execution_that_goes_on_later(
     time.sleep(float(rng.uniform(0.0, 0.5)))
     os.kill(process.pid, getattr(signal, name))
     sent = time.monotonic()
-    _, said = process.communicate(timeout=60)
+    _, output = process.communicate(timeout=60)
     if process.returncode == 130:  # otherwise the process ended before the signal
         assert time.monotonic() - sent < 4.0  # 2 s, and a machine with other work
-        assert f"stopped by {SIGNALS[name]}" in said
+        assert f"stopped by {SIGNALS[name]}" in output
     again = ("scan", str(run_folder), "--resume", "latest", *_FAST, "--reset")
     done = run_cell(*again, *word, cwd=run_folder.parent)
     if own := re.search("not the digest of the new path.* which is ([0-9a-f]+)", done.stderr):

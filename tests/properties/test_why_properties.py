@@ -209,9 +209,9 @@ def test_the_files_repeat_and_the_plan_is_unchanged(
     assert set(contents[0]) == {"view.html", "why.json", "why.ply", "why.png"}
     layer = data_of(contents[0]["view.html"].decode())["surfaces"][0]["layers"][0]
     groups, seen = outcome.summary.groups, 1 - outcome.summary.open
-    told = [("measured", seen), *((group.title, group.share) for group in groups)]
-    assert 1 < len(told) <= len(REASONS)
-    assert [name for name, _ in layer["named"]] == [f"{name} ({100 * share:.2f}\u00a0%)" for name, share in told]
+    message = [("measured", seen), *((group.title, group.share) for group in groups)]
+    assert 1 < len(message) <= len(REASONS)
+    assert [name for name, _ in layer["named"]] == [f"{name} ({100 * share:.2f}\u00a0%)" for name, share in message]
     assert [colour for _, colour in layer["named"]] == [MEASURED, *REASONS[: len(groups)]]
     for name in run.manifest.artefacts:
         run.artefact(name)

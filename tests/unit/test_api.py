@@ -95,8 +95,8 @@ def test_a_plan_of_a_mesh_in_memory_can_be_edited(planned: EditableRun, tmp_path
 
 def test_an_execution_is_a_value_too(planned: Run) -> None:
     """An execution without errors returns points on the ball, a mesh and its deviation."""
-    told: list[tuple[str, int, int]] = []
-    execution = scan(planned, resolution=1.0, progress=lambda *words: told.append(words))
+    message: list[tuple[str, int, int]] = []
+    execution = scan(planned, resolution=1.0, progress=lambda *words: message.append(words))
     assert execution.exit_code == 0
     assert execution.mesh is not None
     radius = np.linalg.norm(execution.points, axis=1) * 1000
@@ -104,7 +104,7 @@ def test_an_execution_is_a_value_too(planned: Run) -> None:
     assert execution.deviation is not None
     assert execution.deviation.rms_mm < 1.0
     assert execution.coverage.visible == pytest.approx(execution.coverage.predicted, abs=0.02)
-    assert {stage for stage, _, _ in told} >= {"execute and scan", "merge"}
+    assert {stage for stage, _, _ in message} >= {"execute and scan", "merge"}
 
 
 @pytest.mark.parametrize(
@@ -151,13 +151,20 @@ def test_an_exploration_goes_on_where_it_is(tmp_path: Path) -> None:
     """Options of exploration, execution and scene are keywords, and a repeated call returns the same value."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=60.0)
     ball.export(tmp_path / "ball.stl")
-    wishes = {**_QUICK, "ring": 2, "max_views": 2, "resolution": 2.0, "voxel": 4, "candidates": "optimal-scanning-zone"}
-    del wishes["coverage"]
-    done = explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **wishes)
+    options = {
+        **_QUICK,
+        "ring": 2,
+        "max_views": 2,
+        "resolution": 2.0,
+        "voxel": 4,
+        "candidates": "optimal-scanning-zone",
+    }
+    del options["coverage"]
+    done = explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **options)
     assert [len(stage.q) for stage in done.stages] == [2]
     assert [stage.digest for stage in done.stages] == [stage.digest for stage in done.file.stages]
     assert done.mesh is not None
     assert np.abs(done.mesh.vertices).max() < 0.07
-    assert explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **wishes) == done
+    assert explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **options) == done
     with pytest.raises(UsageError, match="is an exploration with other options"):
-        explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **{**wishes, "seed": 4})
+        explore(tmp_path / "ball.stl", units="mm", out=tmp_path / "explored", **{**options, "seed": 4})

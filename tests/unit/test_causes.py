@@ -103,9 +103,9 @@ def named(part: workpiece.Workpiece) -> dict[str, list[str]]:
 )
 def test_each_cause_is_named_and_nothing_where_all_is_well(name: str) -> None:
     """Each cause is named despite noise and pose errors, and correct scans are not reported."""
-    said = named(workpiece.load(name))
-    assert said.pop("") == []
+    output = named(workpiece.load(name))
+    assert output.pop("") == []
     if name == "humerus":
-        assert said.pop("swapped") == []
-    wrong = {cause: sentences for cause, sentences in said.items() if CAUSES[cause] not in " ".join(sentences)}
+        assert output.pop("swapped") == []
+    wrong = {cause: sentences for cause, sentences in output.items() if CAUSES[cause] not in " ".join(sentences)}
     assert wrong == {}

@@ -90,12 +90,12 @@ def test_what_came_is_what_the_latest_views_measured_first(views: tuple[int, ...
         firsts.append(float(samples.areas[left & seen].sum()))
         left &= ~seen
     latest = [(count, 0.001 * (number + 1)) for number, count in enumerate(views)]
-    asked = replace(_asked(_poses(), space=space), latest=latest)
+    requests = replace(_asked(_poses(), space=space), latest=latest)
     areas = np.split(np.array(firsts[-sum(views) :]), np.cumsum(views)[:-1])
     batches = [(expected, float(area.sum())) for (_, expected), area in zip(latest, areas, strict=True)]
-    assert realised_gain_ratio(samples, asked, LAW, caster) == pytest.approx(gain_ratio(batches))
-    assert realised_gain_ratio(samples, replace(asked, poses=None, gain_ratio=1.5), LAW, caster) == 1.5
-    assert realised_gain_ratio(samples, replace(asked, latest=[(2, 0.0)]), LAW, caster) == 1.0
+    assert realised_gain_ratio(samples, requests, LAW, caster) == pytest.approx(gain_ratio(batches))
+    assert realised_gain_ratio(samples, replace(requests, poses=None, gain_ratio=1.5), LAW, caster) == 1.5
+    assert realised_gain_ratio(samples, replace(requests, latest=[(2, 0.0)]), LAW, caster) == 1.0
 
 
 def test_of_more_samples_than_are_kept_the_area_is_the_same(balls: TriangleMesh) -> None:
@@ -114,8 +114,8 @@ def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls:
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     right = samples.points[:, 0] > 0
     space = replace(UNKNOWN, points=samples.points[right])
-    asked = _asked(None, whole, space)
-    kept = select_samples(samples, asked, 3000, LAW, EmbreeRayCaster(balls.vertices, balls.faces))
+    requests = _asked(None, whole, space)
+    kept = select_samples(samples, requests, 3000, LAW, EmbreeRayCaster(balls.vertices, balls.faces))
     seen = space.is_measured(samples.points, samples.normals)
     assert seen[right].all()
     weights = np.where(
@@ -123,7 +123,7 @@ def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls:
     )
     assert np.array_equal(kept.points, samples.points[weights > 0])
     assert kept.areas == pytest.approx((weights * samples.areas)[weights > 0])
-    assert np.array_equal(expected_samples(samples, asked, 3000).areas, kept.areas)
+    assert np.array_equal(expected_samples(samples, requests, 3000).areas, kept.areas)
 
 
 @pytest.mark.parametrize(
@@ -147,15 +147,15 @@ def test_the_next_batches_are_the_policys_within_the_budget(
     plan = SimpleNamespace(max_views=7, max_sigma_mm=None)
     scene = SimpleNamespace(plan=plan, scanner=SimpleNamespace(max_spacing_mm=None))
     work: Any = SimpleNamespace(scene=scene, options=ExploreOptions(max_seconds=60.0, batch=3))
-    found, told = explore._next_batches(work, SimpleNamespace(stages=stages, views=views))  # type: ignore[arg-type]
+    found, message = explore._next_batches(work, SimpleNamespace(stages=stages, views=views))  # type: ignore[arg-type]
     assert [(batch.views, batch.per_second, batch.on) for batch in found] == [(2, True, each) for each in batches]
-    assert told.startswith(ended)
+    assert message.startswith(ended)
     first, _ = explore._next_batches(work, SimpleNamespace(stages=[], views=0))  # type: ignore[arg-type]
     assert first == (Batch(1),)
 
 
 @pytest.mark.parametrize(
-    ("batch", "said"),
+    ("batch", "output"),
     [
         (Batch(1), "less than the 0.1 % minimum"),
         (Batch(1, min_gain_factor=1.5), "less than 1.5 x the 0.1 % minimum"),
@@ -163,13 +163,13 @@ def test_the_next_batches_are_the_policys_within_the_budget(
         (Batch(1, include_covered=True), ""),
     ],
 )
-def test_a_batch_that_is_not_worth_its_views_says_what_was_asked_of_it(batch: Batch, said: str) -> None:
+def test_a_batch_that_is_not_worth_its_views_says_what_was_asked_of_it(batch: Batch, output: str) -> None:
     """Two views with an expected gain of 0.08 % each are compared with the minimum gain of the batch."""
     chosen: Any = SimpleNamespace(cover=SimpleNamespace(covered_area=0.0001, views=(3, 7)))
-    asked = BatchRequest(UNKNOWN, GainRecord.empty(), batch, 0.001, measured_area=0.1, gain_ratio=1.6)
-    told = stage._insufficient_gain(chosen, asked)
-    assert told.endswith(said)
-    assert ("to add 0.080 % of the measured surface" in told) == bool(said)
+    requests = BatchRequest(UNKNOWN, GainRecord.empty(), batch, 0.001, measured_area=0.1, gain_ratio=1.6)
+    message = stage._insufficient_gain(chosen, requests)
+    assert message.endswith(output)
+    assert ("to add 0.080 % of the measured surface" in message) == bool(output)
 
 
 def test_a_plan_that_finished_is_taken_with_its_surface(tmp_path: Path) -> None:

@@ -99,8 +99,8 @@ def test_the_rays_are_those_of_a_scan() -> None:
     """Rays have the resolution of the scan, or that of the plan by default."""
     scene = scene_from_options(None, {"place": (1200, 500, 0)}, "petanque")
     eyes = [
-        prepare_exploration(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=asked)).frustum
-        for asked in (None, 2.0)
+        prepare_exploration(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=requests)).frustum
+        for requests in (None, 2.0)
     ]
     assert [eye.rays.shape for eye in eyes] == [(240 * 240, 3), (30 * 30, 3)]
     assert [eye.columns for eye in eyes] == [240, 30]

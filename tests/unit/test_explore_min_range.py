@@ -69,13 +69,13 @@ def _scan(eye: SensorFrustum, T: Floats, x: float) -> Floats:
 
 
 @pytest.mark.parametrize(
-    ("wall", "state", "told"),
+    ("wall", "state", "message"),
     [(0.0, UNKNOWN, 0.0), (0.07, UNKNOWN, 1.0), (0.07, FREE, 0.0), (-0.05, UNKNOWN, 0.0)],
     ids=["where it was believed", "before the range", "before the range, where others saw nothing", "farther off"],
 )
 @pytest.mark.parametrize("beside", [0.0, 0.2])
 def test_what_gave_no_point_was_too_near_where_nobody_had_looked(
-    wall: float, state: int, told: float, beside: float
+    wall: float, state: int, message: float, beside: float
 ) -> None:
     """Samples without a point count as too near if the part lies in unseen space before the minimum range."""
     scanner = LaserArea(fov_deg=(20, 20), resolution_deg=(1.0, 1.0), range_mm=(150, 450))
@@ -92,10 +92,12 @@ def test_what_gave_no_point_was_too_near_where_nobody_had_looked(
         points, np.tile([1.0, 0.0, 0.0], (5, 1)), np.full(5, 0.2), np.zeros(5, dtype=int), np.zeros(5, dtype=int)
     )
     view = (_scan(eye, T, wall), T)
-    assert area_below_min_range(samples, np.ones((5, 1), dtype=bool), [view], _space(state), eye) == pytest.approx(told)
+    assert area_below_min_range(samples, np.ones((5, 1), dtype=bool), [view], _space(state), eye) == pytest.approx(
+        message
+    )
     sees = np.zeros((5, 2), dtype=bool)
     sees[0, 0] = sees[1:3, 1] = True  # two samples are expected of neither view
-    assert area_below_min_range(samples, sees, [view, view], _space(state), eye) == pytest.approx(0.6 * told)
+    assert area_below_min_range(samples, sees, [view, view], _space(state), eye) == pytest.approx(0.6 * message)
 
 
 def test_views_keep_off_for_some_batches_after_one_that_stood_too_near() -> None:

@@ -49,8 +49,8 @@ def test_what_views_left_is_a_rest_where_what_the_part_stands_on_seems_to_shade_
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     reached = Reach(np.array([Verdict.REACHABLE], dtype=np.uint8), np.zeros((1, 6)), np.array([0, 1]), ("",))
     found = assign_causes(_samples(4), _OF, views, reached, LaserArea(range_mm=(50, 900), baseline_mm=0), casters)
-    told = [describe_cause(code) for code in found.reason.tolist()]
-    assert told == ["laser or sensor occluded"] * 2 + [describe_cause(near), "laser or sensor occluded"]
+    message = [describe_cause(code) for code in found.reason.tolist()]
+    assert message == ["laser or sensor occluded"] * 2 + [describe_cause(near), "laser or sensor occluded"]
 
 
 def test_what_no_view_looks_at_squarely_is_no_rest() -> None:
@@ -68,7 +68,7 @@ def test_sentences_that_are_the_same_are_told_once() -> None:
     """Areas [mm2] of reasons with the same sentence are added. The largest area comes first."""
     codes = np.array([Reason.SOURCE_SHADED_BY_PART, NOT_SELECTED, Reason.SENSOR_SHADED, TRIED])
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
-    told = UncoveredReport(_samples(4), codes, views).by_area()
-    assert [(each.reason, each.area_mm2) for each in told] == [
+    message = UncoveredReport(_samples(4), codes, views).by_area()
+    assert [(each.reason, each.area_mm2) for each in message] == [
         (describe_cause(Reason.SENSOR_SHADED), 4.0), (describe_cause(TRIED), 4.0), (describe_cause(NOT_SELECTED), 2.0)
     ]  # fmt: skip

@@ -33,8 +33,8 @@ from planner.values import Floats
 from planner.viewpoints.viewpoints import aim_viewpoints
 
 
-def _scene(**wishes: float) -> Scene:
-    return scene_from_options(None, {"place": (1100, 400, 100), **wishes}, "mug")
+def _scene(**settings: float) -> Scene:
+    return scene_from_options(None, {"place": (1100, 400, 100), **settings}, "mug")
 
 
 def _eye() -> SensorFrustum:
@@ -74,7 +74,7 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("points", "told"),
+    ("points", "message"),
     [
         (np.empty((0, 3)), "no ray of stages/0001 came back"),
         (np.tile([[0.2, 0.0, 0.0]], (5, 1)), "outside the cylinder"),
@@ -82,16 +82,16 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     ],
     ids=["nothing hit", "outside its cylinder", "moved"],
 )
-def test_points_that_cannot_be_stop_an_exploration(points: Floats, told: str) -> None:
+def test_points_that_cannot_be_stop_an_exploration(points: Floats, message: str) -> None:
     """Implausible points stop an exploration with one sentence on the cause."""
     space = VoxelSpace.from_cylinder(0.1, 0.1, 0.004, 0.003)
     space = replace(space, state=np.full_like(space.state, FREE))
-    with pytest.raises(FileError, match=told):
+    with pytest.raises(FileError, match=message):
         require_plausible(space, Path("stages/0001"), [(points, np.eye(4))], _eye())
 
 
-@pytest.mark.parametrize(("away", "told"), [(0.0, False), (0.006, False), (0.02, True), (-0.02, False)])
-def test_a_part_that_was_moved_away_stops_an_exploration(away: float, told: bool) -> None:
+@pytest.mark.parametrize(("away", "message"), [(0.0, False), (0.006, False), (0.02, True), (-0.02, False)])
+def test_a_part_that_was_moved_away_stops_an_exploration(away: float, message: bool) -> None:
     """A plate found farther away is reported as moved, because its rays pass the known points."""
     eye, T = _eye(), np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 0.4
@@ -103,7 +103,7 @@ def test_a_part_that_was_moved_away_stops_an_exploration(away: float, told: bool
 
     space = VoxelSpace.from_cylinder(0.1, 0.1, 0.004, 0.003).with_points(plate(0.01), [])
     views = [(plate(0.01 - away), T)]
-    if not told:
+    if not message:
         require_plausible(space, Path("stages/0002"), views, eye)
         return
     assert space.contradicted_share(views[0][0]) == 0
@@ -148,8 +148,8 @@ def test_limits_hold_in_the_fine_stage_alone() -> None:
     batches = {
         name: [policy(ExploreOptions(), ExplorationState(n, None)) for n in (0, 1)] for name, policy in POLICIES.items()
     }
-    said = {name: [[batch.rough for batch in tried] for tried in each] for name, each in batches.items()}
-    assert said == {"stepwise": [[False], [False] * 2], "two-stage": [[True], [False] * 4]}
+    output = {name: [[batch.rough for batch in tried] for tried in each] for name, each in batches.items()}
+    assert output == {"stepwise": [[False], [False] * 2], "two-stage": [[True], [False] * 4]}
     limited = [POLICIES["two-stage"](ExploreOptions(), ExplorationState(n, 7, limited=True)) for n in (1, 2)]
     assert limited[0] == (Batch(7, include_covered=True),)
     assert not any(batch.include_covered for batch in limited[1])
@@ -227,8 +227,8 @@ def test_a_batch_is_of_as_many_views_as_each_add_what_is_asked_of_them() -> None
     M = SimpleNamespace(matrix=lambda: csr_array(np.eye(3, dtype=bool)), samples=SimpleNamespace(areas=areas))
     problem = Stub(M, lambda: np.ones(3, dtype=bool))
     for came, worth, views in ((1.0, 1.0, 3), (1.0, 50.0, 2), (0.5, 50.0, 1), (0.0, 1.0, 1)):
-        asked = stage.BatchRequest(None, None, Batch(None, min_gain_factor=worth), 0.01, 3.0, came)
-        assert max(len(stage._views_with_gain(problem, asked)), 1) == views
+        requests = stage.BatchRequest(None, None, Batch(None, min_gain_factor=worth), 0.01, 3.0, came)
+        assert max(len(stage._views_with_gain(problem, requests)), 1) == views
 
 
 def test_what_came_is_held_against_what_was_expected() -> None:
@@ -276,8 +276,8 @@ def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -
         acquire="command:take", points_frame="base", points_units="mm"
     )  # fmt: skip
     work, real, own = (
-        prepare_exploration(Session(None, out=tmp_path), _scene(), asked, scanning)
-        for asked, scanning in ((options, ScanOptions()), (options, elsewhere), (ExploreOptions(), ScanOptions()))
+        prepare_exploration(Session(None, out=tmp_path), _scene(), requests, scanning)
+        for requests, scanning in ((options, ScanOptions()), (options, elsewhere), (ExploreOptions(), ScanOptions()))
     )
     assert work.scene.scanner == real.scene.scanner != own.scene.scanner
     assert work.frustum.near == real.frustum.near > own.frustum.near
@@ -286,9 +286,9 @@ def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -
 def test_nothing_that_can_be_reached_has_the_exit_code_of_that() -> None:
     """An exploration without a reachable first view ends with exit code 4."""
     given: Any = (None, SimpleNamespace(stages=()), (), "the arm reaches no view", ())
-    with pytest.raises(UnreachableError, match="nothing can be explored here: the arm reaches no view") as told:
+    with pytest.raises(UnreachableError, match="nothing can be explored here: the arm reaches no view") as message:
         _finish(*given)
-    assert told.value.exit_code == 4
+    assert message.value.exit_code == 4
 
 
 def test_the_ring_says_nothing_of_standing_too_near() -> None:

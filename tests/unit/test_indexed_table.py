@@ -147,9 +147,9 @@ def test_a_home_in_reach_of_the_table_is_refused() -> None:
         "table": {"position_mm": [900.0, 500.0, -400.0], "moves": "indexed", "swing_mm": 1500.0},
         "placement": {"position_mm": [900.0, 1100.0, 500.0]},
     }
-    for moves, told in (("indexed", True), ("synchronised", False)):
+    for moves, message in (("indexed", True), ("synchronised", False)):
         scene["table"]["moves"] = moves
         world = compile_world(Scene.model_validate(scene), block.vertices, part_faces=block.faces, baseline_mm=75.0)
         found = [sentence for sentence in find_problems(world) if "an indexed table turns" in sentence]
-        assert bool(found) == told
+        assert bool(found) == message
         assert all("robot.home_deg" in sentence and " deg; change" in sentence for sentence in found)

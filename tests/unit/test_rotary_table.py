@@ -299,7 +299,7 @@ def test_a_table_turns_as_far_as_its_part_keeps_clear() -> None:
         assert len(angles) == sum(any(lower <= a + k <= upper for k in (-360, 0)) for a in range(-180, 180, 10))
         kept = world.limits
         assert (kept.lower[6], kept.upper[6]) == (world.table.lower, world.table.upper)
-    assert any("the rotary table turns its part" in said for said in find_warnings(two))
+    assert any("the rotary table turns its part" in output for output in find_warnings(two))
 
 
 def test_the_option_and_the_table_of_a_scene_are_equivalent() -> None:
@@ -310,7 +310,7 @@ def test_the_option_and_the_table_of_a_scene_are_equivalent() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tables", "said"),
+    ("tables", "output"),
     [
         ({"table": {"swing_mm": 100.0}}, "swings through a circle of 224 mm, and the rotary table carries 100 mm"),
         ({"table": {"position_mm": [1200.0, 500.0, -100.0]}}, "lowest point is -50.0 mm above the face"),
@@ -324,9 +324,9 @@ def test_the_option_and_the_table_of_a_scene_are_equivalent() -> None:
         ),
     ],
 )
-def test_an_invalid_table_is_refused(tables: dict[str, object], said: str) -> None:
+def test_an_invalid_table_is_refused(tables: dict[str, object], output: str) -> None:
     """A table that is too small, too high or too low, or whose name is used by a fixture, is refused."""
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(SceneError, match=output):
         _world(**tables)
 
 
@@ -360,19 +360,19 @@ def test_a_run_stores_the_range_of_its_table() -> None:
     """The stored range has priority over the limits of the scene. Without both the table is endless."""
     T = np.eye(4)
     T[:3, 3] = 1.2, 0.5, -0.4
-    said = ResolvedTable.model_construct(
+    output = ResolvedTable.model_construct(
         T_base_table=T, limits_deg=(-90.0, 150.0), turn_deg=(-90.0, 62.0), velocity_deg_s=120.0,
         acceleration_deg_s2=240.0, jerk_deg_s3=2400.0,
     )  # fmt: skip
-    for told, limits in (
-        (said, (-90, 62)),
-        (said.model_copy(update={"turn_deg": None}), (-90, 150)),
-        (said.model_copy(update={"turn_deg": None, "limits_deg": None}), (-180, 180)),
+    for message, limits in (
+        (output, (-90, 62)),
+        (output.model_copy(update={"turn_deg": None}), (-90, 150)),
+        (output.model_copy(update={"turn_deg": None, "limits_deg": None}), (-180, 180)),
     ):
-        table = table_of(ResolvedScene.model_construct(table=told))
+        table = table_of(ResolvedScene.model_construct(table=message))
         assert table is not None
         np.testing.assert_allclose(np.degrees([table.lower, table.upper]), limits)
-    resolved = ResolvedScene.model_construct(table=said, T_object_centre=np.eye(4))
+    resolved = ResolvedScene.model_construct(table=output, T_object_centre=np.eye(4))
     there = with_placement(
         Scene.model_validate({"table": {"enabled": True}}), pose((900.0, 0.0, 0.0), (0.0, 0.0, 0.0)), resolved
     )

@@ -73,7 +73,7 @@ def test_steel_does_not_move_without_somebody_s_word() -> None:
     for answer in ("", "y", "no", "yes please"):
         with pytest.raises(UsageError, match="nothing was moved"):
             safety.require_confirmation(
-                _Controller(), 0.1, _PLAN, given=None, confirm=lambda question, said=answer: said
+                _Controller(), 0.1, _PLAN, given=None, confirm=lambda question, output=answer: output
             )
 
 

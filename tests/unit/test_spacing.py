@@ -35,7 +35,7 @@ def _met(direction: np.ndarray, origin: np.ndarray, point: np.ndarray, normal: n
 def test_the_spacing_of_an_area_scanner_is_that_of_its_neighbouring_rays() -> None:
     """The spacing equals that of rays half a step to either side, at 500 positions and inclinations."""
     points, normals = _planes(np.random.default_rng(1), 500)
-    for point, normal, told in zip(points, normals, AREA.spacing(points, normals), strict=True):
+    for point, normal, message in zip(points, normals, AREA.spacing(points, normals), strict=True):
         gaps = []
         for axis, step in ((0, 0.02), (1, 0.05)):
             ends = []
@@ -44,7 +44,7 @@ def test_the_spacing_of_an_area_scanner_is_that_of_its_neighbouring_rays() -> No
                 angles[axis] += side * np.radians(step)
                 ends.append(_met(np.array([*np.tan(angles), 1.0]), np.zeros(3), point, normal))
             gaps.append(np.linalg.norm(ends[1] - ends[0]))
-        assert told == pytest.approx(max(gaps), rel=1e-4)
+        assert message == pytest.approx(max(gaps), rel=1e-4)
 
 
 def test_the_ray_grid_has_the_computed_spacing() -> None:
@@ -56,8 +56,8 @@ def test_the_ray_grid_has_the_computed_spacing() -> None:
     across = np.linalg.norm(np.diff(points, axis=1), axis=2)[:-1]
     down = np.linalg.norm(np.diff(points, axis=0), axis=2)[:, :-1]
     middle = (points[:-1, :-1] + points[1:, 1:]).reshape(-1, 3) / 2
-    told = scanner.spacing(middle, np.tile(normal, (len(middle), 1)))
-    np.testing.assert_allclose(told, np.maximum(across, down).ravel(), rtol=0.02)
+    message = scanner.spacing(middle, np.tile(normal, (len(middle), 1)))
+    np.testing.assert_allclose(message, np.maximum(across, down).ravel(), rtol=0.02)
 
 
 @pytest.mark.parametrize("sweep", [{"sweep_mm": 120.0}, {"sweep_deg": 30.0}])
@@ -68,7 +68,7 @@ def test_the_spacing_of_a_line_sensor_is_along_its_line_and_to_the_next_one(swee
     points[:, 0] = 0.0
     seen = np.einsum("ij,ij->i", points, normals) < -0.02 * np.linalg.norm(points, axis=1)
     assert line.spacing is not None
-    for point, normal, told in zip(points[seen], normals[seen], line.spacing(points, normals)[seen], strict=True):
+    for point, normal, message in zip(points[seen], normals[seen], line.spacing(points, normals)[seen], strict=True):
         angle, step = np.arctan2(point[1], point[2]), np.radians(30 / 4000)
         along = [
             _met(np.array([0, np.sin(angle + d), np.cos(angle + d)]), np.zeros(3), point, normal)
@@ -84,7 +84,7 @@ def test_the_spacing_of_a_line_sensor_is_along_its_line_and_to_the_next_one(swee
                     _met(np.array([ray[2] * np.sin(turn), ray[1], ray[2] * np.cos(turn)]), np.zeros(3), point, normal)
                 )
         gaps = [np.linalg.norm(pair[1] - pair[0]) for pair in (along, ends)]
-        assert told == pytest.approx(max(gaps), rel=1e-3)
+        assert message == pytest.approx(max(gaps), rel=1e-3)
 
 
 @pytest.mark.parametrize("limit_mm", [0.2, 0.5, 2.0])

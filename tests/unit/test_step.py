@@ -112,7 +112,7 @@ def test_surfaces_alone_are_taken_and_said_to_be_open(tmp_path: Path) -> None:
 
 @needs_cascadio
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "output"),
     [
         ("solid x\n", "is not a STEP file"),
         ("ISO-10303-21;\nHEADER;\nENDSEC;\nDATA;\nENDSEC;\nEND-ISO-10303-21;\n", "no surface"),
@@ -121,10 +121,10 @@ def test_surfaces_alone_are_taken_and_said_to_be_open(tmp_path: Path) -> None:
     ids=["another format", "empty", "cut short"],
 )
 def test_broken_files_are_one_sentence(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], content: str, said: str
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], content: str, output: str
 ) -> None:
     """An unreadable file gives one sentence with a cure; the output of Open CASCADE is discarded."""
-    with pytest.raises(FileError, match=said):
+    with pytest.raises(FileError, match=output):
         load(written(tmp_path, content))
     assert capfd.readouterr() == ("", "")
 

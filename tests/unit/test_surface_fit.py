@@ -79,9 +79,9 @@ def test_the_standard_deviations_are_the_scatter_of_fits() -> None:
         for seed in range(12)
     ]
     scatter = np.stack([screw_from_motion(each.T @ T_moved, np.zeros(3)) for each in fits]).std(axis=0)
-    said = np.mean([np.sqrt(np.diag(each.covariance)) for each in fits], axis=0)
-    assert (scatter < 2 * said).all()
-    assert (said < 2 * scatter).all()
+    output = np.mean([np.sqrt(np.diag(each.covariance)) for each in fits], axis=0)
+    assert (scatter < 2 * output).all()
+    assert (output < 2 * scatter).all()
 
 
 def test_a_ball_turns_every_way() -> None:
