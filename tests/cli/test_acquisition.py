@@ -238,7 +238,7 @@ def test_a_slow_command_is_ended(run: Path) -> None:
     assert outcome.report.missing_views == (1,)
 
 
-def test_a_file_that_comes_while_the_arm_stands_is_taken_when_whole(run: Path, tmp_path: Path) -> None:
+def test_a_growing_file_is_read_when_its_size_is_constant(run: Path, tmp_path: Path) -> None:
     """A file that appears and grows is read once its size is constant. A view without a file is missing."""
     folder, message = tmp_path / "files", []
     folder.mkdir()
@@ -301,7 +301,7 @@ def test_a_file_without_points_is_one_sentence(tmp_path: Path, name: str, conten
         ({"acquire": "simulated:fast"}, "takes no argument"),
     ],
 )
-def test_what_cannot_be_asked_leaves_no_execution(run: Path, options: dict[str, Any], words: str) -> None:
+def test_invalid_sources_leave_no_execution(run: Path, options: dict[str, Any], words: str) -> None:
     """Invalid sources are refused before any motion, and no execution is created."""
     with pytest.raises(UsageError, match=re.escape(words)):
         scan(run, **options)

@@ -54,7 +54,7 @@ def test_the_mount_as_lines_of_a_scene_file(run_cell: RunCommand, scans: Path, t
     assert len(found["scans"]) == 12
 
 
-def test_what_cannot_say_a_mount(run_cell: RunCommand, scans: Path, tmp_path: Path) -> None:
+def test_insufficient_scans_are_refused(run_cell: RunCommand, scans: Path, tmp_path: Path) -> None:
     """Insufficient scans and invalid options have exit code 2 with a message. Unreadable files have 6."""
     files = sorted(scans.glob("*.xyz"))
     for words, code, message in (

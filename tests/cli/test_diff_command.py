@@ -100,7 +100,7 @@ def test_sides_exchanged_exchange_the_answer(planned: Path, other: Path, run_cel
     assert [(n["a"], n["b"]) for n in one["numbers"]] == [(n["b"], n["a"]) for n in back["numbers"]]
 
 
-def test_of_executions_the_area_is_what_points_are_near(executed: Path, run_cell: RunCommand, tmp_path: Path) -> None:
+def test_areas_of_executions_are_areas_near_points(executed: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """An execution with one view measures less of the surface. The loss is recounted from the two clouds."""
     shutil.copytree(executed, tmp_path / "run")
     done = run_cell("scan", "run", "--view", "1", "--resolution", "1", "--json", cwd=tmp_path)

@@ -53,7 +53,7 @@ def explored(made_once: Callable[..., Path], part_file: Path, run_cell: RunComma
     return made_once("explored", make) / "explored"
 
 
-def test_the_file_says_what_was_done(explored: Path) -> None:
+def test_the_file_describes_the_executed_stages(explored: Path) -> None:
     """Stages, digests and views of explore.json are those of the run folders. The printed JSON equals the file."""
     file = schema.read_explore_file(explored / "explore.json")
     assert (file.status, file.views) == ("finished", 5)
@@ -151,7 +151,7 @@ def test_the_same_command_goes_on_where_it_was_killed(
 
 
 @pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:100])])
-def test_an_earlier_scan_that_is_gone_is_told_before_anything_moves(
+def test_a_missing_earlier_scan_is_reported_before_any_motion(
     damage: Callable[[Path], object], explored: Path, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """With a missing or truncated scan of an earlier stage, no batch is planned, and exit code 6 names the stage."""
@@ -192,9 +192,7 @@ def on_measured(soon_measured: None, made_once: Callable[..., Path], part_file: 
     return made_once("explored on measured surfaces", make) / "explored"
 
 
-def test_stages_on_the_measured_surface_measure_what_no_view_before_them_did(
-    on_measured: Path, part_file: Path
-) -> None:
+def test_stages_on_the_measured_surface_measure_new_samples(on_measured: Path, part_file: Path) -> None:
     """The part of such a stage is the stored surface of all earlier points. The record of beliefs does not change."""
     file = schema.read_explore_file(on_measured / "explore.json")
     assert [(stage.planned_on, stage.views) for stage in file.stages] == [(BELIEVED, 3), (MEASURED, 1), (MEASURED, 1)]
@@ -313,7 +311,7 @@ def test_other_options_do_not_go_on_there(
         (("--policy", "two-stage", "--batch", "2"), "--batch is for stepwise"),
     ],
 )
-def test_what_cannot_be_explored_is_refused_before_anything_is_made(
+def test_invalid_explorations_are_refused_before_a_folder_is_made(
     options: tuple[str, ...], message: str, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """An invalid exploration is refused with exit code 2, and no folder is created."""
@@ -324,7 +322,7 @@ def test_what_cannot_be_explored_is_refused_before_anything_is_made(
     assert not (tmp_path / "new").exists()
 
 
-def test_a_cylinder_that_does_not_hold_the_part_is_told_after_the_ring(
+def test_a_cylinder_smaller_than_the_part_is_reported_after_the_ring(
     tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """Points outside the cylinder end the exploration before a stage is recorded. The standoff suits the cylinder."""

@@ -44,7 +44,7 @@ def test_the_first_set_up_is_the_given_plan_with_its_executions(made: Path, plan
     assert "as it is placed" not in [each["name"] for each in file["offered"]]
 
 
-def test_the_other_set_ups_cover_what_the_first_leaves(made: Path) -> None:
+def test_the_other_set_ups_cover_the_remaining_surface(made: Path) -> None:
     """The coverage is that of all views together. The further set-ups increase it to the target."""
     file = json.loads((made / "setups.json").read_text())
     assert len(file["chosen"]) > 1

@@ -72,7 +72,7 @@ def test_the_motion_holds_every_sweep_as_a_line_at_constant_speed(swept: Path) -
     assert (motion["q"] <= limits[:, 1] + 1e-9).all()
 
 
-def test_what_is_not_judged_is_said(swept: Path) -> None:
+def test_missing_checks_are_reported(swept: Path) -> None:
     """The missing check of occlusion is reported on the terminal, in the report page and in report.json."""
     assert "occlusion by the arm itself is not checked" in (swept.parent / "stderr").read_text()
     assert "driven as a straight line at constant speed on one joint branch" in (swept / "report.md").read_text()
@@ -125,7 +125,7 @@ def test_a_sensor_is_chosen_by_name(run_cell: RunCommand, part_file: Path, tmp_p
     assert resolved["scanner"]["fan_deg"] == pytest.approx(26.7204, abs=1e-4)
 
 
-def test_cell_sensors_lists_what_is_known(run_cell: RunCommand, tmp_path: Path) -> None:
+def test_cell_sensors_lists_the_library(run_cell: RunCommand, tmp_path: Path) -> None:
     """The output is a table, or one JSON object with the sources and the figures that the user must give."""
     done = run_cell("sensors", cwd=tmp_path, code=0)
     assert "gocator-2350" in done.stdout

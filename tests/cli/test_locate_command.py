@@ -96,7 +96,7 @@ def test_the_scans_of_an_execution_are_where_they_were_planned(executed: Path) -
     assert found.checked_motion.nearest_mm == pytest.approx(min(s.minimum_mm for s in nearest.segments), abs=0.3)
 
 
-def test_a_part_in_the_way_of_the_motion_is_told(planned: Path, tmp_path: Path) -> None:
+def test_a_part_in_contact_with_the_motion_is_reported(planned: Path, tmp_path: Path) -> None:
     """For a part at the scanner's first view, the checked motion does not keep its clearance."""
     run = open_run(planned)
     T = run.T_base_object.copy()
@@ -138,13 +138,13 @@ def test_files_of_named_points_that_are_none(content: str, message: str, planned
         ({"points": "x.ply", "points_frame": "base", "points_units": "mm", "view": 99}, "there is no view 99"),
     ],
 )
-def test_what_cannot_be_asked(options: dict[str, Any], message: str, planned: Path) -> None:
+def test_invalid_options_are_refused(options: dict[str, Any], message: str, planned: Path) -> None:
     """Incomplete or contradictory options are refused with the remedy."""
     with pytest.raises((UsageError, FileError), match=message):
         locate(planned, **options)
 
 
-def test_what_is_open_is_not_planned_with(run_cell: RunCommand, planned: Path, tmp_path: Path) -> None:
+def test_an_undetermined_placement_is_refused(run_cell: RunCommand, planned: Path, tmp_path: Path) -> None:
     """Pairs on one line leave a rotation undetermined: exit code 2 and no new run."""
     run = open_run(planned)
     nominal = np.array([0.02, 0.0, 0.03]) + np.linspace(0, 0.04, 3)[:, None] * [0, 0, 1]

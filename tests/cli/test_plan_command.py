@@ -187,7 +187,7 @@ def test_a_negative_placement_is_not_taken_for_an_option(
         pytest.param("select, order and connect", 600, marks=pytest.mark.slow),
     ],
 )
-def test_ctrl_c_in_any_stage_keeps_what_was_finished(
+def test_ctrl_c_in_any_stage_keeps_the_finished_files(
     stage: str, faces: int, part_file: Path, tmp_path: Path, start_cell: StartCommand
 ) -> None:
     """An interrupt ends with code 130 and one sentence. The folder records the status and keeps its artefacts."""
@@ -215,7 +215,7 @@ def test_ctrl_c_in_any_stage_keeps_what_was_finished(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_is_said_and_nothing_finished_is_lost(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_earlier_files_stay(tmp_path: Path) -> None:
     """A write to a full device raises an error, and earlier artefacts stay."""
     from datetime import UTC, datetime
 
@@ -232,7 +232,9 @@ def test_a_full_disk_is_said_and_nothing_finished_is_lost(tmp_path: Path) -> Non
     assert json.loads((folder.path / "manifest.json").read_text())["status"] == "failed"
 
 
-def test_no_write_permission_is_said_before_any_work(part_file: Path, tmp_path: Path, run_cell: RunCommand) -> None:
+def test_no_write_permission_is_reported_before_any_computation(
+    part_file: Path, tmp_path: Path, run_cell: RunCommand
+) -> None:
     """A run folder below a plain file is refused with exit code 6."""
     (tmp_path / "file").write_text("")
     done = run_cell(

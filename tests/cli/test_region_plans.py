@@ -68,7 +68,7 @@ def report_of(folder: Path) -> dict[str, Any]:
     return json.loads((folder / "report.json").read_text())
 
 
-def test_each_region_gets_what_it_asks_for(regions: Path) -> None:
+def test_each_region_meets_its_targets(regions: Path) -> None:
     """Areas match the drawing. Shares, two views for each coverable sample of the top, and spacing limits are met."""
     report = report_of(regions / "run")
     top, side = report["regions"]
@@ -92,7 +92,7 @@ def test_each_region_gets_what_it_asks_for(regions: Path) -> None:
             assert law((points[row] - t)[None] @ R, normals[row][None] @ R)[0] <= 0.6e-3 * (1 + 1e-9)
 
 
-def test_the_page_shows_regions_and_what_nobody_asks_for(
+def test_the_page_shows_regions_and_surface_without_requirement(
     regions: Path, data_of: Callable[[str], dict[str, Any]]
 ) -> None:
     """The page has a colouring by region and a separate piece for the surface without requirement."""
@@ -133,7 +133,7 @@ def test_commands_that_go_on_know_the_regions(regions: Path, run_cell: RunComman
         ("max_sigma_mm = 0.00001", 4, "'top' takes a sigma of at most 1e-05 mm"),
     ],
 )
-def test_what_no_view_can_keep_is_one_sentence(
+def test_unattainable_limits_of_a_region_are_refused(
     regions: Path, run_cell: RunCommand, tmp_path: Path, limit: str, exit_code: int, output: str
 ) -> None:
     """The error names the region and its limit."""
@@ -154,9 +154,7 @@ def test_equal_inputs_give_equal_bytes(regions: Path, run_cell: RunCommand) -> N
     shutil.rmtree(regions / "again")
 
 
-def test_an_edit_is_held_to_what_its_regions_and_wishes_ask(
-    regions: Path, run_cell: RunCommand, tmp_path: Path
-) -> None:
+def test_an_edit_meets_the_targets_of_regions_and_options(regions: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """An unchanged plan stays valid after repeated edits. The default share of the whole surface is not required."""
     scene = (
         _REGIONS.partition("coverage")[0]

@@ -56,7 +56,7 @@ def covered(folder: Path) -> tuple[list[int], float]:
     return views, float(areas[M[:, views].any(axis=1)].sum() / areas.sum())
 
 
-def test_a_plain_plan_says_nothing_of_requests(planned: Path) -> None:
+def test_a_plan_without_requests_has_no_keys_of_requests(planned: Path) -> None:
     """A plan without requests has no further key in plan.json and report.json, and no curve."""
     plan, report = (json.loads((planned / name).read_text()) for name in ("plan.json", "report.json"))
     assert not {"most_coverage", "overlap", "promise", "multiplicity", "cost", "curve"} & (set(plan) | set(report))

@@ -138,7 +138,7 @@ def test_achieved_visible_coverage_is_the_predicted_one(executed: Path) -> None:
     )
 
 
-def test_cloud_and_mesh_are_readable_and_say_what_the_report_says(executed: Path) -> None:
+def test_cloud_and_mesh_are_readable_and_agree_with_the_report(executed: Path) -> None:
     """The cloud is PLY in mm with unit normals and the view of each point. The mesh is close to the reference."""
     folder = executed / "executions" / "0001"
     report = _without_schema(folder)
@@ -239,7 +239,7 @@ def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Pat
     assert raw.report.deviation.rms_mm > 1.5 * outcome.report.deviation.rms_mm
 
 
-def test_closed_holes_are_marked_and_said(copied: Path) -> None:
+def test_closed_holes_are_marked_and_reported(copied: Path) -> None:
     """The closing faces are marked in mesh.ply, are reported separately and are the difference to the open mesh."""
     open_faces = _without_schema(copied / "executions" / "0001")["model"]["faces"]
     outcome = _scan(copied, close_holes=True)
@@ -269,7 +269,7 @@ def test_an_execution_that_sees_nothing_is_reported(copied: Path) -> None:
     assert not (outcome.folder / "mesh.ply").exists()
 
 
-def test_one_empty_scan_among_others_is_said_and_the_rest_used(copied: Path) -> None:
+def test_one_empty_scan_among_others_is_reported_and_the_others_are_used(copied: Path) -> None:
     """An empty view is in the table with no point, and the surface is made from the other views."""
     path = copied / "executions" / "0001" / "scans" / "0002.npz"
     counts = np.zeros(len(Rejection), dtype=np.int64)
@@ -339,7 +339,7 @@ def test_a_scan_file_that_is_not_that_of_its_view_is_named_and_left_out(copied: 
     assert "whose file is 0004.npz" in summary.left_out[2]
 
 
-def test_a_damaged_manifest_of_an_execution_is_told_and_the_scans_used(copied: Path) -> None:
+def test_a_damaged_manifest_of_an_execution_is_reported_and_the_scans_are_used(copied: Path) -> None:
     """Invalid JSON and entries of wrong type are reported in left_out, and the report is made from the scans."""
     path = copied / "executions" / "0001" / "manifest.json"
     good = json.loads(path.read_text())
@@ -373,7 +373,7 @@ def test_an_execution_that_still_runs_is_not_reported_and_that_of_a_dead_process
     assert _remake(copied).complete
 
 
-def test_what_the_controller_refuses_leaves_no_execution(planned: Path) -> None:
+def test_moves_that_the_controller_refuses_leave_no_execution(planned: Path) -> None:
     """Start and steps of all path segments are checked before a folder is created."""
     with pytest.raises(DriverFailureError, match="nothing was moved"):
         _scan(planned, driver="sim://?start=0,-80,90,0,90,0")

@@ -112,7 +112,7 @@ def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: RunCommand,
         (("made/setups/1", "--setup", "1"), "--setup needs a folder of cell setups"),
     ],
 )
-def test_what_cannot_be_is_said(words: tuple[str, ...], message: str, folder: Path, run_cell: RunCommand) -> None:
+def test_invalid_requests_are_refused(words: tuple[str, ...], message: str, folder: Path, run_cell: RunCommand) -> None:
     """Invalid options are refused with exit code 2, and nothing is scanned."""
     done = run_cell("scan", *words, cwd=folder.parent, code=2)
     assert message in done.stderr
@@ -167,7 +167,7 @@ def test_the_confirmation_of_a_motion_names_the_pose_of_the_part(folder: Path, e
     assert emulated.entries("move") == []
 
 
-def test_that_a_part_may_be_near_is_told_again_where_an_execution_goes_on(folder: Path, run_cell: RunCommand) -> None:
+def test_the_warning_about_a_displaced_part_is_repeated_when_resumed(folder: Path, run_cell: RunCommand) -> None:
     """The warning is reported before the first and before the resumed execution."""
     (folder.parent / "none").mkdir()
     files = ("--acquire", "files:none", "--points-frame", "scanner", "--points-units", "mm")
@@ -211,7 +211,7 @@ def test_a_part_that_is_off_rests_on_its_post(planned: Path) -> None:
     np.testing.assert_allclose(after["floor"], before["floor"] + up[:3, 3])
 
 
-def test_a_part_that_may_stand_nearer_than_the_motion_is_clear_of_it_is_told(planned: Path) -> None:
+def test_a_displacement_above_the_clearance_has_a_warning(planned: Path) -> None:
     """A displacement of 5 mm and 2 deg moves the farthest point by a known distance. The warning begins there."""
     cell = read_cell(open_run(planned))
     centre = cell.scene.T_object_centre[:3, 3]

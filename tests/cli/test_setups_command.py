@@ -23,7 +23,7 @@ def made(made_setups: Path) -> Path:
     return made_setups
 
 
-def test_the_set_ups_measure_together_what_is_said(made: Path) -> None:
+def test_the_set_ups_together_measure_the_reported_coverage(made: Path) -> None:
     """The coverage is the union of all runs on the held-out samples. The number of set-ups equals its bound."""
     output = json.loads((made / "setups.json").read_text())
     seen = [seen_samples(made / setup["folder"]) for setup in output["chosen"]]
@@ -83,7 +83,7 @@ def test_the_page_of_each_set_up_is_opened(made: Path, run_cell: RunCommand) -> 
         (("--place", "9000,0,100"), 4, "none of the 1 set-up candidates can be planned"),
     ],
 )
-def test_what_cannot_be_is_said(
+def test_invalid_requests_are_refused(
     options: tuple[str, ...], code: int, message: str, part_file: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """An invalid request is refused with its exit code, and no finished folder is left."""
@@ -152,7 +152,7 @@ def test_equal_set_ups_are_refused(part_file: Path, run_cell: RunCommand, tmp_pa
     assert "'over' and 'again' are equal; leave one of them out" in done.stderr
 
 
-def test_wishes_are_asked_of_all_set_ups_together(part_file: Path, tmp_path: Path) -> None:
+def test_options_apply_to_all_set_ups_together(part_file: Path, tmp_path: Path) -> None:
     """A pinned candidate brings its set-up, a banned one is not selected. Two views may be of different set-ups."""
     made = plan_setups(
         part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,

@@ -91,7 +91,7 @@ def test_they_are_scanned_and_exported_with_the_table(folder: Path, run_cell: Ru
     assert sum("E1 " in program.read_text() for program in programs) >= 2
 
 
-def test_what_the_table_cannot_carry_is_left_out(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
+def test_set_ups_beyond_the_table_are_left_out(part_file: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """A set-up that swings too wide is left out with the reason of the table. The others are kept."""
     wide = '[[setup]]\nname = "far off"\nposition_mm = [1700, 400, 100]\n'
     near = '[[setup]]\nname = "upright"\nposition_mm = [1100, 400, 100]\n'

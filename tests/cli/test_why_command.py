@@ -45,7 +45,7 @@ def test_wrong_uses_have_their_exit_codes(planned: Path, run_cell: RunCommand, t
     assert "no finished plan" in failed.stderr
 
 
-def test_where_nothing_stays_open_it_says_so(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
+def test_complete_coverage_is_reported(planned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """With one sample, which the plan measures, no reason is given, and the four files are written."""
     shutil.copytree(planned, tmp_path / "run")
     done = run_cell("why", "run", "--samples", "1", cwd=tmp_path, code=0)

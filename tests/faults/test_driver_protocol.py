@@ -398,7 +398,7 @@ def test_missing_stages_are_sent_again(wire: Bench) -> None:
     assert move["sequence"] == 1
 
 
-def test_the_controller_refuses_what_a_client_did_not(wire: Bench) -> None:
+def test_the_controller_refuses_moves_that_bypass_the_client(wire: Bench) -> None:
     """Moves that bypass the client's check are refused: the arm does not move, and the number is used."""
     for sequence, (points, speed, result) in enumerate(
         (

@@ -215,7 +215,7 @@ def _liar() -> bytes:
 
 
 @pytest.mark.parametrize("made", [lambda: _bomb(1 << 28), _liar], ids=["bomb", "liar"])
-def test_what_a_file_holds_bounds_what_is_allocated(made: Callable[[], bytes]) -> None:
+def test_allocation_is_bounded_by_the_size_of_the_file(made: Callable[[], bytes]) -> None:
     """An npz that expands a thousand times or announces a terabyte is refused without allocating that size."""
     content = made()
     began, before = process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

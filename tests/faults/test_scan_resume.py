@@ -167,7 +167,7 @@ class _Told:
         self.notes.append(sentence)
 
 
-def test_the_new_way_is_told_before_anybody_agrees_to_it(executed_folder: Path, standing: Any) -> None:
+def test_the_new_path_is_reported_before_the_confirmation(executed_folder: Path, standing: Any) -> None:
     """The new path is reported before the question. Without a yes, no motion starts and the files are unchanged."""
     execution = executed_folder / "executions" / "0001"
     for name in list(_scans(execution))[1:]:
@@ -230,9 +230,7 @@ def test_every_wire_gives_the_same_scans_to_the_bit(
     assert len(moved) >= len(undisturbed)
 
 
-def test_what_moves_steel_is_refused_without_a_word_and_leaves_nothing(
-    run_folder: Path, standing: Any, run_cell: RunCommand
-) -> None:
+def test_hardware_is_refused_without_confirmation(run_folder: Path, standing: Any, run_cell: RunCommand) -> None:
     """Without a terminal and --confirm-motion the command exits with 2, without execution or move."""
     done = run_cell("scan", str(run_folder), "--driver", standing.url, cwd=run_folder.parent, code=2)
     assert f"--confirm-motion {_word(run_folder)[1][:8]}" in done.stderr
@@ -261,7 +259,7 @@ def test_an_arm_that_does_not_stand_at_the_plan_s_start_is_not_moved(
     ],
     ids=["other plan", "damaged"],
 )
-def test_what_cannot_be_resumed_says_why(
+def test_executions_that_cannot_be_resumed_are_refused_with_the_reason(
     change: dict[str, Any], code: int, words: str, run_folder: Path, run_cell: RunCommand
 ) -> None:
     """The command reports one sentence and its exit code, and the execution is unchanged."""

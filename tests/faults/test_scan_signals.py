@@ -86,7 +86,7 @@ def test_two_processes_cannot_work_on_one_execution(executed: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize("resolution", ["1e-9", "1e-3"])
-def test_what_does_not_fit_is_refused_before_the_first_move(
+def test_rays_beyond_memory_are_refused_before_the_first_move(
     resolution: str, run_folder: Path, run_cell: RunCommand, emulate: Emulate
 ) -> None:
     """A resolution with more rays than memory ends with exit code 2 before the first move."""

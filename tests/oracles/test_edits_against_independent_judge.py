@@ -52,7 +52,7 @@ def test_random_edits(seed: int, run: EditableRun, judge: EditJudge, tmp_path: P
     assert found == []
 
 
-def test_the_judge_finds_what_is_wrong(run: EditableRun, judge: EditJudge, tmp_path: Path) -> None:
+def test_the_judge_finds_errors(run: EditableRun, judge: EditJudge, tmp_path: Path) -> None:
     """The judge reports an edit that differs from its request, and refusals with a false reason."""
     made = run.edited(out=tmp_path / "edited", drop=[1])
     kept, away = RandomEdit({}), np.eye(4)

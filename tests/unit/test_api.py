@@ -130,7 +130,7 @@ def test_an_execution_is_a_value_too(planned: Run) -> None:
         "no plan",
     ],
 )
-def test_what_cannot_be_is_one_sentence(call: object, error: type[Exception], words: str) -> None:
+def test_invalid_calls_are_refused(call: object, error: type[Exception], words: str) -> None:
     """An invalid call is refused with an error of the matching class that names the cause."""
     with pytest.raises(error, match=words):
         call()  # type: ignore[operator]

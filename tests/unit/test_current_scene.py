@@ -93,7 +93,7 @@ def test_files_as_they_were_are_driven(proven: VerifiedPlan, now: Path) -> None:
         ("[plan]", "plan", "scene"),
     ],
 )
-def test_what_differs_is_named_and_can_be_accepted(
+def test_differences_are_named_and_can_be_accepted(
     was: str, is_now: str, name: str, proven: VerifiedPlan, now: Path
 ) -> None:
     """Each difference is refused by its name until that name is accepted. Other accepted names have no effect."""
@@ -149,7 +149,9 @@ def test_the_files_of_the_manifest_are_looked_at_again(
     assert not (tmp_path / "run/executions").exists()
 
 
-def test_what_the_command_line_said_is_no_difference(cell_of_files: Path, tmp_path: Path, run_cell: RunCommand) -> None:
+def test_options_of_the_command_line_are_no_difference(
+    cell_of_files: Path, tmp_path: Path, run_cell: RunCommand
+) -> None:
     """A placement of the command line is no difference from the scene file of the run."""
     for name in ("part.stl", "clamp.stl", "cell.toml"):
         shutil.copy(cell_of_files / name, tmp_path)

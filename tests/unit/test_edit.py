@@ -54,7 +54,7 @@ def test_texts_and_values_say_the_same(options: dict[str, Any]) -> None:
         ({"drop": "1", "table_angle": 30}, "concerns the poses of move and add_pose"),
     ],
 )
-def test_what_an_edit_cannot_say(options: dict[str, Any], message: str) -> None:
+def test_invalid_edits_are_refused(options: dict[str, Any], message: str) -> None:
     """An invalid edit is refused with one sentence that contains the option as the user wrote it."""
     with pytest.raises(UsageError, match=message):
         parse_options(Edit, options, flag)
@@ -70,7 +70,7 @@ def test_what_an_edit_cannot_say(options: dict[str, Any], message: str) -> None:
         (lambda views: {"drop": [*range(1, views + 1)]}, "leaves no view"),
     ],
 )
-def test_what_is_not_there_is_refused_before_a_folder_is_made(
+def test_missing_views_are_refused_before_a_folder_is_made(
     options: Callable[[int], dict[str, Any]], message: str, planned: Path, tmp_path: Path
 ) -> None:
     """Views and candidates that the plan does not have are refused with its own numbers, before a folder is made."""
@@ -100,7 +100,7 @@ def test_an_edit_that_changes_nothing_changes_nothing(
     assert same.scene.as_json() == run.scene.as_json()
 
 
-def test_a_view_that_collides_is_refused_with_what_it_collides_with(planned: Path, tmp_path: Path) -> None:
+def test_a_view_in_collision_is_refused_with_the_pair(planned: Path, tmp_path: Path) -> None:
     """A view with the scanner inside the part is refused with its number and the pair in collision."""
     run = open_run(planned)
     reached = run.reach

@@ -247,7 +247,7 @@ def test_an_arm_that_stands_elsewhere_is_not_moved(folder: ExecutionFolder) -> N
 @pytest.mark.parametrize(
     ("error", "event"), [(FaultError("a drive tripped", 7), "failed"), (KeyboardInterrupt(), "interrupted")]
 )
-def test_an_execution_that_ends_early_keeps_its_scans_and_says_why(
+def test_an_execution_that_ends_early_has_its_scans_and_the_reason(
     error: BaseException, event: str, folder: ExecutionFolder
 ) -> None:
     """If the third move fails, two complete scans remain, and the last event states the reason."""
@@ -364,7 +364,7 @@ def test_a_torn_event_does_not_spoil_the_next_one(folder: ExecutionFolder) -> No
     assert [event["event"] for event in _events(folder)] == ["done"]
 
 
-def test_what_a_killed_execution_scanned_is_in_its_manifest(folder: ExecutionFolder) -> None:
+def test_scans_of_a_killed_execution_are_in_its_manifest(folder: ExecutionFolder) -> None:
     """The manifest lists each scan before the next move, so that a later change of a scan is detected."""
     seen = []
 

@@ -64,7 +64,7 @@ def _asked(poses: Floats | None, whole: bool = False, space: VoxelSpace = UNKNOW
     return BatchRequest(space, GainRecord.empty(), Batch(1, include_covered=whole), 0.001, poses=poses)
 
 
-def test_of_the_measured_surface_is_wanted_what_no_view_measures(balls: TriangleMesh) -> None:
+def test_unmeasured_samples_of_the_measured_surface_are_selected(balls: TriangleMesh) -> None:
     """On measured surface, exactly the samples that no pose measures are selected, by comparison with brute force."""
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
@@ -77,7 +77,7 @@ def test_of_the_measured_surface_is_wanted_what_no_view_measures(balls: Triangle
 
 
 @pytest.mark.parametrize("views", [(1, 1), (2,), (1,)])
-def test_what_came_is_what_the_latest_views_measured_first(views: tuple[int, ...], balls: TriangleMesh) -> None:
+def test_the_realised_gain_counts_newly_measured_samples(views: tuple[int, ...], balls: TriangleMesh) -> None:
     """The realised gain counts samples near a point that the latest views measured first, as brute force does."""
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
@@ -109,7 +109,7 @@ def test_of_more_samples_than_are_kept_the_area_is_the_same(balls: TriangleMesh)
 
 
 @pytest.mark.parametrize("whole", [False, True])
-def test_of_the_believed_surface_is_wanted_what_was_not_seen(whole: bool, balls: TriangleMesh) -> None:
+def test_unseen_samples_of_the_believed_surface_are_selected(whole: bool, balls: TriangleMesh) -> None:
     """On believed surface a sample has its area times its probability of gain."""
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     right = samples.points[:, 0] > 0
@@ -163,7 +163,7 @@ def test_the_next_batches_are_the_policys_within_the_budget(
         (Batch(1, include_covered=True), ""),
     ],
 )
-def test_a_batch_that_is_not_worth_its_views_says_what_was_asked_of_it(batch: Batch, output: str) -> None:
+def test_a_batch_below_the_minimum_gain_names_the_minimum(batch: Batch, output: str) -> None:
     """Two views with an expected gain of 0.08 % each are compared with the minimum gain of the batch."""
     chosen: Any = SimpleNamespace(cover=SimpleNamespace(covered_area=0.0001, views=(3, 7)))
     requests = BatchRequest(UNKNOWN, GainRecord.empty(), batch, 0.001, measured_area=0.1, gain_ratio=1.6)

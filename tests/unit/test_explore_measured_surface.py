@@ -128,7 +128,7 @@ def test_the_side_of_a_sheet_that_nobody_saw_is_believed() -> None:
     assert space.is_measured(sheet.centres[below], sheet.normals[below]).mean() > 0.9  # voxels do not distinguish sides
 
 
-def test_what_lies_before_a_wall_is_not_believed() -> None:
+def test_voxels_before_a_wall_are_not_believed() -> None:
     """Voxels of a tube at least half a voxel before the wall are excluded, by comparison with the cylinder."""
     space, wall = _looked_into(), _wall(SEEN)
     hit = tuple(np.floor((np.array([0.0015, 0.0, SEEN + 0.0002]) - space.low) / EDGE).astype(int))
@@ -150,7 +150,7 @@ def test_what_lies_before_a_wall_is_not_believed() -> None:
     assert expected[sure].sum() > 100
 
 
-def test_a_stray_point_says_nothing_of_what_lies_before_it() -> None:
+def test_a_stray_point_does_not_change_the_surface() -> None:
     """A single stray point inside a tube, seen from the side, does not change the surface."""
     scans, stray = [_scan(_wall(SEEN), (0.0, 0.0, -0.005))], np.array([[0.0, 0.0, SEEN + 0.002]])
     with_it, without = (_continued([*scans, *more], _looked_into()) for more in ([_scan(stray, (0.1, 0.0, 0.0))], []))

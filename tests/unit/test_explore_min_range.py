@@ -45,7 +45,7 @@ def _space(state: int = FREE, votes: int = 0) -> VoxelSpace:
     ],
     ids=["free", "nobody looked", "voted down", "farther off", "hit", "the target itself is too near"],
 )
-def test_what_may_be_the_part_lies_no_nearer_than_the_range(space: VoxelSpace, away: float, blocked: bool) -> None:
+def test_lines_of_sight_keep_the_minimum_range(space: VoxelSpace, away: float, blocked: bool) -> None:
     """A line of sight is blocked if the part may lie below the minimum range of 150 mm."""
     stand = np.array([[away, 0.0, 0.0]])
     assert MinRangeOccluder(None, space, 0.15).blocked(stand, TARGET).tolist() == [blocked]
@@ -74,7 +74,7 @@ def _scan(eye: SensorFrustum, T: Floats, x: float) -> Floats:
     ids=["where it was believed", "before the range", "before the range, where others saw nothing", "farther off"],
 )
 @pytest.mark.parametrize("beside", [0.0, 0.2])
-def test_what_gave_no_point_was_too_near_where_nobody_had_looked(
+def test_samples_without_points_before_unseen_space_count_as_too_near(
     wall: float, state: int, message: float, beside: float
 ) -> None:
     """Samples without a point count as too near if the part lies in unseen space before the minimum range."""

@@ -28,7 +28,7 @@ _OF = OpenSamples(np.array([0, 0, 1, 1]), np.array([1.0, 9.0, 1.0, 9.0]), np.zer
 
 
 @pytest.mark.parametrize("verdict", [Verdict.REACHABLE, Verdict.OUT_OF_REACH])
-def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) -> None:
+def test_tried_samples_beside_measured_surface_are_remainders(verdict: Verdict) -> None:
     """A tried sample near measured surface is a remainder."""
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])
     q = np.zeros((1 if verdict == Verdict.REACHABLE else 0, 6))
@@ -42,7 +42,7 @@ def test_what_views_left_beside_what_was_measured_is_a_rest(verdict: Verdict) ->
 @pytest.mark.parametrize(
     ("casters", "near"), [((_FAR, _WALL), REMAINDER), ((_WALL, _FAR), Reason.SOURCE_SHADED_BY_PART)]
 )
-def test_what_views_left_is_a_rest_where_what_the_part_stands_on_seems_to_shade_it(
+def test_tried_samples_shaded_by_the_support_are_remainders(
     casters: tuple[EmbreeRayCaster, EmbreeRayCaster], near: int
 ) -> None:
     """A tried sample near measured surface is a remainder even if the stand shades it."""
@@ -53,7 +53,7 @@ def test_what_views_left_is_a_rest_where_what_the_part_stands_on_seems_to_shade_
     assert message == ["laser or sensor occluded"] * 2 + [describe_cause(near), "laser or sensor occluded"]
 
 
-def test_what_no_view_looks_at_squarely_is_no_rest() -> None:
+def test_grazing_samples_are_no_remainder() -> None:
     """A view from the side is reported as too grazing for tried and untried samples."""
     views = aim_viewpoints(
         np.zeros((1, 3)), np.array([[0.995, 0, np.sqrt(1 - 0.995**2)]]), np.array([-1]), [0.1], [0.0]
@@ -64,7 +64,7 @@ def test_what_no_view_looks_at_squarely_is_no_rest() -> None:
     assert found.reason.tolist() == [Reason.GRAZING_SOURCE] * 4
 
 
-def test_sentences_that_are_the_same_are_told_once() -> None:
+def test_equal_sentences_are_reported_once() -> None:
     """Areas [mm2] of reasons with the same sentence are added. The largest area comes first."""
     codes = np.array([Reason.SOURCE_SHADED_BY_PART, NOT_SELECTED, Reason.SENSOR_SHADED, TRIED])
     views = aim_viewpoints(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([-1]), [0.1], [0.0])

@@ -112,7 +112,7 @@ def test_a_part_that_was_moved_away_stops_an_exploration(away: float, message: b
         require_plausible(space, Path("stages/0002"), views, eye)
 
 
-def test_what_a_view_cannot_see_was_not_moved() -> None:
+def test_invisible_points_are_no_sign_of_motion() -> None:
     """Known points below the range, beyond the outline or fewer than 100 give no share of passed points."""
     eye, T = _eye(), np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 0.4
@@ -127,7 +127,7 @@ def test_what_a_view_cannot_see_was_not_moved() -> None:
     assert eye.passed(before[:0], wall, T, 0.01) == eye.passed(before, wall[:0], T, 0.01) == 0.0
 
 
-def test_a_view_of_what_is_not_there_is_no_reason_to_stop() -> None:
+def test_a_later_batch_without_points_is_accepted() -> None:
     """After a first hit, a batch without points is accepted, and its rays add votes to the voxels."""
     space, stand = VoxelSpace.from_cylinder(0.1, 0.1, 0.004, 0.003), np.array([0.3, 0.0, 0.0])
     space, nothing = space.with_points(np.zeros((1, 3)), [stand]), np.empty((0, 3))
@@ -179,7 +179,7 @@ def test_two_stages_begin_with_six_views_and_ask_less_of_each_plan() -> None:
         assert policy(ExploreOptions(), ExplorationState(stages, 9, on=MEASURED)) == (last,)
 
 
-def test_what_the_model_misses_of_the_limits() -> None:
+def test_the_share_beyond_the_limits() -> None:
     """The share of a square beyond the spacing limit falls from 1 to 0 as the limit grows."""
     square = trimesh.creation.box((0.08, 0.08, 0.002))
     mesh = TriangleMesh(np.asarray(square.vertices, dtype=np.float64), np.asarray(square.faces, dtype=np.int32))
@@ -197,7 +197,7 @@ def test_what_the_model_misses_of_the_limits() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.3])
-def test_what_the_arm_keeps_away_from_holds_every_voxel_that_is_not_free(share: float, tmp_path: Path) -> None:
+def test_unseen_space_contains_every_voxel_that_is_not_free(share: float, tmp_path: Path) -> None:
     """The mesh of unseen space contains all corners of each voxel that is not free, including isolated voxels."""
     space = VoxelSpace.from_cylinder(0.02, 0.05, 0.002, 0.002)
     state = np.where(np.random.default_rng(1).random(space.state.shape) < share, UNKNOWN, FREE).astype(np.uint8)
@@ -221,7 +221,7 @@ class Stub:
     usable: Any
 
 
-def test_a_batch_is_of_as_many_views_as_each_add_what_is_asked_of_them() -> None:
+def test_a_batch_has_as_many_views_as_reach_the_minimum_gain() -> None:
     """A batch has as many views as reach the minimum gain; a gain ratio of 0 leaves one view to be refused."""
     areas = np.array([3.0, 2.0, 1.0])
     M = SimpleNamespace(matrix=lambda: csr_array(np.eye(3, dtype=bool)), samples=SimpleNamespace(areas=areas))
@@ -231,7 +231,7 @@ def test_a_batch_is_of_as_many_views_as_each_add_what_is_asked_of_them() -> None
         assert max(len(stage._views_with_gain(problem, requests)), 1) == views
 
 
-def test_what_came_is_held_against_what_was_expected() -> None:
+def test_the_gain_ratio_is_the_median_of_realised_over_expected() -> None:
     """The ratio is the median of newly measured over expected area."""
     went = [(5.0, 20.0, BELIEVED), (2.0, 4.0, BELIEVED), *[(9.0, 0.0, MEASURED)] * 2, (1.0, 3.0, BELIEVED)]
     stages = [SimpleNamespace(expected_mm2=area, new_mm2=new, planned_on=on) for area, new, on in went]
@@ -241,7 +241,7 @@ def test_what_came_is_held_against_what_was_expected() -> None:
     assert _belief_gain_ratio(SimpleNamespace(stages=little)) == 1.0  # a smaller gain is part of the gain record
 
 
-def test_what_the_part_is_believed_to_fill_is_the_spaces() -> None:
+def test_the_believed_solid_is_that_of_the_space() -> None:
     """The believed solid is that of the space, and the believed surface encloses it."""
     space = VoxelSpace.from_cylinder(0.02, 0.05, 0.002, 0.002).with_points(
         np.zeros((1, 3)), [np.array([0.2, 0.0, 0.0])]
@@ -252,7 +252,7 @@ def test_what_the_part_is_believed_to_fill_is_the_spaces() -> None:
     assert np.array_equal(known.surface.vertices, belief.surface_about(space, space.belief_voxels()).vertices)
 
 
-def test_what_is_known_is_kept_and_read_again(tmp_path: Path) -> None:
+def test_a_belief_is_written_and_read_back(tmp_path: Path) -> None:
     """Voxels, points and gain record are equal after writing and reading."""
     (tmp_path / "stages").mkdir()
     rng, unknown = np.random.default_rng(3), VoxelSpace.from_cylinder(0.02, 0.05, 0.002, 0.002)
@@ -291,7 +291,7 @@ def test_nothing_that_can_be_reached_has_the_exit_code_of_that() -> None:
     assert message.value.exit_code == 4
 
 
-def test_the_ring_says_nothing_of_standing_too_near() -> None:
+def test_the_ring_is_not_part_of_the_minimum_range_history() -> None:
     """The first batch is not part of the minimum-range history, since it was planned for an unknown cylinder."""
     ring, batch = (SimpleNamespace(too_near_mm2=near, expected_mm2=9.0) for near in (8.0, 1.0))
     file: Any = SimpleNamespace(stages=[ring, batch])

@@ -180,7 +180,7 @@ def test_options_of_a_scan_are_those_given_and_checked() -> None:
         ScanOptions.from_manifest({"seed": "three"})
 
 
-def test_a_resumed_scan_keeps_what_it_was_begun_with() -> None:
+def test_a_resumed_scan_has_its_original_options() -> None:
     """A resumed scan takes speed and similar options from the new command, and the driver only if it is given."""
     begun = ScanOptions(driver="serial:///dev/x", range_noise_mm=0.1, speed=0.5, reset=True)
     now = begun.resumed(ScanOptions(speed=0.05))

@@ -96,7 +96,7 @@ def test_the_layer_is_the_share_of_a_normal_distribution() -> None:
     np.testing.assert_allclose(share, [0.5, 0.8413, 1.0], atol=4 * 0.5 / np.sqrt(members))
 
 
-def test_only_asked_columns_are_looked_at() -> None:
+def test_only_selected_columns_are_evaluated() -> None:
     """Entries of excluded columns have no hit, and an ensemble without errors has exact poses."""
     samples, views = scene([0.0, 5.0])
     M = fill_matrix(views, samples, Cone(), Nothing())
@@ -150,7 +150,7 @@ def test_a_layer_follows_a_matrix_that_lost_entries() -> None:
 
 
 @pytest.mark.parametrize(("position", "orientation"), [(-1.0, 0.0), (0.0, np.nan), (np.inf, 0.0)])
-def test_what_is_no_standard_deviation_is_refused(position: float, orientation: float) -> None:
+def test_invalid_standard_deviations_are_refused(position: float, orientation: float) -> None:
     """Negative, infinite and NaN standard deviations are refused."""
     with pytest.raises(PlannerError, match="standard deviation"):
         PoseError(position, orientation)

@@ -33,7 +33,7 @@ def test_switched_off_nothing_changes_bit_for_bit() -> None:
     assert not off.moves_pose
 
 
-def test_the_pose_error_has_the_sigma_asked_for_on_every_axis() -> None:
+def test_the_pose_error_has_the_given_sigma_on_every_axis() -> None:
     """Position and rotation vector of the error, in the scanner's frame, have zero mean and the given sigma."""
     requests, T = Disturbance(position=0.5e-3, rotation=np.radians(0.1)), _pose()
     rng = np.random.default_rng(7)

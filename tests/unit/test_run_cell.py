@@ -83,7 +83,7 @@ def _written(home: Path, part_file: Path, plan: dict[str, object]) -> tuple[Run,
     return open_run(folder.finish(0)), world
 
 
-def test_what_occludes_is_what_occluded_the_plan(written: tuple[Run, World]) -> None:
+def test_the_occluders_are_those_of_the_plan(written: tuple[Run, World]) -> None:
     """The occluders equal those of the plan bit for bit, and a mesh to rounding."""
     run, world = written
     planned, found = fixed_occluders(world), read_cell(run).occluders
@@ -158,7 +158,7 @@ def _as_earlier(run: Run, to: Path, collision: str) -> Run:
         ("hull", set(), None),
     ],
 )
-def test_a_run_of_an_earlier_version_is_compiled_with_triangles_and_that_is_said(
+def test_a_run_of_an_earlier_version_is_compiled_with_triangles_and_a_note(
     written: tuple[Run, World], tmp_path: Path, collision: str, triangles: set[str], output: str | None
 ) -> None:
     """Convex pieces and hulls of an earlier run become triangles, with a note. Replay checks as the run did."""

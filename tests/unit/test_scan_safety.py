@@ -51,7 +51,7 @@ class _Controller:
         return self.state()
 
 
-def test_hardware_moves_at_ten_percent_unless_asked_otherwise() -> None:
+def test_hardware_moves_at_ten_percent_by_default() -> None:
     """Hardware moves at no more than 10 % by default. --speed is a fraction of the plan's speed."""
     assert safety.speed_fraction(None, 1.0, hardware=True) == 0.1
     assert safety.speed_fraction(None, 0.05, hardware=True) == 0.05

@@ -34,7 +34,7 @@ def _ball() -> SurfaceSamples:
 
 
 @pytest.mark.parametrize(("sides", "free"), [((4,), 3), ((2, 4), 1), ((0, 2, 4), 0), ((0, 1, 2, 3), 1), ((), 6)])
-def test_sides_of_a_box_leave_free_what_slides_along_them(sides: tuple[int, ...], free: int) -> None:
+def test_sides_of_a_box_leave_motions_along_them_free(sides: tuple[int, ...], free: int) -> None:
     """One plane leaves three motions, two leave one, three none, four parallel to an axis one, and no side six."""
     samples, side = _box()
     seen = side[:, list(sides)].any(axis=1)

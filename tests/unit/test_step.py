@@ -85,7 +85,7 @@ def test_triangles_of_a_bore_look_at_its_axis(tmp_path: Path) -> None:
 
 
 @needs_cascadio
-def test_what_bounds_no_solid_is_left_out_and_told(tmp_path: Path) -> None:
+def test_a_sheet_outside_the_solids_is_left_out_and_reported(tmp_path: Path) -> None:
     """A sheet outside the solids is left out and reported. The faces of two solids are numbered consecutively."""
     made = StepFile()
     made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
@@ -101,7 +101,7 @@ def test_what_bounds_no_solid_is_left_out_and_told(tmp_path: Path) -> None:
 
 
 @needs_cascadio
-def test_surfaces_alone_are_taken_and_said_to_be_open(tmp_path: Path) -> None:
+def test_surfaces_alone_are_used_and_reported_as_open(tmp_path: Path) -> None:
     """A file without solids gives its surfaces, which are reported as open."""
     made = StepFile()
     made.open_sheet((0, 0, 0), 50)
@@ -129,7 +129,7 @@ def test_broken_files_are_one_sentence(
     assert capfd.readouterr() == ("", "")
 
 
-def test_without_cascadio_a_sentence_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_cascadio_the_message_names_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The optional dependency is named with its extra."""
     monkeypatch.setitem(sys.modules, "cascadio", None)
     with pytest.raises(FileError, match=r"pip install 'scan-cell\[step\]'"):

@@ -81,7 +81,7 @@ def test_the_page_shows_the_plan(page: str, run: Run, data_of: DataOf) -> None:
     assert unpacked(part["mesh"]["faces"]).max() < len(drawn)
 
 
-def test_the_colours_count_what_the_views_measure(page: str, run: Run, data_of: DataOf) -> None:
+def test_the_colours_count_the_measuring_views(page: str, run: Run, data_of: DataOf) -> None:
     """The area share of faces that some view measures is the plan's visible coverage."""
     data = data_of(page)
     layer = data["surfaces"][0]["layers"][0]

@@ -127,7 +127,7 @@ def test_a_built_in_part_needs_no_units(monkeypatch: pytest.MonkeyPatch, tmp_pat
         load("mug", "mm")
 
 
-def test_missing_units_are_asked_for(tmp_path: Path) -> None:
+def test_missing_units_are_refused(tmp_path: Path) -> None:
     """Units are not guessed; the message names the option and the valid units."""
     with pytest.raises(UsageError, match="give --units with one of m, cm, mm, um, in"):
         load(write(tmp_path, body()))
@@ -184,7 +184,7 @@ def test_a_broken_file_is_refused_in_one_sentence(tmp_path: Path) -> None:
         assert caught.value.exit_code == 6
 
 
-def test_what_is_not_there_is_said(tmp_path: Path) -> None:
+def test_missing_files_are_reported(tmp_path: Path) -> None:
     """A missing file, a folder and a misspelt built-in name have one message each."""
     with pytest.raises(FileError, match="does not exist"):
         load(tmp_path / "none.stl", "mm")
@@ -260,7 +260,7 @@ def test_mixed_winding_with_most_faces_inward_ends_outward() -> None:
     assert volume(part) == pytest.approx(body().volume * 1e-9, rel=1e-9)
 
 
-def test_an_open_surface_keeps_its_winding_and_is_said() -> None:
+def test_an_open_surface_keeps_its_winding_and_is_reported() -> None:
     """Half a sphere gives a warning with the number of border edges, and no face is flipped."""
     mesh = body()
     kept = mesh.triangles_center[:, 2] > 30.0
@@ -332,7 +332,7 @@ def test_several_bodies_are_counted_and_each_is_turned_outward() -> None:
     assert volume(part) == pytest.approx(3 * balls[0].volume * 1e-9, rel=1e-9)
 
 
-def test_a_one_sided_surface_is_said() -> None:
+def test_a_one_sided_surface_is_reported() -> None:
     """A Moebius strip is reported as one-sided and is still usable."""
     n = 40
     angle = np.arange(n) * 2 * np.pi / n
@@ -349,7 +349,7 @@ def test_a_one_sided_surface_is_said() -> None:
     assert Kind.ONE_SIDED in kinds(part)
 
 
-def test_edges_of_more_than_two_faces_are_said() -> None:
+def test_edges_of_more_than_two_faces_are_reported() -> None:
     """Two tetrahedra with a common edge are reported as non-manifold."""
     vertices = np.array([[0, 0, 0], [30, 0, 0], [0, 30, 0], [0, 0, 30], [0, -30, 0], [0, 0, -30]], float)
     one = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
@@ -381,7 +381,7 @@ def test_plausible_sizes_are_not_doubted(size_mm: float) -> None:
     assert checked(trimesh.creation.box(extents=(size_mm,) * 3)).findings == ()
 
 
-def test_a_flat_part_is_said() -> None:
+def test_a_flat_part_is_reported() -> None:
     """A sheet without thickness is reported as open and flat."""
     vertices = np.array([[0, 0, 0], [50, 0, 0], [50, 50, 0], [0, 50, 0]], float)
     part = from_mesh("sheet", vertices, np.array([[0, 1, 2], [0, 2, 3]]), "mm", "")
@@ -396,7 +396,7 @@ def test_values_are_read_only(tmp_path: Path) -> None:
             array[0] = 0
 
 
-def test_a_glb_has_metres_where_nothing_else_is_said(tmp_path: Path) -> None:
+def test_a_glb_without_units_is_in_metres(tmp_path: Path) -> None:
     """A GLB without units is in metres, as glTF defines, as a part and as a fixture. Given units take precedence."""
     path = tmp_path / "cube.glb"
     trimesh.creation.box((0.1, 0.1, 0.1)).export(path)
