@@ -109,8 +109,7 @@ def test_no_point_of_the_part_is_in_space_that_counts_as_free(explored: Path, pa
 
 def _stopped_after_the_first(explored: Path, tmp_path: Path) -> Path:
     """Return a copy in which explore.json has only the first stage, as if the second stage were unfinished."""
-    again = tmp_path / "explored"
-    shutil.copytree(explored, again)
+    again = Path(shutil.copytree(explored, tmp_path / "explored"))
     file = schema.read_explore_file(again / "explore.json")
     before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1]})
     (again / "explore.json").write_text(json.dumps(before.as_json()))
@@ -250,8 +249,7 @@ def test_a_stage_on_the_measured_surface_goes_on_where_it_was_killed(
     killed: Callable[[Path], None], on_measured: Path, tmp_path: Path, part_file: Path, run_cell: RunCommand
 ) -> None:
     """The bytes equal those of an exploration that was not killed."""
-    again = tmp_path / "explored"
-    shutil.copytree(on_measured, again)
+    again = Path(shutil.copytree(on_measured, tmp_path / "explored"))
     file = schema.read_explore_file(again / "explore.json")
     before = file.model_copy(update={"status": "running", "ended": "", "stages": file.stages[:1]})
     (again / "explore.json").write_text(json.dumps(before.as_json()))

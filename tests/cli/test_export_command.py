@@ -23,8 +23,7 @@ def test_files_are_written_below_the_run_folder_and_are_reproducible(
     planned: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """Each call replaces `export/` and leaves the plan unchanged. Repeated exports have equal bytes and no path."""
-    run = tmp_path / "trial"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "trial"))
     before = {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
     done = run_cell("export", str(run), cwd=tmp_path, code=0)
     assert done.stdout.split() == [str(run / "export" / name) for name in ("trial.src", "trial.dat")]
@@ -179,22 +178,19 @@ def test_runs_that_cannot_be_exported(
     done = run_cell("export", "nowhere", cwd=tmp_path)
     assert (done.returncode, "the run folder nowhere does not exist" in done.stderr) == (6, True)
 
-    unfinished = tmp_path / "unfinished.part"
-    shutil.copytree(planned, unfinished)
+    unfinished = Path(shutil.copytree(planned, tmp_path / "unfinished.part"))
     manifest = json.loads((unfinished / "manifest.json").read_text())
     changed = manifest | {"status": "failed", "stage": "reach", "reason": "none is reachable"}
     (unfinished / "manifest.json").write_text(json.dumps(changed))
     done = run_cell("export", str(unfinished), cwd=tmp_path, code=6)
     assert "has no finished plan: the run failed in the stage 'reach': none is reachable" in done.stderr
 
-    damaged = tmp_path / "damaged"
-    shutil.copytree(planned, damaged)
+    damaged = Path(shutil.copytree(planned, tmp_path / "damaged"))
     (damaged / "motion.npz").write_bytes(b"PK")
     done = run_cell("export", str(damaged), cwd=tmp_path, code=6)
     assert "is not the file that the run wrote" in done.stderr
 
-    still = tmp_path / "still"
-    shutil.copytree(planned, still)
+    still = Path(shutil.copytree(planned, tmp_path / "still"))
     with np.load(still / "motion.npz") as stored:
         arrays = dict(stored)
     for name in ("via_q", "segment", "view", "via_t", "pose", "line"):

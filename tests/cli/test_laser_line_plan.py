@@ -86,8 +86,7 @@ def test_sweeps_are_executed_and_exported(swept: Path, run_cell: RunCommand, tmp
     """A view is scanned in a motion there and back, with all lines at the reported poses. KRL export is refused."""
     import shutil
 
-    run = tmp_path / "run"
-    shutil.copytree(swept, run)
+    run = Path(shutil.copytree(swept, tmp_path / "run"))
     done = run_cell("scan", str(run), "--view", "2", "--json", cwd=tmp_path, code=0)
     view = json.loads((run / "plan.json").read_text())["views"][1]
     with np.load(run / "executions" / "0001" / "scans" / "0002.npz") as scan:

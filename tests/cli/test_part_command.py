@@ -1,17 +1,16 @@
 """`cell part`: faces are listed with the numbers for a scene file, drawn, and printed as one JSON object."""
 
-import importlib.util
 import json
 from pathlib import Path
 
 import pytest
 import trimesh
 
-from tests.step_files import bored_block
+from tests.step_files import bored_block, needs_cascadio
 from tests.support.fixture_types import RunCommand
 
 
-@pytest.mark.skipif(importlib.util.find_spec("cascadio") is None, reason="cascadio is not installed")
+@needs_cascadio
 def test_a_step_file_is_listed_and_drawn(run_cell: RunCommand, tmp_path: Path) -> None:
     """The seven faces and the diameter of the bore are listed. Files are reproducible, and the page has the faces."""
     (tmp_path / "block.stp").write_text(bored_block())

@@ -72,25 +72,6 @@ def test_both_points_and_their_line_are_in_the_picture(planned: Path, playback: 
     assert red[_SIZE[1] // 2 - 40 : _SIZE[1] // 2 + 40, _SIZE[0] // 2 - 40 : _SIZE[0] // 2 + 40].sum() > 20
 
 
-def test_a_picture_of_another_moment_does_not_show_the_pair(planned: Path, playback: Playback, tmp_path: Path) -> None:
-    """The picture of another moment is the same with and without the pair."""
-    assert playback.tightest is not None
-    run = open_run(planned)
-    cell, part = cell_of_run(run, run.scene), run.mesh("reference.ply")
-    away = max((stop.begin for stop in playback.timeline.stops), key=lambda t: abs(t - playback.tightest.time))
-    pictures = {}
-    for moment in (away, playback.tightest.time):
-        for drawn in (playback, Playback(playback.replay_model, playback.timeline)):
-            write_picture(PictureInputs(drawn, cell, part, ()), tmp_path / "p.png", _SIZE, moment, (-60.0, 20.0))
-            pictures[drawn is playback, moment] = np.asarray(Image.open(tmp_path / "p.png")).astype(int)
-    changed = {
-        moment: int((np.abs(pictures[True, moment] - pictures[False, moment]) > 25).any(axis=2).sum())
-        for moment in (away, playback.tightest.time)
-    }
-    assert changed[away] == 0
-    assert changed[playback.tightest.time] > 20
-
-
 def test_the_command_draws_the_tightest_moment(planned: Path, tmp_path: Path, run_cell: RunCommand) -> None:
     """`--tightest --picture` differs from the picture of the tour. `--tightest` with `--view` is an error."""
     done = run_cell("replay", planned, "--tightest", "--picture", "t.png", "--size", "320x240", cwd=tmp_path)

@@ -95,8 +95,7 @@ def test_the_slowest_of_seven_axes_sets_the_time(turned: Path) -> None:
 def test_the_plan_is_verified_and_a_changed_table_is_found(turned: Path, tmp_path: Path) -> None:
     """The run folder is verified alone. A changed diameter of the table is an error."""
     assert verify_plan(turned).world.table is not None
-    copy = tmp_path / "run"
-    shutil.copytree(turned, copy)
+    copy = Path(shutil.copytree(turned, tmp_path / "run"))
     text = (copy / "scene.resolved.json").read_text(encoding="utf-8")
     (copy / "scene.resolved.json").write_text(text.replace('"diameter_mm": 400.0', '"diameter_mm": 300.0'))
     with pytest.raises(Exception, match=r"scene\.resolved\.json"):
@@ -118,8 +117,7 @@ def test_a_dynamic_arm_and_table_measure_from_their_reported_pose(
     turned: Path, run_cell: RunCommand, tmp_path: Path
 ) -> None:
     """All seven reported axes are near the commanded ones. The stored pose of a scan uses the reported axes."""
-    copy = tmp_path / "run"
-    shutil.copytree(turned, copy)
+    copy = Path(shutil.copytree(turned, tmp_path / "run"))
     run_cell("scan", copy, "--resolution", "1", "--driver", "sim://?plant=mujoco", cwd=tmp_path, code=0)
     cell = read_cell(open_run(copy))
     scans = [np.load(path) for path in sorted((copy / "executions" / "0002" / "scans").iterdir())]
@@ -139,8 +137,7 @@ def test_a_dynamic_arm_and_table_measure_from_their_reported_pose(
 
 def test_the_motion_of_one_view_is_stored_as_that_of_a_plan(turned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The stored motion of `--view` has the table's angles and is read with seven axes."""
-    copy = tmp_path / "run"
-    shutil.copytree(turned, copy)
+    copy = Path(shutil.copytree(turned, tmp_path / "run"))
     run_cell("scan", copy, "--view", "1", "--resolution", "1", cwd=tmp_path, code=0)
     stored = np.load(copy / "executions" / "0002" / "motion.npz")
     assert (stored["via_q"].shape[1], stored["via_e"].shape[1]) == (6, 1)
@@ -151,8 +148,7 @@ def test_the_motion_of_one_view_is_stored_as_that_of_a_plan(turned: Path, run_ce
 
 def test_a_scan_begins_at_the_present_angle_of_the_table(turned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """With the table at 60 deg, an approach path of all seven axes begins there and ends at the first view."""
-    copy = tmp_path / "run"
-    shutil.copytree(turned, copy)
+    copy = Path(shutil.copytree(turned, tmp_path / "run"))
     (copy / "executions" / "0001" / "scans" / "0001.npz").unlink()
     home = open_run(copy).motion.via_q[0]
     start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(home[:6]), 60.0])
@@ -169,8 +165,7 @@ def test_an_endless_table_continues_from_its_present_turn(
     turned: Path, run_cell: RunCommand, tmp_path: Path, turns: int
 ) -> None:
     """The number of whole turns is reported and added to every angle, but not stored in scans. Results are equal."""
-    copy = tmp_path / "run"
-    shutil.copytree(turned, copy)
+    copy = Path(shutil.copytree(turned, tmp_path / "run"))
     start = ",".join(f"{angle:.4f}" for angle in [*np.degrees(open_run(copy).motion.via_q[0, :6]), 360.0 * turns])
     done = run_cell("scan", copy, "--resolution", "1", "--driver", f"sim://?start={start}", cwd=tmp_path, code=0)
     assert f"{turns:+d} whole turns from the plan's angles" in done.stderr
@@ -225,8 +220,7 @@ def _share(run: Path) -> float:
 
 def test_why_explains_all_uncovered_surface(turned: Path, run_cell: RunCommand, tmp_path: Path) -> None:
     """The shares sum to one. The upside-down set-up is tried, and turns of the table are not."""
-    copy = tmp_path / "run"
-    shutil.copytree(turned, copy)
+    copy = Path(shutil.copytree(turned, tmp_path / "run"))
     run_cell("why", copy, "--samples", "1500", "--json", cwd=tmp_path, code=0)
     why = _json(copy / "why" / "why.json")
     assert why["visible"] + why["open"] == pytest.approx(1.0, abs=1e-6)
@@ -361,8 +355,7 @@ def test_seven_axes_are_driven_over_a_wire(
     turned: Path, run_cell: RunCommand, emulate: Emulate, tmp_path: Path, protocol: str
 ) -> None:
     """An emulated controller with the table two turns on gives the same coverage as the simulated one."""
-    copy = tmp_path / "run"
-    shutil.copytree(turned, copy)
+    copy = Path(shutil.copytree(turned, tmp_path / "run"))
     axes = from_rad([*open_run(copy).motion.via_q[0, :6], 4 * np.pi]).tolist()
     stood = {"schema": SCHEMA, "axes": axes, "boot": 1, "ended_in_order": True}
     (tmp_path / "arm.json").write_text(json.dumps(stood))

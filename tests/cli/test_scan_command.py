@@ -41,8 +41,7 @@ CONTRACT = {
 @pytest.fixture
 def copied(executed: Path, tmp_path: Path) -> Path:
     """Return a copy of the executed run whose execution looks killed: status running, no sha256."""
-    run = tmp_path / "run"
-    shutil.copytree(executed, run)
+    run = Path(shutil.copytree(executed, tmp_path / "run"))
     path = run / "executions" / "0001" / "manifest.json"
     manifest = json.loads(path.read_text())
     for name in ("artefacts", "exit_code", "moving_s"):
@@ -168,8 +167,7 @@ def test_cloud_and_mesh_are_readable_and_agree_with_the_report(executed: Path) -
 @pytest.mark.usefixtures("drawn_pictures")
 def test_equal_seed_gives_equal_bytes(executed: Path, tmp_path: Path) -> None:
     """A second execution in this process has the same sha256 for scans, cloud, mesh, report and pictures."""
-    again = tmp_path / "run"
-    shutil.copytree(executed, again)
+    again = Path(shutil.copytree(executed, tmp_path / "run"))
     outcome = _scan(again)
     assert outcome.folder.name == "0002"
     first, second = (
@@ -182,8 +180,7 @@ def test_equal_seed_gives_equal_bytes(executed: Path, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("drawn_pictures")
 def test_a_report_made_again_is_the_same(executed: Path, tmp_path: Path) -> None:
     """`--report` on a finished execution changes no byte of any artefact."""
-    again = tmp_path / "run"
-    shutil.copytree(executed, again)
+    again = Path(shutil.copytree(executed, tmp_path / "run"))
     path = again / "executions" / "0001" / "manifest.json"
     before = json.loads(path.read_text())
     _remake(again, "latest")
@@ -203,8 +200,7 @@ def test_report_files_hold_no_clock_value(executed: Path) -> None:
 
 def test_one_view_is_scanned_as_in_the_whole_execution(executed: Path, tmp_path: Path) -> None:
     """`--view 2` gives the same scan. The prediction is that of the view, and the executed motion is stored."""
-    run = tmp_path / "run"
-    shutil.copytree(executed, run)
+    run = Path(shutil.copytree(executed, tmp_path / "run"))
     outcome = _scan(run, view=2)
     scans = sorted((outcome.folder / "scans").iterdir())
     assert [path.name for path in scans] == ["0002.npz"]
@@ -220,8 +216,7 @@ def test_one_view_is_scanned_as_in_the_whole_execution(executed: Path, tmp_path:
 
 def test_pose_error_is_compensated_by_registration(executed: Path, tmp_path: Path) -> None:
     """With 0.5 mm and 0.1 deg, the distance to the reference decreases at least 4 times. Commands are unchanged."""
-    run = tmp_path / "run"
-    shutil.copytree(executed, run)
+    run = Path(shutil.copytree(executed, tmp_path / "run"))
     outcome = _scan(run, pose_error_mm=0.5, pose_error_deg=0.1, range_noise_mm=0.02, seed=9)
     cloud = outcome.report.cloud
     assert cloud.rms_to_reference_as_reported_mm > 0.3
@@ -310,8 +305,7 @@ def test_a_truncated_scan_and_one_with_nan_are_named_and_left_out(copied: Path) 
 
 def test_a_scan_that_was_changed_afterwards_is_left_out(executed: Path, tmp_path: Path) -> None:
     """A scan whose content differs from the manifest of a finished execution is not used."""
-    run = tmp_path / "run"
-    shutil.copytree(executed, run)
+    run = Path(shutil.copytree(executed, tmp_path / "run"))
     path = run / "executions" / "0001" / "scans" / "0001.npz"
     _rewrite(path, points=read_scan(path).points + 1e-3)
     summary = _remake(run)
@@ -440,8 +434,7 @@ def test_a_stopped_execution_keeps_its_scans_and_is_reported(
     how: signal.Signals, planned: Path, tmp_path: Path, run_cell: RunCommand, start_cell: StartCommand
 ) -> None:
     """If stopped after the first scan, status and exit code report it, and `--report` uses the available scans."""
-    run = tmp_path / "run"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "run"))
     process = start_cell("scan", "run", "--resolution", "2", "--realtime", cwd=tmp_path)
     folder = run / "executions" / "0001"
     deadline = time.monotonic() + 60
@@ -499,8 +492,7 @@ def test_bad_input_gets_one_sentence_and_its_code(
 
 def test_an_unfinished_plan_is_not_executed(planned: Path, tmp_path: Path) -> None:
     """A failed run is refused, and the error names the stage in which it ended."""
-    run = tmp_path / "run.part"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "run.part"))
     manifest = json.loads((run / "manifest.json").read_text())
     (run / "manifest.json").write_text(json.dumps({**manifest, "status": "failed", "stage": "reach"}))
     with pytest.raises(FileError, match="stage 'reach'"):
@@ -511,8 +503,7 @@ def test_a_required_coverage_that_is_missed_ends_with_code_3(
     planned: Path, tmp_path: Path, resealed: Callable[[Path], str]
 ) -> None:
     """The requirement of the plan holds for the execution, but not for a single view."""
-    run = tmp_path / "run"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "run"))
     resolved = json.loads((run / "scene.resolved.json").read_text())
     resolved["plan"]["required_visible"] = 1.0
     (run / "scene.resolved.json").write_text(json.dumps(resolved))

@@ -81,6 +81,7 @@ def test_parts_in_their_places_are_measured_as_planned(folder: Path, run_cell: R
     assert (folder / "scanned" / "report.json").read_bytes() == again
 
 
+@pytest.mark.slow
 def test_a_killed_chain_goes_on_where_it_was(folder: Path, run_cell: RunCommand, start_cell: StartCommand) -> None:
     """After kill -9 in the first set-up, each view is scanned once, and the second set-up has the same options."""
     process = start_cell("scan", folder, "--resolution", "1", "--realtime")

@@ -12,15 +12,12 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from cell.robot import model as robot
 from drivers.contract import Driver, Mode, Result
 from drivers.errors import DriverUrlError, NotConnectedError, RefusedError, SetPointError
-from drivers.limits import Limits
 from drivers.registry import Context, open_driver
 from drivers.setpoints import PER_DEGREE, SetPoints, from_rad
+from tests.support.arms import KR16
 from tests.support.fixture_types import Emulate
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
 
 URLS = os.environ.get("CELL_DRIVER_URLS", "sim:// sim://?realtime&time_scale=10000 serial modbus modbus-rtu").split()
 SPEED = 0.1

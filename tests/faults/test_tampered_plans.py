@@ -210,8 +210,7 @@ def all_changes(run: Path, rng: np.random.Generator, each: int) -> list[Callable
 
 def test_a_field_changed_alone_is_refused_or_changes_nothing(planned: Path, tmp_path: Path, resealed: Reseal) -> None:
     """A seeded sample of all changes is tested; the slow test below makes all changes."""
-    run = tmp_path / "run"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "run"))
     rng = np.random.default_rng(11)
     changes = all_changes(run, rng, 2)
     chosen = rng.choice(len(changes), 25, replace=False)
@@ -220,8 +219,7 @@ def test_a_field_changed_alone_is_refused_or_changes_nothing(planned: Path, tmp_
 
 def test_a_field_of_a_sweep_changed_alone_is_refused(swept: Path, tmp_path: Path, resealed: Reseal) -> None:
     """A seeded sample of changes of the fields of sweeps, of fixtures, and of the arrays of the motion is refused."""
-    run = tmp_path / "run"
-    shutil.copytree(swept, run)
+    run = Path(shutil.copytree(swept, tmp_path / "run"))
     rng = np.random.default_rng(13)
     of_sweeps, fixtures = json_changes(run, "plan.json", ".sweep"), json_changes(run, "scene.resolved.json", "fixtures")
     chosen = [
@@ -279,15 +277,13 @@ def test_a_via_point_inside_the_part_is_refused_by_the_certificate(
         q for q in kr16_kinematics().inverse(inside[None])[0]
         if not np.isnan(q).any() and (q >= proven.motion.limits.lower).all() and (q <= proven.motion.limits.upper).all()
     )  # fmt: skip
-    run = tmp_path / "inside"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "inside"))
     _with_via(run, from_steps(to_steps(q)), row)
     digest = resealed(run)
     for command in (("scan", run, "--confirm-motion", digest), ("export", run)):
         done = run_cell(*command, cwd=tmp_path, code=6)
         assert re.search(r"motion.npz (violates the clearance|is not certified collision-free)", done.stderr)
-    free = tmp_path / "free"
-    shutil.copytree(planned, free)
+    free = Path(shutil.copytree(planned, tmp_path / "free"))
     via = proven.motion.via_q
     _with_via(free, from_steps(to_steps((via[row - 1] + via[row]) / 2)), row)
     assert resealed(free) != proven.digest
@@ -321,8 +317,7 @@ def test_a_plan_without_a_digest_is_read_and_replayed_and_never_driven(
     """A plan without a digest or without the hash of a required file is readable, but not executed."""
     from cell.api import open_run
 
-    run = tmp_path / "run"
-    shutil.copytree(planned, run)
+    run = Path(shutil.copytree(planned, tmp_path / "run"))
     manifest = json.loads((run / "manifest.json").read_text())
     without = {key: value for key, value in manifest.items() if key != "digest"}
     (run / "manifest.json").write_text(json.dumps(without))

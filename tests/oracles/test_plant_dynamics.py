@@ -21,8 +21,8 @@ from cell.robot.model import LINKS
 from cell.robot.plant import FeedForward, MujocoPlant, PlantSettings
 from drivers.profile import resting
 from planner.values import Floats
+from tests.support.arms import HOME
 
-HOME = np.radians([0.0, -90, 90, 0, 90, 0])
 POSES = {
     "home": HOME,
     "stretched level": np.zeros(6),

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from cell.errors import DriverFailureError, FileError, UsageError
-from cell.robot import model as robot
 from cell.robot.arm import kinematics_of
 from cell.robot.model import load
 from cell.runs.cell import RunCell
@@ -31,16 +30,13 @@ from cell.world.travel import TravelBound
 from drivers.clock import SimulatedClock
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.errors import FaultError
-from drivers.limits import Limits
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad, to_rad
 from planner.geometry.mesh import TriangleMesh
 from planner.ports import JointLimits, Rejection
 from planner.timing.motion import Motion, retime
+from tests.support.arms import HOME, KR16
 
-KR16 = Limits.from_rad(robot.limits(robot.load()))
-
-HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 LIMITS = JointLimits(
     to_rad(KR16.lower), to_rad(KR16.upper), KR16.velocity, KR16.acceleration, KR16.jerk
 )  # fmt: skip

@@ -17,16 +17,13 @@ from cell.scan.plants import built_in_plants
 from drivers.clock import SimulatedClock
 from drivers.contract import Mode
 from drivers.errors import DriverError
-from drivers.limits import Limits
 from drivers.profile import Reference, interpolate, resting
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad
 from drivers.sim import SimDriver
 from planner.kinematics.rotary_table import RotaryTable
+from tests.support.arms import HOME, KR16
 
-KR16 = Limits.from_rad(robot.limits(robot.load()))
-
-HOME = np.radians([0.0, -90, 90, 0, 90, 0])
 CONTEXT = Context(KR16, plants=built_in_plants())
 URL = "sim://?plant=mujoco"
 _RATES = KR16.velocity, KR16.acceleration

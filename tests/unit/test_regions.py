@@ -1,6 +1,5 @@
 """Regions of a part: selected triangles, targets, and refusals."""
 
-import importlib.util
 import json
 import math
 from pathlib import Path
@@ -25,12 +24,9 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.sampling import draw_samples
 from planner.measurability.quality import LimitedScanner, QualityLimits
 from planner.ports import Rejection
-from tests.step_files import StepFile, bored_block
+from tests.step_files import StepFile, bored_block, needs_cascadio
 
 NO = {"name": "no", "care": "no"}
-needs_cascadio = pytest.mark.skipif(
-    importlib.util.find_spec("cascadio") is None, reason="cascadio is not installed: pip install 'scan-cell[step]'"
-)
 
 
 def scene_with(path: Path, regions: list[dict], units: str | None = None, **tables: dict) -> Scene:

@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 
 from cell.errors import DriverFailureError, UsageError
-from cell.robot import model as robot
 from cell.scan import safety
 from cell.scan.options import ScanOptions
 from cell.scan.safety import ApprovedMotion
 from cell.scene.options import flag, parse_options
 from drivers.contract import Capabilities, Mode, RobotState
-from drivers.limits import Limits
 from drivers.setpoints import from_rad
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
+from tests.support.arms import KR16
 
 _PLAN = ApprovedMotion("the plan", "0123456789abcdef" * 4)
 _PATH = ApprovedMotion("the new path", "fedcba9876543210" * 4, is_own_path=True)

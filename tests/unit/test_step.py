@@ -1,6 +1,5 @@
 """STEP files: units, solids, faces with kind and parameters, and the face of each triangle."""
 
-import importlib.util
 import math
 import sys
 from pathlib import Path
@@ -14,11 +13,7 @@ from cell.part.description import volume
 from cell.part.mesh_checks import Kind
 from cell.part.workpiece import Workpiece, load
 from cell.scene.file import load_scene
-from tests.step_files import BLOCK_VOLUME, StepFile, bored_block
-
-needs_cascadio = pytest.mark.skipif(
-    importlib.util.find_spec("cascadio") is None, reason="cascadio is not installed: pip install 'scan-cell[step]'"
-)
+from tests.step_files import BLOCK_VOLUME, StepFile, bored_block, needs_cascadio
 
 
 def written(folder: Path, text: str, name: str = "part.stp") -> Path:

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cell.robot import model as robot
 from cell.robot.arm import kr16_kinematics
 from cell.robot.model import load
 from cell.runs.cell import RunCell
@@ -25,18 +24,15 @@ from cell.world.travel import TravelBound
 from drivers.clock import SimulatedClock
 from drivers.contract import Capabilities, Mode, RobotState
 from drivers.errors import FaultError
-from drivers.limits import Limits
 from drivers.setpoints import from_rad
 from planner.geometry.mesh import TriangleMesh
 from planner.path.sweeps import SweepPath, TimedSweep, find_sweeps
 from planner.timing.motion import Motion, retime
 from planner.values import Floats
 from planner.viewpoints.viewpoints import straight_sweep_poses, turned_sweep_poses
-
-KR16 = Limits.from_rad(robot.limits(robot.load()))
+from tests.support.arms import HOME, KR16
 
 KINEMATICS = kr16_kinematics()
-HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 SCANNER = LaserLine(sweep_mm=80.0, sweep_steps=4, line_points=50)
 
 

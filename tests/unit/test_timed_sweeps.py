@@ -10,12 +10,12 @@ from planner.timing.motion import Motion, jerk_free_duration, retime
 from planner.timing.move_time import move_time
 from planner.values import Floats
 from planner.viewpoints.viewpoints import straight_sweep_poses
+from tests.support.arms import HOME
 
 KINEMATICS = kr16_kinematics()
 LIMITS = KINEMATICS.limits
 MOUNT = np.eye(4)
 MOUNT[2, 3] = 0.12
-HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 
 
 @pytest.fixture(scope="module")

@@ -16,12 +16,12 @@ from planner.tour.tour import TourStatus, plan_tour
 from planner.tour.visits import Visits
 from planner.values import Floats
 from planner.viewpoints.viewpoints import straight_sweep_poses
+from tests.support.arms import HOME
 
 KINEMATICS = kr16_kinematics()
 LIMITS = KINEMATICS.limits
 MOUNT = np.eye(4)
 MOUNT[2, 3] = 0.12
-HOME = np.radians([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 
 
 class _FreeSpace:
