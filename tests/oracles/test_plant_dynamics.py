@@ -169,16 +169,6 @@ def test_the_feed_forward_equals_lagrange(chain: Chain) -> None:
     np.testing.assert_allclose(right.torque(q, qd, qdd), expected, rtol=1e-6, atol=1e-4)
 
 
-def test_a_mass_error_affects_all_but_the_rotors(chain: Chain) -> None:
-    """With 10 % too little mass, 10 % of gravity, velocity terms and link inertia are missing."""
-    rng = np.random.default_rng(1)
-    light = FeedForward(TOOL, PlantSettings(mass_error=-0.1, friction_error=-1.0))
-    q, qd, qdd = rng.uniform(-2, 2, (3, 6))
-    motors = chain.rotor * qdd + chain.viscous * qd
-    expected = motors + 0.9 * (chain.inverse(q, qd, qdd) - motors)
-    np.testing.assert_allclose(light.torque(q[None], qd[None], qdd[None])[0], expected, rtol=1e-6, atol=1e-4)
-
-
 def test_the_free_fall_of_one_link_is_a_pendulum(chain: Chain) -> None:
     """With every other axis too heavy to move, the forearm about A3 swings with a pendulum's period at any amplitude.
 

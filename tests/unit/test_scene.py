@@ -60,11 +60,6 @@ def test_the_documented_scene_names_every_key_with_its_default() -> None:
                 assert TypeAdapter(field.annotation).validate_python(stated) == field.default, f"{name}.{key}"
 
 
-def test_an_empty_file_is_the_built_in_scene(tmp_path: Path) -> None:
-    """Missing keys have their defaults."""
-    assert _load(tmp_path, "") == Scene()
-
-
 def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
     """A file with a dozen mistakes gives a dozen lines, each with its key and the valid values."""
     problems = _problems(
@@ -124,24 +119,6 @@ def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
     for start, cure in expected:
         assert [p for p in problems if p.startswith(start) and cure in p], (start, cure, problems)
     assert len(problems) == len(expected), problems
-
-
-@pytest.mark.parametrize(
-    ("text", "start", "hint"),
-    [
-        ("[placment]\nposition_mm = [1, 2, 3]", "placment is an unknown key", "'placement'"),
-        ("[plan]\nsolver = 'greedi'", "plan.solver is 'greedi'", "'greedy'"),
-        ("[[fixtures]]\nshape='bx'\nname='a'", "fixtures[0].shape is 'bx'", "'box'"),
-        ("[part]\nname = 'mug2'", "part.name is 'mug2'", "'mug'"),
-        ("[part]\npath = 'scene.toml'\nunits = 'MM'", "part.units is 'MM'", "'mm'"),
-        ("[[fixtures]]\nshape='box'\nname='a'\nsize_mm=[1,1,1]\nocludes=true", "fixtures[0].ocludes", "'occludes'"),
-    ],
-)
-def test_a_misspelt_word_gets_a_hint(tmp_path: Path, text: str, start: str, hint: str) -> None:
-    """Unknown keys and values name the nearest valid one."""
-    (problem,) = _problems(tmp_path, text)
-    assert problem.startswith(start)
-    assert f"did you mean {hint}?" in problem
 
 
 @pytest.mark.parametrize(
