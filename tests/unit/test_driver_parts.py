@@ -67,14 +67,6 @@ def test_set_points_are_copied_and_read_only() -> None:
     assert require_set_points(np.asfortranarray(mine)).flags.c_contiguous
 
 
-def test_the_kr16_has_its_data_sheets_limits_to_the_count() -> None:
-    """The limits of the KR 16 are those of its data sheet; 185 deg is not rounded inwards by a count."""
-    assert to_deg(KR16.lower).tolist() == [-185, -155, -130, -350, -130, -350]
-    assert to_deg(KR16.upper).tolist() == [185, 35, 154, 350, 130, 350]
-    assert np.degrees(KR16.velocity) == pytest.approx([156, 156, 156, 330, 330, 615])
-    assert np.degrees(KR16.acceleration) == pytest.approx([312, 312, 312, 660, 660, 1230])
-
-
 def test_limits_between_counts_are_rounded_inwards() -> None:
     """A limit between two counts is rounded to the inner count."""
     low, high = np.radians(np.full(6, -10.00004)), np.radians(np.full(6, 10.00006))
