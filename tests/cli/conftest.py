@@ -37,7 +37,7 @@ class Chromium:
         )  # fmt: skip
         os.close(listens), os.close(speaks)
         self._number, self._rest, self._session, self._address = 0, b"", "", ""
-        self._told: list[dict[str, Any]] = []
+        self._messages: list[dict[str, Any]] = []
 
     def open(self, address: str) -> None:
         """Load a page."""
@@ -46,10 +46,10 @@ class Chromium:
             self._session = self._ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
             for domain in ("Network", "Runtime", "Log", "Page"):
                 self._ask(f"{domain}.enable")
-        self._told, self._address = [], address
+        self._messages, self._address = [], address
         self._ask("Page.navigate", url=address)
         while not self._of("Page.loadEventFired"):
-            self._told.append(self._read())
+            self._messages.append(self._read())
 
     def run(self, script: str) -> Any:
         """Return the value with which the promise of a script is fulfilled."""
@@ -73,7 +73,7 @@ class Chromium:
         for kind in ("mousePressed", "mouseReleased"):
             self._ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
-    def asked(self) -> list[str]:
+    def requests(self) -> list[str]:
         """Return the addresses that the page requested."""
         urls = [words["request"]["url"] for words in self._of("Network.requestWillBeSent")]
         return [url for url in urls if url != self._address and not url.startswith("data:")]
@@ -94,7 +94,7 @@ class Chromium:
         os.close(self._to), os.close(self._from)
 
     def _of(self, method: str) -> list[dict[str, Any]]:
-        return [words["params"] for words in self._told if words["method"] == method]
+        return [words["params"] for words in self._messages if words["method"] == method]
 
     def _ask(self, method: str, **params: object) -> dict[str, Any]:
         self._number += 1
@@ -103,7 +103,7 @@ class Chromium:
             self._to, json.dumps(output | ({"sessionId": self._session} if self._session else {})).encode() + b"\0"
         )
         while (words := self._read()).get("id") != self._number:
-            self._told.append(words)
+            self._messages.append(words)
         assert "error" not in words, words
         answer: dict[str, Any] = words["result"]
         return answer
@@ -154,14 +154,14 @@ class Firefox:
         self._ask("WebDriver:NewSession")
         self._ask("WebDriver:SetTimeouts", script=int(1000 * _PATIENCE_S))
         self._in_chrome(
-            "window.asked = []; Services.obs.addObserver((request) => { request.QueryInterface(Ci.nsIChannel);"
-            "if (!request.loadInfo.triggeringPrincipal.isSystemPrincipal) window.asked.push(request.URI.spec); },"
+            "window.requests = []; Services.obs.addObserver((request) => { request.QueryInterface(Ci.nsIChannel);"
+            "if (!request.loadInfo.triggeringPrincipal.isSystemPrincipal) window.requests.push(request.URI.spec); },"
             "'http-on-modify-request');"
         )
 
     def open(self, address: str) -> None:
         """Load a page."""
-        self._in_chrome("window.asked.length = 0; Services.console.reset();")
+        self._in_chrome("window.requests.length = 0; Services.console.reset();")
         self._ask("WebDriver:Navigate", url=address)
 
     def run(self, script: str) -> Any:
@@ -185,10 +185,10 @@ class Firefox:
                  {"type": "pointerUp", "button": 0}]  # fmt: skip
         self._ask("WebDriver:PerformActions", actions=[{"type": "pointer", "id": "mouse", "actions": moves}])
 
-    def asked(self) -> list[str]:
+    def requests(self) -> list[str]:
         """Return the addresses that the page requested."""
-        asked: list[str] = self._in_chrome("return window.asked;")
-        return asked
+        requests: list[str] = self._in_chrome("return window.requests;")
+        return requests
 
     def faults(self) -> list[str]:
         """Return the messages about pages. Messages about the scripts of the browser are left out."""

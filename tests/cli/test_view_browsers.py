@@ -67,7 +67,7 @@ def test_the_controls_of_a_page_work(browser: Any, planned: Path) -> None:
     browser.click(*found.pop("at"))
     found |= browser.run(_PLAY)
     assert browser.faults() == []
-    assert browser.asked() == []
+    assert browser.requests() == []
     assert found.pop("selected").startswith("view2, candidate")
     assert f"cell edit {planned} --drop 2 --repair" in found.pop("commands")
     assert found == {"hides": True, "shows": True, "recolours": True, "inset": True, "plays": True}
@@ -96,7 +96,7 @@ def test_every_page_is_shown(browser: Any, pages: list[Path]) -> None:
     for page in pages:
         browser.open(page.as_uri())
         titles = browser.run(_EVERY_COLOUR)
-        assert (browser.faults(), browser.asked()) == ([], []), page
+        assert (browser.faults(), browser.requests()) == ([], []), page
         assert coloured(browser) > 500, page
         if page == pages[0]:
             assert {"Number of views", "Spacing of points", "Deviation"} <= set(titles)
@@ -153,4 +153,4 @@ def test_a_large_page_is_drawn_quickly(
     chromium.open(page.as_uri())
     chromium.run(_FIRST_FRAME)
     assert chromium.busy() - before <= 5.0
-    assert (chromium.faults(), chromium.asked()) == ([], [])
+    assert (chromium.faults(), chromium.requests()) == ([], [])

@@ -60,20 +60,20 @@ def _measured(samples: SurfaceSamples, poses: Floats, mesh: TriangleMesh, grazin
     return found
 
 
-def _asked(poses: Floats | None, whole: bool = False, space: VoxelSpace = UNKNOWN) -> BatchRequest:
-    return BatchRequest(space, GainRecord.empty(), Batch(1, include_covered=whole), 0.001, poses=poses)
+def _request(poses: Floats | None, include_covered: bool = False, space: VoxelSpace = UNKNOWN) -> BatchRequest:
+    return BatchRequest(space, GainRecord.empty(), Batch(1, include_covered=include_covered), 0.001, poses=poses)
 
 
 def test_unmeasured_samples_of_the_measured_surface_are_selected(balls: TriangleMesh) -> None:
     """On measured surface, exactly the samples that no pose measures are selected, by comparison with brute force."""
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
-    kept = select_samples(samples, _asked(_poses()), 3000, LAW, caster)
+    kept = select_samples(samples, _request(_poses()), 3000, LAW, caster)
     missed = ~_measured(samples, _poses(), balls, LAW.grazing_max_deg)
     assert 0.2 < missed.mean() < 0.8
     for name in ("points", "normals", "areas", "face", "planning_face"):
         assert np.array_equal(getattr(kept, name), getattr(samples, name)[missed]), name
-    assert len(select_samples(samples, _asked(np.repeat(_poses()[:1], 2, axis=0)), 3000, LAW, caster)) > len(kept)
+    assert len(select_samples(samples, _request(np.repeat(_poses()[:1], 2, axis=0)), 3000, LAW, caster)) > len(kept)
 
 
 @pytest.mark.parametrize("views", [(1, 1), (2,), (1,)])
@@ -90,7 +90,7 @@ def test_the_realised_gain_counts_newly_measured_samples(views: tuple[int, ...],
         firsts.append(float(samples.areas[left & seen].sum()))
         left &= ~seen
     latest = [(count, 0.001 * (number + 1)) for number, count in enumerate(views)]
-    requests = replace(_asked(_poses(), space=space), latest=latest)
+    requests = replace(_request(_poses(), space=space), latest=latest)
     areas = np.split(np.array(firsts[-sum(views) :]), np.cumsum(views)[:-1])
     batches = [(expected, float(area.sum())) for (_, expected), area in zip(latest, areas, strict=True)]
     assert realised_gain_ratio(samples, requests, LAW, caster) == pytest.approx(gain_ratio(batches))
@@ -102,24 +102,24 @@ def test_of_more_samples_than_are_kept_the_area_is_the_same(balls: TriangleMesh)
     """At most the requested number of samples remains; their areas add up to that of all selected samples."""
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     caster = EmbreeRayCaster(balls.vertices, balls.faces)
-    every, few = (select_samples(samples, _asked(_poses()), most, LAW, caster) for most in (3000, 100))
+    every, few = (select_samples(samples, _request(_poses()), most, LAW, caster) for most in (3000, 100))
     assert 90 < len(few) <= 100 < len(every)
     assert few.areas.sum() == pytest.approx(every.areas.sum())
     assert {tuple(point) for point in few.points.tolist()} < {tuple(point) for point in every.points.tolist()}
 
 
-@pytest.mark.parametrize("whole", [False, True])
-def test_unseen_samples_of_the_believed_surface_are_selected(whole: bool, balls: TriangleMesh) -> None:
+@pytest.mark.parametrize("include_covered", [False, True])
+def test_unseen_samples_of_the_believed_surface_are_selected(include_covered: bool, balls: TriangleMesh) -> None:
     """On believed surface a sample has its area times its probability of gain."""
     samples = draw_samples(balls, balls, 3000, np.random.default_rng(0))
     right = samples.points[:, 0] > 0
     space = replace(UNKNOWN, points=samples.points[right])
-    requests = _asked(None, whole, space)
+    requests = _request(None, include_covered, space)
     kept = select_samples(samples, requests, 3000, LAW, EmbreeRayCaster(balls.vertices, balls.faces))
     seen = space.is_measured(samples.points, samples.normals)
     assert seen[right].all()
     weights = np.where(
-        seen, float(whole), GainRecord.empty().weights(space.open_samples_at(samples.points, samples.normals))
+        seen, float(include_covered), GainRecord.empty().weights(space.open_samples_at(samples.points, samples.normals))
     )
     assert np.array_equal(kept.points, samples.points[weights > 0])
     assert kept.areas == pytest.approx((weights * samples.areas)[weights > 0])
