@@ -36,13 +36,13 @@ def chart(rows: list[dict[str, Any]], folder: Path) -> None:
         curve.fill_between(n, covered, upper, color=colour, alpha=0.3, lw=0)
         curve.plot(n, covered, "-", color=colour, label=f"{part}: found, and above it what the bound leaves open")
         for axes, request in ((overlap, "overlap"), (promise, "promise")):
-            asked = [row for row in mine if row["request"] == request]
-            x = [row["asked"] for row in asked]
-            axes.plot(x, [row["views"] for row in asked], "o-", color=colour, label=f"{part}: views")
-            axes.plot(x, [row["at_least"] for row in asked], ":", color=colour, label=f"{part}: at least")
-    curve.set(xlabel="number of views", ylabel="covered [% of what can be covered]", ylim=(0, 102), xlim=(0, None))
+            shown = [row for row in mine if row["request"] == request]
+            x = [row["requested"] for row in shown]
+            axes.plot(x, [row["views"] for row in shown], "o-", color=colour, label=f"{part}: views")
+            axes.plot(x, [row["at_least"] for row in shown], ":", color=colour, label=f"{part}: at least")
+    curve.set(xlabel="number of views", ylabel="covered [% of coverable]", ylim=(0, 102), xlim=(0, None))
     overlap.set(
-        xlabel="overlap asked for [share of the smaller view]", ylabel="views, all scans connected", ylim=(0, None)
+        xlabel="requested overlap [share of the smaller view]", ylabel="views, all scans connected", ylim=(0, None)
     )
     promise.set(xlabel="standard deviation of poses", ylabel="views for 98 % with probability 95 %", ylim=(0, None))
     for axes in (curve, overlap, promise):
@@ -73,7 +73,7 @@ def _of_part(part: str) -> Iterator[dict[str, Any]]:
     share = 100 / curve.coverable_area
     gaps = share * (curve.upper_area - curve.covered_area)
     yield {
-        "part": part, "request": "curve", "size": size, "asked": f"0 to {curve.n_views[-1]} views",
+        "part": part, "request": "curve", "size": size, "requested": f"0 to {curve.n_views[-1]} views",
         "views": int(curve.n_views[-1]), "at_least": plain.lower_bound, "seconds": round(seconds, 2),
         "found": f"gap {gaps.mean():.2f} points on average, {gaps.max():.2f} at most",
         "points": [
@@ -109,24 +109,24 @@ def _of_part(part: str) -> Iterator[dict[str, Any]]:
         drawn = error.draw(200 * len(chosen), np.random.default_rng(2)).reshape(200, len(chosen), 4, 4)
         times, _ = simulate_executions(chosen, samples, scanner, (caster,), drawn)
         kept = (times >= 190).mean()
-        said = (
+        expected = (
             f"layer {filled:.1f} s; promised {100 * robust.robust_area / robust.cover.total_area:.2f} %, of other "
             f"samples {100 * kept:.2f} % in 190 of 200 executions"
         )
-        yield _row(part, "promise", size, f"{position:g} mm, {orientation:g} deg", robust.cover, said, seconds)
+        yield _row(part, "promise", size, f"{position:g} mm, {orientation:g} deg", robust.cover, expected, seconds)
 
 
-def _row(part: str, request: str, size: str, asked: Any, cover: Any, found: str, seconds: float) -> dict[str, Any]:
+def _row(part: str, request: str, size: str, requested: Any, cover: Any, found: str, seconds: float) -> dict[str, Any]:
     return {
-        "part": part, "request": request, "size": size, "asked": asked, "views": len(cover.views),
+        "part": part, "request": request, "size": size, "requested": requested, "views": len(cover.views),
         "at_least": cover.lower_bound, "seconds": round(seconds, 2), "found": found,
     }  # fmt: skip
 
 
 def _timed(call: Callable[[], Any]) -> tuple[Any, float]:
-    begun = time.process_time()
+    start = time.process_time()
     result = call()
-    return result, time.process_time() - begun
+    return result, time.process_time() - start
 
 
 def _matrix(part: str) -> tuple[Any, Any, Any, Any, Any]:

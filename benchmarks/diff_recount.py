@@ -17,7 +17,7 @@ from cell.runs.run import Run, open_finished
 from cell.world.prediction import held_out_samples
 
 BORDERLINE = 12
-"""Samples that lie on the border of a condition to the last digits: so many may differ for each run."""
+"""Samples that lie on the border of a condition to the last digits: largest number of different samples per run."""
 
 _MOSTLY = 0.5
 
@@ -39,10 +39,10 @@ def recounted(found: Difference) -> tuple[list[str], float]:
     if surface is None:
         return [*wrong, "no areas of one part"], off
     sample_mm2 = 1e6 * float(samples.areas.mean())
-    for said, mask in (
+    for stated, mask in (
         (surface.a_mm2, a), (surface.b_mm2, b), (surface.gained_mm2, b & ~a), (surface.lost_mm2, a & ~b),
     ):  # fmt: skip
-        off = max(off, abs(said - 1e6 * float(samples.areas[mask].sum())) / sample_mm2)
+        off = max(off, abs(stated - 1e6 * float(samples.areas[mask].sum())) / sample_mm2)
     if off > 2 * BORDERLINE:
         wrong.append(f"an area is off by {off:.0f} samples")
     return wrong, off

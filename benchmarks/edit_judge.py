@@ -30,7 +30,7 @@ VISIBLE = 0.006
 """Of two counts of 100,000 samples each: 0.6 points are 3.5 standard deviations or more."""
 
 _REFUSAL = re.compile(
-    r"(view \d+|candidate \d+|added pose \d+) cannot be (taken|part of a motion): (.*); (move it|give another)"
+    r"(view \d+|candidate \d+|added pose \d+) cannot be (used|part of a motion): (.*); (move it|give another)"
 )
 _TURNED = 1e-4  # tolerance of the entries of rotations
 _STEP_S, _DISTANCES = 1e-3, 40
@@ -57,22 +57,22 @@ class EditJudge:
         self._limits = np.radians(self._scene.joint_limits_deg)
         self.visible_error = 0.0
 
-    def accepted(self, run: Run, asked: RandomEdit, made: Run) -> list[str]:
+    def accepted(self, run: Run, edit: RandomEdit, made: Run) -> list[str]:
         """Return the faults of an edited plan; empty if there are none."""
         return [
-            *self._views(asked, made), *_kept(run, asked, made), *self._motion(made), *self._coverage(made),
-            *(_repaired(run, asked, made) if asked.wishes.get("repair") else ()),
+            *self._views(edit, made), *_kept(run, edit, made), *self._motion(made), *self._coverage(made),
+            *(_repaired(run, edit, made) if edit.options.get("repair") else ()),
         ]  # fmt: skip
 
-    def refused(self, asked: RandomEdit, error: CellError) -> list[str]:
+    def refused(self, edit: RandomEdit, error: CellError) -> list[str]:
         """Return the faults of a refusal; empty if its reason is true."""
-        told = str(error)
-        if asked.wrong:
-            return [] if asked.wrong in told else [f"should say: {asked.wrong}"]
-        found = _REFUSAL.match(told)
-        if found is None or found[1] not in asked.poses:
+        message = str(error)
+        if edit.wrong:
+            return [] if edit.wrong in message else [f"should say: {edit.wrong}"]
+        found = _REFUSAL.match(message)
+        if found is None or found[1] not in edit.poses:
             return ["names no view that the edit names anew"]
-        T, reason = asked.poses[found[1]] @ np.linalg.inv(self._scene.T_flange_scanner), found[3]
+        T, reason = edit.poses[found[1]] @ np.linalg.inv(self._scene.T_flange_scanner), found[3]
         every, within = self._solutions(T)
         if "out of the arm's reach" in reason:
             return [] if not len(every) else [f"{len(every)} solutions"]
@@ -117,18 +117,18 @@ class EditJudge:
                 return ["the straight move from home is free"]
         return []
 
-    def _views(self, asked: RandomEdit, made: Run) -> Iterator[str]:
+    def _views(self, edit: RandomEdit, made: Run) -> Iterator[str]:
         """Check that poses follow from the joint angles, within limits, and that requested poses are reached."""
         T = np.stack([_ARM.forward(q).as_matrix() for q in made.q]) @ self._scene.T_flange_scanner
         if (wrong := float(np.abs(T - made.T_base_scanner).max())) > 1e-9:
             yield f"poses are {1e6 * wrong:.3g} um off their joint angles"
         if ((made.q < self._limits[:, 0] - 1e-9) | (made.q > self._limits[:, 1] + 1e-9)).any():
             yield "a joint limit is exceeded"
-        for name, pose in asked.poses.items():
+        for name, pose in edit.poses.items():
             apart = np.linalg.norm(T[:, :3, 3] - pose[:3, 3], axis=1)
             turned = np.abs(T[:, :3, :3] - pose[:3, :3]).max(axis=(1, 2))
             if not ((apart <= POSE_M) & (turned <= _TURNED)).any():
-                yield f"{name} is {1e6 * apart.min():.0f} um from where it was asked for, or turned"
+                yield f"{name} is {1e6 * apart.min():.0f} um from the requested position, or turned"
 
     def _motion(self, made: Run) -> Iterator[str]:
         """Check contacts, limits, order, clearance and verification of the motion.
@@ -158,7 +158,7 @@ class EditJudge:
             yield f"visible coverage is {100 * self.visible_error:+.2f} points off"
 
 
-def _kept(run: Run, asked: RandomEdit, made: Run) -> Iterator[str]:
+def _kept(run: Run, edit: RandomEdit, made: Run) -> Iterator[str]:
     """Check that candidates keep their rows, dropped views are absent, and the order is the requested one."""
     before, after = run.candidates, made.candidates
     if after.T_object_scanner[: len(before)].tobytes() != before.T_object_scanner.tobytes():
@@ -166,44 +166,44 @@ def _kept(run: Run, asked: RandomEdit, made: Run) -> Iterator[str]:
     if (made.reach.verdict[: len(before)] != run.reach.verdict).any():
         yield "verdicts changed"
     was, now = run.candidate.tolist(), made.candidate.tolist()
-    if gone := [number for number in asked.wishes.get("drop", ()) if was[number - 1] in now]:
+    if gone := [number for number in edit.options.get("drop", ()) if was[number - 1] in now]:
         yield f"view {gone[0]} is still there"
-    changed = {*asked.wishes.get("drop", ()), *asked.wishes.get("move", ()), *asked.wishes.get("turn", ())}
+    changed = {*edit.options.get("drop", ()), *edit.options.get("move", ()), *edit.options.get("turn", ())}
     untouched = [view for number, view in enumerate(was, start=1) if number not in changed]
     if lost := [view for view in untouched if view not in now]:
         yield f"candidate {lost[0]} is lost"
-    told = was if asked.wishes.get("keep_order") else []
-    if "order" in asked.wishes:
-        told = [was[number - 1] for number in asked.wishes["order"] if number <= len(was)]
-    told = [view for view in told if view in untouched]
-    if told and [view for view in now if view in told] != told:
+    expected = was if edit.options.get("keep_order") else []
+    if "order" in edit.options:
+        expected = [was[number - 1] for number in edit.options["order"] if number <= len(was)]
+    expected = [view for view in expected if view in untouched]
+    if expected and [view for view in now if view in expected] != expected:
         yield "the order is another"
     if made.bound > len(made.q):
         yield "the bound is above the number of views"
 
 
-def _repaired(run: Run, asked: RandomEdit, made: Run) -> Iterator[str]:
+def _repaired(run: Run, edit: RandomEdit, made: Run) -> Iterator[str]:
     """Check that a repaired plan reaches its coverage target with the fewest added views.
 
     HiGHS finds the fewest added views.
     """
     M, reached = made.measurability, made.reach
     matrix, areas = M.matrix().astype(np.float64), M.samples.areas
-    banned = {int(run.candidate[number - 1]) for number in asked.wishes.get("drop", ())} - {*made.candidate.tolist()}
+    banned = {int(run.candidate[number - 1]) for number in edit.options.get("drop", ())} - {*made.candidate.tolist()}
     open_to_all = matrix @ reached.reachable > 0
     target = (made.plan.coverage.target_on_features or 1.0) * float(areas[open_to_all].sum())
     has = matrix[:, made.candidate].sum(axis=1) > 0
     if float(areas[has].sum()) < target * (1 - 1e-6):
         yield f"repaired to {100 * areas[has].sum() / areas[open_to_all].sum():.3f} % of coverable, not to the target"
     known = len(run.candidates)
-    asked_for = [view for view in made.candidate.tolist() if view >= known or view in run.candidate]
-    asked_for += [view for view in asked.wishes.get("add_candidate", ()) if view not in asked_for]
-    added = len(made.candidate) - len(asked_for)
+    added = [view for view in made.candidate.tolist() if view >= known or view in run.candidate]
+    added += [view for view in edit.options.get("add_candidate", ()) if view not in added]
+    added = len(made.candidate) - len(added)
     if added < 1 or run.plan.coverage.target_on_features not in (None, 1.0):
         return
-    base = matrix[:, asked_for].sum(axis=1) > 0
+    base = matrix[:, added].sum(axis=1) > 0
     rest = np.flatnonzero(open_to_all & ~base)
-    columns = np.array([c for c in np.flatnonzero(reached.reachable) if c not in banned and c not in asked_for])
+    columns = np.array([c for c in np.flatnonzero(reached.reachable) if c not in banned and c not in added])
     block = matrix[rest][:, columns]
     rows = np.asarray(block.sum(axis=1)).ravel() > 0
     best = milp(

@@ -28,7 +28,7 @@ from benchmarks.diff_recount import recounted
 from benchmarks.edit_judge import EditJudge
 from benchmarks.parts import parts, place
 from benchmarks.random_edits import random_edit
-from cell.api import open_run, plan, scan
+from cell.api import edit, open_run, plan, scan
 from cell.errors import CellError
 from cell.report.diff import compare_runs
 from cell.report.plots import PlotProcess
@@ -77,16 +77,20 @@ def _judged(home: Path, judge: EditJudge, number: int, count: int) -> dict[str, 
     begin = process_time()
     last, out = home / "last", home / f"edit {number}"
     before = open_run(last if number // _OF_AN_EDITED % _OF_AN_EDITED == 3 and last.exists() else home / "plan")
-    asked = random_edit(np.random.default_rng([number, 17]), before)
-    row: dict[str, Any] = {"asked": asked.said, "wishes": json.dumps(asked.wishes), "of": before.folder.name}
+    drawn = random_edit(np.random.default_rng([number, 17]), before)
+    row: dict[str, Any] = {
+        "command line": drawn.command_line,
+        "options": json.dumps(drawn.options),
+        "of": before.folder.name,
+    }
     for left in (out, out.with_name(f"{out.name}.part")):
         shutil.rmtree(left, ignore_errors=True)  # of a call that was stopped
     try:
-        made = before.edited(out=out, **asked.wishes)
+        made = edit(before, out=out, **drawn.options)
     except CellError as error:
-        findings = judge.refused(asked, error)
+        findings = judge.refused(drawn, error)
         return row | {"refused": str(error), "findings": findings, "s": process_time() - begin}
-    findings = [*judge.accepted(before, asked, made), *(["should have been refused"] if asked.wrong else [])]
+    findings = [*judge.accepted(before, drawn, made), *(["should have been refused"] if drawn.wrong else [])]
     seconds = process_time() - begin
     pairs, samples = 0, 0.0
     if number < _FULL_PAIRS:
@@ -130,7 +134,7 @@ def _counted(name: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
         "part": name,
         "edits": len(rows),
         "accepted": len(accepted),
-        "repaired": sum("--repair" in row["asked"] for row in accepted),
+        "repaired": sum("--repair" in row["command line"] for row in accepted),
         "refused": len(rows) - len(accepted),
         **refused,
         "other": len(rows) - len(accepted) - sum(refused.values()),

@@ -44,7 +44,7 @@ def chart(rows: Sequence[dict[str, Any]], folder: Path) -> None:
 
 def _rows(part: str, lab: Lab, seeds: int) -> Iterator[dict[str, Any]]:
     ceiling = lab.ceiling()
-    for name, policy, seed in _asked(seeds):
+    for name, policy, seed in _selected_runs(seeds):
         began = process_time()
         known, by_views = explored(lab, policy, seed, VIEWS)
         shares = [round(100 * float(by_views[min(n, len(by_views)) - 1]), 2) for n in AFTER]
@@ -63,7 +63,7 @@ def _rows(part: str, lab: Lab, seeds: int) -> Iterator[dict[str, Any]]:
         }
 
 
-def _asked(seeds: int) -> Iterator[tuple[str, Policy, int]]:
+def _selected_runs(seeds: int) -> Iterator[tuple[str, Policy, int]]:
     if os.environ.get("SCAN_CELL_TUNE"):
         yield from (
             (f"{name}: {each}", make(each), 0) for name, (make, settings) in RIVALS.items() for each in settings

@@ -72,7 +72,7 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
         evaluation.plan_known_model(work, known_model)
         known = evaluation.evaluate(work, file, known_model)
         checked, contacts = _judged(out, file, known_model)
-        said = reasons.judged(work, file, known_model) if os.environ.get("SCAN_CELL_REASONS") else {}
+        causes = reasons.judged(work, file, known_model) if os.environ.get("SCAN_CELL_REASONS") else {}
     limit = _LIMIT[policy] * known.fewest + 2
     return {
         "part": part,
@@ -93,7 +93,7 @@ def _row(part: str, words: tuple[str, ...], policy: str, seed: int) -> dict[str,
         "contacts": contacts,
         "nearest mm": round(known.nearest_mm, 1),
         "step s": round(clock.exploring / len(file.stages), 2),
-        **_told(said),
+        **_count_causes(causes),
         "by views": list(known.by_views),
         "bound": [(point.views, point.found, point.at_most) for point in known.bound],
     }
@@ -114,14 +114,14 @@ class _Clock(LoggedProgress):
             yield progress
 
 
-def _told(said: dict[str, tuple[float, float]]) -> dict[str, Any]:
+def _count_causes(causes: dict[str, tuple[float, float]]) -> dict[str, Any]:
     """Return the share of the open area with a true reason, and total and true area of each reason [mm2]."""
-    if not said:
+    if not causes:
         return {}
-    areas = np.array(list(said.values()))
+    areas = np.array(list(causes.values()))
     return {
         "reasons true %": round(100 * float(areas[:, 1].sum() / areas[:, 0].sum()), 1),
-        "reasons": [f"{name}: {true:.0f} of {area:.0f}" for name, (area, true) in said.items()],
+        "reasons": [f"{name}: {true:.0f} of {area:.0f}" for name, (area, true) in causes.items()],
     }
 
 

@@ -30,7 +30,7 @@ def _row(name: str, arguments: tuple[str, ...], out: Path, cache: Path) -> dict[
     try:
         summary, took = run_cell(out.parent, "plan", *arguments, "--place", place(), "--out", str(out), cache=cache)
     except CellError as error:
-        return row | {"said": str(error)[:100]}
+        return row | {"error": str(error)[:100]}
     predicted, coverable = summary["coverage"]["visible"], summary["coverage"]["coverable"]
     truth = independent_visible(out, seed=12345)
     return row | {

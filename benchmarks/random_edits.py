@@ -23,19 +23,19 @@ class RandomEdit:
     """An edit and its expected result.
 
     Attributes:
-        wishes: keyword arguments of `EditableRun.edited`.
+        options: keyword arguments of `cell.api.edit`.
         poses: (4, 4) T_base_scanner of each changed or added view, by its name in refusals.
         wrong: required text of the refusal; "" if the edit is valid by construction.
     """
 
-    wishes: dict[str, Any]
+    options: dict[str, Any]
     poses: Mapping[str, Floats] = field(default_factory=dict)
     wrong: str = ""
 
     @property
-    def said(self) -> str:
+    def command_line(self) -> str:
         """Return the options as on the command line, without values."""
-        return " ".join(f"--{key.replace('_', '-')}" for key, value in self.wishes.items() if value is not False)
+        return " ".join(f"--{key.replace('_', '-')}" for key, value in self.options.items() if value is not False)
 
 
 def random_edit(rng: np.random.Generator, run: Run) -> RandomEdit:
@@ -49,28 +49,28 @@ def random_edit(rng: np.random.Generator, run: Run) -> RandomEdit:
         return _wrong(rng, run)
     n = len(run.candidate)
     numbers = [int(number) for number in rng.permutation(n) + 1]
-    wishes: dict[str, Any] = {}
+    options: dict[str, Any] = {}
     if rng.random() < 0.5:
-        wishes["drop"] = numbers[: int(rng.integers(1, 3))]
+        options["drop"] = numbers[: int(rng.integers(1, 3))]
     if rng.random() < 0.4:
-        wishes["move"] = {numbers[2]: _beside(rng, run.T_base_scanner[numbers[2] - 1])}
+        options["move"] = {numbers[2]: _beside(rng, run.T_base_scanner[numbers[2] - 1])}
     if rng.random() < 0.4:
-        wishes["turn"] = {numbers[3]: float(np.round(rng.uniform(-180, 180), 1))}
+        options["turn"] = {numbers[3]: float(np.round(rng.uniform(-180, 180), 1))}
     if rng.random() < 0.3:
         among = run.reach.reachable
         among = among if rng.random() < _SHARE_REACHABLE else np.ones_like(among)
         others = np.setdiff1d(np.flatnonzero(among), run.candidate)
-        wishes["add_candidate"] = [int(rng.choice(others))]
+        options["add_candidate"] = [int(rng.choice(others))]
     if rng.random() < 0.3:
-        wishes["add_pose"] = [_beside(rng, run.T_base_scanner[numbers[0] - 1])]
+        options["add_pose"] = [_beside(rng, run.T_base_scanner[numbers[0] - 1])]
     if rng.random() < 0.3:
-        wishes["keep_order"] = True
-    elif not wishes or rng.random() < 0.3:
-        kept = [number for number in numbers if number not in wishes.get("drop", ())]
-        added = len(wishes.get("add_candidate", ())) + len(wishes.get("add_pose", ()))
-        wishes["order"] = [int(k) for k in rng.permutation([*kept, *range(n + 1, n + 1 + added)])]
-    wishes["repair"] = bool(rng.random() < 0.4)
-    return RandomEdit(wishes, _poses(wishes, run))
+        options["keep_order"] = True
+    elif not options or rng.random() < 0.3:
+        kept = [number for number in numbers if number not in options.get("drop", ())]
+        added = len(options.get("add_candidate", ())) + len(options.get("add_pose", ()))
+        options["order"] = [int(k) for k in rng.permutation([*kept, *range(n + 1, n + 1 + added)])]
+    options["repair"] = bool(rng.random() < 0.4)
+    return RandomEdit(options, _poses(options, run))
 
 
 def _beside(rng: np.random.Generator, T: Floats) -> list[float]:
@@ -89,16 +89,16 @@ def _wrong(rng: np.random.Generator, run: Run) -> RandomEdit:
         ({"drop": [n + 3]}, f"view {n + 3}; the plan has the views 1 to {n}"),
         ({"turn": {n + 1: 90.0}}, f"view {n + 1}; the plan has the views 1 to {n}"),
         ({"add_candidate": [total]}, f"no candidate {total} to add; there are candidates 0 to {total - 1}"),
-        ({"add_candidate": [int(run.candidate[twice])]}, f"view {n + 1} would be the same pose as view {twice + 1}"),
+        ({"add_candidate": [int(run.candidate[twice])]}, f"view {n + 1} would have the same pose as view {twice + 1}"),
         ({"order": list(range(n, 1, -1))}, "the order leaves out 1"),
         ({"drop": list(range(1, n + 1))}, "leaves no view"),
         ({"drop": [2], "turn": {2: 90.0}}, "view 2 twice"),
     )
-    wishes, told = cases[rng.integers(len(cases))]
-    return RandomEdit(wishes, wrong=told)
+    options, message = cases[rng.integers(len(cases))]
+    return RandomEdit(options, wrong=message)
 
 
-def _poses(wishes: dict[str, Any], run: Run) -> dict[str, Floats]:
+def _poses(options: dict[str, Any], run: Run) -> dict[str, Floats]:
     """Return the requested scanner pose of each changed or added view."""
     candidates = run.candidates.T_object_scanner[:, 0]
     T_base_object = run.scene.T_base_object
@@ -107,9 +107,9 @@ def _poses(wishes: dict[str, Any], run: Run) -> dict[str, Floats]:
         T: Floats = pose_from_kuka_abc(np.array(each[:3]) / 1000, np.radians(each[3:]))
         return T
 
-    poses = {f"view {number}": given(each) for number, each in wishes.get("move", {}).items()}
-    poses |= {f"added pose {k}": given(each) for k, each in enumerate(wishes.get("add_pose", ()), start=1)}
-    for number, angle in wishes.get("turn", {}).items():
+    poses = {f"view {number}": given(each) for number, each in options.get("move", {}).items()}
+    poses |= {f"added pose {k}": given(each) for k, each in enumerate(options.get("add_pose", ()), start=1)}
+    for number, angle in options.get("turn", {}).items():
         about = pose_from_kuka_abc(np.zeros(3), np.radians([angle, 0.0, 0.0]))
         poses[f"view {number}"] = T_base_object @ candidates[run.candidate[number - 1]] @ about
-    return poses | {f"candidate {k}": T_base_object @ candidates[k] for k in wishes.get("add_candidate", ())}
+    return poses | {f"candidate {k}": T_base_object @ candidates[k] for k in options.get("add_candidate", ())}

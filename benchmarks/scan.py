@@ -130,7 +130,7 @@ def _coverage(folder: Path, name: str, arguments: tuple[str, ...]) -> dict[str, 
         run_cell(folder, "plan", *arguments, "--place", place(), "--out", str(out), cache=folder / "cache")
         summary, took = run_cell(folder, "scan", str(out), "--resolution", COARSE_DEG, cache=folder / "cache")
     except CellError as error:
-        return row | {"said": str(error)[:100]}
+        return row | {"error": str(error)[:100]}
     coverage = summary["coverage"]
     return row | {
         "s": took["s"],

@@ -41,8 +41,8 @@ def run() -> list[dict[str, Any]]:
 
 
 def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
-    wishes: dict[str, object] = {"place": place()} | ({"units": words[2]} if len(words) > 1 else {})
-    asked: list[tuple[CoverProblem, GroupedCover]] = []
+    options_of_part: dict[str, object] = {"place": place()} | ({"units": words[2]} if len(words) > 1 else {})
+    solved: list[tuple[CoverProblem, GroupedCover]] = []
     searches: list[planning.SetupSearch] = []
 
     class Kept(planning.SetupSearch):
@@ -50,25 +50,25 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
             super().__init__(*known)
             searches.append(self)
 
-    def told(wish: CoverProblem, targets: Floats, *rest: Any, **options: Any) -> GroupedCover:
-        found = solve_grouped(wish, targets, *rest, **options)
-        asked.append((wish, found))
+    def record(problem: CoverProblem, targets: Floats, *rest: Any, **options: Any) -> GroupedCover:
+        found = solve_grouped(problem, targets, *rest, **options)
+        solved.append((problem, found))
         return found
 
     start = time.process_time()
     own = planning.SetupSearch
-    planning.solve_grouped, planning.SetupSearch = told, Kept  # type: ignore[misc]
+    planning.solve_grouped, planning.SetupSearch = record, Kept  # type: ignore[misc]
     try:
-        made = api.plan_setups(words[0], out=folder / name, **wishes)
+        made = api.setups(words[0], out=folder / name, **options_of_part)
     except CellError as error:
-        return {"part": name, "said": str(error)[:100]}
+        return {"part": name, "error": str(error)[:100]}
     finally:
         planning.solve_grouped, planning.SetupSearch = solve_grouped, own  # type: ignore[misc]
     seconds, file = time.process_time() - start, made.file
-    wish, joint = asked[-1]
+    problem, joint = solved[-1]
     poses = [setup.measured.candidates.T_object_scanner[:, 0] for setup in searches[0].setups.values()]
-    setups, views = _after_another(wish, joint)
-    first_setups, first_views = _views_first(wish, joint, np.concatenate(poses))
+    setups, views = _after_another(problem, joint)
+    first_setups, first_views = _views_first(problem, joint, np.concatenate(poses))
     ceiling, error = _ceiling(made.folders[0])
     return {
         "part": name,
@@ -88,37 +88,37 @@ def _row(name: str, words: tuple[str, ...], folder: Path) -> dict[str, Any]:
     }
 
 
-def _after_another(wish: CoverProblem, joint: GroupedCover) -> tuple[int, int]:
+def _after_another(problem: CoverProblem, joint: GroupedCover) -> tuple[int, int]:
     """Return numbers of set-ups and views, one set-up after the other.
 
     Each set-up is the one that adds most, and is covered by itself.
     """
-    rows, group, areas = GroupLoads(wish, joint.targets), np.asarray(wish.group), np.asarray(wish.areas)
+    rows, group, areas = GroupLoads(problem, joint.targets), np.asarray(problem.group), np.asarray(problem.areas)
     left, setups, views = rows.demand > 0, 0, 0
     missing = float(areas[left].sum() - rows.wanted[0])  # area that may remain uncovered
     while float(areas[left].sum()) > missing * (1 + 1e-9) and left.any():
         adds = (rows.loads > 0) @ (areas * left)
         best = int(np.argmax(adds))
-        columns = np.flatnonzero((group == best) & np.asarray(wish.allowed))
-        part = wish.matrix[:, columns][left]
+        columns = np.flatnonzero((group == best) & np.asarray(problem.allowed))
+        part = problem.matrix[:, columns][left]
         share = min(1.0, (float(areas[left].sum()) - missing) / float(adds[best]))
         found = cover.solve(CoverProblem(part, areas[left], coverage=share), rng=np.random.default_rng(0))
-        left = left & ~(np.asarray(wish.matrix[:, columns[found.views]].sum(axis=1)).ravel() > 0)
+        left = left & ~(np.asarray(problem.matrix[:, columns[found.views]].sum(axis=1)).ravel() > 0)
         setups, views = setups + 1, views + len(found.views)
     return setups, views
 
 
-def _views_first(wish: CoverProblem, joint: GroupedCover, poses: Floats) -> tuple[int, int]:
+def _views_first(problem: CoverProblem, joint: GroupedCover, poses: Floats) -> tuple[int, int]:
     """Return numbers of set-ups and views with the (V, 4, 4) poses selected first.
 
     The poses are selected among all that some set-up reaches.
     """
     _, pose = np.unique(poses.reshape(-1, 16).round(9), axis=0, return_inverse=True)
-    some = np.flatnonzero(np.asarray(wish.allowed))
-    alone = CoverProblem(wish.matrix[:, some], wish.areas, coverage=float(joint.targets[0]))
+    some = np.flatnonzero(np.asarray(problem.allowed))
+    alone = CoverProblem(problem.matrix[:, some], problem.areas, coverage=float(joint.targets[0]))
     views = some[cover.solve(alone, rng=np.random.default_rng(0)).views]
-    again = np.asarray(wish.allowed) & np.isin(pose, pose[views])
-    rows = GroupLoads(replace(wish, allowed=again), joint.targets)
+    again = np.asarray(problem.allowed) & np.isin(pose, pose[views])
+    rows = GroupLoads(replace(problem, allowed=again), joint.targets)
     rows.wanted = joint.loads.wanted
     return fewest_groups(rows, (), None)[0], len(views)
 

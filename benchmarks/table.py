@@ -38,7 +38,7 @@ def _row(name: str, arguments: tuple[str, ...], kept: Path) -> dict[str, Any]:
                 run_cell(kept, "plan", *arguments, *options, "--place", place(), "--out", str(out))
             runs.append(open_run(out))
         except CellError as error:
-            return {"part": name, "said": str(error)[:100]}
+            return {"part": name, "error": str(error)[:100]}
     fixed, turned = (each.report for each in runs)
     can = turned.attainable
     return {

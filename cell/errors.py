@@ -7,8 +7,8 @@
     |-- DriverFailureError  5       the robot controller, or the wire to it
     `-- FileError           6       a mesh, a run folder or the disk
 
-Each message is one sentence: what is wrong, and what is valid. Coverage below the requirement (exit code 3) is a result
-and no error. A bug has code 70, Ctrl-C 130.
+Each message is one sentence: what is wrong, and what is valid. Coverage below the requirement (exit code 3) is a
+result, not an error. A bug has code 70, Ctrl-C 130.
 """
 
 

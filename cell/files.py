@@ -1,6 +1,7 @@
 """Files of the program: its models, its caches, and files that are written completely or not at all."""
 
 import contextlib
+import errno
 import os
 import sys
 from collections.abc import Iterator
@@ -45,6 +46,17 @@ def cache_folder(kind: str) -> Path:
     else:
         base = Path.home() / ".cache"
     return base / "scan-cell" / kind
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a regular file; a device or a pipe could have no end.
+
+    Raises:
+        OSError: if it cannot be read, or is neither a regular file nor a folder.
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise OSError(errno.EINVAL, "it is a device or a pipe, not a regular file")
+    return path.read_bytes()
 
 
 @contextlib.contextmanager

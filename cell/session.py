@@ -31,7 +31,7 @@ Confirm = Callable[[str], str]
 class Stream(IntEnum):
     """Numbers of the random streams of the product; a stream is seeded by (seed of the run, number).
 
-    The streams of a plan have numbers of their own, so that no step changes the draws of another. Streams below them
+    The streams of a plan have fixed numbers, so that no step changes the draws of another. Streams below them
     with an equal number (aliases) belong to commands that never meet in one run; those of a scan are seeded by
     (seed, number, view or set-up).
     """
@@ -71,7 +71,7 @@ def random_stream(seed: int, stream: Stream, *part: int) -> np.random.Generator:
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """Amount of computing that results are worth; counts and shares, never seconds.
+    """Limits of the computing effort: counts and shares, never seconds.
 
     Attributes:
         held_out_samples: samples on which coverage is predicted and measured; the definition of coverage has 100,000.
@@ -216,7 +216,7 @@ class Session(Generic[FolderT]):
         folder: open folder of the results.
         reporter: receiver of progress and notes.
         out: path of the folder to make; None chooses one below sim_runs/.
-        confirm: puts questions to a person; None where nobody answers.
+        confirm: asks the user; None without a user.
         plots: queue of plots.
         seed: of every random stream.
         effort: amount of computing.

@@ -146,12 +146,12 @@ class SequenceLedger:
         while (result := self._link.take(self.session)) != Result.OK:
             waited, owner = clock.now() - began, self._link.state().owner
             if result != Result.NOT_OWNER:
-                raise RefusedError(f"the controller does not give the arm: {describe_result(result)}", result)
+                raise RefusedError(f"the controller refuses ownership of the arm: {describe_result(result)}", result)
             if waited > status.TAKE_LIMIT:
                 raise NotOwnerError(f"session {owner} owns the arm and its client is active; end that client first")
             if notify and waited > status.NOTIFY_AFTER and not has_notified:
                 has_notified = True
-                notify(f"waiting for the client of session {owner}, which owns the arm, to fall silent")
+                notify(f"waiting for the client of session {owner}, which owns the arm, to end")
             clock.wait(_TAKE_PAUSE)
         state = self._read()
         if state.boot != self.boot:

@@ -350,7 +350,7 @@ class Driver(AbstractContextManager["Driver"], Protocol):
         Raises:
             SetPointError: if the set-points are invalid; nothing was sent.
             RefusedError: outside limits, speed or step, or in a fault; nothing moved.
-            StoppedError: if the move ended elsewhere on its path.
+            StoppedError: if the move ended before its last set-point.
             FaultError, EmergencyStopError: if a fault ended the move, or was latched just after its end.
             StateUnknownError: if the execution of the move is unknown.
             ArrivalError: if the arm arrived elsewhere, or sooner than possible.

@@ -15,7 +15,7 @@
     |   `-- ProtocolError           the peer does not speak this protocol, or not in this word order
     |-- ContradictionError          fields of the controller's status contradict each other or are impossible
     |-- OverdueError                an expected event did not happen within its limit
-    |-- ArrivalError                the arm is elsewhere than commanded, or arrived sooner than possible
+    |-- ArrivalError                the arm is not at the commanded position, or arrived too early
     |-- NotOwnerError               another client owns the arm, or has stopped it
     `-- StateUnknownError           the execution of the last command is unknown; only state() and stop() are allowed
 

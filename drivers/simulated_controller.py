@@ -327,7 +327,7 @@ class Controller:
         try:
             self._axes = from_rad(self.plant.reported_axes)
         except SetPointError:  # axes that are no numbers: keep the last ones
-            return self.plant.failure or "its axes are no numbers"
+            return self.plant.failure or "an axis position is not a number"
         return self.plant.failure
 
     def _passed(self) -> int:

@@ -4,7 +4,7 @@ numba is imported at the first call of a kernel, because the import takes about 
 (`docs/internals/dependencies.md`). The arguments of kernels are numbers and arrays of int64 and float64: one signature
 is compiled, and the result is the same on every machine. Never use `fastmath`.
 
-A kernel calls only kernels of its own file. numba copies the called code into the cached code of the caller, and
+A kernel calls only kernels of the same file. numba copies the called code into the cached code of the caller, and
 considers that code current as long as the caller's file is unchanged. A change in another file would go unnoticed.
 
 The first kernel of a process that must be compiled causes a warning of this module's logger.
@@ -23,13 +23,13 @@ Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
 _lock = threading.Lock()
 _waiting: dict[str, list[Callable[..., Any]]] = {}
-"""Kernels that numba does not know yet, by module."""
+"""Kernels that are not compiled yet, by module."""
 
 
 def compiled(kernel: Kernel) -> Kernel:
     """Return a module-level function that is compiled by numba at its first call.
 
-    The code is cached beside the module, or in the user's cache folder where that is not writable; `NUMBA_CACHE_DIR`
+    The code is cached next to the module, or in the user's cache folder where that is not writable; `NUMBA_CACHE_DIR`
     names another folder. The wrapper for callers in C is omitted, which saves a twelfth of the compile time.
     """
     _waiting.setdefault(kernel.__module__, []).append(kernel)

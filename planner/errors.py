@@ -7,4 +7,4 @@ A failure that is a result (unreachable, uncoverable, no path, budget spent) is 
 
 
 class PlannerError(ValueError):
-    """The input violates a documented requirement; the message names it and says what is valid."""
+    """The input violates a documented requirement; the message names it and the valid input."""

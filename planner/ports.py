@@ -1,4 +1,4 @@
-"""Protocols of everything that the planner does not know itself; `cell` implements them, tests implement small ones.
+"""Protocols of the services that the planner uses; `cell` implements them, tests implement small ones.
 
 Frames: `base` (robot foot, z up), `flange`, `scanner` (origin at the laser source, +z viewing direction, +x from source
 to sensor), `object` (axes of the mesh file, metres). `T_a_b` maps b-coordinates to a. Joint angles have KUKA signs.

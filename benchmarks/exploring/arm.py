@@ -34,7 +34,7 @@ class CellArm:
     world: World
     checker: CollisionChecker
     kinematics: Kinematics
-    _asked: dict[bytes, bool] = field(default_factory=dict)
+    _reachable: dict[bytes, bool] = field(default_factory=dict)
 
     @classmethod
     def of(cls, work: ExplorationContext, settings: Settings, scanner: Scanner) -> "CellArm":
@@ -52,12 +52,12 @@ class CellArm:
     def are_reachable(self, poses: Floats) -> Bools:
         """Return which of (n, 4, 4) poses [m] the arm reaches."""
         names = [T.tobytes() for T in poses]
-        new = [row for row, name in enumerate(names) if name not in self._asked]
+        new = [row for row, name in enumerate(names) if name not in self._reachable]
         if new:
             T_base_object, mount = self.world.T_base_object, self.world.T_flange_scanner
             found = reach.are_reachable(poses[new][:, None], T_base_object, mount, self.kinematics, self.checker)
-            self._asked.update(zip([names[row] for row in new], found.tolist(), strict=True))
-        return np.array([self._asked[name] for name in names], dtype=np.bool_)
+            self._reachable.update(zip([names[row] for row in new], found.tolist(), strict=True))
+        return np.array([self._reachable[name] for name in names], dtype=np.bool_)
 
     def seconds(self, poses: Sequence[Floats]) -> Floats:
         """Return (n,) seconds of motion until each of the poses is reached."""

@@ -16,7 +16,7 @@ noise is omitted: the laboratory has no noise.
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks.exploring.lab import Known, Lab, Policy
+from benchmarks.exploring.lab import Knowledge, Lab, Policy
 from planner.values import Bools, Floats
 from planner.viewpoints.viewpoints import aim_viewpoints
 
@@ -44,7 +44,7 @@ class _Explorer:
         self._radius = edges * lab.unknown.edge
         self._tried = np.empty((0, 3))
 
-    def __call__(self, known: Known) -> Floats | None:
+    def __call__(self, known: Knowledge) -> Floats | None:
         points, towards = _thinned(known, self._radius / _CELLS)
         tree = cKDTree(points)
         frontier = self._frontier(points, tree)
@@ -79,7 +79,7 @@ class _Explorer:
         near_core = cKDTree(points[core]).query(points, distance_upper_bound=self._radius)[0] if core.any() else np.inf
         return np.flatnonzero(~core & np.isfinite(near_core))
 
-    def _proposed(self, known: Known, at: Floats, normals: Floats, tree: cKDTree) -> tuple[Floats, np.ndarray]:
+    def _proposed(self, known: Knowledge, at: Floats, normals: Floats, tree: cKDTree) -> tuple[Floats, np.ndarray]:
         """Return (n, 4, 4) views and the frontier point of each.
 
         Each view is the least tilted free and unobstructed one of its frontier point.
@@ -113,7 +113,7 @@ class _Explorer:
         return np.stack(seen, axis=1)
 
 
-def _thinned(known: Known, spacing: float) -> tuple[Floats, Floats]:
+def _thinned(known: Knowledge, spacing: float) -> tuple[Floats, Floats]:
     """Return (P, 3) a point of each cell of a grid, and the unit direction to the source that measured it."""
     points = np.concatenate(known.points)
     origin = np.concatenate(

@@ -47,7 +47,7 @@ _SIDES = 200  # directions that are tried for the first view
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
+class Knowledge:
     """Knowledge of a policy.
 
     Attributes:
@@ -61,7 +61,7 @@ class Known:
     points: tuple[Floats, ...] = ()
 
 
-NextView = Callable[[Known], Floats | None]
+NextView = Callable[[Knowledge], Floats | None]
 """The (4, 4) pose of the next view; None: the policy has no further one."""
 
 Policy = Callable[["Lab", Generator], NextView]
@@ -97,8 +97,8 @@ class Lab:
     @classmethod
     def of(cls, part: str, units: str | None = None, *, arm: bool = False) -> "Lab":
         """A built-in part by name, or a mesh file, without an arm or with the default cell's."""
-        wishes: dict[str, Any] = {"place": (1200, 500, 0), "seed": 0} | ({} if units is None else {"units": units})
-        scene = scene_from_options(None, wishes, part)
+        options: dict[str, Any] = {"place": (1200, 500, 0), "seed": 0} | ({} if units is None else {"units": units})
+        scene = scene_from_options(None, options, part)
         work = prepare_exploration(Session(None), scene, ExploreOptions(), ScanOptions())
         known = workpiece.load(scene.part.source, scene.part.units)
         settings = settle(work.scene, known).settings
@@ -140,16 +140,16 @@ class Lab:
         away = away.repeat(2, 0).repeat(2, 1).repeat(2, 2)
         ends = (self.frustum.source, self.frustum.sensor)
 
-        def stands(T: Floats) -> Bools:
+        def is_free(T: Floats) -> Bools:
             near = np.min([space.values_at(T[:, :3, :3] @ at + T[:, :3, 3], away) for at in ends], axis=0)
             found = np.asarray(near >= CLEARANCE)
             if self.arm is not None:
                 found[found] = self.arm.are_reachable(T[found])
             return found
 
-        return stands
+        return is_free
 
-    def look(self, known: Known, T: Floats) -> Known:
+    def observe(self, known: Knowledge, T: Floats) -> Knowledge:
         """Return the knowledge after a view from the pose (4, 4)."""
         points = virtual_scan.scan(self.scanner, T, self.caster, self.part).points
         eye, source, sensor = (
@@ -160,7 +160,7 @@ class Lab:
         if len(points):
             space = space.with_points(points, [source, sensor]).with_surface_between(eye.between(points, T, space.gap))
         space = space.with_votes(points, source, sensor, eye.blank(points, T), eye.near, eye.far)
-        return Known(space, (*known.poses, T), (*known.points, points))
+        return Knowledge(space, (*known.poses, T), (*known.points, points))
 
     def by_views(self, poses: tuple[Floats, ...]) -> Floats:
         """Return (n,) visible coverage after each of the views, share of the true surface."""
@@ -209,10 +209,10 @@ class Lab:
         return poses, np.concatenate([before.standoff[there], distance])
 
 
-def explored(lab: Lab, policy: Policy, seed: int, views: int) -> tuple[Known, Floats]:
+def explored(lab: Lab, policy: Policy, seed: int, views: int) -> tuple[Knowledge, Floats]:
     """Return the knowledge after a number of views of a policy, and (n,) its true coverage after each view."""
-    known = lab.look(Known(lab.unknown), lab.first_view(np.random.default_rng([seed, 0])))
+    known = lab.observe(Knowledge(lab.unknown), lab.first_view(np.random.default_rng([seed, 0])))
     next_view = policy(lab, np.random.default_rng([seed, 1]))
     while len(known.poses) < views and (T := next_view(known)) is not None:
-        known = lab.look(known, T)
+        known = lab.observe(known, T)
     return known, lab.by_views(known.poses)

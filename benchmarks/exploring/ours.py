@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy.sparse import csr_array
 
-from benchmarks.exploring.lab import Known, Lab, NextView
+from benchmarks.exploring.lab import Knowledge, Lab, NextView
 from cell.explore import belief
 from cell.explore.frustum import MinRangeOccluder, area_below_min_range, should_keep_min_range
 from cell.explore.policy import Batch, BatchRequest, expected_samples
@@ -35,7 +35,7 @@ class _Ours:
         self._expected: tuple[SurfaceSamples, float] | None = None
         self._near = list[tuple[float, float]]()
 
-    def __call__(self, known: Known) -> Floats | None:
+    def __call__(self, known: Knowledge) -> Floats | None:
         lab, space = self._lab, self._learned(known)
         mesh = belief.surface_about(space, space.belief_voxels())
         planning = decimate(belief.coarse_surface(space), lab.settings.faces)
@@ -65,7 +65,7 @@ class _Ours:
         self._expected, self._before = (pick_samples(rows, M[:, best]), float(mesh.areas.sum())), space
         return poses[best]
 
-    def _learned(self, known: Known) -> VoxelSpace:
+    def _learned(self, known: Knowledge) -> VoxelSpace:
         """Return the voxels with the tries of all views.
 
         The record is updated with the last view as in `cell.explore.explore`.

@@ -49,52 +49,52 @@ def judged(work: ExplorationContext, file: ExploreFile, known_model: Path) -> di
         file: its explore.json.
         known_model: run folder of the plan of the true part.
     """
-    said = explain_remaining(work, file, work.paths.known(len(file.stages), work.unknown))
-    if said is None:
+    reported = explain_remaining(work, file, work.paths.known(len(file.stages), work.unknown))
+    if reported is None:
         return {}
-    true = _true(work, file, said, known_model)
+    true = _true(work, file, reported, known_model)
     found: dict[str, tuple[float, float]] = {}
-    for code in np.unique(said.reason).tolist():
-        here = said.reason == code
+    for code in np.unique(reported.reason).tolist():
+        here = reported.reason == code
         area, of_it = found.get(describe_cause(code), (0.0, 0.0))
-        areas = 1e6 * said.samples.areas
+        areas = 1e6 * reported.samples.areas
         found[describe_cause(code)] = area + float(areas[here].sum()), of_it + float(areas[here & true].sum())
     return found
 
 
-def _true(work: ExplorationContext, file: ExploreFile, said: UncoveredReport, known_model: Path) -> Bools:
+def _true(work: ExplorationContext, file: ExploreFile, reported: UncoveredReport, known_model: Path) -> Bools:
     """Return (N,) for which samples the reason is true."""
     run = open_finished(known_model)
     cell, part = read_cell(run), run.mesh("reference.ply")
     assert work.ground_truth is not None
     to_object = np.asarray(np.linalg.inv(work.ground_truth.T_explored_object), dtype=np.float64)
-    samples = _on_part(said.samples, to_object, part, work.unknown.edge)
-    candidates = replace(said.candidates, T_object_scanner=to_object @ said.candidates.T_object_scanner)
+    samples = _on_part(reported.samples, to_object, part, work.unknown.edge)
+    candidates = replace(reported.candidates, T_object_scanner=to_object @ reported.candidates.T_object_scanner)
     world = world_of(run, part)
     reached = reach.solve_reach(
         candidates, world.T_base_object, world.T_flange_scanner, cell.kinematics, MujocoCollisionChecker(world)
     )
     casters = (cell.part_caster, cell.occluder_caster)
     there = closest_causes(samples, candidates, reached, cell.scanner, casters)
-    pairs = zip(said.reason.tolist(), there.tolist(), strict=True)
+    pairs = zip(reported.reason.tolist(), there.tolist(), strict=True)
     same = np.array([code > 0 and describe_cause(code) == describe_cause(true) for code, true in pairs])
-    same |= (said.reason == NOT_SELECTED) & (there == Reason.NOT_SELECTED)
-    same |= (said.reason >= Reason.OUT_OF_REACH) & (there != Reason.NOT_SELECTED)
+    same |= (reported.reason == NOT_SELECTED) & (there == Reason.NOT_SELECTED)
+    same |= (reported.reason >= Reason.OUT_OF_REACH) & (there != Reason.NOT_SELECTED)
     edge, poses = work.unknown.edge, _poses(work, file, to_object)
-    same |= (said.reason == TRIED) & (_measured_beside(samples.points, poses, cell, edge) < 0.5)
-    same |= (said.reason == REMAINDER) & (_measured_beside(samples.points, poses, cell, NEAR_MEASURED * edge) > 0)
+    same |= (reported.reason == TRIED) & (_measured_beside(samples.points, poses, cell, edge) < 0.5)
+    same |= (reported.reason == REMAINDER) & (_measured_beside(samples.points, poses, cell, NEAR_MEASURED * edge) > 0)
     return same
 
 
-def _on_part(believed: SurfaceSamples, to_object: Floats, part: TriangleMesh, edge: float) -> SurfaceSamples:
+def _on_part(belief: SurfaceSamples, to_object: Floats, part: TriangleMesh, edge: float) -> SurfaceSamples:
     """Return samples in the object frame; those within a voxel's edge of the true part are moved to its surface."""
-    points = believed.points @ to_object[:3, :3].T + to_object[:3, 3]
-    normals = believed.normals @ to_object[:3, :3].T
+    points = belief.points @ to_object[:3, :3].T + to_object[:3, 3]
+    normals = belief.normals @ to_object[:3, :3].T
     found = ClosestPointQuery(part).closest(points)
     there = found.distance <= edge
     points = np.where(there[:, None], found.point, points)
     normals = np.where(there[:, None], part.normals[found.face], normals)
-    return SurfaceSamples(points, normals, believed.areas, believed.face, believed.planning_face)
+    return SurfaceSamples(points, normals, belief.areas, belief.face, belief.planning_face)
 
 
 def _poses(work: ExplorationContext, file: ExploreFile, to_object: Floats) -> Floats:

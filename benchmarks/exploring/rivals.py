@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import Generator
 
-from benchmarks.exploring.lab import Known, Lab, NextView, Policy
+from benchmarks.exploring.lab import Knowledge, Lab, NextView, Policy
 from benchmarks.exploring.view_spaces import VIEW_SPACES
 from planner.compiled import compiled
 from planner.explore.space import FREE, OCCUPIED, UNKNOWN
@@ -27,10 +27,10 @@ def uniform(space: str) -> Policy:
     Science 38 (1985); as the order of views Scott, Roth and Rivest call it the generic view sphere.
     """
 
-    def begun(lab: Lab, rng: Generator) -> NextView:
+    def start(lab: Lab, rng: Generator) -> NextView:
         poses = VIEW_SPACES[space](lab, _MANY)
 
-        def next_view(known: Known) -> Floats | None:
+        def next_view(known: Knowledge) -> Floats | None:
             usable = poses[lab.free(known.space)(poses)]
             taken = np.stack([T[:3, 3] for T in known.poses])
             away = np.linalg.norm(usable[:, None, :3, 3] - taken[None], axis=2).min(axis=1)
@@ -38,16 +38,16 @@ def uniform(space: str) -> Policy:
 
         return next_view
 
-    return begun
+    return start
 
 
 def random(space: str) -> Policy:
     """Return the policy of random poses of the view space with random rolls."""
 
-    def begun(lab: Lab, rng: Generator) -> NextView:
+    def start(lab: Lab, rng: Generator) -> NextView:
         poses = VIEW_SPACES[space](lab, _MANY)
 
-        def next_view(known: Known) -> Floats | None:
+        def next_view(known: Knowledge) -> Floats | None:
             usable = poses[lab.free(known.space)(poses)]
             chosen = usable[rng.integers(len(usable))].copy()
             chosen[:3, :3] = chosen[:3, :3] @ rotation_matrices(np.array([[0.0, 0.0, rng.uniform(0, 2 * np.pi)]]))[0]
@@ -55,7 +55,7 @@ def random(space: str) -> Policy:
 
         return next_view
 
-    return begun
+    return start
 
 
 def volumetric(space: str) -> Policy:
@@ -71,12 +71,12 @@ def volumetric(space: str) -> Policy:
     registration (poses are known here), positioning errors and the path of the robot.
     """
 
-    def begun(lab: Lab, rng: Generator) -> NextView:
+    def start(lab: Lab, rng: Generator) -> NextView:
         poses = VIEW_SPACES[space](lab, _CANDIDATES)
         rows, columns = lab.scanner.grid_shape
         rays = lab.frustum.rays.reshape(rows, columns, 3)[_EVERY // 2 :: _EVERY, _EVERY // 2 :: _EVERY].reshape(-1, 3)
 
-        def next_view(known: Known) -> Floats | None:
+        def next_view(known: Knowledge) -> Floats | None:
             usable = poses[lab.free(known.space)(poses)]
             space = known.space
             state = np.where((space.state == UNKNOWN) & (space.votes > 0), FREE, space.state).astype(np.uint8)
@@ -86,10 +86,10 @@ def volumetric(space: str) -> Policy:
 
         return next_view
 
-    return begun
+    return start
 
 
-def _unknown_along(lab: Lab, known: Known, T: Floats, rays: Floats) -> int:
+def _unknown_along(lab: Lab, known: Knowledge, T: Floats, rays: Floats) -> int:
     space = known.space
     source = T[:3, :3] @ lab.frustum.source + T[:3, 3]
     return int(

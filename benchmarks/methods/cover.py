@@ -44,7 +44,7 @@ app = typer.Typer(add_completion=False, help=__doc__)
 _Instances = Annotated[list[str], typer.Argument(help="Files, or names of generated instances.")]
 _Seconds = Annotated[float, typer.Option(help="Processor seconds; for ours seconds' worth of work, 0 its default.")]
 _Solvers = Annotated[list[str] | None, typer.Option("--solver", help="ours, textbook, HiGHS, CP-SAT. Default: ours.")]
-_Seeds = Annotated[int, typer.Option(help="Seeds 1 to so many.")]
+_Seeds = Annotated[int, typer.Option(help="Number of seeds, from 1.")]
 _Weighted = Annotated[bool, typer.Option(help="Columns cost what the file says, or 1.")]
 _Coverages = Annotated[list[float] | None, typer.Option("--coverage", help="Shares of the coverable area. Default: 1.")]
 _Out = Annotated[Path, typer.Option(help="Folder of runs and tables.")]
@@ -110,12 +110,12 @@ def parts(
     coverage: _Coverages = None, out: _Out = _OUT,
 ) -> None:  # fmt: skip
     """Compute covers of measurability matrices, full and at shares of the coverable area."""
-    rows, said = list[Row](), list[str]()
+    rows, sentences = list[Row](), list[str]()
     for share in coverage or [1.0]:
         found = _runs(out, _tasks(instances, solver, [seconds], seeds, coverage=share))
         rows += found
-        said += [f"coverage {share:g}, {sentence}" for sentence in figures.sums(figures.covers(found))]
-    _show(out, "parts", figures.by_part(rows), said)
+        sentences += [f"coverage {share:g}, {sentence}" for sentence in figures.sums(figures.covers(found))]
+    _show(out, "parts", figures.by_part(rows), sentences)
 
 
 @app.command()
@@ -167,10 +167,10 @@ def chart(
 
 
 def _tasks(
-    instances: Sequence[str], solvers: Sequence[str] | None, seconds: Sequence[float], seeds: int, **asked: Any
+    instances: Sequence[str], solvers: Sequence[str] | None, seconds: Sequence[float], seeds: int, **request: Any
 ) -> list[Task]:
     return [
-        Task(instance, solver, budget or None, seed, **asked)
+        Task(instance, solver, budget or None, seed, **request)
         for instance, solver, budget, seed in product(instances, solvers or ["ours"], seconds, range(1, seeds + 1))
     ]
 
@@ -179,8 +179,10 @@ def _runs(out: Path, tasks: Sequence[Task]) -> list[Row]:
     return Store(out).rows(tasks)
 
 
-def _show(out: Path, name: str, lines: list[Row], said: Sequence[str]) -> None:
-    text = [f"# {name}", "", *markdown_table(lines), "", *(f"{sentence}\n" for sentence in said)]
-    (out / f"{name}.json").write_text(json.dumps({"rows": lines, "said": list(said)}, indent=2) + "\n", "utf-8")
+def _show(out: Path, name: str, lines: list[Row], sentences: Sequence[str]) -> None:
+    text = [f"# {name}", "", *markdown_table(lines), "", *(f"{sentence}\n" for sentence in sentences)]
+    (out / f"{name}.json").write_text(
+        json.dumps({"rows": lines, "sentences": list(sentences)}, indent=2) + "\n", "utf-8"
+    )
     (out / f"{name}.md").write_text("\n".join(text), "utf-8")
     Console(width=220).print("\n".join(text), markup=False)

@@ -32,7 +32,7 @@ from planner.registration.surface import measure_deviation
 from planner.viewpoints.viewpoints import Viewpoints
 
 FINEST = 4
-"""Candidates of so many times the default planning faces stand for all that there could be."""
+"""Multiple of the default planning faces; its candidates represent all possible ones."""
 
 _FEATURES, _SELECTION = 0, 2  # random streams, as in `cell plan`
 _NOISE = 30e-6  # noise of the scans along the ray [m]

@@ -174,7 +174,7 @@ _STANDOFF_M, _ROLLS = 0.3, (0.0, np.pi / 2)
 
 
 @lru_cache(maxsize=1)
-def _asked(line: str, samples: int) -> tuple[TriangleMesh, EmbreeRayCaster, SurfaceSamples]:
+def _evaluated_part(line: str, samples: int) -> tuple[TriangleMesh, EmbreeRayCaster, SurfaceSamples]:
     """Return a part, its ray caster, and samples for the evaluation."""
     mesh = body(5).reference if line == _BUMPY else builtin.load(line)
     judged = draw_samples(mesh, mesh, samples, np.random.default_rng(1))
@@ -184,7 +184,7 @@ def _asked(line: str, samples: int) -> tuple[TriangleMesh, EmbreeRayCaster, Surf
 @lru_cache(maxsize=2)
 def _measured_by(line: str, faces: int, samples: int) -> tuple[float, int, int, float]:
     """Return measured share and views of a plan, faces of its planning mesh, and deviation of the part from that."""
-    mesh, caster, judged = _asked(line, samples)
+    mesh, caster, judged = _evaluated_part(line, samples)
     planning, scanner = decimate(mesh, faces), LaserArea()
     views = optimal_scanning_zone(planning, [_STANDOFF_M], _ROLLS)
     features = draw_samples(mesh, planning, 4 * len(planning.faces), np.random.default_rng(0))

@@ -14,12 +14,12 @@ import typer
 from benchmarks.methods.knobs import KNOBS, Knob, Value, turn
 from benchmarks.methods.speed_charts import by_knob, label, pictures
 from cell.cli.options import SceneFile, from_fields
-from cell.cli.study import run_and_print, scene_maker
+from cell.cli.study import run_and_print
 from cell.errors import UsageError
 from cell.scene.model import Scene
 from cell.study.options import StudyRun
 from cell.study.prepared_part import scene_settings
-from cell.study.study import Row, Study
+from cell.study.study import Row, Study, scene_maker
 from cell.study.trials import Outcome, Trial
 
 ELSEWHERE = {

@@ -50,7 +50,7 @@ def at(settings: Mapping[str, Any]) -> dict[str, Any]:
     Args:
         settings: map, line, value and size.
     """
-    point = MAPS[settings["map"]].look(settings["line"], settings["value"], settings["size"])
+    point = MAPS[settings["map"]].method(settings["line"], settings["value"], settings["size"])
     return {"success": point.success, "error": point.error, "says": point.says, "more": dict(point.more)}
 
 

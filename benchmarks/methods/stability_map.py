@@ -22,7 +22,7 @@ class MapPoint:
     more: Mapping[str, Any] = field(default_factory=dict)
 
 
-Look = Callable[[str, float, int], MapPoint]
+Method = Callable[[str, float, int], MapPoint]
 """Line of the map, value of what breaks the method, how much to ask."""
 
 
@@ -39,7 +39,7 @@ class Map:
         tolerated: largest acceptable error.
         values: values of the parameter.
         quick: values of the reduced study.
-        look: function that runs the method.
+        method: function that runs the method.
         sizes: number of requests at each value, in the full and in the reduced study.
         lines: variants that are drawn in one chart.
         quick_lines: number of variants in the reduced study.
@@ -59,7 +59,7 @@ class Map:
     tolerated: float
     values: tuple[float, ...]
     quick: tuple[float, ...]
-    look: Look
+    method: Method
     sizes: tuple[int, int]
     lines: tuple[str, ...] = ("",)
     quick_lines: int = 9

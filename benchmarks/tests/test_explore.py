@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from benchmarks.exploring import density, rivals
-from benchmarks.exploring.lab import Known, Lab, explored
+from benchmarks.exploring.lab import Knowledge, Lab, explored
 from benchmarks.exploring.ours import stepwise
 from benchmarks.exploring.policies import RIVALS, TUNED
 from benchmarks.exploring.view_spaces import VIEW_SPACES
@@ -25,7 +25,7 @@ def test_random_views_of_a_ball_cover_what_random_caps_do(ball: Lab) -> None:
     """Random caps, n of a share f of a sphere, leave (1 - f)^n of it uncovered on average (Solomon 1978)."""
     rng, n, times = np.random.default_rng(0), 5, 12
     next_view = rivals.random("sphere, middle")(ball, rng)
-    known = Known(ball.unknown, (ball.first_view(rng),))
+    known = Knowledge(ball.unknown, (ball.first_view(rng),))
     poses = [T for _ in range(n * times) if (T := next_view(known)) is not None]
     shares = np.array([ball.by_views((T,))[0] for T in poses[:8]])
     assert shares.std() < 0.01  # of a faceted ball, whose 100,000 samples scatter
@@ -41,11 +41,11 @@ def test_farthest_first_views_cover_the_sphere_as_gonzalez_promises(ball: Lab) -
     The covering radius is 37.377 degrees (icosahedron).
     """
     next_view = rivals.uniform("sphere, middle")(ball, np.random.default_rng(0))
-    known = Known(ball.unknown, (ball.first_view(np.random.default_rng(0)),))
+    known = Knowledge(ball.unknown, (ball.first_view(np.random.default_rng(0)),))
     while len(known.poses) < 12:
         T = next_view(known)
         assert T is not None
-        known = Known(known.space, (*known.poses, T))
+        known = Knowledge(known.space, (*known.poses, T))
     views = np.stack([T[:3, 3] / np.linalg.norm(T[:3, 3]) for T in known.poses])
     directions = VIEW_SPACES["sphere, middle"](ball, 5000)[:, :3, 3]
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -102,7 +102,7 @@ def test_every_policy_sees_more_of_a_ball_with_each_view(name: str, ball: Lab) -
 def test_an_explored_ball_is_judged_as_it_was_seen(ball: Lab) -> None:
     """A view from far above measures at most the cap in which its rays meet the ball at the incidence limit."""
     T = ball.first_view(np.random.default_rng(0))
-    assert len(ball.look(Known(ball.unknown), T).space.between) > 100  # towards the ball's edge
+    assert len(ball.observe(Knowledge(ball.unknown), T).space.between) > 100  # towards the ball's edge
     away = np.linalg.norm(T[:3, 3])
     limit = np.radians(75.0)
     cap = limit - np.arcsin(0.06 * np.sin(np.pi - limit) / away)  # at the centre, where a ray meets the ball at 75 deg

@@ -36,7 +36,7 @@ def test_the_program_begins_to_speak_at_the_border_that_the_map_shades(
     """
     each = MAPS[name]
     hair = max(1e-2 * abs(border), 1e-12)
-    inside, beyond = (each.look(line, border + sign * outward * hair, each.sizes[1]) for sign in (-1, 1))
+    inside, beyond = (each.method(line, border + sign * outward * hair, each.sizes[1]) for sign in (-1, 1))
     assert inside.says == ""
     assert inside.success >= each.enough
     assert inside.error is None or inside.error <= each.tolerated
@@ -48,7 +48,7 @@ def test_inverse_kinematics_is_held_against_joint_angles_that_are_known() -> Non
 
     A pose out of reach has a large residual.
     """
-    point = MAPS["ik"].look("arm stretched", 1e-6, 50)
+    point = MAPS["ik"].method("arm stretched", 1e-6, 50)
     assert (point.success, point.says) == (1.0, "")
     assert point.more["own joint angles off rad"] < 1e-8
     T = np.tile(np.eye(4), (1, 1, 1))

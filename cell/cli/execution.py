@@ -21,7 +21,7 @@ from cell.errors import UsageError
 from cell.explore.options import SCAN_OPTIONS, ExploreOptions
 from cell.metrology.options import HandEyeOptions, LocateOptions
 from cell.scan.emulator_options import EmulateOptions
-from cell.scan.options import REAL_ROBOT, RESUME_OPTIONS, ScanOptions
+from cell.scan.options import REAL_ROBOT, ScanOptions
 from cell.scene.file import scene_from_options
 from cell.scene.options import flag, option_specs, parse_options
 
@@ -82,12 +82,12 @@ def scan(
     from cell.scan import scan as scan_command
     from cell.scan.results import ScanOutcome
 
-    _require_compatible(options.model_fields_set, resume, report)
+    options.require_compatible(resume, report)
     terminal = Terminal(quiet_stdout=as_json)
     if (run / "setups.json").is_file():
         _scan_setups(run, options, setup, resume, report, terminal)
     if setup is not None:
-        raise UsageError(f"--setup needs a folder of cell setups, and {run} is none; leave it out")
+        raise UsageError(f"--setup needs a folder of cell setups, and {run} is a single run; omit --setup")
     if report is not None:
         outcome = results.make_report(_session(terminal), run, report)
     elif resume is not None:
@@ -148,19 +148,6 @@ def _confirm(terminal: "Terminal") -> "Confirm | None":
     return terminal.ask if sys.stdin.isatty() and sys.stderr.isatty() else None
 
 
-def _require_compatible(given: set[str], resume: str | None, report: str | None) -> None:
-    """Refuse options of a new scan together with --resume or --report."""
-    if report is not None and resume is not None:
-        raise UsageError("--report uses the existing scans, --resume scans the missing views; give one of them")
-    if resume is not None and given - RESUME_OPTIONS:
-        raise UsageError(
-            "--resume keeps the options of the execution; with it give only --driver, --realtime, --speed, "
-            "--confirm-motion, --reset, --accept-time-scale, --scene, --part and --accept-changed-scene"
-        )
-    if report is not None and given:
-        raise UsageError("--report uses the existing scans; leave out the options of a new scan")
-
-
 @command(
     "cell explore mug --place 1200,500,0",
     "cell explore part.stl --units mm --place 1200,500,0 --policy two-stage --out sim_runs/first",
@@ -183,7 +170,7 @@ def explore(
 ) -> None:
     """Measure a part without a model: a first ring of views, then the uncovered surface, batch by batch.
 
-    PART stands in the cell and is hidden from the planning. --max-views is the budget of views.
+    PART is in the simulated cell; the planning does not use it. --max-views is the budget of views.
     """
     from cell import api
     from cell.cli.terminal import Terminal
@@ -195,8 +182,8 @@ def explore(
         checked, options, scanning=scans, out=out, progress=terminal, argv=sys.argv[1:], ask=_confirm(terminal)
     )
     following = []
-    if done.place is not None:
-        place = ",".join(f"{value:g}" for value in done.place)
+    if done.place_mm is not None:
+        place = ",".join(f"{value:g}" for value in done.place_mm)
         following = [("cell", "plan", done.folder / done.file.model, "--units", "mm", "--place", place)]
     rows = [*done.file.rows(), ("folder", str(done.folder))]
     terminal.print_result(done.file.as_json(), f"Exploration of {done.file.part}", rows, *following)
@@ -258,8 +245,8 @@ def locate(
         return
     if not keep_planned:
         found.require_determined()
-    made = api.open_run(run).edited(
-        repair=repair, T_base_object=found.T_base_object, out=out, progress=terminal, argv=sys.argv[1:]
+    made = api.edit(
+        run, repair=repair, T_base_object=found.T_base_object, out=out, progress=terminal, argv=sys.argv[1:]
     )
     rows = [*table(made.report), ("run folder", str(made.folder))]
     terminal.print_result(
@@ -295,7 +282,7 @@ def hand_eye(
     from cell.cli.terminal import Terminal
 
     terminal = Terminal(quiet_stdout=as_json)
-    found = api.hand_eye(files, options, progress=terminal)
+    found = api.calibrate_hand_eye(files, options, progress=terminal)
     terminal.print_result(found.as_json(), f"Mount from {len(files)} scans of a {found.target}", found.rows())
     if found.undetermined:
         terminal.note(
@@ -338,6 +325,6 @@ def _announce(url: str, run: Path | None, time_scale: float) -> None:
     scaled = "" if time_scale == 1.0 else f" --accept-time-scale {time_scale:g}"
     plan = "RUN" if run is None else shlex.quote(str(run))
     sys.stderr.write(
-        "cell: an emulated arm, not a real one, answers there until Ctrl-C\n"
+        "cell: an emulated arm (not a real one) is available at this URL until Ctrl-C\n"
         f"next, in another terminal:\n  cell scan {plan} --driver {shlex.quote(url)}{scaled}\n"
     )

@@ -56,8 +56,8 @@ def report_errors(run: Callable[[], Any], *, as_json: bool) -> int:
         return 0
     except OSError as error:  # of the system: names of more than 255 bytes, permissions, devices
         name = f"{str(error.filename)[:80]} " if error.filename is not None else ""
-        reason = (error.strerror or "the system refuses it").lower()
-        return _report(f"{name}cannot be used: {reason}; give another name or place", FileError.exit_code, as_json)
+        reason = (error.strerror or "the operating system refuses access").lower()
+        return _report(f"{name}cannot be used: {reason}; choose another name or folder", FileError.exit_code, as_json)
     except MemoryError:
         return _report("out of memory; use fewer --faces, --samples or --standoff values", CellError.exit_code, as_json)
     except Exception as error:

@@ -30,10 +30,10 @@ def check(
     as_json: AsJson = False,
 ) -> None:
     """Compile a scene, list contacts at home and the data of the cell, and report its errors."""
+    from cell import api
     from cell.cli.terminal import Terminal
-    from cell.world.checks import check_scene
 
-    result = check_scene(scene_from_options(scene, given, part, flag))
+    result = api.check(scene_from_options(scene, given, part, flag))
     if as_json:
         print_json(result.summary())
     else:
@@ -117,7 +117,7 @@ def robot(
     for text in package or []:
         name, is_given, folder = text.partition("=")
         if not is_given:
-            raise UsageError(f"--package is NAME=DIR, and {text} has no =")
+            raise UsageError(f"--package {text} has no =; give NAME=DIR")
         packages[name] = str(Path(folder).absolute())
     terminal = Terminal(quiet_stdout=as_json)
     with terminal.stage("read the arm"):
@@ -188,20 +188,18 @@ def view(
 
     def open_page(path: Path) -> None:
         if not no_open and not view_command.open_browser(path):
-            terminal.note("no browser could be opened; open the file in one")
+            terminal.note("no browser could be started; open the file in a browser")
         terminal.print(str(path))
 
     if watch:
         if what is None or what.is_dir():
-            raise UsageError(
-                "--watch draws a scene file again when it is saved; give one: cell view my_cell.toml --watch"
-            )
+            raise UsageError("--watch needs a scene file; give one: cell view my_cell.toml --watch")
         view_command.watch(what, out, terminal, open_page, time.sleep)
     elif what is not None and (what / "setups.json").is_file():
         from cell.runs.setups import SetupsRun
 
         if out is not None:
-            raise UsageError(f"{what} holds several set-ups with a page each; leave out --out")
+            raise UsageError(f"{what} holds several set-ups with a page each; omit --out")
         for folder in SetupsRun.opened(what).folders:
             open_page(view_command.make_page(folder, None, terminal))
         Terminal(quiet_stdout=True).suggest(("cell", "scan", what))
@@ -238,10 +236,10 @@ def replay(
     options: ReplayOptions,
 ) -> None:
     """Show a run: the arm on its motion, the scanner's frustum at each stop, the points of an execution."""
+    from cell import api
     from cell.cli.terminal import Terminal
-    from cell.view.replay import replay as run_replay
 
-    if text := run_replay(run, options, Terminal()):
+    if text := api.replay(run, options, progress=Terminal()):
         sys.stdout.write(f"{text}\n")
     Terminal(quiet_stdout=True).suggest(("cell", "scan" if options.execution is None else "why", run))
 
@@ -260,12 +258,12 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write the motion of a plan as a KUKA program (KRL), or as a table (CSV, JSON)."""
+    from cell import api
     from cell.cli.terminal import Terminal
-    from cell.export import export as exporting
 
     terminal = Terminal(quiet_stdout=as_json)
     has_setups = (run / "setups.json").is_file()
-    outcome = (exporting.export_setups if has_setups else exporting.export)(run, options, terminal)
+    outcome = api.export(run, options, progress=terminal)
     if options.kind == "krl":
         terminal.note(
             "before this program runs on a robot, check tool, base, signals and cell (docs/export.md), and run it in T1"

@@ -38,8 +38,8 @@ Command = TypeVar("Command", bound=Callable[..., None])
 Part = Annotated[
     str | None,
     typer.Argument(
-        help=f"Mesh file (STL, OBJ, PLY, OFF, GLB), STEP file or a built-in part: {', '.join(BUILT_IN)}. Default: the "
-        "scene's.",
+        help=f"Mesh file (STL, OBJ, PLY, OFF, GLB, glTF, 3MF), STEP file or a built-in part: {', '.join(BUILT_IN)}. "
+        "Default: the scene's.",
         show_default=False,
     ),
 ]

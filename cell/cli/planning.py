@@ -105,7 +105,7 @@ def setups(
         checked = scene_after(api.open_run(options.first), given, flag)
     else:
         checked = scene_from_options(scene, given, part, flag)
-    made = api.plan_setups(
+    made = api.setups(
         checked, options, scene=scene, out=out, use_cache=not no_cache, progress=terminal, argv=sys.argv[1:]
     )
     terminal.print_result(
@@ -127,13 +127,12 @@ def edit(*, run: RunFolder, options: Edit, out: NewRunFolder = None, as_json: As
     """Change a plan by hand: drop, move, turn, add or reorder views. The result is a new, checked run."""
     from cell import api
     from cell.cli.terminal import Terminal
-    from cell.report.diff import compare_runs
     from cell.report.plan_report import table
 
     terminal = Terminal(quiet_stdout=as_json)
     planned = api.open_run(run)
-    made = planned.edited(options, out=out, progress=terminal, argv=sys.argv[1:])
-    difference = compare_runs(run, made.folder, terminal)
+    made = api.edit(planned, options, out=out, progress=terminal, argv=sys.argv[1:])
+    difference = api.diff(run, made, progress=terminal)
     rows = [*table(made.report), (f"against {run}", summarise(difference)), ("run folder", str(made.folder))]
     surface = difference.surface
     is_repairable = planned.is_single_setup and not options.repair
@@ -185,15 +184,16 @@ def why(
     as_json: AsJson = False,
 ) -> None:
     """Explain the uncovered surface by cause and area, with the smallest single change that would measure it."""
+    from cell import api
     from cell.cli.terminal import Terminal
     from cell.runs.run import open_run
-    from cell.why.explain import TABLE_COLUMNS, explain, table_rows
+    from cell.why.explain import TABLE_COLUMNS, table_rows
 
     terminal = Terminal(quiet_stdout=as_json)
     if advise:
         _advise(run, terminal, as_json=as_json)
         return
-    outcome = explain(run, terminal, samples=samples)
+    outcome = api.why(run, samples=samples, progress=terminal)
     summary = outcome.summary
     if as_json:
         print_json(summary.as_json())
@@ -212,10 +212,9 @@ def why(
 
 
 def _advise(run: Path, terminal: "Terminal", *, as_json: bool) -> None:
-    from cell.runs.run import open_finished
-    from cell.why.advise import advise
+    from cell import api
 
-    visible, found = advise(open_finished(run), terminal)
+    visible, found = api.advise(run, progress=terminal)
     if as_json:
         print_json({"visible": visible, "advice": [advice.as_json() for advice in found]})
         return
@@ -256,11 +255,11 @@ def diff(
     as_json: AsJson = False,
 ) -> None:
     """Compare two plans or two executions: settings, views, gained and lost surface, time and clearance."""
+    from cell import api
     from cell.cli.terminal import Terminal
-    from cell.report.diff import compare_runs
 
     terminal = Terminal(quiet_stdout=as_json)
-    difference = compare_runs(a, b, terminal, out)
+    difference = api.diff(a, b, out=out, progress=terminal)
     if as_json:
         print_json(difference.as_json())
     elif difference.is_empty:

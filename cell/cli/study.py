@@ -1,8 +1,7 @@
 """Commands with many trials: `cell place`, and one command for each study."""
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -19,14 +18,13 @@ from cell.cli.options import (
     print_json,
 )
 from cell.errors import UsageError
-from cell.scene.file import load_scene, option_names, option_tables, scene_from_options
+from cell.scene.file import scene_from_options
 from cell.scene.model import Scene
 from cell.scene.options import flag, option_specs
 from cell.study.options import PlaceRange, ScannerNumber, StudyRun, parse_pairs, parse_range
 
 if TYPE_CHECKING:
     from cell.cli.terminal import Terminal
-    from cell.study.scanner_study import SceneWith
     from cell.study.study import Study, StudyResult
 
 app = typer.Typer(
@@ -80,27 +78,6 @@ def _print_study(terminal: "Terminal", result: "StudyResult", as_json: bool) -> 
     terminal.suggest(("cell", "view", result.folder), *([shlex.split(best)] if best and "#" not in best else []))
 
 
-def _plan_words(part: str | None, scene: Path | None, given: Given) -> list[object]:
-    """Return the command that plans the scene of these options."""
-    options = [f"{flag(name)}={text}" for name, text in given.items()]
-    return ["cell", "plan", *([part] if part else []), *(["--scene", scene] if scene else []), *options]
-
-
-def scene_maker(part: str | None, scene: Path | None, given: Given) -> "SceneWith":
-    """Return a function that makes the scene of these options with further keys changed.
-
-    Raises:
-        UsageError: as `cell plan` for its options.
-    """
-    own = option_tables(given, part, flag)
-
-    def scene_with(changes: Mapping[str, Mapping[str, object]]) -> Scene:
-        tables = {table: {**own.get(table, {}), **changes.get(table, {})} for table in {**own, **changes}}
-        return load_scene(scene, tables, option_names(own, flag))
-
-    return scene_with
-
-
 _Robot = Annotated[
     bool, typer.Option("--robot", help="Use only views that the robot reaches at the scene's placement.")
 ]
@@ -121,10 +98,11 @@ def placement(
 ) -> None:
     """Map placements of the part: reach, coverage, views and cycle time over its position."""
     from cell.study.placement_study import placement_study
+    from cell.study.study import plan_command, scene_maker
 
     grids = [parse_range(name, text) for name, text in (("--x", x), ("--y", y), ("--z", z), ("--yaw", yaw))]
-    base = scene_maker(part, scene, given)({})
-    run_and_print(lambda: placement_study(base, *grids), run, as_json, _plan_words(part, scene, given))
+    base = scene_maker(part, scene, given, flag)({})
+    run_and_print(lambda: placement_study(base, *grids), run, as_json, plan_command(part, scene, given))
 
 
 @command("cell study standoff mug --values 50:500:50", group=app)
@@ -140,10 +118,11 @@ def standoff(
 ) -> None:
     """Find the scanning zone: views and coverage over the standoff distance."""
     from cell.study.scanner_study import scanner_study
+    from cell.study.study import plan_command, scene_maker
 
     standoffs = parse_range("--values", values)
-    make = scene_maker(part, scene, given)
-    words = _plan_words(part, scene, given)
+    make = scene_maker(part, scene, given, flag)
+    words = plan_command(part, scene, given)
     run_and_print(lambda: scanner_study(make, "standoff", standoffs, robot=robot), run, as_json, words)
 
 
@@ -165,6 +144,7 @@ def scanner(
 ) -> None:
     """Find the scanner: views and coverage over one of its numbers, or over real sensors. Give one of the options."""
     from cell.study.scanner_study import Setting, scanner_study
+    from cell.study.study import plan_command, scene_maker
 
     varied = number.model_dump(exclude_none=True)
     if varied.keys() == {"sensors", "baseline"}:  # no sensor of the library states its baseline
@@ -174,7 +154,7 @@ def scanner(
             "give one of --fov, --resolution, --baseline, --grazing, --range and --sensors, for instance --fov 10:90:10"
         )
     ((name, text),) = varied.items()
-    make = scene_maker(part, scene, given)
+    make = scene_maker(part, scene, given, flag)
     values: Sequence[Setting]
     if name == "ranges":
         name, values = "range", parse_pairs("--range", text)
@@ -185,7 +165,9 @@ def scanner(
         values = complete if text == "all" else text.split(",")
     else:
         values = parse_range(flag(name), text)
-    run_and_print(lambda: scanner_study(make, name, values, robot=robot), run, as_json, _plan_words(part, scene, given))
+    run_and_print(
+        lambda: scanner_study(make, name, values, robot=robot), run, as_json, plan_command(part, scene, given)
+    )
 
 
 for _name in ("speed", "stability"):
@@ -210,21 +192,13 @@ def place(
 ) -> None:
     """Search the best placement of the part: most coverage, then fewest views, then the shortest cycle."""
     from cell.cli.terminal import Terminal
-    from cell.study.place_search import pictures, search, sentences
-    from cell.study.placement_study import place_option
-    from cell.study.study import StudyResult, study_folder, write_folder
+    from cell.study.place_search import place_study
+    from cell.study.study import plan_command, study_folder
     from cell.study.trials import open_workers
 
     checked = scene_from_options(scene, given, part, flag)
     folder = study_folder("place", run.out)
     terminal = Terminal(quiet_stdout=as_json)
     with open_workers(run.count, run.cluster) as workers, terminal.rounds() as progress:
-        found = search(checked, where, workers, progress=progress)
-    plan = shlex.join(map(str, _plan_words(part, scene, given)))
-    commands = [f"{plan} {place_option(row)}" for row in found.ten]
-    result = StudyResult(
-        folder, found.ten, sentences(found), [], sum(found.places.values()), list(found.ten[0]), commands, 0
-    )
-    seconds = [{"round": name, "places": count} for name, count in found.places.items()]
-    write_folder("place", "Best placements of the part", result, pictures(found), seconds)
+        result = place_study(checked, where, workers, folder, progress, plan_command(part, scene, given))
     _print_study(terminal, result, as_json)

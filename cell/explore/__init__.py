@@ -1,1 +1,1 @@
-"""`cell explore`: a part without a model is scanned, believed, planned for and scanned again (docs/explore.md)."""
+"""`cell explore`: measure a part without a model, one batch of views after another (docs/explore.md)."""

@@ -42,10 +42,10 @@ from planner.viewpoints.viewpoints import Viewpoints
 from planner.why import why
 from planner.why.why import REASON_OF_VERDICT, Reason
 
-_TIGHT, _SMOOTH = 0.75, 0.7  # of an edge: the believed surface's distance, and how far the distances are smoothed
-_ROUGH = 0.87  # of an edge: the distance of the surface before which candidates stand
-_BEYOND = 0.37  # of an edge: how far beyond voxels arm and housing keep away from
-_BLOCK = 2  # edges: where a surface need not be tight, blocks of voxels do, with a quarter of the faces
+_TIGHT, _SMOOTH = 0.75, 0.7  # in voxel edges: distance of the belief surface from voxel centres, and sigma of smoothing
+_ROUGH = 0.87  # in voxel edges: distance of the surface for candidates
+_BEYOND = 0.37  # in voxel edges: distance of the obstacle for arm and housing beyond the voxels
+_BLOCK = 2  # in voxel edges: block size of coarse surfaces, which have a quarter of the faces
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,10 +135,10 @@ def _surface_at(low: Floats, edge: float, chosen: Bools, level: float, smooth: f
 
 
 CYLINDER_MARGIN = 1.05
-"""Margin of the default cylinder about a simulated part, as a person who clamps a part would estimate its size."""
+"""Ratio of the default cylinder to a simulated part: the precision of a user's estimate of its size."""
 
 STAND = "stand"
-"""The post of the scene, as a fixture: the post of a stage would follow what is believed of the part."""
+"""Name of the post as a fixture. A post of the scene would move with the belief surface of a stage."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,16 +187,16 @@ def with_stand(scene: Scene, cylinder: Cylinder) -> Scene:
 
 
 _CONTINUATION = 4.0
-"""Edges of a voxel by which the surface is continued. Of 4, 6 and 8 the one with which most is measured of tubes."""
+"""Continuation of the surface beyond its border, in voxel edges. 4 measures more of tubes than 6 and 8."""
 
 _CUBE = 0.5
-"""Edges of the cubes of which one point is kept: what is planned on need not be finer than what is sampled of it."""
+"""Size of the cubes that keep one point each, in voxel edges. A finer surface does not improve the sampled plan."""
 
 _MAX_CUBES = 40_000
-"""Cubes at most: where there would be more they are larger. A stage's plan is as good, and takes half the time."""
+"""Largest number of cubes; more are avoided by larger cubes. This halves the planning time of a stage."""
 
-_GRID = 1.5  # sides of those cubes: what the surface is made with
-_MARGIN_AHEAD = 0.5  # edges before the surface from where on nothing is believed
+_GRID = 1.5  # grid of the reconstruction, in sides of those cubes
+_MARGIN_AHEAD = 0.5  # in voxel edges: the belief surface is cut off from here in front of the measured one
 _NEARBY, _FACES = 2.0, 3
 """Edges about a face of the believed surface, and how many faces of the other one next to it, of which one looks to the
 same side where the believed one has no place."""
@@ -262,7 +262,7 @@ def _ahead_of(cloud: PointCloud, tree: cKDTree, space: VoxelSpace, solid: Bools)
 def _has_similar_normal(lids: TriangleMesh, surface: TriangleMesh, distance: float) -> Bools:
     """Return (F,) whether a face of `surface` within `distance` [m] has a normal to the same side as each lid."""
     _, at = cKDTree(surface.centres).query(lids.centres, _FACES, distance_upper_bound=distance, workers=2)
-    normals = np.concatenate([surface.normals, np.zeros((1, 3))])[np.asarray(at)]  # the last of what is too far
+    normals = np.concatenate([surface.normals, np.zeros((1, 3))])[np.asarray(at)]  # the last row: no face nearby
     return np.asarray((np.einsum("fkj,fj->fk", normals, lids.normals) > 0).any(axis=1))
 
 

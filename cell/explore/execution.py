@@ -65,6 +65,6 @@ def _finish_scans(session: Session[ExecutionFolder], run: Run, cell: RunCell) ->
     if missing:
         folder.finish(FileError.exit_code, "incomplete")
         raise FileError(
-            f"view {missing[0]} of {folder.path} has no points; the same command goes on there once they can be had"
+            f"view {missing[0]} of {folder.path} has no points; provide them and repeat the command to continue"
         )
     folder.finish(0)

@@ -90,13 +90,13 @@ def _next_batches(work: ExplorationContext, file: ExploreFile) -> tuple[Sequence
     budget, limit = work.scene.plan.max_views, work.options.max_seconds
     left = None if budget is None else budget - file.views
     if left is not None and left <= 0:
-        return (), f"the {budget} views of the budget are used up"
+        return (), f"the budget of {budget} views is used"
     seconds = sum(stage.seconds for stage in file.stages)
     if limit is not None and seconds >= limit:
-        return (), f"the {limit:g} s of motion of the budget are used up"
+        return (), f"the budget of {limit:g} s of motion is used"
     on = file.stages[-1].planned_on if file.stages else BELIEVED
     so = ExplorationState(len(file.stages), left, report.has_limits(work.scene), on)
-    return POLICIES[work.options.policy](work.options, so), "no batch of the policy is left that is worth its views"
+    return POLICIES[work.options.policy](work.options, so), "no batch of the policy has the minimum expected gain"
 
 
 def _plan_next(
@@ -120,7 +120,7 @@ def _plan_next(
 
 
 def explain_remaining(work: ExplorationContext, file: ExploreFile, known: Belief) -> UncoveredReport | None:
-    """Return the uncovered surface of all that the part may be, by cause; None if there is none."""
+    """Return the uncovered belief surface by cause; None if all is covered."""
     number, request = len(file.stages) + 1, BatchRequest(known.space, known.record, Batch(0), 0.0)
     work.paths.clear(number)
     whole = known.space.belief_voxels(unlimited=True)
@@ -215,7 +215,7 @@ def _make_points_folder(folder: Path) -> None:
             folder.mkdir(exist_ok=True)
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
-            raise FileError(f"{folder} cannot be made: {reason}; make it for the points of this stage") from error
+            raise FileError(f"{folder} cannot be created: {reason}; create it for the points of this stage") from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,7 +250,7 @@ def _update_belief(
         after = after.with_votes(scan.points, source, sensor, frustum.blank(scan.points, T), frustum.near, frustum.far)
         found |= request.sees[:, view] & frustum.answered(expected.points, scan.points[before.is_new(scan.points)], T)
     taken = (*known.scans, *scans)
-    if request.on == MEASURED:  # what lies between points is no news of what is believed
+    if request.on == MEASURED:  # gains on the measured surface do not change the record of the belief surface
         return Belief(after, known.record, taken)
     record = known.record
     if (before.state == OCCUPIED).any():  # the ring was planned for the cylinder, which is no guess at the part
@@ -276,19 +276,20 @@ def require_plausible(
     if not len(points):
         if (space.state == OCCUPIED).any():
             return
-        raise FileError(f"no ray of {folder} came back; look at --place, --cylinder and the scanner's range")
+        raise FileError(f"no ray of {folder} hit a surface; check --place, --cylinder and the scanner's range")
     if (out := float(space.outside(points).mean())) > _MAX_OUTSIDE:
         raise FileError(
-            f"{100 * out:.1f} % of the points of {folder} lie outside the cylinder; nothing more is moved: explore "
-            "anew with a larger --cylinder, or with the part in its middle; what it stands on must not be among the "
-            "points"
+            f"{100 * out:.1f} % of the points of {folder} lie outside the cylinder, and the exploration ends; "
+            "start a new one with a larger --cylinder or another --place, and remove the points of the part's support"
         )
-    moved = "the part was moved, or the poses are off; nothing more is moved: explore anew"
+    moved = "the part was moved, or the poses are wrong; the exploration ends, start a new one"
     if (gone := space.contradicted_share(points)) > _MAX_OUTSIDE:
-        raise FileError(f"{100 * gone:.1f} % of the points of {folder} lie in space that was seen free; {moved}")
+        raise FileError(f"{100 * gone:.1f} % of the points of {folder} lie in space that was measured as free; {moved}")
     passed = max(frustum.passed(space.points, points, T, _MARGIN * space.edge) for points, T in views)
     if passed > _MAX_PASSED:
-        raise FileError(f"{100 * passed:.1f} % of the known points that a view of {folder} looked at are gone; {moved}")
+        raise FileError(
+            f"{100 * passed:.1f} % of the known points in sight of {folder} were not measured again; {moved}"
+        )
 
 
 def _expected_gain(folder: Path, before: VoxelSpace, on: SurfaceName) -> _ExpectedGain:
@@ -340,7 +341,7 @@ def _finish(
 ) -> ExploreFile:
     """Write the model of all scans, the report and the finished explore.json."""
     if not file.stages:
-        raise UnreachableError(f"nothing can be explored here: {ended}; move the part (--place), or change the scanner")
+        raise UnreachableError(f"no view can be planned: {ended}; move the part (--place), or change the scanner")
     with work.session.stage(FINAL_STAGE):
         model = report.write_model(work.paths.root, scans)
     middle = None if model is None else report.middle_of(model, np.asarray(work.scene.placement.position_mm))

@@ -1,4 +1,4 @@
-"""Options of `cell explore` beside those of the scene and of an execution."""
+"""Options of `cell explore` in addition to those of the scene and of an execution."""
 
 import re
 from typing import Annotated, Literal
@@ -66,8 +66,8 @@ class ExploreOptions(Table):
         Positive,
         Field(lt=1),
         Option(
-            "Smallest expected gain of a view, as a share of the measured surface: twice as much on the boundary of "
-            "unseen space, 0.6 of it on the continued surface; two-stage begins with three times as much.",
+            "Smallest expected gain of a view, as a share of the measured surface. Multiplied by 2 on the boundary "
+            "of unseen space, by 0.6 on the continued surface, and by 3 for the first plans of two-stage.",
             _EXPLORE,
             metavar="SHARE",
         ),

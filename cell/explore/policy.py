@@ -68,10 +68,11 @@ _GAIN_FACTORS: Mapping[SurfaceName, float] = MappingProxyType({BELIEVED: 2.0, ME
 surface too little, and no later plan measures what it leaves."""
 
 _FINE_GAIN_FACTORS = (3.0, 3.0, 1.5, 1.0)
-"""Factor of the minimum gain of each fine plan: the rest is planned better after the first plans are executed."""
+"""Factor of the minimum gain of each fine plan. Later plans know more of the surface and may use smaller gains."""
 
 Policy = Callable[[ExploreOptions, ExplorationState], Sequence[Batch]]
-"""The batches of which the first is taken that is worth its views; none: the exploration ends."""
+"""Function that returns batches by priority. The first one with the minimum gain is executed; without such a batch the
+exploration ends."""
 
 
 def stepwise(options: ExploreOptions, state: ExplorationState) -> Sequence[Batch]:
@@ -100,7 +101,7 @@ def two_stage(options: ExploreOptions, state: ExplorationState) -> Sequence[Batc
     if state.limited and state.stages == 1:
         return (Batch(state.n_left, include_covered=True),)
     last = Batch(state.n_left, on=MEASURED, min_gain_factor=_GAIN_FACTORS[MEASURED])
-    if state.on == MEASURED:  # a tube goes on where its wall was seen
+    if state.on == MEASURED:  # the continued surface follows the walls of tubes
         return (last,)
     worths = dict.fromkeys(_FINE_GAIN_FACTORS[state.stages - 1 :])  # a factor without a view is not tried again
     return (*(Batch(state.n_left, min_gain_factor=worth) for worth in worths), last)

@@ -67,7 +67,7 @@ def prepare_exploration(
     """Return the inputs of an exploration; raise UsageError if options or scanner are not supported."""
     _require_supported(scene)
     if options.policy == "two-stage" and options.batch != ExploreOptions().batch:
-        raise UsageError("--batch is for stepwise; two-stage takes as many views at a time as are worth it")
+        raise UsageError("--batch applies to stepwise only; two-stage determines the number of views. Omit --batch")
     scene.require_fixed_part("an exploration")
     part = hidden = None
     if scanning.is_simulated:
@@ -88,8 +88,8 @@ def prepare_exploration(
     scene, settings, scanner = settled.scene, settled.settings, settled.scanner
     if getattr(scanner, "T_view_scanner", np.eye(4)[None]).shape[0] > 1:
         raise SceneError(
-            f"the scanner {scene.scanner.type} sweeps, and from where each of its points was seen is not kept; "
-            "explore with a scanner that stands still, such as laser-area"
+            f"exploration does not support the sweeping scanner {scene.scanner.type}: its points have no individual "
+            "viewpoints; use a scanner that is at rest in each view, such as laser-area"
         )
     if scanning.resolution_deg is not None and "resolution_deg" in settings.scanner:
         resolution = {"resolution_deg": (scanning.resolution_deg, scanning.resolution_deg)}
@@ -117,11 +117,11 @@ def _require_supported(scene: Scene) -> None:
         "a region of the part": bool(scene.region),
     }
     if option := next((name for name, is_set in request.items() if is_set), None):
-        raise UsageError(f"{option} is for a part that is known; leave it away here, and plan with it on model.ply")
+        raise UsageError(f"{option} needs a model of the part; omit it here, and use it in cell plan with model.ply")
     if scene.setup:
-        raise UsageError("set-ups are for a part that is known; leave [[setup]] away, and plan with them on model.ply")
+        raise UsageError("set-ups need a model of the part; remove [[setup]] here, and plan them with model.ply")
     if scene.placement.origin_mm is not None:
-        raise UsageError("--place-origin says where a file's origin stands; give --place, the middle of the cylinder")
+        raise UsageError("--place-origin needs a file of the part; give --place, the middle of the cylinder")
     if on := [fixture.name for fixture in scene.fixtures if fixture.attached_to == "object"]:
         raise UsageError(f"the fixture '{on[0]}' is attached to the part's frame, which is unknown; attach it to base")
 

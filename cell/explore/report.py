@@ -44,7 +44,7 @@ def middle_of(model: TriangleMesh, place_mm: Floats) -> tuple[float, float, floa
 
 def write(folder: Path, file: ExploreFile) -> None:
     """Write report.md, curve.png and view.html."""
-    lines = [f"# Exploration of {file.part} ([look at it]({PAGE}))", ""]
+    lines = [f"# Exploration of {file.part} ([view]({PAGE}))", ""]
     lines += [f"- {name or 'open'}: {value}" for name, value in file.rows()]
     lines += [
         "", "## Stages", "",

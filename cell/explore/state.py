@@ -90,12 +90,12 @@ class ExplorationFolder:
             known = schema.read_explore_file(self.file)
             if known.inputs != file.inputs:
                 raise UsageError(
-                    f"{self.root} is an exploration with other options, another part or another scene; repeat its own "
-                    "command to go on with it, or choose another --out"
+                    f"{self.root} is an exploration with other options, another part or another scene; repeat its "
+                    "command to resume it, or choose another --out"
                 )
             return known
         if self.root.exists() and not self._only_made():
-            raise FileError(f"{self.root} exists and is no exploration; choose another --out")
+            raise FileError(f"{self.root} exists and is not an exploration; choose another --out")
         try:
             (self.root / "stages").mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -142,7 +142,7 @@ class ExplorationFolder:
             return Belief(unknown, GainRecord.empty())
         path = self.voxels(number)
         if not path.is_file():
-            raise FileError(f"{path} is missing; explore anew")
+            raise FileError(f"{path} is missing; start a new exploration")
         stored = npz_arrays(path, path.read_bytes())
         with reading(path):
             state, votes, tries = (stored[name] for name in ("state", "votes", "tries"))

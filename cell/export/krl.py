@@ -16,7 +16,7 @@ is not the planned turn about one axis; a sweep that turns is therefore refused.
 
 After a time-out the program halts. Start repeats the scan; a sweep first returns with a LIN to its beginning. Before
 every trigger and before that LIN, each axis must be at the end of the last motion (`SC_STOP`); if the arm was jogged
-while the program stood, the program halts again. The scanner resets its answer when the trigger falls. The trigger
+while the program was halted, it halts again. The scanner resets its answer when the trigger falls. The trigger
 rises only after the answer to the previous view is gone.
 
 Numbers: joint angles exact to 1e-4 deg, lengths to 1e-3 mm, angles of frames to 1e-4 deg (a REAL of KRL has 7

@@ -9,7 +9,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from cell.errors import FileError, UsageError
-from cell.metrology import point_files
+from cell.metrology import point_files, point_tables
 from cell.metrology.options import HandEyeOptions
 from cell.part.workpiece import UNITS
 from cell.runs.schema import JsonTable, Transform, Triple
@@ -153,12 +153,17 @@ def _read_poses(files: Sequence[Path], options: HandEyeOptions) -> list[Floats]:
     if options.poses is None:
         return [_read_pose_next_to(path) for path in files]
     path = Path(options.poses).expanduser()
-    lines = point_files.words_of_lines(path)
-    try:
-        rows = [[float(word) for word in words] for words in lines if words and words[0][0] != "#"]
-        table = readonly("poses", rows, (None, 6))
-    except (ValueError, PlannerError) as error:
-        raise FileError(f"{path}: a line must be six numbers, x y z [mm] and A B C [deg] of the flange") from error
+    rows: list[list[float | None]] = []
+    for row in point_files.read_rows(path):
+        numbers = [point_tables.number_of(word) for word in row.words]
+        if not rows and None in numbers:
+            continue  # the names of the columns
+        if len(numbers) != 6 or None in numbers or not np.isfinite(np.array(numbers, np.float64)).all():
+            raise FileError(
+                f"{path}, line {row.line}: it must be six numbers, x y z [mm] and A B C [deg] of the flange"
+            )
+        rows.append(numbers)
+    table = np.array(rows, np.float64).reshape(-1, 6)
     if len(table) != len(files):
         raise UsageError(f"{path} has {len(table)} poses for {len(files)} scans; give one line a scan, in their order")
     return list(pose_from_kuka_abc(table[:, :3] / 1000, np.radians(table[:, 3:])))

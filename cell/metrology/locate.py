@@ -9,7 +9,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from cell.errors import FileError, SceneError, UsageError
-from cell.metrology import point_files
+from cell.metrology import point_files, point_tables
 from cell.metrology.options import LocateOptions
 from cell.part.workpiece import UNITS
 from cell.runs.cell import world_of
@@ -223,7 +223,7 @@ def _clouds_of_files(run: Run, options: LocateOptions) -> _Measured:
     """Read the points of a file, or of a folder's files."""
     path, views = Path(str(options.points)).expanduser(), options.view or (1,)
     if not path.is_dir() and len(views) > 1:
-        raise UsageError(f"{path} is one file, and {len(views)} views are named; give one view, or a folder of files")
+        raise UsageError(f"{path} is one file, and {len(views)} views are given; give one view, or a folder of files")
     clouds = []
     for view in views:
         file = point_files.file_of_view(path, view) if path.is_dir() else path
@@ -249,7 +249,7 @@ def _scans_of_execution(run: Run, options: LocateOptions) -> _Measured:
         f"execution {recorded.folder.name} ({'; '.join(sources)})",
         views,
         [ScanCloud(scans[view].points, scans[view].T_reported[:3, 3]) for view in views],
-        ("the points are simulated: they tell the placement in the simulation, not the real one",)
+        ("the points are simulated: the result is the placement in the simulation, not that of a real part",)
         if any(scans[view].T_true is not None for view in views)
         else (),
     )
@@ -259,21 +259,17 @@ def _read_named_points(run: Run, options: LocateOptions, file: str) -> tuple[tup
     """Read names, nominal points (N, 3) in the object frame and measured points (N, 3) in base [m]."""
     path, views = Path(file).expanduser(), options.view or (1,)
     if len(views) > 1:
-        raise UsageError(f"named points are measured from one view, and {len(views)} are named; give one of them")
+        raise UsageError(f"named points are measured from one view, and {len(views)} are given; give one of them")
     names, rows = [], []
-    for number, words in enumerate(point_files.words_of_lines(path), 1):
-        if not words or words[0].startswith("#"):
-            continue
-        try:
-            numbers = [float(word) for word in words[1:]]
-        except ValueError:
-            numbers = []
-        if len(numbers) != 6 or not np.isfinite(numbers).all():
+    for row in point_files.read_rows(path):
+        words = row.words
+        numbers = [point_tables.number_of(word) for word in words[1:]]
+        if len(numbers) != 6 or None in numbers or not np.isfinite(np.array(numbers, np.float64)).all():
             raise FileError(
-                f"{path}, line {number}: it must be a name and six numbers: x y z on the part, x y z measured"
+                f"{path}, line {row.line}: it must be a name and six numbers: x y z on the part, x y z measured"
             )
         if words[0] in names:
-            raise FileError(f"{path}, line {number}: the point '{words[0]}' occurs twice; name each point once")
+            raise FileError(f"{path}, line {row.line}: the point '{words[0]}' occurs twice; name each point once")
         names.append(words[0])
         rows.append(numbers)
     table = np.array(rows, dtype=np.float64).reshape(-1, 6) * _metres(options)

@@ -6,25 +6,24 @@ with `scalar_`, as CloudCompare expects.
 """
 
 import re
+import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cell import files
 from cell.errors import FileError
+from cell.metrology import point_tables
+from cell.part.ply_elements import Element, PlyError, read_elements
 from cell.runs import ply
+from cell.text import decode, lines_of
 from planner.geometry.mesh import TriangleMesh
 from planner.registration.cloud import PointCloud
 from planner.values import Floats
 
 SUFFIXES = (".ply", ".xyz", ".txt", ".pcd")
-
-_PLY_TYPE_NAMES = (
-    "char=i1 uchar=u1 short=i2 ushort=u2 int=i4 uint=u4 float=f4 double=f8 "
-    "int8=i1 uint8=u1 int16=i2 uint16=u2 int32=i4 uint32=u4 float32=f4 float64=f8"
-)
-_PLY_TYPES = dict(pair.split("=") for pair in _PLY_TYPE_NAMES.split())
 
 
 def read(path: Path) -> Floats:
@@ -34,18 +33,23 @@ def read(path: Path) -> Floats:
         FileError: if it cannot be read.
     """
     try:
-        content = path.read_bytes()
+        content = files.read_bytes(path)
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
-    readers: dict[str, Callable[[bytes], Floats]] = {".ply": _ply, ".pcd": _pcd, ".xyz": _text, ".txt": _text}
+    readers: dict[str, Callable[[bytes], Floats]] = {
+        ".ply": _ply,
+        ".pcd": _pcd,
+        ".xyz": point_tables.read_points,
+        ".txt": point_tables.read_points,
+    }
     if path.suffix.lower() not in readers:
         raise FileError(f"{path} is '{path.suffix}'; points are read from {', '.join(SUFFIXES)}")
+    if not content:
+        raise FileError(f"{path} is empty (0 bytes)")
     try:
         points = readers[path.suffix.lower()](content)
-    except KeyError as error:
-        raise FileError(f"{path} has no readable points: its header lacks {error}, or {error} is unknown") from error
-    except (ValueError, IndexError, TypeError) as error:
-        raise FileError(f"{path} has no readable points: {error}") from error
+    except (PlyError, point_tables.TableError, _PcdError) as error:
+        raise FileError(f"{path} {error}") from error
     finite: Floats = points[np.isfinite(points).all(axis=1)]
     return finite
 
@@ -68,91 +72,131 @@ def file_of_view(folder: Path, stop: int) -> Path | None:
     return found[0] if found else None
 
 
-def words_of_lines(path: Path) -> list[list[str]]:
-    """Read a text file as words; spaces, tabs, commas or semicolons separate them.
+def read_rows(path: Path) -> list[point_tables.Row]:
+    """Read a text file as rows of words; spaces, tabs, commas or semicolons separate them.
 
     Raises:
         FileError: if it cannot be read.
     """
     try:
-        return _words(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
-
-
-def _words(text: str) -> list[list[str]]:
-    return [line.split() for line in text.replace(",", " ").replace(";", " ").splitlines()]
-
-
-def _text(content: bytes) -> Floats:
-    """Read the first three numbers of each line."""
-    lines = _words(content.decode("utf-8-sig"))
-    rows = [[float(word) for word in words[:3]] for words in lines if words and not words[0].startswith(("#", "/"))]
-    return _three(np.array(rows, dtype=np.float64).reshape(len(rows), -1))
+        return point_tables.read_rows(files.read_bytes(path))[0]
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror or error}") from error
+    except point_tables.TableError as error:
+        raise FileError(f"{path} {error}") from error
 
 
 def _ply(content: bytes) -> Floats:
-    header, found, body = content.partition(b"end_header")
-    lines = [line.split() for line in header.decode("ascii").splitlines()]
-    if not found or lines[0] != ["ply"]:
-        raise ValueError("it is no complete PLY")
-    kind = {line[0]: line[1] for line in lines if len(line) > 1}["format"]
-    elements = [number for number, line in enumerate(lines) if line[:1] == ["element"]]
-    if not elements or lines[elements[0]][1] != "vertex":
-        raise ValueError("its first element is not 'vertex'")
-    count = int(lines[elements[0]][2])
-    own = lines[elements[0] + 1 : elements[1] if len(elements) > 1 else None]
-    fields = [(line[-1], line[1]) for line in own if line[:1] == ["property"]]
-    body = body.partition(b"\n")[2]
-    if kind == "ascii":
-        return _from_text(body, [name for name, _ in fields], count)
-    order = {"binary_little_endian": "<", "binary_big_endian": ">"}[kind]
-    return _from_binary(body, np.dtype([(name, order + _PLY_TYPES[form]) for name, form in fields]), count)
+    vertex = read_elements(content).get("vertex")
+    if vertex is None:
+        raise PlyError("has no element 'vertex'")
+    lower = {name.lower(): values for name, values in vertex.scalars.items()}
+    return Element(vertex.count, lower).columns("x", "y", "z")
+
+
+class _PcdError(ValueError):
+    """A PCD file that cannot be read; the message follows the name of the file."""
 
 
 def _pcd(content: bytes) -> Floats:
-    header, found, rest = content.partition(b"DATA ")
-    if not found:
-        raise ValueError("it is no complete PCD")
-    keys = {line.split()[0]: line.split()[1:] for line in header.decode("ascii").splitlines() if line[:1] not in "# "}
-    kind, _, body = rest.partition(b"\n")
-    count = int(keys["POINTS"][0]) if "POINTS" in keys else int(keys["WIDTH"][0]) * int(keys["HEIGHT"][0])
-    names, sizes = keys["FIELDS"], keys["SIZE"]
-    counts = [int(each) for each in keys.get("COUNT", ["1"] * len(names))]
-    if kind.strip() == b"ascii":
-        wide = [name if k == 0 else f"{name} {k}" for name, n in zip(names, counts, strict=True) for k in range(n)]
-        return _from_text(body, wide, count)
-    if kind.strip() != b"binary":
-        raise ValueError(f"its data are '{kind.strip().decode('ascii')}'; write them as ascii or binary")
-    forms = [kind.lower() + size for kind, size in zip(keys["TYPE"], sizes, strict=True)]
-    row = np.dtype([(name, f"<{form}", (n,)) for name, form, n in zip(names, forms, counts, strict=True)])
-    return _from_binary(body, row, count)
+    content = content.removeprefix(b"\xef\xbb\xbf")
+    end = re.search(rb"(?:^|[\r\n])DATA[ \t]+(\w+)[ \t]*(?:\r\n|\n|\r)", content)
+    if end is None:
+        raise _PcdError("is not a PCD file, or its header has no DATA line; export it again")
+    header = {words[0]: words[1:] for line in lines_of(decode(content[: end.start()])) if (words := line.split())}
+    try:
+        columns, count = _pcd_columns(header)
+    except (KeyError, ValueError, IndexError) as error:
+        raise _PcdError(
+            "has a header without FIELDS, SIZE and TYPE of equal length, or POINTS; export it again"
+        ) from error
+    if any(axis not in [name for name, _, _ in columns] for axis in "xyz"):
+        raise _PcdError(f"has no x, y and z; its fields are {', '.join(name for name, _, _ in columns)}")
+    body, kind = content[end.end() :], end[1].lower()
+    if kind == b"ascii":
+        return _pcd_text(decode(body), columns, count)
+    if kind not in (b"binary", b"binary_compressed"):
+        raise _PcdError(f"has the data '{kind.decode()}', which is not supported; write ascii or binary")
+    width = sum(length * int(form[1:]) for _, form, length in columns)
+    if kind == b"binary_compressed":
+        body = _unpack_lzf(body, width * count)
+    if len(body) < width * count:
+        raise _PcdError(f"ends before its {count} points; it is cut short, export or copy it again")
+    # Packed data are stored column by column, plain data row by row.
+    found, at = {}, 0
+    for name, form, length in columns:
+        size = length * int(form[1:])
+        if name in ("x", "y", "z") and length == 1:
+            stride = size if kind == b"binary_compressed" else width
+            found[name] = np.ndarray((count,), f"<{form}", body, at, (stride,)).astype(np.float64)
+        at += size * count if kind == b"binary_compressed" else size
+    return np.stack([found[axis] for axis in "xyz"], axis=1)
 
 
-def _from_text(body: bytes, names: list[str], count: int) -> Floats:
-    rows = [[float(word) for word in row.split()] for row in body.decode("ascii").splitlines()[:count]]
-    if len(rows) != count:
-        raise ValueError(f"it has {len(rows)} of {count} points")
-    if not count:
-        return np.empty((0, 3))
-    return _three(np.array(rows, dtype=np.float64)[:, [names.index(axis) for axis in "xyz"]])
+def _pcd_columns(header: dict[str, list[str]]) -> tuple[list[tuple[str, str, int]], int]:
+    """Return name, type and length of each field, and the number of points."""
+    names = [name.lower() for name in header["FIELDS"]]
+    lengths = [int(length) for length in header.get("COUNT", ["1"] * len(names))]
+    forms = [kind.lower() + str(int(size)) for kind, size in zip(header["TYPE"], header["SIZE"], strict=True)]
+    if any(form[0] not in "fiu" or int(form[1:]) not in (1, 2, 4, 8) for form in forms) or min(lengths) < 0:
+        raise ValueError
+    count = int(header["POINTS"][0]) if "POINTS" in header else int(header["WIDTH"][0]) * int(header["HEIGHT"][0])
+    if count < 0:
+        raise ValueError
+    return list(zip(names, forms, lengths, strict=True)), count
 
 
-def _from_binary(body: bytes, row: "np.dtype[np.void]", count: int) -> Floats:
-    if len(body) < count * row.itemsize:
-        raise ValueError(f"it ends before its {count} points")
-    table: NDArray[np.void] = np.frombuffer(body, dtype=row, count=count)
-    if any(axis not in (row.names or ()) for axis in "xyz"):
-        raise ValueError("its points have no x, y and z")
-    return _three(np.stack([table[axis].reshape(count).astype(np.float64) for axis in "xyz"], axis=1))
-
-
-def _three(points: Floats) -> Floats:
-    if points.size == 0:
-        return np.empty((0, 3))
-    if points.shape[1] != 3:
-        raise ValueError("its lines have fewer than three numbers")
+def _pcd_text(text: str, columns: list[tuple[str, str, int]], count: int) -> Floats:
+    starts: dict[str, int] = {}
+    at = 0
+    for name, _, length in columns:
+        starts.setdefault(name, at)
+        at += length
+    rows = [line for line in text.splitlines() if line.strip()][:count]
+    if len(rows) < count:
+        raise _PcdError(f"has {len(rows)} of {count} points; it is cut short, export or copy it again")
+    points = np.empty((count, 3))
+    for k, row in enumerate(rows):
+        words = row.split()
+        numbers = [point_tables.number_of(words[starts[axis]]) for axis in "xyz"] if len(words) >= at else [None]
+        if None in numbers:
+            raise _PcdError(f"has a point without {at} numbers, point {k + 1}: {row.strip()[:60]}")
+        points[k] = numbers
     return points
+
+
+def _unpack_lzf(packed: bytes, expected: int) -> bytes:
+    """Unpack the LZF compression of PCL: sizes, then literals and references back."""
+    if len(packed) < 8:
+        raise _PcdError("ends before its packed points; it is cut short, export or copy it again")
+    size, full = struct.unpack_from("<II", packed)
+    if full != expected or 8 + size > len(packed):
+        raise _PcdError(f"announces {full} unpacked bytes where its header needs {expected}, or is cut short")
+    out, at, end = bytearray(), 8, 8 + size
+    try:
+        while at < end:
+            control = packed[at]
+            at += 1
+            if control < 32:
+                out += packed[at : at + control + 1]
+                at += control + 1
+                continue
+            length = control >> 5
+            if length == 7:
+                length += packed[at]
+                at += 1
+            begin = len(out) - ((control & 31) << 8) - packed[at] - 1
+            at += 1
+            if begin < 0 or len(out) > full:
+                raise IndexError
+            piece = out[begin : begin + length + 2]
+            repeats = -(-(length + 2) // max(len(piece), 1))
+            out += (piece * repeats)[: length + 2]
+    except IndexError as error:
+        raise _PcdError("has packed points that cannot be unpacked; export it again") from error
+    if len(out) != full:
+        raise _PcdError("has packed points that cannot be unpacked; export it again")
+    return bytes(out)
 
 
 def cloud_ply(cloud: PointCloud, stop: NDArray[np.int32], sigma: Floats, source: str) -> Iterator[bytes]:

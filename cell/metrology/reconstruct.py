@@ -91,7 +91,7 @@ class Reconstruction(Value):
         if self.spacing > SPARSEST * self.extent:
             found.append(
                 f"the points lie {1e3 * self.spacing:.3g} mm apart, more than {100 * SPARSEST:g} % of their extent: "
-                "the surface between them is a guess; scan at a finer resolution"
+                "the surface between them is uncertain; scan at a finer resolution"
             )
         if self.noise > NOISIEST * self.spacing:
             found.append(

@@ -137,7 +137,7 @@ def read_step(source: str, content: bytes) -> StepModel:
     made = _triangulate(source, content)
     try:
         return _join_solids(list(_bodies(made)))
-    except (glb.BrokenGlbError, KeyError, TypeError, ValueError) as error:
+    except (glb.GlbError, KeyError, TypeError, ValueError) as error:
         raise _broken_file(source) from error
 
 
@@ -157,7 +157,7 @@ def read_coloured_step(source: str, content: bytes) -> tuple[Floats, Ints, Float
     try:
         # With one primitive per face; merged ones would have only the colour of their body.
         surfaces = list(glb.primitives(_triangulate(source, content, by_face=True)))
-    except glb.BrokenGlbError as error:
+    except glb.GlbError as error:
         raise _broken_file(source) from error
     linear = np.array([each.colour or (np.nan,) * 3 for each in surfaces]).reshape(-1, 3)
     # sRGB (IEC 61966-2-1), as in STEP files and on screens.

@@ -1,19 +1,23 @@
-"""Triangles of a binary glTF file (GLB), with the mesh of each node at the node's transform.
+"""Triangles of a glTF file (.glb, or .gltf with its buffers), with the mesh of each node at the node's transform.
 
 This reader exists because a few hundred bytes of glTF can announce gigabytes: an accessor without data, a picture, one
 mesh under thousands of nodes. It reads only geometry, each array is a view into the bytes of the file, and a file gives
 at most as many triangles as it has bytes. Section numbers refer to the glTF 2.0 specification (ISO/IEC 12113).
 """
 
+import base64
 import json
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.text import decode
 from planner.geometry.mesh import concatenate_meshes
 from planner.values import Floats, Ints
 
@@ -31,7 +35,12 @@ _PRIMITIVE_COST = 16  # counted for each placed primitive in addition to its tri
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6  # modes of primitives (3.7.2.1)
 
 
-class BrokenGlbError(Exception):
+_INSTANCING = "EXT_mesh_gpu_instancing"
+_EXTENSIONS = (_INSTANCING, "KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "KHR_xmp")
+"""Beginnings of the names of extensions that are applied or do not change the surface."""
+
+
+class GlbError(Exception):
     """A broken or unsupported file; the message follows the name of the file."""
 
 
@@ -56,42 +65,51 @@ class Primitive:
     numbers: Callable[[Any], Ints]
 
 
-def triangles(content: bytes) -> tuple[Floats, Ints]:
-    """Return vertices (V, 3) and triangles (F, 3) of a GLB, in the unit of the file.
+def triangles(content: bytes, folder: Path | None = None) -> tuple[Floats, Ints]:
+    """Return vertices (V, 3) and triangles (F, 3) of a GLB or glTF file, in metres.
+
+    Args:
+        content: of the file.
+        folder: of a .gltf, for its buffers.
 
     Raises:
-        BrokenGlbError: if it is broken or unsupported.
+        GlbError: if it is broken or unsupported.
     """
-    return concatenate_meshes((primitive.vertices, primitive.faces) for primitive in primitives(content))[:2]
+    return concatenate_meshes((primitive.vertices, primitive.faces) for primitive in primitives(content, folder))[:2]
 
 
-def primitives(content: bytes) -> Iterator[Primitive]:
-    """Yield the surfaces of a GLB; points and lines are ignored.
+def primitives(content: bytes, folder: Path | None = None) -> Iterator[Primitive]:
+    """Yield the surfaces of a GLB or glTF file; points and lines are ignored.
+
+    Args:
+        content: of the file.
+        folder: of a .gltf, for its buffers.
 
     Raises:
-        BrokenGlbError: if it is broken or unsupported.
+        GlbError: if it is broken or unsupported.
     """
-    described, data = _chunks(content)
+    described, data = _json_file(content, folder) if content[:4] != b"glTF" else _chunks(content)
     required = described.get("extensionsRequired")
     for name in required if isinstance(required, list) else ():
-        if "compression" in str(name) or "quantization" in str(name):
-            raise BrokenGlbError(f"is compressed ({str(name)[:60]}), which is not supported: export without it")
+        if not str(name).startswith(_EXTENSIONS):
+            raise GlbError(f"requires the glTF extension {str(name)[:60]}, which is not supported: export without it")
+    size = len(content) + sum(len(each) for each in data if each is not content)
     begin = count = 0
 
     def numbers(accessor: Any) -> Ints:
         return _accessor(described, data, accessor, None, "SCALAR").astype(np.int64).ravel()
 
-    for T, mesh in _placed(described):
+    for T, mesh, weights in _placed(described, data):
         for primitive in _list(mesh, "primitives"):
-            found = _primitive(described, data, primitive)
+            found = _primitive(described, data, primitive, weights)
             if found is None:
                 continue
             count += len(found[1]) + _PRIMITIVE_COST
-            if count > len(content):
-                raise BrokenGlbError("expands to more triangles than it has bytes: export each body once")
+            if count > size:
+                raise GlbError("expands to more triangles than it has bytes: export each body once")
             begin += len(found[0])
-            if begin > 3 * len(content):
-                raise BrokenGlbError("expands to more vertices than it can hold: export each body once")
+            if begin > 3 * size:
+                raise GlbError("expands to more vertices than it can hold: export each body once")
             mirrored = np.linalg.det(T[:3, :3]) < 0  # flips the winding (3.7.4)
             extensions = primitive.get("extensions")
             yield Primitive(
@@ -117,33 +135,60 @@ def _colour(described: Table, material: Any) -> tuple[float, float, float] | Non
     return float(red), float(green), float(blue)
 
 
-def _chunks(content: bytes) -> tuple[Table, bytes]:
+def _json_file(content: bytes, folder: Path | None) -> tuple[Table, list[bytes]]:
+    """Return the scene description of a .gltf, and its buffers: base64, or files in its folder or below."""
+    described = _description(decode(content))
+    buffers = []
+    for buffer in _list(described, "buffers"):
+        uri = buffer.get("uri")
+        if not isinstance(uri, str):
+            raise GlbError("has a buffer without an address: export it again, or as GLB")
+        if uri.startswith("data:"):
+            try:
+                buffers.append(base64.b64decode(uri.partition(",")[2], validate=True))
+            except ValueError as error:
+                raise GlbError("has a buffer that is not base64: export it again, or as GLB") from error
+            continue
+        name = PurePosixPath(unquote(uri))
+        if folder is None or name.is_absolute() or ".." in name.parts or ":" in uri:
+            raise GlbError(f"has its data at {uri[:60]}, outside its folder: export one file as GLB")
+        try:
+            buffers.append((folder / name).read_bytes())
+        except (OSError, ValueError) as error:
+            raise GlbError(f"needs {str(name)[:60]} beside it, which cannot be read: copy it, or export GLB") from error
+    return described, buffers
+
+
+def _chunks(content: bytes) -> tuple[Table, list[bytes]]:
     """Return the scene description and the binary data."""
-    if content[:4] != b"glTF" or len(content) < 20:
-        raise BrokenGlbError("is not a binary glTF file (GLB): export the mesh again")
+    if len(content) < 20:
+        raise GlbError("is not a binary glTF file (GLB): export the mesh again")
     length = struct.unpack_from("<I", content, 8)[0]
     if length > len(content):
-        raise BrokenGlbError(
-            f"is cut short: it announces {length} bytes but has {len(content)}: export or copy it again"
-        )
+        raise GlbError(f"is cut short: it announces {length} bytes but has {len(content)}: export or copy it again")
     size, kind = struct.unpack_from("<II", content, 12)
     if kind != _JSON or 20 + size > len(content):
-        raise BrokenGlbError("does not begin with a scene description: export the mesh again")
-    try:
-        described = json.loads(content[20 : 20 + size])
-    except (ValueError, RecursionError) as error:
-        raise BrokenGlbError("has a scene description that cannot be read: export the mesh again") from error
-    if not isinstance(described, dict):
-        raise BrokenGlbError("has a scene description that is not an object: export the mesh again")
+        raise GlbError("does not begin with a scene description: export the mesh again")
+    described = _description(content[20 : 20 + size])
     at, data = 20 + size, b""
     if at + 8 <= len(content):
         size, kind = struct.unpack_from("<II", content, at)
         data = content[at + 8 : at + 8 + size] if kind == _BIN else b""
-    return described, data
+    return described, [data]
 
 
-def _placed(described: Table) -> Iterator[tuple[Floats, Table]]:
-    """Yield transform and mesh of each node of the scene; without a named scene, of all trees of nodes."""
+def _description(text: str | bytes) -> Table:
+    try:
+        described = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise GlbError("has a scene description that cannot be read: export the mesh again") from error
+    if not isinstance(described, dict):
+        raise GlbError("has a scene description that is not an object: export the mesh again")
+    return described
+
+
+def _placed(described: Table, data: list[bytes]) -> Iterator[tuple[Floats, Table, Sequence[float]]]:
+    """Yield transform, mesh and morph weights of each node of the scene; without a scene, of all trees of nodes."""
     nodes = _list(described, "nodes")
     scenes = _list(described, "scenes")
     if scenes:
@@ -157,13 +202,38 @@ def _placed(described: Table) -> Iterator[tuple[Floats, Table]]:
         number, T_parent = todo.pop()
         node = nodes[_index(number, nodes, "node")]
         if number in seen:  # nodes form trees (3.5.3); a cycle would never end
-            raise BrokenGlbError("has a node under two parents: export the mesh again")
+            raise GlbError("has a node under two parents: export the mesh again")
         seen.add(number)
         T = T_parent @ _transform(node)
         if node.get("mesh") is not None:
+            if node.get("skin") is not None:
+                raise GlbError("has a mesh that is deformed by a skeleton (skin), which is not supported: apply it")
             meshes = _list(described, "meshes")
-            yield T, meshes[_index(node["mesh"], meshes, "mesh")]
+            mesh = meshes[_index(node["mesh"], meshes, "mesh")]
+            weights = node.get("weights", mesh.get("weights")) or []
+            for T_instance in _instances(described, data, node):
+                yield T @ T_instance, mesh, weights
         todo += [(child, T) for child in reversed(_list(node, "children", numbers=True))]
+
+
+def _instances(described: Table, data: list[bytes], node: Table) -> list[Floats]:
+    """Return the transforms (4, 4) of the copies of a node's mesh (EXT_mesh_gpu_instancing); the identity without."""
+    extensions = node.get("extensions")
+    copies = extensions.get(_INSTANCING) if isinstance(extensions, Mapping) else None
+    if copies is None:
+        return [np.eye(4)]
+    attributes = copies.get("attributes") if isinstance(copies, Mapping) else None
+    if not isinstance(attributes, Mapping):
+        raise GlbError(f"has {_INSTANCING} without attributes: export each body once")
+    read = {
+        key: _accessor(described, data, attributes[key.upper()], np.dtype("<f4"), form).astype(np.float64)
+        for key, form in (("translation", "VEC3"), ("rotation", "VEC4"), ("scale", "VEC3"))
+        if key.upper() in attributes
+    }
+    if len({len(values) for values in read.values()}) != 1:
+        raise GlbError(f"has {_INSTANCING} with columns of different lengths: export each body once")
+    count = len(next(iter(read.values())))
+    return [_transform({key: values[k].tolist() for key, values in read.items()}) for k in range(count)]
 
 
 def _transform(node: Table) -> Floats:
@@ -184,15 +254,21 @@ def _transform(node: Table) -> Floats:
     return T
 
 
-def _primitive(described: Table, data: bytes, primitive: Any) -> tuple[Floats, Ints] | None:
-    """Return vertices and triangles of a primitive; None for points and lines."""
+def _primitive(
+    described: Table, data: list[bytes], primitive: Any, weights: Sequence[float]
+) -> tuple[Floats, Ints] | None:
+    """Return vertices, moved by morph weights (3.7.2.2), and triangles of a primitive; None for points and lines."""
     if not isinstance(primitive, Mapping):
-        raise BrokenGlbError("has a primitive that is not an object: export the mesh again")
+        raise GlbError("has a primitive that is not an object: export the mesh again")
     mode = primitive.get("mode", _TRIANGLES)
     attributes = primitive.get("attributes")
     if mode not in (_TRIANGLES, _STRIP, _FAN) or not isinstance(attributes, Mapping) or "POSITION" not in attributes:
         return None
     vertices = _accessor(described, data, attributes["POSITION"], np.dtype("<f4"), "VEC3").astype(np.float64)
+    targets = _list(primitive, "targets")
+    for target, weight in zip(targets, _numbers(weights, len(targets)) if weights else (), strict=False):
+        if weight and "POSITION" in target:
+            vertices = vertices + weight * _accessor(described, data, target["POSITION"], np.dtype("<f4"), "VEC3")
     if primitive.get("indices") is None:
         corners: Ints = np.arange(len(vertices))
     else:
@@ -208,30 +284,29 @@ def _primitive(described: Table, data: bytes, primitive: Any) -> tuple[Floats, I
     return vertices, strip
 
 
-def _accessor(described: Table, data: bytes, number: Any, kind: np.dtype[Any] | None, form: str) -> NDArray[Any]:
+def _accessor(described: Table, data: list[bytes], number: Any, kind: np.dtype[Any] | None, form: str) -> NDArray[Any]:
     """Return the array of an accessor, a view into the bytes of the file, which must contain all of it.
 
     Args:
         described: the scene description.
-        data: the binary chunk.
+        data: the buffers.
         number: of the accessor.
         kind: of its entries; None: unsigned integers.
-        form: VEC3 or SCALAR.
+        form: SCALAR, VEC3 or VEC4.
     """
     accessors, views = _list(described, "accessors"), _list(described, "bufferViews")
     accessor = accessors[_index(number, accessors, "accessor")]
     if accessor.get("bufferView") is None or "sparse" in accessor:
-        raise BrokenGlbError("has a sparse accessor, or one without data, which is not supported: export without them")
+        raise GlbError("has a sparse accessor, or one without data, which is not supported: export without them")
     view = views[_index(accessor["bufferView"], views, "buffer view")]
     component = accessor.get("componentType")
     stored: np.dtype[Any] | None = kind
     if kind is None and isinstance(component, int):
         stored = _INDICES.get(component)
     if stored is None or accessor.get("type") != form or (kind is not None and component != _FLOAT):
-        raise BrokenGlbError("has vertices or indices of a kind that is not supported: export them as plain numbers")
-    if view.get("buffer") != 0:
-        raise BrokenGlbError("has its data in another file, which is not supported: export one file")
-    length = 3 if form == "VEC3" else 1
+        raise GlbError("has vertices or indices of a kind that is not supported: export them as plain numbers")
+    buffer = data[_index(view.get("buffer"), data, "buffer")]
+    length = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[form]
     width = length * stored.itemsize
     begin, room, stride = (
         _integer(view.get("byteOffset", 0)),
@@ -240,30 +315,30 @@ def _accessor(described: Table, data: bytes, number: Any, kind: np.dtype[Any] | 
     )
     offset, count = _integer(accessor.get("byteOffset", 0)), _integer(accessor.get("count"))
     stride = stride or width
-    if count and (offset + (count - 1) * stride + width > room or begin + room > len(data) or stride < width):
-        raise BrokenGlbError("announces more data than it has: it is broken or cut short, export the mesh again")
+    if count and (offset + (count - 1) * stride + width > room or begin + room > len(buffer) or stride < width):
+        raise GlbError("announces more data than it has: it is broken or cut short, export the mesh again")
     if not count:
         return np.zeros((0, length))
-    return np.ndarray((count, length), stored, data, begin + offset, (stride, stored.itemsize))
+    return np.ndarray((count, length), stored, buffer, begin + offset, (stride, stored.itemsize))
 
 
 def _list(table: Table, key: str, *, numbers: bool = False) -> list[Any]:
     """Return a list of tables, or of numbers of nodes; [] if it is missing."""
     found = table.get(key, [])
     if not isinstance(found, list) or not all(numbers or isinstance(entry, dict) for entry in found):
-        raise BrokenGlbError(f"has '{key}' that is not a list: export the mesh again")
+        raise GlbError(f"has '{key}' that is not a list: export the mesh again")
     return found
 
 
 def _index(number: Any, among: list[Any], what: str) -> int:
     if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(among):
-        raise BrokenGlbError(f"refers to a missing {what}: export the mesh again")
+        raise GlbError(f"refers to a missing {what}: export the mesh again")
     return number
 
 
 def _integer(number: Any) -> int:
     if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < 2**40:
-        raise BrokenGlbError("has a length that is not an integer: export the mesh again")
+        raise GlbError("has a length that is not an integer: export the mesh again")
     return number
 
 
@@ -271,7 +346,7 @@ def _numbers(values: Any, count: int) -> Floats:
     try:
         found = np.array(values, dtype=np.float64)
     except (ValueError, TypeError, OverflowError) as error:
-        raise BrokenGlbError("has a transform that is not a list of numbers: export the mesh again") from error
+        raise GlbError("has a transform that is not a list of numbers: export the mesh again") from error
     if found.shape != (count,) or not np.isfinite(found).all():
-        raise BrokenGlbError(f"has a transform without {count} finite numbers: export the mesh again")
+        raise GlbError(f"has a transform without {count} finite numbers: export the mesh again")
     return found

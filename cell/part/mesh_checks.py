@@ -80,7 +80,7 @@ def repair(vertices: Floats, faces: Ints) -> tuple[Ints, Ints, tuple[Finding, ..
         sliver = double_areas(vertices, faces) <= 1e-14 * float(np.ptp(vertices, axis=0).max()) ** 2
         faces, kept, n_collapsed = faces[~sliver], kept[~sliver], n_collapsed + int(sliver.sum())
     if n_twice:
-        sentence = f"{_count(n_twice, 'face was', 'faces were')} there twice; the duplicates were dropped"
+        sentence = f"{_count(n_twice, 'face was', 'faces were')} duplicated; the copies were dropped"
         findings.insert(0, Finding(Kind.DUPLICATE, sentence, Severity.NOTE))
     if n_collapsed:
         sentence = f"{_count(n_collapsed, 'face has no area and was', 'faces have no area and were')} dropped"
@@ -105,7 +105,7 @@ def _orient(vertices: Floats, faces: Ints) -> tuple[Ints, list[Finding]]:
     total = np.bincount(body, weights=areas, minlength=n_bodies)
     flip ^= (flipped > total / 2)[body]
     if flip.any():
-        sentence = f"{_count(int(flip.sum()), 'face was', 'faces were')} wound against the others and flipped"
+        sentence = f"{_count(int(flip.sum()), 'face was', 'faces were')} of opposite winding and flipped"
         findings.append(Finding(Kind.MIXED_WINDING, sentence, Severity.NOTE))
         faces = np.where(flip[:, None], faces[:, ::-1], faces)
     if one_sided:

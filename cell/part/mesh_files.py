@@ -1,30 +1,40 @@
-"""Geometry files as arrays: STL (binary and ASCII), OBJ, PLY, OFF, GLB, STEP; coloured meshes.
+"""Geometry files as arrays: STL (binary and ASCII), OBJ, PLY, OFF, GLB, glTF, 3MF, STEP; coloured meshes.
 
-trimesh parses OBJ, PLY, OFF and binary STL. `cell.part.glb` parses GLB and this module ASCII STL, because the announced
-sizes must be checked against the content. `cell.part.cad` reads STEP. Coordinates are not scaled. Vertices at exactly
-the same position are merged, because STL repeats a corner in each face, and the other formats repeat it at seams.
+The readers of this package check counts and indices against the content, because a mesh library that skips what it does
+not know returns another part. Coordinates are not scaled. Vertices at exactly the same position are merged, because STL
+repeats a corner in each face, and the other formats repeat it at seams.
 """
 
 import io
-import logging
 import re
 import struct
 import warnings
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cell import files
 from cell.errors import FileError
-from cell.part import cad, glb
+from cell.part import cad, glb, three_mf
 from cell.part.formats import STEP
+from cell.part.polygon_files import read_obj, read_off, read_ply
+from cell.part.polygons import PolygonError, PolygonMesh, triangulate
+from cell.text import decode, lines_of, parse_numbers
+from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Bools, Floats, Ints
 
-SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", *STEP)
+SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf", *STEP)
+
+_POLYGON_READERS: Mapping[str, Callable[[bytes], PolygonMesh]] = {".obj": read_obj, ".off": read_off, ".ply": read_ply}
 
 _STL_HEADER = 84  # 80 bytes of comment and the number of faces
 _STL_FACE = 50
+_STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_LINE_END = re.compile(r"[\r\n]")
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 
 
 def read_bytes(path: Path) -> bytes:
@@ -42,7 +52,7 @@ def read_bytes(path: Path) -> bytes:
         if path.suffix.lower() not in SUFFIXES:
             kind = f"of the kind '{path.suffix}'" if path.suffix else "without a suffix"
             raise FileError(f"{path} is {kind}, which is not supported; supported are {supported}")
-        content = path.read_bytes()
+        content = files.read_bytes(path)
     except PermissionError as error:
         raise FileError(f"{path} cannot be read: permission denied; change its permissions or copy it") from error
     except OSError as error:
@@ -56,7 +66,7 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
     """Return vertices and triangles of a mesh file, with equal vertices merged and unused ones dropped.
 
     Args:
-        path: for the suffix and the messages only.
+        path: for the suffix, the messages, and the files beside a .gltf.
         content: of the file.
 
     Returns:
@@ -70,18 +80,17 @@ def parse(path: Path, content: bytes) -> tuple[Floats, Ints]:
     if suffix in STEP:
         solids = cad.read_step(str(path), content)
         return check_mesh(str(path), solids.vertices, solids.faces)
-    if suffix == ".glb":
-        try:
-            return check_mesh(str(path), *glb.triangles(content))
-        except glb.BrokenGlbError as error:
-            raise FileError(f"{path} {error}") from error
-    if suffix == ".stl":
-        content, text = _check_stl(path, content)
-        if text:
-            return check_mesh(str(path), *_parse_ascii_stl(path, content))
-    elif suffix in (".obj", ".off"):
-        content = content.decode("utf-8", errors="replace").encode()  # comments may be in any encoding
-    return check_mesh(str(path), *_parse_with_trimesh(path, suffix, content))
+    try:
+        if suffix in (".glb", ".gltf"):
+            return check_mesh(str(path), *glb.triangles(content, path.parent))
+        if suffix == ".3mf":
+            return check_mesh(str(path), *three_mf.triangles(content))
+        if suffix == ".stl":
+            return check_mesh(str(path), *_parse_stl(path, content))
+        mesh = _POLYGON_READERS[suffix](content)
+        return check_mesh(str(path), mesh.vertices, triangulate(mesh)[0])
+    except (glb.GlbError, three_mf.ThreeMfError, PolygonError) as error:
+        raise FileError(f"{path} {error}") from error
 
 
 def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
@@ -114,38 +123,18 @@ def check_mesh(source: str, vertices: Floats, faces: Ints) -> tuple[Floats, Ints
     return vertices, faces
 
 
-def _parse_with_trimesh(path: Path, suffix: str, content: bytes) -> tuple[Floats, Ints]:
-    import trimesh  # half a second of start-up that only a mesh file needs
-
-    trimesh.util.log.setLevel(logging.CRITICAL)  # what it logs of broken files, tracebacks among it, is said here
-    try:
-        with warnings.catch_warnings(action="ignore"):
-            loaded: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], process=False)
-        if isinstance(loaded, trimesh.Scene):
-            parts = [part for part in loaded.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
-            loaded = trimesh.util.concatenate(parts) if parts else None
-        if not isinstance(loaded, trimesh.Trimesh):
-            return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
-        return np.array(loaded.vertices, np.float64), np.array(loaded.faces, np.int64)
-    except Exception as error:  # parsers raise any exception for broken bytes
-        raise FileError(
-            f"{path} cannot be read as {suffix[1:].upper()}; it is broken or cut short, export it again"
-        ) from error
-
-
-def _check_stl(path: Path, content: bytes) -> tuple[bytes, bool]:
-    """Return the content of a complete STL file, and whether it is ASCII.
+def _parse_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
+    """Return corners and triangles of a binary or ASCII STL.
 
     The size distinguishes the formats: many binary files also begin with "solid".
     """
     announced = struct.unpack_from("<I", content, 80)[0] if len(content) >= _STL_HEADER else None
-    if announced is not None and len(content) >= _STL_HEADER + announced * _STL_FACE and announced:
-        return content[: _STL_HEADER + announced * _STL_FACE], False
-    if content.lstrip()[:5].lower() == b"solid" and b"facet" in content.lower():
-        text = content.lower()
-        if text.count(b"vertex") != 3 * text.count(b"endfacet"):
-            raise FileError(f"{path} is cut short: its last facet is not complete; export or copy the mesh again")
-        return content, True
+    if announced and len(content) >= _STL_HEADER + announced * _STL_FACE:
+        rows = np.frombuffer(content, _STL_ROW, announced, _STL_HEADER)
+        return rows["corners"].reshape(-1, 3).astype(np.float64), np.arange(3 * announced).reshape(-1, 3)
+    text = decode(content)
+    if text.lstrip("\ufeff \t\r\n\0")[:5].lower() == "solid" and "facet" in text.lower():
+        return _parse_ascii_stl(path, text)
     if all(byte in b"\t\n\r\f" or 32 <= byte < 127 or byte > 159 for byte in content[:512]):
         raise FileError(f"{path} is a text file, not an STL mesh; give a mesh ({', '.join(SUFFIXES)})")
     if announced is None or announced:
@@ -157,19 +146,32 @@ def _check_stl(path: Path, content: bytes) -> tuple[bytes, bool]:
     raise FileError(f"{path} holds no faces; export the mesh again")
 
 
-def _parse_ascii_stl(path: Path, content: bytes) -> tuple[Floats, Ints]:
+def _parse_ascii_stl(path: Path, text: str) -> tuple[Floats, Ints]:
     """Return corners and triangles of an ASCII STL; its normals are ignored."""
-    corners = re.findall(rb"\bvertex\s+(\S+\s+\S+\s+\S+)", content, re.IGNORECASE)
-    with warnings.catch_warnings(action="ignore"):  # it stops at the first word that is not a number, with a warning
-        try:
-            numbers = np.fromstring(b" ".join(corners).decode("ascii", errors="replace"), sep=" ")
-        except ValueError:
-            numbers = np.zeros(0)
-    if len(numbers) != 3 * len(corners):
-        raise FileError(f"{path} has a vertex that is no three numbers; it is broken, export it again")
-    if len(numbers) % 9:
+    text = _without_names(text.lower())
+    rows = [" ".join(row.split(None, 3)[:3]) for row in text.split("vertex")[1:]]
+    numbers = parse_numbers(" ".join(rows), 3 * len(rows))
+    if numbers is None:
+        for number, line in enumerate(lines_of(text), start=1):
+            keyword, _, row = line.strip().partition(" ")
+            if keyword == "vertex" and not all(_NUMBER.fullmatch(word) for word in row.split()):
+                hint = "write decimal points and no commas" if "," in row else "it needs three numbers"
+                raise FileError(f"{path} has a vertex that cannot be read, line {number}: {row.strip()[:60]}; {hint}")
+        raise FileError(f"{path} has a vertex without three numbers; export the mesh again")
+    n_facets = text.count("endfacet") + text.count("end facet")
+    if len(rows) % 3 or n_facets * 3 != len(rows):
         raise FileError(f"{path} is cut short: its last facet is not complete; export or copy the mesh again")
-    return numbers.reshape(-1, 3), np.arange(len(numbers) // 3).reshape(-1, 3)
+    return numbers.reshape(-1, 3), np.arange(len(rows)).reshape(-1, 3)
+
+
+def _without_names(text: str) -> str:
+    """Remove the rest of each line with `solid` or `endsolid`: a name can be any text."""
+    pieces, begin = [], 0
+    while (at := text.find("solid", begin)) >= 0:
+        pieces.append(text[begin:at])
+        end = _LINE_END.search(text, at)
+        begin = end.start() if end else len(text)
+    return "".join([*pieces, text[begin:]])
 
 
 def _merge_vertices(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
@@ -221,23 +223,35 @@ def read_coloured(path: Path, metres: float) -> tuple[TriangleMesh, Floats]:
         if np.isnan(of_face).all():
             raise FileError(f"{path} has no colours; colour its faces, or select them by their numbers")
         return TriangleMesh(vertices * metres, faces.astype(np.int32)), of_face
-    import trimesh  # half a second, only for coloured meshes
-
     try:
-        with warnings.catch_warnings(action="ignore"):
-            loaded: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], process=False)
-            if isinstance(loaded, trimesh.Scene):
-                loaded = loaded.to_mesh()
-            visual = loaded.visual
-            visual = visual.to_color() if visual.kind == "texture" else visual
-            known = visual.kind in ("vertex", "face")
-            colours = np.array(visual.face_colors, np.float64)[:, :3] if known else None
-        mesh = TriangleMesh(np.array(loaded.vertices) * metres, np.array(loaded.faces, np.int32))
-    except Exception as error:  # parsers raise any exception for broken bytes
+        if suffix in _POLYGON_READERS:
+            polygons = _POLYGON_READERS[suffix](content)
+            faces, owner = triangulate(polygons)
+            mesh = TriangleMesh(polygons.vertices * metres, faces.astype(np.int32))
+            colours = None if polygons.colours is None else polygons.colours[owner]
+        else:
+            mesh, colours = _read_textured(content, suffix, metres)
+    except (PolygonError, PlannerError) as error:
+        raise FileError(f"{path} {error}") from error
+    except Exception as error:  # trimesh's parsers raise any exception for broken bytes
         raise FileError(f"{path} cannot be read as a coloured mesh; export it again") from error
     if colours is None:
         raise FileError(f"{path} has no colours; paint it, and export it as PLY with colours")
     return mesh, colours
+
+
+def _read_textured(content: bytes, suffix: str, metres: float) -> tuple[TriangleMesh, Floats | None]:
+    import trimesh  # half a second, only for materials and textures
+
+    with warnings.catch_warnings(action="ignore"):
+        loaded: Any = trimesh.load(io.BytesIO(content), file_type=suffix[1:], process=False)
+        if isinstance(loaded, trimesh.Scene):
+            loaded = loaded.to_mesh()
+        visual = loaded.visual
+        visual = visual.to_color() if visual.kind == "texture" else visual
+        known = visual.kind in ("vertex", "face")
+        colours = np.array(visual.face_colors, np.float64)[:, :3] if known else None
+    return TriangleMesh(np.array(loaded.vertices) * metres, np.array(loaded.faces, np.int32)), colours
 
 
 def is_colour(colours: Floats, colour: str) -> Bools:

@@ -80,9 +80,10 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
     """Load a part from a mesh or STEP file, or a built-in part by its name.
 
     Args:
-        source: a mesh file (.stl, .obj, .ply, .off, .glb), a STEP file (.stp, .step) or the name of a built-in part.
-        units: unit of the file: m, cm, mm, um or in. It is never guessed; None for a built-in part and a STEP file, and
-            for a GLB in metres.
+        source: a mesh file (.stl, .obj, .ply, .off, .glb, .gltf, .3mf), a STEP file (.stp, .step) or the name of a
+            built-in part.
+        units: unit of the file: m, cm, mm, um or in. It is never guessed; None for a built-in part, STEP and 3MF, and
+            for glTF in metres.
 
     Raises:
         UsageError: if the units are missing, unknown, or given for a built-in part or a STEP file.
@@ -90,7 +91,7 @@ def load(source: str | Path, units: str | None = None) -> Workpiece:
     """
     if isinstance(source, str) and source in builtin.NAMES:
         if units is not None:
-            raise UsageError(f"the built-in part '{source}' has its own size; leave out --units")
+            raise UsageError(f"the built-in part '{source}' has its own size; omit --units")
         return from_trusted_mesh(source, builtin.load(source))
 
     from cell.part import mesh_files

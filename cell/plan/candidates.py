@@ -341,7 +341,7 @@ def require_measurable(regions: Sequence[RegionTargets], M: Measurability) -> No
     if not regions or len(M.indices):
         return
     limits = [
-        f"'{each.name}' takes {what} {limit:g} mm"
+        f"'{each.name}' requires {what} {limit:g} mm"
         for each in regions
         for what, limit in (("a spacing of at most", each.max_spacing_mm), ("a sigma of at most", each.max_sigma_mm))
         if limit is not None

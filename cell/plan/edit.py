@@ -2,7 +2,7 @@
 
 Cell, candidates, reach and matrix are read from the files of the run, bit for bit. A candidate keeps its number: a pose
 that is a candidate already is that candidate, another pose is appended behind the last one. Own arm, motion, clearance,
-timing and coverage are computed again. If the part is placed elsewhere, its views move with it. In the part's own frame
+timing and coverage are computed again. If the placement changes, the views move with the part. In the part's own frame
 candidates, samples and lines of sight past the part stay the same; reach and occlusion by the surroundings are computed
 again for every candidate. Object frame, metres, radians.
 """
@@ -10,7 +10,6 @@ again for every candidate. Object frame, metres, radians.
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
@@ -33,9 +32,8 @@ from cell.plan.selection import PinnedViewError, SelectionProblem
 from cell.runs.cell import scene_of_run, with_placement
 from cell.runs.run import Run
 from cell.scene.model import PlanSettings, pose
-from cell.scene.options import parse_options
 from cell.scene.settle import SettledScene
-from cell.session import LoggedProgress, Origin, ProgressReporter, Session
+from cell.session import Session
 from cell.world.measurability import PartSurface
 from cell.world.prediction import Prediction, held_out_samples
 from planner.cover import CoverStatus
@@ -46,63 +44,10 @@ from planner.values import Floats
 from planner.viewpoints.viewpoints import Viewpoints, aim_viewpoints, join_viewpoints, pick_viewpoints
 
 SAME_POSE = 1e-9
-"""Poses whose entries differ by no more are one pose [m, and entries of rotations]."""
+"""Largest difference of the entries of equal poses [m, and entries of rotations]."""
 
 _ROUNDING = 1e-9  # of shares that are summed in another order
 _REPAIR = "--repair adds the fewest views that restore it"
-
-
-@dataclass(frozen=True, eq=False)  # no slots: values that are read later are kept
-class EditableRun(Run):
-    """A finished plan; `edited` makes a new one of it."""
-
-    @classmethod
-    def opened(cls, folder: Path) -> Self:
-        """Open a run folder of `cell plan`.
-
-        Raises:
-            FileError: if it is missing, damaged, not a run folder, or its plan did not finish.
-        """
-        run = cls.open_finished(folder)
-        run.plan, run.report  # noqa: B018  # damaged files are reported here
-        return run
-
-    def edited(
-        self,
-        edit_options: Edit | None = None,
-        *,
-        out: str | Path | None = None,
-        use_cache: bool = True,
-        progress: ProgressReporter | None = None,
-        argv: Sequence[str] = (),
-        T_base_object: Floats | None = None,
-        **options: object,
-    ) -> "EditableRun":
-        """Plan a new run with views dropped, moved, turned, added or reordered, and check it completely.
-
-        Args:
-            edit_options: changes as one value. None takes them from the keywords.
-            out: run folder to create. None creates one below sim_runs/.
-            use_cache: whether measurability matrices are read from and written to the user's cache.
-            progress: reporter of the progress. None reports nothing.
-            argv: command line to record in the manifest.
-            T_base_object: (4, 4) measured placement of the part [m], as found by `cell.api.locate`. None keeps the
-                planned placement. The views move with the part, and `repair` omits views that are out of reach.
-            **options: of `cell edit` by name: `drop=[4]`, `turn={7: 90}`, `add_candidate=533`, `repair=True`,
-                `move={7: (x, y, z, a, b, c)}` (mm and deg, KUKA ABC, scanner in base).
-
-        Raises:
-            CellError: with one sentence. For an unreachable view it names the condition and the blocking object.
-        """
-        session = Session(
-            None,
-            LoggedProgress() if progress is None else progress,
-            None if out is None else Path(out),
-            use_cache=use_cache,
-            origin=Origin(tuple(argv)),
-        )
-        edit_ = parse_options(Edit, options) if edit_options is None else edit_options
-        return EditableRun.opened(edit(session, self, edit_, T_base_object=T_base_object))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,12 +104,12 @@ class _Numbering:
 
 
 def edit(session: Session[None], run: Run, wanted: Edit, *, T_base_object: Floats | None = None) -> Path:
-    """Make a new run of an edited plan; see `EditableRun.edited`."""
+    """Make a new run of an edited plan; see `cell.api.edit`."""
     if wanted.repair:
         require_repairable(run)
     check_edit(wanted, len(run.candidate), run.report.verdicts.total)
     if wanted.table_angle_deg and run.scene.table is None:
-        raise UsageError(f"{run.folder} has no rotary table; leave table_angle out")
+        raise UsageError(f"{run.folder} has no rotary table; omit table_angle")
     scene = scene_of_run(run)
     if T_base_object is not None:
         scene = with_placement(scene, T_base_object, run.scene)
@@ -198,7 +143,7 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit
     is_bounded, plan = _with_bound(before, edited, problem, plan, is_moved=is_moved)
     annotations: dict[str, object] = {"part": before.report.part, "of_several": before.is_setup_of_group or None}
     if not is_bounded:
-        annotations["status"] = "edited by hand; the fewest views are not known"
+        annotations["status"] = "edited by hand; the smallest number of views is not known"
     for view in edited.views:
         if not (plan.matrix.indices == view).any():
             session.note(f"{edited.names[view]} measures none of the samples")
@@ -207,7 +152,9 @@ def _plan(session: PlanSession, settled: SettledScene, before: Run, wanted: Edit
         session.note(f"repaired by adding candidate {', '.join(added)}" if added else "nothing needs repair")
     report = pipeline.finish(session, settled, surface.planning, problem, plan, annotations)
     if before.is_setup_of_group:
-        session.note("the coverage was requested of several set-ups; their coverage together is not known now")
+        session.note(
+            "the coverage was requested for several set-ups together; their combined coverage is not known now"
+        )
         return Verdict()
     options = settled.scene.plan
     has_target = options.max_views is None and options.multiplicity == 1
@@ -270,8 +217,8 @@ def _require_reachable(edited: EditedViews, reached: Reach) -> None:
             is_view = edited.names[view].startswith("view")
             verb = "" if reached.verdict[view] == reach.Verdict.COLLISION else "it is "
             raise UnreachableError(
-                f"{edited.names[view]} cannot be taken: {verb}{unreachable_reason(reached, view)}; "
-                + ("move it elsewhere, or drop it" if is_view else "give another one, or leave it out")
+                f"{edited.names[view]} cannot be used: {verb}{unreachable_reason(reached, view)}; "
+                + ("move it to another pose, or drop it" if is_view else "give another one, or omit it")
             )
 
 
@@ -291,12 +238,12 @@ def _still_reachable(
     if lost and (not may_leave_out or len(lost) == len(edited.views)):
         remedy = "move the part"
         if before.is_single_setup:
-            remedy = "use --repair to leave them out and add the fewest others, or move the part"
+            remedy = "use --repair to omit them and add the fewest others, or move the part"
         raise UnreachableError(
             f"at the placement of the part now the arm cannot reach {', '.join(lost.values())}; {remedy}"
         )
     for sentence in lost.values():
-        session.note(f"{sentence} is left out")
+        session.note(f"{sentence} is omitted")
     return edited.without(list(lost))
 
 
@@ -304,7 +251,7 @@ def _problem(
     session: PlanSession, settled: SettledScene, before: Run, wanted: Edit, cell: Cell, measured: MeasuredSet,
     edited: EditedViews, *, is_moved: bool,
 ) -> SelectionProblem:  # fmt: skip
-    """Request these views; with repair, the fewest beside them. Unchanged views keep their order."""
+    """Request these views; with repair, the fewest additional ones. Unchanged views keep their order."""
     options = settled.scene.plan
     if wanted.repair:
         pinned = tuple(dict.fromkeys((*edited.views, *options.pinned)))
@@ -326,9 +273,9 @@ def _without(session: PlanSession, error: PinnedViewError, edited: EditedViews, 
     name = edited.names.get(error.candidate, f"pinned candidate {error.candidate}")
     if not may_leave_out or error.candidate not in edited.views:
         raise UnreachableError(
-            f"{name} cannot be part of a motion: {error.reason}; move it elsewhere, or drop it"
+            f"{name} cannot be part of a motion: {error.reason}; move it to another pose, or drop it"
         ) from error
-    session.note(f"{name} is left out: it cannot be part of a motion ({error.reason})")
+    session.note(f"{name} is omitted: it cannot be part of a motion ({error.reason})")
     return edited.without([error.candidate])
 
 
@@ -361,18 +308,18 @@ def require_repairable(run: Run) -> None:
     """
     if scene_of_run(run).plan.max_views is not None:
         raise UsageError(
-            f"{run.folder} was planned for the most coverage by a number of views: there is no coverage to restore; "
-            "leave repair out, or plan with a coverage"
+            f"{run.folder} was planned for maximum coverage with a number of views, so there is no requested "
+            "coverage to restore; omit repair, or plan with a coverage"
         )
     if run.report.open_of is not None:
         raise UsageError(
             f"{run.folder} was planned for the surface that other set-ups leave uncovered, and a repair would request "
-            "the rest as well; leave repair out, or plan the set-ups with cell setups"
+            "the rest as well; omit repair, or plan the set-ups with cell setups"
         )
     if run.is_setup_of_group:
         raise UsageError(
-            f"{run.folder} is one of several set-ups with a coverage together, and a repair would request it of this "
-            "one alone; leave repair out, or plan the set-ups again with the candidates banned"
+            f"{run.folder} is one of several set-ups with a common coverage, and a repair would request all of it "
+            "from this one; omit repair, or plan the set-ups again with the candidates banned"
         )
 
 
@@ -417,7 +364,7 @@ def apply_edit(
     taken: dict[int, int] = {}
     for number, candidate in candidate_of.items():
         if candidate in taken:
-            raise UsageError(f"view {number} would be the same pose as view {taken[candidate]}; leave one of them out")
+            raise UsageError(f"view {number} would have the same pose as view {taken[candidate]}; omit one of them")
         taken[candidate] = number
     return EditedViews(
         views=tuple(candidate_of.values()),

@@ -146,9 +146,7 @@ class Edit(Table):
         if twice := [view for view, count in Counter(self.order).items() if count > 1]:
             raise ValueError(f".order names view {twice[0]} twice; name each view once")
         if self.table_angle_deg and not (self.move or self.add_pose):
-            raise ValueError(
-                ".table_angle_deg concerns the poses of move and add_pose, and none is given; leave it out"
-            )
+            raise ValueError(".table_angle_deg concerns the poses of move and add_pose, and none is given; omit it")
         if self.order and self.keep_order:
             raise ValueError(".order and keep_order both define the visiting order; give one of them")
         return self

@@ -1,8 +1,8 @@
 """Motion through selected views: connect them, reject views without a motion, and select again.
 
-A view is rejected if no path leads to it, or if its sweep cannot be driven. A view that its own arm shades is taken in
-other configurations, or measures less than the cover assumed (`cell.world.self_occlusion`). Views at rest and sweeping
-views differ in the checks (`ViewsAtRest`, `SweepingViews`), not in the loop. Base frame, metres, radians.
+A view is rejected if no path leads to it, or if its sweep cannot be driven. A view that is occluded by its own arm is
+taken in other configurations, or measures less than the cover assumed (`cell.world.self_occlusion`). Views at rest and
+sweeping views differ in the checks (`ViewsAtRest`, `SweepingViews`), not in the loop. Base frame, metres, radians.
 """
 
 from collections import Counter
@@ -143,7 +143,7 @@ class ViewConnector(Protocol):
 
     @property
     def shaded(self) -> Mapping[int, str]:
-        """Candidates whose arm hides samples, each with a sentence."""
+        """Candidates occluded by their own arm, each with a sentence."""
         ...
 
     def check(self, views: Ints) -> tuple[NextAction, Mapping[int, str]]:
@@ -184,8 +184,8 @@ class ViewConnector(Protocol):
 class ViewsAtRest:
     """Candidates at which the arm stands still; see `ViewConnector`.
 
-    Arm, bracket and housing occlude as well, differently in every configuration. A view that its own arm shades is
-    taken in other configurations. If all of them shade it, views are selected again with what the arm leaves of it.
+    Arm, bracket and housing occlude as well, differently in every configuration. A view that is occluded by its own arm
+    is taken in other configurations. If all of them shade it, views are selected again with what the arm leaves of it.
     """
 
     def __init__(self, problem: SelectionProblem) -> None:
@@ -201,7 +201,7 @@ class ViewsAtRest:
 
     @property
     def shaded(self) -> Mapping[int, str]:
-        """Candidates whose arm hides samples, each with a sentence."""
+        """Candidates occluded by their own arm, each with a sentence."""
         return self._arm.reasons
 
     def check(self, views: Ints) -> tuple[NextAction, Mapping[int, str]]:
@@ -451,7 +451,7 @@ def _try_to_connect(
         return _Retry(action, lost)
     groups = views.groups(selection, problem.usable(rejected), rng)
     motion = _plan_motion(problem, views, selection, groups, before, rng, progress)
-    # Detours may cost what the swaps saved; and a motion that leaves out views is short for that reason alone.
+    # Detours may cost more than the swaps save, and a motion without some views is shorter for that reason.
     dwell, best = problem.request.dwell_s, (groups, motion)
     while groups.has_swaps:
         seconds = motion.duration + dwell * len(groups.members)

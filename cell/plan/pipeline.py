@@ -83,7 +83,7 @@ class OpenRun:
         session: with the open folder.
         settled: scene, part and scanner.
         exit_code: of the finished run.
-        stopped: reason if the run is to be abandoned; "" if it is to be finished.
+        stopped: reason for abandoning the run; "" to finish it.
     """
 
     session: PlanSession
@@ -406,7 +406,7 @@ def _optional_results(session: PlanSession, problem: SelectionProblem, plan: Con
 
 
 def _judge(report: Report) -> Verdict:
-    cause = "the arm shades the views that measure the rest, or the rest lies between all samples; see cell why"
+    cause = "the arm occludes the views that measure the rest, or the rest lies between the samples; see cell why"
     if report.dropped:
         cause = f"{len(report.dropped)} selected views could not be connected; move the part, or request less"
     has_target = report.most_coverage is None and report.multiplicity is None and report.promise is None
@@ -414,7 +414,7 @@ def _judge(report: Report) -> Verdict:
 
 
 def read_request(
-    part: "str | Path | trimesh.Trimesh | Scene | None", path: str | Path | None, options: dict[str, object]
+    part: "str | Path | trimesh.Trimesh | Scene | None", path: str | Path | None, options: Mapping[str, object]
 ) -> tuple[Scene, Workpiece | None]:
     """Return the checked scene, and the part unless it comes from a file.
 
@@ -424,14 +424,14 @@ def read_request(
         options: by the names of `cell.scene.options.option_specs(Scene)`; `units` is the unit of a mesh in memory.
 
     Raises:
-        UsageError: if options are given beside a whole scene.
+        UsageError: if options are given in addition to a scene.
         SceneError: if the scene is not possible.
     """
     if isinstance(part, Scene):
         if options:
             raise UsageError(
-                f"{', '.join(options)} given beside a whole Scene, which contains all options; set them there, or give "
-                "a scene file instead"
+                f"{', '.join(options)} given in addition to a Scene, which contains all options; set them "
+                "there, or give a scene file instead"
             )
         return part, None
     file = None if path is None else Path(path)

@@ -388,7 +388,7 @@ def select_views(
         rng: randomness of the search.
         M: measurability as the arm leaves it; None: that of the problem.
         rejected: candidates that may not be selected, with a reason each.
-        shaded: candidates whose own arm hides samples, with a reason each.
+        shaded: candidates occluded by their own arm, with a reason each.
         start: earlier selection of the same candidates or fewer, or of fewer rows, from which the search continues.
         search: kind of the search.
 

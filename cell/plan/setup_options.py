@@ -1,4 +1,4 @@
-"""Options of `cell setups` beside those of the scene."""
+"""Options of `cell setups` in addition to those of the scene."""
 
 from collections.abc import Sequence
 from typing import Annotated

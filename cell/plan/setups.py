@@ -176,7 +176,7 @@ def proposed_candidates(world: World, part: TriangleMesh, limit: int) -> list[Se
     if limit and world.table is not None and not world.table.upright:
         raise SceneError(
             "set-ups can only be proposed on an upright rotary table, and this one is tilted; give [[setup]] tables "
-            "with --proposals 0, or leave table.abc_deg out"
+            "with --proposals 0, or omit table.abc_deg"
         )
     placed = (world.T_base_object @ world.T_object_centre)[:3, :3]
     poses = [("as it is placed", placed)]
@@ -432,7 +432,7 @@ class SetupsRequest:
         if options.setup_s is not None and regions is not None and not regions.is_plain:
             raise UsageError(
                 "--setup-seconds cannot be combined with regions that have a coverage, views or weight of their own; "
-                "leave one of them out"
+                "omit one of them"
             )
         return cls(Request(scene.plan, regions=regions, effort=session.effort), options)
 
@@ -590,7 +590,9 @@ class SetupSearch:
             if not self._request_more(found, _driven(connected)):
                 break
         if last is None:
-            raise UnreachableError("no cover could be connected; move the part, or allow more with --proposals")
+            raise UnreachableError(
+                "no cover could be connected; move the part, or allow more set-up candidates with --proposals"
+            )
         return self._with_shared_surface(*self._thorough(*last))
 
     def _thorough(self, found: GroupedCover, connected: Connected) -> tuple[GroupedCover, Connected]:
@@ -955,9 +957,7 @@ def _plan_setups(
     seen = np.logical_or.reduce(list(visible.values()))
     for row, each in enumerate(candidates):
         if each.table is not None and row not in connected:
-            session.note(
-                f"the set-up '{each.name}' is left out: {cause_of_omission(setups.get(row, tried[row]), seen)}"
-            )
+            session.note(f"the set-up '{each.name}' is omitted: {cause_of_omission(setups.get(row, tried[row]), seen)}")
     order = sorted(visible, key=lambda row: (candidates[row].run is None, -int(visible[row].sum()), row))
     for number, row in enumerate(order, start=1):
         _write_setup(outer, session, surface, setups[row], connected[row], session.folder.path / "setups" / str(number))
@@ -973,8 +973,8 @@ def _plan_setups(
     session.folder.write_text("report.md", page(file))
     for number in unconnected_setups(file.shared, range(1, len(order) + 1)):
         session.note(
-            f"the surface that set-up {number} shares with others does not fix its scans relative to theirs, and no "
-            "candidate helps: the reference alone will align them"
+            f"the surface that set-up {number} shares with others does not determine the relative pose of its "
+            "scans, and no candidate improves this; only the reference can align them"
         )
     reached = file.coverage
     return judge(

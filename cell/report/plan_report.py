@@ -224,7 +224,7 @@ def _sweeps(settings: ReportSettings) -> list[str]:
     return [
         f"Each view is a sweep of {settings.sweep_poses} poses, driven as a straight line at constant speed on one "
         f"joint branch, in {settings.sweep_s[0]:.1f} to {settings.sweep_s[1]:.1f} s. Singularities, joint limits and "
-        "collisions are checked between its poses as well; the arm's own shadow along it is not evaluated.",
+        "collisions are checked between its poses as well; occlusion by the arm is not evaluated along it.",
         "",
     ]
 

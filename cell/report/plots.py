@@ -1,4 +1,4 @@
-"""Plots of a run, drawn in a process of their own while the command continues: the planner never imports matplotlib.
+"""Plots of a run, drawn in a separate process while the command continues: the planner never imports matplotlib.
 
 The process imports matplotlib while the plan is made, and forks for ray-traced pictures, so that several are drawn at a
 time. Arrays reach it through a pipe as .npz without pickled objects; it ends with the pipe.
@@ -93,7 +93,7 @@ def plot_process() -> Iterator[PlotQueue]:
 def serve() -> None:
     """Draw the plots that arrive at stdin until it ends: the process of `plot_process`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C concerns the planner; the pipe ends with it
-    gc.disable()  # the process lives for seconds, and nothing is worth collecting
+    gc.disable()  # the process ends within seconds
     from cell.report import figures  # noqa: F401  # takes seconds: imported before the first plot arrives
 
     forks, has_failed = list[int](), False
@@ -118,6 +118,6 @@ def serve() -> None:
 
 def draw(plot: str, path: Path, **arguments: Any) -> None:
     """Draw one plot in this process, or prepare for plots; arguments as in `PlotQueue.send`."""
-    from cell.report import figures  # matplotlib takes a second: hence the process of its own
+    from cell.report import figures  # importing matplotlib takes a second: hence the separate process
 
     getattr(figures, plot)(path, **arguments)

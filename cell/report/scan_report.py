@@ -53,7 +53,7 @@ _DEFINITIONS = (
 def markdown(report: ExecutionReport) -> str:
     """Return the report page of an execution."""
     name, source = html.escape(report.part.name), html.escape(source_title(report.source))
-    lines = [f"# Scan of {name}, {source} ([look at it](view.html))", "", _opening(report), ""]
+    lines = [f"# Scan of {name}, {source} ([view](view.html))", "", _opening(report), ""]
     if report.doubts:
         lines += [f"**Doubtful.** {html.escape(doubt)}.  " for doubt in report.doubts] + [""]
     if not report.complete:
@@ -205,7 +205,7 @@ def _surface(report: ExecutionReport) -> list[str]:
             f"{deviation.closed.largest_mm:.4f} mm at most."
         )
     else:
-        holes = f"Holes stay holes: no surface is farther than {model.reach_mm:.3g} mm from a measured point."
+        holes = f"Holes are not closed: no surface is farther than {model.reach_mm:.3g} mm from a measured point."
     if model.reach_mm > _COARSE * model.diagonal_mm:
         holes += (
             f" The points are far apart for a part of {model.diagonal_mm:.0f} mm: the surface is interpolated over "
@@ -308,7 +308,7 @@ def _number(count: int, noun: str) -> str:
 
 def combined_rows(report: ScannedSetups) -> list[tuple[str, str]]:
     """Return the terminal table of combined scans as names and values."""
-    missing = f", {len(report.missing)} more to come" if report.missing else ""
+    missing = f", {len(report.missing)} not scanned yet" if report.missing else ""
     covered, count = percent(report.visible), _number(len(report.setups), "set-up")
     rows = [("measured", f"{covered} of the surface by {count}{missing}; planned {percent(report.planned)} by all")]
     for setup in report.setups:

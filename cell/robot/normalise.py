@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cell.errors import SceneError
 from cell.robot.model import AXES, FLANGE, LINKS
-from cell.robot.robot_file import RobotFile
+from cell.robot.robot_file import MIN_INERTIA, MIN_MASS, RobotFile
 from planner.values import Floats
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ def normalise(file: RobotFile, velocity_deg_s: tuple[float, ...] | None = None) 
     R, origin = base.xmat.reshape(3, 3), base.xpos
     spec = mujoco.MjSpec()
     spec.modelname, spec.compiler.degree = file.path.stem, False
+    spec.compiler.boundmass, spec.compiler.boundinertia = MIN_MASS, MIN_INERTIA
     bodies = _bodies(spec, file, data, R, origin)
     for name, values in (
         ("axis_velocity_limit_deg_s", velocity),

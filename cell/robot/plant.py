@@ -6,7 +6,7 @@ the servo reads the joint angles, compares them with the reference, and sets the
 of a rigid arm, so the reported axes are its position at the last step.
 
 **The plant fails**, with a reason, if the arm is further from its reference than `FOLLOWING_ERROR` (every controller
-checks that; a diverging simulation passes it), faster than `OVERSPEED`, or if its state is no number. It then stays
+checks that; a diverging simulation passes it), faster than `OVERSPEED`, or if its state is not a number. It then stays
 where it is, with closed brakes. A reset restores it if its axes are still numbers. The brakes also close after the arm
 has been at rest for `BRAKE_DELAY`; time with closed brakes costs no computation.
 
@@ -348,7 +348,7 @@ class MujocoPlant:
         self.data.qvel[:] = 0.0
         far, fast = int(np.abs(error).argmax()), int(np.abs(speeds).argmax())
         if not (np.isfinite(error).all() and np.isfinite(speeds).all()):
-            self._failure = "the simulation diverged: its state is no number"
+            self._failure = "the simulation diverged: its state is not a number"
         elif speeds @ speeds > _TOO_FAST:
             speed = np.degrees(abs(speeds[fast]))
             self._failure = f"{axis_name(fast)} turns at {speed:.0f} deg/s, faster than it can; the simulation diverged"

@@ -12,12 +12,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cell import files
 from cell.errors import FileError, SceneError
 from planner.values import Floats, Value
 
@@ -28,7 +29,12 @@ MAX_FILE = 10_000_000
 """Largest size of a robot's description [bytes]."""
 
 _FLANGES = ("tool0", "flange", "ee_link", "tool_flange")  # tool0 first: in ROS-Industrial its z leaves the face
+_VECTORS = {"origin": ("xyz", "rpy"), "axis": ("xyz",), "box": ("size",), "mesh": ("scale",)}
 _MAX_LINK = 50.0  # m; a larger distance between joints is in millimetres
+_MAX_SHAPE = 10.0  # radius of a shape in lengths of the arm
+_MAX_TURNS = 5.0  # range of an axis
+_MAX_SPEED = 60.0  # rad/s; the fastest small arms reach 15
+_MAX_STL_FACES = 200_000  # of MuJoCo's reader
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +44,12 @@ class UrdfExtras:
     Attributes:
         velocity: speed of each joint that has a limit [rad/s].
         mimics: driving joint, ratio, and offset [rad] of each mimic joint.
+        soft: ranges that soft limits reduce, as text.
     """
 
-    velocity: Mapping[str, float] = field(default_factory=dict)
-    mimics: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
+    velocity: dict[str, float] = field(default_factory=dict)
+    mimics: dict[str, tuple[str, float, float]] = field(default_factory=dict)
+    soft: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,21 +119,10 @@ def read_robot(
     """
     import mujoco
 
-    try:
-        if path.stat().st_size > MAX_FILE:
-            raise FileError(
-                f"{path} has {path.stat().st_size / 1e6:.0f} MB; a robot's description may have at most 10 MB"
-            )
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(f"{path} cannot be read as a URDF or MJCF: {error}") from error
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise FileError(f"{path} is not XML: {error}; give a URDF or an MJCF") from error
-    extras = UrdfExtras()
+    root = _parse(path)
+    extras, assets = UrdfExtras(), dict[str, bytes]()
     if root.tag == "robot":
-        extras = _prepare_urdf(root, path, packages or {})
+        extras = _prepare_urdf(root, path, packages or {}, assets)
     elif root.tag != "mujoco":
         raise FileError(
             f"{path} is neither a URDF (<robot>) nor an MJCF (<mujoco>) but <{root.tag}>; expand a xacro first"
@@ -133,12 +130,51 @@ def read_robot(
     try:
         with capture_mujoco_warnings() as messages:
             if root.tag == "robot":
-                model = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode")).compile()
+                text = ElementTree.tostring(root, encoding="unicode")
+                model = mujoco.MjSpec.from_string(text, assets=assets).compile()
             else:
-                model = mujoco.MjSpec.from_file(str(path)).compile()
+                spec = mujoco.MjSpec.from_file(str(path))
+                _require_only_kinematics(spec.compiler)
+                model = spec.compile()
     except ValueError as error:
-        raise FileError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
+        raise FileError(f"{path} is not accepted by MuJoCo: {' '.join(str(error).split())}; correct it") from error
     return _select_arm(path, model, base, flange, extras, messages)
+
+
+def _parse(path: Path) -> ElementTree.Element:
+    """Return the root of an XML file in its declared encoding, with tags without namespaces."""
+    try:
+        if path.stat().st_size > MAX_FILE:
+            raise FileError(
+                f"{path} has {path.stat().st_size / 1e6:.0f} MB; a robot's description may have at most 10 MB"
+            )
+        content = files.read_bytes(path)
+    except OSError as error:
+        raise FileError(f"{path} cannot be read as a URDF or MJCF: {error.strerror or error}") from error
+    try:
+        root = ElementTree.fromstring(content)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise FileError(f"{path} is not XML: {error}; give a URDF or an MJCF") from error
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2] if isinstance(element.tag, str) else element.tag
+        for key, value in element.attrib.items():
+            if "${" in value or "$(" in value:
+                raise FileError(
+                    f"{path} has the xacro expression '{value[:60]}' ({key} of <{element.tag}>); expand it first: "
+                    f"xacro {path.name} > robot.urdf"
+                )
+    return root
+
+
+MIN_MASS, MIN_INERTIA = 1e-6, 1e-9
+"""Mass [kg] and inertia [kg m^2] of links without them: MuJoCo requires both, kinematics uses neither."""
+
+
+def _require_only_kinematics(compiler: Any) -> None:
+    """Let MuJoCo accept links without mass or inertia."""
+    compiler.boundmass = max(compiler.boundmass, MIN_MASS)
+    compiler.boundinertia = max(compiler.boundinertia, MIN_INERTIA)
+    compiler.balanceinertia = True
 
 
 @contextmanager
@@ -214,6 +250,9 @@ def _select_arm(
             "millimetres"
         )
     velocity = np.array([extras.velocity.get(name, np.inf) for name in names])
+    _require_plausible(path, model, chain, velocity)
+    if extras.soft:
+        file_warnings.append(f"{path.name} has soft limits, which are used: {', '.join(extras.soft)}")
     home = _home(model, model.jnt_qposadr[chain])
     if home is not None and not ((home >= lower) & (home <= upper)).all():
         home = None
@@ -255,13 +294,32 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names) if names else "none"
 
 
-def _prepare_urdf(root: ElementTree.Element, path: Path, packages: Mapping[str, Path]) -> UrdfExtras:
-    """Keep frames, remove visuals, make mesh paths absolute, in place; return the data that MuJoCo ignores."""
+def _prepare_urdf(
+    root: ElementTree.Element, path: Path, packages: Mapping[str, Path], assets: dict[str, bytes]
+) -> UrdfExtras:
+    """Keep frames, remove visuals, resolve meshes, in place; return the data that MuJoCo ignores.
+
+    Args:
+        root: the description.
+        path: of its file.
+        packages: folders of ROS packages by name.
+        assets: receives meshes of formats that MuJoCo does not read, as OBJ by file name.
+    """
     for link in root.iter("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
+    for element in root.iter():
+        for key in _VECTORS.get(element.tag, ()):
+            for word in element.get(key, "").split():
+                _to_number(word, key, element, path)
     for mesh in root.iter("mesh"):
-        mesh.set("filename", str(_mesh_file(mesh.get("filename", ""), path, packages)))
+        file = _mesh_file(mesh.get("filename", ""), path, packages)
+        if converted := _as_obj(file):
+            name = f"mesh_{len(assets)}.obj"
+            assets[name] = converted
+            mesh.set("filename", name)
+        else:
+            mesh.set("filename", str(file))
     settings = root.find("mujoco")
     if settings is None:
         settings = ElementTree.SubElement(root, "mujoco")
@@ -269,22 +327,57 @@ def _prepare_urdf(root: ElementTree.Element, path: Path, packages: Mapping[str, 
     if compiler is None:
         compiler = ElementTree.SubElement(settings, "compiler")
     options = {"fusestatic": "false", "discardvisual": "true", "strippath": "false", "balanceinertia": "true"}
+    options |= {"boundmass": str(MIN_MASS), "boundinertia": str(MIN_INERTIA)}
     compiler.attrib.update(options)
-    velocity, mimics = {}, {}
+    extras = UrdfExtras()
     for joint in root.findall("joint"):
         name, limit, mimic = joint.get("name", ""), joint.find("limit"), joint.find("mimic")
-        if limit is not None and _number(limit, "velocity", 0.0) > 0.0:
-            velocity[name] = _number(limit, "velocity", 0.0)
+        if limit is not None and (speed := _number(limit, "velocity", 0.0, path)) > 0.0:
+            extras.velocity[name] = speed
         if mimic is not None:
-            mimics[name] = (mimic.get("joint", ""), _number(mimic, "multiplier", 1.0), _number(mimic, "offset", 0.0))
-        if joint.get("type") == "revolute" and (
-            limit is None or limit.get("lower") is None or limit.get("upper") is None
-        ):
+            ratio, offset = _number(mimic, "multiplier", 1.0, path), _number(mimic, "offset", 0.0, path)
+            extras.mimics[name] = (mimic.get("joint", ""), ratio, offset)
+            continue
+        if joint.get("type") != "revolute":
+            continue
+        if limit is None or limit.get("lower") is None or limit.get("upper") is None:
             raise SceneError(f"{path}: the joint '{name}' has no limits; add <limit lower upper velocity>")
-        if joint.get("type") == "revolute" and limit is not None and mimic is None:
-            # MuJoCo treats an empty range as none, and the joint as endless.
-            _require_range(path, name, _number(limit, "lower", np.nan), _number(limit, "upper", np.nan))
-    return UrdfExtras(velocity, mimics)
+        # MuJoCo treats an empty range as none, and the joint as endless.
+        lower, upper = _number(limit, "lower", 0.0, path), _number(limit, "upper", 0.0, path)
+        _require_range(path, name, lower, upper)
+        soft = joint.find("safety_controller")
+        if soft is not None and soft.get("soft_lower_limit") and soft.get("soft_upper_limit"):
+            low = max(lower, _number(soft, "soft_lower_limit", lower, path))
+            high = min(upper, _number(soft, "soft_upper_limit", upper, path))
+            _require_range(path, name, low, high)
+            if (low, high) != (lower, upper):
+                limit.attrib.update(lower=str(low), upper=str(high))
+                extras.soft.append(f"{name} {np.degrees(low):.6g} to {np.degrees(high):.6g} deg")
+    return extras
+
+
+def _as_obj(file: Path) -> bytes | None:
+    """Return a mesh as OBJ; None if MuJoCo reads the file: OBJ, and binary STL of at most 200,000 faces.
+
+    Raises:
+        FileError: if the format is not supported, or the mesh is broken.
+    """
+    from cell.part import mesh_files  # with its readers only for an arm from a file
+
+    suffix = file.suffix.lower()
+    if suffix == ".obj":
+        return None
+    if suffix in (".stp", ".step") or suffix not in mesh_files.SUFFIXES:
+        raise FileError(
+            f"{file} is a robot's mesh of the kind '{file.suffix}', which is not supported; convert it to binary STL"
+        )
+    content = mesh_files.read_bytes(file)
+    vertices, faces = mesh_files.parse(file, content)
+    if suffix == ".stl" and len(content) == 84 + 50 * len(faces) and len(faces) <= _MAX_STL_FACES:
+        return None
+    rows = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
+    rows += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+    return ("\n".join(rows) + "\n").encode()
 
 
 def _require_range(path: Path, joint: str, lower: float, upper: float) -> None:
@@ -296,11 +389,52 @@ def _require_range(path: Path, joint: str, lower: float, upper: float) -> None:
         )
 
 
-def _number(element: ElementTree.Element, key: str, default: float) -> float:
+def _number(element: ElementTree.Element, key: str, default: float, path: Path) -> float:
+    """Return a number of an element.
+
+    Raises:
+        SceneError: if it is none.
+    """
+    return _to_number(element.get(key, str(default)), key, element, path)
+
+
+def _to_number(text: str, key: str, element: ElementTree.Element, path: Path) -> float:
     try:
-        return float(element.get(key, default))
+        return float(text)
     except ValueError:
-        return default
+        hint = "; write a decimal point" if "," in text else ""
+        raise SceneError(f"{path}: {key} of <{element.tag}> is '{text[:40]}', which is not a number{hint}") from None
+
+
+def _require_plausible(path: Path, model: mujoco.MjModel, chain: list[int], velocity: Floats) -> None:
+    """Refuse numbers that no arm has: degrees in place of radians, and shapes in millimetres.
+
+    Raises:
+        SceneError: with the number and the probable cause.
+    """
+    span = np.ptp(model.jnt_range[chain], axis=1)
+    if (span > _MAX_TURNS * 2 * np.pi).sum() >= 3:
+        joint = int(np.argmax(span))
+        low, high = model.jnt_range[chain[joint]]
+        raise SceneError(
+            f"{path}: the joint '{model.joint(chain[joint]).name}' has the range {low:g} to {high:g} rad, "
+            f"{span[joint] / (2 * np.pi):.0f} turns; limits are in radians, these seem to be in degrees"
+        )
+    if (finite := velocity[np.isfinite(velocity)]).size and (finite > _MAX_SPEED).sum() >= 3:
+        raise SceneError(
+            f"{path}: an axis has the speed {finite.max():g} rad/s; speeds are in rad/s, these seem to be in deg/s"
+        )
+    links = np.linalg.norm(model.body_pos[model.jnt_bodyid[chain]], axis=1)
+    length = float(links.sum())
+    solid = [geom for geom in range(model.ngeom) if model.geom_contype[geom] or model.geom_conaffinity[geom]]
+    sizes = {geom: float(model.geom_rbound[geom]) for geom in solid}
+    largest = max(sizes, key=lambda geom: sizes[geom], default=None)
+    if largest is not None and sizes[largest] > _MAX_SHAPE * length > 0:
+        body = model.body(model.geom_bodyid[largest]).name
+        raise SceneError(
+            f"{path}: a shape of the link '{body}' is {2 * sizes[largest]:.3g} m wide, but the links of the arm are "
+            f'{length:.3g} m long in all; a mesh in millimetres needs scale="0.001 0.001 0.001"'
+        )
 
 
 def mesh_files(path: Path, packages: Mapping[str, Path]) -> list[Path]:
@@ -313,7 +447,7 @@ def mesh_files(path: Path, packages: Mapping[str, Path]) -> list[Path]:
     Raises:
         FileError: if a mesh is missing.
     """
-    root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
+    root = _parse(path)
     if root.tag == "robot":
         names = [mesh.get("filename", "") for collision in root.iter("collision") for mesh in collision.iter("mesh")]
     else:

@@ -1,7 +1,7 @@
 """Compare the user's current files with the cell that was planned.
 
 A plan depends on its run folder alone. If the scene file or the part's mesh changed after planning, the user may mean
-another cell than the verified one. Therefore the files named in the manifest, or those given in their place, are read
+another cell than the verified one. Therefore the files named in the manifest, or those given instead, are read
 again before anything is driven. Each difference has a name: `part`, `placement`, `mount`, `housing`, `post`,
 `pedestal`, `robot`, `table`, `fixture:NAME`; `scene` if the file cannot be read; `missing` for deleted files. The
 built-in robot always comes from this version (`cell.runs.verification`), so a difference there is never accepted.

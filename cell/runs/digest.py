@@ -7,7 +7,7 @@ two spaces, its name, a line feed. It can be checked without this project:
 
 with `fixture_<name>.ply` of each mesh fixture and `robot.xml`, if there are any, sorted among them.
 
-A path that differs from the plan's motion has a digest of its own, over the line `plan <digest of the plan>` and one
+A path that differs from the plan's motion has its own digest, over the line `plan <digest of the plan>` and one
 line for each via point in driving order, from the current position of the arm: the number of the move, of the view that
 is scanned at its end and of its pose (0 and -1 for none), and the set-points of all axes in counts of 1e-4 deg,
 separated by single spaces.

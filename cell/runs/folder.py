@@ -1,4 +1,4 @@
-"""Write run folders: `<name>.part` while the run goes on, renamed when it is finished.
+"""Write run folders: `<name>.part` during the run, renamed when it is finished.
 
 Every artefact is written as soon as its stage is done, so a killed run keeps its finished stages; the manifest names
 the current stage. Artefacts contain no clock value and no machine path: equal inputs and seed give equal bytes.

@@ -1,7 +1,7 @@
 """Read and write the binary PLY files of a run folder: exact coordinates, vertices and faces in their order."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from planner.errors import PlannerError
 from planner.geometry.mesh import TriangleMesh
 from planner.values import Floats
+
+if TYPE_CHECKING:
+    import trimesh
 
 _TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "ushort": "<u2", "uchar": "|u1"}
 _NAMES = {kind: name for name, kind in _TYPES.items()}
@@ -24,6 +27,15 @@ def mesh(content: bytes) -> TriangleMesh:
     faces = read["face"]
     region = faces["region"] if faces.dtype.names and "region" in faces.dtype.names else None
     return TriangleMesh(positions(read["vertex"]), faces["vertex_indices"], region)
+
+
+def to_trimesh(mesh: TriangleMesh) -> "trimesh.Trimesh":
+    """Return a copy of a mesh [m] for the user; `units` is "m", and vertices and faces keep their numbers."""
+    import trimesh
+
+    copy = trimesh.Trimesh(mesh.vertices.copy(), mesh.faces.copy(), process=False)
+    copy.units = "m"
+    return copy
 
 
 def mesh_bytes(mesh: TriangleMesh) -> bytes:

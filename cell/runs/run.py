@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from cell.errors import FileError
+from cell.formatting import Summary, percent
 from cell.runs import ply
 from cell.runs.folder import SCHEMA, WITH_TABLE
 from cell.runs.schema import (
@@ -57,6 +58,7 @@ from planner.viewpoints.viewpoints import Viewpoints
 
 if TYPE_CHECKING:
     import mujoco
+    import trimesh
 
 EXECUTIONS = "executions"
 """Subfolder of a run folder that holds one folder for each execution."""
@@ -78,8 +80,8 @@ _EXTERNAL: Mapping[str, str] = {
 """Name of the array of external axes for each array of arm axes."""
 
 
-@dataclass(frozen=True, eq=False)  # no slots: cached properties need a __dict__
-class ArtefactFolder:
+@dataclass(frozen=True, eq=False, repr=False)  # no slots: cached properties need a __dict__
+class ArtefactFolder(Summary):
     """A folder with a manifest and the artefacts listed in it.
 
     Attributes:
@@ -136,9 +138,52 @@ class ArtefactFolder:
         return npz_arrays(self.folder / name, self.artefact(name))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
+class View(Value):
+    """A view of a plan.
+
+    Attributes:
+        number: from 1 in visiting order, as options name it.
+        candidate: row of viewpoints.npz.
+        T_object_scanner: (4, 4) scanner in the object frame, the axes of the part's file [m]; middle pose of a sweep.
+        T_base_scanner: (4, 4) the same pose in the robot's base frame [m].
+        q: (axes,) joint set-points [rad], KUKA signs; the angle of a rotary table is the last axis.
+        marginal_coverage: share of the surface that the view measures and the views before do not.
+    """
+
+    number: int
+    candidate: int
+    T_object_scanner: Annotated[Floats, "4 4"]
+    T_base_scanner: Annotated[Floats, "4 4"]
+    q: Annotated[Floats, "axes"]
+    marginal_coverage: float
+
+    def __repr__(self) -> str:
+        return f"View({self.number}, candidate {self.candidate}, marginal coverage {percent(self.marginal_coverage)})"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Run(ArtefactFolder):
     """A run folder of `cell plan`, read when used: views in visiting order, arrays in metres and radians."""
+
+    def facts(self) -> list[tuple[str, str]]:
+        """Return folder, number of views, coverage, bound and duration; of a run without a report its status."""
+        try:
+            found = self.report
+        except FileError:
+            return [("folder", str(self.folder)), ("status", "damaged" if self.is_finished else self.ending)]
+        return [
+            ("folder", str(self.folder)),
+            ("views", str(found.n_views)),
+            ("coverage", percent(found.coverage.visible)),
+            ("lower bound", f"{found.lower_bound} views"),
+            ("motion", f"{found.motion.duration_s:.1f} s"),
+        ]
+
+    @property
+    def picture(self) -> Path:
+        """Picture of the cell, the arm at a view; the file may be missing."""
+        return self.folder / "cell.png"
 
     @property
     def seed(self) -> int:
@@ -182,7 +227,7 @@ class Run(ArtefactFolder):
 
     @cached_property
     def scene(self) -> ResolvedScene:
-        """The settings of the plan and everything that stood in the cell."""
+        """The settings of the plan and all objects of the cell."""
         return parsed(ResolvedScene, self.artefact("scene.resolved.json"), self.folder / "scene.resolved.json")
 
     @cached_property
@@ -227,6 +272,11 @@ class Run(ArtefactFolder):
             return Measurability(
                 stored["indptr"], stored["indices"], samples, int(stored["shape"][1]), stored.get("sigma")
             )
+
+    @cached_property
+    def part(self) -> trimesh.Trimesh:
+        """The part in the axes of its file [m]."""
+        return ply.to_trimesh(self.reference)
 
     @cached_property
     def reference(self) -> TriangleMesh:
@@ -282,6 +332,13 @@ class Run(ArtefactFolder):
     def candidate(self) -> Ints:
         """(n,) candidate of each view, row of viewpoints.npz."""
         return readonly("id", [view.id for view in self.plan.views], (None,), np.int64)
+
+    @cached_property
+    def views(self) -> tuple[View, ...]:
+        """The views in visiting order."""
+        gains = [view.adds for view in self.report.views]
+        rows = zip(self.candidate.tolist(), self.T_object_scanner, self.T_base_scanner, self.q, gains, strict=True)
+        return tuple(View(number, *row) for number, row in enumerate(rows, start=1))
 
     @cached_property
     def q(self) -> Floats:
@@ -357,7 +414,7 @@ class Run(ArtefactFolder):
         return run
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Execution(ArtefactFolder):
     """A reported execution of a run. Object frame, metres unless a name says otherwise.
 
@@ -373,6 +430,20 @@ class Execution(ArtefactFolder):
         files = ArtefactFolder(folder, read_manifest(folder / "manifest.json"))
         report = parsed(ExecutionReport, files.artefact("report.json"), folder / "report.json")
         return cls(folder, files.manifest, report)
+
+    def facts(self) -> list[tuple[str, str]]:
+        """Return folder, number of scanned views, coverage and deviation."""
+        rows = [
+            ("folder", str(self.folder)),
+            ("views", str(self.report.n_views)),
+            ("coverage", percent(self.coverage.visible)),
+        ]
+        return [*rows, *([("deviation", f"{self.deviation.rms_mm:.3f} mm rms")] if self.deviation else [])]
+
+    @property
+    def picture(self) -> Path:
+        """Picture of the measured surface, or of the views without one; the file may be missing."""
+        return self.folder / ("deviation.png" if self.has("deviation.png") else "views.png")
 
     @property
     def exit_code(self) -> int:
@@ -390,8 +461,13 @@ class Execution(ArtefactFolder):
         return self.report.deviation
 
     @cached_property
-    def mesh(self) -> TriangleMesh | None:
-        """The surface reconstructed from the points; None if there is none."""
+    def mesh(self) -> trimesh.Trimesh | None:
+        """The surface reconstructed from the points [m], object frame; None if there is none."""
+        return None if self.surface is None else ply.to_trimesh(self.surface)
+
+    @cached_property
+    def surface(self) -> TriangleMesh | None:
+        """The same surface as a value of the planner."""
         if not self.has("mesh.ply"):
             return None
         with reading(self.folder / "mesh.ply"):
@@ -407,7 +483,7 @@ class Execution(ArtefactFolder):
 
     @cached_property
     def points(self) -> Floats:
-        """(N, 3) points of the merged cloud."""
+        """(N, 3) points of the merged cloud [m], object frame."""
         with reading(self.folder / "cloud.ply"):
             positions = ply.positions(ply.elements(self.artefact("cloud.ply"))["vertex"])
             return readonly("points", positions, (None, 3))

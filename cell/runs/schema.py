@@ -59,7 +59,7 @@ class JsonTable(BaseModel):
 
 
 class OpenTable(JsonTable):
-    """An object that holds the keys of a scanner plug-in besides its own."""
+    """An object with the keys of a scanner plug-in in addition to its own."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, JsonValue] = Field(init=False)

@@ -7,11 +7,12 @@ from typing import Self
 from pydantic import JsonValue
 
 from cell.errors import FileError
+from cell.formatting import Summary, percent
 from cell.runs.schema import Manifest, SetupsFile, parsed
 
 
-@dataclass(frozen=True, slots=True)
-class SetupsRun:
+@dataclass(frozen=True, slots=True, repr=False)
+class SetupsRun(Summary):
     """Folder of `cell setups`.
 
     Attributes:
@@ -23,6 +24,16 @@ class SetupsRun:
     folder: Path
     file: SetupsFile
     exit_code: int
+
+    def facts(self) -> list[tuple[str, str]]:
+        """Return folder, numbers of set-ups and views with their bounds, and coverage."""
+        file = self.file
+        return [
+            ("folder", str(self.folder)),
+            ("set-ups", f"{len(file.chosen)} (lower bound {file.setups_bound})"),
+            ("views", f"{file.views} (lower bound {file.views_bound})"),
+            ("coverage", percent(file.coverage.visible)),
+        ]
 
     @classmethod
     def opened(cls, folder: Path) -> Self:

@@ -207,7 +207,7 @@ def _other_shape(checked: mujoco.MjModel, world: World) -> str:
     for number in range(recompiled.nbody):
         one, two = checked.body(number), recompiled.body(number)
         pos, turned = two.pos, _at_reference(checked, recompiled, number)
-        if (T := placed.get(two.name)) is not None:  # mocap bodies stand at their placement in the file
+        if (T := placed.get(two.name)) is not None:  # the file has mocap bodies at their placement
             pos, turned = T[:3, 3], quaternion(T[:3, :3])
         if (
             one.name != two.name
@@ -272,7 +272,7 @@ def _support(model: mujoco.MjModel, geom: int) -> Floats:
 
 
 _JSON_TOLERANCE = 1e-7
-"""Numbers that differ by less, absolutely or relatively, are one: 0.1 um, and far below what a file rounds to."""
+"""Tolerance of equal numbers, absolute and relative: 0.1 um, above the rounding of the files."""
 
 
 def first_difference(found: JsonTable, expected: JsonTable) -> str:

@@ -135,7 +135,7 @@ class Acquisition(Protocol):
     source: str
 
     def take(self, view: View) -> Acquired | None:
-        """Return the points; None if there are none: the view is then missing, and a later resume takes it."""
+        """Return the points; None if there are none: the view is then missing, and a later resume scans it."""
         ...
 
 
@@ -166,7 +166,7 @@ def load(text: str) -> tuple[AcquisitionClass, str]:
     if not found:
         hint = "" if names() else " (this installation of scan-cell is older than the sources: install it again)"
         raise UsageError(
-            f"--acquire {text} names no source of points; installed are: {', '.join(names()) or 'none'}{hint}"
+            f"--acquire {text} is not a source of points; installed are: {', '.join(names()) or 'none'}{hint}"
         )
     if len({point.value for point in found}) > 1:
         values = " and ".join(point.value for point in found)
@@ -215,7 +215,7 @@ class Files:
         self._folder = Path(argument).expanduser()
         if not argument or not self._folder.is_dir():
             raise UsageError(
-                f"--acquire files:{argument} is no folder; make it, and put one file of points per view in it"
+                f"--acquire files:{argument} is not a folder; create it, and put one file of points per view in it"
             )
         self._frame, self._unit = frame_and_unit(context)
         self._wait, self._notify = float(context.options["acquire_wait_s"]), context.notify
@@ -240,7 +240,7 @@ class Files:
                         digest = hashlib.sha256(path.read_bytes()).hexdigest()
                         return Acquired(points, self._frame, details={"points_of": str(path), "sha256": digest})
             if self._now() >= until:
-                self._notify(f"view {view.stop} is missing: {problem}; cell scan --resume takes it")
+                self._notify(f"view {view.stop} is missing: {problem}; cell scan --resume scans it")
                 return None
             if not is_notified:
                 self._notify(f"the arm is at view {view.stop}; waiting for its points in {self._folder}")
@@ -286,7 +286,7 @@ class Command:
                     problem = str(error)
                 else:
                     return Acquired(points, self._frame, details={"calls": number, "said": output[-2000:]})
-        self._notify(f"view {view.stop} is missing: {problem} ({_TRIES} calls); cell scan --resume takes it")
+        self._notify(f"view {view.stop} is missing: {problem} ({_TRIES} calls); cell scan --resume scans it")
         return None
 
     def _call(self, view: View, pose: Path, out: Path) -> tuple[str, str]:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, JsonValue, ValidationError, field_validator, model_validator
 
+from cell.errors import UsageError
 from cell.runs.current_files import CurrentFiles
 from cell.runs.digest import SHORT_DIGEST
 from cell.scene.fields import NotNegative, Positive, SpeedShare, Units
@@ -160,6 +161,23 @@ class ScanOptions(CurrentFiles):
         if self.setup_error_mm == 0 == self.setup_error_deg:
             return None
         return self.setup_error_mm / 1000, math.radians(self.setup_error_deg)
+
+    def require_compatible(self, resume: str | None, report: str | None) -> None:
+        """Refuse options of a new scan together with an execution to resume or to report.
+
+        Raises:
+            UsageError: naming the valid options.
+        """
+        given = self.model_fields_set
+        if report is not None and resume is not None:
+            raise UsageError("--report uses the existing scans, --resume scans the missing views; give one of them")
+        if resume is not None and given - RESUME_OPTIONS:
+            raise UsageError(
+                "--resume keeps the options of the execution; with it give only --driver, --realtime, --speed, "
+                "--confirm-motion, --reset, --accept-time-scale, --scene, --part and --accept-changed-scene"
+            )
+        if report is not None and given:
+            raise UsageError("--report uses the existing scans; omit the options of a new scan")
 
     def as_manifest(self) -> dict[str, JsonValue]:
         """Return the options as the manifest stores them, with resolved defaults, for a later report."""

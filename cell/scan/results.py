@@ -128,7 +128,7 @@ def make_report(session: Session[None], folder: Path, execution: str) -> ScanOut
     if made.missing_views:
         session.note(
             f"the execution is incomplete: {made.n_views} of {made.n_views + len(made.missing_views)} views are "
-            "scanned; the report covers these; cell scan --resume takes the others"
+            "scanned; the report covers these; cell scan --resume scans the others"
         )
         return ScanOutcome(opened.finish(exit_code, ended), FileError.exit_code, made)
     code = exit_code_of(made, cell)
@@ -302,7 +302,9 @@ def _require_usable(recorded: RecordedExecution, scan: ExecutedScan, planned: Se
     path = recorded.folder / "scans" / scan.name
     expected = recorded.manifest.artefacts.get(f"scans/{scan.name}")
     if expected is not None and hashlib.sha256(file_bytes(path)).hexdigest() != expected:
-        raise FileError(f"{path} is not what the execution wrote (its sha256 is not the manifest's); scan again")
+        raise FileError(
+            f"{path} is not the file that the execution wrote (its sha256 is not the manifest's); scan again"
+        )
     if not 1 <= scan.stop <= len(planned):
         raise FileError(f"{path} belongs to view {scan.stop}, and the plan has the views 1 to {len(planned)}")
     if scan.name != scan_name(scan.stop):

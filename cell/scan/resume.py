@@ -104,7 +104,7 @@ def _approach_path(
     if not is_at(here, state):
         raise DriverFailureError(
             f"the arm is at {format_axes(state.axes)}, outside the joint range of the plan, where no path is checked; "
-            "nothing was moved: drive the arm by hand to a free place, or home, and resume again"
+            "nothing was moved: drive the arm by hand to a collision-free position, or home, and resume again"
         )
     found = path.connect(here, segment.via[-1], checker, limits, np.random.default_rng([seed, segment.stop]))
     if found.via is None:
@@ -112,7 +112,7 @@ def _approach_path(
         near = f" ({blocker})" if blocker else ""
         raise DriverFailureError(
             f"no path from the current position {format_axes(state.axes)} to {segment.goal}: "
-            f"{found.status.sentence}{near}; nothing was moved: drive the arm by hand to a free place, or home, and "
-            "resume again"
+            f"{found.status.sentence}{near}; nothing was moved: drive the arm by hand to a collision-free "
+            "position, or home, and resume again"
         )
     return found.via

@@ -47,7 +47,7 @@ _REPORT_BYTES = 50e6  # disk for the report, its pictures and the surface
 class ApprovedMotion:
     """A verified motion that may be driven after confirmation.
 
-    A path that differs from the plan's motion has a digest of its own: to one view and back (`--view`), or from the
+    A path that differs from the plan's motion has its own digest: to one view and back (`--view`), or from the
     current position of the arm to the remaining segments (`--resume`). `cell.runs.digest` defines the digest.
 
     Attributes:
@@ -107,10 +107,10 @@ def require_confirmation(
         speed: fraction of the axis speeds.
         motion: to be driven.
         given: digest from an option, or its first characters; or `ANY_MOTION`.
-        confirm: puts the question to a person; None if nobody answers.
+        confirm: asks the user; None without a user.
 
     Raises:
-        UsageError: if nobody confirms, or the confirmation is for another motion.
+        UsageError: without a confirmation, or if it is for another motion.
     """
     able = driver.capabilities
     if not able.hardware or given == ANY_MOTION or (given is not None and motion.digest.startswith(given)):
@@ -124,10 +124,12 @@ def require_confirmation(
         )
     if confirm is None:
         raise UsageError(
-            f"{danger}; give --confirm-motion {digest} once nobody is within its reach and the emergency stop is at "
-            "hand"
+            f"{danger}; check that no person is within its reach and the emergency stop is at hand, then give "
+            f"--confirm-motion {digest}"
         )
-    question = f"{danger}. Nobody within its reach, emergency stop at hand? Type yes to move: "
+    question = (
+        f"{danger}. Check that no person is within its reach and the emergency stop is at hand. Type yes to move: "
+    )
     if confirm(question).strip().lower() != "yes":
         raise UsageError("not confirmed; nothing was moved")
 
@@ -148,7 +150,7 @@ def require_time_scale(driver: Driver, accepted: float | None) -> None:
         )
     raise UsageError(
         f"{able.controller} reports a clock {able.time_scale:g} times as fast as real time, which only an emulator "
-        f"has; nothing was moved: if it is one, give --accept-time-scale {able.time_scale:g}"
+        f"has; nothing was moved: if it is an emulator, give --accept-time-scale {able.time_scale:g}"
     )
 
 

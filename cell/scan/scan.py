@@ -166,7 +166,7 @@ def _resume(
         with driver_errors():
             stack.enter_context(driver)
             approved = _approved(verified, plan, options.view)
-            if session.confirm is None and options.confirm_motion is None:  # nobody can confirm: do not touch the arm
+            if session.confirm is None and options.confirm_motion is None:  # no user can confirm: do not move the arm
                 _confirmed_speed(session, driver, options, cell, approved)
             state = safety.prepare_controller(driver, options, stop_first=True)
             driver, state = remove_whole_turns(driver, state, verified.scene, motion.limits, session.reporter)

@@ -128,7 +128,7 @@ def scan_setups(
         if missing := done.report.missing_views:
             raise FileError(
                 f"view {missing[0]} of set-up {number} has no points ({len(missing)} such views); "
-                f"cell scan {folder} --resume latest takes them"
+                f"cell scan {folder} --resume latest scans them"
             )
         if not chosen.is_simulated or (chosen.uses_wire and session.confirm is None):
             break
@@ -145,8 +145,8 @@ def _new_options(planned: SetupsRun, number: int, given: ScanOptions | None, *, 
             options = _recorded_options(planned.folders[before - 1], name, given)
             if options.acquire.startswith("files:"):
                 raise UsageError(
-                    f"{options.acquire} has the points of set-up {before}; start with cell scan {planned.folder} "
-                    f"--setup {number} and --acquire of its own points"
+                    f"{options.acquire} has the points of set-up {before}; run cell scan {planned.folder} "
+                    f"--setup {number} with --acquire for the points of set-up {number}"
                 )
             return options
     return given or ScanOptions()
@@ -300,7 +300,7 @@ def _read_body(session: Session[None], number: int, folder: Path, name: str) -> 
     nearest = ClosestPointQuery(cell.reference)
     search = None if options.search_range is None else SearchRange(*options.search_range)
     if search is None and any(scan.T_true is None for scan in scans):
-        search = SearchRange()  # nobody places a part to a tenth of a millimetre
+        search = SearchRange()  # no part is placed to a tenth of a millimetre by hand
     rng = random_stream(recorded.manifest.require_seed(recorded.folder), Stream.REGISTRATION_STARTS)
     merged = merge_scans(scans, nearest, registered=options.registers, search=search, rng=rng)
     doubts = find_contradictions(scans, cell, nearest, options.points_units)
@@ -422,8 +422,8 @@ def _doubts(bodies: Sequence[_ScannedBody]) -> list[str]:
 def _disconnected(numbers: Sequence[int]) -> list[str]:
     """Return a sentence about each set-up that is connected to the others by the reference only."""
     return [
-        f"the surface that set-up {number} shares with others leaves it free to move against them; only the reference "
-        "determines its position"
+        f"the surface that set-up {number} shares with others does not determine its pose relative to them; only the "
+        "reference does"
         for number in numbers
     ]
 

@@ -150,7 +150,10 @@ class Simulated:
         self._cell, self._disturbance, self._seed = cell, disturbance, seed
 
     def take(self, view: View) -> Acquired:
-        """Trace the rays of a view; it has random streams of its own, so that a single view is disturbed equally."""
+        """Trace the rays of a view.
+
+        Each view has its own random stream, so its errors are the same when it is scanned alone.
+        """
         pose_seed = [self._seed, int(Stream.POSE_DISTURBANCE), view.stop]
         noise = random_stream(self._seed, Stream.RANGE_NOISE, view.stop)
         T_true, points, scans = simulate_scan(view.T_object_scanner, self._cell, self._disturbance, pose_seed, noise)
@@ -181,7 +184,7 @@ def simulated(argument: str, context: Context) -> Simulated:
             "--acquire simulated takes no argument; its errors are --range-noise, --pose-error and --setup-error"
         )
     scene = context.cell.scene
-    # Each placement has a random stream of its own, so that a turned part is displaced in another direction.
+    # Each placement has its own random stream, so a turned part is displaced in another direction.
     rng = random_stream(context.seed, Stream.PART_DISTURBANCE, zlib.crc32(scene.T_base_object.tobytes()))
     options = ScanOptions.from_manifest(context.options)
     errors = Disturbance.from_options(options, scene.T_object_centre[:3, 3], rng)

@@ -73,8 +73,8 @@ def load(name: str) -> type:
         ) from error
     if not isinstance(scanner_class, type):
         raise SceneError(
-            f"scanner type '{name}' of distribution {_distribution(point)} is {point.value}, which is no class; "
-            "a scanner is a class that implements cell.scanners.ScannerPlugin"
+            f"scanner type '{name}' of distribution {_distribution(point)} is {point.value}, which is not a "
+            "class; a scanner is a class that implements cell.scanners.ScannerPlugin"
         )
     return scanner_class
 

@@ -102,7 +102,7 @@ class LaserArea:
         n_h, n_v = (round(fov / step) for fov, step in both)
         if any(step > fov for fov, step in both):
             raise SceneError(
-                f"scanner.resolution_deg {list(self.resolution_deg)} leaves no ray in a field of view of "
+                f"scanner.resolution_deg {list(self.resolution_deg)} gives no ray in a field of view of "
                 f"{list(self.fov_deg)}; it must be at most the field of view"
             )
         object.__setattr__(self, "_shape", (n_v, n_h))
@@ -260,7 +260,7 @@ def require_attainable(limit_mm: float, least_mm: float) -> None:
     if limit_mm < least_mm * (1 - 1e-3):
         raise SceneError(
             f"scanner.max_spacing_mm is {limit_mm:g}, and at the near end of its range this scanner's points are "
-            f"{least_mm:.3g} mm apart; allow that, or take a finer grid or a nearer scanner"
+            f"{least_mm:.3g} mm apart; increase the limit, or use a finer grid or a scanner with a nearer range"
         )
 
 

@@ -1,1 +1,1 @@
-"""What the user describes: scene file, scanner keys, real sensors, defaults."""
+"""Description of the cell by the user: scene file, scanner keys, real sensors, defaults."""

@@ -2,6 +2,7 @@
 
 import difflib
 import os
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import get_args
 from pydantic import ValidationError
 
 from cell.errors import FileError, SceneError, UsageError
+from cell.files import read_bytes
 from cell.scene.model import Part, Scene
 from cell.scene.options import Spell, option_specs, option_values
 from cell.scene.validation import error_messages
@@ -108,7 +110,9 @@ def _part_table(name_or_path: str) -> dict[str, object]:
             raise UsageError(
                 f"there is no built-in part and no file {name_or_path}; {hint}Built in are {', '.join(BUILT_IN)}"
             )
-        raise FileError(f"there is no file {name_or_path}; give the path of a mesh (STL, OBJ, PLY, OFF or GLB)")
+        raise FileError(
+            f"there is no file {name_or_path}; give the path of a mesh (STL, OBJ, PLY, OFF, GLB, glTF or 3MF)"
+        )
     return {"path": str(path.absolute()), "units": None}
 
 
@@ -119,7 +123,7 @@ def _parsed(path: Path) -> dict[str, object]:
         SceneError: if the file cannot be read, or is not the TOML of a scene.
     """
     try:
-        content = tomllib.loads(path.read_bytes().decode("utf-8"))
+        content = tomllib.loads(read_bytes(path).decode("utf-8-sig"))
     except OSError as error:
         raise SceneError(
             f"the scene {path} cannot be read: {error.strerror or error}; give the path of a TOML file"
@@ -129,7 +133,10 @@ def _parsed(path: Path) -> dict[str, object]:
             f"the scene {path} is not UTF-8 text (byte {error.start}); save it as a UTF-8 TOML file"
         ) from error
     except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"the scene {path} is not valid TOML: {error}; correct that line") from error
+        hint = (
+            "; write a path in single quotes, or with / in place of \\\\" if re.search("hex|escape", str(error)) else ""
+        )
+        raise SceneError(f"the scene {path} is not valid TOML: {error}; correct that line{hint}") from error
     except (ValueError, RecursionError) as error:  # numbers of thousands of digits, thousands of brackets
         raise SceneError(
             f"the scene {path} has a number that is too long, or lists nested too deep; models/scene.toml shows a "

@@ -131,7 +131,7 @@ class Mount(Posed):
         replaced = {"matrix_mm": ("position_mm", "abc_deg", "quaternion"), "quaternion": ("abc_deg",)}
         for key, others in replaced.items():
             if getattr(self, key) is not None and (given := [each for each in others if each in self.model_fields_set]):
-                raise ValueError(f".{key} is given beside {given[0]}; give the pose in one form")
+                raise ValueError(f".{key} is given together with {given[0]}; give the pose in one form")
         if self.quaternion is not None and abs(float(np.linalg.norm(self.quaternion)) - 1) > _ROTATION_TOLERANCE:
             raise ValueError(
                 f".quaternion has the length {np.linalg.norm(self.quaternion):.4g}; it must be 1 (w, x, y, z)"
@@ -176,7 +176,7 @@ class Placement(Table):
     def _one_point(self) -> Self:
         if {"position_mm", "origin_mm"} <= self.model_fields_set and self.origin_mm is not None:
             raise ValueError(
-                ".origin_mm is given beside position_mm; give the pose of the file's origin or of the centre"
+                ".origin_mm is given together with position_mm; give the pose of the file's origin or of the centre"
             )
         return self
 
@@ -531,7 +531,7 @@ def _plan_contradiction(plan: PlanSettings) -> str:
     if plan.overlap_mm2 is not None and plan.overlap_share is not None:
         return "overlap_mm2 and plan.overlap_share both define an overlap; give one of them"
     if both := sorted(set(plan.pinned) & set(plan.banned)):
-        return f"pinned and plan.banned both name candidate {both[0]}; take it out of one of them"
+        return f"pinned and plan.banned both name candidate {both[0]}; remove it from one of them"
     requests = {
         "max_views": plan.max_views is not None,
         "multiplicity": plan.multiplicity > 1,
@@ -646,11 +646,11 @@ def _region_contradiction(regions: Sequence[Region], plan: PlanSettings | None) 
         return f"holds the name '{twice}' more than once; every region needs its own"
     for region in regions[:-1]:
         if not region.selects:
-            return f"holds '{region.name}', which has no selector and so takes all the rest; put it last"
+            return f"holds '{region.name}', which has no selector and selects all the rest; put it last"
     if regions and REST in names and regions[-1].selects:
         return f"holds the name '{REST}', which is reserved for the surface that no region selects; choose another"
     if regions and not any(region.is_measured for region in regions) and not regions[-1].selects:
-        return 'measures nothing; leave out care = "no" where something has to be measured'
+        return 'measures nothing, since every region has care = "no"; remove care from the regions to be measured'
     if not regions or plan is None:
         return ""
     if plan.fill == "rays":
@@ -678,8 +678,7 @@ def require_no_region_targets(regions: Sequence[Region]) -> None:
         for key in _REGION_TARGETS:
             if key in region.model_fields_set:
                 raise SceneError(
-                    f"the region '{region.name}' has the target {key}, and studies support only the key care; leave it "
-                    "out"
+                    f"the region '{region.name}' has the target {key}, and studies support only the key care; omit it"
                 )
 
 
@@ -751,9 +750,7 @@ def _fill_in_sensor(content: dict[str, object]) -> list[InitErrorDetails]:
         known = sensors.names()
         return [_problem("sensor", name, f"is '{name}'; {did_you_mean(name, known)}valid are: {', '.join(known)}")]
     if content.get("type", sensor.type) != sensor.type:
-        return [
-            _problem("type", content["type"], f"is '{content['type']}', and {name} is a {sensor.type}; leave type out")
-        ]
+        return [_problem("type", content["type"], f"is '{content['type']}', and {name} is a {sensor.type}; omit type")]
     for key, value in {"type": sensor.type, **sensor.keys}.items():
         content.setdefault(key, value)
     needed = dict(sensor.not_stated)
@@ -915,7 +912,7 @@ class Part(Table):
                 return own
             raise ValueError("is missing; give the unit of the file: mm, cm, m, um or in")
         if path is None and units is not None:
-            raise ValueError("is given for a built-in part, which has its own size; leave it out, or give part.path")
+            raise ValueError("is given for a built-in part, which has its own size; omit it, or give part.path")
         return units
 
     @property
@@ -978,7 +975,7 @@ class Scene(Table):
             SceneError: naming the feature.
         """
         if self.table.enabled:
-            raise SceneError(f"{feature} does not support a rotary table yet; leave --table and [table] out")
+            raise SceneError(f"{feature} does not support a rotary table yet; omit --table and [table]")
 
     @field_validator("fixtures")
     @classmethod
@@ -1008,7 +1005,7 @@ class Scene(Table):
                 if other.name == setup.name:
                     raise ValueError(f" has the name '{setup.name}' more than once; each set-up needs its own")
                 if other.model_copy(update={"name": setup.name}) == setup:
-                    raise ValueError(f"s '{other.name}' and '{setup.name}' are equal; leave one of them out")
+                    raise ValueError(f"s '{other.name}' and '{setup.name}' are equal; omit one of them")
         return setups
 
     @field_validator("picture")

@@ -6,9 +6,10 @@ the option adds its purpose. Fields with the same option name form one option: i
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -168,9 +169,7 @@ def option_values(model: type[BaseModel], options: Mapping[str, object], spell: 
     """
     known, values = option_specs(model), dict[str, object]()
     for name, value in options.items():
-        if name not in known:
-            hint = did_you_mean(name, list(known))
-            raise UsageError(f"there is no option {spell(name)}; {hint}there are {', '.join(map(spell, known))}")
+        require_known(name, known, spell)
         if value is None:
             continue
         try:
@@ -178,6 +177,17 @@ def option_values(model: type[BaseModel], options: Mapping[str, object], spell: 
         except (ValueError, TypeError, LookupError):
             raise UsageError(_refusal(known[name], value, spell(name))) from None
     return values
+
+
+def require_known(name: str, known: Iterable[str], spell: Spell = str) -> None:
+    """Refuse an unknown option.
+
+    Raises:
+        UsageError: with the most similar option, and all of them.
+    """
+    if name not in (names := list(known)):
+        hint = did_you_mean(name, names)
+        raise UsageError(f"there is no option {spell(name)}; {hint}there are {', '.join(map(spell, names))}")
 
 
 def _option_fields(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo, Option]]:
@@ -217,6 +227,8 @@ def _field_values(spec: OptionSpec, given: object) -> dict[str, object]:
     """Return the values of an option by key; ValueError, TypeError or LookupError for one of another form."""
     value: Any = given.tolist() if hasattr(given, "tolist") else given  # arrays and numbers of NumPy
     option, kinds, keys = spec.option, spec.kinds, list(spec.fields)
+    if isinstance(value, Path) and kinds[0].base is str:
+        value = str(value)
     if isinstance(value, str):
         value = _parsed(spec, value)
     if spec.by_unit:
@@ -225,7 +237,7 @@ def _field_values(spec: OptionSpec, given: object) -> dict[str, object]:
         return {key_of[ending]: value[unit] * scale for unit, (ending, scale) in scaled.items()}
     if not kinds[0].length and not option.counts:
         return {keys[0]: value}
-    several = list(value) if isinstance(value, (list, tuple)) else [value]
+    several = [value] if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
     if option.counts and len(several) not in option.counts:
         raise ValueError
     if option.made is not None:

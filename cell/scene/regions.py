@@ -48,9 +48,7 @@ def with_regions(part: Workpiece, scene: Scene) -> Workpiece:
         number[own] = k if region.is_measured else -1
         free &= ~own
     if not (number >= 0).any():
-        raise SceneError(
-            "the regions measure nothing of the part; leave out care = 'no' where something has to be measured"
-        )
+        raise SceneError("no surface of the part is to be measured; remove care = 'no' from the regions to be measured")
     return replace(part, reference=replace(part.reference, region=number))
 
 
@@ -136,7 +134,7 @@ def _by_colour(region: Region, colour: str, mesh: TriangleMesh, scene: Scene) ->
     source = region.painted or scene.part.path
     if source is None:
         raise SceneError(
-            f"the region '{region.name}' selects by colour, and {scene.part.name} is no coloured file; give "
+            f"the region '{region.name}' selects by colour, and {scene.part.name} is not a coloured file; give "
             "region.painted, a coloured mesh of the part"
         )
     units = (scene.part.units if region.painted is None else region.painted_units) or own_units(source)
@@ -147,7 +145,7 @@ def _by_colour(region: Region, colour: str, mesh: TriangleMesh, scene: Scene) ->
 
 def _empty_region(region: Region, part: Workpiece, free: Bools) -> str:
     """Describe a region without triangles."""
-    cause = "all that it selects belongs to regions before it" if not free.all() else "no surface of the part matches"
+    cause = "its surface belongs to regions before it" if not free.all() else "no surface of the part matches"
     bounds = ", ".join(f"{value:g}" for value in (1000 * part.bounds).round(3).ravel() + 0.0)
     return f"the region '{region.name}' is empty: {cause}; the part reaches from {bounds} mm (lowest, highest corner)"
 
@@ -171,6 +169,6 @@ def with_limits(scanner: Scanner, max_sigma_mm: float | None, regions: Sequence[
             if getattr(region, key) is not None and not callable(getattr(scanner, quantity, None)):
                 raise SceneError(
                     f"the region '{region.name}' has {key}, but the scanner {type(scanner).__name__} has no model of "
-                    f"its {quantity}; leave the limit out, or choose another scanner"
+                    f"its {quantity}; omit the limit, or choose another scanner"
                 )
     return LimitedScanner(cast(SigmaScanner, scanner), (max_sigma_mm or inf) / 1000, own)

@@ -19,6 +19,7 @@ from typing import Annotated, Self
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from cell.errors import FileError, SceneError
+from cell.files import read_bytes
 from cell.scene.fields import Positive, Table
 from cell.scene.validation import did_you_mean, error_messages
 
@@ -168,7 +169,7 @@ def read(path: Path) -> Sensor:
         FileError: if it holds other keys than texts, known figures above 0 and a source for each figure.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(read_bytes(path).decode("utf-8-sig"))
         if "name" in content:
             raise FileError(
                 f"the sensor file {path} is damaged: name is an unknown key; the name of the file is that of the sensor"

@@ -155,7 +155,7 @@ def _settings(scene: Scene, part: Workpiece) -> Settings:
         )
     if scene.scanner.max_spacing_mm is not None and scene.plan.fill == "rays":
         raise SceneError(
-            "scanner.max_spacing_mm limits the spacing of a scan's rays, and plan.fill = 'rays' has rays of its own; "
+            "scanner.max_spacing_mm limits the spacing of a scan's rays, and plan.fill = 'rays' casts its own rays; "
             "choose plan.fill = 'aimed'"
         )
     assert scene.scanner.range_mm is not None, "the scene is not settled"
@@ -196,8 +196,8 @@ def require_attainable(scene: Scene, scanner: Scanner) -> None:
         grid = f" at {max(given.resolution_deg):g} deg" if has_grid else ""
         near = "" if given.range_mm is None else f", whose range begins at {given.range_mm[0]:g} mm,"
         raise SceneError(
-            f"the region '{region.name}' demands points at most {limit:g} mm apart, and {given.sensor or given.type}"
-            f"{near} has them {least:.3g} mm apart at its nearest{grid}; {_spacing_remedies(scene, limit, least)}"
+            f"the region '{region.name}' requires points at most {limit:g} mm apart, and {given.sensor or given.type}"
+            f"{near} has at least {least:.3g} mm between points{grid}; {_spacing_remedies(scene, limit, least)}"
         )
 
 
@@ -299,7 +299,7 @@ def _spacing_remedies(scene: Scene, limit: float, least: float) -> str:
         spacing = getattr(scanners.make(device.type, keys), "least_spacing_mm", float("inf"))
         if spacing <= limit:
             nearest = (device.figures.range_mm or (0.0,))[0]
-            remedies.append(f"take --sensor {name} ({spacing:.3g} mm at its nearest, {nearest:g} mm)")
+            remedies.append(f"use --sensor {name} ({spacing:.3g} mm at its nearest, {nearest:g} mm)")
             break
     return ", or ".join([", ".join(remedies[:-1]), remedies[-1]] if len(remedies) > 1 else remedies)
 

@@ -66,18 +66,22 @@ class StudyRun(Table):
 class ScannerNumber(Table):
     """The varied number of `cell study scanner`, one of these texts (`parse_range`, `parse_pairs`)."""
 
-    fov: Annotated[str | None, Option("Fields of view, both ways.", metavar="DEG:DEG:DEG")] = None
+    fov: Annotated[str | None, Option("Fields of view, horizontal and vertical.", metavar="DEG:DEG:DEG")] = None
     resolution: Annotated[str | None, Option("Angles between rays.", metavar="DEG:DEG:DEG")] = None
-    baseline: Annotated[str | None, Option("Baselines; with --sensors the one of all of them.", metavar="MM:MM:MM")] = (
-        None
-    )
+    baseline: Annotated[
+        str | None, Option("Baselines. With --sensors: one value for all sensors.", metavar="MM:MM:MM")
+    ] = None
     grazing: Annotated[str | None, Option("Grazing limits.", metavar="DEG:DEG:DEG")] = None
     ranges: Annotated[
-        str | None, Option("Near and far limits; the standoff is between.", name="range", metavar="MM-MM,...")
+        str | None,
+        Option("Near and far limits of the range; the standoff is their mean.", name="range", metavar="MM-MM,..."),
     ] = None
     sensors: Annotated[
         str | None,
-        Option("Real sensors, see cell sensors; all: those that lack no more than a baseline.", metavar="NAME,..."),
+        Option(
+            "Real sensors, see cell sensors; all: every sensor whose data lack at most the baseline.",
+            metavar="NAME,...",
+        ),
     ] = None
 
 

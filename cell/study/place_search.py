@@ -12,8 +12,10 @@ The result has the ten best placements with their spread, and the distances from
 nothing is reachable or 5 % of its coverage is lost.
 """
 
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,7 +35,7 @@ from cell.study.placement_study import (
     placement_row,
 )
 from cell.study.prepared_part import scene_settings
-from cell.study.study import Row
+from cell.study.study import Row, StudyResult, write_folder
 from cell.study.trials import JsonTable, Outcome, Trial, Workers, run_trials
 from cell.view.palette import VERMILION
 from planner.values import Floats, Ints
@@ -174,6 +176,29 @@ def search(scene: Scene, where: PlaceRange, workers: Workers, *, progress: Progr
     lost, unreached = _surroundings(ten[0], lambda points: measure("surroundings", points, COARSE_CANDIDATES))
     shares = [each.coverable for each in coarse]
     return PlaceSearchResult(ten, list(zip(starts, shares, strict=True)), lost, unreached, places, len(evaluated))
+
+
+def place_study(
+    scene: Scene, where: PlaceRange, workers: Workers, folder: Path, progress: Progress | None, plan: Sequence[object]
+) -> StudyResult:
+    """Search the best placement and write the folder of the study.
+
+    Args:
+        scene: as in `search`.
+        where: as in `search`.
+        workers: compute the trials.
+        folder: of the study.
+        progress: is called for each trial.
+        plan: command that plans the scene, to which a placement is appended.
+    """
+    found = search(scene, where, workers, progress=progress)
+    commands = [f"{shlex.join(map(str, plan))} {place_option(row)}" for row in found.ten]
+    result = StudyResult(
+        folder, found.ten, sentences(found), [], sum(found.places.values()), list(found.ten[0]), commands, 0
+    )
+    seconds = [{"round": name, "places": count} for name, count in found.places.items()]
+    write_folder("place", "Best placements of the part", result, pictures(found), seconds)
+    return result
 
 
 def _best_first(places: Mapping[Place, PlaceCoverage]) -> list[Place]:

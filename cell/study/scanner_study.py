@@ -13,9 +13,8 @@ from matplotlib.ticker import MaxNLocator
 
 from cell.scene import sensors
 from cell.scene.file import Tables
-from cell.scene.model import Scene
 from cell.study.prepared_part import Bench, scene_from_settings, scene_settings, solve_reach
-from cell.study.study import Row, Study, plan_options
+from cell.study.study import Row, SceneWith, Study, plan_options
 from cell.study.trials import JsonTable, Outcome, Trial
 from cell.view.palette import BLACK, BLUE, GREEN, GREY, VERMILION
 from planner.kinematics.frames import pose_from_kuka_abc
@@ -28,9 +27,6 @@ _FOLLOWING_NOTE = (
     "The scanner is `paper`, which is no device: its range (0.5 to 1.5 times) and its baseline (a quarter) follow the "
     "standoff. Name a scanner in the scene to see the limits of its own range."
 )
-
-SceneWith = Callable[[Mapping[str, Mapping[str, object]]], Scene]
-"""Makes the scene with changed keys; raises SceneError if a scene cannot have them."""
 
 Setting = float | str | tuple[float, float]
 """A number, the name of a sensor, or the near and far limit of a range [mm]."""

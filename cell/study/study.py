@@ -21,14 +21,19 @@ from matplotlib.figure import Figure
 
 from cell.errors import FileError
 from cell.files import atomic_write
+from cell.formatting import Summary
+from cell.scene.file import load_scene, option_names, option_tables
 from cell.scene.model import Scene
-from cell.scene.options import flag, option_specs
+from cell.scene.options import Spell, flag, option_specs
 from cell.session import ProgressReporter
 from cell.study.trials import Outcome, Trial, Workers, run_trials
 from cell.view.run_pages import PAGE_FILE
 from cell.view.study_page import format_value, study_page
 
 SCHEMA = "scan-cell/study/1"
+
+SceneWith = Callable[[Mapping[str, Mapping[str, object]]], Scene]
+"""Makes the scene with changed keys; raises SceneError if a scene cannot have them."""
 
 Row = dict[str, Any]
 """A row: column (with its unit) and value."""
@@ -61,8 +66,8 @@ class Study:
     best: Callable[[Sequence[Row]], Row] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class StudyResult:
+@dataclass(frozen=True, slots=True, repr=False)
+class StudyResult(Summary):
     """Result of a study.
 
     Attributes:
@@ -72,7 +77,7 @@ class StudyResult:
         failed: outcomes of the failed trials.
         computed: number of trials computed now; the others were cached.
         shown: columns for a terminal.
-        commands: command that plans each row; empty: there are none.
+        commands: command that plans each row; empty without commands.
         best: number of the best row, from 0; None: no row is marked.
     """
 
@@ -84,6 +89,11 @@ class StudyResult:
     shown: Sequence[str]
     commands: Sequence[str] = ()
     best: int | None = None
+
+    def facts(self) -> list[tuple[str, str]]:
+        """Return folder, number of rows, and the command that plans the best row."""
+        best = [] if self.best is None else [("best", self.commands[self.best])]
+        return [("folder", str(self.folder)), ("rows", str(len(self.rows))), *best]
 
     def summary(self) -> dict[str, object]:
         """Return the object that `--json` prints."""
@@ -97,6 +107,29 @@ class StudyResult:
             "failed": [{**json.loads(each.trial.settings), "reason": each.failure} for each in self.failed],
             "computed": self.computed,
         }
+
+
+def scene_maker(
+    part: str | Path | None, scene: Path | None, options: Mapping[str, object], spell: Spell = str
+) -> SceneWith:
+    """Return a function that makes the scene of these options with further keys changed.
+
+    Raises:
+        UsageError: as `cell plan` for its options.
+    """
+    own = option_tables(options, part, spell)
+
+    def scene_with(changes: Mapping[str, Mapping[str, object]]) -> Scene:
+        tables = {table: {**own.get(table, {}), **changes.get(table, {})} for table in {**own, **changes}}
+        return load_scene(scene, tables, option_names(own, spell))
+
+    return scene_with
+
+
+def plan_command(part: str | Path | None, scene: Path | None, options: Mapping[str, object]) -> list[object]:
+    """Return the command that plans the scene of these options."""
+    words = [flag(name) if value is True else f"{flag(name)}={value}" for name, value in options.items()]
+    return ["cell", "plan", *([part] if part else []), *(["--scene", scene] if scene else []), *words]
 
 
 def run_study(
@@ -213,7 +246,7 @@ def _draw(folder: Path, stem: str, figure: Figure) -> str:
 
 
 def _report(title: str, result: StudyResult, pictures: Sequence[str]) -> str:
-    lines = [f"# {title} ([look at it]({PAGE_FILE}))", ""]
+    lines = [f"# {title} ([view]({PAGE_FILE}))", ""]
     for sentence in result.sentences:
         lines += [sentence, ""]
     lines += [line for name in pictures for line in (f"![{Path(name).stem}]({name})", "")]

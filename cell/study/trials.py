@@ -102,7 +102,7 @@ OnOutcome = Callable[[int, int, Outcome], None]
 
 @cache
 def sources_digest(package: str) -> str:
-    """Return the sha256 (hex) over the sources and models of the program, and over the sources of a package beside it.
+    """Return the sha256 (hex) over the sources and models of the program, and over the sources of a package next to it.
 
     Args:
         package: a package of the program, or one in the same folder.

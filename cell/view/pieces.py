@@ -149,7 +149,7 @@ def _frustum_of(scanner: ScannerKeys) -> Floats:
 
 
 def with_ignored_faces(cell: CellGeometry, part: TriangleMesh, ignored: Bools | None) -> CellGeometry:
-    """Return the cell with the ignored faces of the part as a piece of their own.
+    """Return the cell with the ignored faces of the part as a separate piece.
 
     Args:
         cell: robot and surroundings.

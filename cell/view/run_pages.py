@@ -110,8 +110,8 @@ def execution_page(
         grid = done.report.settings.resolution_deg
         known = measure_run(run, read_cell(run, grid[0] if grid else None), poses)
     shown = [part_surface(*known, regions=scene.regions)]
-    if done.mesh is not None:
-        shown.append(_deviation_surface(done.mesh, run.mesh("reference.ply"), done))
+    if done.surface is not None:
+        shown.append(_deviation_surface(done.surface, run.mesh("reference.ply"), done))
     points = done.points if recorded.scans else None
     contents = replace(execution_contents(run, recorded, done, cell), cloud=points)
     cell = with_ignored_faces(cell, known[0].mesh, known[0].ignored)

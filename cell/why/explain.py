@@ -235,7 +235,7 @@ _REPRESENTATIVES = 700
 _MIN_REPRESENTATIVES = 8  # per group
 _VIEWS_FROM = 160  # samples for the selection of further views
 _AIMS = 64  # targets of new candidates
-_PATCHES = 24  # patches with a change of their own
+_PATCHES = 24  # patches with their own change
 _NAMED = 3  # recommended changes per group
 
 

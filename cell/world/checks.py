@@ -1,4 +1,4 @@
-"""Checks of a scene before anything moves: what makes it impossible, and what is probably a mistake.
+"""Checks of a scene before anything moves: errors and probable mistakes.
 
 **Problems** (`find_problems`) make a scene impossible: a part inside a table or the robot, a fixture inside the arm at
 home, a scanner that sees its own housing. They are checked for everything stationary (`cell.world.collision` checks
@@ -162,7 +162,7 @@ def _penetration(world: World, one: Solid, other: Solid, *, move: Floats | None 
     cure = _move_object(world, one.name, out if move is None else move)
     also, where = (" or change robot.home_deg", " at home") if at_home else ("", "")
     depth = f"{1000 * float(np.linalg.norm(out)):.1f} mm deep"
-    return f"{_named(world, one.name)} stands inside {_named(world, other.name)}{where}, {depth}; {cure}{also}"
+    return f"{_named(world, one.name)} intersects {_named(world, other.name)}{where}, {depth}; {cure}{also}"
 
 
 def _home_outside_limits(world: World) -> list[str]:
@@ -273,7 +273,7 @@ def _housing_in_wrist(world: World, solids: dict[str, Solid]) -> list[str]:
         return []
     out = minimum_translation(solids["housing"], last)
     return [
-        f"the housing stands inside the robot's link_6, to which it is bolted, {1000 * np.linalg.norm(out):.1f} mm "
+        f"the housing intersects the robot's link_6, on which it is mounted, {1000 * np.linalg.norm(out):.1f} mm "
         f"deep; {_move_key('mount.position_mm', world.T_flange_scanner[:3, 3], R.T @ out)}"
     ]
 
@@ -288,7 +288,7 @@ def _part_outside_room(world: World) -> list[str]:
         )
     if world.table is None and world.scene.post.enabled and lowest - world.floor > cell_shapes.POST_LENGTH:
         problems.append(
-            f"the part stands {lowest - world.floor:.1f} m above the floor; a post is at most "
+            f"the part is {lowest - world.floor:.1f} m above the floor; a post is at most "
             f"{cell_shapes.POST_LENGTH:g} m long: lower placement.position_mm, or set post.enabled = false"
         )
     return problems
@@ -348,9 +348,7 @@ def _arm_near_cell(world: World) -> list[str]:
         if distance < world.clearance - 1e-9:
             name = world.pair_name(geoms[one][0], geoms[other][0])
             partner = "the cell" if {one, other} & {"pedestal", "floor"} else "itself"
-            apart = (
-                f"{-1000 * distance:.1f} mm deep in each other" if distance < 0 else f"{1000 * distance:.1f} mm apart"
-            )
+            apart = f"{-1000 * distance:.1f} mm deep" if distance < 0 else f"{1000 * distance:.1f} mm apart"
             problems.append(
                 f"at home the robot is too near to {partner}: {name}, {apart}, clearance "
                 f"{1000 * world.clearance:g} mm; change robot.home_deg, mount or housing"
@@ -359,7 +357,7 @@ def _arm_near_cell(world: World) -> list[str]:
 
 
 def _home_in_table_swing(world: World) -> list[str]:
-    """Check the arm at home, where it waits, with what an indexed table turns."""
+    """Check the arm at home against the objects that an indexed table turns."""
     if world.limits.table_turn_q is None:
         return []
     checker, angles = MujocoCollisionChecker(world), np.repeat(world.home[None], 361, axis=0)
@@ -399,8 +397,8 @@ def _limited_table(world: World) -> list[str]:
     if (lower, upper) == (low, high) or upper - lower >= 359:
         return []
     return [
-        f"the rotary table turns its part from {lower:g} to {upper:g} deg only: farther it would come nearer than the "
-        "clearance to what stands beside it"
+        f"the rotary table turns its part from {lower:g} to {upper:g} deg only: beyond these angles the part is "
+        "nearer than the clearance to an object beside it"
     ]
 
 
@@ -414,7 +412,7 @@ def _fixture_penetrations(world: World, solids: dict[str, Solid]) -> list[str]:
                 warnings.append(_penetration(world, solids[name], solids[other]))
         if "post" in solids and penetrates(solids["post"], solids[name]):
             warnings.append(
-                f"the post goes through {_named(world, name)}; set post.enabled = false where that carries the part"
+                f"the post goes through {_named(world, name)}; set post.enabled = false if that object carries the part"
             )
         if (depth := world.floor - float(solids[name].low[2])) > CONTACT_DISTANCE:
             warnings.append(
@@ -452,8 +450,8 @@ def _unsupported_objects(world: World, solids: dict[str, Solid]) -> list[str]:
                 on = ", ".join(_named(world, each) for each in sorted(rest.on)) or "the floor"
                 offset = 1000 * float(np.linalg.norm(move))
                 warnings.append(
-                    f"the centre of mass of {_named(world, name)} is {offset:.1f} mm beside what "
-                    f"it rests on ({on}); it tips unless it is fastened: {_move_object(world, name, move)}"
+                    f"the centre of mass of {_named(world, name)} is {offset:.1f} mm outside its "
+                    f"support ({on}); it tips unless it is fastened: {_move_object(world, name, move)}"
                 )
     return warnings
 
@@ -467,7 +465,7 @@ def _unsupported_group(world: World, solids: dict[str, Solid], group: set[str]) 
     rest = [_named(world, each) for each in solids if each in group and each != name]
     with_others = f" (with {', '.join(rest)})" if rest else ""
     return (
-        f"nothing carries {_named(world, name)}{with_others}: it hangs {1000 * gap:.1f} mm above "
+        f"{_named(world, name)}{with_others} has no support: it is {1000 * gap:.1f} mm above "
         f"{_named(world, below)}; {_move_object(world, name, np.array([0.0, 0.0, -gap]))}"
     )
 
@@ -484,7 +482,7 @@ def _connected(contacts: dict[str, set[str]], start: list[str], without: str = "
 
 
 class _Rest:
-    """The contacts of an object with what is vertically below it.
+    """The contacts of an object with the objects vertically below it.
 
     Args:
         solid: the object.
@@ -595,7 +593,7 @@ class CheckResult:
 
     Attributes:
         problems: what makes the scene impossible, one sentence each; empty for a scene that can be planned.
-        warnings: what is probably a mistake, one sentence each.
+        warnings: probable mistakes, one sentence each.
         findings: notes of the checks of the part.
         part: name of the part.
         part_size_mm: sides of its bounding box.
@@ -676,7 +674,7 @@ class CheckResult:
                 f"wrist to {reach.wrist_reach_mm:.1f} mm from the A1 axis, z {reach.wrist_lowest_mm:.1f} to "
                 f"{reach.wrist_highest_mm:.1f} mm; the source {reach.wrist_to_source_mm:.1f} mm from the wrist",
             ),
-            ("scanner", f"{self.sensor or 'of its own'}{span}"),
+            ("scanner", f"{self.sensor or 'defined in the scene'}{span}"),
             ("laser source", f"{comma_list(self.mount_mm)} mm in flange; baseline {self.baseline_mm:g} mm"),
             (
                 "housing",
@@ -767,7 +765,7 @@ def _beyond_reach(world: World, envelope: Envelope, standoff: float) -> str:
     if gap <= 0:
         return ""
     return (
-        f"the part is out of reach: it stands {1000 * gap:.0f} mm beyond what the laser sees from the arm's farthest "
+        f"the part is out of reach: it is {1000 * gap:.0f} mm beyond the laser's range at the arm's farthest "
         f"reach; its centre must be within {1000 * (farthest + radius):.0f} mm of the A1 axis"
     )
 

@@ -6,7 +6,7 @@ Embree calculates in float32. The triangles are therefore moved to the middle of
 from the origin loses nothing), rays start and end in float64, and the distance to a hit face is computed again in
 float64 from its plane. Errors of Embree were measured with 10^6 random rays on each of three spheres, of 9 mm, 0.2 m
 and 5 m: at most 1e-7 of the ray's scale (distance plus the half diagonal of the triangles) across the ray, so 1e-7 /
-cos(grazing angle) along it. They decide which of two faces is hit beside an edge, and what blocks a ray.
+cos(grazing angle) along it. They decide which of two faces is hit next to an edge, and which object blocks a ray.
 
 Limitation: a ray exactly through a vertex passes between the faces in up to 0.5 % of cases (through an edge, never: 0
 of 800,000). Points of a scan and samples of a surface lie on vertices with probability zero.

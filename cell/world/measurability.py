@@ -345,7 +345,7 @@ def limit_sigma(
     if not callable(getattr(scanner, "sigma", None)):
         raise SceneError(
             f"plan.max_sigma_mm is {max_sigma_mm:g}, but the scanner {type(scanner).__name__} has no model of "
-            "the precision of its points; leave the limit out, or choose another scanner.type"
+            "the precision of its points; omit the limit, or choose another scanner.type"
         )
     precise = cast(SigmaScanner, scanner)
     layered = quality.sigma_layer(M, candidates, precise, casters=casters)

@@ -205,5 +205,5 @@ def _missing(file: RobotFile) -> list[str]:
         *file.warnings,
         *([f"no speed of {', '.join(slow)}: give robot.velocity_deg_s"] if slow else []),
         f"no accelerations and jerks: a speed is reached in {ACCELERATION_TIME:g} s, an acceleration in "
-        f"{JERK_TIME:g} s, unless robot.acceleration_deg_s2 and robot.jerk_deg_s3 say otherwise",
+        f"{JERK_TIME:g} s, unless robot.acceleration_deg_s2 and robot.jerk_deg_s3 are given",
     ]

@@ -18,6 +18,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cell.errors import FileError
+from cell.files import read_bytes
 from cell.robot import model as robot
 from cell.robot import robot_file
 from cell.robot.arm import kinematics_of
@@ -138,8 +139,8 @@ def modification_times(path: Path, packages: tuple[tuple[str, str], ...] = ()) -
 def is_normalised(path: Path) -> bool:
     """Return whether a file is an MJCF in the form of `models/kr16.xml`: only that form has these limits."""
     try:
-        return "axis_velocity_limit_deg_s" in path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
+        return b"axis_velocity_limit_deg_s" in read_bytes(path)
+    except OSError:
         return False
 
 

@@ -7,7 +7,7 @@ arm is at rest and the owner has been silent for longer than its watchdog, anoth
 **The watchdog is active only while the arm moves.** Any new message of the owner is its heartbeat; a client that waits
 for a move reads the state much more often than the watchdog expires. A moving arm without a message for that long
 brakes on its path and latches the fault WATCHDOG, which only an explicit reset clears. An arm at rest needs no
-heartbeat: there is nothing to stop, and a scan of ten minutes between two moves is no fault.
+heartbeat, since nothing has to be stopped: a scan of ten minutes between two moves is not a fault.
 
 The watchdog runs on the wire's clock, which is real time even if the simulated arm is faster.
 """
@@ -116,7 +116,7 @@ class Endpoint:
         )
 
     def take(self, session: int, watchdog_ms: int) -> Answer:
-        """Give the arm to a session (1 to 65535), whose silence while it moves is limited by the watchdog."""
+        """Make a session (1 to 65535) the owner of the arm; the watchdog limits its silence during moves."""
         shortest, longest = WATCHDOG_RANGE_MS
         if not 1 <= session <= LAST_SEQUENCE:
             return Answer(session, Result.NOT_OWNER, f"session {session} is outside 1 to {LAST_SEQUENCE}")

@@ -99,7 +99,7 @@ class PtyLine:
 
     def send(self, peer: int, data: bytes) -> None:
         """Send bytes to the reader of the terminal."""
-        with contextlib.suppress(BlockingIOError):  # nobody reads, and the buffer is full
+        with contextlib.suppress(BlockingIOError):  # no client reads, and the buffer is full
             os.write(self._controller, self._distorted(data))
 
     def drop_connections(self) -> None:

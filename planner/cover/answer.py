@@ -41,7 +41,7 @@ class Cover(Value):
     Attributes:
         views: (n,) selected columns of the matrix, in the order of their marginal coverage, largest first.
         marginal_area: (n,) area of the rows whose demand each view is the first to satisfy [m^2].
-        covered_area: area of the rows that have what they demand [m^2].
+        covered_area: area of the satisfied rows [m^2].
         coverable_area: area of the rows that some usable column covers [m^2].
         total_area: area of all rows [m^2].
         uncoverable_rows: rows that no usable column covers.

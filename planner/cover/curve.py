@@ -24,7 +24,7 @@ CURVE_EFFORT = 2_500_000_000
 """Default budget: some five seconds for a thousand candidates and four thousand samples."""
 
 SEARCH_SHARE = 0.4
-"""Share of the budget for the search; the bound gets the rest, and what the search leaves."""
+"""Share of the budget for the search; the bound gets the rest and the unused part of the search."""
 
 _TOLERANCE = 1e-12  # share of the coverable area that may be missing from a coverage (rounding)
 

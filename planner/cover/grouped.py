@@ -176,7 +176,7 @@ def solve_grouped(
         problem: columns of all groups side by side; its coverage is ignored. Pinned columns require their groups.
         targets: (P,) requested share of what all allowed columns together can measure of each region of the rows.
         rng: randomness of the search.
-        max_groups: limit; if the targets take more groups, those that can measure most do what they can.
+        max_groups: limit; if the targets take more groups, those with the largest coverage are selected.
         group_cost: cost of each group in the unit of the costs of the columns; the sum of all costs is minimised.
         solver: a name in `planner.cover.SOLVERS`.
         fast: whether a short search is enough; its bound holds for the choices of groups that it covered.
@@ -237,7 +237,7 @@ def fewest_groups(
     """Find the smallest number of groups whose columns meet the targets, and all choices of that many groups.
 
     Args:
-        loads: what each group can measure, and the targets.
+        loads: contributions of each group, and the targets.
         required: groups that are used in any case.
         max_groups: limit, no smaller than the number of required groups; None: no limit.
 
@@ -358,7 +358,7 @@ class _GroupCovers:
         return self._best(each), _Bound.tightest(bounds)
 
     def with_group_costs(self, known: Cover, group_cost: float, fewest: int, share: float) -> tuple[Cover, _Bound]:
-        """Return the cheapest cover if each group has a cost; no dearer than the known cover."""
+        """Return the cheapest cover if each group has a cost; at most as expensive as the known cover."""
         free = self.solve(self._allowed, share, start=known.views)
         found = self.solve(self._allowed, share, start=known.views, group_cost=group_cost)
         bound = _Bound.of_any([found])

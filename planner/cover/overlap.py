@@ -114,7 +114,7 @@ def _select_connected(
             inside = instance.restricted(columns=np.isin(np.arange(instance.n_columns), columns))
             kept = np.searchsorted(columns, start[np.isin(start, columns)])
             return columns[_improve_connected(inside, kept, rng, budget, lower_bound)]
-    # no component is enough: each covers what it can of the uncovered rows
+    # no component is sufficient: each covers as many of the uncovered rows as it can
     selected = instance.fixed[:0]
     for columns in components:
         fixed = instance.fixed[np.isin(instance.fixed, columns)]

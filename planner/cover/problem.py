@@ -1,6 +1,6 @@
 """The cover problem: as the caller states it, and as the solvers search it.
 
-    select columns C, each at a cost, such that enough rows have what they demand
+    select columns C, each at a cost, such that the demand of enough rows is satisfied
 
     minimise    sum_{j in C} cost_j + sum of the fixed costs of the groups that C touches
     subject to  the rows i with sum_{j in C} load_ij >= demand_i reach the required area
@@ -84,7 +84,7 @@ class CoverProblem:
         overlap: edges of the overlap graph, which must be connected; None: it need not be.
         weights: (S,) weight of each row, in place of its area, in the coverage; None: its area. With `max_views` the
             areas of the answer are these weights.
-        region: (S,) region 0, 1, ... of each row, if regions have targets of their own.
+        region: (S,) region 0, 1, ... of each row, if regions have their own targets.
         region_coverage: in place of `coverage`, the required share of the coverable area (or weight) of each region.
     """
 
@@ -226,7 +226,7 @@ class CoverInstance(Value):
         return np.bincount(rows, weights=loads, minlength=self.n_rows).astype(np.int64)
 
     def satisfied(self, columns: ArrayLike) -> Bools:
-        """Return (S,) whether each row has what it demands."""
+        """Return (S,) whether the demand of each row is satisfied."""
         satisfied: Bools = self.loads(columns) >= self.demand
         return satisfied
 

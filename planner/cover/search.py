@@ -2,7 +2,7 @@
 
 **Greedy selection** (Chvatal 1979, doi:10.1287/moor.4.3.233) always takes the column with the largest uncovered area
 for its cost. With a number of columns it covers at least 1 - 1/e of the maximum (Nemhauser, Wolsey, Fisher 1978,
-doi:10.1007/BF01588971). A row is uncovered until it has what it demands. Ties go to the first column in canonical
+doi:10.1007/BF01588971). A row is uncovered until its demand is satisfied. Ties go to the first column in canonical
 order, so the result does not depend on the numbering of the candidates.
 
 **Local search** is RWLS for a full cover (Gao, Weise, Li 2015, doi:10.1016/j.ejor.2015.05.038). Whenever the target is
@@ -28,7 +28,7 @@ improvement for long restarts with initial weights.
 builds a cover by the randomised greedy rule: with probability `PRIORITY` a best column is taken, otherwise a random one
 among those within `RESTRICTION` of the best. Redundant columns are removed. A cover that is at most `IMPROVEMENT`
 dearer than the cheapest one is improved: a share `MAGNITUDE` of its columns is removed at random and it is completed in
-the same way, and kept if it is not dearer, `IMPROVEMENT_ITERATIONS` times. The parameters are those of an open
+the same way, and kept if it does not cost more, `IMPROVEMENT_ITERATIONS` times. The parameters are those of an open
 implementation for set cover; they were not checked against the paper's table. In place of the paper's core problem all
 solvers here get the reduced problem. The several priority rules (equal for unit costs) and the penalty on columns that
 often come out worst are omitted.

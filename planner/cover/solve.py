@@ -178,7 +178,7 @@ class _Regions:
         return np.bincount(self.region[which], self.weights[which], max(count, 1)).astype(np.float64)[:count]
 
     def _uncovered_rows(self, views: Ints) -> Bools:
-        """Return whether each coverable row lacks what it demands."""
+        """Return whether the demand of each coverable row is unsatisfied."""
         return ~self._form.reduced.satisfied(np.flatnonzero(np.isin(self._form.columns, views)))
 
     def uncovered(self, views: Ints) -> Floats:

@@ -1,6 +1,6 @@
 """Voxel space of an unknown part: free, occupied or unknown voxels within an upright cylinder.
 
-The part stands in the cylinder; at first all of it is unknown, and everything outside is free. A ray that returns a
+The part is in the cylinder; at first all of it is unknown, and everything outside is free. A ray that returns a
 point says two things: the point is on the part, and both line segments (source to point, point to sensor) are free. A
 ray that returns no point says nothing certain: it may have missed the part, or met it at a grazing angle. So a voxel is
 
@@ -34,7 +34,7 @@ from planner.values import Bools, Floats, Ints, Value
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
 MAX_VOXELS = 8_000_000
-"""Limit of a grid, of which two byte arrays and an array of 8-byte counters are made."""
+"""Largest number of voxels of a grid, which has two byte arrays and one array of 8-byte counters."""
 
 _BELIEF_BOX, _BELIEF_STEPS = 3, 5
 """Distance from measured voxels up to which the belief continues [edges]: a box, and steps to face neighbours around

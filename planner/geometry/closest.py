@@ -51,7 +51,7 @@ class ClosestPointQuery:
         self._faces = np.flatnonzero(mesh.areas > 0)
         if not len(self._faces):
             raise PlannerError("no face of the mesh has an area; a surface needs at least one")
-        self._arrays = (mesh.vertices, mesh.faces[self._faces].astype(np.int64))  # libigl wants them in every call
+        self._arrays = (mesh.vertices, mesh.faces[self._faces].astype(np.int64))  # libigl takes them in every call
         self._tree.init(*self._arrays)
         self._smooth: Floats | None = None
 

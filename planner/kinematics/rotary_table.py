@@ -74,7 +74,7 @@ class RotaryTable(Value):
 
 
 class ArmOnTable:
-    """A `planner.ports.Kinematics` of an arm beside a table; q has seven angles, the table's last.
+    """A `planner.ports.Kinematics` of an arm and a rotary table; q has seven angles, the table's last.
 
     Args:
         arm: the arm alone.

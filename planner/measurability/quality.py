@@ -63,7 +63,7 @@ class LimitedScanner:
             if min(getattr(each, name) for each in every) < np.inf and not callable(getattr(self.scanner, name, None)):
                 raise PlannerError(
                     f"the scanner {type(self.scanner).__name__} does not know its {name}, so no limit can be put on "
-                    "it; choose one that does, or leave the limit out"
+                    "it; choose one that does, or omit the limit"
                 )
 
     def __getattr__(self, name: str) -> Any:

@@ -133,7 +133,7 @@ def find_measured(
     among: Bools | None = None,
     progress: Progress | None = None,
 ) -> Bools:
-    """Return the samples that given views measure: a prediction on samples that the plan does not know.
+    """Return the samples that given views measure: a prediction on samples that the plan did not use.
 
     Args:
         T_object_scanner: (n, K, 4, 4) views of K poses [m].

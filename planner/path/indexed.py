@@ -1,4 +1,4 @@
-"""Moves with an indexed table, which turns only while the arm stands still, clear of the table at any angle.
+"""Moves with an indexed table, which turns only while the arm is at rest and clear of the table at any angle.
 
 `JointLimits.table_turn_q` requires it. Each move is then one of the arm or one of the table. Wherever the table moves,
 its full range is certified free for the configuration of the arm, so an operator may turn it by any angle.

@@ -29,8 +29,8 @@ class PathStatus(DescribedEnum):
 
     STRAIGHT = 0, "the straight joint move is free"
     DETOUR = 1, "the straight joint move collides; a detour is free"
-    START_IN_COLLISION = 2, "the start is nearer to something than the clearance"
-    GOAL_IN_COLLISION = 3, "the goal is nearer to something than the clearance"
+    START_IN_COLLISION = 2, "the start is nearer to an object than the clearance"
+    GOAL_IN_COLLISION = 3, "the goal is nearer to an object than the clearance"
     NO_PATH_FOUND = 4, "no free path was found within the budget (which does not prove that there is none)"
 
 

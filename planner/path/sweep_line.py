@@ -256,7 +256,7 @@ class SweepRefusal(DescribedEnum):
     SINGULAR = 2, "the line comes too near to a singularity to be followed on one joint branch"
     JOINT_LIMIT = 3, "the line exceeds a joint limit"
     TOO_FAST = 4, "even at a quarter of the speed an axis would exceed its speed, acceleration or jerk"
-    COLLISION = 5, "the line comes nearer to something than the clearance"
+    COLLISION = 5, "the line comes nearer to an object than the clearance"
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,7 +82,9 @@ def solve_hand_eye(scans: TargetScans, error: PoseError, rng: np.random.Generato
     """
     count = len(scans.points)
     if count < MIN_SCANS:
-        raise PlannerError(f"{count} scans determine no mount; give at least {MIN_SCANS}, from rotated flange poses")
+        raise PlannerError(
+            f"{count} scans do not determine the mount; give at least {MIN_SCANS}, from rotated flange poses"
+        )
     length = float(np.sqrt((scans.points**2).sum(axis=2).mean()))
     started = []
     for R in _start_rotations(rng):
@@ -260,7 +262,9 @@ def fit_sphere(points: Floats, radius: float | None, rng: np.random.Generator) -
         c = c + change[:3]
         r += 0.0 if radius is not None else float(change[3])
         if not np.isfinite(c).all() or not 0 < r < 1e3 * np.ptp(near, axis=0).max():
-            raise TargetNotFoundError("the points show no sphere; the scanned surface of a target must be curved")
+            raise TargetNotFoundError(
+                "the points do not determine a sphere; the scanned surface of a target must be curved"
+            )
         if np.abs(change).max() < _TARGET_STILL:
             break
     residual = np.linalg.norm(near - c, axis=1) - r
@@ -328,7 +332,7 @@ def fit_plane(points: Floats, rng: np.random.Generator) -> Target:
         if min(np.abs(n - before).max(), np.abs(n + before).max()) < _TARGET_STILL:
             break
     if spread[1] < 1e-4 * spread[2]:
-        raise TargetNotFoundError("the points lie on a line and show no plane; scan more of the target")
+        raise TargetNotFoundError("the points lie on a line and do not determine a plane; scan more of the target")
     residual, is_inlier = points @ n - d, weight > 0
     ends = [sign * np.sqrt(2 * spread[k]) * axes[:, k] for k in (1, 2) for sign in (-1, 1)]
     return Target(middle + np.stack(ends), float(np.sqrt(np.mean(residual[is_inlier] ** 2))), float(is_inlier.mean()))
@@ -336,9 +340,11 @@ def fit_plane(points: Floats, rng: np.random.Generator) -> Target:
 
 def _thinned(points: Floats) -> Floats:
     if len(points) < MIN_POINTS:
-        raise TargetNotFoundError(f"{len(points)} points show no target; a scan of one needs at least {MIN_POINTS}")
+        raise TargetNotFoundError(
+            f"{len(points)} points do not determine a target; a scan of one needs at least {MIN_POINTS}"
+        )
     if np.ptp(points, axis=0).max() < _EXACT:
-        raise TargetNotFoundError("the points show no target; all of them coincide")
+        raise TargetNotFoundError("the points do not determine a target; all of them coincide")
     return points[np.linspace(0, len(points) - 1, min(len(points), _MAX_POINTS)).astype(np.int64)]
 
 
@@ -365,7 +371,7 @@ def _least_median(
         if np.isfinite(median) and (best is None or median < best[0]):
             best = median, found
     if best is None:
-        raise TargetNotFoundError("the points show no target; all random subsets of them lie on a line")
+        raise TargetNotFoundError("the points do not determine a target; all random subsets of them lie on a line")
     return best[1]
 
 

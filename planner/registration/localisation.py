@@ -264,7 +264,7 @@ def _alternatives(results: Sequence[tuple[float, Floats]], fit: RigidFit, diagon
             return (
                 f"the points fit as well {1000 * np.linalg.norm(change[:3]):.1f} mm and "
                 f"{np.degrees(np.linalg.norm(change[3:])):.1f} deg away ({1000 * remaining:.2g} mm off the part there, "
-                f"{1000 * best:.2g} mm here): points of another view decide between the two",
+                f"{1000 * best:.2g} mm here): measure points of another view to decide",
             )
     return ()
 
@@ -283,7 +283,9 @@ def fit_pairs(nominal: Floats, measured: Floats, centre: Floats, length: float, 
         PlannerError: if there are fewer than three pairs, or all points coincide.
     """
     if len(nominal) < 3:
-        raise PlannerError(f"{len(nominal)} pairs of points determine no placement; give at least three, not on a line")
+        raise PlannerError(
+            f"{len(nominal)} pairs of points do not determine the placement; give at least three, not on a line"
+        )
     middle, there = nominal.mean(axis=0), measured.mean(axis=0)
     if np.linalg.norm(nominal - middle, axis=1).max() < _COINCIDENT:
         raise PlannerError("all pairs name the same point; give at least three, not on a line")
@@ -338,7 +340,7 @@ def _frame(kind: str, points: Floats) -> Floats:
     across = np.cross(b - a, c - a)
     size = max(float(np.linalg.norm(b - a) * np.linalg.norm(c - a)), _COINCIDENT**2)
     if np.linalg.norm(across) < 1e-3 * size:
-        raise PlannerError(f"the first three {kind} points lie on a line and determine no plane; spread them")
+        raise PlannerError(f"the first three {kind} points lie on a line and do not determine a plane; spread them")
     z = across / np.linalg.norm(across)
     x = (e - d) - z * (z @ (e - d))
     if np.linalg.norm(x) < max(1e-3 * float(np.linalg.norm(e - d)), _COINCIDENT):

@@ -5,9 +5,9 @@ programme over layers (`best_nodes`). Over orders, `solve_exactly` runs the dyna
 doi:10.1137/0110015) on subsets of clusters, with nodes as states. If that is too expensive, `search` finds a good tour
 (`planner.tour.ruin_and_recreate`), and a lower bound limits its gap, up to a proof (`planner.tour.bounds`).
 
-Costs may depend on the direction (a sweep ends elsewhere than it begins); the bounds then hold for the cheaper
-direction of each edge, which no tour undercuts. An edge that cannot be used costs `BLOCKED`, far more than any real
-cost: tours are then compared first by the number of such edges, which infinite costs would not allow.
+Costs may depend on the direction (a sweep begins and ends at different configurations); the bounds then hold for the
+cheaper direction of each edge, which no tour undercuts. An edge that cannot be used costs `BLOCKED`, far more than any
+real cost: tours are then compared first by the number of such edges, which infinite costs would not allow.
 """
 
 from dataclasses import dataclass

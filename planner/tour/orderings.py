@@ -234,7 +234,9 @@ def _complete(instance: gtsp.Instance, start: Ints) -> Ints:
     start = readonly("start", start, (None,), np.int64)
     missing = np.setdiff1d(np.arange(n), start)
     if len(start) + len(missing) != n or len(np.unique(start)) != len(start):
-        raise PlannerError(f"start is no order of the views; it must hold numbers of 0 to {n - 1}, each at most once")
+        raise PlannerError(
+            f"start is not an order of the views; it must hold numbers of 0 to {n - 1}, each at most once"
+        )
     order = [0, *(start + 1).tolist()]
     if len(missing):
         between = bounds.cluster_distances(instance.either, instance.first)

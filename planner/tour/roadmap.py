@@ -37,7 +37,7 @@ class Roadmap:
 
     Attributes:
         times: (N, N) prices of all edges [s]; they change as edges are inspected and searched.
-        uninspected: (N, N) edges of which nothing is known yet.
+        uninspected: (N, N) edges that are not checked yet.
         blocked: (N, N) straight moves that collide, or are expected to by a turned copy, without a known detour.
     """
 

@@ -22,7 +22,7 @@ from planner.values import Floats, Ints
 _STRING = 5  # largest number of clusters in a removed string, from the paper
 _REMOVED = 10  # mean number of clusters removed in a step in large tours, from the paper
 _BLINK = 0.01  # probability that an insertion place is skipped, from the paper
-_BESIDE = 8  # nearest clusters beside which a cluster is inserted; all of them in small tours
+_BESIDE = 8  # nearest clusters next to which a cluster is inserted; all of them in small tours
 _PROMISING = 0.2  # nodes are chosen again if the rebuilt tour exceeds the accepted cost by at most this many mean edges
 _NODE, _BEFORE, _AFTER = 0, 1, 2  # rows of a tour
 

@@ -28,14 +28,14 @@ class TourStatus(DescribedEnum):
 
     COMPLETE = 0, "every view is visited"
     VIEWS_DROPPED = 1, "some views cannot be visited; the tour over the others is complete"
-    HOME_IN_COLLISION = 2, "home is nearer to something than the clearance; there is no motion"
+    HOME_IN_COLLISION = 2, "home is nearer to an object than the clearance; there is no motion"
 
 
 class DropReason(DescribedEnum):
     """Reason why a view is not visited."""
 
     NO_SOLUTION = 0, "the view has no configuration"
-    IN_COLLISION = 1, "every configuration of the view is nearer to something than the clearance"
+    IN_COLLISION = 1, "every configuration of the view is nearer to an object than the clearance"
     NO_PATH = 2, "no free path to any configuration of the view was found within the budget"
     NO_HOME = 3, "home itself is in collision"
 
@@ -110,7 +110,7 @@ def plan_tour(
     """Plan the motion that visits every view once, from home and back.
 
     Args:
-        visits: views and home; configurations that are not free are left out.
+        visits: views and home; configurations in collision are omitted.
         checker: collision checker with a clearance above 0.
         limits: limits of the axes; scale them (`planner.timing.limits.scale_limits`) to order for a reduced speed.
         rng: source of all randomness.

@@ -5,7 +5,7 @@ transferred from points that have one, then with a longer range. A point without
 share is a lower estimate, and rises by 0.1 to 1 point with four times the draws (docs/internals/candidates.md).
 
 A point without a pose has one of two reasons: no tried pose sees it past part and occluders, or some do and the arm
-takes up none of them.
+reaches none of them.
 """
 
 from collections.abc import Iterator

@@ -1,11 +1,11 @@
 """Grow candidates for the open surface: few poses that together measure nearly all that reachable poses can measure.
 
-A generator that looks along normals leaves open what the arm cannot take up, niches, and surface that needs another
-distance or turn. `grow` is given points of the surface (scouts: neither the rows of the matrix nor the points on which
-coverage is judged) and which of them the existing candidates measure. It executes `SCHEDULE`: each stage generates
-poses for open points, from the sequence of `pose_sampling` or transferred from neighbours, and keeps the reachable ones
-that measure their point. Of these it adds the few that measure the largest open area, until each point is measured
-`MULTIPLICITY` times if possible, so that the selection has a choice.
+A generator that looks along normals does not cover niches, surface for which these poses are out of reach, and surface
+that needs another distance or roll. `grow` is given points of the surface (scouts: neither the rows of the matrix nor
+the points on which coverage is judged) and which of them the existing candidates measure. It executes `SCHEDULE`: each
+stage generates poses for open points, from the sequence of `pose_sampling` or transferred from neighbours, and keeps
+the reachable ones that measure their point. Of these it adds the few that measure the largest open area, until each
+point is measured `MULTIPLICITY` times if possible, so that the selection has a choice.
 
 The effort is bounded: a stage considers open points, spread over the surface, up to its budget of poses. A point that
 stays open is a failed search, not a proof. Object frame, metres.

@@ -1,8 +1,8 @@
 """Refine views over all six degrees of freedom, so that fewer views measure as much.
 
 Candidates are drawn before the selection is known. After the selection, each view is needed only for the rows that no
-other view measures. `reduce_views` leaves out the views that are needed least and moves the others until nothing is
-missing: each view in turn moves to the pose that measures the largest area of what no other view measures, with all
+other view measures. `reduce_views` removes the least needed views and moves the others until nothing is
+missing: each view in turn moves to the pose that measures the largest area that no other view measures, with all
 others fixed; then all of them again with other steps. The measured area never falls. It is a pattern search (Kolda,
 Lewis, Torczon 2003, doi:10.1137/S003614450242889) whose steps are ranges of the sequence of `pose_sampling`: nothing is
 random, and the effort is counted in poses. `improve_views` does the same for views that do not share the surface. Every

@@ -141,7 +141,7 @@ def diagnose(
 
 
 class _Search:
-    """The best reason so far of each row."""
+    """The best known reason of each row."""
 
     def __init__(
         self,

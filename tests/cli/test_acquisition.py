@@ -13,8 +13,7 @@ import pytest
 import trimesh
 
 from cell.cli.terminal import Terminal
-from cell.errors import FileError, UsageError
-from cell.metrology import point_files
+from cell.errors import UsageError
 from cell.runs import ply
 from cell.runs.run import open_run, read_scan
 from cell.scan import scan as scan_command
@@ -265,36 +264,9 @@ def test_a_growing_file_is_read_when_its_size_is_constant(run: Path, tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("a.stl", b"solid", "'.stl'"),
-        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\n", "no complete PLY"),
-        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\nend_header\n12", "ends"),
-        ("a.pcd", b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 1\nDATA binary_compressed\n", "binary_compressed"),
-        ("a.xyz", b"1 2\n", "fewer than three"),
-        ("a.xyz", b"one two three\n", "could not convert"),
-        ("a.ply", b"ply\nelement vertex 1\nproperty float x\nend_header\n", "lacks 'format'"),
-        (
-            "a.ply",
-            b"ply\nformat middle_endian 1.0\nelement vertex 1\nproperty float x\nend_header\n",
-            "'middle_endian'",
-        ),
-        ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty half x\nend_header\n", "'half'"),
-        ("a.pcd", b"WIDTH 1\nHEIGHT 1\nDATA ascii\n1 2 3\n", "'FIELDS'"),
-        ("a.pcd", b"FIELDS x\nSIZE 3\nTYPE F\nPOINTS 1\nDATA binary\n123", "has no readable points"),
-    ],
-)
-def test_a_file_without_points_is_one_sentence(tmp_path: Path, name: str, content: bytes, words: str) -> None:
-    """Damaged, truncated, compressed and unknown files raise an error that names the cause."""
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(FileError, match=re.escape(words)):
-        point_files.read(tmp_path / name)
-
-
-@pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"acquire": "files:/nowhere"}, "is no folder"),
+        ({"acquire": "files:/nowhere"}, "is not a folder"),
         ({"acquire": "laser"}, "installed are: command, files, simulated"),
         ({"acquire": "command:"}, "names no command"),
         ({"acquire": "command:true"}, "never guessed"),

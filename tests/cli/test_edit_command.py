@@ -29,7 +29,7 @@ def test_a_dropped_view_and_its_repair(planned: Path, run_cell: RunCommand, tmp_
     ("options", "code", "message"),
     [
         (("--drop", "99"), 2, "drop names view 99; the plan has the views 1 to "),
-        (("--move", "2:9000,0,0,0,0,0"), 4, "view 2 cannot be taken: it is out of the arm's reach"),
+        (("--move", "2:9000,0,0,0,0,0"), 4, "view 2 cannot be used: it is out of the arm's reach"),
     ],
 )
 def test_refusals_have_a_sentence_and_a_code(

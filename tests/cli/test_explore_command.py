@@ -294,7 +294,7 @@ def test_other_options_do_not_go_on_there(
     )
     assert "other options" in done.stderr
     done = run_cell("explore", part_file, "--units", "mm", *OPTIONS, "--out", tmp_path, cwd=tmp_path, code=6)
-    assert "no exploration" in done.stderr
+    assert "not an exploration" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -302,11 +302,11 @@ def test_other_options_do_not_go_on_there(
     [
         (("--acquire", "files:points"), "give --cylinder"),
         (("--voxel", "0.01"), "choose larger voxels or a smaller cylinder"),
-        (("--pin", "3"), "leave it away"),
+        (("--pin", "3"), "omit it here"),
         (("--scene", "line.toml"), "sweeps"),
-        (("--scene", "setups.toml"), "leave [[setup]] away"),
+        (("--scene", "setups.toml"), "remove [[setup]] here"),
         (("--require", "0.9"), "--require is for a part that is known"),
-        (("--policy", "two-stage", "--batch", "2"), "--batch is for stepwise"),
+        (("--policy", "two-stage", "--batch", "2"), "--batch applies to stepwise only"),
     ],
 )
 def test_invalid_explorations_are_refused_before_a_folder_is_made(

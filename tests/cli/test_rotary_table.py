@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cell.api import locate
+from cell.api import edit, locate
 from cell.errors import FileError, SceneError
-from cell.plan.edit import EditableRun
 from cell.runs.cell import read_cell, world_of
 from cell.runs.current_files import CurrentFiles
 from cell.runs.current_scene import require_current_scene
@@ -279,14 +278,14 @@ def test_views_are_edited_and_the_motion_of_seven_axes_certified_again(
     )
     assert again < 1e-4  # set-points are rounded
     assert verify_plan(tmp_path / "same").world.table is not None
-    fewer = EditableRun.opened(turned).edited(drop=[1], out=tmp_path / "fewer", use_cache=False)
+    fewer = edit(turned, drop=[1], out=tmp_path / "fewer", use_cache=False)
     assert len(fewer.plan.views) == len(_json(turned / "plan.json")["views"]) - 1
     assert verify_plan(fewer.folder).world.table is not None
 
 
 def test_a_turned_part_is_located_at_angle_0(turned: Path, tmp_path: Path) -> None:
     """Points in base at a view's table angle, with the view's number, give the placement."""
-    run = EditableRun.opened(turned)
+    run = open_run(turned)
     stop, view = next((n, v) for n, v in enumerate(run.plan.views, 1) if v.e_deg[0])
     moved = np.eye(4)
     moved[:3, 3] = 0.002, -0.001, 0.0
@@ -294,7 +293,7 @@ def test_a_turned_part_is_located_at_angle_0(turned: Path, tmp_path: Path) -> No
     np.savetxt(tmp_path / "points.xyz", 1000 * points)
     found = locate(turned, points=str(tmp_path / "points.xyz"), points_frame="base", points_units="mm", view=[stop])
     np.testing.assert_allclose(found.T_base_object, run.T_base_object @ moved, atol=1e-5)
-    there = run.edited(T_base_object=found.T_base_object, repair=True, out=tmp_path / "there", use_cache=False)
+    there = edit(run, T_base_object=found.T_base_object, repair=True, out=tmp_path / "there", use_cache=False)
     tables = [_json(folder / "scene.resolved.json")["table"]["T_base_table"] for folder in (turned, there.folder)]
     np.testing.assert_allclose(*tables, atol=1e-9)  # the part was moved on the table; the table keeps its place
 

@@ -311,7 +311,7 @@ def test_a_scan_that_was_changed_afterwards_is_left_out(executed: Path, tmp_path
     summary = _remake(run)
     assert summary.missing_views == (1,)
     assert "Scan again with `cell scan RUN --view 1`" in (run / "executions" / "0001" / "report.md").read_text()
-    assert "is not what the execution wrote" in summary.left_out[0]
+    assert "is not the file that the execution wrote" in summary.left_out[0]
 
 
 def test_a_scan_file_that_is_not_that_of_its_view_is_named_and_left_out(copied: Path) -> None:

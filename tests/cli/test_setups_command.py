@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.api import open_run, plan_setups
+from cell.api import open_run, setups
 from cell.plan.setups import Setup, cause_of_omission
 from cell.runs.cell import read_cell
 from tests.seen_samples import seen_samples
@@ -134,7 +134,7 @@ def test_given_set_ups_are_planned_each_among_its_own_fixtures(
     output = json.loads((tmp_path / "made" / "setups.json").read_text())
     assert [each["name"] for each in output["offered"]] == ["upright", "over", "stuck"]
     assert "block" in output["offered"][2]["left_out"]
-    assert "the set-up 'stuck' is left out: " in done.stderr
+    assert "the set-up 'stuck' is omitted: " in done.stderr
     for setup in output["chosen"]:
         run = open_run(tmp_path / "made" / setup["folder"])
         names = [fixture.name for fixture in read_cell(run).scene.fixtures if not fixture.built_in]
@@ -149,12 +149,12 @@ def test_equal_set_ups_are_refused(part_file: Path, run_cell: RunCommand, tmp_pa
     text = SCENE.format(part=part_file, third="again", angle=180, fixture="vise", y=560).replace("260]", "60]")
     scene.write_text(text)
     done = run_cell("setups", "--scene", "cell.toml", "--out", "made", cwd=tmp_path, code=2)
-    assert "'over' and 'again' are equal; leave one of them out" in done.stderr
+    assert "'over' and 'again' are equal; omit one of them" in done.stderr
 
 
 def test_options_apply_to_all_set_ups_together(part_file: Path, tmp_path: Path) -> None:
     """A pinned candidate brings its set-up, a banned one is not selected. Two views may be of different set-ups."""
-    made = plan_setups(
+    made = setups(
         part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,
         candidates="optimal-scanning-zone", proposals=3, coverage=0.95,
         multiplicity=2, pin=["2:12"], ban=["0:4", "1:4"],
@@ -177,7 +177,7 @@ def test_the_curve_is_of_the_set_ups_that_are_used_and_each_is_visited_in_order(
     part_file: Path, tmp_path: Path
 ) -> None:
     """Views of the curve are named like pinned ones and measure the stated share. Views overlap earlier ones."""
-    made = plan_setups(
+    made = setups(
         part_file, out=tmp_path / "made", units="mm", place=(1100, 400, 100), faces=30, samples=2, standoff=250, seed=3,
         candidates="optimal-scanning-zone", proposals=3, coverage=0.95, curve=True, overlap="5%", overlap_in_order=True,
     )  # fmt: skip
@@ -222,7 +222,7 @@ def test_one_of_several_is_edited_and_not_repaired(made: Path, run_cell: RunComm
     done = run_cell("edit", one, "--drop", "1", "--repair", "--out", "repaired", cwd=tmp_path, code=2)
     assert "is one of several set-ups" in done.stderr
     done = run_cell("edit", one, "--drop", "1", "--out", "edited", cwd=tmp_path, code=0)
-    assert "their coverage together is not known now" in " ".join(done.stderr.split())
+    assert "their combined coverage is not known now" in " ".join(done.stderr.split())
     assert "--repair" not in done.stdout + done.stderr
     assert "more than the fewest" not in open_run(tmp_path / "edited").report.status
     done = run_cell("edit", "edited", "--repair", "--out", "repaired", cwd=tmp_path, code=2)  # in any folder

@@ -106,4 +106,4 @@ def test_set_ups_beyond_the_table_are_left_out(part_file: Path, run_cell: RunCom
     file = SetupsRun.opened(tmp_path / "made").file
     assert [bool(offer.left_out) for offer in file.offered] == [False, False, True]
     assert "swings through a circle of" in file.offered[2].left_out
-    assert "the set-up 'far off' is left out: the part swings" in done.stderr
+    assert "the set-up 'far off' is omitted: the part swings" in done.stderr

@@ -99,7 +99,7 @@ BROKEN = {
     "a syntax error": ("class Broken(\n", "cannot be imported .*SyntaxError"),
     "an exception at import": ("raise RuntimeError('no licence')\n", "cannot be imported .*RuntimeError: no licence"),
     "no such class": ("class Other: pass\n", "cannot be imported .*AttributeError.*Broken"),
-    "an instance in place of a class": ("Broken = object()\n", "which is no class"),
+    "an instance in place of a class": ("Broken = object()\n", "which is not a class"),
     "a class without the methods": (
         "class Broken:\n    source = sensor = (0, 0, 0)\n    grid_shape = (1, 1)\n",
         "has no ray_directions, reject, parameters",

@@ -31,7 +31,7 @@ def test_an_execution_has_its_surface_and_points(executed: Path, run_cell: RunCo
     assert '"name":"surface"' in page
     assert '"kind":"signed"' in page
     assert '"cloud":{"low"' in page
-    assert (folder / "report.md").read_text().splitlines()[0].endswith("([look at it](view.html))")
+    assert (folder / "report.md").read_text().splitlines()[0].endswith("([view](view.html))")
     run_cell("view", folder, "--no-open", "--out", "again.html", cwd=tmp_path, code=0)
     assert (tmp_path / "again.html").read_text(encoding="utf-8") == page
 

@@ -98,7 +98,7 @@ MESHES: dict[str, tuple[str, bytes, str]] = {
     ),
     "an STL with corners that are words": (
         "x.stl", b"solid\nfacet normal a b c\nvertex a b c\nvertex 1 0 0\nvertex 0 1 0\nendfacet\n",
-        "no three numbers",
+        "without three numbers",
     ),
 }  # fmt: skip
 

@@ -9,10 +9,10 @@ import pytest
 from benchmarks.diff_recount import recounted
 from benchmarks.edit_judge import EditJudge
 from benchmarks.random_edits import RandomEdit, random_edit
-from cell.api import open_run
+from cell.api import edit, open_run
 from cell.errors import CellError, UnreachableError, UsageError
-from cell.plan.edit import EditableRun
 from cell.report.diff import compare_runs
+from cell.runs.run import Run
 from cell.session import LoggedProgress
 
 
@@ -22,24 +22,24 @@ def _own_cache(monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def run(planned: Path) -> EditableRun:
+def run(planned: Path) -> Run:
     """Return the plan of the small part."""
     return open_run(planned)
 
 
 @pytest.fixture(scope="module")
-def judge(run: EditableRun) -> EditJudge:
+def judge(run: Run) -> EditJudge:
     """Return a judge of edits of the plan."""
     return EditJudge(run)
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 60))])
-def test_random_edits(seed: int, run: EditableRun, judge: EditJudge, tmp_path: Path) -> None:
+def test_random_edits(seed: int, run: Run, judge: EditJudge, tmp_path: Path) -> None:
     """The judge has no finding, and the reported differences from the earlier plan agree with the files."""
     requests = random_edit(np.random.default_rng(seed), run)
     made, refusal = None, None
     try:
-        made = run.edited(out=tmp_path / "edited", **requests.wishes)
+        made = edit(run, out=tmp_path / "edited", **requests.wishes)
     except CellError as error:
         refusal = error
     if made is None:
@@ -52,9 +52,9 @@ def test_random_edits(seed: int, run: EditableRun, judge: EditJudge, tmp_path: P
     assert found == []
 
 
-def test_the_judge_finds_errors(run: EditableRun, judge: EditJudge, tmp_path: Path) -> None:
+def test_the_judge_finds_errors(run: Run, judge: EditJudge, tmp_path: Path) -> None:
     """The judge reports an edit that differs from its request, and refusals with a false reason."""
-    made = run.edited(out=tmp_path / "edited", drop=[1])
+    made = edit(run, out=tmp_path / "edited", drop=[1])
     kept, away = RandomEdit({}), np.eye(4)
     assert any("lost" in each for each in judge.accepted(run, kept, made))
     turned = replace(kept, poses={"view 2": run.T_base_scanner[1] @ np.diag([-1.0, -1.0, 1.0, 1.0])})
@@ -65,6 +65,6 @@ def test_the_judge_finds_errors(run: EditableRun, judge: EditJudge, tmp_path: Pa
         ("is within the arm's reach, but every solution exceeds a joint limit", away, "0 of 0"),
         ("has every solution within the joint limits collides (housing with part)", run.T_base_scanner[1], "are free"),
     ):
-        message = UnreachableError(f"view 2 cannot be taken: it {output}; move it elsewhere, or drop it")
+        message = UnreachableError(f"view 2 cannot be used: it {output}; move it to another pose, or drop it")
         assert found in judge.refused(RandomEdit({}, {"view 2": pose}), message)[0]
     assert judge.refused(replace(kept, wrong="view 2 twice"), UsageError("no view is left"))

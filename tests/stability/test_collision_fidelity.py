@@ -145,7 +145,7 @@ def test_a_part_that_cuts_into_the_pedestal_is_refused_and_one_that_stands_on_it
     for depth_mm, refused in ((5.0, True), (0.0, False), (-5.0, False)):
         place = {"position_mm": [-450.0, 450.0, 50.0 - depth_mm]}
         problems = find_problems(_world(box, collision, placement=place, robot={"pedestal_size_mm": [1200.0, 1200.0]}))
-        assert any("the part stands inside the pedestal" in output for output in problems) == refused
+        assert any("the part intersects the pedestal" in output for output in problems) == refused
 
 
 def test_vertices_alone_are_taken_as_their_hull() -> None:

@@ -249,7 +249,7 @@ def test_a_plant_that_never_settles_is_a_fault() -> None:
 def test_a_plant_that_diverges_is_a_fault_and_never_a_position() -> None:
     """The last finite axes stay in the state, moves are refused, and a reset clears the fault if the plant recovers."""
     with simulated(Diverging) as driver:
-        with pytest.raises(FaultError, match="no numbers") as fault:
+        with pytest.raises(FaultError, match="not a number") as fault:
             driver.move(turned(90.0), 1.0)
         assert fault.value.code == Fault.PLANT
         state = driver.state()

@@ -74,7 +74,7 @@ def test_a_part_of_five_metres_at_the_default_place_is_refused() -> None:
         require_feasible(world)
     text = str(caught.value)
     assert "below the floor" in text
-    assert "the part stands inside the pedestal" in text
+    assert "the part intersects the pedestal" in text
 
 
 @pytest.mark.parametrize(
@@ -156,5 +156,5 @@ def test_a_flat_fixture_mesh_collides(tmp_path: Path) -> None:
     sheet.export(path)
     fixture = {"name": "sheet", "shape": "mesh", "path": str(path), "units": "mm", "position_mm": [600, 0, 1300]}
     world = compile_world(Scene.model_validate({"fixtures": [fixture]}), BALL, baseline_mm=75.0)
-    with pytest.raises(SceneError, match="the fixture 'sheet' stands inside the robot's"):
+    with pytest.raises(SceneError, match="the fixture 'sheet' intersects the robot's"):
         require_feasible(world)

@@ -174,4 +174,4 @@ def test_a_colliding_line_is_refused_with_the_blocker() -> None:
     highest = max(float(path.q[:, 0].max()) for path in free.paths if path.branch == 1)
     found = find_sweeps(column, MOUNT, KINEMATICS, LIMITS, checker=_Wall(highest))
     refused = {r.branch: r for r in found.refused}
-    assert refused[1].sentence == "the line comes nearer to something than the clearance (housing with wall)"
+    assert refused[1].sentence == "the line comes nearer to an object than the clearance (housing with wall)"

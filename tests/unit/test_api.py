@@ -1,7 +1,9 @@
 """The Python interface returns the results of the command line."""
 
+import json
 import subprocess
 import sys
+from base64 import b64decode
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,10 +11,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from cell.api import explore, open_run, plan, scan
+from cell.api import edit, explore, open_run, plan, scan, setups
 from cell.errors import FileError, SceneError, UsageError
-from cell.plan.edit import EditableRun
 from cell.runs.run import Run
+from cell.scan.options import ScanOptions
 from cell.scene.file import load_scene
 
 _QUICK = {"place": (1100, 400, 100), "standoff": 200, "faces": 40, "samples": 2, "seed": 3, "coverage": 1}
@@ -28,7 +30,7 @@ def _cache(cache: Path) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def planned(tmp_path_factory: pytest.TempPathFactory) -> EditableRun:
+def planned(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Return a small plan of a ball in memory."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=60.0)
     return plan(ball, units="mm", out=tmp_path_factory.mktemp("api") / "run", **_QUICK)
@@ -56,12 +58,48 @@ def test_a_plan_is_a_value_of_arrays(planned: Run) -> None:
     assert not planned.q.flags.writeable
 
 
+def test_views_are_objects(planned: Run) -> None:
+    """Each view has its number, pose and joint angles; the marginal coverages add up to the coverage."""
+    assert [view.number for view in planned.views] == [*range(1, len(planned.q) + 1)]
+    assert np.array_equal([view.T_base_scanner for view in planned.views], planned.T_base_scanner)
+    assert np.array_equal([view.q for view in planned.views], planned.q)
+    assert sum(view.marginal_coverage for view in planned.views) == pytest.approx(planned.coverage.visible, abs=0.002)
+    assert repr(planned.views[0]).startswith(f"View(1, candidate {planned.candidate[0]}, marginal coverage ")
+
+
+def test_a_result_is_one_line_in_a_terminal_and_a_table_in_a_notebook(planned: Run, tmp_path: Path) -> None:
+    """The line has the most important facts. The table has the picture if there is one. A failed run is shown too."""
+    views, coverage = len(planned.views), f"{100 * planned.coverage.visible:.2f} %"
+    assert repr(planned) == (
+        f"Run({str(planned.folder)!r}, views {views}, coverage {coverage}, lower bound {planned.bound} views, "
+        f"motion {planned.motion.duration:.1f} s)"
+    )
+    shown = planned._repr_html_()
+    assert f"<th>views</th><td>{views}</td>" in shown
+    assert b64decode(shown.partition("base64,")[2].partition('"')[0]) == (planned.folder / "cell.png").read_bytes()
+    failed = tmp_path / "failed"
+    failed.mkdir()
+    manifest = {"schema": planned.manifest.schema_version, "status": "failed", "stage": "reach", "reason": "<no>"}
+    (failed / "manifest.json").write_text(json.dumps(manifest))
+    assert repr(Run.open(failed)) == f"Run({str(failed)!r}, status failed in the stage 'reach': <no>)"
+    assert Run.open(failed)._repr_html_().endswith("&lt;no&gt;</td></tr></table>")
+
+
+def test_meshes_are_of_trimesh(planned: Run) -> None:
+    """The part is a mesh of trimesh in metres, with the vertices of the run, and may be changed."""
+    assert isinstance(planned.part, trimesh.Trimesh)
+    assert planned.part.units == "m"
+    assert np.array_equal(planned.part.vertices, planned.reference.vertices)
+    assert planned.part.extents == pytest.approx([0.12, 0.12, 0.12], abs=0.002)
+    planned.part.copy().vertices[0] = 0.0
+
+
 def test_a_run_opened_again_is_the_same_value(planned: Run) -> None:
     """`open_run` reads back what `plan` returned."""
     again = open_run(str(planned.folder))
     assert again.report == planned.report
     assert np.array_equal(again.q, planned.q)
-    assert np.array_equal(again.reference.faces, planned.reference.faces)
+    assert np.array_equal(again.part.faces, planned.part.faces)
 
 
 def test_a_mesh_in_memory_is_planned_as_the_scene_of_its_file(
@@ -78,9 +116,9 @@ def test_a_mesh_in_memory_is_planned_as_the_scene_of_its_file(
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_plan_of_a_mesh_in_memory_can_be_edited(planned: EditableRun, tmp_path: Path) -> None:
+def test_a_plan_of_a_mesh_in_memory_can_be_edited(planned: Run, tmp_path: Path) -> None:
     """A plan of a mesh in memory can be edited; dropping a view leaves the others unchanged."""
-    edited = planned.edited(drop=1, keep_order=True, out=tmp_path / "edited")
+    edited = edit(planned, drop=1, keep_order=True, out=tmp_path / "edited")
     assert edited.candidate.tolist() == planned.candidate.tolist()[1:]
 
 
@@ -89,7 +127,8 @@ def test_an_execution_is_a_value_too(planned: Run) -> None:
     message: list[tuple[str, int, int]] = []
     execution = scan(planned, resolution=1.0, progress=lambda *words: message.append(words))
     assert execution.exit_code == 0
-    assert execution.mesh is not None
+    assert isinstance(execution.mesh, trimesh.Trimesh)
+    assert repr(execution).startswith(f"Execution({str(execution.folder)!r}, views {len(planned.q)}, coverage ")
     radius = np.linalg.norm(execution.points, axis=1) * 1000
     assert np.abs(radius - 60).max() < 1.0
     assert execution.deviation is not None
@@ -102,6 +141,9 @@ def test_an_execution_is_a_value_too(planned: Run) -> None:
     ("call", "error", "words"),
     [
         (lambda: plan("mug", stand_off=100), UsageError, "standoff"),
+        (lambda: setups("mug", max_setup=2), UsageError, "max_setups"),
+        (lambda: scan("run", ScanOptions(), seed=4), UsageError, "seed"),
+        (lambda: scan("run", resume="latest", seed=4), UsageError, "--resume"),
         (lambda: plan("mug", units="mm"), SceneError, "units"),
         (lambda: plan("no_such.stl", units="mm"), FileError, "no_such.stl"),
         (lambda: plan(trimesh.creation.box()), UsageError, "units"),
@@ -112,6 +154,9 @@ def test_an_execution_is_a_value_too(planned: Run) -> None:
     ],
     ids=[
         "unknown wish",
+        "unknown option of set-ups",
+        "options twice",
+        "options of a resumed execution",
         "units of a built-in",
         "no file",
         "no units",
@@ -127,15 +172,17 @@ def test_invalid_calls_are_refused(call: object, error: type[Exception], words: 
         call()  # type: ignore[operator]
 
 
-def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first example of docs/python.md runs as printed."""
+@pytest.mark.parametrize("count", [1, pytest.param(None, marks=pytest.mark.slow)], ids=["first", "all"])
+def test_the_page_runs(count: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The examples of docs/python.md run as printed, one after the other."""
     page = (Path(__file__).parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    exec(page.split("```python\n")[1].split("```")[0], names)
-    run = names["run"]
+    for block in page.split("```python\n")[1:][:count]:
+        exec(block.split("```")[0], names)
+    run = names["other"]
     assert isinstance(run, Run)
-    assert run.folder == Path("trial")
+    assert run.folder == Path("edited")
 
 
 def test_an_exploration_goes_on_where_it_is(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.api import edit as make_edit
 from cell.api import open_run
 from cell.errors import UnreachableError, UsageError
 from cell.plan.edit_options import Edit, Move, Pose, Turn
@@ -77,7 +78,7 @@ def test_missing_views_are_refused_before_a_folder_is_made(
     run = open_run(planned)
     views, last = len(run.candidate), run.report.verdicts.total - 1
     with pytest.raises(UsageError, match=message.format(views=views, one_more=views + 1, last_candidate=last)):
-        run.edited(out=tmp_path / "edited", **options(views))
+        make_edit(run, out=tmp_path / "edited", **options(views))
     assert not list(tmp_path.iterdir())
 
 
@@ -91,7 +92,7 @@ def test_an_edit_that_changes_nothing_changes_nothing(
     """An edit without effect keeps the views, their order and the bytes of the artefacts."""
     run = open_run(planned)
     requests = {"order": [*range(1, len(run.candidate) + 1)]} if isinstance(options, str) else options
-    same = run.edited(out=tmp_path / "same", **requests)
+    same = make_edit(run, out=tmp_path / "same", **requests)
     names = ("viewpoints.npz", "reach.npz", "measurability.npz", "reference.ply", "planning.ply")
     for name in (*names, "cell.xml", "scene.toml"):
         assert (same.folder / name).read_bytes() == (planned / name).read_bytes(), name
@@ -107,27 +108,27 @@ def test_a_view_in_collision_is_refused_with_the_pair(planned: Path, tmp_path: P
     assert reached.reachable[run.candidate[0]]
     deeper = run.T_base_scanner[0, :3, 3] + 0.26 * run.T_base_scanner[0, :3, 2]
     a, b, c = np.degrees(kuka_abc_from_pose(run.T_base_scanner[0])[1])
-    with pytest.raises(UnreachableError, match=r"view 1 cannot be taken: .* collides \(\w+ with part\)"):
-        run.edited(out=tmp_path / "edited", move={1: (*(deeper * 1000), a, b, c)})
+    with pytest.raises(UnreachableError, match=r"view 1 cannot be used: .* collides \(\w+ with part\)"):
+        make_edit(run, out=tmp_path / "edited", move={1: (*(deeper * 1000), a, b, c)})
 
 
 def test_a_pose_that_is_a_view_already_is_refused(planned: Path, tmp_path: Path) -> None:
     """A pose that is a view of the plan already cannot be added."""
     run = open_run(planned)
-    with pytest.raises(UsageError, match=f"view {len(run.candidate) + 1} would be the same pose as view 3"):
-        run.edited(out=tmp_path / "edited", add_candidate=int(run.candidate[2]))
+    with pytest.raises(UsageError, match=f"view {len(run.candidate) + 1} would have the same pose as view 3"):
+        make_edit(run, out=tmp_path / "edited", add_candidate=int(run.candidate[2]))
 
 
 def test_a_dropped_view_can_be_put_back(planned: Path, tmp_path: Path) -> None:
     """Candidates keep their numbers through repeated edits. Repair adds no more views than were dropped."""
     run = open_run(planned)
-    without = run.edited(drop=[2], out=tmp_path / "without")
+    without = make_edit(run, drop=[2], out=tmp_path / "without")
     assert without.coverage.visible < run.coverage.visible
     assert without.bound == 1
-    back = without.edited(add_candidate=int(run.candidate[1]), out=tmp_path / "back")
+    back = make_edit(without, add_candidate=int(run.candidate[1]), out=tmp_path / "back")
     assert sorted(back.candidate) == sorted(run.candidate)
     assert back.coverage.visible == pytest.approx(run.coverage.visible, abs=1e-6)
-    repaired = without.edited(repair=True, out=tmp_path / "repaired")
+    repaired = make_edit(without, repair=True, out=tmp_path / "repaired")
     assert len(repaired.candidate) == len(run.candidate)
     assert repaired.coverage.planned_on_features == pytest.approx(run.coverage.planned_on_features)
     assert set(without.candidate) <= set(repaired.candidate)

@@ -131,9 +131,9 @@ def test_unseen_samples_of_the_believed_surface_are_selected(include_covered: bo
     [
         (5, 40.0, BELIEVED, (BELIEVED, MEASURED), "no batch of the policy"),
         (5, 40.0, MEASURED, (MEASURED, BELIEVED), "no batch of the policy"),
-        (7, 40.0, BELIEVED, (), "the 7 views of the budget are used up"),
-        (8, 90.0, BELIEVED, (), "the 7 views of the budget are used up"),
-        (5, 60.0, BELIEVED, (), "the 60 s of motion of the budget are used up"),
+        (7, 40.0, BELIEVED, (), "the budget of 7 views is used"),
+        (8, 90.0, BELIEVED, (), "the budget of 7 views is used"),
+        (5, 60.0, BELIEVED, (), "the budget of 60 s of motion is used"),
     ],
 )
 def test_the_next_batches_are_the_policys_within_the_budget(

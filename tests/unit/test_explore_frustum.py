@@ -108,7 +108,7 @@ def test_the_rays_are_those_of_a_scan() -> None:
 
 
 def test_an_angle_that_leaves_no_ray_is_refused() -> None:
-    """A resolution that leaves no ray in the field of view is refused by the preparation."""
+    """A resolution that gives no ray in the field of view is refused by the preparation."""
     scene = scene_from_options(None, {"place": (1200, 500, 0)}, "petanque")
-    with pytest.raises(SceneError, match="leaves no ray"):
+    with pytest.raises(SceneError, match="gives no ray"):
         prepare_exploration(Session(None), scene, ExploreOptions(), ScanOptions(resolution_deg=100.0))

@@ -68,7 +68,7 @@ def test_a_kill_before_the_first_explore_json_is_gone_on_after(left: tuple[str, 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     """A folder with other files is refused, and nothing is written into it."""
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(FileError, match="no exploration"):
+    with pytest.raises(FileError, match="not an exploration"):
         ExplorationFolder(tmp_path).begin(_begun(tmp_path))
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
@@ -76,7 +76,7 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        (np.empty((0, 3)), "no ray of stages/0001 came back"),
+        (np.empty((0, 3)), "no ray of stages/0001 hit a surface"),
         (np.tile([[0.2, 0.0, 0.0]], (5, 1)), "outside the cylinder"),
         (np.tile([[0.0, 0.0, 0.0]], (5, 1)), "the part was moved"),
     ],
@@ -108,7 +108,7 @@ def test_a_part_that_was_moved_away_stops_an_exploration(away: float, message: b
         return
     assert space.contradicted_share(views[0][0]) == 0
     views.append((plate(0.01), T))  # one view of a batch is sufficient
-    with pytest.raises(FileError, match=r"100.0 % of the known points .* are gone; the part was moved"):
+    with pytest.raises(FileError, match=r"100.0 % of the known points .* were not measured again; the part was moved"):
         require_plausible(space, Path("stages/0002"), views, eye)
 
 
@@ -286,7 +286,7 @@ def test_the_scanner_is_chosen_for_the_cylinder_that_was_given(tmp_path: Path) -
 def test_nothing_that_can_be_reached_has_the_exit_code_of_that() -> None:
     """An exploration without a reachable first view ends with exit code 4."""
     given: Any = (None, SimpleNamespace(stages=()), (), "the arm reaches no view", ())
-    with pytest.raises(UnreachableError, match="nothing can be explored here: the arm reaches no view") as message:
+    with pytest.raises(UnreachableError, match="no view can be planned: the arm reaches no view") as message:
         _finish(*given)
     assert message.value.exit_code == 4
 

@@ -54,8 +54,8 @@ def test_equivalent_mounts(text: str, near: float, tmp_path: Path) -> None:
     [
         ("quaternion = [1.0, 0.0, 0.0, 0.1]", "mount.quaternion has the length 1.005"),
         ("quaternion = [1.0, 0.0, 0.0]", "mount.quaternion has 3 values"),
-        ("quaternion = [1.0, 0.0, 0.0, 0.0]\nabc_deg = [0.0, 0.0, 0.0]", "quaternion is given beside abc_deg"),
-        (f"matrix_mm = {_rows(9)}\nposition_mm = [0.0, 0.0, 1.0]", "matrix_mm is given beside position_mm"),
+        ("quaternion = [1.0, 0.0, 0.0, 0.0]\nabc_deg = [0.0, 0.0, 0.0]", "quaternion is given together with abc_deg"),
+        (f"matrix_mm = {_rows(9)}\nposition_mm = [0.0, 0.0, 1.0]", "matrix_mm is given together with position_mm"),
         ("matrix_mm = [[1.0,0,0,0],[0.0,1,0,0],[0.0,0,-1,0],[0.0,0,0,1]]", "matrix_mm"),
         ("matrix_mm = [[2.0,0.0,0.0,0.0],[0.0,1.0,0.0,0.0],[0.0,0.0,1.0,0.0],[0.0,0.0,0.0,1.0]]", "holds no rotation"),
         ("matrix_mm = [[1.0,0.0,0.0,0.0],[0.0,1.0,0.0,0.0],[0.0,0.0,1.0,0.0],[0.0,5.0,0.0,1.0]]", "last row"),
@@ -101,5 +101,5 @@ def test_options_replace_the_files_placement(tmp_path: Path) -> None:
     placed = scene_from_options(path, {"place_origin": "1200,500,-80,90,0,0"}).placement
     assert (placed.origin_mm, placed.abc_deg) == ((1200, 500, -80), (90, 0, 0))
     path.write_text("[placement]\nposition_mm = [1.0, 2.0, 3.0]\norigin_mm = [1.0, 2.0, 3.0]")
-    with pytest.raises(SceneError, match="origin_mm is given beside position_mm"):
+    with pytest.raises(SceneError, match="origin_mm is given together with position_mm"):
         load_scene(path)

@@ -243,7 +243,7 @@ def test_an_unattainable_spacing_has_remedies(box: Path) -> None:
     scene = settle_scene(scene, load(box, "mm"))
     given = {"range_mm": (150.0, 450.0), "baseline_mm": 75.0}
     with pytest.raises(
-        SceneError, match=r"'seat' demands points at most 0.3 mm apart.*150 mm.*generic-area-medium"
+        SceneError, match=r"'seat' requires points at most 0.3 mm apart.*150 mm.*generic-area-medium"
     ) as output:
         require_attainable(scene, LaserArea(**given))
     resolution = float(str(output.value).partition("resolution_deg = [")[2].partition(",")[0])

@@ -111,7 +111,7 @@ def test_a_sensor_fills_the_scanner_table_and_the_scene_takes_precedence() -> No
         ({"sensor": "gocator2350"}, ["scanner.sensor is 'gocator2350'; did you mean 'gocator-2350'? valid are: "]),
         (
             {"sensor": "gocator-2350", "baseline_mm": 90.0, "type": "laser-area"},
-            ["scanner.type is 'laser-area', and gocator-2350 is a laser-line; leave type out"],
+            ["scanner.type is 'laser-area', and gocator-2350 is a laser-line; omit type"],
         ),
         ({"sensor": 2350}, ["scanner.sensor is 2350; it must be text in quotes"]),
         ({"fan_deg": 30.0}, ["scanner.fan_deg is an unknown key of laser-area; did you mean 'fov_deg'? valid are: "]),

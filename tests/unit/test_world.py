@@ -240,9 +240,9 @@ def test_the_arm_s_triangles_are_its_shapes_without_the_housing(world: World) ->
 @pytest.mark.parametrize(
     ("tables", "words"),
     [
-        ({"placement": {"position_mm": [0, 0, 300]}}, ["inside the robot's base", "placement.position_mm"]),
-        ({"placement": {"position_mm": [0, 0, 700]}}, ["the part stands inside the robot's link_1", "at home"]),
-        ({"placement": {"position_mm": [310, 0, 300]}}, ["the post stands inside the pedestal"]),
+        ({"placement": {"position_mm": [0, 0, 300]}}, ["intersects the robot's base", "placement.position_mm"]),
+        ({"placement": {"position_mm": [0, 0, 700]}}, ["the part intersects the robot's link_1", "at home"]),
+        ({"placement": {"position_mm": [310, 0, 300]}}, ["the post intersects the pedestal"]),
         ({"placement": {"position_mm": [1200, 500, -600]}}, ["150.0 mm below the floor", "by (0, 0, 150) mm"]),
         ({"placement": {"position_mm": [1200, 500, 9000]}}, ["9.4 m above the floor", "post.enabled"]),
         ({"placement": {"position_mm": [930, 0, 885]}}, ["nearer than the clearance of 10 mm", "housing at home"]),
@@ -251,7 +251,7 @@ def test_the_arm_s_triangles_are_its_shapes_without_the_housing(world: World) ->
         ({"robot": {"home_deg": [0, 30, 60, 0, 0, 0]}}, ["too near to the cell", "with floor"]),
         (
             {"fixtures": [{"name": "wall", "shape": "box", "size_mm": [50, 900, 900], "position_mm": [700, 0, 1300]}]},
-            ["the fixture 'wall' stands inside the robot's link_", "fixtures[0].position_mm"],
+            ["the fixture 'wall' intersects the robot's link_", "fixtures[0].position_mm"],
         ),
     ],
 )  # fmt: skip

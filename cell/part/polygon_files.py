@@ -1,0 +1,213 @@
+"""Polygon meshes from OBJ, OFF and PLY files, with their colours.
+
+Every index, count and keyword is checked against the file: a face that refers to a missing vertex, a count that differs
+from the rows, or geometry that is not supported is an error with its line, never another part.
+"""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from cell.part.ply_elements import Element, PlyError, read_elements
+from cell.part.polygons import PolygonError, PolygonMesh
+from cell.text import decode, lines_of, parse_numbers
+from planner.values import Floats, Ints
+
+_FREE_FORM = ("surf", "curv", "curv2", "cstype", "bzp", "bsp", "patch")
+
+
+def read_obj(content: bytes) -> PolygonMesh:
+    """Read the faces of an OBJ file; points, lines, texture coordinates and normals are ignored.
+
+    Negative indices count back from the last vertex before the face. Colours are those of `v x y z r g b`.
+
+    Raises:
+        PolygonError: with the line, if a vertex or a face is not valid, or the file has free-form surfaces.
+    """
+    text = decode(content)
+    if "\0" in text:
+        raise PolygonError("is not an OBJ file: it contains binary data; export the mesh again")
+    if "\\" in text:
+        text = re.sub(r"\\[ \t]*(\r\n|\n|\r)", " ", text)
+    lines = [line.partition("#")[0].strip() if "#" in line else line.strip() for line in lines_of(text)]
+    for number, line in enumerate(lines):
+        if line[:1] in ("s", "c", "b", "p") and line.split(None, 1)[0] in _FREE_FORM:
+            raise PolygonError(f"has a free-form surface, line {number + 1}, which is not supported; export polygons")
+    of_vertices = [k for k, line in enumerate(lines) if line[:2] in ("v ", "v\t")]
+    of_faces = [k for k, line in enumerate(lines) if line[:2] in ("f ", "f\t")]
+    rows, widths = _table([lines[k][2:] for k in of_vertices], of_vertices)
+    if len(widths) and widths.min() < 3:
+        short = int(np.argmin(widths))
+        raise PolygonError(f"has a vertex with fewer than three coordinates, line {of_vertices[short] + 1}")
+    starts = np.cumsum(widths) - widths
+    vertices = rows[starts[:, None] + np.arange(3)] if len(starts) else np.zeros((0, 3))
+    colours = None
+    if len(widths) and (widths >= 6).all():
+        colours = rows[starts[:, None] + np.arange(3, 6)]
+        colours = colours * 255 if colours.max() <= 1 else colours
+    words = [lines[k][2:] for k in of_faces]
+    if any("/" in line for line in words):
+        words = [re.sub(r"/\S*", "", line) for line in words]
+    numbers, counts = _table(words, of_faces)
+    if (numbers % 1 != 0).any():
+        raise PolygonError("has a face with an index that is not an integer; export the mesh again")
+    corners = numbers.astype(np.int64)
+    face_of = np.repeat(np.arange(len(counts)), counts)
+    line_of = np.array(of_faces, np.int64)[face_of]
+    before = np.searchsorted(np.array(of_vertices, np.int64), line_of)
+    corners = np.where(corners < 0, corners + before, corners - 1)
+    bad = (corners < 0) | (corners >= len(vertices))
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise PolygonError(
+            f"has a face that refers to vertex {int(numbers[first])}, line {line_of[first] + 1}; indices are 1 to "
+            f"{len(vertices)}, or -1 and below back from the vertices before the face; export the mesh again"
+        )
+    mesh = PolygonMesh(vertices, corners, counts)
+    return mesh if colours is None else PolygonMesh(vertices, corners, counts, mesh.means(colours))
+
+
+def read_off(content: bytes) -> PolygonMesh:
+    """Read an OFF file with polygons, with or without normals, texture coordinates and colours.
+
+    Raises:
+        PolygonError: with the line, if a row is not valid, or the rows are not as many as announced.
+    """
+    if b"\0" in content and not content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise PolygonError("is a binary OFF file, which is not supported; export it as text, or as PLY or STL")
+    lines = [line.partition("#")[0].strip() for line in lines_of(decode(content))]
+    filled = [k for k, line in enumerate(lines) if line]
+    if not filled:
+        raise PolygonError("has no data; export the mesh again")
+    head = lines[filled[0]].split()
+    if head[0].upper().endswith("OFF"):
+        keyword = head.pop(0).upper()
+        if "BINARY" in [word.upper() for word in head]:
+            raise PolygonError("is a binary OFF file, which is not supported; export it as text, or as PLY or STL")
+        if "4" in keyword or (
+            keyword.removesuffix("OFF").endswith("N") and keyword not in ("NOFF", "CNOFF", "STCNOFF", "STNOFF")
+        ):
+            raise PolygonError(f"is a {keyword} file with more than three coordinates, which is not supported")
+        if not head:
+            filled.pop(0)
+            head = lines[filled[0]].split() if filled else []
+    counts, _ = _table([" ".join(head)], filled[:1] or [0])
+    if len(counts) < 2 or (counts < 0).any() or (counts % 1 != 0).any():
+        raise PolygonError("does not announce its numbers of vertices and faces; export the mesh again")
+    n_vertices, n_faces = int(counts[0]), int(counts[1])
+    rows = filled[1:]
+    if len(rows) != n_vertices + n_faces:
+        raise PolygonError(
+            f"announces {n_vertices} vertices and {n_faces} faces but has {len(rows)} rows, one is needed for each; "
+            "export or copy it again"
+        )
+    of_vertices, of_faces = rows[:n_vertices], rows[n_vertices:]
+    numbers, widths = _table([lines[k] for k in of_vertices], of_vertices)
+    if len(widths) and widths.min() < 3:
+        raise PolygonError(
+            f"has a vertex with fewer than three coordinates, line {of_vertices[int(np.argmin(widths))] + 1}"
+        )
+    starts = np.cumsum(widths) - widths
+    vertices = numbers[starts[:, None] + np.arange(3)] if n_vertices else np.zeros((0, 3))
+    numbers, widths = _table([lines[k] for k in of_faces], of_faces)
+    starts = np.cumsum(widths) - widths
+    sizes = numbers[starts].astype(np.int64) if n_faces else np.zeros(0, np.int64)
+    short = (sizes < 3) | (sizes > widths - 1)
+    if short.any():
+        raise PolygonError(
+            f"has a face without the corners that it announces, line {of_faces[int(np.argmax(short))] + 1}"
+        )
+    corners = numbers[np.repeat(starts + 1 - (np.cumsum(sizes) - sizes), sizes) + np.arange(int(sizes.sum()))]
+    mesh = PolygonMesh(vertices, corners.astype(np.int64), sizes)
+    extra = widths - 1 - sizes
+    if n_faces and (extra >= 3).all():
+        colours = numbers[(starts + 1 + sizes)[:, None] + np.arange(3)]
+        is_share = any("." in lines[k] for k in of_faces) and colours.max() <= 1
+        return PolygonMesh(vertices, mesh.corners, sizes, colours * 255 if is_share else colours)
+    return mesh
+
+
+def read_ply(content: bytes) -> PolygonMesh:
+    """Read the faces and triangle strips of a PLY file.
+
+    Raises:
+        PolygonError: if the file is broken or has no vertices.
+    """
+    try:
+        elements = read_elements(content)
+        vertex = elements.get("vertex", Element(0))
+        if not vertex.count:
+            return PolygonMesh(np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, np.int64))
+        vertices = vertex.columns("x", "y", "z")
+        face = elements.get("face", Element(0))
+        counts, corners = np.zeros(0, np.int64), np.zeros(0, np.int64)
+        if face.count:
+            names = [name for name in ("vertex_indices", "vertex_index") if name in face.lists]
+            if not names:
+                raise PlyError("has faces without a list of vertex indices; export it again")
+            counts, corners = face.lists[names[0]][0], face.lists[names[0]][1].astype(np.int64)
+        colours = _ply_colours(face) if face.count else None
+        strips = elements.get("tristrips", Element(0))
+        if strips.count:
+            (name,) = strips.lists
+            more = _strip_triangles(*strips.lists[name])
+            corners = np.concatenate([corners, more.ravel()])
+            counts, colours = np.concatenate([counts, np.full(len(more), 3)]), None
+    except PlyError as error:
+        raise PolygonError(str(error)) from error
+    mesh = PolygonMesh(vertices, corners, counts, colours)
+    of_vertices = _ply_colours(vertex)
+    in_range = len(corners) and corners.min() >= 0 and corners.max() < len(vertices) and counts.min() > 0
+    if colours is None and of_vertices is not None and in_range:
+        return PolygonMesh(vertices, corners, counts, mesh.means(of_vertices))
+    return mesh
+
+
+def _ply_colours(element: Element) -> Floats | None:
+    """Return red, green and blue of the rows, 0 to 255; None without colours."""
+    names = ("red", "green", "blue")
+    if not all(name in element.scalars for name in names):
+        return None
+    colours = element.columns(*names)
+    is_share = element.scalars["red"].dtype.kind == "f" and colours.size and colours.max() <= 1
+    return colours * 255 if is_share else colours
+
+
+def _strip_triangles(lengths: Ints, values: Ints) -> Ints:
+    """Return the triangles (F, 3) of strips; -1 ends a strip, and every second triangle has the opposite winding."""
+    triangles: list[Ints] = [np.zeros((0, 3), np.int64)]
+    row = np.repeat(np.arange(len(lengths)), lengths)
+    values = values.astype(np.int64)
+    for number in range(len(lengths)):
+        own = values[row == number]
+        for strip in np.split(own, np.flatnonzero(own == -1)):
+            strip = strip[strip != -1]
+            if len(strip) >= 3:
+                three = np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=1)
+                three[1::2] = three[1::2, [1, 0, 2]]
+                triangles.append(three)
+    return np.concatenate(triangles)
+
+
+def _table(rows: Sequence[str], line_of: Sequence[int]) -> tuple[Floats, Ints]:
+    """Return the numbers of all rows one after the other, and how many each row has.
+
+    Args:
+        rows: texts.
+        line_of: index of the line of each row in the file, for messages.
+    """
+    widths = np.array([len(row.split()) for row in rows], np.int64)
+    numbers = parse_numbers("\n".join(rows), int(widths.sum()))
+    if numbers is None:
+        for row, line in zip(rows, line_of, strict=True):
+            for word in row.split():
+                try:
+                    float(word)
+                except ValueError as error:
+                    hint = "; decimal commas are not supported, write decimal points" if "," in word else ""
+                    raise PolygonError(
+                        f"has '{word[:40]}' where a number is expected, line {line + 1}{hint}"
+                    ) from error
+        numbers = np.array([float(word) for row in rows for word in row.split()])
+    return numbers, widths

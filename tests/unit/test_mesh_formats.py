@@ -1,0 +1,390 @@
+"""Mesh files as programs write them: the surface of the file, or a sentence with the cause and its line."""
+
+import base64
+import itertools
+import json
+import struct
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.errors import FileError
+from cell.part.mesh_files import parse, read_coloured
+from planner.values import Floats
+
+PROFILE = [(0, 0), (100, 0), (100, 30), (30, 30), (30, 80), (0, 80)]
+HEIGHT = 40
+AREA, VOLUME = 23_400.0, 180_000.0
+
+
+def prism(shift: float = 0.0) -> tuple[list[tuple[float, float, float]], list[list[int]]]:
+    """Return vertices and polygons of an L-shaped prism: two concave caps and six quads."""
+    vertices = [(x + shift, y, z) for z in (0, HEIGHT) for x, y in PROFILE]
+    sides = [[k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6] for k in range(6)]
+    return vertices, [[5, 4, 3, 2, 1, 0], [6, 7, 8, 9, 10, 11], *sides]
+
+
+def measures(path: Path, content: bytes | str) -> tuple[float, float, Floats]:
+    """Return area, volume and size of the mesh of a file with this content."""
+    content = content.encode() if isinstance(content, str) else content
+    path.write_bytes(content)
+    vertices, faces = parse(path, content)
+    corners = vertices[faces] - vertices.mean(axis=0)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    volume = np.einsum("fj,fj->", corners[:, 0], cross) / 6
+    return float(np.linalg.norm(cross, axis=1).sum() / 2), float(volume), np.ptp(vertices, axis=0)
+
+
+def obj(vertices: list[tuple[float, float, float]], faces: list[list[int]], gap: str = " ") -> str:
+    """Return an OBJ text with the separator `gap`."""
+    rows = [gap.join(["v", *map(str, vertex)]) for vertex in vertices]
+    return "\n".join(rows + [gap.join(["f", *(str(corner + 1) for corner in face)]) for face in faces]) + "\n"
+
+
+def off(faces: list[list[int]], head: str = "OFF") -> str:
+    """Return the prism as OFF."""
+    vertices, _ = prism()
+    rows = [" ".join(map(str, vertex)) for vertex in vertices] + [" ".join(map(str, [len(f), *f])) for f in faces]
+    return "\n".join([head, f"{len(vertices)} {len(faces)} 0", *rows]) + "\n"
+
+
+def ply(faces: list[list[int]], form: str, comment: bytes = b"comment none", before: str = "") -> bytes:
+    """Return the prism as PLY in one of the three forms, optionally with an element before the vertices."""
+    vertices, _ = prism()
+    header = [b"ply", f"format {form} 1.0".encode(), comment]
+    header += [b"element camera 1", b"property float f", b"property list uchar int k"] if before else []
+    header += [
+        f"element vertex {len(vertices)}".encode(),
+        b"property float x",
+        b"property double y",
+        b"property float z",
+    ]
+    header += [f"element face {len(faces)}".encode(), b"property list uchar int vertex_indices", b"property uchar q"]
+    head = b"\n".join([*header, b"end_header"]) + b"\n"
+    if form == "ascii":
+        rows = ["2.5 2 7 8"] if before else []
+        rows += [" ".join(map(str, vertex)) for vertex in vertices]
+        return head + "\n".join(rows + [" ".join(map(str, [len(f), *f, 9])) for f in faces]).encode() + b"\n"
+    order = "<" if form == "binary_little_endian" else ">"
+    body = struct.pack(f"{order}fB2i", 2.5, 2, 7, 8) if before else b""
+    body += b"".join(struct.pack(f"{order}fdf", *vertex) for vertex in vertices)
+    return head + body + b"".join(struct.pack(f"{order}B{len(f)}iB", len(f), *f, 9) for f in faces)
+
+
+@pytest.mark.parametrize("first", range(6))
+@pytest.mark.parametrize("suffix", [".obj", ".off", ".ply"])
+def test_a_concave_polygon_covers_its_own_surface_only(tmp_path: Path, suffix: str, first: int) -> None:
+    """Area and volume are right whatever the first corner of the caps is."""
+    vertices, faces = prism()
+    faces = [face[first:] + face[:first] if len(face) == 6 else face for face in faces]
+    content = {".obj": obj(vertices, faces), ".off": off(faces), ".ply": ply(faces, "ascii")}[suffix]
+    area, volume, size = measures(tmp_path / f"l{suffix}", content)
+    assert (area, volume) == pytest.approx((AREA, VOLUME), rel=1e-9)
+    assert size == pytest.approx([100, 80, HEIGHT])
+
+
+def test_random_star_shaped_polygons_have_their_area(tmp_path: Path) -> None:
+    """The area of 100 concave polygons in random planes is that of the shoelace formula."""
+    random = np.random.default_rng(1)
+    for number in range(100):
+        count = int(random.integers(4, 20))
+        angle = (np.arange(count) + random.uniform(0, 0.9, count)) * 2 * np.pi / count
+        radius = random.uniform(0.2, 1, count)
+        flat = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+        x, y = flat.T
+        expected = abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) / 2
+        axes = np.linalg.qr(random.normal(size=(3, 3)))[0]
+        vertices = [tuple(row) for row in (flat @ axes[:2] + random.normal(size=3)).tolist()]
+        area, _, _ = measures(tmp_path / f"{number}.obj", obj(vertices, [list(range(count))]))
+        assert area == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_polygon_that_crosses_itself_is_refused(tmp_path: Path) -> None:
+    """Its area is ambiguous; the sentence names the face."""
+    bow = [(0.0, 0.0, 0.0), (1.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]
+    with pytest.raises(FileError, match=r"crosses itself \(face 1\)"):
+        measures(tmp_path / "bow.obj", obj(bow, [[0, 1, 2, 3]]))
+
+
+DIALECTS = {
+    "tabs": lambda text: text.replace(" ", "\t"),
+    "indented": lambda text: "".join(f"  {line}  \n" for line in text.splitlines()),
+    "CR LF": lambda text: text.replace("\n", "\r\n"),
+    "CR": lambda text: text.replace("\n", "\r"),
+    "UTF-8 mark": lambda text: "\ufeff" + text,
+    "comments": lambda text: "# Prüfstück\n" + text.replace("\n", " # f 1 2 3\n", 3),
+    "no last line end": lambda text: text.rstrip("\n"),
+}
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1", "utf-16"])
+@pytest.mark.parametrize("suffix", [".obj", ".off"])
+def test_white_space_marks_and_encodings_do_not_change_the_part(
+    tmp_path: Path, suffix: str, encoding: str, dialect: str
+) -> None:
+    """Tabs, indents, line ends, byte order marks and comments in any encoding are read."""
+    if dialect == "UTF-8 mark" and encoding != "utf-8":
+        pytest.skip("the mark belongs to UTF-8")
+    vertices, faces = prism()
+    text = DIALECTS[dialect](obj(vertices, faces) if suffix == ".obj" else off(faces))
+    area, volume, _ = measures(tmp_path / f"l{suffix}", text.encode(encoding))
+    assert (area, volume) == pytest.approx((AREA, VOLUME))
+
+
+def test_relative_indices_count_back_from_their_face(tmp_path: Path) -> None:
+    """Two blocks with indices -12 to -1 are two bodies."""
+    blocks = []
+    for shift in (0, 200):
+        vertices, faces = prism(shift)
+        rows = [f"v {x} {y} {z}" for x, y, z in vertices]
+        blocks += rows + ["f " + " ".join(f"{corner - 12}//{corner - 12}" for corner in face) for face in faces]
+    area, volume, size = measures(tmp_path / "two.obj", "\n".join(blocks))
+    assert (area, volume) == pytest.approx((2 * AREA, 2 * VOLUME))
+    assert size[0] == pytest.approx(300)
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        ("f 0 1 2", "vertex 0, line 14"),
+        ("f 1 2 13", "vertex 13, line 14"),
+        ("f -13 1 2", "vertex -13, line 14"),
+        ("f 1 2", "2 corners"),
+        ("f 1 2 x", "'x' where a number is expected, line 14"),
+        ("f 1.5 2 3", "not an integer"),
+        ("v 1,5 2,5 3,5", "line 14; decimal commas"),
+        ("v 1 2", "fewer than three coordinates, line 14"),
+        ("surf 0 1 0 1 1 2 3 4", "free-form surface, line 14"),
+    ],
+)
+def test_a_line_that_is_not_a_surface_is_named(tmp_path: Path, line: str, sentence: str) -> None:
+    """The message names the line and the cause."""
+    vertices, faces = prism()
+    text = obj(vertices, faces[2:3])
+    with pytest.raises(FileError, match=sentence):
+        measures(tmp_path / "bad.obj", text + line + "\n")
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("before", ["", "camera"])
+@pytest.mark.parametrize("comment", ["comment Exporté", "comment end_header", "obj_info ü"])
+def test_ply_in_every_form(tmp_path: Path, form: str, before: str, comment: str) -> None:
+    """Mixed polygons, elements before the vertices, and comments in Latin-1 are read."""
+    _, faces = prism()
+    content = ply(faces, form, comment.encode("latin-1"), before)
+    assert measures(tmp_path / "l.ply", content)[:2] == pytest.approx((AREA, VOLUME))
+    assert measures(tmp_path / "l.ply", b"\xef\xbb\xbf" + content)[:2] == pytest.approx((AREA, VOLUME))
+    with pytest.raises(FileError, match="cut short"):
+        measures(tmp_path / "l.ply", content[:-4])
+
+
+def test_ply_triangle_strips(tmp_path: Path) -> None:
+    """A strip of a box side and a restart mark give the triangles with consistent winding."""
+    rows = ["0 0 0", "1 0 0", "0 1 0", "1 1 0", "0 2 0", "1 2 0"]
+    head = ["ply", "format ascii 1.0", "element vertex 6", *(f"property float {axis}" for axis in "xyz")]
+    head += ["element tristrips 1", "property list int int vertex_indices", "end_header"]
+    content = "\n".join([*head, *rows, "9 0 1 2 3 -1 2 3 4 5", ""])
+    (tmp_path / "s.ply").write_text(content)
+    vertices, faces = parse(tmp_path / "s.ply", content.encode())
+    cross = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
+    assert len(faces) == 4
+    assert cross[:, 2] == pytest.approx(np.ones(4))
+
+
+@pytest.mark.parametrize("head", ["OFF", "COFF", "off", "OFF # comment"])
+def test_off_counts_are_checked(tmp_path: Path, head: str) -> None:
+    """Faces with colours are read; a row more or less than announced is refused."""
+    _, faces = prism()
+    coloured = [[*face] for face in faces]
+    text = off(coloured, head)
+    assert measures(tmp_path / "l.off", text)[:2] == pytest.approx((AREA, VOLUME))
+    with pytest.raises(FileError, match="announces 12 vertices and 8 faces but has 19 rows"):
+        measures(tmp_path / "l.off", "\n".join(text.splitlines()[:-1]))
+    with pytest.raises(FileError, match="binary OFF"):
+        measures(tmp_path / "b.off", b"OFF BINARY\n\0\0\0\x0c")
+
+
+@pytest.mark.parametrize("name", ["L", "零件1", "assembly - vertex facet_1", "end loop"])
+@pytest.mark.parametrize("encoding", ["utf-8", "gbk", "utf-8-sig", "utf-16"])
+def test_ascii_stl_names_and_encodings(tmp_path: Path, name: str, encoding: str) -> None:
+    """A name can be any text; byte order marks are no part of it."""
+    text = stl(name)
+    assert measures(tmp_path / "l.stl", text.encode(encoding))[:2] == pytest.approx((AREA, VOLUME))
+
+
+def stl(name: str) -> str:
+    """Return the prism as ASCII STL, with its caps cut into triangles."""
+    vertices, _ = prism()
+    rows = [f"solid {name}"]
+    for triangle in stl_triangles():
+        rows += [
+            "facet normal 0 0 0",
+            "outer loop",
+            *(f"vertex {x:g} {y:g} {z:g}" for x, y, z in (vertices[k] for k in triangle)),
+        ]
+        rows += ["endloop", "endfacet"]
+    return "\n".join([*rows, f"endsolid {name}", ""])
+
+
+@pytest.mark.parametrize("vertex", ["vertex 0,000 0,000 0,000", "vertex 0.0, 0.0, 0.0"])
+def test_commas_in_an_stl_are_named_with_their_line(tmp_path: Path, vertex: str) -> None:
+    """Commas are refused, not guessed."""
+    with pytest.raises(FileError, match=r"line 4: .*no commas"):
+        measures(tmp_path / "l.stl", stl("L").replace(stl("L").splitlines()[3], vertex, 1))
+
+
+def gltf(
+    node: dict[str, object] | None = None, primitive: dict[str, object] | None = None, **more: object
+) -> tuple[dict[str, object], bytes]:
+    """Return description and buffer of a triangle (0,0,0) (1,0,0) (0,1,0) with a target and three translations."""
+    numbers = [[0, 0, 0, 1, 0, 0, 0, 1, 0], [0, 0, 1] * 3, [0, 0, 0, 2, 0, 0, 4, 0, 0]]
+    data = b"".join(struct.pack("<9f", *row) for row in numbers)
+    described: dict[str, object] = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": len(data)}],
+        "bufferViews": [{"buffer": 0, "byteOffset": 36 * k, "byteLength": 36} for k in range(3)],
+        "accessors": [{"bufferView": k, "componentType": 5126, "count": 3, "type": "VEC3"} for k in range(3)],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, **(primitive or {})}]}],
+        "nodes": [{"mesh": 0, **(node or {})}],
+        "scenes": [{"nodes": [0]}],
+        **more,
+    }
+    return described, data
+
+
+def glb(described: dict[str, object], data: bytes) -> bytes:
+    """Return a binary glTF file."""
+    text = json.dumps(described).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + data
+    return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
+
+
+INSTANCES = {"extensions": {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 2}}}}
+
+
+def test_instances_of_a_glb_are_bodies(tmp_path: Path) -> None:
+    """The mesh appears at each translation, whether the extension is required or only used."""
+    for more in ({}, {"extensionsRequired": ["EXT_mesh_gpu_instancing"]}):
+        area, _, size = measures(tmp_path / "i.glb", glb(*gltf(INSTANCES, **more)))
+        assert area == pytest.approx(1.5)
+        assert size == pytest.approx([5, 1, 0])
+
+
+def test_morph_weights_of_a_glb_are_applied(tmp_path: Path) -> None:
+    """A weight of 0.5 raises the triangle by half of its target."""
+    content = glb(*gltf({"weights": [0.5]}, {"targets": [{"POSITION": 1}]}))
+    (tmp_path / "m.glb").write_bytes(content)
+    assert parse(tmp_path / "m.glb", content)[0][:, 2] == pytest.approx([0.5] * 3)
+
+
+@pytest.mark.parametrize("name", ["KHR_mesh_quantization", "KHR_draco_mesh_compression", "EXT_unknown"])
+def test_a_required_extension_that_is_not_supported_is_named(tmp_path: Path, name: str) -> None:
+    """The file is refused; extensions of materials are harmless."""
+    with pytest.raises(FileError, match=name):
+        measures(tmp_path / "r.glb", glb(*gltf(extensionsRequired=[name])))
+    assert measures(tmp_path / "k.glb", glb(*gltf(extensionsRequired=["KHR_materials_unlit"])))[0] == pytest.approx(0.5)
+
+
+def test_a_skin_is_refused(tmp_path: Path) -> None:
+    """A skeleton would deform the mesh."""
+    with pytest.raises(FileError, match="skin"):
+        measures(tmp_path / "s.glb", glb(*gltf({"skin": 0})))
+
+
+def test_gltf_with_its_buffer_beside_it_or_inside(tmp_path: Path) -> None:
+    """Both forms give the triangle; a missing buffer and one outside the folder are named."""
+    described, data = gltf()
+    (tmp_path / "a b.bin").write_bytes(data)
+    inside = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    for uri in ("a%20b.bin", inside):
+        described["buffers"] = [{"byteLength": len(data), "uri": uri}]
+        assert measures(tmp_path / "a.gltf", json.dumps(described))[0] == pytest.approx(0.5)
+    for uri, sentence in (
+        ("c.bin", "needs c.bin beside it"),
+        ("../a.bin", "outside its folder"),
+        ("http://x/a", "outside"),
+    ):
+        described["buffers"] = [{"byteLength": len(data), "uri": uri}]
+        with pytest.raises(FileError, match=sentence):
+            measures(tmp_path / "a.gltf", json.dumps(described))
+
+
+def three_mf(path: Path, unit: str, items: str, required: str = "") -> bytes:
+    """Return a 3MF file with the triangles of the prism as object 1, and a mirrored copy at x 300 as object 2."""
+    vertices, _ = prism()
+    triangles = stl_triangles()
+    core = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
+    points = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in vertices)
+    corners = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in triangles)
+    model = (
+        f'<?xml version="1.0"?><model unit="{unit}" xmlns="{core}" {required}><resources><object id="1"><mesh>'
+        f"<vertices>{points}</vertices><triangles>{corners}</triangles></mesh></object>"
+        '<object id="2"><components><component objectid="1" '
+        f'transform="-1 0 0 0 1 0 0 0 1 300 0 0"/></components></object></resources><build>{items}</build></model>'
+    )
+    relation = 'Target="/3D/m.model" Id="r" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"'
+    space = 'xmlns="http://schemas.openxmlformats.org/package/2006/relationships"'
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("_rels/.rels", f"<Relationships {space}><Relationship {relation}/></Relationships>")
+        archive.writestr("3D/m.model", model)
+    return path.read_bytes()
+
+
+def stl_triangles() -> list[list[int]]:
+    """Return the triangles of the prism."""
+    _, faces = prism()
+    caps = [[5, 4, 3], [5, 3, 0], [0, 3, 2], [0, 2, 1], [6, 8, 9], [6, 7, 8], [6, 9, 11], [9, 10, 11]]
+    return caps + [[f[0], f[k], f[k + 1]] for f in faces if len(f) == 4 for k in (1, 2)]
+
+
+def test_3mf_with_units_components_and_transforms(tmp_path: Path) -> None:
+    """The unit of the file scales to metres; a mirrored component keeps its volume."""
+    items = '<item objectid="1"/><item objectid="2"/>'
+    for unit, metres in (("millimeter", 1e-3), ("inch", 0.0254)):
+        area, volume, size = measures(tmp_path / "l.3mf", three_mf(tmp_path / "l.3mf", unit, items))
+        assert area == pytest.approx(2 * AREA * metres**2)
+        assert volume == pytest.approx(2 * VOLUME * metres**3)
+        assert size == pytest.approx(np.array([300, 80, HEIGHT]) * metres)
+
+
+def test_3mf_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    """Required extensions, missing objects and broken archives have a sentence each."""
+    path = tmp_path / "l.3mf"
+    with pytest.raises(FileError, match="extension 'p'"):
+        measures(path, three_mf(path, "inch", '<item objectid="1"/>', 'requiredextensions="p" xmlns:p="x"'))
+    with pytest.raises(FileError, match="missing object 7"):
+        measures(path, three_mf(path, "inch", '<item objectid="7"/>'))
+    with pytest.raises(FileError, match="archive or model is broken"):
+        measures(path, b"PK\x03\x04 nothing")
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".off", ".obj"])
+def test_colours_of_concave_polygons(tmp_path: Path, suffix: str) -> None:
+    """A painted cap has its own area, not that of a fan."""
+    vertices, faces = prism()
+    path = tmp_path / f"painted{suffix}"
+    red = [[255, 0, 0] if len(face) == 6 else [0, 0, 255] for face in faces]
+    if suffix == ".off":
+        rows = [" ".join(map(str, vertex)) for vertex in vertices]
+        rows += [" ".join(map(str, [len(f), *f, *c])) for f, c in zip(faces, red, strict=True)]
+        path.write_text("\n".join(["OFF", "12 8 0", *rows]))
+    elif suffix == ".ply":
+        head = ["ply", "format ascii 1.0", "element vertex 12", *(f"property float {axis}" for axis in "xyz")]
+        head += ["element face 8", "property list uchar int vertex_index"]
+        head += [*(f"property uchar {name}" for name in ("red", "green", "blue")), "end_header"]
+        rows = [" ".join(map(str, vertex)) for vertex in vertices]
+        rows += [" ".join(map(str, [len(f), *f, *c])) for f, c in zip(faces, red, strict=True)]
+        path.write_text("\n".join([*head, *rows, ""]))
+    else:
+        rows, corners = [], itertools.count(1)
+        for face, colour in zip(faces, red, strict=True):
+            rows += ["v " + " ".join(map(str, [*vertices[k], *colour])) for k in face]
+            rows.append("f " + " ".join(str(next(corners)) for _ in face))
+        path.write_text("\n".join(rows))
+    mesh, colours = read_coloured(path, 1e-3)
+    is_red = (colours == [255, 0, 0]).all(axis=1)
+    assert mesh.areas[is_red].sum() * 1e6 == pytest.approx(2 * (100 * 30 + 30 * 50))
