@@ -165,7 +165,7 @@ def _broken_files(folder: Path) -> dict[str, tuple[str, bytes, str]]:
         "two coordinates": ("x.obj", b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "fewer than three coordinates"),
         "text named off": ("x.off", b"hello\n" * 30, "where a number is expected, line 1|does not announce"),
         "truncated off": ("x.off", write(folder, body(), "y.off").read_bytes()[:900], "announces .* rows"),
-        "text named glb": ("x.glb", b"hello\n" * 30, "is not a binary glTF file"),
+        "text named glb": ("x.glb", b"hello\n" * 30, "description that cannot be read"),
         "truncated glb": ("x.glb", write(folder, body(), "y.glb").read_bytes()[:2000], "is cut short"),
         "iges": ("x.igs", b"S      1", "'.igs', which is not supported; supported are .stl, .obj"),
         "no suffix": ("x.", b"hello", "not supported"),
