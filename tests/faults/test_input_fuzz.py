@@ -4,7 +4,6 @@ import io
 import json
 import resource
 import struct
-import subprocess
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -19,8 +18,7 @@ from cell.errors import CellError, FileError, SceneError
 from cell.part import workpiece
 from cell.runs.run import npz_arrays
 from cell.scene.file import load_scene
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
+from tests.support.fixture_types import RunCommand
 
 
 def _clean(rows: list[dict[str, Any]]) -> None:
@@ -158,7 +156,9 @@ def test_a_crafted_scene_is_refused_in_one_sentence(case: str, tmp_path: Path) -
     ("replay", "{long}"),
     ("check", "--scene", "{long}.toml"),
 ])  # fmt: skip
-def test_a_name_that_no_file_can_have_is_no_bug(arguments: tuple[str, ...], tmp_path: Path, run_cell: Run) -> None:
+def test_a_name_that_no_file_can_have_is_no_bug(
+    arguments: tuple[str, ...], tmp_path: Path, run_cell: RunCommand
+) -> None:
     """A name of more than 255 bytes ends with the exit code of files or of the scene."""
     done = run_cell(*(word.format(long="n" * 300) for word in arguments), cwd=tmp_path)
     assert done.returncode in (2, 6), done.stderr
@@ -177,7 +177,7 @@ def test_a_fixture_s_name_and_path_are_looked_at(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["plan.json", "scene.resolved.json", "manifest.json"])
-def test_a_deep_file_of_a_run_is_damaged(name: str, planned: Path, tmp_path: Path, run_cell: Run) -> None:
+def test_a_deep_file_of_a_run_is_damaged(name: str, planned: Path, tmp_path: Path, run_cell: RunCommand) -> None:
     """A file nested 100,000 times is refused by every command that reads it."""
     import shutil
 
@@ -188,8 +188,7 @@ def test_a_deep_file_of_a_run_is_damaged(name: str, planned: Path, tmp_path: Pat
         (tmp_path / "run/manifest.json").write_text(json.dumps(manifest))
     (tmp_path / "run" / name).write_text('{"views": ' + "[" * 100_000)
     for command in (("export", "run"), ("scan", "run"), ("replay", "run", "--picture", "x.png")):
-        done = run_cell(*command, cwd=tmp_path)
-        assert done.returncode == 6, done.stderr
+        done = run_cell(*command, cwd=tmp_path, code=6)
         assert done.stderr.count("\n") == 1
 
 
@@ -216,7 +215,7 @@ def _liar() -> bytes:
 
 
 @pytest.mark.parametrize("made", [lambda: _bomb(1 << 28), _liar], ids=["bomb", "liar"])
-def test_what_a_file_holds_bounds_what_is_allocated(made: Callable[[], bytes]) -> None:
+def test_allocation_is_bounded_by_the_size_of_the_file(made: Callable[[], bytes]) -> None:
     """An npz that expands a thousand times or announces a terabyte is refused without allocating that size."""
     content = made()
     began, before = process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -5,22 +5,18 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from cell.robot import model as robot
 from cell.robot.plant import FOLLOWING_ERROR, MujocoPlant, PlantSettings
 from cell.scan import plants
 from drivers.clock import SimulatedClock
 from drivers.contract import Fault, Mode
 from drivers.errors import DriverError, FaultError
-from drivers.limits import Limits
 from drivers.profile import Reference, interpolate, resting
 from drivers.registry import Context, open_driver
 from drivers.setpoints import from_rad
 from drivers.sim import SimDriver
 from drivers.simulated_controller import Controller, Plant
+from tests.support.arms import HOME, KR16
 
-KR16 = Limits.from_rad(robot.limits(robot.load()))
-
-HOME = np.radians([0.0, -90, 90, 0, 90, 0])
 GOAL = from_rad(HOME[None] + np.array([0.6, 0.5, -0.4, 0.8, -0.6, 1.0]))
 UNSTABLE = {
     "time step 20 ms": PlantSettings(time_step=0.02),
@@ -118,23 +114,6 @@ def test_nan_is_never_reported_as_a_pose(poison: str) -> None:
         state = driver.state()
         assert state.fault_code is Fault.PLANT
         assert (state.axes == before).all()
-
-
-def test_no_log_file_is_left(tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
-    """MuJoCo writes MUJOCO_LOG.TXT for an invalid state; the plant stops before."""
-    from pathlib import Path
-
-    folder = Path(str(tmp_path))
-    monkeypatch.chdir(folder)
-    for settings in UNSTABLE.values():
-        plant = MujocoPlant(HOME, None, settings)
-        plant.follow(resting(HOME + 0.003))
-        plant.advance(1.0)
-    plant = MujocoPlant(HOME)
-    plant.data.qvel[0] = np.nan
-    plant.advance(1.0)
-    assert plant.failure
-    assert list(folder.iterdir()) == []
 
 
 def test_a_jump_of_the_reference_is_a_failure() -> None:
