@@ -98,7 +98,18 @@ MESHES: dict[str, tuple[str, bytes, str]] = {
     ),
     "an STL with corners that are words": (
         "x.stl", b"solid\nfacet normal a b c\nvertex a b c\nvertex 1 0 0\nvertex 0 1 0\nendfacet\n",
-        "without three numbers",
+        "a vertex that cannot be read, line 3: a b c; it needs three numbers",
+    ),
+    "an OBJ with an infinite index": (
+        "x.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 inf\n", "a number that is not an integer"
+    ),
+    "an OFF with a size that is not a number": (
+        "x.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\nnan 0 1 2\n", "a number that is not an integer"
+    ),
+    "a PLY with an infinite length": (
+        "x.ply", b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+        b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n1e999 0 1 2\n",
+        "is cut short",
     ),
 }  # fmt: skip
 
