@@ -78,6 +78,7 @@ class Effort:
         deviation_samples: samples on which the deviation of a surface is measured.
         searched_samples: unmeasured samples for each of which a measuring pose is searched.
         clearance_share: tolerance of a proven clearance, as a share of the clearance.
+        cover_work: search for the fewest or the cheapest views, with its proof.
         probe_work: search for views that only shows where samples are missing.
         selection_work: search that continues from a probe.
         repeat_work: each later search, where views fall slightly short of the target.
@@ -89,6 +90,7 @@ class Effort:
     deviation_samples: int = 100_000
     searched_samples: int = N_PROBED_SAMPLES
     clearance_share: float = 0.05
+    cover_work: int = DEFAULT_EFFORT
     probe_work: int = DEFAULT_EFFORT // 25
     selection_work: int = 2 * DEFAULT_EFFORT // 5
     repeat_work: int = DEFAULT_EFFORT // 5

@@ -1,6 +1,5 @@
 """STEP files: units, solids, faces with kind and parameters, and the face of each triangle."""
 
-import importlib.util
 import math
 import re
 import sys
@@ -15,11 +14,7 @@ from cell.part.description import volume
 from cell.part.mesh_checks import Kind
 from cell.part.workpiece import Workpiece, load
 from cell.scene.file import load_scene
-from tests.step_files import BLOCK_VOLUME, StepFile, bored_block
-
-needs_cascadio = pytest.mark.skipif(
-    importlib.util.find_spec("cascadio") is None, reason="cascadio is not installed: pip install 'scan-cell[step]'"
-)
+from tests.step_files import BLOCK_VOLUME, StepFile, bored_block, needs_cascadio
 
 
 def written(folder: Path, text: str, name: str = "part.stp") -> Path:
@@ -86,7 +81,7 @@ def test_triangles_of_a_bore_look_at_its_axis(tmp_path: Path) -> None:
 
 
 @needs_cascadio
-def test_what_bounds_no_solid_is_left_out_and_told(tmp_path: Path) -> None:
+def test_a_sheet_outside_the_solids_is_left_out_and_reported(tmp_path: Path) -> None:
     """A sheet outside the solids is left out and reported. The faces of two solids are numbered consecutively."""
     made = StepFile()
     made.block((0, 0, 0), (60, 40, 30), (30, 20, 8))
@@ -102,7 +97,7 @@ def test_what_bounds_no_solid_is_left_out_and_told(tmp_path: Path) -> None:
 
 
 @needs_cascadio
-def test_surfaces_alone_are_taken_and_said_to_be_open(tmp_path: Path) -> None:
+def test_surfaces_alone_are_used_and_reported_as_open(tmp_path: Path) -> None:
     """A file without solids gives its surfaces, which are reported as open."""
     made = StepFile()
     made.open_sheet((0, 0, 0), 50)
@@ -113,7 +108,7 @@ def test_surfaces_alone_are_taken_and_said_to_be_open(tmp_path: Path) -> None:
 
 @needs_cascadio
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "output"),
     [
         ("solid x\n", "is not a STEP file"),
         ("ISO-10303-21;\nHEADER;\nENDSEC;\nDATA;\nENDSEC;\nEND-ISO-10303-21;\n", "no surface"),
@@ -122,15 +117,15 @@ def test_surfaces_alone_are_taken_and_said_to_be_open(tmp_path: Path) -> None:
     ids=["another format", "empty", "cut short"],
 )
 def test_broken_files_are_one_sentence(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], content: str, said: str
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], content: str, output: str
 ) -> None:
     """An unreadable file gives one sentence with a cure; the output of Open CASCADE is discarded."""
-    with pytest.raises(FileError, match=said):
+    with pytest.raises(FileError, match=output):
         load(written(tmp_path, content))
     assert capfd.readouterr() == ("", "")
 
 
-def test_without_cascadio_a_sentence_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_cascadio_the_message_names_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The optional dependency is named with its extra."""
     monkeypatch.setitem(sys.modules, "cascadio", None)
     with pytest.raises(FileError, match=r"pip install 'scan-cell\[step\]'"):
